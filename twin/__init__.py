@@ -1,0 +1,35 @@
+"""The digital twin: what the sensors of the vehicle would send, from a scene and a system.
+
+Six lines from a scene to an image and a report:
+
+    import twin, hardware
+
+    scene = twin.load_scene("scenes/yard")
+    system = twin.load_system("workable")
+    capture = twin.capture(scene, system, seed=1)
+    image = hardware.reconstruct(capture.record, "lmmse")
+    twin.write_report([twin.evaluate(scene, system, capture, [image])], "runs/yard")
+"""
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+# Names are looked up when first used: `twin --help` must not wait for a renderer.
+_HOMES = {
+    "Capture": "twin.acquisition",
+    "Scene": "twin.scene",
+    "System": "twin.system",
+    "capture": "twin.acquisition",
+    "load_scene": "twin.scene",
+    "load_system": "twin.system",
+    "run": "twin.job",
+}
+__all__ = [*_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'twin' has no attribute {name!r}")

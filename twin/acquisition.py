@@ -1,0 +1,190 @@
+"""One acquisition of the single-pixel camera, from scene and system to a record of counts."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.records import SpiRecord
+from twin import __version__
+from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
+from twin.optics.radiometry import Collection, collection
+from twin.optics.spectra import SUN_ASSUMPTION, in_band_fraction, sun_band_irradiance
+from twin.optics.transport import Pinhole, Quality, sunlight, transport
+from twin.scene import Scene
+from twin.scene.mitsuba import mitsuba_scene
+from twin.system import System
+from twin.truth import Truth, render_truth
+
+Array = NDArray[np.float64]
+#: Opens a named stage of the work; what is run inside belongs to it.
+Stage = Callable[[str], AbstractContextManager[Any]]
+
+#: Holds for every capture; printed with it.
+MODEL_ASSUMPTIONS = (
+    "surfaces are Lambertian, two-sided and flat-shaded; air is clear",
+    SUN_ASSUMPTION,
+    "cells are equal and have sharp edges; dark cells emit nothing (infinite contrast)",
+    "the filter is flat inside its band and does not shift with angle "
+    "(a real one moves 6-11 nm at 10 deg)",
+    "lens: a pinhole in position, a flat pupil in power (cos^4 vignetting), in focus everywhere",
+    "nothing moves during a frame; emitter power does not fluctuate",
+    "amplifier: full settling within each exposure, white noise, linear up to the rails",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A record with everything the twin knows about it. Only ``record`` exists on the vehicle.
+
+    ``cells_e`` (rows, columns) are the electrons that each cell, lit alone for one exposure, gives
+    in the mean: what reconstructions are compared with. ``cells_error_e`` is their Monte-Carlo
+    standard error. ``snr`` is cells_e over the noise of a reconstructed pixel (inverse transform
+    of the patterns shown).
+    """
+
+    record: SpiRecord
+    truth: Truth
+    cells_e: Array
+    cells_error_e: Array
+    snr: Array
+    noise: NoiseBudget
+    lens: Collection
+    signal_w: Array
+    background_w: float
+    sun_irradiance_w_per_m2: float
+    in_band_fraction: float
+    illuminance_lx: float
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def capture(
+    scene: Scene,
+    system: System,
+    *,
+    seed: int = 0,
+    quality: Quality | None = None,
+    rendered: Any = None,
+    stage: Stage = lambda name: nullcontext(),
+) -> Capture:
+    """Acquire one frame.
+
+    Parameters
+    ----------
+    scene, system
+        What is looked at, and with what.
+    seed
+        Of every random draw: same seed, same counts, bit for bit.
+    quality
+        Knobs of the path tracer.
+    rendered
+        `mitsuba_scene(scene)`, when it is at hand already.
+    stage
+        Called with each stage's name, for progress and timing.
+    """
+    quality = quality or Quality()
+    emitter, detector, lens = devices(scene, system)
+    shape = (system.emitter.rows.value, system.emitter.columns.value)
+    light_seed, sun_seed, noise_seed = np.random.SeedSequence(seed).spawn(3)
+
+    with stage("scene"):
+        world = mitsuba_scene(scene) if rendered is None else rendered
+    with stage("transport"):
+        seeds = [int(s.generate_state(1)[0]) for s in (light_seed, sun_seed)]
+        cells = transport(world, emitter, detector, shape, quality=quality, seed=seeds[0])
+    with stage("sun"):
+        sky = system.sky
+        lux = sky.illuminance_lx.value if sky else scene.sun.illuminance_lx
+        band = system.filter
+        irradiance = sun_band_irradiance(lux, band.center_wavelength_m.value, band.width_m.value)
+        sun = sunlight(world, detector, scene.sun.direction, quality=quality, seed=seeds[1])
+    with stage("truth"):
+        truth = render_truth(world, emitter, shape)
+    with stage("detector"):
+        fraction = in_band_fraction(system.emitter, system.filter)
+        collected = lens.transmission * lens.pupil_area_m2
+        watt = system.emitter.radiant_intensity_w_per_sr.value * fraction * collected
+        signal_w = system.patterns.signal(watt * cells.total.ravel())
+        background_w = irradiance * collected * float(sun.total.sum())
+        front_end = FrontEnd.of(system)
+        rng = np.random.default_rng(noise_seed)
+        counts, flags = expose(signal_w[:, None] + background_w, front_end, rng=rng)
+        budget = noise_budget(signal_w, background_w, front_end)
+    to_electrons = watt * front_end.electrons_per_watt
+    cells_e = to_electrons * cells.total
+    record = _record(scene, system, front_end, counts, flags)
+    return Capture(
+        record=record,
+        truth=truth,
+        cells_e=cells_e,
+        cells_error_e=to_electrons * cells.standard_error,
+        snr=cells_e / budget.pixel_noise_e(system.patterns),
+        noise=budget,
+        lens=lens,
+        signal_w=signal_w,
+        background_w=background_w,
+        sun_irradiance_w_per_m2=irradiance,
+        in_band_fraction=fraction,
+        illuminance_lx=lux,
+        assumptions=(*MODEL_ASSUMPTIONS, *scene.assumptions, *_assumed(system)),
+        warnings=_warnings(system, flags, cells_e),
+    )
+
+
+def devices(scene: Scene, system: System) -> tuple[Pinhole, Pinhole, Collection]:
+    """Emitter and detector where the rig holds them, and the detector's lens."""
+    lens = collection(system)
+    half = np.radians(system.emitter.field_of_view_deg.value) / 2
+    emitter = Pinhole(*scene.rig.device("emitter"), tan_half_field=float(np.tan(half)))
+    origin, axes = scene.rig.device("detector")
+    return emitter, Pinhole(origin, axes, lens.tan_half_field, lens.outline), lens
+
+
+def _record(
+    scene: Scene,
+    system: System,
+    front_end: FrontEnd,
+    counts: NDArray[np.int32],
+    flags: NDArray[np.uint8],
+) -> SpiRecord:
+    n = len(counts)
+    period_ns = system.acquisition.pattern_period_s.value * 1e9
+    x, y, z, w = scene.rig.pose.rotation.as_quat()
+    return SpiRecord(
+        counts=counts,
+        device_time_ns=np.rint(np.arange(n) * period_ns).astype(np.int64),
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=flags,
+        patterns=system.patterns,
+        integration_time_s=system.acquisition.integration_time_s.value,
+        electrons_per_count=front_end.electrons_per_count,
+        offset_counts=front_end.offset_counts,
+        adc_bits=front_end.adc_bits,
+        device=f"twin {__version__}: {system.name}",
+        pose=np.array([*scene.rig.pose.position_m, w, x, y, z]),
+    )
+
+
+def _assumed(system: System) -> tuple[str, ...]:
+    return tuple(
+        f"{name} = {value.value}: {value.assumed}"
+        for name, value in system.values()
+        if value.assumed
+    )
+
+
+def _warnings(system: System, flags: NDArray[np.uint8], cells_e: Array) -> tuple[str, ...]:
+    found = []
+    saturated = int(np.count_nonzero(flags))
+    if saturated:
+        found.append(
+            f"{saturated} of {flags.size} exposures reach a rail of the ADC: "
+            f"lower readout.transimpedance_ohm ({system.readout.transimpedance_ohm.value:g})"
+        )
+    if not cells_e.any():
+        found.append("no light of the emitter comes back: nothing in the field of view")
+    return tuple(found)

@@ -1,0 +1,53 @@
+"""The noise budget of one exposure, and what it leaves of each pixel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.patterns import PatternSet
+from twin.detector.front_end import FrontEnd
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NoiseBudget:
+    """Mean signal and root-mean-square noise of one average exposure, in electrons."""
+
+    signal_e: float
+    background_e: float
+    dark_e: float
+    noise_e: dict[str, float]
+
+    @property
+    def total_noise_e(self) -> float:
+        """All contributions together."""
+        return float(np.sqrt(sum(value**2 for value in self.noise_e.values())))
+
+    def pixel_noise_e(self, patterns: PatternSet) -> float:
+        """Noise of one pixel after the inverse transform of the patterns shown.
+
+        One measurement is the difference of two exposures, or twice one exposure less a constant.
+        """
+        per_value = np.sqrt(2.0) if patterns.mode == "differential" else 2.0
+        return float(per_value * self.total_noise_e * np.sqrt(patterns.count) / patterns.n_cells)
+
+
+def noise_budget(signal_w: Array, background_w: float, front_end: FrontEnd) -> NoiseBudget:
+    """Budget at the mean of the exposures ``signal_w``, W, over a constant background."""
+    signal = float(np.mean(signal_w)) * front_end.electrons_per_watt
+    background = background_w * front_end.electrons_per_watt
+    return NoiseBudget(
+        signal_e=signal,
+        background_e=background,
+        dark_e=front_end.dark_e,
+        noise_e={
+            "shot noise of the signal": float(np.sqrt(signal)),
+            "shot noise of the sun": float(np.sqrt(background)),
+            "shot noise of the dark current": float(np.sqrt(front_end.dark_e)),
+            "Johnson noise of the amplifier": front_end.johnson_e,
+            "read noise": front_end.read_e,
+            "quantisation": front_end.electrons_per_count / float(np.sqrt(12)),
+        },
+    )

@@ -1,0 +1,115 @@
+"""The rendering engine: Mitsuba 3 on Dr.Jit, started only on an LLVM library that works.
+
+Dr.Jit 1.5 aborts the whole process with libLLVM 14, 15 and 16 ("Cannot select fminimum"), and old
+ones are common. So a good one is found first and named in ``DRJIT_LIBLLVM_PATH``; where there is
+none, `EngineError` says so before Dr.Jit is loaded.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+#: Tried and found good: 19. Newer ones are expected to work, 17 and 18 were never tried.
+OLDEST_LLVM = 19
+_WHERE = (
+    "/usr/lib/*-linux-gnu/libLLVM*.so*",
+    "/usr/lib/llvm-*/lib/libLLVM*.so*",
+    "/usr/lib64/libLLVM*.so*",
+    "/usr/lib64/llvm*/lib/libLLVM*.so*",
+    "/usr/local/lib/libLLVM*.so*",
+    "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+    "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+)
+_REMEDY = (
+    f"install libLLVM {OLDEST_LLVM} or newer (Debian, Ubuntu: sudo apt-get install libllvm19) "
+    "or name one in DRJIT_LIBLLVM_PATH"
+)
+
+
+class EngineError(RuntimeError):
+    """The renderer can't be started on this machine; the message says what to do."""
+
+
+def mitsuba() -> ModuleType:
+    """Mitsuba with the variant of this machine set: CUDA where there is a GPU, else LLVM.
+
+    ``TWIN_VARIANT`` overrides the choice (``llvm_ad_mono`` or ``cuda_ad_mono``). The GPU variant
+    draws the same samples but adds them up differently: results agree within rounding.
+
+    Raises EngineError where neither can run.
+    """
+    name = os.environ.get("TWIN_VARIANT") or (
+        "cuda_ad_mono" if Path("/dev/nvidiactl").exists() else "llvm_ad_mono"
+    )
+    if name not in ("llvm_ad_mono", "cuda_ad_mono"):
+        raise EngineError(f"TWIN_VARIANT: {name!r} is none of llvm_ad_mono, cuda_ad_mono")
+    if name == "llvm_ad_mono":
+        ensure_llvm()
+    import mitsuba as mi
+
+    if mi.variant() != name:
+        mi.set_variant(name)
+        mi.set_log_level(mi.LogLevel.Error)
+    return mi
+
+
+def ensure_llvm() -> Path:
+    """Find a usable libLLVM and name it in ``DRJIT_LIBLLVM_PATH``.
+
+    Raises EngineError when the one named there is unusable, or when none is found.
+    """
+    named = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if named:
+        path = Path(named)
+        if not path.is_file():
+            raise EngineError(f"DRJIT_LIBLLVM_PATH: {named}: no such file; {_REMEDY}")
+        version = llvm_version(path)
+        if version is None or version < OLDEST_LLVM:
+            found = f"libLLVM {version}" if version else "no libLLVM that loads"
+            raise EngineError(
+                f"DRJIT_LIBLLVM_PATH: {named} is {found}, on which Dr.Jit aborts; {_REMEDY}"
+            )
+        return path
+    found_versions = _installed()
+    usable = {v: p for v, p in found_versions.items() if v >= OLDEST_LLVM}
+    if not usable:
+        have = ", ".join(str(v) for v in sorted(found_versions)) or "none"
+        raise EngineError(f"no usable libLLVM (found: {have}); {_REMEDY}")
+    path = usable[min(usable)]  # nearest to the one that was tried
+    os.environ["DRJIT_LIBLLVM_PATH"] = str(path)
+    return path
+
+
+def llvm_version(path: Path) -> int | None:
+    """Major version of a libLLVM, from its file name, else by asking it; None if it won't say.
+
+    It is asked in a process of its own: two LLVMs in one process abort it.
+    """
+    name = re.fullmatch(r"libLLVM(?:[-.](?:so\.)?(\d+))?.*", Path(path).resolve().name)
+    if name and name[1]:
+        return int(name[1])
+    ask = (
+        "import ctypes, sys\n"
+        "llvm = ctypes.CDLL(sys.argv[1])\n"
+        "major = ctypes.c_uint()\n"
+        "llvm.LLVMGetVersion(ctypes.byref(major), None, None)\n"
+        "print(major.value)"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", ask, str(path)], capture_output=True, text=True, check=False
+    )
+    return int(answer.stdout) if answer.returncode == 0 else None
+
+
+def _installed() -> dict[int, Path]:
+    """Every libLLVM in the usual places, by major version."""
+    found: dict[int, Path] = {}
+    for pattern in _WHERE:
+        for path in sorted(Path("/").glob(pattern[1:])):
+            version = llvm_version(path)
+            if version is not None:
+                found.setdefault(version, path)
+    return found

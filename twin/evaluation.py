@@ -1,0 +1,58 @@
+"""How good an image is: reconstructions of one capture against its noise-free truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.reconstruction import METHODS, Reconstruction, reconstruct
+from twin.acquisition import Capture
+from twin.system import System
+
+
+@dataclass(frozen=True)
+class Score:
+    """Peak signal-to-noise ratio and structural similarity, peak = brightest true cell."""
+
+    psnr_db: float
+    ssim: float
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One system's capture with its reconstructions, best first, and their scores."""
+
+    system: System
+    capture: Capture
+    reconstructions: tuple[Reconstruction, ...]
+    scores: tuple[Score, ...]
+
+
+def evaluate(
+    system: System, capture: Capture, reconstructions: list[Reconstruction] | None = None
+) -> Evaluation:
+    """Score reconstructions of a capture, by default one of each method.
+
+    Raises ValueError for a reconstruction on another grid than the capture's.
+    """
+    images = reconstructions or [reconstruct(capture.record, method) for method in METHODS]
+    scored = [(image, score(capture.cells_e, image.image[0])) for image in images]
+    scored.sort(key=lambda pair: -pair[1].psnr_db)
+    return Evaluation(
+        system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored)
+    )
+
+
+def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:
+    """PSNR and SSIM (Wang 2004, 7 x 7 windows) of an image in the unit of its truth."""
+    from skimage.metrics import structural_similarity
+
+    if truth.shape != image.shape:
+        raise ValueError(f"image: shape {image.shape}, the truth has {truth.shape}")
+    peak = float(truth.max())
+    error = float(np.mean((image - truth) ** 2))
+    if peak == 0 or error == 0:
+        return Score(np.inf if error == 0 else -np.inf, 1.0 if error == 0 else 0.0)
+    window = min(7, *(side - 1 + side % 2 for side in truth.shape))
+    similar = structural_similarity(truth, image, data_range=peak, win_size=window)
+    return Score(10 * np.log10(peak**2 / error), float(similar))

@@ -1,0 +1,112 @@
+"""The main job: a scene and a system in, a folder with report, pictures, truth and record out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hardware.records import write_record
+from twin.acquisition import capture, devices
+from twin.evaluation import Evaluation, evaluate
+from twin.files import whole_folder
+from twin.optics.transport import Quality
+from twin.optics.view import View, render_view
+from twin.progress import Stages
+from twin.report import write_report
+from twin.scene import Pose, Scene, load_scene
+from twin.scene.mitsuba import mitsuba_scene
+from twin.system import System, load_system
+from twin.truth import write_truth
+
+_STAGES_PER_SYSTEM = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a run computed; the first evaluation is the system asked for."""
+
+    scene: Scene
+    view: View
+    evaluations: tuple[Evaluation, ...]
+    out: Path
+    seconds: dict[str, float]
+
+
+def run(
+    scene: str | Path,
+    system: str | Path = "workable",
+    *,
+    compare: str | Path | None = "paper",
+    pose: Pose | None = None,
+    seed: int = 0,
+    out: str | Path | None = None,
+    quality: Quality | None = None,
+) -> Result:
+    """Run the optical chain on a scene and write everything to a folder.
+
+    Parameters
+    ----------
+    scene
+        Bundled scene, folder with ``scene.xml``, or Mitsuba XML file.
+    system, compare
+        Bundled system or TOML file; the second is shown beside the first (None: nothing is).
+    pose
+        Of the rig, in place of the scene's own.
+    seed
+        Of every random draw.
+    out
+        Folder to write to; default ``runs/SCENE-SYSTEM``. It appears whole or not at all.
+    quality
+        Knobs of the path tracer.
+
+    Raises InputError (one line: file, field, value, what was expected) and EngineError.
+    """
+    systems = _systems(system, compare)
+    folder = Path(out) if out else None
+    with Stages(expected=2 + _STAGES_PER_SYSTEM * len(systems)) as stages:
+        with stages.stage("load"):
+            world = load_scene(scene, pose)
+        folder = folder or Path("runs") / f"{world.name}-{systems[0].name}"
+        with whole_folder(folder) as partial:
+            view, evaluations = _compute(world, systems, seed, quality, stages)
+            first = evaluations[0].capture
+            write_truth(first.truth, partial / "truth.exr")
+            write_record(first.record, partial / "record.h5")
+            write_report(world, view, evaluations, seed, stages, partial)
+    return Result(world, view, evaluations, folder, stages.seconds)
+
+
+def _compute(
+    scene: Scene, systems: Sequence[System], seed: int, quality: Quality | None, stages: Stages
+) -> tuple[View, tuple[Evaluation, ...]]:
+    with stages.stage("scene"):
+        rendered = mitsuba_scene(scene)
+    evaluations = []
+    for system in systems:
+        taken = capture(
+            scene, system, seed=seed, quality=quality, rendered=rendered, stage=stages.stage
+        )
+        with stages.stage("reconstruction"):
+            evaluations.append(evaluate(system, taken))
+    with stages.stage("view"):
+        first = evaluations[0]
+        emitter, _, _ = devices(scene, first.system)
+        intensity = first.system.emitter.radiant_intensity_w_per_sr.value
+        view = render_view(
+            rendered,
+            emitter,
+            scene.sun.direction,
+            sun_irradiance_w_per_m2=first.capture.sun_irradiance_w_per_m2,
+            radiant_intensity_w_per_sr=intensity * first.capture.in_band_fraction,
+            seed=seed,
+        )
+    return view, tuple(evaluations)
+
+
+def _systems(system: str | Path, compare: str | Path | None) -> list[System]:
+    chosen = load_system(system)
+    if compare is None:
+        return [chosen]
+    other = load_system(compare)
+    if other.name == chosen.name:
+        other = load_system("workable" if chosen.name == "paper" else "paper")
+    return [chosen, other] if other.name != chosen.name else [chosen]

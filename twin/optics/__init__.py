@@ -1,0 +1,1 @@
+"""Light: the sun in the band, closed forms, and transport through the scene."""

@@ -1,0 +1,102 @@
+"""Closed forms of the optical chain: etendue, field, and the power a flat wall sends back."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from twin.system import System
+
+Outline = Literal["square", "disc"]
+
+
+@dataclass(frozen=True)
+class Collection:
+    """Field, focal length, f-number and pupil of the detector's lens: one choice, four names.
+
+    ``tan_half_field`` is that of the square's half width or the disc's radius. ``pupil_area_m2``
+    is the effective entrance pupil: on axis, a field of radiance L fills the detector with
+    pi L A / (4 N^2 + 1), so etendue and thin-lens formula agree at every f-number.
+    """
+
+    outline: Outline
+    tan_half_field: float
+    focal_length_m: float
+    pupil_diameter_m: float
+    pupil_area_m2: float
+    transmission: float
+
+    @property
+    def field_area(self) -> float:
+        """Area of the field on the plane at distance 1."""
+        if self.outline == "square":
+            return 4 * self.tan_half_field**2
+        return math.pi * self.tan_half_field**2
+
+
+def collection(system: System) -> Collection:
+    """Lens, field stop and filter of a system, as one collector."""
+    detector, optics = system.detector, system.optics
+    square = optics.field_stop.value == "matched" or detector.shape.value == "square"
+    outline: Outline = "square" if square else "disc"
+    tangent = math.tan(math.radians(optics.field_of_view_deg.value) / 2)
+    field_area = (4 if square else math.pi) * tangent**2
+    focal_length = math.sqrt(detector.area_m2 / field_area)
+    n = optics.f_number.value
+    return Collection(
+        outline=outline,
+        tan_half_field=tangent,
+        focal_length_m=focal_length,
+        pupil_diameter_m=focal_length / n,
+        pupil_area_m2=math.pi * focal_length**2 / (4 * n**2 + 1),
+        transmission=optics.transmission.value * system.filter.transmission.value,
+    )
+
+
+def mean_cos_power(power: float, tan_half_field: float, outline: Outline) -> float:
+    """Mean of cos^power over a field, uniform on the plane at distance 1.
+
+    Over a 20 deg square: 0.96999 for cos^3, 0.93191 for cos^7.
+    """
+    node, weight = np.polynomial.legendre.leggauss(64)
+    t = tan_half_field
+    if outline == "square":
+        x2 = (t * node) ** 2
+        cos2 = 1 / (1 + x2[:, None] + x2)
+        return float(weight @ cos2 ** (power / 2) @ weight / 4)
+    r2 = t**2 * (node + 1) / 2  # uniform in r^2
+    return float(weight @ (1 + r2) ** (-power / 2) / 2)
+
+
+def wall_power_w(
+    system: System, reflectance: float, distance_m: float, baseline_m: float = 0.0
+) -> float:
+    """Signal power on the detector from a wall that fills the field, all cells lit, in watts.
+
+    I rho tau A / ((4 N^2 + 1) z^2) x <cos^7> for a square field at baseline 0: cos^3 from the
+    emitter's irradiance on the wall, cos^4 from the flat pupil and the lens's image plane. With a
+    horizontal baseline b the common part of two square fields remains, 1 - b / (2 z tan), and the
+    cosines belong to slightly different directions; the integral is over that part.
+    """
+    lens = collection(system)
+    if lens.outline != "square" and baseline_m:
+        raise ValueError("closed form with a baseline holds for square fields only")
+    t, shift = lens.tan_half_field, baseline_m / distance_m
+    node, weight = np.polynomial.legendre.leggauss(64)
+    if lens.outline == "square":
+        low, high = max(-t, shift - t), min(t, shift + t)
+        if low >= high:
+            return 0.0
+        x = (low + high) / 2 + (high - low) / 2 * node
+        y = t * node
+        from_emitter = 1 + x[:, None] ** 2 + y**2
+        to_detector = 1 + (x[:, None] - shift) ** 2 + y**2
+        # emitter: cos^3 per tangent area; wall and pupil: cos^2; distance: cos^2
+        kernel = from_emitter**-1.5 / to_detector**2
+        integral = float(weight @ kernel @ weight) * (high - low) / 2 * t
+    else:
+        integral = mean_cos_power(7, t, "disc") * lens.field_area
+    intensity = system.emitter.radiant_intensity_w_per_sr.value
+    gain = intensity * reflectance / math.pi * lens.transmission * lens.pupil_area_m2
+    return gain * integral / distance_m**2

@@ -1,0 +1,48 @@
+"""Stages of a job: shown while they run, timed, interruptible."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class Stages:
+    """Times named stages and shows them as one progress bar on a terminal.
+
+    Use as a context manager; `stage` is what the work calls. A stage that is entered several times
+    adds up.
+    """
+
+    def __init__(self, expected: int) -> None:
+        self.seconds: dict[str, float] = {}
+        self._expected = expected
+
+    def __enter__(self) -> "Stages":
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        self._progress = Progress(
+            TextColumn("{task.description:<24}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            console=Console(file=sys.stderr),
+            transient=True,
+            disable=not sys.stderr.isatty(),
+        )
+        self._progress.start()
+        self._task = self._progress.add_task("", total=self._expected)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """One stage of the work."""
+        self._progress.update(self._task, description=name)
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self._progress.advance(self._task)

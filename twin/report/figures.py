@@ -1,0 +1,158 @@
+"""Figures of the optical report. Titles say the finding; maps are safe for colour-blind eyes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from twin.evaluation import Evaluation
+from twin.optics.view import View
+
+Array = NDArray[np.float64]
+
+_STYLE = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.constrained_layout.use": True,
+    "figure.facecolor": "white",
+}
+_BLUE, _ORANGE, _GREY = "#0072b2", "#d55e00", "#8a8f98"  # Okabe-Ito
+
+
+def headline(view: View, evaluations: Sequence[Evaluation]) -> Figure:
+    """Scene, noise-free image, and what each system makes of it."""
+    first = evaluations[0]
+    figure, axes = _panels(1, 2 + len(evaluations), 3.1)
+    _image(axes[0], view.total, "scene at 1550 nm, sun and emitter")
+    _image(axes[1], first.capture.cells_e, "what a noise-free camera would see")
+    for axis, evaluation in zip(axes[2:], evaluations, strict=True):
+        lux = evaluation.capture.illuminance_lx
+        _image(
+            axis,
+            evaluation.reconstructions[0].image[0],
+            f"{evaluation.system.name}, {_lux(lux)}: {_snr_words(evaluation)}",
+        )
+    return figure
+
+
+def scene_view(view: View) -> Figure:
+    """The scene by its two lights."""
+    figure, axes = _panels(1, 2, 4.2)
+    share = view.emitter.sum() / max(view.total.sum(), np.finfo(float).tiny)
+    _image(axes[0], view.sun, f"sun: {1 - share:.1%} of the light in the band")
+    _image(axes[1], view.emitter, f"emitter, all cells lit: {share:.1%} of the light")
+    return figure
+
+
+def truth(evaluation: Evaluation) -> Figure:
+    """Albedo and depth beside the reconstruction."""
+    known = evaluation.capture.truth
+    figure, axes = _panels(1, 3, 3.4)
+    drawn = axes[0].imshow(known.albedo, cmap="gray", vmin=0, vmax=1)
+    figure.colorbar(drawn, ax=axes[0], shrink=0.8, label="reflectance at 1550 nm")
+    axes[0].set_title("true albedo")
+    drawn = axes[1].imshow(
+        np.where(np.isfinite(known.depth_m), known.depth_m, np.nan), cmap="viridis_r"
+    )
+    figure.colorbar(drawn, ax=axes[1], shrink=0.8, label="depth along the boresight (m)")
+    axes[1].set_title("true depth")
+    _image(axes[2], evaluation.reconstructions[0].image[0], f"reconstructed ({_best(evaluation)})")
+    return figure
+
+
+def reconstructions(evaluation: Evaluation) -> Figure:
+    """Every method on the same record, beside the noise-free image."""
+    figure, axes = _panels(1, 1 + len(evaluation.reconstructions), 3.4)
+    _image(axes[0], evaluation.capture.cells_e, "noise-free")
+    pairs = zip(evaluation.reconstructions, evaluation.scores, strict=True)
+    for axis, (image, score) in zip(axes[1:], pairs, strict=True):
+        title = f"{image.method}: PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
+        _image(axis, image.image[0], title)
+    return figure
+
+
+def snr_maps(evaluations: Sequence[Evaluation]) -> Figure:
+    """Signal per pixel over noise per pixel, one scale for all systems."""
+    figure, axes = _panels(1, len(evaluations), 3.6)
+    norm = LogNorm(1e-2, 1e2)
+    drawn = None
+    for axis, evaluation in zip(axes, evaluations, strict=True):
+        snr = evaluation.capture.snr
+        drawn = axis.imshow(np.maximum(snr, 1e-3), cmap="cividis", norm=norm)
+        if snr.min() < 1 < snr.max():
+            axis.contour(snr, levels=[1.0], colors="white", linewidths=0.7)
+        above = float(np.mean(snr >= 1))
+        axis.set_title(f"{evaluation.system.name}: {above:.0%} of pixels above their noise")
+    figure.colorbar(drawn, ax=list(axes), shrink=0.85, label="signal / noise per pixel (line: 1)")
+    return figure
+
+
+def signal(evaluation: Evaluation) -> Figure:
+    """Measured counts by exposure, and the noise of one exposure by origin."""
+    record, noise = evaluation.capture.record, evaluation.capture.noise
+    figure = _figure((10.2, 3.3))
+    left, right = figure.subplots(1, 2, width_ratios=(1.35, 1))
+    counts = record.counts[:, 0]
+    if record.patterns.mode == "differential":
+        left.plot(counts[0::2], ".", ms=1.6, color=_BLUE, label="pattern")
+        left.plot(counts[1::2], ".", ms=1.6, color=_ORANGE, label="complement")
+        left.legend(markerscale=5, frameon=False, loc="upper right")
+    else:
+        left.plot(counts, ".", ms=1.6, color=_BLUE)
+    left.set_xlabel(f"Hadamard pattern ({record.patterns.order} order)")
+    left.set_ylabel("ADC counts")
+    used = np.ptp(counts) / 2**record.adc_bits
+    left.set_title(f"measured signal: {used:.2%} of the converter's range is modulated")
+    names = list(noise.noise_e)
+    values = [noise.noise_e[name] for name in names]
+    order = np.argsort(values)
+    colors = [_ORANGE if i == order[-1] else _GREY for i in order]
+    right.barh([names[i] for i in order], [values[i] for i in order], color=colors)
+    for row, i in enumerate(order):
+        right.text(values[i], row, f" {values[i]:.3g}", va="center")
+    right.set_xlabel("electrons rms, one exposure")
+    right.margins(x=0.18)
+    right.set_title(f"{names[order[-1]]} dominates")
+    return figure
+
+
+def _figure(size: tuple[float, float]) -> Figure:
+    import matplotlib as mpl
+
+    mpl.rcParams.update(_STYLE)
+    return Figure(figsize=size, dpi=120)
+
+
+def _panels(rows: int, columns: int, side: float) -> tuple[Figure, list[Any]]:
+    figure = _figure((columns * side, rows * side + 0.25))
+    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for axis in axes:
+        axis.set_axis_off()
+    return figure, axes
+
+
+def _image(axis: Any, image: Array, title: str) -> None:
+    """Grey picture, square-root scale from 0 to its 99.5th percentile; noise around 0 as it is."""
+    top = float(np.percentile(image, 99.5))
+    shown = np.sqrt(np.clip(image / top, 0, 1)) if top > 0 else np.zeros_like(image)
+    axis.imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+    axis.set_title(title)
+
+
+def _best(evaluation: Evaluation) -> str:
+    score = evaluation.scores[0]
+    return f"{evaluation.reconstructions[0].method}, PSNR {score.psnr_db:.1f} dB"
+
+
+def _snr_words(evaluation: Evaluation) -> str:
+    return f"median SNR {np.median(evaluation.capture.snr):.2g}"
+
+
+def _lux(lux: float) -> str:
+    return f"{lux / 1e3:g} klx" if lux >= 1e3 else f"{lux:g} lx"

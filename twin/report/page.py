@@ -1,0 +1,138 @@
+"""Assembles the HTML page: figures inside, numbers in tables, nothing to fetch."""
+
+import base64
+import io
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from twin import __version__
+from twin.evaluation import Evaluation
+from twin.optics.view import View
+from twin.progress import Stages
+from twin.report import figures
+from twin.scene import Scene
+
+_TEMPLATE = Path(__file__).parent
+
+
+def write_report(
+    scene: Scene,
+    view: View,
+    evaluations: Sequence[Evaluation],
+    seed: int,
+    stages: Stages,
+    folder: Path,
+) -> None:
+    """Write ``report.html`` and its figures as PNG files to ``folder``."""
+    import jinja2
+
+    first = evaluations[0]
+    with stages.stage("figures"):
+        drawn = {
+            "headline": figures.headline(view, evaluations),
+            "scene": figures.scene_view(view),
+            "truth": figures.truth(first),
+            "reconstruction": figures.reconstructions(first),
+            "snr": figures.snr_maps(evaluations),
+            "signal": figures.signal(first),
+        }
+        pictures = {name: _png(figure) for name, figure in drawn.items()}
+    for name, data in pictures.items():
+        (folder / f"{name}.png").write_bytes(data)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATE),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters["median"] = lambda values: float(np.median(values))
+    page = environment.get_template("report.html.j2").render(
+        scene=scene,
+        seed=seed,
+        evaluations=evaluations,
+        columns=[_summary(e) for e in evaluations],
+        images={name: base64.b64encode(data).decode() for name, data in pictures.items()},
+        settings=[(e.system, e.system.values()) for e in evaluations],
+        assumptions=first.capture.assumptions,
+        warnings=(*scene.warnings, *_warnings(evaluations)),
+        seconds=stages.seconds,
+        versions=_versions(),
+    )
+    (folder / "report.html").write_text(page, encoding="utf-8")
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _warnings(evaluations: Sequence[Evaluation]) -> list[str]:
+    return [
+        f"{evaluation.system.name}: {warning}"
+        for evaluation in evaluations
+        for warning in evaluation.capture.warnings
+    ]
+
+
+def _summary(evaluation: Evaluation) -> dict[str, str]:
+    """The figures that decide, by name, for one system."""
+    taken, system = evaluation.capture, evaluation.system
+    lens, noise, patterns = taken.lens, taken.noise, system.patterns
+    best, score = evaluation.reconstructions[0], evaluation.scores[0]
+    return {
+        "system": system.name,
+        "what it is": system.description,
+        "patterns": f"{patterns.count} of {patterns.columns} x {patterns.rows}, {patterns.mode}",
+        "frame time": f"{_si(system.frame_time_s, 's')} ({1 / system.frame_time_s:.3g} frames/s)",
+        "sun in the band": f"{taken.sun_irradiance_w_per_m2:.4g} W/m² "
+        f"at {taken.illuminance_lx:g} lx",
+        "emitter line inside the filter": f"{taken.in_band_fraction:.1%}",
+        "detector lens": f"focal length {_si(lens.focal_length_m, 'm')}, "
+        f"pupil {_si(lens.pupil_diameter_m, 'm')}, "
+        f"field {system.optics.field_of_view_deg.value:g}° {lens.outline}",
+        "signal on the detector, mean": _si(float(taken.signal_w.mean()), "W"),
+        "sun on the detector": _si(taken.background_w, "W"),
+        "electrons per exposure": f"signal {noise.signal_e:.3g}, sun {noise.background_e:.3g}, "
+        f"dark {noise.dark_e:.3g}",
+        "noise per exposure": f"{noise.total_noise_e:.4g} e- predicted, "
+        f"{float(best.noise_electrons[0]) / _per_value(evaluation):.4g} e- found in the record",
+        "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
+        "SNR per pixel": f"median {np.median(taken.snr):.3g}, best {taken.snr.max():.3g}",
+        "pixels above their noise": f"{np.mean(taken.snr >= 1):.0%}",
+        "Monte-Carlo error of the twin over sensor noise, median": "{:.2g}".format(
+            np.median(taken.cells_error_e) / noise.pixel_noise_e(patterns)
+        ),
+        "best reconstruction": f"{best.method}: PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.3f}",
+    }
+
+
+def _per_value(evaluation: Evaluation) -> float:
+    """Noise of a Hadamard measurement over that of one exposure."""
+    return 2**0.5 if evaluation.system.patterns.mode == "differential" else 2.0
+
+
+def _si(value: float, unit: str) -> str:
+    """Number with an SI prefix, three significant digits."""
+    from matplotlib.ticker import EngFormatter
+
+    if value == 0 or not np.isfinite(value):
+        return f"{value:g} {unit}"
+    digits = max(0, 2 - int(np.floor(np.log10(abs(value)))) % 3)
+    return str(EngFormatter(unit=unit, places=digits)(value))
+
+
+def _versions() -> dict[str, Any]:
+    names = ("mitsuba", "drjit", "numpy", "colour-science")
+    return {
+        "ugv-twin": __version__,
+        **{name: version(name) for name in names},
+        "Python": platform.python_version(),
+    }

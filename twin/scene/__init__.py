@@ -1,0 +1,20 @@
+"""One scene for every engine: read once, validated, in float64, in metres, z up.
+
+A scene is a Mitsuba 3 XML file with meshes, and optionally ``scene.toml`` beside it for what XML
+has no place for. Nothing reaches a renderer before it was validated here: on a bad index the
+renderer crashes, and on other faults it silently returns wrong light.
+"""
+
+from twin.scene.load import load_scene
+from twin.scene.model import Pose, Rig, Scene, SceneObject, Sun, Target, parse_pose
+
+__all__ = [
+    "Pose",
+    "Rig",
+    "Scene",
+    "SceneObject",
+    "Sun",
+    "Target",
+    "load_scene",
+    "parse_pose",
+]

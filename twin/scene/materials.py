@@ -1,0 +1,80 @@
+"""The table of materials: one row per material, both bands, each value with its source."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, RootModel, ValidationError
+
+from twin.files import InputError, scenes_folder
+from twin.system import NonNegative, Positive, Sourced, Strict, describe, read_toml
+
+Reflectance = Annotated[float, Field(ge=0, le=1)]
+
+
+class Optical(Strict):
+    """Lambertian reflectance at 1550 nm."""
+
+    reflectance: Sourced[Reflectance]
+
+
+class RadioBand(Strict):
+    """Permittivity and conductivity, valid between two carrier frequencies."""
+
+    from_hz: Positive
+    to_hz: Positive
+    relative_permittivity: Annotated[float, Field(ge=1)]
+    conductivity_s_per_m: NonNegative
+    source: str | None = None
+    assumed: str | None = None
+
+
+class Radio(Strict):
+    """ITU-R P.2040 name where it is valid at the carrier, cited values elsewhere."""
+
+    itu: str | None = None
+    cited: tuple[RadioBand, ...] = ()
+
+
+class Surface(Strict):
+    """Roughness."""
+
+    rms_height_m: Sourced[NonNegative]
+
+
+class Material(Strict):
+    """One row of the table."""
+
+    optical: Optical
+    radio: Radio = Radio()
+    surface: Surface | None = None
+
+
+class _Table(RootModel[dict[str, Material]]):
+    pass
+
+
+@lru_cache(maxsize=8)
+def load_materials(path: Path) -> dict[str, Material]:
+    """The table in a TOML file. Raises InputError naming row, field and value."""
+    try:
+        return _Table.model_validate(read_toml(path)).root
+    except ValidationError as error:
+        raise InputError(f"{path}: {describe(error)}") from error
+
+
+def find_materials(scene_folder: Path) -> Path:
+    """The table that holds for a scene: its own, its parent folder's, or the bundled one."""
+    for folder in (scene_folder, scene_folder.parent):
+        if (folder / "materials.toml").is_file():
+            return folder / "materials.toml"
+    return scenes_folder() / "materials.toml"
+
+
+def row_of(name: str, table: dict[str, Material]) -> str | None:
+    """Row of a BSDF by its id, an ITU name, or an id in the manner of Sionna's scenes."""
+    plain = name.removeprefix("mat-").removeprefix("itu_").replace("-", "_")
+    for candidate in (name, plain):
+        if candidate in table:
+            return candidate
+    return next((key for key, row in table.items() if row.radio.itu == plain), None)

@@ -1,0 +1,158 @@
+"""Meshes in float64: read from files, tessellated from primitives, validated."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.files import InputError
+
+Array = NDArray[np.float64]
+
+_FORMATS = ("ply", "obj", "stl", "glb", "gltf")
+_SEGMENTS = 64  # around a tessellated sphere, cylinder or disk: area within 0.16 %
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Vertices (n, 3) in metres, faces (m, 3), texture coordinates (n, 2) or None."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    uv: Array | None = None
+
+    def transformed(self, matrix: Array) -> "Mesh":
+        """Moved by a 4x4 matrix; faces turned over where it mirrors."""
+        vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0
+        return Mesh(vertices, self.faces[:, ::-1] if mirrored else self.faces, self.uv)
+
+
+def read_mesh(path: Path) -> Mesh:
+    """A mesh file (PLY, OBJ, STL, glTF) as it stands, unvalidated indices and all.
+
+    Raises InputError where the file is missing, truncated or no mesh.
+    """
+    import trimesh
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such mesh file")
+    if path.suffix.lower().lstrip(".") not in _FORMATS:
+        raise InputError(f"{path}: {path.suffix!r} is none of {', '.join(_FORMATS)}")
+    try:
+        loaded = trimesh.load(path, process=False, maintain_order=True)
+        if isinstance(loaded, trimesh.Scene):
+            loaded = loaded.to_geometry()
+    except MemoryError:
+        raise
+    except Exception as error:  # readers fail in every way there is on broken files
+        reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise InputError(f"{path}: can't be read as a mesh ({reason:.200})") from error
+    faces = getattr(loaded, "faces", None)
+    if faces is None or len(faces) == 0:
+        raise InputError(f"{path}: has no faces")
+    vertices = np.array(loaded.vertices, dtype=np.float64)
+    return Mesh(vertices, np.array(faces, dtype=np.int64), _texture_coordinates(loaded))
+
+
+def validate(mesh: Mesh, place: str) -> Mesh:
+    """The mesh without its zero-area faces, ready for a renderer.
+
+    Raises InputError, beginning with ``place``, on an index outside the vertices, a coordinate
+    that is no number, or when no face has an area.
+    """
+    bad = np.argwhere((mesh.faces < 0) | (mesh.faces >= len(mesh.vertices)))
+    if len(bad):
+        face, corner = bad[0]
+        raise InputError(
+            f"{place}: face {face} refers to vertex {mesh.faces[face, corner]} "
+            f"of {len(mesh.vertices)}"
+        )
+    bad = np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))
+    if len(bad):
+        raise InputError(f"{place}: vertex {bad[0]} is {mesh.vertices[bad[0]].tolist()}")
+    if mesh.uv is not None and not np.isfinite(mesh.uv).all():
+        raise InputError(f"{place}: a texture coordinate is no number")
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    with np.errstate(over="ignore"):
+        solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
+    if not solid.any():
+        raise InputError(f"{place}: no face has an area")
+    return Mesh(mesh.vertices, mesh.faces[solid].astype(np.int32), mesh.uv)
+
+
+def primitive(kind: str, properties: dict[str, Any]) -> Mesh | None:
+    """Mitsuba's analytic shapes as triangles, in their own frame; None for other shapes."""
+    make = _PRIMITIVES.get(kind)
+    return make(properties) if make else None
+
+
+def _texture_coordinates(loaded: Any) -> Array | None:
+    uv = getattr(getattr(loaded, "visual", None), "uv", None)
+    if uv is None:
+        raw = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+        names = getattr(getattr(raw, "dtype", None), "names", None) or ()
+        pair = next((p for p in (("u", "v"), ("s", "t")) if set(p) <= set(names)), None)
+        uv = None if pair is None else np.column_stack([raw[pair[0]].ravel(), raw[pair[1]].ravel()])
+    return None if uv is None or len(uv) != len(loaded.vertices) else np.array(uv, np.float64)
+
+
+def _rectangle(_: dict[str, Any]) -> Mesh:
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float64)
+    return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), (corners[:, :2] + 1) / 2)
+
+
+def _from_trimesh(made: Any) -> Mesh:
+    return Mesh(np.array(made.vertices, np.float64), np.array(made.faces, np.int64))
+
+
+def _cube(_: dict[str, Any]) -> Mesh:
+    import trimesh
+
+    return _from_trimesh(trimesh.creation.box(extents=(2, 2, 2)))
+
+
+def _sphere(properties: dict[str, Any]) -> Mesh:
+    import trimesh
+
+    ball = _from_trimesh(trimesh.creation.icosphere(5, radius=properties.get("radius", 1.0)))
+    center = np.array(properties.get("center", (0, 0, 0)), dtype=np.float64).ravel()
+    return Mesh(ball.vertices + center, ball.faces)
+
+
+def _cylinder(properties: dict[str, Any]) -> Mesh:
+    """Open tube from p0 to p1, as in Mitsuba."""
+    p0 = np.array(properties.get("p0", (0, 0, 0)), dtype=np.float64).ravel()
+    p1 = np.array(properties.get("p1", (0, 0, 1)), dtype=np.float64).ravel()
+    angle = np.linspace(0, 2 * np.pi, _SEGMENTS, endpoint=False)
+    axis = (p1 - p0) / np.linalg.norm(p1 - p0)
+    u = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    u /= np.linalg.norm(u)
+    ring = properties.get("radius", 1.0) * (
+        np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(axis, u)
+    )
+    i = np.arange(_SEGMENTS)
+    j = (i + 1) % _SEGMENTS
+    faces = np.vstack(
+        [np.column_stack([i, j, j + _SEGMENTS]), np.column_stack([i, j + _SEGMENTS, i + _SEGMENTS])]
+    )
+    return Mesh(np.vstack([p0 + ring, p1 + ring]), faces)
+
+
+def _disk(_: dict[str, Any]) -> Mesh:
+    angle = np.linspace(0, 2 * np.pi, _SEGMENTS, endpoint=False)
+    rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_SEGMENTS)])
+    i = np.arange(_SEGMENTS)
+    faces = np.column_stack([np.full(_SEGMENTS, _SEGMENTS), i, (i + 1) % _SEGMENTS])
+    return Mesh(np.vstack([rim, np.zeros(3)]), faces)
+
+
+_PRIMITIVES = {
+    "rectangle": _rectangle,
+    "cube": _cube,
+    "sphere": _sphere,
+    "cylinder": _cylinder,
+    "disk": _disk,
+}

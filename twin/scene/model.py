@@ -1,0 +1,146 @@
+"""What a scene is made of: objects with materials, the rig, the sun, true targets."""
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twin.files import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """A rigid triangle mesh of one material.
+
+    ``vertices_m`` (n, 3) in world coordinates; ``faces`` (m, 3) indices; ``uv`` (n, 2) or None;
+    ``reflectance`` at 1550 nm: one number, or an image (rows, columns) looked up by ``uv``.
+    """
+
+    name: str
+    vertices_m: Array
+    faces: NDArray[np.int32]
+    uv: Array | None
+    material: str
+    reflectance: float | NDArray[np.float32]
+    velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position in metres and REP 103 angles: yaw about z, pitch about y (down), roll about x."""
+
+    position_m: tuple[float, float, float]
+    yaw_deg: float = 0.0
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+
+    @property
+    def rotation(self) -> Rotation:
+        """From the posed frame to its parent."""
+        angles = (self.yaw_deg, self.pitch_deg, self.roll_deg)
+        return Rotation.from_euler("ZYX", angles, degrees=True)
+
+    @staticmethod
+    def from_axes(position_m: Array, forward: Array, up: Array) -> "Pose":
+        """Pose that looks along ``forward`` with ``up`` as near to up as that allows."""
+        x = forward / np.linalg.norm(forward)
+        y = np.cross(up, x)
+        y /= np.linalg.norm(y)
+        matrix = np.column_stack([x, y, np.cross(x, y)])
+        yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler("ZYX", degrees=True)
+        px, py, pz = (float(p) for p in position_m)
+        return Pose((px, py, pz), float(yaw), float(pitch), float(roll))
+
+
+def parse_pose(text: str) -> Pose:
+    """Pose from ``x,y,z[,yaw_deg[,pitch_deg[,roll_deg]]]``."""
+    try:
+        numbers = [float(part) for part in text.replace(",", " ").split()]
+        if not 3 <= len(numbers) <= 6 or not all(map(math.isfinite, numbers)):
+            raise ValueError
+    except ValueError:
+        raise InputError(
+            f"pose: {text!r}: expected x,y,z[,yaw_deg[,pitch_deg[,roll_deg]]] in metres and degrees"
+        ) from None
+    return Pose((numbers[0], numbers[1], numbers[2]), *numbers[3:])
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The vehicle's sensors: one pose, and each device's offset and boresight in its frame."""
+
+    pose: Pose
+    emitter: Pose = Pose((0.0, 0.0, 0.0))
+    detector: Pose = Pose((0.0, -0.05, 0.0))
+    radar: Pose = Pose((0.0, 0.0, -0.3))
+
+    def device(self, name: str) -> tuple[Array, Array]:
+        """Origin (3,) in metres from the rig's position, and axes (3, 3) with the rows forward,
+        left, up; both in world orientation.
+        """
+        mount: Pose = getattr(self, name)
+        origin = self.pose.rotation.apply(np.asarray(mount.position_m))
+        return origin, (self.pose.rotation * mount.rotation).as_matrix().T
+
+    @property
+    def position_m(self) -> Array:
+        """Where the rig stands in the world."""
+        return np.asarray(self.pose.position_m, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Sun:
+    """Direction to the sun in world axes, and illuminance on a plane normal to it."""
+
+    azimuth_deg: float
+    elevation_deg: float
+    illuminance_lx: float
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector towards the sun."""
+        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
+        flat = math.cos(elevation)
+        return np.array(
+            [flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)]
+        )
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a radar should find, with its declared cross-section and where that comes from."""
+
+    name: str
+    position_m: tuple[float, float, float]
+    velocity_m_per_s: tuple[float, float, float]
+    rcs_m2: float
+    origin: str
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A validated scene. ``warnings`` name everything that was defaulted."""
+
+    name: str
+    path: Path
+    description: str
+    objects: tuple[SceneObject, ...]
+    rig: Rig
+    sun: Sun
+    targets: tuple[Target, ...] = ()
+    assumptions: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = field(default=())
+
+    def at(self, pose: Pose) -> "Scene":
+        """The same scene seen from another pose."""
+        return replace(self, rig=replace(self.rig, pose=pose))
+
+    @property
+    def triangles(self) -> int:
+        """Triangles in all objects."""
+        return sum(len(o.faces) for o in self.objects)

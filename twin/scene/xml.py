@@ -1,0 +1,167 @@
+"""Mitsuba's own XML parser, read without instantiating anything: shapes, materials, the camera.
+
+Transforms come in float64. Nothing is loaded or rendered here, so a broken scene can't hurt.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.engine import mitsuba
+from twin.files import InputError
+
+_WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
+_REFLECTANCES = ("reflectance", "diffuse_reflectance", "base_color", "color")
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A BSDF: its id, plugin, and the reflectance the XML itself gives (number, image or None)."""
+
+    id: str
+    plugin: str
+    reflectance: float | NDArray[np.float32] | None = None
+    radio_type: str | None = None
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape: plugin, properties, placement and surface."""
+
+    name: str
+    plugin: str
+    properties: dict[str, Any]
+    to_world: NDArray[np.float64]
+    surface: Surface
+    location: str
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a scene file holds. ``camera`` is the 4x4 pose of its first sensor."""
+
+    shapes: tuple[Shape, ...]
+    camera: NDArray[np.float64] | None
+    emitters: tuple[str, ...] = field(default=())
+
+
+def read_xml(path: Path) -> Document:
+    """Parse a scene file with its includes. Raises InputError naming file and line."""
+    mi = mitsuba()
+    config = mi.parser.ParserConfig(mi.variant())
+    try:
+        state = mi.parser.parse_file(config, str(path))
+        mi.parser.transform_upgrade(config, state)
+        mi.parser.transform_resolve_references(config, state)
+    except RuntimeError as error:
+        raise InputError(_readable(path, str(error))) from error
+    return _Reader(state, path.parent).document()
+
+
+class _Reader:
+    """Walks the parsed nodes of one document."""
+
+    def __init__(self, state: Any, folder: Path) -> None:
+        self.state = state
+        self.folder = folder
+        self.types = mitsuba().ObjectType
+
+    def document(self) -> Document:
+        children = list(self._children(self.state.root))
+        camera = next((n for n in children if n.type == self.types.Sensor), None)
+        shapes = [n for n in children if n.type == self.types.Shape]
+        emitters = [n for n in children if n.type == self.types.Emitter]
+        return Document(
+            shapes=tuple(self._shape(n, number) for number, n in enumerate(shapes)),
+            camera=None if camera is None else self._to_world(camera),
+            emitters=tuple(n.props.plugin_name() for n in emitters),
+        )
+
+    def _children(self, node: Any) -> Iterator[Any]:
+        for key in node.props.keys():  # noqa: SIM118: Properties is no mapping
+            value = node.props[key]
+            if type(value).__name__ == "ResolvedReference":
+                yield self.state.nodes[value.index()]
+
+    def _place(self, node: Any) -> str:
+        return str(mitsuba().parser.file_location(self.state, node))
+
+    def _to_world(self, node: Any) -> NDArray[np.float64]:
+        if "to_world" not in node.props:
+            return np.eye(4)
+        return np.array(node.props["to_world"].matrix, dtype=np.float64)
+
+    def _shape(self, node: Any, number: int) -> Shape:
+        properties = {
+            key: node.props[key]
+            for key in node.props.keys()  # noqa: SIM118
+            if key != "to_world" and type(node.props[key]).__name__ != "ResolvedReference"
+        }
+        surfaces = [n for n in self._children(node) if n.type == self.types.BSDF]
+        name = node.props.id() or f"{node.props.plugin_name()}-{number + 1}"
+        if "filename" in properties:
+            properties["filename"] = self.folder / str(properties["filename"])
+        return Shape(
+            name=name,
+            plugin=node.props.plugin_name(),
+            properties=properties,
+            to_world=self._to_world(node),
+            surface=self._surface(surfaces[0]) if surfaces else Surface("", "none"),
+            location=self._place(node),
+        )
+
+    def _surface(self, node: Any) -> Surface:
+        """The BSDF under its wrappers; the outermost id that the author gave is its name."""
+        name = node.props.id()
+        while node.props.plugin_name() in _WRAPPERS:
+            inner = [n for n in self._children(node) if n.type == self.types.BSDF]
+            if not inner:
+                break
+            node = inner[0]
+            name = name or node.props.id()
+        plugin = node.props.plugin_name()
+        if plugin == "itu-radio-material":
+            return Surface(name, plugin, radio_type=str(node.props["type"]))
+        for key in _REFLECTANCES:
+            if key in node.props:
+                return Surface(name, plugin, self._reflectance(node.props[key], node))
+        return Surface(name, plugin)
+
+    def _reflectance(self, value: Any, node: Any) -> float | NDArray[np.float32] | None:
+        kind = type(value).__name__
+        if kind == "ResolvedReference":
+            texture = self.state.nodes[value.index()]
+            if texture.props.plugin_name() != "bitmap":
+                return None
+            return self._image(texture)
+        if kind == "float":
+            return float(value)
+        if kind == "ScalarColor3d":  # as mono variants read it: luminance
+            return float(np.dot(np.array(value).ravel(), (0.212671, 0.715160, 0.072169)))
+        uniform = re.fullmatch(r"Properties\.Spectrum\[uniform=(.*)\]", str(value))
+        return float(uniform[1]) if uniform else None
+
+    def _image(self, texture: Any) -> NDArray[np.float32]:
+        mi = mitsuba()
+        path = self.folder / str(texture.props["filename"])
+        try:
+            bitmap = mi.Bitmap(str(path))
+        except (RuntimeError, OSError) as error:
+            raise InputError(f"{path}: texture can't be read") from error
+        if texture.props.get("raw", False):
+            bitmap.set_srgb_gamma(False)
+        grey = bitmap.convert(mi.Bitmap.PixelFormat.Y, mi.Struct.Type.Float32, srgb_gamma=False)
+        return np.array(grey, dtype=np.float32).reshape(bitmap.size()[1], bitmap.size()[0])
+
+
+def _readable(path: Path, message: str) -> str:
+    """The parser's message on one line, the file first."""
+    text = re.sub(r"\[parser\.cpp:\d+\]\s*", "", " ".join(message.split()))
+    text = re.sub(r'^Parsing of XML file ".*?" failed: ', "no valid XML: ", text)
+    text = re.sub(r"^Error while loading \S*?\.xml ", "", text)
+    return f"{path}: {text}"
