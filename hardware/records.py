@@ -5,9 +5,11 @@ pose. On disk it is one HDF5 file; ``FORMAT`` and ``SCHEMA_VERSION`` are its fir
 """
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +81,7 @@ class SpiRecord:
         if not 1 <= self.adc_bits <= 31:
             raise ValueError(f"adc_bits: {self.adc_bits} is not between 1 and 31")
         top = 2**self.adc_bits - 1
-        if self.counts.size and not (0 <= self.counts.min() and self.counts.max() <= top):
+        if self.counts.size and not (self.counts.min() >= 0 and self.counts.max() <= top):
             raise ValueError(f"counts: outside 0 to {top}, the range of {self.adc_bits} bits")
         for name in ("integration_time_s", "electrons_per_count"):
             value = getattr(self, name)
@@ -89,7 +91,7 @@ class SpiRecord:
     @property
     def electrons(self) -> NDArray[np.float64]:
         """Photo-electrons of each exposure, shape ``(n_exposures, n_detectors)``."""
-        return (self.counts - self.offset_counts) * self.electrons_per_count
+        return (self.counts - np.float64(self.offset_counts)) * self.electrons_per_count
 
 
 _ARRAYS = {
@@ -147,15 +149,19 @@ def read_record(path: str | Path) -> SpiRecord:
     try:
         with h5py.File(path, "r") as file:
             _check_schema(file.attrs)
-            arrays = {name: file[name][()].astype(dtype) for name, (dtype, _) in _ARRAYS.items()}
-            settings = {name: _plain(file.attrs[name]) for name in _SETTINGS}
-            patterns = {name: _plain(file["patterns"].attrs[name]) for name in _PATTERNS}
-        return SpiRecord(patterns=PatternSet(**patterns), **arrays, **settings)
+            arrays: dict[str, Any] = {
+                name: file[name][()].astype(dtype) for name, (dtype, _) in _ARRAYS.items()
+            }
+            settings: dict[str, Any] = {name: _plain(file.attrs[name]) for name in _SETTINGS}
+            shown: dict[str, Any] = {
+                name: _plain(file["patterns"].attrs[name]) for name in _PATTERNS
+            }
+        return SpiRecord(patterns=PatternSet(**shown), **arrays, **settings)
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _check_schema(attributes: "dict[str, object]") -> None:
+def _check_schema(attributes: Mapping[str, Any]) -> None:
     if attributes.get("format") != FORMAT:
         raise ValueError(f"not a record: its format is {attributes.get('format')!r}")
     if attributes["schema_version"] != SCHEMA_VERSION:
@@ -164,5 +170,5 @@ def _check_schema(attributes: "dict[str, object]") -> None:
         )
 
 
-def _plain(value: object) -> object:
+def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value

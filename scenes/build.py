@@ -39,6 +39,7 @@ BACKDROP_X, BACKDROP_SIDE = 14.0, 8.0
 
 # ---------------------------------------------------------------- building blocks
 
+
 def join(*parts):
     return trimesh.util.concatenate(list(parts))
 
@@ -60,11 +61,16 @@ def loft(rings):
     sides = np.stack([np.stack([a, b, b + m], -1), np.stack([a, b + m, a + m], -1)])
     k = np.arange(m)
     first, last = n * m, n * m + 1
-    fans = [np.stack([np.full(m, first), (k + 1) % m, k], -1),
-            np.stack([np.full(m, last), (n - 1) * m + k, (n - 1) * m + (k + 1) % m], -1)]
+    fans = [
+        np.stack([np.full(m, first), (k + 1) % m, k], -1),
+        np.stack([np.full(m, last), (n - 1) * m + k, (n - 1) * m + (k + 1) % m], -1),
+    ]
     ends = [rings[0].mean(0), rings[-1].mean(0)]
-    mesh = trimesh.Trimesh(np.vstack([rings.reshape(-1, 3), ends]),
-                           np.vstack([sides.reshape(-1, 3), *fans]), process=False)
+    mesh = trimesh.Trimesh(
+        np.vstack([rings.reshape(-1, 3), ends]),
+        np.vstack([sides.reshape(-1, 3), *fans]),
+        process=False,
+    )
     if mesh.volume < 0:
         mesh.invert()
     return mesh
@@ -100,11 +106,18 @@ def cylinder(xy, radius, z0, z1, around=48):
 def lathe_y(profile, around=48):
     """Closed body of revolution about y from (y, radius) pairs."""
     phi = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    return loft(np.stack([np.stack([r * np.cos(phi), np.full(around, y), r * np.sin(phi)], -1)
-                          for y, r in profile]))
+    return loft(
+        np.stack(
+            [
+                np.stack([r * np.cos(phi), np.full(around, y), r * np.sin(phi)], -1)
+                for y, r in profile
+            ]
+        )
+    )
 
 
 # ---------------------------------------------------------------- yard
+
 
 def ground(lo=(-15.0, -30.0), side=60.0, cells=12):
     k = np.arange(cells + 1) * side / cells
@@ -121,12 +134,23 @@ def wall():
     return box([WALL_X, -width / 2, 0], [WALL_X + depth, width / 2, height])
 
 
-CAR_TOP = [(0, .80), (.05, .93), (.40, 1.38), (.65, 1.44), (1.1, 1.47), (1.6, 1.45), (1.9, 1.39),
-           (2.55, .99), (3.1, .88), (3.3, .80), (3.4, .66)]
-CAR_HALF = [(0, .64), (.06, .70), (.25, .74), (3.0, .74), (3.25, .68), (3.4, .56)]
-CAR_BOTTOM = [(0, .30), (.15, .24), (.4, .21), (3.0, .21), (3.3, .26), (3.4, .30)]
-CAR_SEGMENTS = (4, 2, 7, 8, 2, 5)       # points along each piece of half a cross section
-CAR_WHEELS = [(.58, .30), (2.78, .30)]  # axle x, radius
+CAR_TOP = [
+    (0, 0.80),
+    (0.05, 0.93),
+    (0.40, 1.38),
+    (0.65, 1.44),
+    (1.1, 1.47),
+    (1.6, 1.45),
+    (1.9, 1.39),
+    (2.55, 0.99),
+    (3.1, 0.88),
+    (3.3, 0.80),
+    (3.4, 0.66),
+]
+CAR_HALF = [(0, 0.64), (0.06, 0.70), (0.25, 0.74), (3.0, 0.74), (3.25, 0.68), (3.4, 0.56)]
+CAR_BOTTOM = [(0, 0.30), (0.15, 0.24), (0.4, 0.21), (3.0, 0.21), (3.3, 0.26), (3.4, 0.30)]
+CAR_SEGMENTS = (4, 2, 7, 8, 2, 5)  # points along each piece of half a cross section
+CAR_WHEELS = [(0.58, 0.30), (2.78, 0.30)]  # axle x, radius
 
 
 def car_grid():
@@ -139,10 +163,21 @@ def car_grid():
         top, half, low = (np.interp(x, *np.transpose(c)) for c in (CAR_TOP, CAR_HALF, CAR_BOTTOM))
         belt = min(0.90, top - 0.08)
         roof = half - 0.32 * (top - belt)
-        corners = np.array([(0, low), (.9 * half, low), (half, low + .1), (half - .015, belt),
-                            (roof, top - .05), (.86 * roof, top), (0, top)])
-        line = [np.linspace(p, q, n, endpoint=False)
-                for p, q, n in zip(corners[:-1], corners[1:], CAR_SEGMENTS)]
+        corners = np.array(
+            [
+                (0, low),
+                (0.9 * half, low),
+                (half, low + 0.1),
+                (half - 0.015, belt),
+                (roof, top - 0.05),
+                (0.86 * roof, top),
+                (0, top),
+            ]
+        )
+        line = [
+            np.linspace(p, q, n, endpoint=False)
+            for p, q, n in zip(corners[:-1], corners[1:], CAR_SEGMENTS)
+        ]
         right = np.vstack(line + [corners[-1:]]) * [-1, 1]
         ring = np.vstack([right, right[-2:0:-1] * [-1, 1]])
         rings.append(np.column_stack([np.full(len(ring), x), ring]))
@@ -162,50 +197,83 @@ def car():
     xs, rings = car_grid()
     n, m, _ = rings.shape
     body = loft(rings)
-    normals = body.vertex_normals[:n * m].reshape(n, m, 3)
+    normals = body.vertex_normals[: n * m].reshape(n, m, 3)
     cuts = np.cumsum((0,) + CAR_SEGMENTS)
-    side = np.arange(cuts[3] + 1, cuts[4])                  # between beltline and roof edge
-    roof = np.arange(cuts[5] + 1, m - cuts[5])              # across the top
+    side = np.arange(cuts[3] + 1, cuts[4])  # between beltline and roof edge
+    roof = np.arange(cuts[5] + 1, m - cuts[5])  # across the top
     between = lambda lo, hi: np.flatnonzero((xs >= lo - 1e-9) & (xs <= hi + 1e-9))
-    panes = [pane(rings, normals, between(lo, hi), cols)
-             for lo, hi in ((.45, 1.15), (1.25, 2.1)) for cols in (side, (m - side)[::-1])]
-    panes += [pane(rings, normals, between(lo, hi), roof) for lo, hi in ((.09, .36), (1.95, 2.5))]
+    panes = [
+        pane(rings, normals, between(lo, hi), cols)
+        for lo, hi in ((0.45, 1.15), (1.25, 2.1))
+        for cols in (side, (m - side)[::-1])
+    ]
+    panes += [pane(rings, normals, between(lo, hi), roof) for lo, hi in ((0.09, 0.36), (1.95, 2.5))]
 
-    tyre = [(.060, .15), (.070, .19), (.085, .20), (.095, .23), (.095, .27), (.080, .30),
-            (-.080, .30), (-.095, .27), (-.095, .15)]
-    disc = [(.075, .05), (.070, .08), (.066, .185), (.050, .185)]
+    tyre = [
+        (0.060, 0.15),
+        (0.070, 0.19),
+        (0.085, 0.20),
+        (0.095, 0.23),
+        (0.095, 0.27),
+        (0.080, 0.30),
+        (-0.080, 0.30),
+        (-0.095, 0.27),
+        (-0.095, 0.15),
+    ]
+    disc = [(0.075, 0.05), (0.070, 0.08), (0.066, 0.185), (0.050, 0.185)]
     wheels, rims = [], []
     for x, radius in CAR_WHEELS:
         for sign in (1, -1):
             for profile, into in ((tyre, wheels), (disc, rims)):
                 part = lathe_y([(sign * y, r) for y, r in profile])
-                into.append(part.apply_translation([x, sign * (CAR_HALF_WIDTH - .075), radius]))
+                into.append(part.apply_translation([x, sign * (CAR_HALF_WIDTH - 0.075), radius]))
 
     place = trimesh.transformations.rotation_matrix(np.radians(CAR_YAW_DEG), [0, 0, 1])
     place[:2, 3] = CAR_REAR
-    meshes = {"car": body, "car_windows": join(*panes), "car_wheels": join(*wheels),
-              "car_rims": join(*rims),
-              "car_plate": box([-.006, -.26, .48], [.002, .26, .59])}
+    meshes = {
+        "car": body,
+        "car_windows": join(*panes),
+        "car_wheels": join(*wheels),
+        "car_rims": join(*rims),
+        "car_plate": box([-0.006, -0.26, 0.48], [0.002, 0.26, 0.59]),
+    }
     return {name: mesh.apply_transform(place) for name, mesh in meshes.items()}
 
 
 def person():
     """A standing figure of 1.75 m that faces the rig: clothes, and head with hands."""
-    torso = limb([(0, 0, .86), (0, 0, .95), (0, 0, 1.10), (0, 0, 1.25), (0, 0, 1.38), (0, 0, 1.45)],
-                 [.145, .165, .150, .170, .175, .110], flat=(.66, 1.0), around=40)
+    torso = limb(
+        [(0, 0, 0.86), (0, 0, 0.95), (0, 0, 1.10), (0, 0, 1.25), (0, 0, 1.38), (0, 0, 1.45)],
+        [0.145, 0.165, 0.150, 0.170, 0.175, 0.110],
+        flat=(0.66, 1.0),
+        around=40,
+    )
     cloth, skin = [torso], []
     for s in (1, -1):
-        cloth.append(limb([(.01, s * .09, .88), (0, s * .095, .50), (.01, s * .10, .12)],
-                          [.088, .064, .055]))
-        foot = trimesh.creation.icosphere(subdivisions=2).apply_scale([.135, .05, .05])
-        cloth.append(foot.apply_translation([-.05, s * .105, .05]))
-        cloth.append(limb([(0, s * .175, 1.39), (.01, s * .205, 1.12), (-.03, s * .215, .87)],
-                          [.058, .047, .036]))
-        skin.append(limb([(-.033, s * .216, .845), (-.045, s * .216, .755)],
-                         [.028, .034], flat=(1.1, .6)))
-    skin.append(limb([(0, 0, 1.43), (-.005, 0, 1.56)], [.055, .052]))
+        cloth.append(
+            limb(
+                [(0.01, s * 0.09, 0.88), (0, s * 0.095, 0.50), (0.01, s * 0.10, 0.12)],
+                [0.088, 0.064, 0.055],
+            )
+        )
+        foot = trimesh.creation.icosphere(subdivisions=2).apply_scale([0.135, 0.05, 0.05])
+        cloth.append(foot.apply_translation([-0.05, s * 0.105, 0.05]))
+        cloth.append(
+            limb(
+                [(0, s * 0.175, 1.39), (0.01, s * 0.205, 1.12), (-0.03, s * 0.215, 0.87)],
+                [0.058, 0.047, 0.036],
+            )
+        )
+        skin.append(
+            limb(
+                [(-0.033, s * 0.216, 0.845), (-0.045, s * 0.216, 0.755)],
+                [0.028, 0.034],
+                flat=(1.1, 0.6),
+            )
+        )
+    skin.append(limb([(0, 0, 1.43), (-0.005, 0, 1.56)], [0.055, 0.052]))
     head = trimesh.creation.icosphere(subdivisions=3)
-    skin.append(head.apply_scale([.098, .076, .118]).apply_translation([-.01, 0, 1.632]))
+    skin.append(head.apply_scale([0.098, 0.076, 0.118]).apply_translation([-0.01, 0, 1.632]))
     meshes = {"person": join(*cloth), "person_head": join(*skin)}
     return {k: v.apply_translation([*PERSON_XY, 0]) for k, v in meshes.items()}
 
@@ -223,16 +291,20 @@ def trihedral():
     left /= np.linalg.norm(left)
     up = np.cross(bore, left)
     turn = np.radians([90, 210, 330])
-    tips = leg * (bore / np.sqrt(3) + np.sqrt(2 / 3)
-                  * (np.cos(turn)[:, None] * left + np.sin(turn)[:, None] * up))
+    tips = leg * (
+        bore / np.sqrt(3)
+        + np.sqrt(2 / 3) * (np.cos(turn)[:, None] * left + np.sin(turn)[:, None] * up)
+    )
     vertices = np.vstack([[0, 0, 0], tips, -0.004 * bore]) + TRIHEDRAL_APEX
     faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [4, 2, 1], [4, 3, 2], [4, 1, 3]]
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if mesh.volume < 0:
         mesh.invert()
     foot = TRIHEDRAL_APEX + 0.004 * bore
-    stand = join(cylinder(foot[:2], .006, .012, foot[2] - .011, around=24),
-                 cylinder(foot[:2], .09, 0, .012))
+    stand = join(
+        cylinder(foot[:2], 0.006, 0.012, foot[2] - 0.011, around=24),
+        cylinder(foot[:2], 0.09, 0, 0.012),
+    )
     return {"trihedral": mesh, "trihedral_stand": stand}
 
 
@@ -244,10 +316,11 @@ def chart():
     x, y, z = CHART_CENTRE
     h = CHART_SIDE / 2
     plane = quad([[x, y + h, z - h], [x, y - h, z - h], [x, y - h, z + h], [x, y + h, z + h]])
-    uv = np.column_stack([(y + h - plane.vertices[:, 1]) / CHART_SIDE,
-                          (z + h - plane.vertices[:, 2]) / CHART_SIDE])
-    back = (x + .014, y)
-    stand = join(cylinder(back, .010, .012, z + .2, around=24), cylinder(back, .15, 0, .012))
+    uv = np.column_stack(
+        [(y + h - plane.vertices[:, 1]) / CHART_SIDE, (z + h - plane.vertices[:, 2]) / CHART_SIDE]
+    )
+    back = (x + 0.014, y)
+    stand = join(cylinder(back, 0.010, 0.012, z + 0.2, around=24), cylinder(back, 0.15, 0, 0.012))
     return {"chart": (plane, uv), "chart_stand": stand}
 
 
@@ -259,34 +332,43 @@ def chart_texture():
 
     # Siemens star, 24 periods, smoothed by averaging 8 x 8 samples per pixel.
     size, spokes = 304, 24
-    s = (np.arange(size * 8) + .5) / 8 - size / 2
+    s = (np.arange(size * 8) + 0.5) / 8 - size / 2
     xx, yy = np.meshgrid(s, s)
     star = np.where(np.sin(spokes * np.arctan2(yy, xx)) > 0, light, dark)
     radius = np.hypot(xx, yy)
     star = np.where((radius < 4) | (radius > size / 2 - 4), grey, star)
-    image[20:20 + size, 20:20 + size] = star.reshape(size, 8, size, 8).mean((1, 3))
+    image[20 : 20 + size, 20 : 20 + size] = star.reshape(size, 8, size, 8).mean((1, 3))
 
     # Bars: periods of 64, 32, 16, 8 and 4 pixels; vertical bars, then horizontal ones.
     top = 20
     for period, height in ((64, 64), (32, 64), (16, 64), (8, 56), (4, 48)):
         k = np.arange(80)
         bars = np.where(k % period < period / 2, dark, light)
-        image[top:top + height, 336:416] = bars[None, :]
-        image[top:top + height, 420:500] = bars[:height, None]
+        image[top : top + height, 336:416] = bars[None, :]
+        image[top : top + height, 420:500] = bars[:height, None]
         top += height + 2
 
     # Ten greys from 5 to 95 % along the bottom, darkest at the left.
-    for i, value in enumerate(np.linspace(.05, .95, 10)):
-        image[344:492, 16 + 48 * i:64 + 48 * i] = value
+    for i, value in enumerate(np.linspace(0.05, 0.95, 10)):
+        image[344:492, 16 + 48 * i : 64 + 48 * i] = value
     return np.round(255 * image).astype(np.uint8)
 
 
 def yard():
     posts = {name: cylinder(xy, POST_RADIUS, 0, POST_HEIGHT) for name, xy in POSTS.items()}
-    return {"ground": ground(), "wall": wall(), **car(), **person(), **posts, **trihedral(), **chart()}
+    return {
+        "ground": ground(),
+        "wall": wall(),
+        **car(),
+        **person(),
+        **posts,
+        **trihedral(),
+        **chart(),
+    }
 
 
 # ---------------------------------------------------------------- table 1
+
 
 def facing_square(centre, side, target):
     """Square about `centre`, its normal towards `target`, two edges level."""
@@ -295,7 +377,9 @@ def facing_square(centre, side, target):
     right /= np.linalg.norm(right)
     up = np.cross(normal, right)
     h = side / 2
-    return quad([centre + h * (a * right + b * up) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return quad(
+        [centre + h * (a * right + b * up) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    )
 
 
 def table1():
@@ -310,6 +394,7 @@ def table1():
 
 # ---------------------------------------------------------------- files
 
+
 def write_ply(path, mesh, uv=None):
     names = "xyz" if uv is None else "xyzuv"
     data = mesh.vertices if uv is None else np.column_stack([mesh.vertices, uv])
@@ -318,19 +403,31 @@ def write_ply(path, mesh, uv=None):
     faces["n"], faces["i"] = 3, mesh.faces
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
     header += [f"property float {name}" for name in names]
-    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header\n"]
+    header += [
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header\n",
+    ]
     path.write_bytes("\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
 
 
 def write_png(path, image):
     """8-bit grey, no gamma chunk: the values are reflectances."""
+
     def chunk(kind, body):
-        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        return (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
+
     height, width = image.shape
     rows = b"".join(b"\0" + row.tobytes() for row in image)
     header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header)
-                     + chunk(b"IDAT", zlib.compress(rows, 9)) + chunk(b"IEND", b""))
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(rows, 9))
+        + chunk(b"IEND", b"")
+    )
 
 
 def main():

@@ -1,14 +1,14 @@
 """The digital twin: what the sensors of the vehicle would send, from a scene and a system.
 
-Six lines from a scene to an image and a report:
+`run` does the whole job. The same in steps, six lines from a scene to a scored image:
 
-    import twin, hardware
+    import hardware, twin
 
     scene = twin.load_scene("scenes/yard")
     system = twin.load_system("workable")
     capture = twin.capture(scene, system, seed=1)
     image = hardware.reconstruct(capture.record, "lmmse")
-    twin.write_report([twin.evaluate(scene, system, capture, [image])], "runs/yard")
+    print(twin.evaluate(system, capture, [image]).scores)
 """
 
 from importlib import import_module
@@ -22,6 +22,7 @@ _HOMES = {
     "Scene": "twin.scene",
     "System": "twin.system",
     "capture": "twin.acquisition",
+    "evaluate": "twin.evaluation",
     "load_scene": "twin.scene",
     "load_system": "twin.system",
     "run": "twin.job",

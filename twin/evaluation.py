@@ -38,9 +38,7 @@ def evaluate(
     images = reconstructions or [reconstruct(capture.record, method) for method in METHODS]
     scored = [(image, score(capture.cells_e, image.image[0])) for image in images]
     scored.sort(key=lambda pair: -pair[1].psnr_db)
-    return Evaluation(
-        system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored)
-    )
+    return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))
 
 
 def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:

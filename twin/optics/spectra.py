@@ -17,9 +17,7 @@ SUN_ASSUMPTION = (
 
 
 @lru_cache(maxsize=32)
-def sun_band_irradiance(
-    illuminance_lx: float, center_wavelength_m: float, width_m: float
-) -> float:
+def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width_m: float) -> float:
     """Irradiance of the sun in a band, W/m^2, on the plane that receives ``illuminance_lx``.
 
     ASTM G-173-03 (global tilt, 1.5 air masses), 300 to 4000 nm, integrated over
@@ -30,7 +28,8 @@ def sun_band_irradiance(
     """
     with np.printoptions():  # colour-science changes them on import
         import colour
-        from colour.plotting.datasets.astm_g_173 import SD_ASTMG173_GLOBAL_TILT as spectrum
+        from colour.plotting.datasets import astm_g_173
+    spectrum = astm_g_173.SD_ASTMG173_GLOBAL_TILT
 
     wavelength_nm, irradiance = spectrum.wavelengths, spectrum.values  # W/m^2/nm
     low, high = ((center_wavelength_m + side * width_m / 2) * 1e9 for side in (-1, 1))

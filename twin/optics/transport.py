@@ -171,7 +171,9 @@ def _block(
     n_rows = block[1] - block[0]
     n_rays = n_rows * shape[1] * quality.samples
     # Scalars are made opaque, or each new value would compile a new kernel.
-    stream = dr.opaque(mi.UInt64, int(np.random.SeedSequence([seed, block[0]]).generate_state(1)[0]))
+    stream = dr.opaque(
+        mi.UInt64, int(np.random.SeedSequence([seed, block[0]]).generate_state(1)[0])
+    )
     rng = mi.PCG32(size=n_rays, initstate=stream)
     ray, cos = primary_rays(camera, shape, block, quality.samples, rng)
     direct, indirect = _trace(
@@ -244,7 +246,7 @@ def _connector(light: SunLight | DeviceLight) -> _SunConnector | _DeviceConnecto
     return _SunConnector(light) if isinstance(light, SunLight) else _DeviceConnector(light)
 
 
-@dr.syntax  # type: ignore[untyped-decorator]
+@dr.syntax
 def _trace(mi: Any, scene: Any, ray: Any, rng: Any, connect: Any, max_depth: Any) -> Any:
     """Path tracing with next-event estimation to one light; (direct, indirect) per path."""
     context = mi.BSDFContext()

@@ -37,15 +37,12 @@ def render_view(
 ) -> View:
     """Picture of the lit field, sun and emitter (all cells on) rendered apart."""
     quality = Quality(samples=samples, max_depth=3)
-    lights = {
-        "sun": (SunLight(sun_direction), sun_irradiance_w_per_m2),
-        "emitter": (DeviceLight(emitter, "emitter"), radiant_intensity_w_per_sr),
-    }
-    images = {
-        name: strength
-        * gather(
-            world, emitter, (pixels, pixels), light, cos_power=0, quality=quality, seed=seed
-        ).total
-        for name, (light, strength) in lights.items()
-    }
-    return View(**images)
+
+    def seen(light: SunLight | DeviceLight) -> Array:
+        shape = (pixels, pixels)
+        return gather(world, emitter, shape, light, cos_power=0, quality=quality, seed=seed).total
+
+    return View(
+        sun=sun_irradiance_w_per_m2 * seen(SunLight(sun_direction)),
+        emitter=radiant_intensity_w_per_sr * seen(DeviceLight(emitter, "emitter")),
+    )

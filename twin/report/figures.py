@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -81,15 +82,15 @@ def snr_maps(evaluations: Sequence[Evaluation]) -> Figure:
     """Signal per pixel over noise per pixel, one scale for all systems."""
     figure, axes = _panels(1, len(evaluations), 3.6)
     norm = LogNorm(1e-2, 1e2)
-    drawn = None
     for axis, evaluation in zip(axes, evaluations, strict=True):
         snr = evaluation.capture.snr
-        drawn = axis.imshow(np.maximum(snr, 1e-3), cmap="cividis", norm=norm)
+        axis.imshow(np.maximum(snr, 1e-3), cmap="cividis", norm=norm)
         if snr.min() < 1 < snr.max():
             axis.contour(snr, levels=[1.0], colors="white", linewidths=0.7)
         above = float(np.mean(snr >= 1))
-        axis.set_title(f"{evaluation.system.name}: {above:.0%} of pixels above their noise")
-    figure.colorbar(drawn, ax=list(axes), shrink=0.85, label="signal / noise per pixel (line: 1)")
+        axis.set_title(f"{evaluation.system.name}: {above:.0%} of pixels above noise")
+    scale = ScalarMappable(norm, "cividis")
+    figure.colorbar(scale, ax=axes, shrink=0.85, label="signal / noise per pixel (line: 1)")
     return figure
 
 
@@ -108,14 +109,14 @@ def signal(evaluation: Evaluation) -> Figure:
     left.set_xlabel(f"Hadamard pattern ({record.patterns.order} order)")
     left.set_ylabel("ADC counts")
     used = np.ptp(counts) / 2**record.adc_bits
-    left.set_title(f"measured signal: {used:.2%} of the converter's range is modulated")
+    left.set_title(f"the patterns move {used:.2%} of the converter's range")
     names = list(noise.noise_e)
     values = [noise.noise_e[name] for name in names]
     order = np.argsort(values)
     colors = [_ORANGE if i == order[-1] else _GREY for i in order]
     right.barh([names[i] for i in order], [values[i] for i in order], color=colors)
     for row, i in enumerate(order):
-        right.text(values[i], row, f" {values[i]:.3g}", va="center")
+        right.text(values[i], row, f" {values[i]:,.0f}", va="center")
     right.set_xlabel("electrons rms, one exposure")
     right.margins(x=0.18)
     right.set_title(f"{names[order[-1]]} dominates")

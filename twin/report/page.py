@@ -87,6 +87,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     taken, system = evaluation.capture, evaluation.system
     lens, noise, patterns = taken.lens, taken.noise, system.patterns
     best, score = evaluation.reconstructions[0], evaluation.scores[0]
+    rendering = np.median(taken.cells_error_e) / noise.pixel_noise_e(patterns)
     return {
         "system": system.name,
         "what it is": system.description,
@@ -107,9 +108,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
         "SNR per pixel": f"median {np.median(taken.snr):.3g}, best {taken.snr.max():.3g}",
         "pixels above their noise": f"{np.mean(taken.snr >= 1):.0%}",
-        "Monte-Carlo error of the twin over sensor noise, median": "{:.2g}".format(
-            np.median(taken.cells_error_e) / noise.pixel_noise_e(patterns)
-        ),
+        "Monte-Carlo error of the twin over sensor noise, median": f"{rendering:.2g}",
         "best reconstruction": f"{best.method}: PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.3f}",
     }
 

@@ -25,9 +25,7 @@ def default_sun(pose: Pose) -> Sun:
     )
 
 
-def default_pose(
-    camera: Array | None, meshes: Iterable[Mesh]
-) -> tuple[Pose, str]:
+def default_pose(camera: Array | None, meshes: Iterable[Mesh]) -> tuple[Pose, str]:
     """A sensible pose and why it was chosen.
 
     The XML's own camera where it has one. Otherwise 1.2 m above open ground nearest to the middle

@@ -197,7 +197,7 @@ class _Materials:
         if value is None:
             return None
         low, high = float(np.min(value)), float(np.max(value))
-        if not (0 <= low and high <= 1):
+        if not (low >= 0 and high <= 1):
             wrong = low if not low >= 0 else high
             raise InputError(
                 f"{self.path}: shape {shape.name!r}: material {shape.surface.id!r}: "

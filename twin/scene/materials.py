@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, RootModel, ValidationError
 
 from twin.files import InputError, scenes_folder
-from twin.system import NonNegative, Positive, Sourced, Strict, describe, read_toml
+from twin.toml import NonNegative, Positive, Sourced, Strict, describe, read_toml
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 

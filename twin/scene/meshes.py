@@ -20,7 +20,7 @@ class Mesh:
     """Vertices (n, 3) in metres, faces (m, 3), texture coordinates (n, 2) or None."""
 
     vertices: Array
-    faces: NDArray[np.int32]
+    faces: NDArray[np.integer]
     uv: Array | None = None
 
     def transformed(self, matrix: Array) -> "Mesh":
@@ -70,9 +70,9 @@ def validate(mesh: Mesh, place: str) -> Mesh:
             f"{place}: face {face} refers to vertex {mesh.faces[face, corner]} "
             f"of {len(mesh.vertices)}"
         )
-    bad = np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))
-    if len(bad):
-        raise InputError(f"{place}: vertex {bad[0]} is {mesh.vertices[bad[0]].tolist()}")
+    lost = np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))
+    if len(lost):
+        raise InputError(f"{place}: vertex {lost[0]} is {mesh.vertices[lost[0]].tolist()}")
     if mesh.uv is not None and not np.isfinite(mesh.uv).all():
         raise InputError(f"{place}: a texture coordinate is no number")
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))

@@ -1,6 +1,7 @@
 """What a scene is made of: objects with materials, the rig, the sun, true targets."""
 
 import math
+import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ class SceneObject:
 
     name: str
     vertices_m: Array
-    faces: NDArray[np.int32]
+    faces: NDArray[np.integer]
     uv: Array | None
     material: str
     reflectance: float | NDArray[np.float32]
@@ -52,7 +53,9 @@ class Pose:
         y = np.cross(up, x)
         y /= np.linalg.norm(y)
         matrix = np.column_stack([x, y, np.cross(x, y)])
-        yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler("ZYX", degrees=True)
+        with warnings.catch_warnings():  # straight up or down: roll is 0 then, which is right
+            warnings.simplefilter("ignore", UserWarning)
+            yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler("ZYX", degrees=True)
         px, py, pz = (float(p) for p in position_m)
         return Pose((px, py, pz), float(yaw), float(pitch), float(roll))
 
@@ -106,9 +109,7 @@ class Sun:
         """Unit vector towards the sun."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         flat = math.cos(elevation)
-        return np.array(
-            [flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)]
-        )
+        return np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
 
 
 @dataclass(frozen=True)

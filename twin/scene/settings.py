@@ -7,7 +7,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
 from twin.scene.model import Pose, Rig, Sun, Target
-from twin.system import NonNegative, Strict, describe, read_toml
+from twin.toml import NonNegative, Strict, describe, read_toml
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]

@@ -83,7 +83,7 @@ class _Reader:
         )
 
     def _children(self, node: Any) -> Iterator[Any]:
-        for key in node.props.keys():  # noqa: SIM118: Properties is no mapping
+        for key in node.props.keys():
             value = node.props[key]
             if type(value).__name__ == "ResolvedReference":
                 yield self.state.nodes[value.index()]
@@ -99,7 +99,7 @@ class _Reader:
     def _shape(self, node: Any, number: int) -> Shape:
         properties = {
             key: node.props[key]
-            for key in node.props.keys()  # noqa: SIM118
+            for key in node.props.keys()
             if key != "to_world" and type(node.props[key]).__name__ != "ResolvedReference"
         }
         surfaces = [n for n in self._children(node) if n.type == self.types.BSDF]

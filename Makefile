@@ -1,0 +1,52 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+VEHICLE := .venv-vehicle
+PIP_FLAGS := -q --disable-pip-version-check
+
+.PHONY: demo test test-vehicle test-slow lint bench install clean
+
+demo: install
+	$(BIN)/twin run scenes/yard
+
+test: install lint test-vehicle
+	$(BIN)/pytest
+
+# The vehicle's part where the simulator is not installed.
+test-vehicle: $(VEHICLE)/.installed
+	cd tests/hardware && ../../$(VEHICLE)/bin/python -m pytest -c ../../pyproject.toml --rootdir ../.. -q .
+
+# Long statistics.
+test-slow: install
+	$(BIN)/pytest -m slow
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+bench: install
+	$(BIN)/python -m benchmarks
+
+install: $(VENV)/.installed
+	@setup/llvm.sh $(BIN)/python
+
+$(VENV)/.installed: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "Python 3.11 or newer is needed; name one: make PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || \
+	    { echo "venv is missing: sudo apt-get install python3-venv" >&2; exit 1; }
+	$(BIN)/pip install $(PIP_FLAGS) -r requirements.lock
+	$(BIN)/pip install $(PIP_FLAGS) --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VEHICLE)/.installed: requirements.lock pyproject.toml $(VENV)/.installed
+	$(PYTHON) -m venv $(VEHICLE)
+	$(VEHICLE)/bin/pip install $(PIP_FLAGS) -c requirements.lock pytest hypothesis hatchling
+	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-build-isolation -c requirements.lock -e .
+	@touch $@
+
+clean:
+	rm -rf $(VENV) $(VEHICLE) runs bench.json

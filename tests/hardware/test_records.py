@@ -1,0 +1,109 @@
+"""The record's file: complete, versioned, reproducible, and never half-written."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from hardware import PatternSet, SpiRecord, read_record, write_record
+
+
+def make_record() -> SpiRecord:
+    patterns = PatternSet(4, 4, 16)
+    n = patterns.n_exposures
+    counts = np.random.default_rng(5).integers(0, 2**16, size=(n, 2), dtype=np.int32)
+    return SpiRecord(
+        counts=counts,
+        device_time_ns=np.arange(n, dtype=np.int64) * 100_000,
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=np.zeros(n, dtype=np.uint8),
+        patterns=patterns,
+        integration_time_s=80e-6,
+        electrons_per_count=780.5,
+        offset_counts=320.25,
+        adc_bits=16,
+        device="test",
+        pose=np.array([1e6, -2.5, 1.2, 1, 0, 0, 0], dtype=np.float64),
+    )
+
+
+def test_round_trip_keeps_every_bit(tmp_path: Path) -> None:
+    record = make_record()
+    write_record(record, tmp_path / "r.h5")
+    back = read_record(tmp_path / "r.h5")
+    for name in ("counts", "device_time_ns", "sequence", "flags", "pose"):
+        stored = getattr(back, name)
+        np.testing.assert_array_equal(stored, getattr(record, name))
+        assert stored.dtype == getattr(record, name).dtype
+    for name in ("patterns", "integration_time_s", "electrons_per_count", "offset_counts"):
+        assert getattr(back, name) == getattr(record, name)
+    assert (back.adc_bits, back.device) == (16, "test")
+
+
+def test_same_record_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.h5", "b.h5"):
+        write_record(make_record(), tmp_path / name)
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+def test_format_and_schema_version_are_fixed(tmp_path: Path) -> None:
+    """Whoever changes the layout must change the version, and this test with it."""
+    write_record(make_record(), tmp_path / "r.h5")
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert file.attrs["format"] == "ugv-spi-record"
+        assert file.attrs["schema_version"] == 1
+        assert set(file) == {"counts", "device_time_ns", "sequence", "flags", "pose", "patterns"}
+        assert set(file["patterns"].attrs) == {"rows", "columns", "count", "order", "mode"}
+
+
+def test_other_versions_and_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.h5"
+    write_record(make_record(), path)
+    with h5py.File(path, "a") as file:
+        file.attrs["schema_version"] = 99
+    with pytest.raises(ValueError, match=r"r\.h5: schema version 99"):
+        read_record(path)
+    path.write_bytes(b"no HDF5")
+    with pytest.raises(ValueError, match=r"r\.h5"):
+        read_record(path)
+    with pytest.raises(FileNotFoundError, match="missing"):
+        read_record(tmp_path / "missing.h5")
+
+
+def test_truncated_file_is_an_error_not_garbage(tmp_path: Path) -> None:
+    path = tmp_path / "r.h5"
+    write_record(make_record(), path)
+    path.write_bytes(path.read_bytes()[:-1000])
+    with pytest.raises(ValueError, match=r"r\.h5"):
+        read_record(path)
+
+
+def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "r.h5"
+    write_record(make_record(), path)
+    before = path.read_bytes()
+    with pytest.raises(TypeError):
+        write_record(replace(make_record(), device=object()), path)  # type: ignore[arg-type]
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("counts", np.zeros((3, 1), np.int32)),
+        ("counts", np.zeros((32, 1))),
+        ("counts", np.full((32, 1), 70_000, np.int32)),
+        ("counts", np.full((32, 1), -1, np.int32)),
+        ("sequence", np.zeros(3, np.uint32)),
+        ("pose", np.zeros(3)),
+        ("integration_time_s", 0.0),
+        ("electrons_per_count", float("nan")),
+        ("adc_bits", 0),
+    ],
+)
+def test_a_record_that_no_device_could_send_is_refused(field: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"^{field}: "):
+        replace(make_record(), **{field: value})

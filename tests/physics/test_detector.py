@@ -1,0 +1,161 @@
+"""Photons to counts: means, variances and rails within their statistical bounds.
+
+Every statistical bound holds at a false-alarm rate of 1e-6 per test.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import constants, stats
+
+from hardware import PatternSet, SpiRecord, reconstruct
+from hardware.records import Flag
+from twin.detector import FrontEnd, expose, noise_budget
+from twin.system import load_system
+
+ALARM = 1e-6
+QUIET = FrontEnd(
+    electrons_per_watt=1.0,
+    dark_e=0.0,
+    johnson_e=0.0,
+    read_e=0.0,
+    electrons_per_count=1.0,
+    offset_counts=0.0,
+    adc_bits=31,
+)
+
+
+def draws(front_end: FrontEnd, power_w: float, n: int = 20_000, seed: int = 0) -> np.ndarray:
+    counts, _ = expose(np.full((n, 1), power_w), front_end, rng=np.random.default_rng(seed))
+    return counts[:, 0].astype(np.float64)
+
+
+def record_from(counts: np.ndarray, patterns: PatternSet, front_end: FrontEnd) -> SpiRecord:
+    """A record around counts that a front end gave."""
+    n = len(counts)
+    return SpiRecord(
+        counts=counts,
+        device_time_ns=np.arange(n, dtype=np.int64),
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=np.zeros(n, np.uint8),
+        patterns=patterns,
+        integration_time_s=1e-4,
+        electrons_per_count=front_end.electrons_per_count,
+        offset_counts=front_end.offset_counts,
+        adc_bits=front_end.adc_bits,
+        device="test",
+        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+    )
+
+
+def assert_mean_and_variance(values: np.ndarray, mean: float, variance: float) -> None:
+    n = len(values)
+    z = (values.mean() - mean) / np.sqrt(variance / n)
+    assert abs(z) < stats.norm.isf(ALARM / 2)
+    # The variance of a sample variance needs the fourth moment: for Poisson 3 v^2 + v.
+    spread = np.sqrt((2 * variance**2 + variance) / n)
+    assert abs(values.var(ddof=1) - variance) / spread < stats.norm.isf(ALARM / 2)
+
+
+@pytest.mark.parametrize("mean", [0.3, 50.0, 1e6])
+def test_shot_noise_is_poisson(mean: float) -> None:
+    assert_mean_and_variance(draws(QUIET, mean), mean, mean)
+
+
+@pytest.mark.parametrize("mean", [0.9e12, 1.1e12, 1e15, 1e19, 1e30])
+def test_shot_noise_at_the_largest_means(mean: float) -> None:
+    """Where `Generator.poisson` spreads wrongly (1e14) or raises (1e19)."""
+    from twin.detector.front_end import _shot
+
+    drawn = _shot(np.full(20_000, mean), np.random.default_rng(1))
+    scaled = (drawn - mean) / np.sqrt(mean)
+    assert abs(scaled.mean()) * np.sqrt(len(scaled)) < stats.norm.isf(ALARM / 2)
+    assert abs(scaled.std() - 1) * np.sqrt(2 * len(scaled)) < stats.norm.isf(ALARM / 2)
+
+
+def test_photo_current_is_responsivity_times_power() -> None:
+    """1 nW x 0.95 A/W x 315 us / e, and 0.5 nA of dark current, in electrons."""
+    front_end = FrontEnd.of(load_system("paper"))
+    assert front_end.electrons_per_watt * 1e-9 == pytest.approx(
+        0.95e-9 * 315e-6 / constants.e, rel=1e-12
+    )
+    assert front_end.dark_e == pytest.approx(9.83e5, rel=1e-3)
+
+
+def test_johnson_noise_is_that_of_the_resistor() -> None:
+    """Current noise density sqrt(4 k T / R) times the square root of the noise bandwidth 1 / 2T."""
+    system = load_system("paper")
+    t = system.acquisition.integration_time_s.value
+    density = np.sqrt(4 * constants.k * 300.0 / 100e6)
+    expected = density * np.sqrt(1 / (2 * t)) * t / constants.e
+    assert FrontEnd.of(system).johnson_e == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["paper", "workable"])
+def test_counts_have_the_mean_and_variance_of_the_budget(name: str) -> None:
+    """The whole chain at once: electrons back from counts, against `noise_budget`."""
+    front_end = FrontEnd.of(load_system(name))
+    power = 2e-9
+    counts = draws(front_end, power, n=40_000)
+    electrons = (counts - front_end.offset_counts) * front_end.electrons_per_count
+    budget = noise_budget(np.array([power]), 0.0, front_end)
+    assert_mean_and_variance(electrons, budget.signal_e + budget.dark_e, budget.total_noise_e**2)
+
+
+def test_background_and_signal_add() -> None:
+    front_end = FrontEnd.of(load_system("paper"))
+    both = noise_budget(np.array([1e-9]), 3e-9, front_end)
+    one = noise_budget(np.array([4e-9]), 0.0, front_end)
+    assert both.total_noise_e == pytest.approx(one.total_noise_e, rel=1e-12)
+
+
+def test_quantisation_noise_is_a_twelfth_of_a_step() -> None:
+    """Read noise of many steps dithers the converter; what it adds is step^2 / 12."""
+    front_end = replace(QUIET, electrons_per_count=100.0, offset_counts=5e4, read_e=200.0)
+    electrons = (draws(front_end, 0.0, n=200_000) - 5e4) * 100.0
+    expected = 200.0**2 + 100.0**2 / 12
+    spread = expected * np.sqrt(2 / 200_000)
+    assert abs(electrons.var() - expected) < stats.norm.isf(ALARM / 2) * spread
+
+
+def test_no_light_gives_the_offset() -> None:
+    front_end = replace(QUIET, offset_counts=320.0, adc_bits=16)
+    assert set(draws(front_end, 0.0, n=10)) == {320.0}
+
+
+@pytest.mark.parametrize("power", [1e6, 1e20, 1e300])
+def test_too_much_light_gives_the_top_code_and_the_flag(power: float) -> None:
+    counts, flags = expose(
+        np.full((3, 1), power), replace(QUIET, adc_bits=16), rng=np.random.default_rng(0)
+    )
+    assert (counts == 65535).all()
+    assert (flags == Flag.SATURATED).all()
+
+
+def test_noise_below_the_lower_rail_is_flagged_too() -> None:
+    front_end = replace(QUIET, read_e=50.0, adc_bits=16)
+    counts, flags = expose(np.zeros((100, 1)), front_end, rng=np.random.default_rng(0))
+    assert counts.min() == 0
+    assert flags.any()
+
+
+def test_same_seed_same_counts() -> None:
+    front_end = FrontEnd.of(load_system("paper"))
+    a, b, other = (draws(front_end, 1e-9, n=100, seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(a, b)
+    assert (a != other).any()
+
+
+def test_pixel_noise_is_what_reconstruction_shows() -> None:
+    """Noise of zero-fill pixels of a dark scene against `NoiseBudget.pixel_noise_e`."""
+    front_end = FrontEnd.of(load_system("paper"))
+    patterns = PatternSet(64, 64, 4096)
+    budget = noise_budget(np.zeros(1), 2e-9, front_end)
+    counts, _ = expose(
+        np.full((patterns.n_exposures, 1), 2e-9), front_end, rng=np.random.default_rng(2)
+    )
+    image = reconstruct(record_from(counts, patterns, front_end), "zero-fill").image
+    expected = budget.pixel_noise_e(patterns)
+    spread = np.sqrt(1 / (2 * 4095))
+    assert abs(image.std() / expected - 1) < stats.norm.isf(ALARM / 2) * spread

@@ -1,0 +1,267 @@
+"""Light transport against closed forms, against Mitsuba's own projector, and at the extremes."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from twin.engine import mitsuba
+from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
+from twin.optics.transport import Pinhole, Quality, sunlight, transport
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene.mitsuba import mitsuba_scene
+from twin.system import load_system
+
+TAN = math.tan(math.radians(10))
+AHEAD = np.eye(3)
+_RENDERS = 32
+
+
+def wall_scene(distance_m: float, half_size_m: float = 50.0, origin=(0.0, 0.0, 0.0)) -> Scene:
+    """A white wall facing the rig; everything moved by ``origin``."""
+    h = half_size_m
+    corners = np.array([[0, -h, -h], [0, h, -h], [0, h, h], [0, -h, h]], dtype=np.float64)
+    wall = SceneObject(
+        name="wall",
+        vertices_m=corners + [distance_m, 0, 0] + np.asarray(origin),
+        faces=np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32),
+        uv=None,
+        material="white",
+        reflectance=0.5,
+    )
+    rig = Rig(Pose((origin[0], origin[1], origin[2])))
+    return Scene("wall", None, "", (wall,), rig, Sun(180.0, 30.0, 1e5))  # type: ignore[arg-type]
+
+
+def on_wall(distance_m: float, baseline_m: float, quality: Quality, **scene) -> np.ndarray:
+    world = mitsuba_scene(wall_scene(distance_m, **scene))
+    emitter = Pinhole(np.zeros(3), AHEAD, TAN)
+    detector = Pinhole(np.array([0, baseline_m, 0]), AHEAD, TAN)
+    return transport(world, emitter, detector, (32, 32), quality=quality, seed=1).total
+
+
+@pytest.mark.parametrize("distance_m", [2.0, 5.0, 10.0])
+def test_watts_from_a_wall_are_the_closed_form(distance_m: float) -> None:
+    """Within 0.3 %: rho I tau A / ((4 N^2 + 1) z^2) x <cos^7> = 0.93191 over the square field."""
+    system = load_system("paper")
+    lens = collection(system)
+    cells = on_wall(distance_m, 0.0, Quality(16, 1))
+    intensity = system.emitter.radiant_intensity_w_per_sr.value
+    watts = intensity * lens.transmission * lens.pupil_area_m2 * cells.sum()
+    assert watts == pytest.approx(wall_power_w(system, 0.5, distance_m), rel=3e-3)
+    bare = intensity * 0.5 * 0.9 * system.detector.area_m2 / 5 / distance_m**2
+    assert watts / bare == pytest.approx(0.93191, rel=3e-3)
+
+
+@pytest.mark.parametrize("distance_m", [1.0, 2.0, 10.0])
+def test_a_baseline_loses_the_field_that_geometry_says(distance_m: float) -> None:
+    """10 cm to the left; the lost strip is on the right of the emitter's image."""
+    system = load_system("paper")
+    cells = on_wall(distance_m, 0.1, Quality(64, 1))
+    expected = wall_power_w(system, 0.5, distance_m, 0.1) / wall_power_w(system, 0.5, distance_m)
+    assert cells.sum() / on_wall(distance_m, 0.0, Quality(64, 1)).sum() == pytest.approx(
+        expected, rel=3e-3
+    )
+    lost = 0.1 / (2 * distance_m * TAN) * 32
+    assert (cells[:, : 32 - math.ceil(lost)] > 0).all()
+    assert not cells[:, 32 - math.floor(lost) :].any()
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "half_size_m"), [(0.01, 1.0), (1.0, 50.0), (150.0, 1e4), (1e4, 1e5)]
+)
+def test_inverse_square_holds_from_a_centimetre_to_ten_kilometres(distance_m, half_size_m) -> None:
+    near = on_wall(1.0, 0.0, Quality(16, 1)).sum()
+    here = on_wall(distance_m, 0.0, Quality(16, 1), half_size_m=half_size_m).sum()
+    assert here * distance_m**2 == pytest.approx(near, rel=4e-3)
+
+
+def test_a_scene_in_map_coordinates_gives_the_same_light() -> None:
+    """1e6 m from the origin float32 has 6 cm steps; recentring in float64 keeps the geometry."""
+    here = on_wall(5.0, 0.1, Quality(16, 1))
+    there = on_wall(5.0, 0.1, Quality(16, 1), origin=(1e6, -2e6, 300.0))
+    np.testing.assert_allclose(there, here, rtol=1e-4, atol=1e-9)
+
+
+def test_nothing_in_the_field_is_dark() -> None:
+    world = mitsuba_scene(wall_scene(5.0))
+    backwards = Pinhole(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
+    cells = transport(world, backwards, backwards, (8, 8), quality=Quality(4, 2), seed=1)
+    assert not cells.total.any()
+
+
+def test_a_disc_shaped_field_sees_its_share_of_the_square() -> None:
+    """Area pi/4 of the square, weighted by cos^7: closed form over the disc."""
+    world = mitsuba_scene(wall_scene(5.0))
+    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    disc = replace(camera, outline="disc")
+    seen = transport(world, camera, disc, (64, 64), quality=Quality(64, 1), seed=1).total.sum()
+    whole = transport(world, camera, camera, (64, 64), quality=Quality(64, 1), seed=1).total.sum()
+    expected = math.pi / 4 * mean_cos_power(7, TAN, "disc") / mean_cos_power(7, TAN, "square")
+    assert seen / whole == pytest.approx(expected, rel=3e-3)
+
+
+def test_sun_on_a_wall_is_the_closed_form() -> None:
+    """E rho / pi cos(sun) seen through a flat pupil: <cos^4> of the field times its area."""
+    scene = wall_scene(5.0)
+    world = mitsuba_scene(scene)
+    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    seen = sunlight(world, camera, scene.sun.direction, quality=Quality(16, 2), seed=1).total.sum()
+    facing = math.cos(math.radians(30))
+    expected = 0.5 / math.pi * facing * mean_cos_power(4, TAN, "square") * 4 * TAN**2
+    assert seen == pytest.approx(expected, rel=1e-3)
+
+
+def test_sun_casts_shadows_and_does_not_shine_through() -> None:
+    """Sun behind the wall: the two-sided wall is lit on its other side only."""
+    world = mitsuba_scene(wall_scene(5.0))
+    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    behind = np.array([1.0, 0.0, 0.0])
+    assert not sunlight(world, camera, behind, quality=Quality(4, 2), seed=1).total.any()
+
+
+def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
+    """In a closed white sphere of reflectance r, bounces add r^k: a furnace with a known sum.
+
+    Emitter and detector at the centre of a sphere of radius R: the direct light is
+    r / pi / R^2 per direction, and each further bounce adds (r)^k x (pupil's mean cosine / R^2 pi),
+    the same for every cell.
+    """
+    import trimesh
+
+    from twin.scene.meshes import Mesh
+    from twin.scene.mitsuba import _assemble
+
+    ball = trimesh.creation.icosphere(6, radius=3.0)
+    r = 0.5
+    world = _assemble([(Mesh(np.array(ball.vertices), np.array(ball.faces)), r)])
+    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    light = transport(world, camera, camera, (8, 8), quality=Quality(1024, 8), seed=3)
+    solid = 4 * math.asin(math.sin(math.radians(10)) ** 2)
+    # A diffuse bounce inside a sphere lands uniformly on it: the share that lands where the
+    # pupil's field sees it is the integral of cos over the field / (4 pi).
+    seen = mean_cos_power(4, TAN, "square") * 4 * TAN**2 / (4 * math.pi)
+    bounces = sum(r**k for k in range(2, 9))
+    expected = solid * bounces / math.pi / 3.0**2 * seen
+    error = np.sqrt((light.standard_error**2).sum())
+    assert abs(light.indirect.sum() - expected) < 5 * error + 5e-3 * expected
+
+
+def test_same_seed_same_bits() -> None:
+    world = mitsuba_scene(load_scene("yard"))
+    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    a, b, other = (
+        transport(world, camera, camera, (16, 16), quality=Quality(16, 3), seed=s).total
+        for s in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(a, b)
+    assert (a != other).any()
+
+
+def test_blocks_of_rows_do_not_change_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large grids are traced in blocks; each has its own stream, so only noise may differ."""
+    import twin.optics.transport as module
+
+    world = mitsuba_scene(load_scene("yard"))
+    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    whole = transport(world, camera, camera, (16, 16), quality=Quality(64, 2), seed=1)
+    monkeypatch.setattr(module, "_RAYS_AT_ONCE", 16 * 64 * 3)
+    parts = transport(world, camera, camera, (16, 16), quality=Quality(64, 2), seed=1)
+    z = (parts.total - whole.total) / np.maximum(
+        np.hypot(parts.standard_error, whole.standard_error), 1e-12
+    )
+    assert np.abs(z).max() < 6
+    assert parts.total.shape == (16, 16)
+
+
+def test_quality_names_its_fault() -> None:
+    with pytest.raises(ValueError, match="samples: 5"):
+        Quality(samples=5)
+    with pytest.raises(ValueError, match="max_depth: 0"):
+        Quality(max_depth=0)
+
+
+def test_ten_patterns_agree_with_mitsubas_projector() -> None:
+    """Y = P t against ten renders with Mitsuba's own `projector` and `path`: a z-test each.
+
+    Rationale: another renderer's emitter, camera and integrator, in the forward direction.
+    Expected: |z| below the two-sided bound for a false-alarm rate of 1e-4 over all ten, with a
+    0.15 % allowance for the projector's texture (cos^3 in steps of a quarter cell).
+    """
+    mi = mitsuba()
+    scene = load_scene("yard")
+    world = mitsuba_scene(scene)
+    size = 16
+    emitter = Pinhole(*scene.rig.device("emitter"), TAN)
+    detector = Pinhole(*scene.rig.device("detector"), TAN)
+    cells = transport(world, emitter, detector, (size, size), quality=Quality(1024, 4), seed=11)
+
+    rng = np.random.default_rng(12)
+    patterns = [np.ones((size, size)), *(rng.integers(0, 2, (size, size)) for _ in range(9))]
+    bound = stats.t.isf(1e-4 / 10 / 2, df=_RENDERS - 1)  # the error is estimated from renders
+    for number, pattern in enumerate(patterns):
+        expected = float((pattern * cells.total).sum())
+        expected_error = float(np.sqrt((pattern * cells.standard_error**2).sum()))
+        got, error = _projected(mi, scene, pattern, emitter, detector, seed=100 + number)
+        allowance = 1.5e-3 * expected
+        z = max(abs(got - expected) - allowance, 0) / math.hypot(error, expected_error)
+        assert z < bound, (number, got, expected, z)
+
+
+def _projected(mi, scene, pattern, emitter, detector, seed) -> tuple[float, float]:
+    """One pattern through Mitsuba's projector: irradiance on the pupil per radiant intensity."""
+    fine, size = 4, len(pattern)
+    t = (np.arange(size * fine) + 0.5) / (size * fine) * 2 - 1
+    x, y = np.meshgrid(t * TAN, t * TAN)
+    cos = 1 / np.sqrt(1 + x**2 + y**2)
+    # The plugin gives pi x texture on the plane at distance 1, where intensity 1 gives cos^3.
+    texture = np.kron(pattern, np.ones((fine, fine))) * cos**3 / np.pi
+    to_world = _camera(mi, emitter)
+    projector = {
+        "type": "projector",
+        "to_world": to_world,
+        "fov": 20.0,
+        "irradiance": {
+            "type": "bitmap",
+            "bitmap": mi.Bitmap(texture.astype(np.float32)[:, :, None]),
+            "raw": True,
+            "filter_type": "nearest",
+        },
+    }
+    film = 64
+    sensor = {
+        "type": "perspective",
+        "to_world": _camera(mi, detector),
+        "fov": 20.0,
+        "film": {
+            "type": "hdrfilm",
+            "width": film,
+            "height": film,
+            "pixel_format": "luminance",
+            "rfilter": {"type": "box"},
+        },
+    }
+    shapes = {f"s{i}": s for i, s in enumerate(mitsuba_scene(scene).shapes())}
+    world = mi.load_dict(
+        {"type": "scene", "integrator": {"type": "path", "max_depth": 5, "rr_depth": 99}}
+        | {"projector": projector, "sensor": sensor}
+        | shapes
+    )
+    u = ((np.arange(film) + 0.5) / film * 2 - 1) * TAN
+    weight = (1 + u[:, None] ** 2 + u**2) ** -2 * (2 * TAN / film) ** 2
+    sums = [
+        float((np.array(mi.render(world, spp=16, seed=seed * 99 + i))[..., 0] * weight).sum())
+        for i in range(_RENDERS)
+    ]
+    return float(np.mean(sums)), float(np.std(sums, ddof=1) / np.sqrt(len(sums)))
+
+
+def _camera(mi, device):
+    forward, _, up = device.axes
+    return mi.ScalarTransform4f().look_at(
+        origin=[float(v) for v in device.origin_m],
+        target=[float(v) for v in device.origin_m + forward],
+        up=[float(v) for v in up],
+    )

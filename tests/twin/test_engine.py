@@ -1,0 +1,106 @@
+"""The guard that keeps Dr.Jit away from an LLVM on which it aborts the process."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from twin import engine
+from twin.engine import EngineError, ensure_llvm, llvm_version
+
+OLD = sorted(
+    path
+    for version in (14, 15, 16)
+    for path in Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{version}.so.1")
+)
+
+
+@pytest.fixture
+def libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine whose only libLLVMs are those a test puts here."""
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "")
+    monkeypatch.setattr(engine, "_WHERE", (f"{tmp_path}/libLLVM*.so*",))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "version"),
+    [
+        ("libLLVM-14.so.1", 14),
+        ("libLLVM-15.so", 15),
+        ("libLLVM.so.19.1", 19),
+        ("libLLVM-20.so", 20),
+        ("libLLVM.so.18.1", 18),
+    ],
+)
+def test_version_from_the_file_name(tmp_path: Path, name: str, version: int) -> None:
+    (tmp_path / name).touch()
+    assert llvm_version(tmp_path / name) == version
+
+
+def test_a_link_counts_as_what_it_points_to(tmp_path: Path) -> None:
+    (tmp_path / "libLLVM-15.so.1").touch()
+    (tmp_path / "libLLVM-19.so").symlink_to("libLLVM-15.so.1")
+    assert llvm_version(tmp_path / "libLLVM-19.so") == 15
+
+
+@pytest.mark.parametrize("version", [14, 15, 16, 17, 18])
+def test_old_libraries_alone_are_refused(libraries: Path, version: int) -> None:
+    (libraries / f"libLLVM-{version}.so.1").touch()
+    with pytest.raises(EngineError, match=rf"found: {version}\).*apt-get install libllvm19"):
+        ensure_llvm()
+    assert not os.environ["DRJIT_LIBLLVM_PATH"]
+
+
+def test_a_machine_without_llvm_gets_the_command_to_type(libraries: Path) -> None:
+    with pytest.raises(EngineError, match=r"found: none\).*apt-get install libllvm19"):
+        ensure_llvm()
+
+
+def test_the_one_that_was_tried_is_preferred(libraries: Path) -> None:
+    for name in ("libLLVM-14.so.1", "libLLVM.so.19.1", "libLLVM-21.so"):
+        (libraries / name).touch()
+    assert ensure_llvm().name == "libLLVM.so.19.1"
+    assert os.environ["DRJIT_LIBLLVM_PATH"].endswith("libLLVM.so.19.1")
+
+
+def test_a_bad_one_named_by_the_user_is_refused(
+    libraries: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even when a good one is installed: the user's word is not overruled silently."""
+    (libraries / "libLLVM.so.19.1").touch()
+    (libraries / "libLLVM-16.so").touch()
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(libraries / "libLLVM-16.so"))
+    with pytest.raises(EngineError, match=r"libLLVM-16\.so is libLLVM 16"):
+        ensure_llvm()
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(libraries / "missing.so"))
+    with pytest.raises(EngineError, match="no such file"):
+        ensure_llvm()
+    (libraries / "other.so").write_bytes(b"no library")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(libraries / "other.so"))
+    with pytest.raises(EngineError, match="no libLLVM that loads"):
+        ensure_llvm()
+
+
+def test_unknown_variant_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWIN_VARIANT", "scalar_rgb")
+    with pytest.raises(EngineError, match="TWIN_VARIANT: 'scalar_rgb'"):
+        engine.mitsuba()
+
+
+@pytest.mark.skipif(not OLD, reason="no libLLVM 14, 15 or 16 on this machine")
+@pytest.mark.parametrize("library", OLD, ids=lambda path: path.name)
+def test_the_real_bad_ones_stop_with_one_line_before_the_abort(library: Path) -> None:
+    """Without the guard this process would die with SIGABRT (exit code -6)."""
+    done = subprocess.run(
+        [sys.executable, "-m", "twin", "check", "table1"],
+        env={**os.environ, "DRJIT_LIBLLVM_PATH": str(library)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "on which Dr.Jit aborts" in done.stderr

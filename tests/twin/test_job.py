@@ -1,0 +1,267 @@
+"""The main job, as a user runs it: what it writes, what it refuses, and that it repeats."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hardware import read_record, reconstruct
+from twin import cli
+from twin.acquisition import capture
+from twin.engine import mitsuba
+from twin.evaluation import evaluate, score
+from twin.files import InputError, whole_folder
+from twin.optics.transport import Quality
+from twin.scene import load_scene, parse_pose
+from twin.system import load_system
+
+FAST = Quality(samples=4, max_depth=2)
+FILES = {
+    "report.html",
+    "record.h5",
+    "truth.exr",
+    *(f"{n}.png" for n in ("headline", "scene", "truth", "reconstruction", "snr", "signal")),
+}
+
+
+def twin(*arguments: str, monkeypatch, capsys) -> tuple[int, str, str]:
+    """Exit code, output and errors of the command in this process."""
+    monkeypatch.setattr(sys, "argv", ["twin", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    streams = capsys.readouterr()
+    return stopped.value.code or 0, streams.out, streams.err
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("run") / "yard"
+    subprocess.run(
+        [sys.executable, "-m", "twin", "run", "yard", "--seed", "7", "--out", str(out)], check=True
+    )
+    return out
+
+
+def test_a_run_writes_everything_and_nothing_else(finished: Path) -> None:
+    assert {path.name for path in finished.iterdir()} == FILES
+    assert list(finished.parent.iterdir()) == [finished]
+
+
+def test_the_report_is_self_contained(finished: Path) -> None:
+    """No link, script or style that a browser would fetch; every picture is inside."""
+    page = (finished / "report.html").read_text()
+    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+    assert "url(" not in page
+    assert page.count("data:image/png;base64,") == 6
+
+
+def test_the_report_names_every_setting_and_assumption(finished: Path) -> None:
+    from markupsafe import escape
+
+    page = (finished / "report.html").read_text()
+    for name in ("workable", "paper"):
+        for field, value in load_system(name).values():
+            assert field in page
+            if value.assumed:
+                assert str(escape(value.assumed)) in page
+
+
+def test_truth_has_named_channels_in_metres(finished: Path) -> None:
+    """Against the scene file: the chart stands 5 m ahead, the wall at 12.3 m, above is nothing."""
+    mi = mitsuba()
+    bitmap = mi.Bitmap(str(finished / "truth.exr"))
+    names = [field.name for field in bitmap.struct_()]
+    assert names == ["albedo", "depth"]
+    albedo, depth = np.moveaxis(np.array(bitmap), -1, 0)
+    assert albedo.shape == (64, 64)
+    assert depth[15, 10] == pytest.approx(5.0, abs=1e-3)
+    assert depth[10, 50] == pytest.approx(12.3, abs=1e-3)
+    assert albedo[10, 50] == pytest.approx(0.34, abs=1e-3)
+    assert np.isinf(depth[0, 50])
+    assert albedo[0, 50] == 0
+
+
+def test_the_record_alone_gives_the_image(finished: Path) -> None:
+    """What the vehicle does with the file, without the twin: recognisably the scene."""
+    image = reconstruct(read_record(finished / "record.h5")).image[0]
+    expected = capture(load_scene("yard"), load_system("workable"), quality=FAST).cells_e
+    assert np.corrcoef(image.ravel(), expected.ravel())[0, 1] > 0.95
+
+
+def test_same_seed_same_bytes_in_another_process(finished: Path, tmp_path: Path) -> None:
+    """With another number of threads: nothing depends on how the work is shared."""
+    subprocess.run([sys.executable, "-c", OTHER_THREADS.format(out=tmp_path / "again")], check=True)
+    for name in ("record.h5", "truth.exr", "headline.png"):
+        assert (finished / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
+
+
+OTHER_THREADS = """
+from twin.engine import ensure_llvm
+ensure_llvm()
+import drjit as dr
+dr.set_thread_count(5)
+import twin
+twin.run("yard", seed=7, out=r"{out}")
+"""
+
+
+def test_another_seed_is_another_noise_of_the_same_scene() -> None:
+    scene, system = load_scene("table1"), load_system("workable")
+    a, b = (capture(scene, system, seed=s, quality=FAST) for s in (1, 2))
+    assert (a.record.counts != b.record.counts).any()
+    np.testing.assert_allclose(a.cells_e.sum(), b.cells_e.sum(), rtol=0.02)
+
+
+def test_paper_is_noise_and_workable_works() -> None:
+    """The finding of the headline: no pixel of the paper's full-sun yard stands above its noise."""
+    scene = load_scene("yard")
+    snr = {n: capture(scene, load_system(n), quality=FAST).snr for n in ("paper", "workable")}
+    assert snr["paper"].max() < 1
+    assert np.median(snr["workable"]) > 3
+
+
+def test_predicted_noise_is_found_in_the_record() -> None:
+    """Twin's budget against the scatter of the record's own pairs: 4095 of them, 5 sigma."""
+    for name in ("paper", "workable"):
+        taken = capture(load_scene("yard"), load_system(name), seed=3, quality=FAST)
+        found = reconstruct(taken.record, "zero-fill").noise_electrons[0] / np.sqrt(2)
+        sigma = np.sqrt(3 / (4 * 4095))
+        # The first pattern's exposures carry more light than the mean: 1 % allowance.
+        assert abs(found / taken.noise.total_noise_e - 1) < 5 * sigma + 0.01
+
+
+def test_rendering_error_is_well_below_the_sensors_noise() -> None:
+    """At the default quality Monte-Carlo noise must not be what an image shows."""
+    system = load_system("workable")
+    taken = capture(load_scene("yard"), system)
+    ratio = np.median(taken.cells_error_e) / taken.noise.pixel_noise_e(system.patterns)
+    assert ratio < 0.1
+
+
+def test_saturation_and_darkness_are_warned_of() -> None:
+    content = load_system("workable").model_dump()
+    content["readout"]["transimpedance_ohm"] = 1e12
+    bright = type(load_system("paper")).model_validate(content)
+    taken = capture(load_scene("yard"), bright, quality=FAST)
+    assert any("reach a rail of the ADC" in w for w in taken.warnings)
+    sky = load_scene("yard", parse_pose("0,0,1.2,0,-80"))
+    dark = capture(sky, load_system("workable"), quality=FAST)
+    assert any("nothing in the field of view" in w for w in dark.warnings)
+    assert np.isfinite(evaluate(load_system("workable"), dark).reconstructions[0].image).all()
+
+
+def test_score_is_skimages() -> None:
+    from skimage.metrics import peak_signal_noise_ratio
+
+    rng = np.random.default_rng(0)
+    truth = rng.random((32, 32))
+    image = truth + rng.normal(size=(32, 32)) * 0.1
+    expected = peak_signal_noise_ratio(truth, image, data_range=truth.max())
+    assert score(truth, image).psnr_db == pytest.approx(expected)
+    assert score(truth, truth).ssim == 1.0
+    assert score(np.zeros((4, 4)), np.ones((4, 4))).psnr_db == -np.inf
+
+
+# What is refused, each with one line and exit code 2, and nothing written.
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["run", "nope"], "nope: no such scene"),
+        (["run", "yard", "--system", "nope"], "system: 'nope'"),
+        (["run", "yard", "--compare", "nope"], "system: 'nope'"),
+        (["run", "yard", "--pose", "1,2"], "expected x,y,z"),
+        (["run", "yard", "--seed", "-1"], "--seed"),
+        (["run", "yard", "--speed", "1"], "--speed"),
+        (["run"], "scene"),
+        (["fly"], "fly"),
+        (["check", "nope"], "nope: no such scene"),
+        (["import", "nope.glb", "x"], "nope.glb: no such file"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    arguments, expected, monkeypatch, capsys, tmp_path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, errors = twin(*arguments, monkeypatch=monkeypatch, capsys=capsys)
+    assert code == 2
+    assert len(errors.splitlines()) == 1
+    assert expected in errors
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("out", ["file", "file/below", "/proc/nowhere/out"])
+def test_an_unwritable_folder_is_refused_before_the_work(
+    out, monkeypatch, capsys, tmp_path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("mine")
+    start = time.monotonic()
+    code, _, errors = twin("run", "yard", "--out", out, monkeypatch=monkeypatch, capsys=capsys)
+    assert code == 2
+    assert len(errors.splitlines()) == 1
+    assert out.split("/")[-1] in errors
+    assert time.monotonic() - start < 3
+    assert (tmp_path / "file").read_text() == "mine"
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_whole_folder_is_all_or_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b"
+
+    def interrupted() -> None:
+        with whole_folder(out) as partial:
+            (partial / "half").write_text("x")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
+    with whole_folder(out) as partial:
+        (partial / "new").write_text("x")
+    (out / "kept").write_text("y")
+    with whole_folder(out) as partial:
+        (partial / "new").write_text("z")
+    assert {p.name: p.read_text() for p in out.iterdir()} == {"new": "z", "kept": "y"}
+
+
+@pytest.mark.parametrize("after_s", [0.5, 2.0])
+def test_ctrl_c_leaves_nothing_behind(after_s: float, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twin", "run", "yard", "--out", str(tmp_path / "out")],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(after_s)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130, errors
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_is_quick() -> None:
+    """Best of five below 0.3 s: no renderer, no plots, no NumPy behind it."""
+    for command in (["-m", "twin", "--help"], ["-c", "import hardware"]):
+        times = []
+        for _ in range(5):
+            start = time.perf_counter()
+            subprocess.run([sys.executable, *command], check=True, stdout=subprocess.DEVNULL)
+            times.append(time.perf_counter() - start)
+        assert min(times) < 0.3, command
+
+
+def test_wrong_grids_are_not_compared() -> None:
+    with pytest.raises(ValueError, match="the truth has"):
+        score(np.zeros((4, 4)), np.zeros((8, 8)))
+
+
+def test_input_error_is_a_value_error() -> None:
+    assert issubclass(InputError, ValueError)
+    assert os.EX_OK == 0

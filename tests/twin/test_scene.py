@@ -1,0 +1,310 @@
+"""Scenes: what loads, what is defaulted, and what never reaches the renderer."""
+
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from twin.engine import mitsuba
+from twin.files import InputError, scenes_folder
+from twin.scene import Pose, load_scene, parse_pose
+from twin.scene.materials import load_materials
+from twin.scene.mitsuba import mitsuba_scene
+
+XML = """<scene version="3.0.0">
+<bsdf type="twosided" id="{material}"><bsdf type="diffuse">
+<spectrum name="reflectance" value="{reflectance}"/></bsdf></bsdf>
+<shape type="{plugin}" id="thing">{file}<ref id="{material}"/></shape>
+</scene>"""
+TOML = """
+[rig]
+position_m = [0.0, 0.0, 0.0]
+[sun]
+azimuth_deg = 180.0
+elevation_deg = 30.0
+illuminance_lx = 1e5
+"""
+TRIANGLE = np.array([[5, -1, -1], [5, 1, -1], [5, 0, 1]], dtype="<f4")
+
+
+def ply(path: Path, vertices: np.ndarray = TRIANGLE, faces=((0, 1, 2),)) -> Path:
+    """A binary PLY written by hand: trimesh would not write the broken ones."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    body = vertices.astype("<f4").tobytes() + b"".join(struct.pack("<B3i", 3, *f) for f in faces)
+    path.write_bytes(header.encode() + body)
+    return path
+
+
+def scene(
+    folder: Path,
+    *,
+    material="concrete",
+    reflectance="0.36",
+    plugin="ply",
+    toml: str | None = TOML,
+    **mesh,
+) -> Path:
+    file = '<string name="filename" value="thing.ply"/>' if plugin == "ply" else ""
+    text = XML.format(material=material, reflectance=reflectance, plugin=plugin, file=file)
+    (folder / "scene.xml").write_text(text)
+    if toml:
+        (folder / "scene.toml").write_text(toml)
+    ply(folder / "thing.ply", **mesh)
+    return folder
+
+
+def assert_refused(folder: Path, *expected: str, **arguments) -> None:
+    with pytest.raises(InputError) as caught:
+        load_scene(folder, **arguments)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in expected:
+        assert part in message, message
+
+
+# What loads.
+
+
+@pytest.mark.parametrize("name", ["yard", "table1"])
+def test_bundled_scenes_load_without_warnings(name: str) -> None:
+    loaded = load_scene(name)
+    assert loaded.warnings == ()
+    assert loaded.name == name
+
+
+@pytest.mark.parametrize("name", ["yard", "table1"])
+def test_stock_mitsuba_opens_bundled_scenes_with_the_same_triangles(name: str) -> None:
+    stock = mitsuba().load_file(str(scenes_folder() / name / "scene.xml"))
+    ours = load_scene(name)
+    assert sum(s.face_count() for s in stock.shapes()) == ours.triangles
+
+
+@pytest.mark.parametrize("name", ["yard", "table1"])
+def test_reflectances_of_the_xml_are_those_of_the_table(name: str) -> None:
+    """Stock Mitsuba and the twin must see the same scene: the XML repeats the table's values."""
+    from twin.scene.xml import read_xml
+
+    table = load_materials(scenes_folder() / "materials.toml")
+    for shape in read_xml(scenes_folder() / name / "scene.xml").shapes:
+        row = table[shape.surface.id]
+        if not isinstance(shape.surface.reflectance, np.ndarray):
+            assert shape.surface.reflectance == pytest.approx(row.optical.reflectance.value)
+
+
+def test_yard_trihedral_is_10_m2_at_79_ghz() -> None:
+    """Legs a with sigma = 4 pi a^4 / (3 lambda^2), from the mesh itself."""
+    thing = next(o for o in load_scene("yard").objects if o.name == "trihedral")
+    (target,) = (t for t in load_scene("yard").targets if t.name == "trihedral")
+    apex = np.asarray(target.position_m)
+    legs = np.linalg.norm(thing.vertices_m - apex, axis=1).max()
+    wavelength = 299_792_458 / 79e9
+    assert 4 * np.pi * legs**4 / (3 * wavelength**2) == pytest.approx(target.rcs_m2, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "rho", "distance"),
+    [("patch_20", 0.2, 2.0), ("patch_50", 0.5, 4.5), ("patch_80", 0.8, 10.0)],
+)
+def test_table1_patches_stand_where_the_paper_says(name, rho, distance) -> None:
+    loaded = load_scene("table1")
+    patch = next(o for o in loaded.objects if o.name == name)
+    middle = patch.vertices_m.mean(axis=0) - loaded.rig.position_m
+    assert np.linalg.norm(middle) == pytest.approx(distance, rel=1e-3)
+    assert patch.reflectance == rho
+
+
+def test_sionnas_street_canyon_runs_with_its_radio_materials_translated() -> None:
+    import importlib.util
+
+    spec = importlib.util.find_spec("sionna.rt")
+    path = Path(spec.submodule_search_locations[0]) / "scenes/simple_street_canyon"
+    loaded = load_scene(path / "simple_street_canyon.xml")
+    assert {o.material for o in loaded.objects} == {"glass", "wood", "marble", "brick", "concrete"}
+    assert any("rig placed at" in w for w in loaded.warnings)
+    assert any("sun defaulted" in w for w in loaded.warnings)
+    world = mitsuba_scene(loaded)
+    mi = mitsuba()
+    origin, axes = loaded.rig.device("emitter")
+    ahead = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(axes[0]))
+    distance = float(np.array(world.ray_intersect(ahead).t)[0])
+    assert 2 < distance < 30
+
+
+def test_cornell_box_runs_with_its_own_camera(tmp_path: Path) -> None:
+    mi = mitsuba()
+    config = mi.parser.ParserConfig(mi.variant())
+    state = mi.parser.parse_dict(config, mi.cornell_box())
+    mi.parser.write_file(state, str(tmp_path / "cbox.xml"))
+    loaded = load_scene(tmp_path / "cbox.xml")
+    np.testing.assert_allclose(loaded.rig.position_m, [0, 0, 3.9], atol=1e-6)
+    _, axes = loaded.rig.device("emitter")
+    np.testing.assert_allclose(axes, [[0, 0, -1], [-1, 0, 0], [0, 1, 0]], atol=1e-6)
+    assert any("the XML's camera" in w for w in loaded.warnings)
+    assert any("reflectance taken from the XML" in w for w in loaded.warnings)
+    red = next(o for o in loaded.objects if o.name == "red-wall")
+    assert 0 < red.reflectance < 0.5
+
+
+@pytest.mark.parametrize("plugin", ["rectangle", "cube", "sphere", "cylinder", "disk"])
+def test_primitives_have_mitsubas_area(tmp_path: Path, plugin: str) -> None:
+    """Tessellation against the analytic shape of the renderer, within its 0.2 %."""
+    loaded = load_scene(scene(tmp_path, plugin=plugin))
+    (thing,) = loaded.objects
+    area = trimesh.Trimesh(thing.vertices_m, thing.faces).area
+    exact = mitsuba().load_dict({"type": plugin}).surface_area()
+    assert area == pytest.approx(float(np.array(exact).ravel()[0]), rel=2e-3)
+
+
+def test_vertices_keep_float64(tmp_path: Path) -> None:
+    """A millimetre at 1e6 m is far below float32's step of 6 cm."""
+    folder = scene(tmp_path, toml=TOML.replace("[0.0, 0.0, 0.0]", "[1e6, 0.0, 0.0]"))
+    text = (folder / "scene.xml").read_text()
+    moved = '<transform name="to_world"><translate x="1000000.001"/></transform><ref'
+    (folder / "scene.xml").write_text(text.replace("<ref", moved))
+    (thing,) = load_scene(folder).objects
+    np.testing.assert_allclose(thing.vertices_m[:, 0], 1000005.001, atol=1e-9)
+
+
+def test_mirroring_keeps_faces_outward(tmp_path: Path) -> None:
+    folder = scene(tmp_path, plugin="cube")
+    text = (folder / "scene.xml").read_text()
+    mirrored = '<transform name="to_world"><scale x="-1"/></transform><ref'
+    (folder / "scene.xml").write_text(text.replace("<ref", mirrored))
+    (thing,) = load_scene(folder).objects
+    assert trimesh.Trimesh(thing.vertices_m, thing.faces).volume == pytest.approx(8.0)
+
+
+def test_zero_area_faces_are_dropped(tmp_path: Path) -> None:
+    loaded = load_scene(scene(tmp_path, faces=((0, 1, 2), (0, 0, 1))))
+    assert len(loaded.objects[0].faces) == 1
+
+
+# Poses.
+
+
+def test_pose_axes_follow_rep_103() -> None:
+    """Yaw turns left, pitch turns the nose down, roll lifts the left side."""
+    yaw, pitch, roll = (
+        Pose((0, 0, 0), **{f"{name}_deg": 90.0}).rotation.as_matrix()
+        for name in ("yaw", "pitch", "roll")
+    )
+    np.testing.assert_allclose(yaw @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(pitch @ [1, 0, 0], [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(roll @ [0, 1, 0], [0, 0, 1], atol=1e-12)
+
+
+def test_pose_from_text_and_axes() -> None:
+    pose = parse_pose("1,2,3,90,-10")
+    assert pose == Pose((1.0, 2.0, 3.0), 90.0, -10.0, 0.0)
+    axes = pose.rotation.as_matrix()
+    again = Pose.from_axes(np.array([1.0, 2, 3]), axes[:, 0], axes[:, 2])
+    np.testing.assert_allclose(again.rotation.as_matrix(), axes, atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4,5,6,7", "a,b,c", "1,2,inf"])
+def test_bad_poses(text: str) -> None:
+    with pytest.raises(InputError, match="expected x,y,z"):
+        parse_pose(text)
+
+
+# What never reaches the renderer.
+
+
+def test_missing_and_malformed_scenes(tmp_path: Path) -> None:
+    assert_refused(tmp_path / "nope", "no such scene", "yard")
+    assert_refused(tmp_path, "has no scene.xml")
+    (tmp_path / "scene.xml").write_text('<scene version="3.0.0"><shape</scene>')
+    assert_refused(tmp_path, "scene.xml", "no valid XML", "line 1")
+    (tmp_path / "scene.xml").write_text('<scene version="3.0.0"></scene>')
+    assert_refused(tmp_path, "no shapes")
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "expected"),
+    [
+        (TRIANGLE, ((0, 1, 9001),), "face 0 refers to vertex 9001 of 3"),
+        (TRIANGLE, ((0, 1, 2), (0, -1, 2)), "face 1 refers to vertex -1 of 3"),
+        (TRIANGLE * np.array([[1], [np.nan], [1]]), ((0, 1, 2),), "vertex 1 is [nan"),
+        (TRIANGLE * np.array([[1], [1], [1e30]]), ((0, 1, 2),), "m from the rig, expected at most"),
+        (TRIANGLE, (), "thing.ply"),
+        (TRIANGLE, ((0, 0, 1),), "no face has an area"),
+    ],
+)
+def test_broken_meshes_name_file_shape_and_fault(tmp_path, vertices, faces, expected) -> None:
+    assert_refused(scene(tmp_path, vertices=vertices, faces=faces), "thing.ply", expected)
+
+
+def test_missing_truncated_and_foreign_mesh_files(tmp_path: Path) -> None:
+    folder = scene(tmp_path)
+    whole = (folder / "thing.ply").read_bytes()
+    (folder / "thing.ply").write_bytes(whole[:-8])
+    assert_refused(folder, "thing.ply")
+    (folder / "thing.ply").write_bytes(b"\x00" * 100)
+    assert_refused(folder, "thing.ply", "can't be read as a mesh")
+    (folder / "thing.ply").unlink()
+    assert_refused(folder, "thing.ply", "no such mesh file")
+
+
+@pytest.mark.parametrize("value", ["-0.5", "1.5", "nan"])
+def test_impossible_reflectances(tmp_path: Path, value: str) -> None:
+    assert_refused(scene(tmp_path, reflectance=value), "'thing'", "expected 0 to 1")
+
+
+def test_unknown_materials(tmp_path: Path) -> None:
+    assert_refused(scene(tmp_path, material="unobtainium"), "'thing'", "'unobtainium'", "concrete")
+
+
+def test_a_bare_scene_may_bring_its_own_reflectance(tmp_path: Path) -> None:
+    loaded = load_scene(scene(tmp_path, material="paint", reflectance="0.7", toml=None))
+    assert loaded.objects[0].reflectance == pytest.approx(0.7)
+    assert any("paint" in w for w in loaded.warnings)
+
+
+def test_a_table_beside_the_scene_takes_precedence(tmp_path: Path) -> None:
+    folder = scene(tmp_path, material="unobtainium", reflectance="0.5")
+    (folder / "materials.toml").write_text(
+        '[unobtainium.optical]\nreflectance = { value = 0.25, source = "made up" }\n'
+    )
+    assert load_scene(folder).objects[0].reflectance == 0.25
+    (folder / "materials.toml").write_text(
+        '[unobtainium.optical]\nreflectance = { value = -0.25, source = "made up" }\n'
+    )
+    load_materials.cache_clear()
+    assert_refused(folder, "materials.toml", "unobtainium.optical.reflectance.value = -0.25")
+
+
+@pytest.mark.parametrize(
+    ("toml", "expected"),
+    [
+        (TOML.replace("[sun]", "[sunny]"), "sunny"),
+        (TOML.replace("30.0", "nan"), "sun.elevation_deg"),
+        (TOML.replace("1e5", "-1.0"), "sun.illuminance_lx = -1.0"),
+        (TOML.replace("[0.0, 0.0, 0.0]", "[0.0, 0.0]"), "rig.position_m"),
+        (TOML + "[objects.ghost]\nvelocity_m_per_s = [1.0, 0.0, 0.0]\n", "no shape has the id"),
+        (
+            TOML + '[[targets]]\nname = "t"\nposition_m = [1.0, 0.0, 0.0]\nrcs_m2 = 1.0',
+            "rcs_source",
+        ),
+        ("[rig", "no valid TOML"),
+    ],
+)
+def test_bad_settings_name_file_and_field(tmp_path: Path, toml: str, expected: str) -> None:
+    assert_refused(scene(tmp_path, toml=toml), "scene.toml", expected)
+
+
+def test_unsupported_shapes_and_double_names(tmp_path: Path) -> None:
+    assert_refused(scene(tmp_path, plugin="hair"), "'hair' is not supported")
+    shutil.rmtree(tmp_path)
+    tmp_path.mkdir()
+    folder = scene(tmp_path)
+    text = (folder / "scene.xml").read_text()
+    shape = text[text.index("<shape") : text.index("</scene>")]
+    (folder / "scene.xml").write_text(text.replace("</scene>", shape + "</scene>"))
+    assert_refused(folder, "thing")

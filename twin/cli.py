@@ -1,0 +1,137 @@
+"""The command ``twin``. Errors are one line and exit code 2; nothing half-written stays behind."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="twin",
+    help="Digital twin of a vehicle's single-pixel camera and radar.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SceneArgument = Annotated[
+    str, typer.Argument(help="Bundled scene, folder with scene.xml, or Mitsuba XML file.")
+]
+PoseOption = Annotated[
+    str | None,
+    typer.Option(help="Of the rig: x,y,z[,yaw[,pitch[,roll]]] in m and deg (x forward, z up)."),
+]
+
+
+@app.callback()
+def _twin() -> None:
+    """Digital twin of a vehicle's single-pixel camera and radar."""
+
+
+@app.command()
+def run(
+    scene: SceneArgument,
+    system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
+    compare: Annotated[
+        str, typer.Option(help="System shown beside it; `none` for nothing.")
+    ] = "paper",
+    pose: PoseOption = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; default runs/SCENE-SYSTEM.")
+    ] = None,
+) -> None:
+    """Scene to image: render, measure, reconstruct, and write a report."""
+    from twin.job import run as run_job
+    from twin.scene import parse_pose
+
+    result = run_job(
+        scene,
+        system,
+        compare=None if compare == "none" else compare,
+        pose=parse_pose(pose) if pose else None,
+        seed=seed,
+        out=out,
+    )
+    for warning in result.scene.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    for evaluation in result.evaluations:
+        for warning in evaluation.capture.warnings:
+            print(f"warning: {evaluation.system.name}: {warning}", file=sys.stderr)
+        best, score = evaluation.reconstructions[0], evaluation.scores[0]
+        snr = evaluation.capture.snr
+        print(
+            f"{evaluation.system.name}: SNR per pixel {sorted(snr.ravel())[snr.size // 2]:.2g} "
+            f"(median), {best.method} PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
+        )
+    print(f"report: {result.out / 'report.html'}")
+
+
+@app.command()
+def check(scene: SceneArgument, pose: PoseOption = None) -> None:
+    """Validate a scene and list what it holds."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from twin.scene import load_scene, parse_pose
+    from twin.scene.checking import check_scene
+
+    loaded = load_scene(scene, parse_pose(pose) if pose else None)
+    columns = ("object", "triangles", "size (m)", "nearest (m)", "material", "reflectance", "")
+    table = Table(*columns, title=f"{loaded.name}: {loaded.triangles} triangles", box=None)
+    for row in check_scene(loaded):
+        size = " x ".join(f"{s:.3g}" for s in row.size_m)
+        cells = (row.name, str(row.triangles), size, f"{row.nearest_m:.3g}")
+        table.add_row(*cells, row.material, row.reflectance, "; ".join(row.remarks))
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    print(f"rig: {loaded.rig.pose}")
+    print(f"sun: {loaded.sun}")
+    for warning in loaded.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+
+
+@app.command("import")
+def import_(
+    model: Annotated[Path, typer.Argument(help="glTF, OBJ, STL or PLY file.")],
+    folder: Annotated[Path, typer.Argument(help="Scene folder to write, e.g. scenes/NAME.")],
+    scale: Annotated[float, typer.Option(help="Metres per unit of the model.")] = 1.0,
+    up: Annotated[
+        str | None, typer.Option(help="The model's up axis, y or z; default y for glTF, z else.")
+    ] = None,
+    material: Annotated[str, typer.Option(help="Row of materials.toml for all parts.")] = "generic",
+) -> None:
+    """Turn a model file into a scene folder."""
+    from twin.scene.importing import import_model
+
+    for note in import_model(model, folder, scale=scale, up=up, material=material):
+        print(f"note: {note}")
+    print(f"scene: {folder}")
+
+
+@app.command()
+def systems() -> None:
+    """List the bundled systems."""
+    from twin.system import load_system, system_names
+
+    for name in system_names():
+        print(f"{name}: {load_system(name).description}")
+
+
+def main() -> None:
+    """Entry point: run a command, turn expected errors into one line and exit code 2."""
+    from twin.engine import EngineError
+    from twin.files import InputError
+
+    try:
+        sys.exit(app(sys.argv[1:] or ["--help"], standalone_mode=False))
+    except (InputError, EngineError) as error:
+        message = str(error)
+    except (KeyboardInterrupt, typer.Abort):
+        print("twin: interrupted, nothing was written", file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # how usage errors are told from faults
+            raise
+        message = error.format_message()
+    print(f"twin: error: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)

@@ -1,0 +1,153 @@
+"""Turn a model file of any kind into a scene folder of ours."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.files import InputError, whole_folder
+from twin.scene.materials import find_materials, load_materials
+from twin.scene.meshes import Mesh, validate
+from twin.scene.model import Array
+
+#: glTF fixes its up axis; other formats leave it open.
+_UP = {".glb": "y", ".gltf": "y"}
+_Z_UP_FROM_Y = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], dtype=float)
+
+
+def import_model(
+    model: Path,
+    folder: Path,
+    *,
+    scale: float = 1.0,
+    up: str | None = None,
+    material: str = "generic",
+) -> list[str]:
+    """Write ``scene.xml``, ``scene.toml`` and ``meshes/*.ply`` for a model.
+
+    Parameters
+    ----------
+    model
+        glTF, OBJ, STL, PLY, or whatever else trimesh reads.
+    folder
+        The scene folder; it must not hold a scene yet.
+    scale
+        Metres per unit of the model.
+    up
+        The model's up axis, ``y`` or ``z``; default y for glTF, z else. With y up, the model's +z
+        becomes x forward.
+    material
+        Row of the materials table for every part: a model's colours say nothing about 1550 nm.
+
+    Returns
+    -------
+    One line per thing that was assumed or left out.
+
+    Raises InputError on a file that can't be read or a part no renderer may see.
+    """
+    import trimesh
+
+    _check(model, folder, scale, up, material)
+    try:
+        loaded = trimesh.load_scene(model, process=False)
+    except MemoryError:
+        raise
+    except Exception as error:  # readers fail in every way there is on broken files
+        raise InputError(f"{model}: can't be read ({type(error).__name__}: {error})") from error
+    axis = up or _UP.get(model.suffix.lower(), "z")
+    place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
+    parts, notes = _parts(loaded, model, place)
+    low = np.min([part.vertices.min(axis=0) for part in parts.values()], axis=0)
+    high = np.max([part.vertices.max(axis=0) for part in parts.values()], axis=0)
+    with whole_folder(folder) as partial:
+        (partial / "meshes").mkdir()
+        for name, part in parts.items():
+            mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
+            mesh.export(partial / "meshes" / f"{name}.ply")
+        reflectance = load_materials(find_materials(folder))[material].optical.reflectance.value
+        (partial / "scene.xml").write_text(_xml(list(parts), material, reflectance))
+        (partial / "scene.toml").write_text(_toml(model, low, high))
+    size = ", ".join(f"{s:.3g}" for s in high - low)
+    notes.append(f"{axis} taken as up, {scale:g} m per unit: the scene measures {size} m")
+    notes.append(f"material {material!r} for every part: set the right rows in scene.xml")
+    notes.append("rig placed in front of the model, looking at it: see scene.toml")
+    return notes
+
+
+def _check(model: Path, folder: Path, scale: float, up: str | None, material: str) -> None:
+    if not model.is_file():
+        raise InputError(f"{model}: no such file")
+    if (folder / "scene.xml").exists():
+        raise InputError(f"{folder}: holds a scene already")
+    if not (np.isfinite(scale) and scale > 0):
+        raise InputError(f"scale: {scale}: expected metres per unit, above 0")
+    if up not in (None, "y", "z"):
+        raise InputError(f"up: {up!r}: expected y or z")
+    table = find_materials(folder)
+    if material not in load_materials(table):
+        raise InputError(
+            f"material: {material!r} is not in {table}; known: {', '.join(load_materials(table))}"
+        )
+
+
+def _parts(loaded: Any, model: Path, place: Array) -> tuple[dict[str, Mesh], list[str]]:
+    """Every mesh of the model in scene coordinates, by a name that is good for a file."""
+    parts: dict[str, Mesh] = {}
+    skipped = 0
+    for node in loaded.graph.nodes_geometry:
+        matrix, geometry = loaded.graph[node]
+        mesh = loaded.geometry[geometry]
+        if len(getattr(mesh, "faces", ())) == 0:
+            skipped += 1
+            continue
+        name = re.sub(r"[^\w-]+", "_", str(node)).strip("_") or "part"
+        name = name if name not in parts else f"{name}-{len(parts)}"
+        raw = Mesh(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64))
+        parts[name] = validate(raw.transformed(place @ matrix), f"{model}: part {node!r}")
+    if not parts:
+        raise InputError(f"{model}: has no faces")
+    return parts, [f"{skipped} parts without faces left out"] if skipped else []
+
+
+def _xml(names: list[str], material: str, reflectance: float) -> str:
+    shapes = "\n".join(
+        f'    <shape type="ply" id="{name}">\n'
+        f'        <string name="filename" value="meshes/{name}.ply"/>\n'
+        f'        <boolean name="face_normals" value="true"/>\n'
+        f'        <ref id="{material}"/>\n'
+        f"    </shape>"
+        for name in names
+    )
+    return (
+        '<scene version="3.0.0">\n'
+        '    <integrator type="path"/>\n'
+        f'    <bsdf type="twosided" id="{material}">\n'
+        '        <bsdf type="diffuse">\n'
+        f'            <spectrum name="reflectance" value="{reflectance:g}"/>\n'
+        "        </bsdf>\n"
+        "    </bsdf>\n"
+        f"{shapes}\n"
+        "</scene>\n"
+    )
+
+
+def _toml(model: Path, low: Array, high: Array) -> str:
+    """Rig in front of the model (towards +x of it, looking back), at a distance that fits it."""
+    size = float(max(high[1] - low[1], high[2] - low[2]))
+    distance = max(1.3 * size / (2 * np.tan(np.radians(10))), 0.1)
+    y, z = (low[1:] + high[1:]) / 2
+    return (
+        f'description = "imported from {model.name}"\n\n'
+        "[rig]\n"
+        f"position_m = [{high[0] + distance:.6g}, {y:.6g}, {z:.6g}]\n"
+        "yaw_deg = 180.0\n"
+        "[rig.emitter]\n"
+        "offset_m = [0.0, 0.0, 0.0]\n"
+        "[rig.detector]\n"
+        "offset_m = [0.0, -0.05, 0.0]\n\n"
+        "[sun]\n"
+        "azimuth_deg = 40.0\n"
+        "elevation_deg = 40.0\n"
+        "illuminance_lx = 100e3\n"
+    )
