@@ -148,8 +148,8 @@ def test_cornell_box_runs_with_its_own_camera(tmp_path: Path) -> None:
     np.testing.assert_allclose(axes, [[0, 0, -1], [-1, 0, 0], [0, 1, 0]], atol=1e-6)
     assert any("the XML's camera" in w for w in loaded.warnings)
     assert any("reflectance taken from the XML" in w for w in loaded.warnings)
-    red = next(o for o in loaded.objects if o.name == "red-wall")
-    assert 0 < red.reflectance < 0.5
+    luminance = {round(o.reflectance, 2) for o in loaded.objects}
+    assert len(luminance) == 3  # white, green and red as a mono variant reads them
 
 
 @pytest.mark.parametrize("plugin", ["rectangle", "cube", "sphere", "cylinder", "disk"])

@@ -1,0 +1,118 @@
+"""Figures of the optical chain: accuracy against closed forms, then time for each rung."""
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.timing import Timing, timed, timed_command
+from hardware import PatternSet, reconstruct
+from hardware.patterns import fwht
+from hardware.reconstruction import METHODS
+from twin.acquisition import capture, devices
+from twin.evaluation import evaluate
+from twin.optics.radiometry import collection, wall_power_w
+from twin.optics.reference import PatternRenderer
+from twin.optics.spectra import sun_band_irradiance
+from twin.optics.transport import Quality, transport
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene.mitsuba import mitsuba_scene
+from twin.system import load_system
+
+Figure = tuple[str, "float | Timing", str]
+
+
+def figures() -> Iterator[Figure]:
+    """Name, value and unit of everything that is measured."""
+    yield from _accuracy()
+    yield from _findings()
+    yield from _transport()
+    yield from _vehicle()
+    yield from _commands()
+
+
+def _accuracy() -> Iterator[Figure]:
+    yield "sun, 1544-1556 nm at 100 klx", sun_band_irradiance(1e5, 1550e-9, 12e-9), "W/m^2"
+    system = load_system("paper")
+    lens = collection(system)
+    watt = system.emitter.radiant_intensity_w_per_sr.value * lens.transmission * lens.pupil_area_m2
+    for distance in (2.0, 5.0, 10.0):
+        scene = _wall(distance)
+        emitter, _, _ = devices(scene, system)
+        world = mitsuba_scene(scene)
+        cells = transport(world, emitter, emitter, (64, 64), quality=Quality(16, 1), seed=1)
+        ratio = watt * cells.total.sum() / wall_power_w(system, 0.5, distance)
+        yield f"wall at {distance:g} m: watts over closed form, less 1", 100 * (ratio - 1), "%"
+
+
+def _findings() -> Iterator[Figure]:
+    scene = load_scene("yard")
+    for name in ("workable", "paper"):
+        system = load_system(name)
+        evaluation = evaluate(system, capture(scene, system, seed=0))
+        snr = evaluation.capture.snr
+        yield f"{name}: signal over noise per pixel, median", float(np.median(snr)), ""
+        yield f"{name}: pixels above their noise", 100 * float(np.mean(snr >= 1)), "%"
+        for image, score in zip(evaluation.reconstructions, evaluation.scores, strict=True):
+            yield f"{name}: {image.method}, PSNR", score.psnr_db, "dB"
+            yield f"{name}: {image.method}, SSIM", score.ssim, ""
+
+
+def _transport() -> Iterator[Figure]:
+    scene, system = load_scene("yard"), load_system("workable")
+    emitter, detector, _ = devices(scene, system)
+    world, shape = mitsuba_scene(scene), (64, 64)
+    noise = capture(scene, system).noise.pixel_noise_e(system.patterns)
+    best = capture(scene, system, quality=Quality(4096, 6), seed=99).cells_e
+    for samples, depth in ((1, 1), (4, 2), (16, 2), (64, 4), (256, 6)):
+        quality = Quality(samples, depth)
+        name = f"transport, {samples} samples, depth {depth}"
+        yield (
+            name,
+            timed(lambda q=quality: transport(world, emitter, detector, shape, quality=q, seed=1)),
+            "",
+        )
+        error = capture(scene, system, quality=quality, seed=5).cells_e - best
+        relative = np.sqrt(np.mean(error**2)) / np.sqrt(np.mean(best**2))
+        yield f"{name}: rms error over rms signal", 100 * float(relative), "%"
+        yield f"{name}: median error over sensor noise", float(np.median(abs(error)) / noise), ""
+    reference = PatternRenderer(scene, emitter, detector, max_depth=4)
+    masks = system.patterns.masks(slice(100, 104))
+    one = timed(lambda: [reference.render(m, samples=4, seed=1) for m in masks], runs=3)
+    note = "4 renders timed, scaled to 8192"
+    yield "brute force, 8192 patterns, depth 4", one.scaled(8192 / 4, note), ""
+
+
+def _vehicle() -> Iterator[Figure]:
+    rng = np.random.default_rng(0)
+    for n in (4096, 2**20):
+        x = rng.normal(size=n)
+        yield f"fast Walsh-Hadamard transform, {n}", timed(lambda x=x: fwht(x), runs=25), ""
+    image = rng.normal(size=4096)
+    for count in (1024, 4096):
+        patterns = PatternSet(64, 64, count)
+        y = fwht(image)[patterns.indices]
+        for name, method in METHODS.items():
+            work = timed(lambda m=method, y=y, p=patterns: m(y, 1.0, p))
+            yield f"{name}, {count} of 64 x 64", work, ""
+    record = capture(load_scene("table1"), load_system("workable")).record
+    yield "record to image, lmmse, 4096 pairs", timed(lambda: reconstruct(record)), ""
+
+
+def _commands() -> Iterator[Figure]:
+    python = sys.executable
+    yield "import hardware", timed_command([python, "-c", "import hardware"]), ""
+    yield "twin --help", timed_command([python, "-m", "twin", "--help"]), ""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [python, "-m", "twin", "run", "yard", "--out", str(Path(folder) / "out")]
+        yield "twin run scenes/yard, both systems, warm", timed_command(command, runs=3), ""
+
+
+def _wall(distance_m: float) -> Scene:
+    h = 50.0
+    corners = np.array([[0, -h, -h], [0, h, -h], [0, h, h], [0, -h, h]]) + [distance_m, 0, 0]
+    faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
+    wall = SceneObject("wall", corners, faces, None, "white", 0.5)
+    return Scene("wall", Path(), "", (wall,), Rig(Pose((0.0, 0.0, 0.0))), Sun(180.0, 30.0, 1e5))
