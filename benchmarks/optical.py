@@ -1,11 +1,14 @@
 """Figures of the optical chain: accuracy against closed forms, then time for each rung."""
 
+import importlib.util
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import hadamard
 
 from benchmarks.timing import Timing, timed, timed_command
 from hardware import PatternSet, reconstruct
@@ -90,6 +93,7 @@ def _vehicle() -> Iterator[Figure]:
     for n in (4096, 2**20):
         x = rng.normal(size=n)
         yield f"fast Walsh-Hadamard transform, {n}", timed(lambda x=x: fwht(x), runs=25), ""
+    yield from _peers(rng.integers(0, 1000, size=4096))
     image = rng.normal(size=4096)
     for count in (1024, 4096):
         patterns = PatternSet(64, 64, count)
@@ -99,6 +103,19 @@ def _vehicle() -> Iterator[Figure]:
             yield f"{name}, {count} of 64 x 64", work, ""
     record = capture(load_scene("table1"), load_system("workable")).record
     yield "record to image, lmmse, 4096 pairs", timed(lambda: reconstruct(record)), ""
+
+
+def _peers(x: NDArray[np.integer]) -> Iterator[Figure]:
+    """Other people's transforms, checked for equality and timed; `pip install .[peers]`."""
+    dense = hadamard(len(x)).astype(np.float64)
+    np.testing.assert_array_equal(dense @ x, fwht(x))
+    yield "peer: dense product with scipy.linalg.hadamard, 4096", timed(lambda: dense @ x), ""
+    if importlib.util.find_spec("sympy"):
+        from sympy import fwht as sympy_fwht
+
+        values = [int(v) for v in x]
+        np.testing.assert_array_equal([int(v) for v in sympy_fwht(values)], fwht(x))
+        yield "peer: sympy.fwht, 4096", timed(lambda: sympy_fwht(values), runs=3), ""
 
 
 def _commands() -> Iterator[Figure]:
