@@ -131,7 +131,7 @@ def capture(
         in_band_fraction=fraction,
         illuminance_lx=lux,
         assumptions=(*MODEL_ASSUMPTIONS, *scene.assumptions, *_assumed(system)),
-        warnings=_warnings(system, flags, cells_e),
+        warnings=_warnings(system, counts, fraction, cells_e),
     )
 
 
@@ -177,14 +177,17 @@ def _assumed(system: System) -> tuple[str, ...]:
     )
 
 
-def _warnings(system: System, flags: NDArray[np.uint8], cells_e: Array) -> tuple[str, ...]:
+def _warnings(
+    system: System, counts: NDArray[np.int32], in_band: float, cells_e: Array
+) -> tuple[str, ...]:
     found = []
-    saturated = int(np.count_nonzero(flags))
-    if saturated:
-        found.append(
-            f"{saturated} of {flags.size} exposures reach a rail of the ADC: "
-            f"lower readout.transimpedance_ohm ({system.readout.transimpedance_ohm.value:g})"
-        )
-    if not cells_e.any():
+    top = 2**system.readout.adc_bits.value - 1
+    for rail, remedy in ((top, "transimpedance_ohm is too high"), (0, "adc_offset_v is too low")):
+        hits = int((counts == rail).any(axis=1).sum())
+        if hits:
+            found.append(f"{hits} of {len(counts)} exposures saturate: readout.{remedy}")
+    if in_band == 0 or system.emitter.radiant_intensity_w_per_sr.value == 0:
+        found.append("no light of the emitter passes the filter, or it emits none")
+    elif not cells_e.any():
         found.append("no light of the emitter comes back: nothing in the field of view")
     return tuple(found)

@@ -1,10 +1,13 @@
 """The command ``twin``. Errors are one line and exit code 2; nothing half-written stays behind."""
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from twin.engine import EngineError
 
 app = typer.Typer(
     name="twin",
@@ -49,7 +52,7 @@ def run(
         scene,
         system,
         compare=None if compare == "none" else compare,
-        pose=parse_pose(pose) if pose else None,
+        pose=parse_pose(pose) if pose is not None else None,
         seed=seed,
         out=out,
     )
@@ -76,7 +79,7 @@ def check(scene: SceneArgument, pose: PoseOption = None) -> None:
     from twin.scene import load_scene, parse_pose
     from twin.scene.checking import check_scene
 
-    loaded = load_scene(scene, parse_pose(pose) if pose else None)
+    loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
     columns = ("object", "triangles", "size (m)", "nearest (m)", "material", "reflectance", "")
     table = Table(*columns, title=f"{loaded.name}: {loaded.triangles} triangles", box=None)
     for row in check_scene(loaded):
@@ -119,19 +122,34 @@ def systems() -> None:
 
 def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
-    from twin.engine import EngineError
     from twin.files import InputError
 
+    signal.signal(signal.SIGINT, _interrupt)
+    signal.signal(signal.SIGTERM, _interrupt)
     try:
-        sys.exit(app(sys.argv[1:] or ["--help"], standalone_mode=False))
-    except (InputError, EngineError) as error:
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        if not _interrupted:
+            sys.exit(code)
+    except (InputError, OSError, EngineError) as error:
         message = str(error)
-    except (KeyboardInterrupt, typer.Abort):
+    except Exception as error:
+        if not _interrupted:
+            if not hasattr(error, "format_message"):  # how usage errors are told from faults
+                raise
+            message = error.format_message()
+    except KeyboardInterrupt:
+        pass
+    if _interrupted:
         print("twin: interrupted, nothing was written", file=sys.stderr)
         sys.exit(130)
-    except Exception as error:
-        if not hasattr(error, "format_message"):  # how usage errors are told from faults
-            raise
-        message = error.format_message()
     print(f"twin: error: {' '.join(message.split())}", file=sys.stderr)
     sys.exit(2)
+
+
+_interrupted: list[int] = []
+
+
+def _interrupt(number: int, _: object) -> None:
+    """Remember the signal: libraries in between may turn the exception into another one."""
+    _interrupted.append(number)
+    raise KeyboardInterrupt

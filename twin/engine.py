@@ -56,6 +56,21 @@ def mitsuba() -> ModuleType:
     return mi
 
 
+def sionna() -> ModuleType:
+    """Sionna RT, with Mitsuba set to the polarised variant that it needs.
+
+    Both engines live in one process; `mitsuba` sets the other variant again, and what was made in
+    each stays usable. Raises EngineError as `mitsuba` does.
+    """
+    mi = mitsuba()
+    polarized = f"{mi.variant()}_polarized"
+    mi.set_variant(polarized)
+    import sionna.rt as rt  # sets a variant of its own when first imported
+
+    mi.set_variant(polarized)
+    return rt
+
+
 def ensure_llvm() -> Path:
     """Find a usable libLLVM and name it in ``DRJIT_LIBLLVM_PATH``.
 

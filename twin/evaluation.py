@@ -52,5 +52,7 @@ def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:
     if peak == 0 or error == 0:
         return Score(np.inf if error == 0 else -np.inf, 1.0 if error == 0 else 0.0)
     window = min(7, *(side - 1 + side % 2 for side in truth.shape))
-    similar = structural_similarity(truth, image, data_range=peak, win_size=window)
-    return Score(10 * np.log10(peak**2 / error), float(similar))
+    similar = np.nan  # undefined on images narrower than the smallest window
+    if window >= 3:
+        similar = structural_similarity(truth, image, data_range=peak, win_size=window)
+    return Score(float(10 * np.log10(peak**2 / error)), float(similar))

@@ -42,8 +42,12 @@ def whole_folder(out: Path) -> Iterator[Path]:
         except OSError as error:
             raise InputError(f"{out}: can't be written to ({error.strerror})") from error
         yield partial
+        written = list(partial.iterdir())
+        for path in written:
+            if (out / path.name).is_dir():
+                raise InputError(f"{out / path.name}: is a folder, expected a place for a file")
         out.mkdir(exist_ok=True)
-        for path in partial.iterdir():
+        for path in written:
             os.replace(path, out / path.name)
     finally:
         shutil.rmtree(partial, ignore_errors=True)

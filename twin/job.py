@@ -7,7 +7,7 @@ from pathlib import Path
 from hardware.records import write_record
 from twin.acquisition import capture, devices
 from twin.evaluation import Evaluation, evaluate
-from twin.files import whole_folder
+from twin.files import InputError, whole_folder
 from twin.optics.transport import Quality
 from twin.optics.view import View, render_view
 from twin.progress import Stages
@@ -33,9 +33,9 @@ class Result:
 
 def run(
     scene: str | Path,
-    system: str | Path = "workable",
+    system: str | Path | System = "workable",
     *,
-    compare: str | Path | None = "paper",
+    compare: str | Path | System | None = "paper",
     pose: Pose | None = None,
     seed: int = 0,
     out: str | Path | None = None,
@@ -61,7 +61,11 @@ def run(
     Raises InputError (one line: file, field, value, what was expected) and EngineError.
     """
     systems = _systems(system, compare)
-    folder = Path(out) if out else None
+    folder = None if out is None else Path(out)
+    if out is not None and not str(out).strip():
+        raise InputError("out: is empty, expected a folder to write to")
+    if seed < 0:
+        raise InputError(f"seed: {seed}: expected 0 or more")
     with Stages(expected=2 + _STAGES_PER_SYSTEM * len(systems)) as stages:
         with stages.stage("load"):
             world = load_scene(scene, pose)
@@ -102,11 +106,13 @@ def _compute(
     return view, tuple(evaluations)
 
 
-def _systems(system: str | Path, compare: str | Path | None) -> list[System]:
+def _systems(system: str | Path | System, compare: str | Path | System | None) -> list[System]:
     chosen = load_system(system)
     if compare is None:
         return [chosen]
     other = load_system(compare)
-    if other.name == chosen.name:
+    if other == chosen:  # nothing to see beside itself
         other = load_system("workable" if chosen.name == "paper" else "paper")
-    return [chosen, other] if other.name != chosen.name else [chosen]
+    if other.name == chosen.name:
+        other = other.model_copy(update={"name": f"{other.name} (compared)"})
+    return [chosen, other]

@@ -9,14 +9,30 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from hardware.patterns import Mode, Order, PatternSet
-from twin.files import InputError, catalog_folder
-from twin.toml import Fraction, NonNegative, Positive, Sourced, Strict, describe, read_toml
+from twin.files import catalog_folder
+from twin.toml import (
+    Count,
+    Fraction,
+    Name,
+    NonNegative,
+    Positive,
+    Sourced,
+    Strict,
+    bundled,
+    load_typed,
+    values,
+)
 
-FieldAngle = Annotated[float, Field(gt=0, lt=170)]
-GridSize = Annotated[int, Field(ge=1, le=1024)]
+FieldAngle = Annotated[Positive, Field(lt=170)]
+GridSize = Annotated[int, Field(strict=True, ge=1, le=1024)]
+Duration = Annotated[Positive, Field(le=1e3)]
+
+
+#: Range of the solar spectrum's table (ASTM G-173).
+SUN_BAND_M = (280e-9, 4000e-9)
 
 
 class Emitter(Strict):
@@ -40,6 +56,16 @@ class Filter(Strict):
     center_wavelength_m: Sourced[Positive]
     width_m: Sourced[Positive]
     transmission: Sourced[Fraction]
+
+    @model_validator(mode="after")
+    def _in_the_table(self) -> "Filter":
+        center, half = self.center_wavelength_m.value, self.width_m.value / 2
+        if not SUN_BAND_M[0] <= center - half <= center + half <= SUN_BAND_M[1]:
+            raise ValueError(
+                f"band {center - half:g} to {center + half:g} m is outside the solar spectrum, "
+                f"{SUN_BAND_M[0]:g} to {SUN_BAND_M[1]:g} m"
+            )
+        return self
 
 
 class Optics(Strict):
@@ -76,7 +102,7 @@ class Readout(Strict):
     transimpedance_ohm: Sourced[Positive]
     temperature_k: Sourced[NonNegative]
     read_noise_e: Sourced[NonNegative]
-    adc_bits: Sourced[Annotated[int, Field(ge=1, le=31)]]
+    adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=31)]]
     adc_full_scale_v: Sourced[Positive]
     adc_offset_v: Sourced[NonNegative]
 
@@ -84,9 +110,9 @@ class Readout(Strict):
 class Acquisition(Strict):
     """Which patterns are shown, and for how long."""
 
-    integration_time_s: Sourced[Positive]
-    pattern_period_s: Sourced[Positive]
-    n_patterns: Sourced[Annotated[int, Field(ge=1)]]
+    integration_time_s: Sourced[Duration]
+    pattern_period_s: Sourced[Duration]
+    n_patterns: Sourced[Count]
     order: Sourced[Order]
     mode: Sourced[Mode]
 
@@ -106,7 +132,7 @@ class Sky(Strict):
 class System(Strict):
     """One complete optical system."""
 
-    name: str
+    name: Name
     description: str = ""
     emitter: Emitter
     filter: Filter
@@ -118,7 +144,12 @@ class System(Strict):
 
     @model_validator(mode="after")
     def _patterns_exist(self) -> "System":
-        _ = self.patterns
+        try:
+            _ = self.patterns
+        except ValueError as error:
+            field, rest = str(error).split(":", 1)
+            place = "acquisition.n_patterns" if field == "count" else f"emitter.{field}"
+            raise ValueError(f"{place}:{rest}") from None
         return self
 
     @property
@@ -139,59 +170,19 @@ class System(Strict):
 
     def values(self) -> list[tuple[str, Sourced[Any]]]:
         """Every value with its dotted name, in the file's order."""
-        return [
-            (f"{section}.{name}", getattr(part, name))
-            for section in type(self).model_fields
-            if isinstance(part := getattr(self, section), Strict)
-            for name in type(part).model_fields
-        ]
+        return values(self)
 
 
-def load_system(name: str | Path) -> System:
-    """A bundled system by name, or a user's own TOML file.
+def load_system(name: "str | Path | System") -> System:
+    """A bundled system by name, or a user's own TOML file; a system is returned as it is.
 
     Raises InputError naming the file, the field, the value and what was expected.
     """
-    path = _find(name)
-    try:
-        return System.model_validate(_with_base(path))
-    except ValidationError as error:
-        raise InputError(f"{path}: {describe(error)}") from error
+    if isinstance(name, System):
+        return name
+    return load_typed(System, name, "system", catalog_folder() / "systems")
 
 
 def system_names() -> list[str]:
     """Names of the bundled systems."""
-    return sorted(path.stem for path in (catalog_folder() / "systems").glob("*.toml"))
-
-
-def _find(name: str | Path) -> Path:
-    bundled = catalog_folder() / "systems" / f"{name}.toml"
-    path = Path(name)
-    if bundled.is_file() and path.suffix != ".toml":
-        return bundled
-    if path.is_file():
-        return path
-    raise InputError(
-        f"system: {str(name)!r} is neither a TOML file nor one of {', '.join(system_names())}"
-    )
-
-
-def _with_base(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
-    content = read_toml(path)
-    base = content.pop("base", None)
-    if base is None:
-        return content
-    if path in seen:
-        raise InputError(f"{path}: base: systems build on each other in a circle")
-    sibling = path.parent / str(base)
-    found = sibling if sibling.is_file() else _find(base)
-    return _merged(_with_base(found, (*seen, path)), content)
-
-
-def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in over.items():
-        section = isinstance(value, dict) and "value" not in value
-        known = base.get(key)
-        merged[key] = _merged(known if isinstance(known, dict) else {}, value) if section else value
-    return merged
+    return bundled(catalog_folder() / "systems")

@@ -9,15 +9,22 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from twin.files import InputError
 
 T = TypeVar("T")
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(gt=0, le=1)]
+# Numbers are numbers: no text, no true or false.
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[Finite, Field(gt=0)]
+NonNegative = Annotated[Finite, Field(ge=0)]
+Fraction = Annotated[Finite, Field(gt=0, le=1)]
+Count = Annotated[int, Field(strict=True, ge=1, le=2**20)]
+Name = Annotated[str, Field(pattern=r"^[\w .,+()-]{1,80}$")]
 
 
 class Strict(BaseModel):
     """Frozen, and an unknown field is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+M = TypeVar("M", bound=Strict)
 
 
 class Sourced(Strict, Generic[T]):
@@ -43,11 +50,19 @@ class Sourced(Strict, Generic[T]):
 
 def describe(error: ValidationError) -> str:
     """All faults of a validation on one line, each with its field and value."""
-    return "; ".join(
-        f"{'.'.join(str(part) for part in fault['loc']) or 'file'} = {fault['input']!r:.60}: "
-        + fault["msg"].removeprefix("Value error, ")
-        for fault in error.errors()
-    )
+    return "; ".join(_fault(fault) for fault in error.errors())
+
+
+def _fault(fault: Any) -> str:
+    message = fault["msg"].removeprefix("Value error, ")
+    field = ".".join(str(part) for part in fault["loc"])
+    if not field:
+        return message
+    if fault["type"] == "missing":
+        return f"{field}: missing"
+    value = fault["input"]
+    shown = "" if isinstance(value, dict | BaseModel) else f" = {value!r:.60}"
+    return f"{field}{shown}: {message}"
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -58,3 +73,69 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: no valid TOML: {error}") from error
     except OSError as error:
         raise InputError(f"{path}: can't be read ({error.strerror})") from error
+
+
+def load_typed(model: type[M], name: str | Path, kind: str, folder: Path) -> M:
+    """A catalogue entry by name, or a user's own file, validated.
+
+    ``base = "NAME"`` in a file takes everything that it leaves out from another entry, or from a
+    file beside it. Raises InputError, one line that begins with the file, or with ``kind`` where
+    there is none.
+    """
+    path = _find(name, kind, folder)
+    try:
+        return model.model_validate(_with_base(path, kind, folder))
+    except ValidationError as error:
+        raise InputError(f"{path}: {describe(error)}") from error
+
+
+def bundled(folder: Path) -> list[str]:
+    """Names of the entries in a catalogue folder."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def values(entry: Strict) -> list[tuple[str, Sourced[Any]]]:
+    """Every sourced value of an entry's sections with its dotted name, in the file's order."""
+    return [
+        (f"{section}.{name}", value)
+        for section in type(entry).model_fields
+        if isinstance(part := getattr(entry, section), Strict)
+        for name in type(part).model_fields
+        if isinstance(value := getattr(part, name), Sourced)
+    ]
+
+
+def _find(name: str | Path, kind: str, folder: Path) -> Path:
+    entry, path = folder / f"{name}.toml", Path(name)
+    if entry.is_file() and path.suffix != ".toml":
+        return entry
+    if path.is_file():
+        return path
+    raise InputError(
+        f"{kind}: {str(name)!r} is neither a TOML file nor one of {', '.join(bundled(folder))}"
+    )
+
+
+def _with_base(path: Path, kind: str, folder: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+    content = read_toml(path)
+    base = content.pop("base", None)
+    if base is None:
+        return content
+    if not isinstance(base, str):
+        raise InputError(f"{path}: base = {base!r}: expected the name of a {kind} or a file")
+    content.setdefault("name", path.stem)
+    path = path.resolve()
+    if path in seen:
+        raise InputError(f"{path}: base: {kind}s build on each other in a circle")
+    sibling = path.parent / base
+    found = sibling if sibling.is_file() else _find(base, kind, folder)
+    return _merged(_with_base(found, kind, folder, (*seen, path)), content)
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        section = isinstance(value, dict) and not {"value", "source", "assumed"} & value.keys()
+        known = base.get(key)
+        merged[key] = _merged(known if isinstance(known, dict) else {}, value) if section else value
+    return merged

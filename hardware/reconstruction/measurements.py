@@ -27,8 +27,9 @@ def measurements(record: SpiRecord) -> Measurements:
     once, plus background), so its scatter is the noise of the difference: no model, no dark frame.
     Successive sums are differenced, which leaves slow drift of the background out.
 
-    Plain: 2 (lit) - (all lit), which needs the first Hadamard row (all ones) among the patterns.
-    The noise is that of the finest patterns, which carry least of the scene: an upper bound.
+    Plain: 2 (lit) - (all lit), which needs the first Hadamard row (all ones) among the patterns
+    and leaves the background as a constant in every value. The finest patterns, which carry least
+    of the scene, tell that constant by their mean and the noise by their scatter (an upper bound).
     """
     electrons = record.electrons
     if record.patterns.mode == "differential":
@@ -38,9 +39,11 @@ def measurements(record: SpiRecord) -> Measurements:
     if all_lit.size == 0:
         raise ValueError("patterns: a plain set needs the all-lit pattern among its patterns")
     values = 2 * electrons - electrons[all_lit[0]]
-    values[all_lit[0]] = electrons[all_lit[0]]
-    finest = values[-max(2, len(values) // 8) :]
-    return Measurements(values, np.mean(finest**2, axis=0))
+    finest = np.delete(values, all_lit[0], axis=0)[-max(2, len(values) // 8) :]
+    if len(finest) == 0:
+        return Measurements(values, np.zeros(values.shape[1]))
+    background = finest.mean(axis=0)
+    return Measurements(values - background, finest.var(axis=0))
 
 
 def _scatter(constant: NDArray[np.float64]) -> NDArray[np.float64]:

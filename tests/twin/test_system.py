@@ -44,7 +44,10 @@ def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
         ("[optics]\nf_number = nan", r"optics\.f_number"),
         ("[optics]\nf_numbr = 1", r"optics\.f_numbr = 1: Extra inputs"),
         ("[emitter]\nrows = 60", r"rows: 60 is not a power of two"),
-        ("[acquisition]\nn_patterns = 5000", r"count: 5000 is not between 1 and 4096"),
+        (
+            "[acquisition]\nn_patterns = 5000",
+            r"acquisition\.n_patterns: 5000 is not between 1 and 4096",
+        ),
         ("[acquisition]\nn_patterns = 0", r"acquisition\.n_patterns\.value = 0"),
         ("[acquisition]\norder = 'random'", r"acquisition\.order.*'random'"),
         ("[acquisition]\nintegration_time_s = 1.0", "longer than pattern_period_s"),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.scene.model import Scene, SceneObject
+from twin.scene.texture import Texture
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def _report(item: SceneObject, scene: Scene) -> ObjectReport:
         remarks.append("reaches beyond 10 km: float32 rays lose up to 0.3 % of the light")
     if any(item.velocity_m_per_s):
         remarks.append("moves at {:g}, {:g}, {:g} m/s".format(*item.velocity_m_per_s))
-    textured = isinstance(item.reflectance, np.ndarray)
+    textured = isinstance(item.reflectance, Texture)
     return ObjectReport(
         name=item.name,
         triangles=len(item.faces),

@@ -4,17 +4,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.files import InputError, scenes_folder
 from twin.scene import xml
 from twin.scene.defaults import default_pose, default_sun
-from twin.scene.materials import Material, find_materials, load_materials, row_of
+from twin.scene.enclosure import encloses
+from twin.scene.materials import find_materials, load_materials, row_of
 from twin.scene.meshes import Mesh, primitive, read_mesh, validate
 from twin.scene.model import Pose, Rig, Scene, SceneObject
 from twin.scene.settings import SceneSettings, load_settings
+from twin.scene.texture import Reflectance, Texture
 
 _FALLBACK = "generic"
+
+_MESH_PLUGINS = ("ply", "obj", "stl")
 
 #: A vertex farther from the rig is taken for a fault of the file: float32 rays lose 0.3 % of the
 #: light on a wall of half-size 1e4 m and 27 % on one of 1e6 m.
@@ -54,6 +57,9 @@ def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
     objects = tuple(
         _object(path, shape, meshes[shape.name], materials, settings) for shape in document.shapes
     )
+    inside = tuple(item.name for item in objects if encloses(item, rig.position_m))
+    if inside:
+        warnings.append(f"the rig stands inside {_list(inside)}")
     if settings is None:
         sun = default_sun(rig.pose)
         warnings.append(
@@ -70,6 +76,7 @@ def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
         rig=rig,
         sun=settings.make_sun() if settings else sun,
         targets=settings.make_targets() if settings else (),
+        materials={o.material: materials.table[o.material] for o in objects},
         assumptions=materials.assumptions(),
         warnings=(*warnings, *materials.warnings()),
     )
@@ -91,17 +98,27 @@ def _find(scene: str | Path) -> Path:
 
 
 def _mesh(path: Path, shape: xml.Shape) -> Mesh:
-    if "filename" in shape.properties:
+    place = _place(path, shape)
+    if shape.plugin in _MESH_PLUGINS:
+        if "filename" not in shape.properties:
+            raise InputError(f"{place}: {shape.plugin!r} needs a filename")
         mesh = read_mesh(shape.properties["filename"])
+        if mesh.uv is not None and shape.flips_texture:
+            mesh = Mesh(mesh.vertices, mesh.faces, mesh.uv * [1, -1] + [0, 1])
     else:
-        mesh_or_none = primitive(shape.plugin, shape.properties)
-        if mesh_or_none is None:
+        try:
+            made = primitive(shape.plugin, shape.properties)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{place}: {shape.plugin!r}: {error}") from error
+        if made is None:
             raise InputError(
-                f"{path}: shape {shape.name!r}: {shape.plugin!r} is not supported; "
+                f"{place}: {shape.plugin!r} is not supported; "
                 "expected ply, obj, stl, rectangle, cube, sphere, cylinder or disk"
             )
-        mesh = mesh_or_none
-    return validate(mesh.transformed(shape.to_world), _place(path, shape))
+        mesh = made
+    if not np.isfinite(shape.to_world).all():
+        raise InputError(f"{place}: to_world is not finite")
+    return validate(validate(mesh, place).transformed(shape.to_world), place)
 
 
 def _place(path: Path, shape: xml.Shape) -> str:
@@ -126,13 +143,13 @@ def _object(
     settings: SceneSettings | None,
 ) -> SceneObject:
     row, reflectance = materials.of(shape)
-    if isinstance(reflectance, np.ndarray) and mesh.uv is None:
+    if isinstance(reflectance, Texture) and mesh.uv is None:
         raise InputError(f"{_place(path, shape)}: textured, but has no u, v coordinates")
     return SceneObject(
         name=shape.name,
         vertices_m=mesh.vertices,
         faces=mesh.faces,
-        uv=mesh.uv,
+        uv=shape.surface.placed(mesh.uv),
         material=row,
         reflectance=reflectance,
         velocity_m_per_s=settings.velocity(shape.name) if settings else (0.0, 0.0, 0.0),
@@ -165,21 +182,27 @@ class _Materials:
     def __init__(self, path: Path, table_path: Path, strict: bool) -> None:
         self.path = path
         self.table_path = table_path
-        self.table: dict[str, Material] = load_materials(table_path)
+        bundled = load_materials(scenes_folder() / "materials.toml")
+        # A table of the user's own need not know what stands in for unknown materials.
+        self.table = {_FALLBACK: bundled[_FALLBACK], **load_materials(table_path)}
         self.strict = strict
         self.used: dict[str, None] = {}
         self.own: dict[str, None] = {}
         self.defaulted: dict[str, None] = {}
+        self.overruled: dict[str, None] = {}
 
-    def of(self, shape: xml.Shape) -> tuple[str, float | NDArray[np.float32]]:
+    def of(self, shape: xml.Shape) -> tuple[str, Reflectance]:
         surface = shape.surface
         given = self._checked(shape)
         row = row_of(surface.radio_type or surface.id, self.table)
         if row is not None:
             self.used[row] = None
-            if isinstance(given, np.ndarray):
+            if isinstance(given, Texture):
                 return row, given
-            return row, self.table[row].optical.reflectance.value
+            value = self.table[row].optical.reflectance.value
+            if given is not None and abs(given - value) > 1e-3:
+                self.overruled[f"{row}: {given:g} in the XML, {value:g} in the table"] = None
+            return row, value
         name = surface.radio_type or surface.id or shape.name
         if self.strict or surface.radio_type:
             raise InputError(
@@ -192,11 +215,12 @@ class _Materials:
         self.defaulted[f"{name} ({surface.plugin})"] = None
         return _FALLBACK, self.table[_FALLBACK].optical.reflectance.value
 
-    def _checked(self, shape: xml.Shape) -> float | NDArray[np.float32] | None:
+    def _checked(self, shape: xml.Shape) -> Reflectance | None:
         value = shape.surface.reflectance
         if value is None:
             return None
-        low, high = float(np.min(value)), float(np.max(value))
+        numbers = value.image if isinstance(value, Texture) else value
+        low, high = float(np.min(numbers)), float(np.max(numbers))
         if not (low >= 0 and high <= 1):
             wrong = low if not low >= 0 else high
             raise InputError(
@@ -220,6 +244,8 @@ class _Materials:
             found.append(
                 f"materials not in the table, reflectance taken from the XML: {_list(self.own)}"
             )
+        if self.overruled:
+            found.append(f"the table of materials holds: {_list(self.overruled)}")
         if self.defaulted:
             value = self.table[_FALLBACK].optical.reflectance.value
             found.append(

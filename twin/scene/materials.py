@@ -9,7 +9,7 @@ from pydantic import Field, RootModel, ValidationError
 from twin.files import InputError, scenes_folder
 from twin.toml import NonNegative, Positive, Sourced, Strict, describe, read_toml
 
-Reflectance = Annotated[float, Field(ge=0, le=1)]
+Reflectance = Annotated[NonNegative, Field(le=1)]
 
 
 class Optical(Strict):
@@ -23,7 +23,7 @@ class RadioBand(Strict):
 
     from_hz: Positive
     to_hz: Positive
-    relative_permittivity: Annotated[float, Field(ge=1)]
+    relative_permittivity: Annotated[Positive, Field(ge=1)]
     conductivity_s_per_m: NonNegative
     source: str | None = None
     assumed: str | None = None

@@ -1,5 +1,9 @@
 """Meshes in float64: read from files, tessellated from primitives, validated."""
 
+import logging
+import re
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +15,7 @@ from twin.files import InputError
 
 Array = NDArray[np.float64]
 
-_FORMATS = ("ply", "obj", "stl", "glb", "gltf")
+FORMATS = ("ply", "obj", "stl", "glb", "gltf")
 _SEGMENTS = 64  # around a tessellated sphere, cylinder or disk: area within 0.16 %
 
 
@@ -25,7 +29,8 @@ class Mesh:
 
     def transformed(self, matrix: Array) -> "Mesh":
         """Moved by a 4x4 matrix; faces turned over where it mirrors."""
-        vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        with np.errstate(all="ignore"):  # what comes of it is validated
+            vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
         mirrored = np.linalg.det(matrix[:3, :3]) < 0
         return Mesh(vertices, self.faces[:, ::-1] if mirrored else self.faces, self.uv)
 
@@ -39,22 +44,47 @@ def read_mesh(path: Path) -> Mesh:
 
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
-    if path.suffix.lower().lstrip(".") not in _FORMATS:
-        raise InputError(f"{path}: {path.suffix!r} is none of {', '.join(_FORMATS)}")
-    try:
-        loaded = trimesh.load(path, process=False, maintain_order=True)
-        if isinstance(loaded, trimesh.Scene):
-            loaded = loaded.to_geometry()
-    except MemoryError:
-        raise
-    except Exception as error:  # readers fail in every way there is on broken files
-        reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise InputError(f"{path}: can't be read as a mesh ({reason:.200})") from error
+    loaded = load_quietly(path, trimesh.load)
+    if isinstance(loaded, trimesh.Scene):
+        loaded = loaded.to_geometry()
     faces = getattr(loaded, "faces", None)
     if faces is None or len(faces) == 0:
         raise InputError(f"{path}: has no faces")
     vertices = np.array(loaded.vertices, dtype=np.float64)
     return Mesh(vertices, np.array(faces, dtype=np.int64), _texture_coordinates(loaded))
+
+
+def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
+    """What one of trimesh's loaders makes of a file, unprocessed.
+
+    Raises InputError whatever the reader stumbles over; its own warnings and log are dropped, since
+    what matters is checked afterwards.
+    """
+    if path.suffix.lower().lstrip(".") not in FORMATS:
+        raise InputError(f"{path}: {path.suffix!r} is none of {', '.join(FORMATS)}")
+    if path.suffix.lower() == ".obj":
+        _check_obj(path)
+    logger = logging.getLogger("trimesh")
+    logger.addHandler(logging.NullHandler())
+    logger.propagate = False
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            return loader(path, process=False, maintain_order=True)
+    except MemoryError:
+        raise
+    except Exception as error:  # readers fail in every way there is on broken files
+        reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise InputError(f"{path}: can't be read as a mesh ({reason:.200})") from error
+
+
+def _check_obj(path: Path) -> None:
+    """OBJ counts vertices from 1 (or from the end, negative); readers take 0 for the last one."""
+    zero = re.compile(rb"^f\s+(?:\S+\s+)*0(?:[/\s]|$)")
+    with path.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            if zero.match(line.rstrip()):
+                raise InputError(f"{path}: line {number}: vertex 0, but OBJ counts from 1")
 
 
 def validate(mesh: Mesh, place: str) -> Mesh:
@@ -76,7 +106,7 @@ def validate(mesh: Mesh, place: str) -> Mesh:
     if mesh.uv is not None and not np.isfinite(mesh.uv).all():
         raise InputError(f"{place}: a texture coordinate is no number")
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
     if not solid.any():
         raise InputError(f"{place}: no face has an area")
@@ -86,7 +116,8 @@ def validate(mesh: Mesh, place: str) -> Mesh:
 def primitive(kind: str, properties: dict[str, Any]) -> Mesh | None:
     """Mitsuba's analytic shapes as triangles, in their own frame; None for other shapes."""
     make = _PRIMITIVES.get(kind)
-    return make(properties) if make else None
+    with np.errstate(all="ignore"):  # what comes of it is validated
+        return make(properties) if make else None
 
 
 def _texture_coordinates(loaded: Any) -> Array | None:

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.engine import mitsuba
 from twin.scene.meshes import Mesh
 from twin.scene.model import Array, Scene
+from twin.scene.texture import Reflectance, Texture
 
 
 def mitsuba_scene(scene: Scene) -> Any:
@@ -34,12 +34,12 @@ def first_hits(meshes: Sequence[Mesh], origins: Array, rays: Array) -> Array:
     return np.where(np.array(hit.is_valid()), np.array(hit.t, np.float64), np.inf)
 
 
-def _assemble(parts: Sequence[tuple[Mesh, float | NDArray[np.float32]]]) -> Any:
+def _assemble(parts: Sequence[tuple[Mesh, Reflectance]]) -> Any:
     shapes = {f"object_{i}": _shape(*part) for i, part in enumerate(parts)}
     return mitsuba().load_dict({"type": "scene", **shapes})
 
 
-def _shape(mesh: Mesh, reflectance: float | NDArray[np.float32]) -> Any:
+def _shape(mesh: Mesh, reflectance: Reflectance) -> Any:
     mi = mitsuba()
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(
@@ -62,14 +62,15 @@ def _shape(mesh: Mesh, reflectance: float | NDArray[np.float32]) -> Any:
     return shape
 
 
-def _texture(reflectance: float | NDArray[np.float32]) -> dict[str, Any]:
-    if isinstance(reflectance, np.ndarray):
-        # Nearest, raw, without hardware lookup: a GPU's bilinear weights have 8 bits.
+def _texture(reflectance: Reflectance) -> dict[str, Any]:
+    if isinstance(reflectance, Texture):
+        # Raw, without hardware lookup: a GPU's bilinear weights have 8 bits.
         return {
             "type": "bitmap",
-            "bitmap": mitsuba().Bitmap(reflectance[:, :, None]),
+            "bitmap": mitsuba().Bitmap(reflectance.image[:, :, None]),
             "raw": True,
-            "filter_type": "nearest",
+            "filter_type": reflectance.filter_type,
+            "wrap_mode": reflectance.wrap_mode,
             "accel": False,
         }
     return {"type": "spectrum", "value": float(reflectance)}

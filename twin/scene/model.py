@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin.files import InputError
+from twin.scene.materials import Material
+from twin.scene.texture import Reflectance
 
 Array = NDArray[np.float64]
 
@@ -19,7 +22,7 @@ class SceneObject:
     """A rigid triangle mesh of one material.
 
     ``vertices_m`` (n, 3) in world coordinates; ``faces`` (m, 3) indices; ``uv`` (n, 2) or None;
-    ``reflectance`` at 1550 nm: one number, or an image (rows, columns) looked up by ``uv``.
+    ``reflectance`` at 1550 nm: one number, or a texture looked up by ``uv``.
     """
 
     name: str
@@ -27,7 +30,7 @@ class SceneObject:
     faces: NDArray[np.integer]
     uv: Array | None
     material: str
-    reflectance: float | NDArray[np.float32]
+    reflectance: Reflectance
     velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -114,18 +117,26 @@ class Sun:
 
 @dataclass(frozen=True)
 class Target:
-    """What a radar should find, with its declared cross-section and where that comes from."""
+    """What a radar should find, with its declared cross-section and where that comes from.
+
+    ``object`` names the mesh that carries it, if there is one.
+    """
 
     name: str
     position_m: tuple[float, float, float]
     velocity_m_per_s: tuple[float, float, float]
     rcs_m2: float
     origin: str
+    object: str | None = None
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A validated scene. ``warnings`` name everything that was defaulted."""
+    """A validated scene.
+
+    ``materials`` are the rows that its objects use, by name; ``warnings`` name everything that was
+    defaulted.
+    """
 
     name: str
     path: Path
@@ -134,8 +145,9 @@ class Scene:
     rig: Rig
     sun: Sun
     targets: tuple[Target, ...] = ()
+    materials: Mapping[str, Material] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
     def at(self, pose: Pose) -> "Scene":
         """The same scene seen from another pose."""

@@ -7,9 +7,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
 from twin.scene.model import Pose, Rig, Sun, Target
-from twin.toml import NonNegative, Strict, describe, read_toml
+from twin.toml import Finite, NonNegative, Positive, Strict, describe, read_toml
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 
@@ -35,7 +34,7 @@ class _Rig(Strict):
 
 class _Sun(Strict):
     azimuth_deg: Finite
-    elevation_deg: Annotated[float, Field(ge=-90, le=90)]
+    elevation_deg: Annotated[Finite, Field(ge=-90, le=90)]
     illuminance_lx: NonNegative
 
 
@@ -47,7 +46,7 @@ class _Target(Strict):
     name: str
     object: str | None = None
     position_m: Vector
-    rcs_m2: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    rcs_m2: Positive
     rcs_source: str | None = None
     rcs_assumed: str | None = None
 
@@ -90,6 +89,7 @@ class SceneSettings(Strict):
                 velocity_m_per_s=self.velocity(target.object),
                 rcs_m2=target.rcs_m2,
                 origin=target.rcs_source or f"assumed: {target.rcs_assumed}",
+                object=target.object,
             )
             for target in self.targets
         )

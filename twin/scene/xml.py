@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from twin.engine import mitsuba
 from twin.files import InputError
+from twin.scene.texture import Reflectance, Texture
 
 _WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
 _REFLECTANCES = ("reflectance", "diffuse_reflectance", "base_color", "color")
@@ -25,8 +26,15 @@ class Surface:
 
     id: str
     plugin: str
-    reflectance: float | NDArray[np.float32] | None = None
+    reflectance: Reflectance | None = None
     radio_type: str | None = None
+    to_uv: NDArray[np.float64] | None = None
+
+    def placed(self, uv: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+        """Texture coordinates (n, 2) of a mesh as the texture's own transform moves them."""
+        if uv is None or self.to_uv is None:
+            return uv
+        return uv @ self.to_uv[:2, :2].T + self.to_uv[:2, 2]
 
 
 @dataclass(frozen=True)
@@ -38,7 +46,7 @@ class Shape:
     properties: dict[str, Any]
     to_world: NDArray[np.float64]
     surface: Surface
-    location: str
+    flips_texture: bool
 
 
 @dataclass(frozen=True)
@@ -76,10 +84,11 @@ class _Reader:
         camera = next((n for n in children if n.type == self.types.Sensor), None)
         shapes = [n for n in children if n.type == self.types.Shape]
         emitters = [n for n in children if n.type == self.types.Emitter]
+        area = [n for s in shapes for n in self._children(s) if n.type == self.types.Emitter]
         return Document(
             shapes=tuple(self._shape(n, number) for number, n in enumerate(shapes)),
-            camera=None if camera is None else self._to_world(camera),
-            emitters=tuple(n.props.plugin_name() for n in emitters),
+            camera=None if camera is None else self._camera(camera),
+            emitters=tuple(n.props.plugin_name() for n in [*emitters, *area]),
         )
 
     def _children(self, node: Any) -> Iterator[Any]:
@@ -95,6 +104,12 @@ class _Reader:
         if "to_world" not in node.props:
             return np.eye(4)
         return np.array(node.props["to_world"].matrix, dtype=np.float64)
+
+    def _camera(self, node: Any) -> NDArray[np.float64]:
+        matrix = self._to_world(node)
+        if not (np.isfinite(matrix).all() and abs(np.linalg.det(matrix[:3, :3])) > 1e-12):
+            raise InputError(f"{self._place(node)}: sensor: to_world is no pose")
+        return matrix
 
     def _shape(self, node: Any, number: int) -> Shape:
         properties = {
@@ -112,7 +127,10 @@ class _Reader:
             properties=properties,
             to_world=self._to_world(node),
             surface=self._surface(surfaces[0]) if surfaces else Surface("", "none"),
-            location=self._place(node),
+            # Mitsuba turns the textures of OBJ files over unless it is told otherwise.
+            flips_texture=bool(
+                properties.get("flip_tex_coords", node.props.plugin_name() == "obj")
+            ),
         )
 
     def _surface(self, node: Any) -> Surface:
@@ -129,10 +147,17 @@ class _Reader:
             return Surface(name, plugin, radio_type=str(node.props["type"]))
         for key in _REFLECTANCES:
             if key in node.props:
-                return Surface(name, plugin, self._reflectance(node.props[key], node))
+                value = node.props[key]
+                return Surface(name, plugin, self._reflectance(value), None, self._to_uv(value))
         return Surface(name, plugin)
 
-    def _reflectance(self, value: Any, node: Any) -> float | NDArray[np.float32] | None:
+    def _to_uv(self, value: Any) -> NDArray[np.float64] | None:
+        if type(value).__name__ != "ResolvedReference":
+            return None
+        texture = self.state.nodes[value.index()].props
+        return np.array(texture["to_uv"].matrix, np.float64) if "to_uv" in texture else None
+
+    def _reflectance(self, value: Any) -> Reflectance | None:
         kind = type(value).__name__
         if kind == "ResolvedReference":
             texture = self.state.nodes[value.index()]
@@ -142,12 +167,17 @@ class _Reader:
         if kind == "float":
             return float(value)
         if kind == "ScalarColor3d":  # as mono variants read it: luminance
-            return float(np.dot(np.array(value).ravel(), (0.212671, 0.715160, 0.072169)))
+            channels = np.array(value).ravel()
+            if not ((channels >= 0) & (channels <= 1)).all():
+                return float(channels[(channels < 0) | ~(channels <= 1)][0])  # refused as it is
+            return float(np.dot(channels, (0.212671, 0.715160, 0.072169)))
         uniform = re.fullmatch(r"Properties\.Spectrum\[uniform=(.*)\]", str(value))
         return float(uniform[1]) if uniform else None
 
-    def _image(self, texture: Any) -> NDArray[np.float32]:
+    def _image(self, texture: Any) -> Texture:
         mi = mitsuba()
+        if "filename" not in texture.props:
+            raise InputError(f"{self._place(texture)}: bitmap: needs a filename")
         path = self.folder / str(texture.props["filename"])
         try:
             bitmap = mi.Bitmap(str(path))
@@ -156,7 +186,12 @@ class _Reader:
         if texture.props.get("raw", False):
             bitmap.set_srgb_gamma(False)
         grey = bitmap.convert(mi.Bitmap.PixelFormat.Y, mi.Struct.Type.Float32, srgb_gamma=False)
-        return np.array(grey, dtype=np.float32).reshape(bitmap.size()[1], bitmap.size()[0])
+        image = np.array(grey, dtype=np.float32).reshape(bitmap.size()[1], bitmap.size()[0])
+        return Texture(
+            image,
+            str(texture.props.get("filter_type", "bilinear")),
+            str(texture.props.get("wrap_mode", "repeat")),
+        )
 
 
 def _readable(path: Path, message: str) -> str:

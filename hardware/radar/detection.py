@@ -1,0 +1,179 @@
+"""Detections: constant false-alarm rate on the map, then each peak refined on the channel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.range_doppler import RangeDopplerMap, taper
+from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One target: where, how fast (positive: receding), how strong.
+
+    The standard errors are the Cramer-Rao bounds at its SNR for a rectangular window; other
+    windows are up to twice as wide.
+    """
+
+    range_m: float
+    range_rate_m_per_s: float
+    power_w: float
+    snr_db: float
+    range_error_m: float
+    range_rate_error_m_per_s: float
+
+
+def detect(
+    channel: NDArray[np.complex128],
+    waveform: OfdmWaveform,
+    image: RangeDopplerMap,
+    *,
+    false_alarm: float = 1e-6,
+    window: str = "blackmanharris",
+    guard: tuple[int, int] = (6, 6),
+    training: tuple[int, int] = (16, 12),
+    at_most: int = 64,
+) -> list[Detection]:
+    """Find targets, strongest first.
+
+    Parameters
+    ----------
+    channel, waveform, image
+        As `range_doppler` took and gave them.
+    false_alarm
+        Probability per cell that noise alone is called a target.
+    window
+        The one of ``image``.
+    guard, training
+        Cells on each side along range and rate that are left out, and that tell the noise.
+    at_most
+        Detections returned.
+    """
+    found = np.argwhere(_cfar(image.power_w, false_alarm, guard, training))
+    order = np.argsort(-image.power_w[tuple(found.T)])[:at_most]
+    tapers = taper(window, channel.shape[0])[:, None] * taper(window, channel.shape[1])
+    return [_refined(channel * tapers, waveform, image, *found[i]) for i in order]
+
+
+def cfar_factor(false_alarm: float, cells: int) -> float:
+    """Threshold over the mean of ``cells`` exponential cells: n (Pfa^(-1/n) - 1)."""
+    return float(cells * (false_alarm ** (-1 / cells) - 1))
+
+
+def _cfar(
+    power: Array, false_alarm: float, guard: tuple[int, int], training: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Cells above the cell-averaging threshold that are the highest around; the map wraps."""
+    from scipy.ndimage import maximum_filter, uniform_filter
+
+    inner = tuple(min(2 * g + 1, size) for g, size in zip(guard, power.shape, strict=True))
+    outer = tuple(
+        min(2 * (g + t) + 1, size) for g, t, size in zip(guard, training, power.shape, strict=True)
+    )
+    n_inner, n_outer = inner[0] * inner[1], outer[0] * outer[1]
+    cells = n_outer - n_inner
+    if cells < 1:
+        raise ValueError(f"training: no cells left of a map of {power.shape} to tell the noise")
+    around = n_outer * uniform_filter(power, outer, mode="wrap")
+    around -= n_inner * uniform_filter(power, inner, mode="wrap")
+    # A running mean loses digits next to a peak 1e10 times higher: never below zero.
+    level = np.maximum(around / cells, 0)
+    peak = power == maximum_filter(power, tuple(min(5, s) for s in power.shape), mode="wrap")
+    above: NDArray[np.bool_] = peak & (power > cfar_factor(false_alarm, cells) * level)
+    return above & (power > 0)
+
+
+def _refined(
+    tapered: NDArray[np.complex128],
+    waveform: OfdmWaveform,
+    image: RangeDopplerMap,
+    row: int,
+    column: int,
+) -> Detection:
+    """Maximum-likelihood range and rate of a lone target near a cell, by Newton's method.
+
+    The model is exact: exp(-j 2 pi (fc + f) (tau + rate t)), with the migration through range
+    cells that a fast target makes within the interval. The channel is brought to the cell and
+    summed in blocks first, which leaves a small, slowly turning array.
+    """
+    delay = 2 * image.range_m[row] / C_M_PER_S
+    rate = 2 * image.range_rate_m_per_s[column] / C_M_PER_S
+    f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
+    mixed = tapered * np.exp(2j * np.pi * f * delay)[:, None]
+    mixed *= np.exp(2j * np.pi * waveform.carrier_hz * rate * t)
+    blocks, f, t = _in_blocks(mixed, f, t)
+    by_delay = 2 * np.pi * np.broadcast_to(f[:, None], blocks.shape)
+    by_rate = 2 * np.pi * (waveform.carrier_hz + f[:, None]) * t
+    blocks = blocks * np.exp(2j * np.pi * f[:, None] * t * rate)
+
+    cell = np.array([1 / waveform.bandwidth_hz, 2 * waveform.velocity_cell_m_per_s / C_M_PER_S])
+    step = np.zeros(2)
+    for _ in range(12):
+        gradient, hessian = _slope(blocks, by_delay * cell[0], by_rate * cell[1], step)
+        change = -np.linalg.lstsq(hessian, gradient, rcond=None)[0]
+        step = np.clip(step + np.clip(change, -0.3, 0.3), -1, 1)
+        if np.abs(change).max() < 1e-9:
+            break
+    turned = blocks * np.exp(1j * (by_delay * cell[0] * step[0] + by_rate * cell[1] * step[1]))
+    power = float(np.abs(turned.sum() / tapered.size) ** 2)
+    snr = power / image.noise_w if image.noise_w else np.inf
+    range_error, rate_error = _bounds(waveform, snr)
+    return Detection(
+        range_m=float(C_M_PER_S / 2 * (delay + step[0] * cell[0])) % waveform.max_range_m,
+        range_rate_m_per_s=float(C_M_PER_S / 2 * (rate + step[1] * cell[1])),
+        power_w=power,
+        snr_db=float(10 * np.log10(snr)),
+        range_error_m=range_error,
+        range_rate_error_m_per_s=rate_error,
+    )
+
+
+def _in_blocks(
+    mixed: NDArray[np.complex128], f: Array, t: Array, most: tuple[int, int] = (64, 64)
+) -> tuple[NDArray[np.complex128], Array, Array]:
+    """Sums over up to 64 x 64 blocks, with the blocks' mean frequencies and times."""
+    starts = [
+        np.unique(np.linspace(0, size, min(m, size), endpoint=False).astype(int))
+        for size, m in zip(mixed.shape, most, strict=True)
+    ]
+    summed = np.add.reduceat(np.add.reduceat(mixed, starts[0], axis=0), starts[1], axis=1)
+    means = [
+        np.add.reduceat(axis, s) / np.diff(np.append(s, len(axis)))
+        for axis, s in zip((f, t), starts, strict=True)
+    ]
+    return summed, means[0], means[1]
+
+
+def _slope(blocks: NDArray[np.complex128], a: Array, b: Array, step: Array) -> tuple[Array, Array]:
+    """Gradient and Hessian of |sum blocks exp(j (a x + b y))|^2 at ``step``, scaled by it."""
+    turned = blocks * np.exp(1j * (a * step[0] + b * step[1]))
+    s = turned.sum()
+    first = np.array([(1j * a * turned).sum(), (1j * b * turned).sum()])
+    second = -np.array(
+        [
+            [(a * a * turned).sum(), (a * b * turned).sum()],
+            [(a * b * turned).sum(), (b * b * turned).sum()],
+        ]
+    )
+    scale = np.abs(s) ** 2
+    gradient = 2 * np.real(np.conj(s) * first) / scale
+    hessian = 2 * np.real(np.conj(first)[:, None] * first + np.conj(s) * second) / scale
+    return gradient, hessian
+
+
+def _bounds(waveform: OfdmWaveform, snr: float) -> tuple[float, float]:
+    """Cramer-Rao bounds of range and range rate at an image SNR (after all processing).
+
+    sigma_R = c / (4 pi df) sqrt(6 / (SNR (N^2 - 1))), and the same along slots.
+    """
+    n, m = waveform.n_subcarriers, waveform.n_slots
+    along_range = np.sqrt(6 / (snr * max(n**2 - 1, 1)))
+    along_slots = np.sqrt(6 / (snr * max(m**2 - 1, 1)))
+    return (
+        float(C_M_PER_S / (4 * np.pi * waveform.subcarrier_spacing_hz) * along_range),
+        float(waveform.wavelength_m / (4 * np.pi * waveform.slot_period_s) * along_slots),
+    )

@@ -1,0 +1,129 @@
+"""The OFDM waveform: subcarriers, slots, and the limits they set.
+
+A slot holds a prefix and several repeats of one symbol without pause; the receiver averages the
+repeats. The same symbol goes out in every slot.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+C_M_PER_S = 299_792_458.0
+Symbols = Literal["zadoff-chu", "flat"]
+
+
+@dataclass(frozen=True)
+class OfdmWaveform:
+    """Parameters of one coherent processing interval.
+
+    Parameters
+    ----------
+    carrier_hz
+        Centre of the band; subcarrier n lies at carrier + (n - N // 2) spacing.
+    n_subcarriers, subcarrier_spacing_hz
+        N and df: range resolution c / (2 N df), unambiguous range c / (2 df).
+    n_slots, slot_period_s
+        M and T: velocity resolution lambda / (2 M T), unambiguous to +/- lambda / (4 T).
+    repeats
+        Symbols per slot that the receiver averages coherently.
+    prefix_s
+        Cyclic prefix before the first of them; echoes from beyond c prefix / 2 fall out of step.
+    symbols
+        ``zadoff-chu``: constant modulus, flat envelope. ``flat``: all ones (an impulse in time).
+    """
+
+    carrier_hz: float
+    n_subcarriers: int
+    subcarrier_spacing_hz: float
+    n_slots: int
+    slot_period_s: float
+    repeats: int
+    prefix_s: float
+    symbols: Symbols = "zadoff-chu"
+
+    def __post_init__(self) -> None:
+        for name in ("carrier_hz", "subcarrier_spacing_hz", "slot_period_s"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name}: {getattr(self, name)} is not a positive number")
+        for name in ("n_subcarriers", "n_slots", "repeats"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: {getattr(self, name)} is less than 1")
+        if not self.prefix_s >= 0:
+            raise ValueError(f"prefix_s: {self.prefix_s} is negative")
+        busy = self.prefix_s + self.repeats * self.symbol_s
+        if busy > self.slot_period_s * (1 + 1e-9):
+            raise ValueError(
+                f"slot_period_s: {self.slot_period_s:g} s is shorter than prefix and repeats "
+                f"({busy:g} s)"
+            )
+        if self.bandwidth_hz >= 2 * self.carrier_hz:
+            raise ValueError(f"carrier_hz: {self.carrier_hz:g} is less than half the bandwidth")
+        if self.symbols not in get_args(Symbols):
+            raise ValueError(f"symbols: {self.symbols!r} is none of {', '.join(get_args(Symbols))}")
+
+    @property
+    def symbol_s(self) -> float:
+        """Length of one symbol without prefix, 1 / df."""
+        return 1 / self.subcarrier_spacing_hz
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """N df."""
+        return self.n_subcarriers * self.subcarrier_spacing_hz
+
+    @property
+    def wavelength_m(self) -> float:
+        """At the carrier."""
+        return C_M_PER_S / self.carrier_hz
+
+    @property
+    def range_cell_m(self) -> float:
+        """C / (2 N df)."""
+        return C_M_PER_S / (2 * self.bandwidth_hz)
+
+    @property
+    def max_range_m(self) -> float:
+        """Unambiguous range c / (2 df)."""
+        return C_M_PER_S / (2 * self.subcarrier_spacing_hz)
+
+    @property
+    def velocity_cell_m_per_s(self) -> float:
+        """Lambda / (2 M T)."""
+        return self.wavelength_m / (2 * self.n_slots * self.slot_period_s)
+
+    @property
+    def max_velocity_m_per_s(self) -> float:
+        """Unambiguous to +/- lambda / (4 T)."""
+        return self.wavelength_m / (4 * self.slot_period_s)
+
+    @property
+    def frequency_offsets_hz(self) -> NDArray[np.float64]:
+        """Subcarriers relative to the carrier, (n_subcarriers,)."""
+        n = np.arange(self.n_subcarriers, dtype=np.float64) - self.n_subcarriers // 2
+        return n * self.subcarrier_spacing_hz
+
+    @property
+    def slot_times_s(self) -> NDArray[np.float64]:
+        """Middle of each slot's averaged part, relative to the interval's middle, (n_slots,)."""
+        m = np.arange(self.n_slots, dtype=np.float64)
+        return (m - (self.n_slots - 1) / 2) * self.slot_period_s
+
+    def slot_gain(self, doppler_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Amplitude that averaging the repeats leaves at a Doppler shift: a Dirichlet kernel."""
+        x = np.pi * np.asarray(doppler_hz, dtype=np.float64) * self.symbol_s
+        flat = np.abs(np.sin(x)) < 1e-12
+        kernel = np.sin(self.repeats * x) / np.where(flat, 1.0, self.repeats * np.sin(x))
+        return np.where(flat, 1.0, kernel)
+
+    def sent(self) -> NDArray[np.complex128]:
+        """Sent symbol per subcarrier, modulus 1, (n_subcarriers,)."""
+        if self.symbols == "flat":
+            return np.ones(self.n_subcarriers, dtype=np.complex128)
+        n = np.arange(self.n_subcarriers, dtype=np.int64)
+        length = self.n_subcarriers
+        # pi n (n + odd) / N, reduced modulo 2 pi in integers.
+        phase = n * (n + length % 2) % (2 * length)
+        return np.exp(-1j * np.pi * phase / length)

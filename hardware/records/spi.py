@@ -1,0 +1,108 @@
+"""One acquisition of the single-pixel camera: counts per pattern and detector."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.patterns import PatternSet
+from hardware.records import container
+
+
+@dataclass(frozen=True, eq=False)
+class SpiRecord:
+    """One acquisition of a single-pixel camera.
+
+    Parameters
+    ----------
+    counts : (n_exposures, n_detectors) int32
+        ADC output, one row per pattern shown, in the order of ``patterns``.
+    device_time_ns : (n_exposures,) int64
+        Device clock at the start of each exposure.
+    sequence : (n_exposures,) uint32
+        The device's own numbering; a gap is a lost exposure.
+    flags : (n_exposures,) uint8
+        Bits of `Flag`.
+    patterns
+        What was shown.
+    integration_time_s
+        Length of each exposure.
+    electrons_per_count, offset_counts
+        The front end's conversion: photo-electrons = (counts - offset) * electrons_per_count.
+    adc_bits
+        Counts run from 0 to 2**adc_bits - 1.
+    device
+        Identification, as the device reports it.
+    pose : (7,) float64
+        Rig in the world at the start: x, y, z in metres, unit quaternion w, x, y, z (REP 103).
+    """
+
+    counts: NDArray[np.int32]
+    device_time_ns: NDArray[np.int64]
+    sequence: NDArray[np.uint32]
+    flags: NDArray[np.uint8]
+    patterns: PatternSet
+    integration_time_s: float
+    electrons_per_count: float
+    offset_counts: float
+    adc_bits: int
+    device: str
+    pose: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = self.patterns.n_exposures
+        shapes = {"device_time_ns": (n,), "sequence": (n,), "flags": (n,), "pose": (7,)}
+        container.check_shapes(self, shapes)
+        if self.counts.ndim != 2 or self.counts.shape[0] != n:
+            raise ValueError(f"counts: shape {self.counts.shape}, expected ({n}, n_detectors)")
+        if not np.issubdtype(self.counts.dtype, np.integer):
+            raise ValueError(f"counts: dtype {self.counts.dtype}, expected integers")
+        if not 1 <= self.adc_bits <= 31:
+            raise ValueError(f"adc_bits: {self.adc_bits} is not between 1 and 31")
+        top = 2**self.adc_bits - 1
+        if self.counts.size and not (self.counts.min() >= 0 and self.counts.max() <= top):
+            raise ValueError(f"counts: outside 0 to {top}, the range of {self.adc_bits} bits")
+        container.check_positive(self, "integration_time_s", "electrons_per_count")
+
+    @property
+    def electrons(self) -> NDArray[np.float64]:
+        """Photo-electrons of each exposure, shape ``(n_exposures, n_detectors)``."""
+        return (self.counts - np.float64(self.offset_counts)) * self.electrons_per_count
+
+
+LAYOUT = container.Layout(
+    format="ugv-spi-record",
+    version=1,
+    settings=("integration_time_s", "electrons_per_count", "offset_counts", "adc_bits", "device"),
+    arrays={
+        "counts": (np.int32, "ADC counts, (n_exposures, n_detectors)"),
+        "device_time_ns": (np.int64, "device clock at the start of each exposure, ns"),
+        "sequence": (np.uint32, "exposure number given by the device"),
+        "flags": (np.uint8, "1 saturated, 2 overrun, 4 reset"),
+        "pose": (np.float64, "rig in the world: x y z (m), quaternion w x y z"),
+    },
+    group="patterns",
+    parameters=("rows", "columns", "count", "order", "mode"),
+)
+
+
+def write_record(record: SpiRecord, path: str | Path) -> None:
+    """Write a record to one HDF5 file; an existing file is replaced at the very end, or not at all.
+
+    The same record gives the same bytes.
+    """
+    container.write(LAYOUT, record, path)
+
+
+def read_record(path: str | Path) -> SpiRecord:
+    """Read a record written by `write_record`, on any platform.
+
+    Raises FileNotFoundError; ValueError for a file that is no record, of another schema version,
+    or incomplete.
+    """
+    fields, patterns = container.read(LAYOUT, path)
+    try:
+        return SpiRecord(patterns=PatternSet(**patterns), **fields)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error

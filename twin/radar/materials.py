@@ -1,0 +1,38 @@
+"""Materials at the carrier: ITU-R P.2040 where its row is valid, cited values elsewhere."""
+
+from twin.engine import sionna
+from twin.files import InputError
+from twin.scene.materials import Material
+
+
+def radio_properties(
+    name: str, material: Material, carrier_hz: float
+) -> tuple[float, float, str | None]:
+    """Relative permittivity, conductivity in S/m, and why they are assumed (None: cited).
+
+    Raises InputError naming material and carrier where no row holds there.
+    """
+    radio = material.radio
+    if radio.itu is not None:
+        sionna()
+        from sionna.rt.radio_materials.itu import ITU_MATERIALS_PROPERTIES, itu_material
+
+        ranges = ITU_MATERIALS_PROPERTIES.get(radio.itu)
+        if ranges is None:
+            raise InputError(
+                f"material {name!r}: radio.itu = {radio.itu!r} is none of "
+                f"{', '.join(ITU_MATERIALS_PROPERTIES)}"
+            )
+        if any(low <= carrier_hz / 1e9 <= high for low, high in ranges):
+            permittivity, conductivity = itu_material(radio.itu, carrier_hz)
+            return float(permittivity), float(conductivity), None
+    for band in radio.cited:
+        if band.from_hz <= carrier_hz <= band.to_hz:
+            return band.relative_permittivity, band.conductivity_s_per_m, band.assumed
+    known = [f"{band.from_hz / 1e9:g}-{band.to_hz / 1e9:g} GHz" for band in radio.cited]
+    if radio.itu:
+        known.append(f"ITU {radio.itu!r}")
+    raise InputError(
+        f"material {name!r}: no radio properties at {carrier_hz / 1e9:g} GHz "
+        f"(it has {', '.join(known) or 'none'})"
+    )
