@@ -4,7 +4,7 @@
 
     import hardware, twin
 
-    scene = twin.load_scene("scenes/yard")
+    scene = twin.load_scene("yard")
     system = twin.load_system("workable")
     capture = twin.capture(scene, system, seed=1)
     image = hardware.reconstruct(capture.record, "lmmse")
@@ -19,6 +19,7 @@ __version__ = "0.1.0"
 # Names are looked up when first used: `twin --help` must not wait for a renderer.
 _HOMES = {
     "Capture": "twin.acquisition",
+    "InputError": "twin.files",
     "Scene": "twin.scene",
     "System": "twin.system",
     "capture": "twin.acquisition",
@@ -34,3 +35,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'twin' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_HOMES]

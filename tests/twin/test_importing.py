@@ -89,5 +89,33 @@ def test_broken_models_leave_nothing(tmp_path: Path) -> None:
 def test_an_existing_scene_is_not_overwritten(robot, tmp_path: Path) -> None:
     robot.export(tmp_path / "robot.glb")
     import_model(tmp_path / "robot.glb", tmp_path / "scene")
-    with pytest.raises(InputError, match="holds a scene already"):
+    with pytest.raises(InputError, match="exists already"):
         import_model(tmp_path / "robot.glb", tmp_path / "scene")
+
+
+def test_map_coordinates_keep_their_millimetres(tmp_path: Path) -> None:
+    """4.5e6 m out float32 has half-metre steps; the scene must not."""
+    ball = trimesh.creation.icosphere(2, radius=1.0)
+    far = np.array([4.5e6, 5.3e6, 512.0])
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in (ball.vertices + far).tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in ball.faces + 1]
+    (tmp_path / "far.obj").write_text("\n".join(lines))
+    import_model(tmp_path / "far.obj", tmp_path / "scene")
+    (thing,) = load_scene(tmp_path / "scene").objects
+    radius = np.linalg.norm(thing.vertices_m - far, axis=1)
+    assert len(thing.faces) == len(ball.faces)
+    np.testing.assert_allclose(radius, 1.0, atol=1e-6)
+
+
+def test_names_that_collide_all_survive(tmp_path: Path) -> None:
+    """Also one that is the material's: ids are unique in a scene file."""
+    scene = trimesh.Scene()
+    for i, name in enumerate(["x", "x-2", "x!", "generic"]):
+        box = trimesh.creation.box((1, 1, 1))
+        box.apply_translation([0, 0, 2.0 * i])
+        scene.add_geometry(box, node_name=name)
+    scene.export(tmp_path / 'a "b".glb')
+    import_model(tmp_path / 'a "b".glb', tmp_path / "scene")
+    loaded = load_scene(tmp_path / "scene")
+    assert len(loaded.objects) == 4
+    assert loaded.description == 'imported from a "b".glb'

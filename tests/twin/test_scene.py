@@ -308,3 +308,64 @@ def test_unsupported_shapes_and_double_names(tmp_path: Path) -> None:
     shape = text[text.index("<shape") : text.index("</scene>")]
     (folder / "scene.xml").write_text(text.replace("</scene>", shape + "</scene>"))
     assert_refused(folder, "thing")
+
+
+# Faults that were found by trying.
+
+
+@pytest.mark.parametrize(
+    ("toml", "expected"),
+    [
+        (TOML.replace("180.0", '"180"'), "sun.azimuth_deg = '180'"),
+        (TOML.replace("180.0", "true"), "sun.azimuth_deg = True"),
+    ],
+)
+def test_numbers_are_numbers(tmp_path: Path, toml: str, expected: str) -> None:
+    assert_refused(scene(tmp_path, toml=toml), expected)
+
+
+def test_a_table_that_overrules_the_xml_says_so(tmp_path: Path) -> None:
+    loaded = load_scene(scene(tmp_path, material="concrete", reflectance="0.1"))
+    assert any("0.1 in the XML, 0.36 in the table" in w for w in loaded.warnings)
+
+
+def test_a_rig_inside_an_object_is_warned_of(tmp_path: Path) -> None:
+    folder = scene(tmp_path, plugin="cube")
+    assert any("the rig stands inside thing" in w for w in load_scene(folder).warnings)
+    outside = load_scene(folder, Pose((5.0, 0.0, 0.0)))
+    assert not any("inside" in w for w in outside.warnings)
+
+
+def test_obj_counts_from_one(tmp_path: Path) -> None:
+    folder = scene(tmp_path)
+    text = (folder / "scene.xml").read_text().replace('"ply"', '"obj"').replace(".ply", ".obj")
+    (folder / "scene.xml").write_text(text)
+    (folder / "thing.obj").write_text("v 5 0 0\nv 5 1 0\nv 5 0 1\nf 1 2 3\nf 0 1 2\n")
+    assert_refused(folder, "thing.obj: line 5: vertex 0")
+
+
+def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path) -> None:
+    """An OBJ with a texture, its `to_uv`, filter and wrapping: albedo along 64 rays, both ways."""
+    from twin.optics.transport import Pinhole
+    from twin.truth import render_truth
+
+    mi = mitsuba()
+    image = np.random.default_rng(0).random((8, 8, 1)).astype(np.float32)
+    mi.Bitmap(image).write(str(tmp_path / "t.exr"))
+    (tmp_path / "q.obj").write_text(
+        "v 5 1 1\nv 5 -1 1\nv 5 -1 -1\nv 5 1 -1\n"
+        "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    )
+    (tmp_path / "s.xml").write_text(
+        '<scene version="3.0.0"><shape type="obj" id="q"><string name="filename" value="q.obj"/>'
+        '<bsdf type="twosided" id="own"><bsdf type="diffuse"><texture type="bitmap" '
+        'name="reflectance"><string name="filename" value="t.exr"/><boolean name="raw" '
+        'value="true"/><transform name="to_uv"><scale x="2" y="3"/></transform></texture></bsdf>'
+        "</bsdf></shape></scene>"
+    )
+    camera = Pinhole(np.zeros(3), np.eye(3), 0.15)
+    ours = mitsuba_scene(load_scene(tmp_path / "s.xml", Pose((0.0, 0.0, 0.0))))
+    stock = mi.load_file(str(tmp_path / "s.xml"))
+    a, b = (render_truth(world, camera, (8, 8)).albedo for world in (ours, stock))
+    np.testing.assert_allclose(a, b, atol=2e-3)
+    assert np.ptp(a) > 0.2

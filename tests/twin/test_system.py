@@ -71,3 +71,21 @@ def test_unknown_names_and_circles(tmp_path: Path) -> None:
     path = write(tmp_path, 'base = "a.toml"\nname = "b"', "b.toml")
     with pytest.raises(InputError, match="in a circle"):
         load_system(path)
+
+
+def test_a_file_without_a_name_is_called_after_itself(tmp_path: Path) -> None:
+    assert load_system(write(tmp_path, 'base = "paper"\n', "night.toml")).name == "night"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[emitter]\nrows = '64'", r"emitter\.rows\.value = '64'"),
+        ("[emitter]\nrows = true", r"emitter\.rows\.value = True"),
+        ("[emitter]\nrows = { source = 'x' }", r"emitter\.rows\.value: missing"),
+        ("[filter]\ncenter_wavelength_m = 1550.0", "outside the solar spectrum"),
+    ],
+)
+def test_slips_are_caught(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        load_system(write(tmp_path, f'base = "paper"\n{text}\n'))

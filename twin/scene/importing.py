@@ -1,6 +1,8 @@
 """Turn a model file of any kind into a scene folder of ours."""
 
+import json
 import re
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +10,10 @@ import numpy as np
 
 from twin.files import InputError, whole_folder
 from twin.scene.materials import find_materials, load_materials
-from twin.scene.meshes import Mesh, validate
+from twin.scene.meshes import Mesh, load_quietly, validate
 from twin.scene.model import Array
 
+_LARGEST_M = 1e5  # what a scene may measure, see `load_scene`
 #: glTF fixes its up axis; other formats leave it open.
 _UP = {".glb": "y", ".gltf": "y"}
 _Z_UP_FROM_Y = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], dtype=float)
@@ -49,24 +52,25 @@ def import_model(
     import trimesh
 
     _check(model, folder, scale, up, material)
-    try:
-        loaded = trimesh.load_scene(model, process=False)
-    except MemoryError:
-        raise
-    except Exception as error:  # readers fail in every way there is on broken files
-        raise InputError(f"{model}: can't be read ({type(error).__name__}: {error})") from error
+    loaded = load_quietly(model, trimesh.load_scene)
     axis = up or _UP.get(model.suffix.lower(), "z")
     place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
-    parts, notes = _parts(loaded, model, place)
+    parts, notes = _parts(loaded, model, place, reserved=material)
     low = np.min([part.vertices.min(axis=0) for part in parts.values()], axis=0)
     high = np.max([part.vertices.max(axis=0) for part in parts.values()], axis=0)
+    if (high - low).max() > _LARGEST_M:
+        raise InputError(
+            f"{model}: measures {(high - low).max():.3g} m, expected at most {_LARGEST_M:g} m"
+        )
+    # PLY files hold float32: meshes stay near the origin, the XML moves them in float64.
+    origin = np.round((low + high) / 2) if np.abs([low, high]).max() > 1e3 else np.zeros(3)
     with whole_folder(folder) as partial:
         (partial / "meshes").mkdir()
         for name, part in parts.items():
-            mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
+            mesh = trimesh.Trimesh(part.vertices - origin, part.faces, process=False)
             mesh.export(partial / "meshes" / f"{name}.ply")
         reflectance = load_materials(find_materials(folder))[material].optical.reflectance.value
-        (partial / "scene.xml").write_text(_xml(list(parts), material, reflectance))
+        (partial / "scene.xml").write_text(_xml(list(parts), material, reflectance, origin))
         (partial / "scene.toml").write_text(_toml(model, low, high))
     size = ", ".join(f"{s:.3g}" for s in high - low)
     notes.append(f"{axis} taken as up, {scale:g} m per unit: the scene measures {size} m")
@@ -78,8 +82,9 @@ def import_model(
 def _check(model: Path, folder: Path, scale: float, up: str | None, material: str) -> None:
     if not model.is_file():
         raise InputError(f"{model}: no such file")
-    if (folder / "scene.xml").exists():
-        raise InputError(f"{folder}: holds a scene already")
+    for name in ("scene.xml", "scene.toml", "meshes"):
+        if (folder / name).exists():
+            raise InputError(f"{folder / name}: exists already, expected a new scene folder")
     if not (np.isfinite(scale) and scale > 0):
         raise InputError(f"scale: {scale}: expected metres per unit, above 0")
     if up not in (None, "y", "z"):
@@ -91,8 +96,13 @@ def _check(model: Path, folder: Path, scale: float, up: str | None, material: st
         )
 
 
-def _parts(loaded: Any, model: Path, place: Array) -> tuple[dict[str, Mesh], list[str]]:
-    """Every mesh of the model in scene coordinates, by a name that is good for a file."""
+def _parts(
+    loaded: Any, model: Path, place: Array, reserved: str
+) -> tuple[dict[str, Mesh], list[str]]:
+    """Every mesh of the model in scene coordinates, by a name that is good for a file.
+
+    ``reserved`` is the material's id: ids are unique in a file.
+    """
     parts: dict[str, Mesh] = {}
     skipped = 0
     for node in loaded.graph.nodes_geometry:
@@ -101,20 +111,27 @@ def _parts(loaded: Any, model: Path, place: Array) -> tuple[dict[str, Mesh], lis
         if len(getattr(mesh, "faces", ())) == 0:
             skipped += 1
             continue
-        name = re.sub(r"[^\w-]+", "_", str(node)).strip("_") or "part"
-        name = name if name not in parts else f"{name}-{len(parts)}"
+        plain = re.sub(r"[^\w-]+", "_", str(node)).strip("_")[:60] or "part"
+        free = (f"{plain}-{number}" for number in count(2))
+        name = plain
+        while name in parts or name == reserved:
+            name = next(free)
         raw = Mesh(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64))
-        parts[name] = validate(raw.transformed(place @ matrix), f"{model}: part {node!r}")
+        where = f"{model}: part {node!r}"
+        parts[name] = validate(validate(raw, where).transformed(place @ matrix), where)
     if not parts:
         raise InputError(f"{model}: has no faces")
     return parts, [f"{skipped} parts without faces left out"] if skipped else []
 
 
-def _xml(names: list[str], material: str, reflectance: float) -> str:
+def _xml(names: list[str], material: str, reflectance: float, origin: Array) -> str:
+    x, y, z = (repr(float(v)) for v in origin)
+    moved = f'        <transform name="to_world"><translate value="{x}, {y}, {z}"/></transform>\n'
     shapes = "\n".join(
         f'    <shape type="ply" id="{name}">\n'
         f'        <string name="filename" value="meshes/{name}.ply"/>\n'
         f'        <boolean name="face_normals" value="true"/>\n'
+        f"{moved if origin.any() else ''}"
         f'        <ref id="{material}"/>\n'
         f"    </shape>"
         for name in names
@@ -138,9 +155,9 @@ def _toml(model: Path, low: Array, high: Array) -> str:
     distance = max(1.3 * size / (2 * np.tan(np.radians(10))), 0.1)
     y, z = (low[1:] + high[1:]) / 2
     return (
-        f'description = "imported from {model.name}"\n\n'
+        f"description = {json.dumps(f'imported from {model.name}')}\n\n"
         "[rig]\n"
-        f"position_m = [{high[0] + distance:.6g}, {y:.6g}, {z:.6g}]\n"
+        f"position_m = [{high[0] + distance:.12g}, {y:.12g}, {z:.12g}]\n"
         "yaw_deg = 180.0\n"
         "[rig.emitter]\n"
         "offset_m = [0.0, 0.0, 0.0]\n"
