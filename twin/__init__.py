@@ -26,6 +26,8 @@ _HOMES = {
     "evaluate": "twin.evaluation",
     "load_scene": "twin.scene",
     "load_system": "twin.system",
+    "load_radar": "twin.radar",
+    "radar_capture": "twin.radar",
     "run": "twin.job",
 }
 __all__ = [*_HOMES]

@@ -38,13 +38,16 @@ def run(
     compare: Annotated[
         str, typer.Option(help="System shown beside it; `none` for nothing.")
     ] = "paper",
+    radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
     pose: PoseOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write; default runs/SCENE-SYSTEM.")
     ] = None,
+    paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
+    sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
 ) -> None:
-    """Scene to image: render, measure, reconstruct, and write a report."""
+    """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
     from twin.job import run as run_job
     from twin.scene import parse_pose
 
@@ -52,9 +55,12 @@ def run(
         scene,
         system,
         compare=None if compare == "none" else compare,
+        radar=None if radar == "none" else radar,
         pose=parse_pose(pose) if pose is not None else None,
         seed=seed,
         out=out,
+        paths=paths,
+        sigmf=sigmf,
     )
     for warning in result.scene.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -66,6 +72,14 @@ def run(
         print(
             f"{evaluation.system.name}: SNR per pixel {sorted(snr.ravel())[snr.size // 2]:.2g} "
             f"(median), {best.method} PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
+        )
+    if result.radar:
+        for warning in result.radar.capture.warnings:
+            print(f"warning: {result.radar.radar.name}: {warning}", file=sys.stderr)
+        hit = sum(target is not None for target in result.radar.matches)
+        print(
+            f"{result.radar.radar.name}: {hit} of {len(result.radar.capture.truth)} targets "
+            f"among {len(result.radar.detections)} detections"
         )
     print(f"report: {result.out / 'report.html'}")
 
@@ -113,11 +127,14 @@ def import_(
 
 @app.command()
 def systems() -> None:
-    """List the bundled systems."""
+    """List the bundled optical systems and radars."""
+    from twin.radar.design import load_radar, radar_names
     from twin.system import load_system, system_names
 
     for name in system_names():
-        print(f"{name}: {load_system(name).description}")
+        print(f"system {name}: {load_system(name).description}")
+    for name in radar_names():
+        print(f"radar {name}: {load_radar(name).description}")
 
 
 def main() -> None:

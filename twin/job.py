@@ -1,16 +1,25 @@
-"""The main job: a scene and a system in, a folder with report, pictures, truth and record out."""
+"""The main job: a scene and its sensors in, a folder with report, truth and records out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hardware.records import write_record
+from hardware.records import write_radar_record, write_record
+from hardware.records.sigmf import export_sigmf
 from twin.acquisition import capture, devices
 from twin.evaluation import Evaluation, evaluate
 from twin.files import InputError, whole_folder
 from twin.optics.transport import Quality
 from twin.optics.view import View, render_view
 from twin.progress import Stages
+from twin.radar import RadarDesign, load_radar, radar_capture
+from twin.radar.evaluation import (
+    RadarEvaluation,
+    evaluate_radar,
+    write_detections,
+    write_paths,
+    write_truth_table,
+)
 from twin.report import write_report
 from twin.scene import Pose, Scene, load_scene
 from twin.scene.mitsuba import mitsuba_scene
@@ -18,6 +27,7 @@ from twin.system import System, load_system
 from twin.truth import write_truth
 
 _STAGES_PER_SYSTEM = 6
+_STAGES_OF_RADAR = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +37,7 @@ class Result:
     scene: Scene
     view: View
     evaluations: tuple[Evaluation, ...]
+    radar: RadarEvaluation | None
     out: Path
     seconds: dict[str, float]
 
@@ -36,12 +47,15 @@ def run(
     system: str | Path | System = "workable",
     *,
     compare: str | Path | System | None = "paper",
+    radar: str | Path | RadarDesign | None = "hybrid-79",
     pose: Pose | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     quality: Quality | None = None,
+    paths: bool = False,
+    sigmf: bool = False,
 ) -> Result:
-    """Run the optical chain on a scene and write everything to a folder.
+    """Run both chains on a scene and write everything to a folder.
 
     Parameters
     ----------
@@ -49,6 +63,8 @@ def run(
         Bundled scene, folder with ``scene.xml``, or Mitsuba XML file.
     system, compare
         Bundled system or TOML file; the second is shown beside the first (None: nothing is).
+    radar
+        Bundled radar or TOML file (None: no radar).
     pose
         Of the rig, in place of the scene's own.
     seed
@@ -57,16 +73,20 @@ def run(
         Folder to write to; default ``runs/SCENE-SYSTEM``. It appears whole or not at all.
     quality
         Knobs of the path tracer.
+    paths, sigmf
+        Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
 
     Raises InputError (one line: file, field, value, what was expected) and EngineError.
     """
     systems = _systems(system, compare)
+    design = None if radar is None else load_radar(radar)
     folder = None if out is None else Path(out)
     if out is not None and not str(out).strip():
         raise InputError("out: is empty, expected a folder to write to")
     if seed < 0:
         raise InputError(f"seed: {seed}: expected 0 or more")
-    with Stages(expected=2 + _STAGES_PER_SYSTEM * len(systems)) as stages:
+    expected = 2 + _STAGES_PER_SYSTEM * len(systems) + (_STAGES_OF_RADAR if design else 0)
+    with Stages(expected) as stages:
         with stages.stage("load"):
             world = load_scene(scene, pose)
         folder = folder or Path("runs") / f"{world.name}-{systems[0].name}"
@@ -75,8 +95,11 @@ def run(
             first = evaluations[0].capture
             write_truth(first.truth, partial / "truth.exr")
             write_record(first.record, partial / "record.h5")
-            write_report(world, view, evaluations, seed, stages, partial)
-    return Result(world, view, evaluations, folder, stages.seconds)
+            echoes = _radar(world, design, seed, stages) if design else None
+            if echoes:
+                _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
+            write_report(world, view, evaluations, echoes, seed, stages, partial)
+    return Result(world, view, evaluations, echoes, folder, stages.seconds)
 
 
 def _compute(
@@ -104,6 +127,22 @@ def _compute(
             seed=seed,
         )
     return view, tuple(evaluations)
+
+
+def _radar(scene: Scene, design: RadarDesign, seed: int, stages: Stages) -> RadarEvaluation:
+    taken = radar_capture(scene, design, seed=seed, stage=stages.stage)
+    with stages.stage("radar processing"):
+        return evaluate_radar(design, taken)
+
+
+def _write_radar(radar: RadarEvaluation, folder: Path, *, paths: bool, sigmf: bool) -> None:
+    write_radar_record(radar.capture.record, folder / "radar.h5")
+    write_detections(radar, folder / "detections.csv")
+    write_truth_table(radar.capture.truth, folder / "truth.csv")
+    if paths:
+        write_paths(radar.capture.propagation.paths, folder / "paths.csv")
+    if sigmf:
+        export_sigmf(radar.capture.record, folder / "radar")
 
 
 def _systems(system: str | Path | System, compare: str | Path | System | None) -> list[System]:

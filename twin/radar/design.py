@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -10,7 +10,17 @@ from scipy import constants
 
 from hardware.radar.waveform import C_M_PER_S, OfdmWaveform, Symbols
 from twin.files import catalog_folder
-from twin.toml import Count, Name, NonNegative, Positive, Sourced, Strict, bundled, load_typed
+from twin.toml import (
+    Count,
+    Name,
+    NonNegative,
+    Positive,
+    Sourced,
+    Strict,
+    bundled,
+    load_typed,
+    values,
+)
 
 _REFERENCE_K = 290.0  # of noise figures, by definition
 
@@ -73,11 +83,15 @@ class RadarDesign(Strict):
         _ = self.ofdm
         return self
 
+    def values(self) -> list[tuple[str, Sourced[Any]]]:
+        """Every value with its dotted name, in the file's order."""
+        return values(self)
+
     @property
     def ofdm(self) -> OfdmWaveform:
         """The waveform that is sent."""
-        values = {name: getattr(self.waveform, name).value for name in Waveform.model_fields}
-        return OfdmWaveform(**values)
+        fields = {name: getattr(self.waveform, name).value for name in Waveform.model_fields}
+        return OfdmWaveform(**fields)
 
     @property
     def sample_noise_w(self) -> float:
@@ -142,11 +156,13 @@ class RadarDesign(Strict):
         return found
 
 
-def load_radar(name: str | Path) -> RadarDesign:
-    """A bundled radar by name, or a user's own TOML file.
+def load_radar(name: "str | Path | RadarDesign") -> RadarDesign:
+    """A bundled radar by name, or a user's own TOML file; a design is returned as it is.
 
     Raises InputError naming the file, the field, the value and what was expected.
     """
+    if isinstance(name, RadarDesign):
+        return name
     return load_typed(RadarDesign, name, "radar", catalog_folder() / "radars")
 
 

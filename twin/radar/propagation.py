@@ -22,7 +22,8 @@ from twin.scene.model import Target
 
 Array = NDArray[np.float64]
 
-_SPECULAR, _TARGET = 1, 16  # Sionna's interaction types
+_TARGET = 16  # Sionna's interaction type of a scattering point
+_AIR = "air"
 _SAMPLES = 100_000  # rays that look for surfaces; the image method then is exact
 _BUFFER = 10_000
 #: A half space: deep enough that nothing comes back from the far side of a lossy wall.
@@ -92,6 +93,7 @@ class _RadioWorld:
         self.offset, self.axes = scene.rig.device("radar")
         self.origin = scene.rig.position_m + self.offset
         self.roles = assign_roles(scene, radar.ofdm.wavelength_m)
+        self.surfaces = {a.name for a in self.roles if a.role is Role.SURFACE}
         self.assumptions: list[str] = []
         self.objects = {item.name: item for item in scene.objects}
         self.target_by_name = {f"target-{i}": t for i, t in enumerate(scene.targets)}
@@ -101,44 +103,45 @@ class _RadioWorld:
         self.world.tx_array = self.world.rx_array = array
         self.world.add(rt.Transmitter("transmitter", [0.0, 0.0, 0.0]))
         self.world.add(rt.Receiver("receiver", [0.0, 0.0, 0.0]))
-        self._add_surfaces(scene)
-        self._add_targets(scene)
-        things = {**self.world.objects, **self.world.sensing_targets}
-        self.name_of = {int(thing.object_id): name for name, thing in things.items()}
+        self._add_meshes(scene)
+        self._add_targets()
+        self.surface_names = {int(s.object_id): name for name, s in self.world.objects.items()}
+        self.target_names = list(self.world.sensing_targets)
 
-    def _add_surfaces(self, scene: Scene) -> None:
+    def _add_meshes(self, scene: Scene) -> None:
+        """Surfaces with their material; obstacles as air that is opaque and reflects nothing."""
         rt = sionna()
         made: dict[str, Any] = {}
-        surfaces = []
-        for role in self.roles:
-            if role.role is not Role.SURFACE:
+        meshes = []
+        for assigned in self.roles:
+            if assigned.role is Role.TARGET:
                 continue
-            item = self.objects[role.name]
-            if item.material not in made:
-                made[item.material] = self._material(item.material, scene)
-            surface = rt.SceneObject(
-                mi_mesh=_mesh(item, self.origin),
-                name=item.name,
-                radio_material=made[item.material],
+            item = self.objects[assigned.name]
+            key = item.material if assigned.role is Role.SURFACE else _AIR
+            if key not in made:
+                made[key] = rt.RadioMaterial(f"material-{key}", **self._material(key, scene))
+            mesh = rt.SceneObject(
+                mi_mesh=_mesh(item, self.origin), name=item.name, radio_material=made[key]
             )
-            surface.velocity = list(item.velocity_m_per_s)
-            surfaces.append(surface)
-        if surfaces:
-            self.world.edit(add=surfaces)
+            mesh.velocity = list(item.velocity_m_per_s)
+            meshes.append(mesh)
+        if meshes:
+            self.world.edit(add=meshes)
 
-    def _material(self, name: str, scene: Scene) -> Any:
+    def _material(self, name: str, scene: Scene) -> dict[str, float]:
+        if name == _AIR:
+            return {"relative_permittivity": 1.0, "conductivity": 0.0}
         carrier = self.radar.ofdm.carrier_hz
         permittivity, conductivity, assumed = radio_properties(name, scene.materials[name], carrier)
         if assumed:
             self.assumptions.append(f"radio properties of {name}: {assumed}")
-        return sionna().RadioMaterial(
-            name=f"material-{name}",
-            relative_permittivity=permittivity,
-            conductivity=conductivity,
-            thickness=_THICKNESS_M,
-        )
+        return {
+            "relative_permittivity": permittivity,
+            "conductivity": conductivity,
+            "thickness": _THICKNESS_M,
+        }
 
-    def _add_targets(self, scene: Scene) -> None:
+    def _add_targets(self) -> None:
         from sionna.rt.rcs import (
             ConstantCPM,
             ConstantRCS,
@@ -147,32 +150,29 @@ class _RadioWorld:
             SensingTarget,
         )
 
-        carriers = {t.object: name for name, t in self.target_by_name.items() if t.object}
         for name, target in self.target_by_name.items():
+            place = np.asarray(target.position_m) - self.origin
             if target.object is None:
                 size = dict.fromkeys(("length", "width", "height"), 0.05)
-                place = (np.asarray(target.position_m) - self.origin).tolist()
-                self.world.add(
-                    ConstantRCSSensingTarget(name, sigma=target.rcs_m2, position=place, **size)
+                thing = ConstantRCSSensingTarget(
+                    name, sigma=target.rcs_m2, position=place.tolist(), **size
                 )
-        for role in self.roles:
-            if role.role is Role.SURFACE:
-                continue
-            # Obstacles are targets without an echo: Sionna's solvers see them as absorbers.
-            item = self.objects[role.name]
-            low, high = item.vertices_m.min(axis=0), item.vertices_m.max(axis=0)
-            point, rcs, name = np.zeros(3), 1e-30, f"obstacle-{item.name}"
-            if item.name in carriers:
-                name = carriers[item.name]
-                point = np.asarray(self.target_by_name[name].position_m) - (low + high) / 2
-                rcs = self.target_by_name[name].rcs_m2
-            model = ScatteringModel(point.tolist(), rcs=ConstantRCS(rcs), cpm=ConstantCPM())
-            mesh = _mesh(item, self.origin)
-            self.world.add(SensingTarget(name=name, scattering_model=model, mi_mesh=mesh))
+            else:
+                item = self.objects[target.object]
+                # A scattering point is given relative to the middle of its mesh's box.
+                middle = (item.vertices_m.min(axis=0) + item.vertices_m.max(axis=0)) / 2
+                model = ScatteringModel(
+                    (place - middle + self.origin).tolist(),
+                    rcs=ConstantRCS(target.rcs_m2),
+                    cpm=ConstantCPM(),
+                )
+                mesh = _mesh(item, self.origin)
+                thing = SensingTarget(name=name, scattering_model=model, mi_mesh=mesh)
+            self.world.add(thing)
 
     def environment(self, max_depth: int, seed: int) -> list[Path]:
         """Mirror images of the radar in large surfaces."""
-        if not any(role.role is Role.SURFACE for role in self.roles):
+        if not self.surfaces:
             return []
         solved = sionna().PathSolver(deterministic=True)(
             self.world,
@@ -204,8 +204,16 @@ class _RadioWorld:
         return [path for raw in _Raw.unpack(solved) if (path := self._refined(raw))]
 
     def _refined(self, raw: "_Raw") -> Path | None:
-        """The same path with its length in float64; None for an obstacle's."""
-        names = [self.name_of[i] for i in raw.objects]
+        """The same path with its length in float64; None for one over an obstacle."""
+        # Sionna counts sensing targets by themselves.
+        names = [
+            self.target_names[i] if kind == _TARGET else self.surface_names[i]
+            for i, kind in zip(raw.objects, raw.kinds, strict=True)
+        ]
+        if any(
+            k != _TARGET and n not in self.surfaces for n, k in zip(names, raw.kinds, strict=True)
+        ):
+            return None
         at = next((i for i, kind in enumerate(raw.kinds) if kind == _TARGET), None)
         if at is None:
             target = None
@@ -215,8 +223,6 @@ class _RadioWorld:
             first, last = raw.vertices[0], raw.vertices[-1]
             rate = -raw.doppler_hz / self.radar.ofdm.carrier_hz
         else:
-            if names[at] not in self.target_by_name:
-                return None
             target = self.target_by_name[names[at]]
             names[at] = target.name
             point = np.asarray(target.position_m) - self.origin

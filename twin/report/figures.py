@@ -11,19 +11,9 @@ from numpy.typing import NDArray
 
 from twin.evaluation import Evaluation
 from twin.optics.view import View
+from twin.report.style import BLUE, GREY, ORANGE, new_figure
 
 Array = NDArray[np.float64]
-
-_STYLE = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "figure.constrained_layout.use": True,
-    "figure.facecolor": "white",
-}
-_BLUE, _ORANGE, _GREY = "#0072b2", "#d55e00", "#8a8f98"  # Okabe-Ito
 
 
 def headline(view: View, evaluations: Sequence[Evaluation]) -> Figure:
@@ -97,15 +87,15 @@ def snr_maps(evaluations: Sequence[Evaluation]) -> Figure:
 def signal(evaluation: Evaluation) -> Figure:
     """Measured counts by exposure, and the noise of one exposure by origin."""
     record, noise = evaluation.capture.record, evaluation.capture.noise
-    figure = _figure((10.2, 3.3))
+    figure = new_figure((10.2, 3.3))
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1))
     counts = record.counts[:, 0]
     if record.patterns.mode == "differential":
-        left.plot(counts[0::2], ".", ms=1.6, color=_BLUE, label="pattern")
-        left.plot(counts[1::2], ".", ms=1.6, color=_ORANGE, label="complement")
+        left.plot(counts[0::2], ".", ms=1.6, color=BLUE, label="pattern")
+        left.plot(counts[1::2], ".", ms=1.6, color=ORANGE, label="complement")
         left.legend(markerscale=5, frameon=False, loc="upper right")
     else:
-        left.plot(counts, ".", ms=1.6, color=_BLUE)
+        left.plot(counts, ".", ms=1.6, color=BLUE)
     left.set_xlabel(f"Hadamard pattern ({record.patterns.order} order)")
     left.set_ylabel("ADC counts")
     used = np.ptp(counts) / 2**record.adc_bits
@@ -113,7 +103,7 @@ def signal(evaluation: Evaluation) -> Figure:
     names = list(noise.noise_e)
     values = [noise.noise_e[name] for name in names]
     order = np.argsort(values)
-    colors = [_ORANGE if i == order[-1] else _GREY for i in order]
+    colors = [ORANGE if i == order[-1] else GREY for i in order]
     right.barh([names[i] for i in order], [values[i] for i in order], color=colors)
     for row, i in enumerate(order):
         right.text(values[i], row, f" {values[i]:,.0f}", va="center")
@@ -123,15 +113,8 @@ def signal(evaluation: Evaluation) -> Figure:
     return figure
 
 
-def _figure(size: tuple[float, float]) -> Figure:
-    import matplotlib as mpl
-
-    mpl.rcParams.update(_STYLE)
-    return Figure(figsize=size, dpi=120)
-
-
 def _panels(rows: int, columns: int, side: float) -> tuple[Figure, list[Any]]:
-    figure = _figure((columns * side, rows * side + 0.25))
+    figure = new_figure((columns * side, rows * side + 0.25))
     axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     for axis in axes:
         axis.set_axis_off()

@@ -15,7 +15,10 @@ from twin import __version__
 from twin.evaluation import Evaluation
 from twin.optics.view import View
 from twin.progress import Stages
-from twin.report import figures
+from twin.radar.evaluation import RadarEvaluation
+from twin.report import figures, radar_figures
+from twin.report.radar_summary import radar_summary
+from twin.report.style import si
 from twin.scene import Scene
 
 _TEMPLATE = Path(__file__).parent
@@ -25,6 +28,7 @@ def write_report(
     scene: Scene,
     view: View,
     evaluations: Sequence[Evaluation],
+    radar: RadarEvaluation | None,
     seed: int,
     stages: Stages,
     folder: Path,
@@ -42,6 +46,9 @@ def write_report(
             "snr": figures.snr_maps(evaluations),
             "signal": figures.signal(first),
         }
+        if radar:
+            drawn["range_doppler"] = radar_figures.radar_map(radar)
+            drawn["radar_cuts"] = radar_figures.radar_cuts(radar)
         pictures = {name: _png(figure) for name, figure in drawn.items()}
     for name, data in pictures.items():
         (folder / f"{name}.png").write_bytes(data)
@@ -59,9 +66,10 @@ def write_report(
         evaluations=evaluations,
         columns=[_summary(e) for e in evaluations],
         images={name: base64.b64encode(data).decode() for name, data in pictures.items()},
-        settings=[(e.system, e.system.values()) for e in evaluations],
+        settings=[(d, d.values()) for d in _designs(evaluations, radar)],
         assumptions=first.capture.assumptions,
-        warnings=(*scene.warnings, *_warnings(evaluations)),
+        radar=radar_summary(radar) if radar else None,
+        warnings=(*scene.warnings, *_warnings(evaluations, radar)),
         seconds=stages.seconds,
         versions=_versions(),
     )
@@ -74,12 +82,15 @@ def _png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _warnings(evaluations: Sequence[Evaluation]) -> list[str]:
-    return [
-        f"{evaluation.system.name}: {warning}"
-        for evaluation in evaluations
-        for warning in evaluation.capture.warnings
-    ]
+def _designs(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -> list[Any]:
+    return [*(e.system for e in evaluations), *([radar.radar] if radar else [])]
+
+
+def _warnings(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -> list[str]:
+    named = [(e.system.name, e.capture.warnings) for e in evaluations]
+    if radar:
+        named.append((radar.radar.name, radar.capture.warnings))
+    return [f"{name}: {warning}" for name, warnings in named for warning in warnings]
 
 
 def _summary(evaluation: Evaluation) -> dict[str, str]:
@@ -92,15 +103,15 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "system": system.name,
         "what it is": system.description,
         "patterns": f"{patterns.count} of {patterns.columns} x {patterns.rows}, {patterns.mode}",
-        "frame time": f"{_si(system.frame_time_s, 's')} ({1 / system.frame_time_s:.3g} frames/s)",
+        "frame time": f"{si(system.frame_time_s, 's')} ({1 / system.frame_time_s:.3g} frames/s)",
         "sun in the band": f"{taken.sun_irradiance_w_per_m2:.4g} W/m² "
         f"at {taken.illuminance_lx:g} lx",
         "emitter line inside the filter": f"{taken.in_band_fraction:.1%}",
-        "detector lens": f"focal length {_si(lens.focal_length_m, 'm')}, "
-        f"pupil {_si(lens.pupil_diameter_m, 'm')}, "
+        "detector lens": f"focal length {si(lens.focal_length_m, 'm')}, "
+        f"pupil {si(lens.pupil_diameter_m, 'm')}, "
         f"field {system.optics.field_of_view_deg.value:g}° {lens.outline}",
-        "signal on the detector, mean": _si(float(taken.signal_w.mean()), "W"),
-        "sun on the detector": _si(taken.background_w, "W"),
+        "signal on the detector, mean": si(float(taken.signal_w.mean()), "W"),
+        "sun on the detector": si(taken.background_w, "W"),
         "electrons per exposure": f"signal {noise.signal_e:.3g}, sun {noise.background_e:.3g}, "
         f"dark {noise.dark_e:.3g}",
         "noise per exposure": f"{noise.total_noise_e:.4g} e- predicted, "
@@ -118,18 +129,8 @@ def _per_value(evaluation: Evaluation) -> float:
     return 2**0.5 if evaluation.system.patterns.mode == "differential" else 2.0
 
 
-def _si(value: float, unit: str) -> str:
-    """Number with an SI prefix, three significant digits."""
-    from matplotlib.ticker import EngFormatter
-
-    if value == 0 or not np.isfinite(value):
-        return f"{value:g} {unit}"
-    digits = max(0, 2 - int(np.floor(np.log10(abs(value)))) % 3)
-    return str(EngFormatter(unit=unit, places=digits)(value))
-
-
 def _versions() -> dict[str, Any]:
-    names = ("mitsuba", "drjit", "numpy", "colour-science")
+    names = ("mitsuba", "drjit", "sionna-rt", "finufft", "numpy", "colour-science")
     return {
         "ugv-twin": __version__,
         **{name: version(name) for name in names},

@@ -1,0 +1,220 @@
+"""One coherent processing interval of the radar, from scene and design to IQ counts."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.waveform import OfdmWaveform
+from hardware.records import Flag, RadarRecord
+from twin import __version__
+from twin.radar.design import RadarDesign
+from twin.radar.propagation import Path, Propagation, trace
+from twin.radar.synthesis import Contributions, synthesize
+from twin.scene import Scene
+from twin.scene.enclosure import encloses
+from twin.scene.model import Target
+
+Stage = Callable[[str], AbstractContextManager[Any]]
+
+#: Holds for every capture; printed with it.
+MODEL_ASSUMPTIONS = (
+    "targets answer with a declared, constant cross-section from one point",
+    "surfaces are smooth and large against the Fresnel zone where they reflect; "
+    "nothing goes through them; objects that are neither only cast shadows",
+    "one transmit and one receive antenna at one place, vertical polarisation, "
+    "gain G0 cos^q; no leakage between them, no phase noise",
+    "velocities are constant within the interval; positions are those of its middle",
+    "air is clear and does not attenuate",
+)
+
+
+@dataclass(frozen=True)
+class TrueTarget:
+    """What a detection is judged by. ``received_w`` is the direct path's, slot loss included.
+
+    ``visible``: a direct path exists. ``seen_at`` is range and rate as an unambiguous radar would
+    wrap them.
+    """
+
+    name: str
+    range_m: float
+    range_rate_m_per_s: float
+    azimuth_deg: float
+    rcs_m2: float
+    received_w: float
+    visible: bool
+    seen_at: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class RadarCapture:
+    """A record with everything the twin knows about it. Only ``record`` exists on the vehicle."""
+
+    record: RadarRecord
+    truth: tuple[TrueTarget, ...]
+    propagation: Propagation
+    sample_noise_w: float
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def radar_capture(
+    scene: Scene,
+    radar: RadarDesign,
+    *,
+    seed: int = 0,
+    stage: Stage = lambda name: nullcontext(),
+) -> RadarCapture:
+    """Acquire one interval.
+
+    Parameters
+    ----------
+    scene, radar
+        What is looked at, and with what.
+    seed
+        Of every random draw: same seed, same counts, bit for bit.
+    stage
+        Called with each stage's name, for progress and timing.
+
+    Raises InputError where a material has no data at the carrier.
+    """
+    ray_seed, noise_seed = np.random.SeedSequence([seed, 79]).spawn(2)
+    with stage("radar paths"):
+        found = trace(scene, radar, seed=int(ray_seed.generate_state(1)[0]) >> 1)
+    with stage("radar signal"):
+        channel = synthesize(contributions(found.paths, radar.ofdm), radar.ofdm)
+        rng = np.random.default_rng(noise_seed)
+        iq, flags, scale = digitize(channel, radar, rng=rng)
+    truth = tuple(_true(t, scene, radar, found.paths) for t in scene.targets)
+    return RadarCapture(
+        record=_record(scene, radar, iq, flags, scale),
+        truth=truth,
+        propagation=found,
+        sample_noise_w=radar.sample_noise_w,
+        assumptions=(*MODEL_ASSUMPTIONS, *found.assumptions, *_assumed(scene, radar)),
+        warnings=tuple(_warnings(scene, radar, found, truth, flags)),
+    )
+
+
+def contributions(paths: tuple[Path, ...], waveform: OfdmWaveform) -> Contributions:
+    """Paths as the synthesis takes them, with what averaging over a slot leaves of each."""
+    if not paths:
+        return Contributions.none()
+    rate = np.array([path.delay_rate for path in paths])
+    amplitude = np.array([path.amplitude for path in paths], dtype=np.complex128)
+    return Contributions(
+        amplitude=amplitude * waveform.slot_gain(waveform.carrier_hz * rate),
+        delay_s=np.array([path.delay_s for path in paths]),
+        delay_rate=rate,
+    )
+
+
+def digitize(
+    channel: NDArray[np.complex128], radar: RadarDesign, *, rng: np.random.Generator
+) -> tuple[NDArray[np.int16], NDArray[np.uint8], float]:
+    """Counts (1, n_slots, n_subcarriers, 2), flags (1, n_slots), and root watts per count.
+
+    The sent power is shared by the subcarriers; each slot becomes one symbol in time, with thermal
+    noise, clipped to 16 bits.
+    """
+    wave = radar.ofdm
+    power = radar.front_end.transmit_power_w.value
+    sent = wave.sent() * np.sqrt(power / wave.n_subcarriers)
+    received = np.fft.ifft(np.fft.ifftshift(channel.T * sent, axes=1), axis=1)
+    received *= wave.n_subcarriers
+    noise = rng.normal(size=(*received.shape, 2)) * np.sqrt(radar.sample_noise_w / 2)
+    scale = np.sqrt(radar.sample_noise_w) / radar.front_end.noise_counts.value
+    exact = (np.stack([received.real, received.imag], axis=-1) + noise) / scale
+    counts = np.clip(np.rint(exact), -32768, 32767).astype(np.int16)
+    clipped = (np.abs(exact) > 32767).any(axis=(1, 2))
+    flags = np.where(clipped, np.uint8(Flag.SATURATED), np.uint8(0))
+    return counts[None], flags[None], float(scale)
+
+
+def _true(target: Target, scene: Scene, radar: RadarDesign, paths: tuple[Path, ...]) -> TrueTarget:
+    offset, axes = scene.rig.device("radar")
+    towards = np.asarray(target.position_m) - scene.rig.position_m - offset
+    distance = float(np.linalg.norm(towards))
+    ahead, left, _ = axes @ towards
+    rate = float(np.asarray(target.velocity_m_per_s) @ towards / distance)
+    wave = radar.ofdm
+    gain = float(wave.slot_gain(np.array(2 * rate / wave.wavelength_m)))
+    fastest = wave.max_velocity_m_per_s
+    return TrueTarget(
+        name=target.name,
+        range_m=distance,
+        range_rate_m_per_s=rate,
+        azimuth_deg=float(np.degrees(np.arctan2(left, ahead))),
+        rcs_m2=target.rcs_m2,
+        received_w=radar.received_power_w(distance, target.rcs_m2, ahead / distance) * gain**2,
+        visible=any(path.via == (target.name,) for path in paths),
+        seen_at=(distance % wave.max_range_m, (rate + fastest) % (2 * fastest) - fastest),
+    )
+
+
+def _record(
+    scene: Scene,
+    radar: RadarDesign,
+    iq: NDArray[np.int16],
+    flags: NDArray[np.uint8],
+    scale: float,
+) -> RadarRecord:
+    wave = radar.ofdm
+    starts = np.rint(np.arange(wave.n_slots) * wave.slot_period_s * 1e9).astype(np.int64)
+    offset, _ = scene.rig.device("radar")
+    rotation = scene.rig.pose.rotation * scene.rig.radar.rotation
+    x, y, z, w = rotation.as_quat()
+    return RadarRecord(
+        iq=iq,
+        device_time_ns=starts[None],
+        flags=flags,
+        waveform=wave,
+        root_watt_per_count=scale,
+        transmit_power_w=radar.front_end.transmit_power_w.value,
+        device=f"twin {__version__}: {radar.name}",
+        pose=np.array([*(scene.rig.position_m + offset), w, x, y, z]),
+    )
+
+
+def _assumed(scene: Scene, radar: RadarDesign) -> list[str]:
+    values = [
+        f"{name} = {value.value}: {value.assumed}"
+        for name, value in radar.values()
+        if value.assumed
+    ]
+    targets = [
+        f"cross-section of {t.name} = {t.rcs_m2:g} m^2: {t.origin.removeprefix('assumed: ')}"
+        for t in scene.targets
+        if t.origin.startswith("assumed: ")
+    ]
+    return [*values, *targets]
+
+
+def _warnings(
+    scene: Scene,
+    radar: RadarDesign,
+    found: Propagation,
+    truth: tuple[TrueTarget, ...],
+    flags: NDArray[np.uint8],
+) -> list[str]:
+    farthest = max((t.range_m for t in truth), default=0.0)
+    fastest = max((abs(t.range_rate_m_per_s) for t in truth), default=0.0)
+    warnings = radar.warnings(farthest, fastest)
+    place = scene.rig.position_m + scene.rig.device("radar")[0]
+    inside = [item.name for item in scene.objects if encloses(item, place)]
+    if inside:
+        warnings.append(f"the radar stands inside {', '.join(inside)}")
+    hidden = [t.name for t in truth if not t.visible]
+    if hidden:
+        warnings.append(f"no direct path to {', '.join(hidden)}")
+    if not found.paths:
+        warnings.append("no echo at all: the record holds noise only")
+    if flags.any():
+        warnings.append(
+            f"{np.count_nonzero(flags)} of {flags.size} slots clip: lower front_end.noise_counts"
+        )
+    return warnings

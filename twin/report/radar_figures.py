@@ -1,0 +1,99 @@
+"""Figures of the radar report."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from twin.radar.evaluation import RadarEvaluation
+from twin.report.style import BLUE, GREY, ORANGE, new_figure
+
+
+def radar_map(evaluation: RadarEvaluation) -> Figure:
+    """Received power by range and range rate, with detections on true targets."""
+    image, shown = evaluation.image, _shown_ranges(evaluation)
+    decibel = _dbm(image.power_w[shown])
+    floor = _dbm(np.array(image.noise_w))
+    figure = new_figure((7.4, 5.2))
+    axis = figure.subplots()
+    drawn = axis.pcolormesh(
+        image.range_rate_m_per_s,
+        image.range_m[shown],
+        decibel,
+        cmap="cividis",
+        vmin=float(floor) - 3,
+        vmax=float(decibel.max()),
+        shading="nearest",
+        rasterized=True,
+    )
+    figure.colorbar(drawn, ax=axis, label="received power (dBm per cell)")
+    _mark(axis, evaluation)
+    hit = sum(match is not None for match in evaluation.matches)
+    axis.set_title(
+        f"{evaluation.radar.name}: {hit} of {len(evaluation.capture.truth)} targets detected"
+    )
+    axis.set_xlabel("range rate (m/s), receding is positive")
+    axis.set_ylabel("range (m)")
+    return figure
+
+
+def radar_cuts(evaluation: RadarEvaluation) -> Figure:
+    """Range cut (strongest rate of each range) and rate cut through the strongest mover."""
+    image, shown = evaluation.image, _shown_ranges(evaluation)
+    figure = new_figure((10.2, 3.3))
+    left, right = figure.subplots(1, 2)
+    left.plot(image.range_m[shown], _dbm(image.power_w[shown].max(axis=1)), color=BLUE, lw=0.8)
+    for target in evaluation.capture.truth:
+        left.plot(target.seen_at[0], _dbm(np.array(target.received_w)), "+", color=ORANGE, ms=9)
+    left.set_xlabel("range (m)")
+    left.set_title("range cut; crosses: radar equation at the true targets")
+    row = _mover_row(evaluation)
+    right.plot(image.range_rate_m_per_s, _dbm(image.power_w[row]), color=BLUE, lw=0.8)
+    right.set_xlabel("range rate (m/s)")
+    right.set_title(f"rate cut at {image.range_m[row]:.2f} m")
+    for axis in (left, right):
+        axis.axhline(float(_dbm(np.array(image.noise_w))), color=GREY, lw=0.8, ls="--")
+        axis.set_ylabel("received power (dBm per cell)")
+        axis.margins(x=0)
+    return figure
+
+
+def _mark(axis: Any, evaluation: RadarEvaluation) -> None:
+    plot = axis.plot
+    ranges = [d.range_m for d in evaluation.detections]
+    rates = [d.range_rate_m_per_s for d in evaluation.detections]
+    plot(rates, ranges, "o", mfc="none", mec="white", ms=10, label="detection", ls="none")
+    truth = evaluation.capture.truth
+    seen = [t.seen_at for t in truth]
+    plot([s[1] for s in seen], [s[0] for s in seen], "+", color=ORANGE, label="true target")
+    for target in truth:
+        axis.annotate(
+            target.name,
+            (target.seen_at[1], target.seen_at[0]),
+            xytext=(8, -3),
+            textcoords="offset points",
+            color="white",
+            fontsize=8,
+        )
+    axis.legend(loc="upper right", facecolor="#00204d", labelcolor="white")
+
+
+def _shown_ranges(evaluation: RadarEvaluation) -> slice:
+    """From 0 to a third beyond the farthest thing of interest."""
+    far = [t.seen_at[0] for t in evaluation.capture.truth]
+    far += [d.range_m for d in evaluation.detections]
+    top = 1.33 * max(far, default=evaluation.image.range_m[-1])
+    return slice(0, max(8, int(np.searchsorted(evaluation.image.range_m, top))))
+
+
+def _mover_row(evaluation: RadarEvaluation) -> int:
+    """Row of the strongest moving detection, else of the strongest cell."""
+    cell = evaluation.radar.ofdm.velocity_cell_m_per_s
+    movers = [d for d in evaluation.detections if abs(d.range_rate_m_per_s) > cell]
+    if movers:
+        return int(np.argmin(np.abs(evaluation.image.range_m - movers[0].range_m)))
+    return int(np.argmax(evaluation.image.power_w.max(axis=1)))
+
+
+def _dbm(power_w: np.ndarray) -> np.ndarray:
+    return 10 * np.log10(np.maximum(power_w, 1e-30) * 1e3)

@@ -1,0 +1,126 @@
+"""Numbers of the radar report: waveform, link budget, detections beside the truth."""
+
+from typing import Any
+
+import numpy as np
+from scipy import constants
+
+from twin.radar.evaluation import RadarEvaluation
+from twin.report.style import si
+
+
+def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
+    """Tables for the page, ready to print."""
+    return {
+        "name": evaluation.radar.name,
+        "description": evaluation.radar.description,
+        "waveform": _waveform(evaluation),
+        "budget": _budget(evaluation),
+        "targets": _targets(evaluation),
+        "others": _others(evaluation),
+        "roles": [
+            (a.name, str(a.role), f"{a.over_fresnel_zone:.3g}")
+            for a in evaluation.capture.propagation.roles
+        ],
+        "assumptions": evaluation.capture.assumptions,
+        "window": evaluation.window,
+        "false_alarm": evaluation.false_alarm,
+        "n_paths": len(evaluation.capture.propagation.paths),
+    }
+
+
+def _waveform(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
+    wave = evaluation.radar.ofdm
+    return [
+        (
+            "band",
+            f"{wave.carrier_hz / 1e9:g} GHz, {si(wave.bandwidth_hz, 'Hz')} in "
+            f"{wave.n_subcarriers} subcarriers of {si(wave.subcarrier_spacing_hz, 'Hz')}",
+        ),
+        ("range", f"cell {si(wave.range_cell_m, 'm')}, unambiguous to {wave.max_range_m:.1f} m"),
+        (
+            "interval",
+            f"{wave.n_slots} slots of {si(wave.slot_period_s, 's')}, "
+            f"{wave.repeats} repeats averaged in each",
+        ),
+        (
+            "range rate",
+            f"cell {wave.velocity_cell_m_per_s:.3f} m/s, "
+            f"unambiguous to ± {wave.max_velocity_m_per_s:.2f} m/s",
+        ),
+    ]
+
+
+def _budget(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
+    """The link budget line by line, for 10 m^2 at 150 m or as far as the radar is unambiguous."""
+    radar = evaluation.radar
+    wave, end = radar.ofdm, radar.front_end
+    far = min(150.0, wave.max_range_m)
+    received = radar.received_power_w(far, 10.0)
+    noise = constants.k * 290.0 * wave.bandwidth_hz
+    cells = wave.n_subcarriers * wave.n_slots
+    return [
+        ("transmit power", f"{_db(end.transmit_power_w.value * 1e3):.1f} dBm"),
+        ("antenna gain, twice", f"2 x {radar.antenna.gain_dbi.value:g} dBi"),
+        ("losses", f"{end.losses_db.value:g} dB"),
+        (f"received from 10 m² at {far:.0f} m", f"{_db(received * 1e3):.1f} dBm"),
+        ("thermal noise in the band, k T0 B", f"{_db(noise * 1e3):.1f} dBm"),
+        ("noise figure", f"{end.noise_figure_db.value:g} dB"),
+        ("averaging of repeats", f"{_db(wave.repeats):.1f} dB"),
+        ("processing gain N M", f"{_db(cells):.1f} dB"),
+        ("SNR after processing, rectangular window", f"{_db(radar.image_snr(received)):.1f} dB"),
+        (
+            "noise per cell: predicted, found",
+            f"{_db(radar.sample_noise_w / cells * _window_loss(evaluation) * 1e3):.1f}, "
+            f"{_db(evaluation.image.noise_w * 1e3):.1f} dBm",
+        ),
+    ]
+
+
+def _window_loss(evaluation: RadarEvaluation) -> float:
+    """Noise that the windows add: product of their mean squares at mean 1."""
+    from hardware.radar.range_doppler import taper
+
+    sizes = evaluation.radar.ofdm.n_subcarriers, evaluation.radar.ofdm.n_slots
+    return float(np.prod([np.mean(taper(evaluation.window, n) ** 2) for n in sizes]))
+
+
+def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
+    by_target = {
+        target.name: found
+        for found, target in zip(evaluation.detections, evaluation.matches, strict=True)
+        if target
+    }
+    rows = []
+    for target in evaluation.capture.truth:
+        found = by_target.get(target.name)
+        rows.append(
+            {
+                "name": target.name,
+                "rcs": f"{target.rcs_m2:g} m²",
+                "range": f"{target.range_m:.4f} m",
+                "rate": f"{target.range_rate_m_per_s:+.3f} m/s",
+                "power": f"{_db(target.received_w * 1e3):.1f} dBm",
+                "found_range": f"{1e3 * (found.range_m - target.seen_at[0]):+.2f} mm"
+                if found
+                else "not detected",
+                "found_rate": f"{found.range_rate_m_per_s - target.seen_at[1]:+.4f} m/s"
+                if found
+                else "",
+                "found_power": f"{_db(found.power_w / target.received_w):+.2f} dB" if found else "",
+                "snr": f"{found.snr_db:.1f} dB" if found else "",
+            }
+        )
+    return rows
+
+
+def _others(evaluation: RadarEvaluation) -> list[str]:
+    return [
+        f"{found.range_m:.3f} m, {found.range_rate_m_per_s:+.3f} m/s, {found.snr_db:.1f} dB"
+        for found, target in zip(evaluation.detections, evaluation.matches, strict=True)
+        if target is None
+    ]
+
+
+def _db(ratio: float) -> float:
+    return float(10 * np.log10(ratio))
