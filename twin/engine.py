@@ -41,19 +41,7 @@ def mitsuba() -> ModuleType:
 
     Raises EngineError where neither can run.
     """
-    name = os.environ.get("TWIN_VARIANT") or (
-        "cuda_ad_mono" if Path("/dev/nvidiactl").exists() else "llvm_ad_mono"
-    )
-    if name not in ("llvm_ad_mono", "cuda_ad_mono"):
-        raise EngineError(f"TWIN_VARIANT: {name!r} is none of llvm_ad_mono, cuda_ad_mono")
-    if name == "llvm_ad_mono":
-        ensure_llvm()
-    import mitsuba as mi
-
-    if mi.variant() != name:
-        mi.set_variant(name)
-        mi.set_log_level(mi.LogLevel.Error)
-    return mi
+    return _with_variant(_variant())
 
 
 def sionna() -> ModuleType:
@@ -62,13 +50,33 @@ def sionna() -> ModuleType:
     Both engines live in one process; `mitsuba` sets the other variant again, and what was made in
     each stays usable. Raises EngineError as `mitsuba` does.
     """
-    mi = mitsuba()
-    polarized = f"{mi.variant()}_polarized"
-    mi.set_variant(polarized)
+    polarized = f"{_variant()}_polarized"
+    _with_variant(polarized)
     import sionna.rt as rt  # sets a variant of its own when first imported
 
-    mi.set_variant(polarized)
+    _with_variant(polarized)
     return rt
+
+
+def _variant() -> str:
+    name = os.environ.get("TWIN_VARIANT") or (
+        "cuda_ad_mono" if Path("/dev/nvidiactl").exists() else "llvm_ad_mono"
+    )
+    if name not in ("llvm_ad_mono", "cuda_ad_mono"):
+        raise EngineError(f"TWIN_VARIANT: {name!r} is none of llvm_ad_mono, cuda_ad_mono")
+    return name
+
+
+def _with_variant(name: str) -> ModuleType:
+    """Mitsuba in a variant; set only when it changes, which takes a moment."""
+    if name.startswith("llvm"):
+        ensure_llvm()
+    import mitsuba as mi
+
+    if mi.variant() != name:
+        mi.set_variant(name)
+        mi.set_log_level(mi.LogLevel.Error)
+    return mi
 
 
 def ensure_llvm() -> Path:

@@ -32,7 +32,7 @@ def detect(
     waveform: OfdmWaveform,
     image: RangeDopplerMap,
     *,
-    false_alarm: float = 1e-6,
+    false_alarm: float = 1e-8,
     window: str = "blackmanharris",
     guard: tuple[int, int] = (6, 6),
     training: tuple[int, int] = (16, 12),
@@ -53,7 +53,9 @@ def detect(
     at_most
         Detections returned.
     """
-    found = np.argwhere(_cfar(image.power_w, false_alarm, guard, training))
+    power = image.power_w
+    above = power > cfar_threshold(power, false_alarm, guard, training)
+    found = np.argwhere(above & _peaks(power))
     order = np.argsort(-image.power_w[tuple(found.T)])[:at_most]
     tapers = taper(window, channel.shape[0])[:, None] * taper(window, channel.shape[1])
     return [_refined(channel * tapers, waveform, image, *found[i]) for i in order]
@@ -64,11 +66,14 @@ def cfar_factor(false_alarm: float, cells: int) -> float:
     return float(cells * (false_alarm ** (-1 / cells) - 1))
 
 
-def _cfar(
+def cfar_threshold(
     power: Array, false_alarm: float, guard: tuple[int, int], training: tuple[int, int]
-) -> NDArray[np.bool_]:
-    """Cells above the cell-averaging threshold that are the highest around; the map wraps."""
-    from scipy.ndimage import maximum_filter, uniform_filter
+) -> Array:
+    """Cell-averaging threshold of every cell; the map wraps around.
+
+    Raises ValueError when the map leaves no cells to tell the noise from.
+    """
+    from scipy.ndimage import uniform_filter
 
     inner = tuple(min(2 * g + 1, size) for g, size in zip(guard, power.shape, strict=True))
     outer = tuple(
@@ -82,9 +87,15 @@ def _cfar(
     around -= n_inner * uniform_filter(power, inner, mode="wrap")
     # A running mean loses digits next to a peak 1e10 times higher: never below zero.
     level = np.maximum(around / cells, 0)
-    peak = power == maximum_filter(power, tuple(min(5, s) for s in power.shape), mode="wrap")
-    above: NDArray[np.bool_] = peak & (power > cfar_factor(false_alarm, cells) * level)
-    return above & (power > 0)
+    return np.asarray(cfar_factor(false_alarm, cells) * level, dtype=np.float64)
+
+
+def _peaks(power: Array) -> NDArray[np.bool_]:
+    """Cells that are the highest of the 5 x 5 around them."""
+    from scipy.ndimage import maximum_filter
+
+    highest = maximum_filter(power, tuple(min(5, size) for size in power.shape), mode="wrap")
+    return np.asarray((power == highest) & (power > 0))
 
 
 def _refined(
@@ -111,11 +122,13 @@ def _refined(
     blocks = blocks * np.exp(2j * np.pi * f[:, None] * t * rate)
 
     cell = np.array([1 / waveform.bandwidth_hz, 2 * waveform.velocity_cell_m_per_s / C_M_PER_S])
-    step = np.zeros(2)
+    # Migration smears the peak over as many cells as the target crosses.
+    crossed = abs(rate) * waveform.n_slots * waveform.slot_period_s / cell[0]
+    step = _highest(blocks, 2 * np.pi * f * cell[0], by_rate[len(f) // 2] * cell[1], 1 + crossed)
     for _ in range(12):
         gradient, hessian = _slope(blocks, by_delay * cell[0], by_rate * cell[1], step)
         change = -np.linalg.lstsq(hessian, gradient, rcond=None)[0]
-        step = np.clip(step + np.clip(change, -0.3, 0.3), -1, 1)
+        step = step + np.clip(change, -0.25, 0.25)
         if np.abs(change).max() < 1e-9:
             break
     turned = blocks * np.exp(1j * (by_delay * cell[0] * step[0] + by_rate * cell[1] * step[1]))
@@ -148,8 +161,18 @@ def _in_blocks(
     return summed, means[0], means[1]
 
 
+def _highest(
+    blocks: NDArray[np.complex128], by_delay: Array, by_rate: Array, reach: float
+) -> Array:
+    """Best of a grid of quarter cells out to ``reach`` cells: a start from which Newton climbs."""
+    steps = np.arange(-np.ceil(4 * reach), np.ceil(4 * reach) + 1) / 4
+    sums = np.exp(1j * np.outer(steps, by_delay)) @ blocks @ np.exp(1j * np.outer(by_rate, steps))
+    row, column = np.unravel_index(np.argmax(np.abs(sums)), sums.shape)
+    return np.array([steps[row], steps[column]])
+
+
 def _slope(blocks: NDArray[np.complex128], a: Array, b: Array, step: Array) -> tuple[Array, Array]:
-    """Gradient and Hessian of |sum blocks exp(j (a x + b y))|^2 at ``step``, scaled by it."""
+    """Gradient and Hessian of log |sum blocks exp(j (a x + b y))|^2 at ``step``."""
     turned = blocks * np.exp(1j * (a * step[0] + b * step[1]))
     s = turned.sum()
     first = np.array([(1j * a * turned).sum(), (1j * b * turned).sum()])
@@ -159,9 +182,8 @@ def _slope(blocks: NDArray[np.complex128], a: Array, b: Array, step: Array) -> t
             [(a * b * turned).sum(), (b * b * turned).sum()],
         ]
     )
-    scale = np.abs(s) ** 2
-    gradient = 2 * np.real(np.conj(s) * first) / scale
-    hessian = 2 * np.real(np.conj(first)[:, None] * first + np.conj(s) * second) / scale
+    gradient = 2 * np.real(first / s)
+    hessian = 2 * np.real(second / s - first[:, None] * first / s**2)
     return gradient, hessian
 
 

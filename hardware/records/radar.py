@@ -56,8 +56,8 @@ class RadarRecord:
     @property
     def wave(self) -> NDArray[np.complex128]:
         """Received wave in root watts, (n_steps, n_slots, n_subcarriers)."""
-        counts: NDArray[np.complex128] = self.iq[..., 0] + 1j * self.iq[..., 1]
-        return counts * self.root_watt_per_count
+        counts = self.iq.astype(np.float64) * self.root_watt_per_count
+        return counts[..., 0] + 1j * counts[..., 1]
 
 
 LAYOUT = container.Layout(

@@ -35,7 +35,7 @@ def evaluate_radar(
     capture: RadarCapture,
     *,
     window: str = "blackmanharris",
-    false_alarm: float = 1e-6,
+    false_alarm: float = 1e-8,
 ) -> RadarEvaluation:
     """Process a record as the vehicle does, and match detections with the truth."""
     received = channel(capture.record)

@@ -7,6 +7,7 @@ measured anew on the scene's own planes in float64.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,22 @@ def trace(scene: Scene, radar: RadarDesign, *, max_depth: int = 3, seed: int = 0
         roles=tuple(world.roles),
         assumptions=tuple(world.assumptions),
     )
+
+
+# Solvers keep no state, and making one decorates functions anew: once per process.
+
+
+@lru_cache(maxsize=1)
+def _path_solver() -> Any:
+    return sionna().PathSolver(deterministic=True)
+
+
+@lru_cache(maxsize=1)
+def _target_solver() -> Any:
+    sionna()
+    from sionna.rt.rcs import RCSSolver
+
+    return RCSSolver(deterministic=True)
 
 
 class _RadioWorld:
@@ -174,7 +191,7 @@ class _RadioWorld:
         """Mirror images of the radar in large surfaces."""
         if not self.surfaces:
             return []
-        solved = sionna().PathSolver(deterministic=True)(
+        solved = _path_solver()(
             self.world,
             max_depth=max_depth,
             max_num_paths_per_src=_BUFFER,
@@ -189,11 +206,9 @@ class _RadioWorld:
 
     def targets(self, max_depth: int, seed: int) -> list[Path]:
         """Ways to every target and back, directly and over surfaces."""
-        from sionna.rt.rcs import RCSSolver
-
         if not self.target_by_name:
             return []
-        solved = RCSSolver(deterministic=True)(
+        solved = _target_solver()(
             self.world,
             max_depth=max_depth,
             samples_per_sp=_SAMPLES,

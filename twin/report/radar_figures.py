@@ -79,9 +79,9 @@ def _mark(axis: Any, evaluation: RadarEvaluation) -> None:
 
 
 def _shown_ranges(evaluation: RadarEvaluation) -> slice:
-    """From 0 to a third beyond the farthest thing of interest."""
+    """From 0 to a third beyond the farthest target or path."""
     far = [t.seen_at[0] for t in evaluation.capture.truth]
-    far += [d.range_m for d in evaluation.detections]
+    far += [p.range_m for p in evaluation.capture.propagation.paths]
     top = 1.33 * max(far, default=evaluation.image.range_m[-1])
     return slice(0, max(8, int(np.searchsorted(evaluation.image.range_m, top))))
 

@@ -35,7 +35,8 @@ def default_pose(camera: Array | None, meshes: Iterable[Mesh]) -> tuple[Pose, st
     """
     if camera is not None:  # Mitsuba's cameras look along +z, +y is up
         return Pose.from_axes(camera[:3, 3], camera[:3, 2], camera[:3, 1]), "the XML's camera"
-    return _from_geometry(list(meshes))
+    geometry = list(meshes)
+    return _from_geometry(geometry) if geometry else (Pose((0.0, 0.0, _EYE_M)), "an empty scene")
 
 
 def _from_geometry(meshes: list[Mesh]) -> tuple[Pose, str]:

@@ -39,8 +39,6 @@ def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
     """
     path = _find(scene)
     document = xml.read_xml(path)
-    if not document.shapes:
-        raise InputError(f"{path}: the scene has no shapes")
     names = [shape.name for shape in document.shapes]
     for name in names:
         if names.count(name) > 1:
@@ -52,6 +50,8 @@ def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
 
     meshes = {shape.name: _mesh(path, shape) for shape in document.shapes}
     rig, warnings = _rig(settings, document, meshes, pose)
+    if not document.shapes:
+        warnings.append("the scene has no shapes")
     for shape in document.shapes:
         _check_extent(path, shape, meshes[shape.name], rig)
     objects = tuple(

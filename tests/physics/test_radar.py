@@ -1,0 +1,370 @@
+"""The radar chain against the radar equation, image theory, the direct sum and its bounds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import constants
+
+from hardware.radar import OfdmWaveform, channel, detect, range_doppler
+from twin.files import InputError
+from twin.radar import load_radar, radar_capture
+from twin.radar.acquisition import contributions
+from twin.radar.design import RadarDesign
+from twin.radar.evaluation import evaluate_radar
+from twin.radar.materials import radio_properties
+from twin.radar.propagation import trace
+from twin.radar.roles import Role, assign_roles
+from twin.radar.synthesis import Contributions, direct_sum, synthesize
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target, load_scene
+from twin.scene.materials import load_materials
+
+C = constants.c
+WAVE = OfdmWaveform(79e9, 4096, 976_562.5, 64, 156.25e-6, 151, 1.024e-6)
+MATERIALS = load_materials(Path(__file__).parents[2] / "scenes" / "materials.toml")
+AT_ORIGIN = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
+
+
+def plate(name: str, distance_m: float, side_m: float, material: str = "concrete") -> SceneObject:
+    """A square facing the radar."""
+    h = side_m / 2
+    corners = np.array([[0, -h, -h], [0, h, -h], [0, h, h], [0, -h, h]]) + [distance_m, 0, 0]
+    faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
+    return SceneObject(name, corners, faces, None, material, 0.5)
+
+
+def target(position, velocity=(0.0, 0.0, 0.0), rcs_m2: float = 10.0, name: str = "t") -> Target:
+    return Target(name, tuple(position), tuple(velocity), rcs_m2, "declared here")
+
+
+def world(*objects: SceneObject, targets: tuple[Target, ...] = (), rig: Rig = AT_ORIGIN) -> Scene:
+    sun = Sun(180.0, 30.0, 0.0)
+    return Scene("test", Path("test"), "", objects, rig, sun, targets, materials=MATERIALS)
+
+
+def changed(radar: RadarDesign, **changes: object) -> RadarDesign:
+    content = radar.model_dump()
+    for name, value in changes.items():
+        section, field = name.split("__")
+        content[section][field] = value
+    return RadarDesign.model_validate(content)
+
+
+# Design.
+
+
+def test_link_budget_is_the_audited_one() -> None:
+    """12 dBm, 2 x 20 dBi, 13 dB, 6 dB: 10 m^2 at 150 m give -112.4 dBm; 28.5 dB after 10 ms of
+    energy, of which the prefix takes 0.11 dB and the pause at a slot's end 0.02 dB.
+    """
+    radar = load_radar("hybrid-79")
+    received = radar.received_power_w(150.0, 10.0)
+    assert 10 * np.log10(received * 1e3) == pytest.approx(-112.4, abs=0.05)
+    assert 10 * np.log10(radar.image_snr(received)) == pytest.approx(28.5, abs=0.15)
+
+
+def test_antenna_pattern_radiates_what_it_is_fed() -> None:
+    """The gain integrates to 4 pi over the sphere, by quadrature."""
+    antenna = load_radar("hybrid-79").antenna
+    cos = (np.arange(200_000) + 0.5) / 200_000
+    assert antenna.gain(cos).mean() * 2 * np.pi == pytest.approx(4 * np.pi, rel=1e-4)
+    assert antenna.gain(np.array([1.0]))[0] == pytest.approx(100.0)
+    assert antenna.gain(np.array([-0.5]))[0] == 0.0
+
+
+def test_designs_say_where_they_contradict_themselves() -> None:
+    radar = load_radar("hybrid-79")
+    assert radar.warnings() == []
+    assert "78.00-82.00 GHz leaves 76-81 GHz" in load_radar("paper-80").warnings()[0]
+    (far,) = radar.warnings(farthest_m=160.0)
+    assert "appears at 6.5 m" in far
+    fast = radar.warnings(fastest_m_per_s=30.0)
+    assert "beyond the unambiguous +/- 24.29 m/s" in fast[0]
+    assert "loses 3.7 dB" in fast[1]
+    short = changed(radar, waveform__prefix_s=0.4e-6).warnings()
+    assert "protects 60.0 m of 153.5 m" in short[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[waveform]\nrepeats = 39", "slot_period_s"),
+        ("[waveform]\nn_slots = 0", "waveform.n_slots.value = 0"),
+        ("[waveform]\ncarrier_hz = '79 GHz'", "waveform.carrier_hz.value = '79 GHz'"),
+        ("[waveform]\nsymbols = 'qam'", "waveform.symbols"),
+        ("[antenna]\ngain_dbi = 1.0", "antenna.gain_dbi"),
+        ("[waveform", "no valid TOML"),
+    ],
+)
+def test_malformed_waveform_files(tmp_path: Path, text: str, expected: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(f'base = "hybrid-79"\n{text}\n')
+    with pytest.raises(InputError) as caught:
+        load_radar(path)
+    assert str(path) in str(caught.value)
+    assert expected in str(caught.value)
+
+
+# Synthesis.
+
+
+@pytest.mark.parametrize("shape", [(4096, 64), (255, 33), (64, 1), (1, 16)])
+@pytest.mark.parametrize("kind", ["static", "two bodies", "spread", "everything"])
+def test_nufft_is_the_direct_sum(kind: str, shape: tuple[int, int]) -> None:
+    """Error below 1e-5 of the channel's rms, at frequencies and times all over the grid."""
+    rng = np.random.default_rng(1)
+    n = 3000
+    rates = {
+        "static": np.zeros(n),
+        "two bodies": np.where(rng.random(n) < 0.5, 0, 2 * 5.5 / C),
+        "spread": 2 * (5.5 + 0.1 * rng.normal(size=n)) / C,
+        "everything": rng.uniform(-2 * 30 / C, 2 * 30 / C, n),
+    }[kind]
+    amplitude = rng.normal(size=n) + 1j * rng.normal(size=n)
+    echoes = Contributions(amplitude, rng.uniform(1e-10, 1.02e-6, n), rates)
+    wave = replace(WAVE, n_subcarriers=shape[0], n_slots=shape[1])
+    found = synthesize(echoes, wave)
+    rows = np.unique(np.linspace(0, shape[0] - 1, 9).astype(int))
+    columns = np.unique(np.linspace(0, shape[1] - 1, 5).astype(int))
+    exact = direct_sum(
+        echoes, wave.frequency_offsets_hz[rows], wave.slot_times_s[columns], wave.carrier_hz
+    )
+    rms = np.sqrt(np.mean(np.abs(found) ** 2))
+    assert np.abs(found[np.ix_(rows, columns)] - exact).max() < 1e-5 * rms
+
+
+def test_tolerance_is_what_bounds_the_error() -> None:
+    rng = np.random.default_rng(2)
+    echoes = Contributions(
+        rng.normal(size=500) + 0j, rng.uniform(0, 1e-6, 500), 2 * rng.uniform(4, 5, 500) / C
+    )
+    exact = direct_sum(echoes, WAVE.frequency_offsets_hz[::500], WAVE.slot_times_s, WAVE.carrier_hz)
+    errors = []
+    for tolerance in (1e-3, 1e-6, 1e-9):
+        found = synthesize(echoes, WAVE, tolerance)
+        rms = np.sqrt(np.mean(np.abs(found) ** 2))
+        errors.append(np.abs(found[::500] - exact).max() / rms)
+        assert errors[-1] < 10 * tolerance
+    assert errors[0] > errors[1] > errors[2]
+
+
+def test_no_contribution_is_silence() -> None:
+    assert not synthesize(Contributions.none(), WAVE).any()
+
+
+# Propagation.
+
+
+@pytest.mark.parametrize("distance_m", [10.0, 50.0, 140.0])
+def test_a_target_in_free_space_obeys_the_radar_equation(distance_m: float) -> None:
+    """10 m^2 receding at 2 m/s: level within 0.2 dB after the slot's loss, range and rate within
+    3 standard errors of the Cramer-Rao bound (rectangular window, so no window loss).
+    """
+    radar = load_radar("hybrid-79")
+    scene = world(targets=(target((distance_m, 0, 0), (2.0, 0, 0)),))
+    taken = radar_capture(scene, radar, seed=4)
+    received = channel(taken.record)
+    image = range_doppler(received, radar.ofdm, "boxcar")
+    found = detect(received, radar.ofdm, image, window="boxcar", at_most=1)[0]
+    expected = radar.received_power_w(distance_m, 10.0)
+    loss = float(radar.ofdm.slot_gain(np.array(2 * 2.0 / radar.ofdm.wavelength_m))) ** 2
+    assert 10 * np.log10(found.power_w / (expected * loss)) == pytest.approx(0, abs=0.2)
+    per_root_snr = np.sqrt(6 / radar.image_snr(expected * loss)) / (4 * np.pi)
+    range_bound = C / 976_562.5 * per_root_snr / np.sqrt(4096**2 - 1)
+    rate_bound = radar.ofdm.wavelength_m / 39.0625e-6 * per_root_snr / np.sqrt(256**2 - 1)
+    assert abs(found.range_m - distance_m) < 3 * range_bound
+    assert abs(found.range_rate_m_per_s - 2.0) < 3 * rate_bound
+
+
+def test_a_large_wall_is_a_mirror() -> None:
+    """Image at twice the distance, weakened by Fresnel's coefficient of the half space."""
+    radar = load_radar("hybrid-79")
+    distance = 20.0
+    (path,) = trace(world(plate("wall", distance, 40.0)), radar, max_depth=1).paths
+    permittivity, conductivity, _ = radio_properties("concrete", MATERIALS["concrete"], 79e9)
+    epsilon = permittivity - 1j * conductivity / (2 * np.pi * 79e9 * constants.epsilon_0)
+    fresnel = (1 - np.sqrt(epsilon)) / (1 + np.sqrt(epsilon))
+    gain = 100.0 * 10 ** (-6 / 20)
+    expected = gain * abs(fresnel) * radar.ofdm.wavelength_m / (4 * np.pi * 2 * distance)
+    assert path.via == ("wall",)
+    assert 20 * np.log10(abs(path.amplitude) / expected) == pytest.approx(0, abs=0.05)
+    assert path.range_m == pytest.approx(distance, abs=1e-9)
+
+
+def test_small_plates_do_not_mirror() -> None:
+    """A plate of the Fresnel zone's size would answer with pi d^2 under the image method."""
+    radar = load_radar("hybrid-79")
+    scene = world(plate("sign", 20.0, 0.3))
+    (role,) = assign_roles(scene, radar.ofdm.wavelength_m)
+    assert role.role is Role.OBSTACLE
+    assert trace(scene, radar).paths == ()
+
+
+def test_obstacles_and_walls_hide_targets() -> None:
+    radar = load_radar("hybrid-79")
+    far = (target((30.0, 0, 0)),)
+    assert len(trace(world(targets=far), radar, max_depth=1).paths) == 1
+    for item in (plate("sign", 20.0, 0.3), plate("wall", 20.0, 40.0)):
+        paths = trace(world(item, targets=far), radar, max_depth=1).paths
+        assert all(path.target is None for path in paths)
+
+
+def test_delays_are_those_of_a_float64_trace_at_150_m() -> None:
+    """Direct and over a wall beside the target: phase within 1e-3 rad of image theory in float64.
+
+    Float32 alone would be off by 1.4 degrees per last digit here.
+    """
+    radar = load_radar("hybrid-79")
+    wall = SceneObject(
+        "wall",
+        np.array([[0, 7.0, -20], [160, 7.0, -20], [160, 7.0, 20], [0, 7.0, 20]], dtype=float),
+        np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
+        None,
+        "concrete",
+        0.5,
+    )
+    point = np.array([149.123456, 0.654321, 0.3])
+    paths = trace(world(wall, targets=(target(point),)), radar).paths
+    mirrored = np.linalg.norm(point * [1, -1, 1] + [0, 14.0, 0])
+    lengths = {
+        ("t",): 2 * np.linalg.norm(point),
+        ("wall", "t"): np.linalg.norm(point) + mirrored,
+        ("t", "wall"): np.linalg.norm(point) + mirrored,
+        ("wall", "t", "wall"): 2 * mirrored,
+    }
+    found = {path.via: path for path in paths}
+    assert set(lengths) <= set(found)
+    for via, length in lengths.items():
+        phase = 2 * np.pi * 79e9 * (found[via].delay_s - length / C)
+        assert abs(phase) < 1e-3, via
+    # Reciprocity: there and back are the same way.
+    one, other = found[("wall", "t")].amplitude, found[("t", "wall")].amplitude
+    assert abs(one - other) < 1e-3 * abs(one)
+
+
+def test_a_slowly_approaching_targets_phase_is_a_line() -> None:
+    """Positions 20 um apart at 140 m, where float32 has steps of 15 um: no staircase."""
+    radar = load_radar("hybrid-79")
+    places = 140.0 - 20e-6 * np.arange(6)
+    phases = []
+    for place in places:
+        paths = trace(world(targets=(target((place, 0, 0)),)), radar, max_depth=1).paths
+        echoes = contributions(paths, radar.ofdm)
+        cycles = radar.ofdm.carrier_hz * echoes.delay_s[0] % 1.0
+        phases.append(np.angle(echoes.amplitude[0] * np.exp(-2j * np.pi * cycles)))
+    line = np.unwrap(phases)
+    expected = -4 * np.pi / radar.ofdm.wavelength_m * (places - places[0])
+    np.testing.assert_allclose(line - line[0], expected, atol=1e-3)
+
+
+def test_multipath_over_the_ground_keeps_the_rates_of_its_legs() -> None:
+    """A target moving up: its image below the ground recedes at another rate."""
+    radar = load_radar("hybrid-79")
+    ground = SceneObject(
+        "ground",
+        np.array([[-50, -50, -1.0], [50, -50, -1.0], [50, 50, -1.0], [-50, 50, -1.0]]),
+        np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
+        None,
+        "concrete",
+        0.5,
+    )
+    step = 1e-6
+    found = [
+        {p.via: p for p in trace(world(ground, targets=(t,)), radar).paths}
+        for t in (
+            target((20.0, 0, 0.5), (1.0, 0, 3.0)),
+            target((20.0 + step, 0, 0.5 + 3 * step), (1.0, 0, 3.0)),
+        )
+    ]
+    for via in (("t",), ("ground", "t"), ("ground", "t", "ground")):
+        difference = (found[1][via].delay_s - found[0][via].delay_s) / step
+        assert found[0][via].delay_rate == pytest.approx(difference, rel=1e-4)
+
+
+# Captures.
+
+
+def test_a_static_scene_has_no_doppler() -> None:
+    radar = load_radar("hybrid-79")
+    places = ((12.0, 1.0, 0.0), (33.0, -2.0, 1.0))
+    targets = tuple(target(p, name=f"t{i}") for i, p in enumerate(places))
+    taken = radar_capture(world(plate("wall", 45.0, 40.0), targets=targets), radar, seed=1)
+    evaluation = evaluate_radar(radar, taken)
+    assert len(evaluation.detections) >= 3
+    for found in evaluation.detections[:3]:
+        # The window widens the bound by less than 2.
+        assert abs(found.range_rate_m_per_s) < 6 * found.range_rate_error_m_per_s + 1e-6
+
+
+def test_yard_targets_are_found_where_they_are() -> None:
+    radar, scene = load_radar("hybrid-79"), load_scene("yard")
+    evaluation = evaluate_radar(radar, radar_capture(scene, radar, seed=0))
+    matched = {
+        t.name: d for d, t in zip(evaluation.detections, evaluation.matches, strict=True) if t
+    }
+    assert {t.name for t in evaluation.capture.truth} == set(matched)
+    trihedral = next(t for t in evaluation.capture.truth if t.name == "trihedral")
+    assert matched["trihedral"].range_m == pytest.approx(trihedral.range_m, abs=1e-4)
+    assert matched["car"].range_rate_m_per_s == pytest.approx(1.438, abs=0.02)
+
+
+def test_two_runs_have_the_same_bits() -> None:
+    radar, scene = load_radar("hybrid-79-slow"), load_scene("yard")
+    a, b, other = (radar_capture(scene, radar, seed=s).record.iq for s in (1, 1, 2))
+    np.testing.assert_array_equal(a, b)
+    assert (a != other).any()
+
+
+def test_both_engines_share_one_process() -> None:
+    """Optical, radar, optical again: the same light before and after, the same echoes."""
+    from twin.acquisition import capture
+    from twin.optics.transport import Quality
+    from twin.system import load_system
+
+    scene, radar, system = load_scene("table1"), load_radar("hybrid-79-slow"), load_system("paper")
+    quality = Quality(4, 2)
+    before = capture(scene, system, quality=quality).record.counts
+    radar_capture(scene, radar)
+    np.testing.assert_array_equal(capture(scene, system, quality=quality).record.counts, before)
+
+
+def test_an_empty_scene_is_noise_only() -> None:
+    radar = load_radar("hybrid-79-slow")
+    taken = radar_capture(world(), radar, seed=3)
+    assert any("noise only" in w for w in taken.warnings)
+    iq = taken.record.iq.astype(float)
+    rms = radar.front_end.noise_counts.value / np.sqrt(2)
+    assert iq.std() == pytest.approx(np.hypot(rms, 1 / np.sqrt(12)), rel=0.01)
+    assert len(evaluate_radar(radar, taken).detections) <= 2
+
+
+def test_a_radar_inside_a_mesh_is_warned_of() -> None:
+    import trimesh
+
+    box = trimesh.creation.box((2.0, 2.0, 2.0))
+    item = SceneObject("box", np.array(box.vertices), np.array(box.faces), None, "concrete", 0.5)
+    taken = radar_capture(world(item), load_radar("hybrid-79-slow"))
+    assert any("the radar stands inside box" in w for w in taken.warnings)
+
+
+def test_a_target_beyond_the_unambiguous_range_wraps_to_where_the_warning_says() -> None:
+    radar = load_radar("hybrid-79-slow")
+    taken = radar_capture(world(targets=(target((160.0, 0, 0), rcs_m2=1e4),)), radar, seed=1)
+    assert any("appears at 6.5 m" in w for w in taken.warnings)
+    found = evaluate_radar(radar, taken).detections[0]
+    assert found.range_m == pytest.approx(160.0 - radar.ofdm.max_range_m, abs=0.01)
+
+
+def test_a_carrier_without_material_data_names_the_material() -> None:
+    radar = changed(load_radar("hybrid-79"), waveform__carrier_hz=60e9)
+    scene = world(plate("road", 20.0, 40.0, "asphalt"))
+    with pytest.raises(InputError, match=r"'asphalt': no radio properties at 60 GHz .*76-81 GHz"):
+        radar_capture(scene, radar)
+
+
+def test_a_strong_echo_clips_and_is_flagged() -> None:
+    radar = load_radar("hybrid-79-slow")
+    taken = radar_capture(world(targets=(target((0.5, 0, 0), rcs_m2=1e3),)), radar)
+    assert taken.record.flags.all()
+    assert any("clip" in w for w in taken.warnings)
