@@ -4,23 +4,24 @@ import json
 import os
 import platform
 from dataclasses import asdict
+from itertools import chain
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import optical
+from benchmarks import commands, optical, radar
 from benchmarks.timing import Timing, fft_workload
 
 
 def main() -> None:
     unit = fft_workload()
-    console = Console(width=110)
+    console = Console(width=150)
     table = Table("figure", "value", "spread (quartiles)", "x FFT 2^20", box=None)
     table.add_row("complex FFT, 2^20, NumPy (the unit)", *_timing(unit, unit))
     found: dict[str, Any] = {"FFT 2^20": asdict(unit)}
     with console.status("measuring"):
-        for name, value, what in optical.figures():
+        for name, value, what in chain(optical.figures(), radar.figures(), commands.figures()):
             if isinstance(value, Timing):
                 table.add_row(name, *_timing(value, unit))
                 ratio = value.median_s / unit.median_s

@@ -1,8 +1,6 @@
 """Figures of the optical chain: accuracy against closed forms, then time for each rung."""
 
 import importlib.util
-import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import hadamard
 
-from benchmarks.timing import Timing, timed, timed_command
+from benchmarks.timing import Figure, timed
 from hardware import PatternSet, reconstruct
 from hardware.patterns import fwht
 from hardware.reconstruction import METHODS
@@ -24,8 +22,6 @@ from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import load_system
 
-Figure = tuple[str, "float | Timing", str]
-
 
 def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
@@ -33,7 +29,6 @@ def figures() -> Iterator[Figure]:
     yield from _findings()
     yield from _transport()
     yield from _vehicle()
-    yield from _commands()
 
 
 def _accuracy() -> Iterator[Figure]:
@@ -116,15 +111,6 @@ def _peers(x: NDArray[np.integer]) -> Iterator[Figure]:
         values = [int(v) for v in x]
         np.testing.assert_array_equal([int(v) for v in sympy_fwht(values)], fwht(x))
         yield "peer: sympy.fwht, 4096", timed(lambda: sympy_fwht(values), runs=3), ""
-
-
-def _commands() -> Iterator[Figure]:
-    python = sys.executable
-    yield "import hardware", timed_command([python, "-c", "import hardware"]), ""
-    yield "twin --help", timed_command([python, "-m", "twin", "--help"]), ""
-    with tempfile.TemporaryDirectory() as folder:
-        command = [python, "-m", "twin", "run", "yard", "--out", str(Path(folder) / "out")]
-        yield "twin run scenes/yard, both systems, warm", timed_command(command, runs=3), ""
 
 
 def _wall(distance_m: float) -> Scene:

@@ -25,6 +25,10 @@ class Timing:
         return Timing(factor * self.median_s, low, high, self.runs, note)
 
 
+#: Name, value (a time or a number), unit.
+Figure = tuple[str, float | Timing, str]
+
+
 def timed(work: Callable[[], Any], runs: int = 9, warm_up: int = 1) -> Timing:
     """Time a function."""
     for _ in range(warm_up):

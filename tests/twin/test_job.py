@@ -1,5 +1,6 @@
 """The main job, as a user runs it: what it writes, what it refuses, and that it repeats."""
 
+import csv
 import os
 import re
 import signal
@@ -12,12 +13,16 @@ import numpy as np
 import pytest
 
 from hardware import read_record, reconstruct
+from hardware.radar import channel, detect, range_doppler
+from hardware.records import read_radar_record
 from twin import cli
 from twin.acquisition import capture
 from twin.engine import mitsuba
 from twin.evaluation import evaluate, score
 from twin.files import InputError, whole_folder
+from twin.job import run
 from twin.optics.transport import Quality
+from twin.radar import load_radar
 from twin.scene import load_scene, parse_pose
 from twin.system import load_system
 
@@ -26,7 +31,11 @@ FILES = {
     "report.html",
     "record.h5",
     "truth.exr",
+    "radar.h5",
+    "detections.csv",
+    "truth.csv",
     *(f"{n}.png" for n in ("headline", "scene", "truth", "reconstruction", "snr", "signal")),
+    *(f"{n}.png" for n in ("range_doppler", "radar_cuts")),
 }
 
 
@@ -58,15 +67,15 @@ def test_the_report_is_self_contained(finished: Path) -> None:
     page = (finished / "report.html").read_text()
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
     assert "url(" not in page
-    assert page.count("data:image/png;base64,") == 6
+    assert page.count("data:image/png;base64,") == 8
 
 
 def test_the_report_names_every_setting_and_assumption(finished: Path) -> None:
     from markupsafe import escape
 
     page = (finished / "report.html").read_text()
-    for name in ("workable", "paper"):
-        for field, value in load_system(name).values():
+    for design in (load_system("workable"), load_system("paper"), load_radar("hybrid-79")):
+        for field, value in design.values():
             assert field in page
             if value.assumed:
                 assert str(escape(value.assumed)) in page
@@ -87,6 +96,39 @@ def test_truth_has_named_channels_in_metres(finished: Path) -> None:
     assert albedo[0, 50] == 0
 
 
+def test_the_radar_record_alone_gives_the_detections(finished: Path) -> None:
+    """The vehicle's software on the file gives what stands in ``detections.csv``."""
+    record = read_radar_record(finished / "radar.h5")
+    received = channel(record)
+    image = range_doppler(received, record.waveform)
+    found = detect(received, record.waveform, image)
+    with (finished / "detections.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["range_m"]) for row in rows] == [d.range_m for d in found]
+    with (finished / "truth.csv").open() as file:
+        truth = {row["name"] for row in csv.DictReader(file)}
+    assert truth == {row["target"] for row in rows} - {""}
+
+
+def test_paths_and_sigmf_come_on_request_and_the_radar_can_stay_away(tmp_path: Path) -> None:
+    common = {"compare": None, "quality": FAST}
+    run("table1", out=tmp_path / "a", paths=True, sigmf=True, **common)
+    run("table1", out=tmp_path / "b", radar=None, **common)
+    extra = {"paths.csv", "radar.sigmf-data", "radar.sigmf-meta"}
+    radar = {"radar.h5", "detections.csv", "truth.csv", "range_doppler.png", "radar_cuts.png"}
+    assert {path.name for path in (tmp_path / "a").iterdir()} == FILES | extra
+    assert {path.name for path in (tmp_path / "b").iterdir()} == FILES - radar
+
+
+def test_an_empty_scene_runs_to_its_report(tmp_path: Path) -> None:
+    """Nothing to see: noise in both records, warnings, no crash."""
+    (tmp_path / "void.xml").write_text('<scene version="3.0.0"></scene>')
+    result = run(tmp_path / "void.xml", out=tmp_path / "out", quality=FAST)
+    assert "the scene has no shapes" in result.scene.warnings
+    assert any("noise only" in w for w in result.radar.capture.warnings)
+    assert not result.evaluations[0].capture.cells_e.any()
+
+
 def test_the_record_alone_gives_the_image(finished: Path) -> None:
     """What the vehicle does with the file, without the twin: recognisably the scene."""
     image = reconstruct(read_record(finished / "record.h5")).image[0]
@@ -97,7 +139,7 @@ def test_the_record_alone_gives_the_image(finished: Path) -> None:
 def test_same_seed_same_bytes_in_another_process(finished: Path, tmp_path: Path) -> None:
     """With another number of threads: nothing depends on how the work is shared."""
     subprocess.run([sys.executable, "-c", OTHER_THREADS.format(out=tmp_path / "again")], check=True)
-    for name in ("record.h5", "truth.exr", "headline.png"):
+    for name in ("record.h5", "radar.h5", "truth.exr", "detections.csv", "headline.png"):
         assert (finished / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
 
@@ -177,6 +219,7 @@ def test_score_is_skimages() -> None:
         (["run", "nope"], "nope: no such scene"),
         (["run", "yard", "--system", "nope"], "system: 'nope'"),
         (["run", "yard", "--compare", "nope"], "system: 'nope'"),
+        (["run", "yard", "--radar", "nope"], "radar: 'nope'"),
         (["run", "yard", "--pose", "1,2"], "expected x,y,z"),
         (["run", "yard", "--seed", "-1"], "--seed"),
         (["run", "yard", "--speed", "1"], "--speed"),
