@@ -1,0 +1,31 @@
+"""What the README shows runs as it stands there."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from twin.system import load_system
+
+README = (Path(__file__).parents[2] / "README.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+
+
+def test_python_examples_run(capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, object] = {}
+    for block in blocks("python"):
+        exec(block, names)
+    printed = capsys.readouterr().out
+    assert "psnr_db" in printed
+    assert "Detection(range_m=5.636" in printed
+
+
+def test_the_system_file_loads(tmp_path: Path) -> None:
+    (text,) = blocks("toml")
+    assert tomllib.loads(text)["base"] == "paper"
+    (tmp_path / "mine.toml").write_text(text)
+    assert load_system(tmp_path / "mine.toml").optics.f_number.value == 0.8
