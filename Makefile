@@ -13,8 +13,9 @@ demo: install
 test: install lint test-vehicle
 	$(BIN)/pytest
 
-# The vehicle's part where the simulator is not installed.
+# The vehicle's part, as a package, where the simulator is not installed.
 test-vehicle: $(VEHICLE)/.installed
+	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-deps --no-build-isolation --force-reinstall .
 	cd tests/hardware && ../../$(VEHICLE)/bin/python -m pytest -c ../../pyproject.toml --rootdir ../.. -q .
 
 # Long statistics.
@@ -45,7 +46,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 $(VEHICLE)/.installed: requirements.lock pyproject.toml $(VENV)/.installed
 	$(PYTHON) -m venv $(VEHICLE)
 	$(VEHICLE)/bin/pip install $(PIP_FLAGS) -c requirements.lock pytest hypothesis hatchling
-	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-build-isolation -c requirements.lock -e .
+	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-build-isolation -c requirements.lock .
 	@touch $@
 
 clean:
