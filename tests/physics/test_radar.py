@@ -192,6 +192,19 @@ def test_a_large_wall_is_a_mirror() -> None:
     assert path.range_m == pytest.approx(distance, abs=1e-9)
 
 
+def test_sionnas_own_street_mirrors_the_radar() -> None:
+    """Its shapes are called `mesh-...`: names must come back as the file has them."""
+    import importlib.util
+
+    spec = importlib.util.find_spec("sionna.rt")
+    folder = Path(spec.submodule_search_locations[0]) / "scenes/simple_street_canyon"
+    scene = load_scene(folder / "simple_street_canyon.xml")
+    paths = {p.via: p for p in trace(scene, load_radar("hybrid-79")).paths}
+    wall = next(o for o in scene.objects if o.name == "mesh-building_6")
+    across = scene.rig.position_m[1] - wall.vertices_m[:, 1].max()
+    assert paths[("mesh-building_6",)].range_m == pytest.approx(across, abs=1e-6)
+
+
 def test_small_plates_do_not_mirror() -> None:
     """A plate of the Fresnel zone's size would answer with pi d^2 under the image method."""
     radar = load_radar("hybrid-79")

@@ -122,14 +122,14 @@ class _RadioWorld:
         self.world.add(rt.Receiver("receiver", [0.0, 0.0, 0.0]))
         self._add_meshes(scene)
         self._add_targets()
-        self.surface_names = {int(s.object_id): name for name, s in self.world.objects.items()}
+        self.mesh_names = {int(mesh.object_id): name for name, mesh in self.meshes.items()}
         self.target_names = list(self.world.sensing_targets)
 
     def _add_meshes(self, scene: Scene) -> None:
         """Surfaces with their material; obstacles as air that is opaque and reflects nothing."""
         rt = sionna()
         made: dict[str, Any] = {}
-        meshes = []
+        self.meshes: dict[str, Any] = {}
         for assigned in self.roles:
             if assigned.role is Role.TARGET:
                 continue
@@ -138,12 +138,14 @@ class _RadioWorld:
             if key not in made:
                 made[key] = rt.RadioMaterial(f"material-{key}", **self._material(key, scene))
             mesh = rt.SceneObject(
-                mi_mesh=_mesh(item, self.origin), name=item.name, radio_material=made[key]
+                mi_mesh=_mesh(item, self.origin),
+                name=f"object-{len(self.meshes)}",  # Sionna edits names of its own accord
+                radio_material=made[key],
             )
             mesh.velocity = list(item.velocity_m_per_s)
-            meshes.append(mesh)
-        if meshes:
-            self.world.edit(add=meshes)
+            self.meshes[item.name] = mesh
+        if self.meshes:
+            self.world.edit(add=list(self.meshes.values()))
 
     def _material(self, name: str, scene: Scene) -> dict[str, float]:
         if name == _AIR:
@@ -222,7 +224,7 @@ class _RadioWorld:
         """The same path with its length in float64; None for one over an obstacle."""
         # Sionna counts sensing targets by themselves.
         names = [
-            self.target_names[i] if kind == _TARGET else self.surface_names[i]
+            self.target_names[i] if kind == _TARGET else self.mesh_names[i]
             for i, kind in zip(raw.objects, raw.kinds, strict=True)
         ]
         if any(
