@@ -12,8 +12,8 @@ from benchmarks.timing import Figure, timed
 from hardware import PatternSet, reconstruct
 from hardware.patterns import fwht
 from hardware.reconstruction import METHODS
-from twin.acquisition import capture, devices
-from twin.evaluation import evaluate
+from twin.camera.acquisition import capture, devices
+from twin.camera.evaluation import evaluate
 from twin.optics.radiometry import collection, wall_power_w
 from twin.optics.reference import PatternRenderer
 from twin.optics.spectra import sun_band_irradiance

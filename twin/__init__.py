@@ -18,12 +18,12 @@ __version__ = "0.1.0"
 
 # Names are looked up when first used: `twin --help` must not wait for a renderer.
 _HOMES = {
-    "Capture": "twin.acquisition",
+    "Capture": "twin.camera.acquisition",
     "InputError": "twin.files",
     "Scene": "twin.scene",
     "System": "twin.system",
-    "capture": "twin.acquisition",
-    "evaluate": "twin.evaluation",
+    "capture": "twin.camera.acquisition",
+    "evaluate": "twin.camera.evaluation",
     "load_scene": "twin.scene",
     "load_system": "twin.system",
     "load_radar": "twin.radar",

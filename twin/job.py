@@ -6,11 +6,12 @@ from pathlib import Path
 
 from hardware.records import write_radar_record, write_record
 from hardware.records.sigmf import export_sigmf
-from twin.acquisition import capture, devices
-from twin.evaluation import Evaluation, evaluate
+from twin.camera.acquisition import capture, devices
+from twin.camera.evaluation import Evaluation, evaluate
+from twin.camera.truth import write_truth
+from twin.camera.view import View, render_view
 from twin.files import InputError, whole_folder
 from twin.optics.transport import Quality
-from twin.optics.view import View, render_view
 from twin.progress import Stages
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.evaluation import (
@@ -24,7 +25,6 @@ from twin.report import write_report
 from twin.scene import Pose, Scene, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
-from twin.truth import write_truth
 
 _STAGES_PER_SYSTEM = 6
 _STAGES_OF_RADAR = 3

@@ -7,7 +7,7 @@ everything that the file leaves out from another system.
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -15,15 +15,14 @@ from hardware.patterns import Mode, Order, PatternSet
 from twin.files import catalog_folder
 from twin.toml import (
     Count,
+    Entry,
     Fraction,
-    Name,
     NonNegative,
     Positive,
     Sourced,
     Strict,
     bundled,
-    load_typed,
-    values,
+    load_entry,
 )
 
 FieldAngle = Annotated[Positive, Field(lt=170)]
@@ -129,11 +128,9 @@ class Sky(Strict):
     illuminance_lx: Sourced[NonNegative]
 
 
-class System(Strict):
+class System(Entry):
     """One complete optical system."""
 
-    name: Name
-    description: str = ""
     emitter: Emitter
     filter: Filter
     optics: Optics
@@ -168,19 +165,13 @@ class System(Strict):
         """Time to show all patterns once."""
         return self.patterns.n_exposures * self.acquisition.pattern_period_s.value
 
-    def values(self) -> list[tuple[str, Sourced[Any]]]:
-        """Every value with its dotted name, in the file's order."""
-        return values(self)
-
 
 def load_system(name: "str | Path | System") -> System:
     """A bundled system by name, or a user's own TOML file; a system is returned as it is.
 
     Raises InputError naming the file, the field, the value and what was expected.
     """
-    if isinstance(name, System):
-        return name
-    return load_typed(System, name, "system", catalog_folder() / "systems")
+    return load_entry(System, name, "system", catalog_folder() / "systems")
 
 
 def system_names() -> list[str]:

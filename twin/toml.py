@@ -24,9 +24,6 @@ class Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-M = TypeVar("M", bound=Strict)
-
-
 class Sourced(Strict, Generic[T]):
     """A value with where it comes from: a source, or the reason why it is assumed."""
 
@@ -46,6 +43,26 @@ class Sourced(Strict, Generic[T]):
         if (self.source is None) == (self.assumed is None):
             raise ValueError("needs either `source` or `assumed`")
         return self
+
+
+class Entry(Strict):
+    """A catalogue entry: a name, and sections of sourced values."""
+
+    name: Name
+    description: str = ""
+
+    def values(self) -> list[tuple[str, Sourced[Any]]]:
+        """Every sourced value with its dotted name, in the order of the sections."""
+        return [
+            (f"{section}.{name}", value)
+            for section in type(self).model_fields
+            if isinstance(part := getattr(self, section), Strict)
+            for name in type(part).model_fields
+            if isinstance(value := getattr(part, name), Sourced)
+        ]
+
+
+M = TypeVar("M", bound=Entry)
 
 
 def describe(error: ValidationError) -> str:
@@ -75,14 +92,16 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: can't be read ({error.strerror})") from error
 
 
-def load_typed(model: type[M], name: str | Path, kind: str, folder: Path) -> M:
-    """A catalogue entry by name, or a user's own file, validated.
+def load_entry(model: type[M], name: str | Path | M, kind: str, folder: Path) -> M:
+    """A catalogue entry by name, or a user's own file, validated; an entry is returned as it is.
 
     ``base = "NAME"`` in a file takes everything that it leaves out from another entry, or from a
     file beside it. Raises InputError, one line that begins with the file, or with ``kind`` where
     there is none.
     """
-    path = _find(name, kind, folder)
+    if isinstance(name, model):
+        return name
+    path = _find(str(name), kind, folder)
     try:
         return model.model_validate(_with_base(path, kind, folder))
     except ValidationError as error:
@@ -94,25 +113,14 @@ def bundled(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
-def values(entry: Strict) -> list[tuple[str, Sourced[Any]]]:
-    """Every sourced value of an entry's sections with its dotted name, in the file's order."""
-    return [
-        (f"{section}.{name}", value)
-        for section in type(entry).model_fields
-        if isinstance(part := getattr(entry, section), Strict)
-        for name in type(part).model_fields
-        if isinstance(value := getattr(part, name), Sourced)
-    ]
-
-
-def _find(name: str | Path, kind: str, folder: Path) -> Path:
+def _find(name: str, kind: str, folder: Path) -> Path:
     entry, path = folder / f"{name}.toml", Path(name)
     if entry.is_file() and path.suffix != ".toml":
         return entry
     if path.is_file():
         return path
     raise InputError(
-        f"{kind}: {str(name)!r} is neither a TOML file nor one of {', '.join(bundled(folder))}"
+        f"{kind}: {name!r} is neither a TOML file nor one of {', '.join(bundled(folder))}"
     )
 
 

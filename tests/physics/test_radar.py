@@ -331,7 +331,7 @@ def test_two_runs_have_the_same_bits() -> None:
 
 def test_both_engines_share_one_process() -> None:
     """Optical, radar, optical again: the same light before and after, the same echoes."""
-    from twin.acquisition import capture
+    from twin.camera.acquisition import capture
     from twin.optics.transport import Quality
     from twin.system import load_system
 

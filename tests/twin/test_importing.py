@@ -46,7 +46,7 @@ def test_gltf_is_y_up_by_itself_and_parts_keep_their_names(robot, tmp_path: Path
 
 
 def test_the_rig_sees_the_model(robot, tmp_path: Path) -> None:
-    from twin.acquisition import capture
+    from twin.camera.acquisition import capture
     from twin.optics.transport import Quality
     from twin.system import load_system
 

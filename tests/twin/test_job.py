@@ -16,9 +16,9 @@ from hardware import read_record, reconstruct
 from hardware.radar import channel, detect, range_doppler
 from hardware.records import read_radar_record
 from twin import cli
-from twin.acquisition import capture
+from twin.camera.acquisition import capture
+from twin.camera.evaluation import evaluate, score
 from twin.engine import mitsuba
-from twin.evaluation import evaluate, score
 from twin.files import InputError, whole_folder
 from twin.job import run
 from twin.optics.transport import Quality

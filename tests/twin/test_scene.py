@@ -344,8 +344,8 @@ def test_obj_counts_from_one(tmp_path: Path) -> None:
 
 def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path) -> None:
     """An OBJ with a texture, its `to_uv`, filter and wrapping: albedo along 64 rays, both ways."""
+    from twin.camera.truth import render_truth
     from twin.optics.transport import Pinhole
-    from twin.truth import render_truth
 
     mi = mitsuba()
     image = np.random.default_rng(0).random((8, 8, 1)).astype(np.float32)

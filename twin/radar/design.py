@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -12,14 +12,13 @@ from hardware.radar.waveform import C_M_PER_S, OfdmWaveform, Symbols
 from twin.files import catalog_folder
 from twin.toml import (
     Count,
-    Name,
+    Entry,
     NonNegative,
     Positive,
     Sourced,
     Strict,
     bundled,
-    load_typed,
-    values,
+    load_entry,
 )
 
 _REFERENCE_K = 290.0  # of noise figures, by definition
@@ -68,11 +67,9 @@ class Band(Strict):
     high_hz: Sourced[Positive]
 
 
-class RadarDesign(Strict):
+class RadarDesign(Entry):
     """One radar with one transmit and one receive antenna at the same place."""
 
-    name: Name
-    description: str = ""
     waveform: Waveform
     front_end: FrontEnd
     antenna: Antenna
@@ -82,10 +79,6 @@ class RadarDesign(Strict):
     def _waveform_is_possible(self) -> "RadarDesign":
         _ = self.ofdm
         return self
-
-    def values(self) -> list[tuple[str, Sourced[Any]]]:
-        """Every value with its dotted name, in the file's order."""
-        return values(self)
 
     @property
     def ofdm(self) -> OfdmWaveform:
@@ -161,9 +154,7 @@ def load_radar(name: "str | Path | RadarDesign") -> RadarDesign:
 
     Raises InputError naming the file, the field, the value and what was expected.
     """
-    if isinstance(name, RadarDesign):
-        return name
-    return load_typed(RadarDesign, name, "radar", catalog_folder() / "radars")
+    return load_entry(RadarDesign, name, "radar", catalog_folder() / "radars")
 
 
 def radar_names() -> list[str]:

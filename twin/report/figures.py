@@ -9,8 +9,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from twin.evaluation import Evaluation
-from twin.optics.view import View
+from twin.camera.evaluation import Evaluation
+from twin.camera.view import View
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
 
 Array = NDArray[np.float64]

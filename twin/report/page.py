@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twin import __version__
-from twin.evaluation import Evaluation
-from twin.optics.view import View
+from twin.camera.evaluation import Evaluation
+from twin.camera.view import View
 from twin.progress import Stages
 from twin.radar.evaluation import RadarEvaluation
 from twin.report import figures, radar_figures

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.reconstruction import METHODS, Reconstruction, reconstruct
-from twin.acquisition import Capture
+from twin.camera.acquisition import Capture
 from twin.system import System
 
 

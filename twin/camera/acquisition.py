@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
 from twin import __version__
+from twin.camera.truth import Truth, render_truth
 from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
 from twin.optics.radiometry import Collection, collection
 from twin.optics.spectra import SUN_ASSUMPTION, in_band_fraction, sun_band_irradiance
@@ -17,7 +18,6 @@ from twin.optics.transport import Pinhole, Quality, sunlight, transport
 from twin.scene import Scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
-from twin.truth import Truth, render_truth
 
 Array = NDArray[np.float64]
 #: Opens a named stage of the work; what is run inside belongs to it.
