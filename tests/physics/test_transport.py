@@ -80,8 +80,8 @@ def test_inverse_square_holds_from_a_centimetre_to_ten_kilometres(distance_m, ha
 
 def test_a_scene_in_map_coordinates_gives_the_same_light() -> None:
     """1e6 m from the origin float32 has 6 cm steps; recentring in float64 keeps the geometry."""
-    here = on_wall(5.0, 0.1, Quality(16, 1))
-    there = on_wall(5.0, 0.1, Quality(16, 1), origin=(1e6, -2e6, 300.0))
+    here = on_wall(5.0371, 0.1, Quality(16, 1))
+    there = on_wall(5.0371, 0.1, Quality(16, 1), origin=(1e6 + 0.3, -2e6 + 0.7, 300.1))
     np.testing.assert_allclose(there, here, rtol=1e-4, atol=1e-9)
 
 
