@@ -126,6 +126,36 @@ def import_(
 
 
 @app.command()
+def budget(
+    system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "paper",
+    whole_line: Annotated[
+        bool, typer.Option("--whole-line", help="All of the emitter's line passes the filter.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for budget.json and budget.png.")] = None,
+) -> None:
+    """Re-derive the paper's Table 1 and frame rates in closed form."""
+    from rich.console import Console
+
+    from twin.budget import audit, frame_rates, link_of, load_part, part_names
+    from twin.budget.report import print_budget, write_budget
+    from twin.files import whole_folder
+    from twin.system import load_system
+
+    design = load_system(system)
+    parts = [load_part(name) for name in part_names()]
+    rows = [audit(link_of(design, part, whole_line=whole_line), part) for part in parts]
+    rates = [rate for part in parts if "paper" not in part.name for rate in frame_rates(part)]
+    print_budget(rows, rates, Console(width=None if sys.stdout.isatty() else 150))
+    for name, value in design.values():
+        if value.assumed and name.split(".")[0] in ("emitter", "filter", "optics", "sky"):
+            print(f"assumed: {name} = {value.value}: {value.assumed}")
+    if out is not None:
+        with whole_folder(out) as folder:
+            write_budget(rows, rates, folder)
+        print(f"written: {out / 'budget.json'}")
+
+
+@app.command()
 def systems() -> None:
     """List the bundled optical systems and radars."""
     from twin.radar.design import load_radar, radar_names

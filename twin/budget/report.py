@@ -1,0 +1,99 @@
+"""The budget as tables for a terminal, as JSON, and as a plot."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from twin.budget.frame_rate import FrameRate
+from twin.budget.table1 import REFLECTANCES, Row
+from twin.report.style import BLUE, GREY, ORANGE, new_figure, si
+
+
+def print_budget(rows: Sequence[Row], rates: Sequence[FrameRate], console: Console) -> None:
+    """Table 1 beside what was derived, the elasticities, the frame rates."""
+    console.print(_table1(rows))
+    for row in rows:
+        moves = ", ".join(f"{name} {value:+.2f}" for name, value in row.elasticity.items())
+        console.print(f"[bold]{row.sensor}[/], per cent of T per per cent of: {moves}")
+    console.print(_rates(rates))
+
+
+def write_budget(rows: Sequence[Row], rates: Sequence[FrameRate], folder: Path) -> None:
+    """``budget.json`` with every number, ``budget.png`` with times over printed times."""
+    content = {"table1": [_plain(row) for row in rows], "frame_rates": [asdict(r) for r in rates]}
+    (folder / "budget.json").write_text(json.dumps(content, indent=1))
+    plot_budget(rows).savefig(folder / "budget.png", metadata={"Software": None})
+
+
+def plot_budget(rows: Sequence[Row]) -> Figure:
+    """Photon-limited and fitted times over the printed ones, cell by cell."""
+    figure = new_figure((1.5 * len(rows) + 2.5, 3.6))
+    axis = figure.subplots()
+    for number, row in enumerate(rows):
+        place = number + np.array([-0.22, 0.0, 0.22])
+        axis.plot(place, row.photon_limited_s / row.printed_time_s, "o", color=BLUE)
+        axis.plot(place, row.time_s / row.printed_time_s, "s", color=ORANGE, mfc="none")
+    axis.axhline(1.0, color=GREY, lw=0.8)
+    axis.set_yscale("log")
+    axis.set_xticks(range(len(rows)), [row.sensor for row in rows])
+    axis.set_ylabel("integration time over Table 1")
+    axis.set_title(
+        "photons alone (dots) need far less than Table 1; one read noise (squares) fits it"
+    )
+    return figure
+
+
+def _table1(rows: Sequence[Row]) -> Table:
+    columns = ("sensor", "rho", "printed: z, T", "photons alone", "implied read noise")
+    table = Table(
+        *columns, "T with the row's", "z with the row's", "sigma of a ToF reading", box=None
+    )
+    table.title = "Table 1: shortest T for SNR 1 at the printed distance; read noise fitted per row"
+    for row in rows:
+        for i, rho in enumerate(REFLECTANCES):
+            table.add_row(
+                row.sensor
+                if i == 0
+                else f"  read noise {row.read_noise_e:.3g} e-"
+                if i == 1
+                else "",
+                f"{rho:.0%}",
+                f"{row.printed_distance_m[i]:g} m, {si(float(row.printed_time_s[i]), 's')}",
+                si(float(row.photon_limited_s[i]), "s"),
+                f"{row.implied_read_noise_e[i]:.3g} e-",
+                f"{si(float(row.time_s[i]), 's')} ({row.residual[i]:+.0%})",
+                f"{row.distance_m[i]:.2f} m",
+                f"{row.distance_sigma_m[i]:.2g} m",
+            )
+    return table
+
+
+def _rates(rates: Sequence[FrameRate]) -> Table:
+    columns = ("sensor", "at", "printed", "plain", "differential", "plain, overlapped")
+    table = Table(*columns, "differential, overlapped", box=None)
+    table.title = "Frames per second: 64 patterns, 13 ms of processing, in turns or overlapped"
+    for rate in rates:
+        table.add_row(
+            rate.sensor,
+            f"{rate.distance_m:g} m, {rate.reflectance:.0%}",
+            "" if rate.printed is None else f"{rate.printed:g}",
+            f"{rate.plain:.1f}",
+            f"{rate.differential:.1f}",
+            f"{rate.plain_overlapped:.1f}",
+            f"{rate.differential_overlapped:.1f}",
+        )
+    return table
+
+
+def _plain(row: Row) -> dict[str, Any]:
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(row).items()
+    }

@@ -1,0 +1,136 @@
+"""The paper's Table 1, cell by cell: what it says, what photons allow, what it implies."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.budget.link import (
+    Link,
+    distance_sigma_m,
+    implied_read_noise_e,
+    maximum_distance_m,
+    minimum_time_s,
+)
+from twin.budget.sensors import SensorPart
+from twin.optics.spectra import in_band_fraction, sun_band_irradiance
+from twin.system import System
+
+#: Reflectance; then distance in m and integration time in s, as printed, per sensor.
+REFLECTANCES = (0.2, 0.5, 0.8)
+PRINTED = {
+    "g9201-256": ((1.8, 900e-6), (4.3, 1.5e-3), (9.4, 2.2e-3)),
+    "g10768-1024d": ((2.2, 70e-6), (4.5, 250e-6), (10.0, 450e-6)),
+    "fga015": ((2.0, 50e-6), (4.5, 150e-6), (10.0, 315e-6)),
+}
+#: Not in the paper: what a time-of-flight reading is taken to be modulated with.
+MODULATION_HZ = 10e6
+
+
+@dataclass(frozen=True)
+class Row:
+    """One sensor's three cells, each array (3,) over the reflectances.
+
+    ``photon_limited_s``: no read noise at all. ``read_noise_e``: the one that fits the row's three
+    times best (least squares of log time). ``time_s`` and ``distance_m``: with that read noise,
+    the time needed at the printed distance and the distance reached in the printed time.
+    ``residual``: time over printed time, less 1. ``distance_sigma_m``: of a time-of-flight reading
+    at the printed distance and time.
+    """
+
+    sensor: str
+    printed_distance_m: np.ndarray
+    printed_time_s: np.ndarray
+    photon_limited_s: np.ndarray
+    implied_read_noise_e: np.ndarray
+    read_noise_e: float
+    time_s: np.ndarray
+    distance_m: np.ndarray
+    residual: np.ndarray
+    distance_sigma_m: np.ndarray
+    elasticity: dict[str, float]
+
+
+def link_of(system: System, part: SensorPart, *, whole_line: bool = False) -> Link:
+    """The link of one pixel of a sensor in a system's place of the detector.
+
+    ``whole_line``: as the paper has it, the emitter's line lies inside the filter altogether.
+    """
+    band, optics = system.filter, system.optics
+    lux = system.sky.illuminance_lx.value if system.sky else 0.0
+    return Link(
+        radiant_intensity_w_per_sr=system.emitter.radiant_intensity_w_per_sr.value,
+        in_band=1.0 if whole_line else in_band_fraction(system.emitter, band),
+        transmission=optics.transmission.value * band.transmission.value,
+        f_number=optics.f_number.value,
+        pixel_area_m2=part.sensor.pixel_area_m2,
+        responsivity_a_per_w=part.sensor.responsivity_a_per_w.value,
+        dark_current_a=part.sensor.dark_current_a.value,
+        sun_w_per_m2=sun_band_irradiance(lux, band.center_wavelength_m.value, band.width_m.value),
+    )
+
+
+def audit(link: Link, part: SensorPart) -> Row:
+    """Re-derive one sensor's cells of Table 1. Raises KeyError for a sensor not in the table."""
+    printed = PRINTED[part.name.removesuffix("-paper")]
+    z, t = (np.array(column) for column in zip(*printed, strict=True))
+    read = _fitted_read_noise(link, z, t)
+    signal, background = _rates(link, z)
+    time = minimum_time_s(signal, background, read)
+    snr = signal * t / np.sqrt((signal + background) * t + read**2)
+    at_1_m = link.signal_e_per_s(np.array(REFLECTANCES), 1.0)
+    return Row(
+        sensor=part.name,
+        printed_distance_m=z,
+        printed_time_s=t,
+        photon_limited_s=np.asarray(minimum_time_s(signal, background, 0.0)),
+        implied_read_noise_e=np.asarray(implied_read_noise_e(signal, background, t)),
+        read_noise_e=read,
+        time_s=np.asarray(time),
+        distance_m=np.asarray(maximum_distance_m(at_1_m, background, t, read)),
+        residual=np.asarray(time / t - 1),
+        distance_sigma_m=np.asarray(distance_sigma_m(snr, MODULATION_HZ)),
+        elasticity=_elasticity(link, read, z[-1]),
+    )
+
+
+def _rates(link: Link, distance_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rho = np.array(REFLECTANCES)
+    signal = np.asarray(link.signal_e_per_s(rho, distance_m))
+    return signal, np.asarray(link.background_e_per_s(rho))
+
+
+def _fitted_read_noise(link: Link, z: np.ndarray, t: np.ndarray) -> float:
+    """The read noise whose times fit the printed ones best, in the logarithm."""
+    from scipy.optimize import minimize_scalar
+
+    signal, background = _rates(link, z)
+    start = np.log(np.maximum(implied_read_noise_e(signal, background, t), 1e-3)).mean()
+
+    def misfit(log_read: float) -> float:
+        times = minimum_time_s(signal, background, np.exp(log_read))
+        return float(np.sum(np.log(times / t) ** 2))
+
+    found = minimize_scalar(misfit, bounds=(start - 5, start + 5), method="bounded")
+    return float(np.exp(found.x))
+
+
+def _elasticity(link: Link, read_e: float, distance_m: float) -> dict[str, float]:
+    """Per cent that the time at 80 % and the farthest distance moves per per cent of each input."""
+    rho = REFLECTANCES[-1]
+
+    def log_time(changed: Link, read: float) -> float:
+        signal = changed.signal_e_per_s(rho, distance_m)
+        return float(np.log(minimum_time_s(signal, changed.background_e_per_s(rho), read)))
+
+    step = 1e-4
+    moves = {
+        name: (
+            log_time(replace(link, **{name: value * (1 + step)}), read_e)
+            - log_time(replace(link, **{name: value * (1 - step)}), read_e)
+        )
+        / (2 * step)
+        for name, value in vars(link).items()
+    }
+    more, less = (log_time(link, read_e * (1 + s * step)) for s in (1, -1))
+    moves["read_noise_e"] = (more - less) / (2 * step)
+    return dict(sorted(moves.items(), key=lambda item: -abs(item[1])))
