@@ -131,19 +131,23 @@ def budget(
     whole_line: Annotated[
         bool, typer.Option("--whole-line", help="All of the emitter's line passes the filter.")
     ] = False,
+    before_lens: Annotated[
+        bool, typer.Option("--filter-before-lens", help="The filter shifts with field angle.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for budget.json and budget.png.")] = None,
 ) -> None:
     """Re-derive the paper's Table 1 and frame rates in closed form."""
     from rich.console import Console
 
-    from twin.budget import audit, frame_rates, link_of, load_part, part_names
+    from twin.budget import SENSORS, audit, frame_rates, link_of
     from twin.budget.report import print_budget, write_budget
     from twin.files import whole_folder
-    from twin.system import load_system
+    from twin.system import load_part, load_system
 
     design = load_system(system)
-    parts = [load_part(name) for name in part_names()]
-    rows = [audit(link_of(design, part, whole_line=whole_line), part) for part in parts]
+    parts = [load_part(name) for name in SENSORS]
+    options = {"whole_line": whole_line, "filter_before_lens": before_lens}
+    rows = [audit(link_of(design, part, **options), part) for part in parts]
     rates = [rate for part in parts if "paper" not in part.name for rate in frame_rates(part)]
     print_budget(rows, rates, Console(width=None if sys.stdout.isatty() else 150))
     for name, value in design.values():
@@ -153,6 +157,57 @@ def budget(
         with whole_folder(out) as folder:
             write_budget(rows, rates, folder)
         print(f"written: {out / 'budget.json'}")
+
+
+@app.command()
+def parts(
+    name: Annotated[
+        str | None, typer.Argument(help="Bundled part or TOML file; none: list them.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="PNG of the part's spectral curve.")] = None,
+) -> None:
+    """List the catalogue's parts, or one part's values with their sources."""
+    from twin.system import load_part, part_names
+
+    if name is None:
+        for known in part_names():
+            part = load_part(known)
+            print(f"{part.kind} {known}: {part.description}")
+        return
+    part = load_part(name)
+    print(f"{part.kind} {part.name}: {part.description}")
+    for field, value in part.values():
+        origin = f"assumed: {value.assumed}" if value.assumed else value.source
+        print(f"  {field} = {value.value}  ({origin})")
+    if plot is not None:
+        from twin.report.part_figure import plot_part
+
+        plot_part(part).savefig(plot)
+        print(f"written: {plot}")
+
+
+@app.command()
+def schema(
+    kind: Annotated[str, typer.Argument(help="system, radar, part or scene.")] = "system",
+) -> None:
+    """Print the JSON Schema of a TOML file, for editors that check while one types."""
+    import json
+
+    from twin.files import InputError
+    from twin.radar.design import RadarDesign
+    from twin.scene.settings import SceneSettings
+    from twin.system import Part, System
+    from twin.toml import Strict
+
+    models: dict[str, type[Strict]] = {
+        "system": System,
+        "radar": RadarDesign,
+        "part": Part,
+        "scene": SceneSettings,
+    }
+    if kind not in models:
+        raise InputError(f"schema: {kind!r}: expected {', '.join(models)}")
+    print(json.dumps(models[kind].model_json_schema(), indent=1))
 
 
 @app.command()

@@ -16,6 +16,7 @@ from twin.files import catalog_folder
 from twin.toml import (
     Count,
     Entry,
+    Finite,
     Fraction,
     NonNegative,
     Positive,
@@ -47,14 +48,22 @@ class Emitter(Strict):
     radiant_intensity_w_per_sr: Sourced[NonNegative]
     peak_wavelength_m: Sourced[Positive]
     line_fwhm_m: Sourced[Positive]
+    spectrum_csv: Sourced[str] | None = None
 
 
 class Filter(Strict):
-    """Band-pass filter, flat inside its width."""
+    """Band-pass filter, flat inside its width.
+
+    ``transmission_csv``: a vendor's curve, wavelength and transmission, in place of the flat top;
+    ``transmission`` is then a factor beside it. ``effective_index``: of the interference stack,
+    which moves the band to shorter wavelengths with angle.
+    """
 
     center_wavelength_m: Sourced[Positive]
     width_m: Sourced[Positive]
     transmission: Sourced[Fraction]
+    transmission_csv: Sourced[str] | None = None
+    effective_index: Sourced[Annotated[Positive, Field(gt=1)]] | None = None
 
     @model_validator(mode="after")
     def _in_the_table(self) -> "Filter":
@@ -81,29 +90,58 @@ class Optics(Strict):
 
 
 class Detector(Strict):
-    """Photodiode; ``width_m`` is the side of a square or the diameter of a disc."""
+    """Photodiode, or one of the equal pixels of a sensor.
 
-    shape: Sourced[Literal["disc", "square"]]
+    ``width_m`` is the diameter of a disc or the side of a square; a rectangle has ``height_m`` too.
+    ``line_rate_hz``: readouts per second at most. ``responsivity_csv``: a vendor's curve,
+    wavelength and A/W, in place of one number.
+    """
+
+    shape: Sourced[Literal["disc", "square", "rectangle"]]
     width_m: Sourced[Positive]
+    height_m: Sourced[Positive] | None = None
+    pixels: Sourced[Count] | None = None
     responsivity_a_per_w: Sourced[Positive]
+    responsivity_csv: Sourced[str] | None = None
     dark_current_a: Sourced[NonNegative]
+    line_rate_hz: Sourced[Positive] | None = None
+
+    @model_validator(mode="after")
+    def _has_its_sides(self) -> "Detector":
+        if (self.shape.value == "rectangle") == (self.height_m is None):
+            raise ValueError("a rectangle has width_m and height_m, a disc or square width_m alone")
+        return self
 
     @property
     def area_m2(self) -> float:
-        """Photosensitive area."""
-        square = self.width_m.value**2
-        return square * math.pi / 4 if self.shape.value == "disc" else square
+        """Photosensitive area of one pixel."""
+        height = self.height_m.value if self.height_m else self.width_m.value
+        area = self.width_m.value * height
+        return area * math.pi / 4 if self.shape.value == "disc" else area
 
 
 class Readout(Strict):
-    """Transimpedance amplifier that averages over the integration time, then the ADC."""
+    """Amplifier and ADC.
 
-    transimpedance_ohm: Sourced[Positive]
+    A transimpedance amplifier (``transimpedance_ohm``) averages the current over the integration
+    time; a capacitive one (``feedback_capacitance_f``, CTIA) collects the charge, up to
+    ``full_well_e``, and has its reset noise in ``read_noise_e``.
+    """
+
+    transimpedance_ohm: Sourced[Positive] | None = None
+    feedback_capacitance_f: Sourced[Positive] | None = None
+    full_well_e: Sourced[Positive] | None = None
     temperature_k: Sourced[NonNegative]
     read_noise_e: Sourced[NonNegative]
     adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=31)]]
     adc_full_scale_v: Sourced[Positive]
     adc_offset_v: Sourced[NonNegative]
+
+    @model_validator(mode="after")
+    def _is_one_amplifier(self) -> "Readout":
+        if (self.transimpedance_ohm is None) == (self.feedback_capacitance_f is None):
+            raise ValueError("needs either transimpedance_ohm or feedback_capacitance_f")
+        return self
 
 
 class Acquisition(Strict):
@@ -123,9 +161,20 @@ class Acquisition(Strict):
 
 
 class Sky(Strict):
-    """The sun a system is meant for; takes precedence over the scene's."""
+    """The sun a system is meant for; takes precedence over the scene's.
 
-    illuminance_lx: Sourced[NonNegative]
+    Either ``illuminance_lx`` on the plane normal to the sun, with the spectrum of ASTM G-173, or
+    ``sun_elevation_deg`` in a clear sky, which gives both illuminance and spectrum.
+    """
+
+    illuminance_lx: Sourced[NonNegative] | None = None
+    sun_elevation_deg: Sourced[Annotated[Finite, Field(ge=-90, le=90)]] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> "Sky":
+        if (self.illuminance_lx is None) == (self.sun_elevation_deg is None):
+            raise ValueError("needs either illuminance_lx or sun_elevation_deg")
+        return self
 
 
 class System(Entry):
@@ -166,14 +215,56 @@ class System(Entry):
         return self.patterns.n_exposures * self.acquisition.pattern_period_s.value
 
 
+class Part(Entry):
+    """A part one can buy, or one the paper describes: one section of a system."""
+
+    emitter: Emitter | None = None
+    filter: Filter | None = None
+    optics: Optics | None = None
+    detector: Detector | None = None
+    readout: Readout | None = None
+    sky: Sky | None = None
+
+    @model_validator(mode="after")
+    def _is_one_thing(self) -> "Part":
+        if len(self._sections()) != 1:
+            raise ValueError(f"needs exactly one section of {', '.join(_PART_SECTIONS)}")
+        return self
+
+    @property
+    def kind(self) -> str:
+        """Name of its section."""
+        return self._sections()[0]
+
+    def _sections(self) -> list[str]:
+        return [name for name in _PART_SECTIONS if getattr(self, name) is not None]
+
+
+_PARTS = catalog_folder() / "parts"
+_PART_SECTIONS = ("emitter", "filter", "optics", "detector", "readout", "sky")
+
+
 def load_system(name: "str | Path | System") -> System:
     """A bundled system by name, or a user's own TOML file; a system is returned as it is.
 
     Raises InputError naming the file, the field, the value and what was expected.
     """
-    return load_entry(System, name, "system", catalog_folder() / "systems")
+    return load_entry(System, name, "system", catalog_folder() / "systems", _PARTS)
 
 
 def system_names() -> list[str]:
     """Names of the bundled systems."""
     return bundled(catalog_folder() / "systems")
+
+
+def load_part(name: "str | Path | Part") -> Part:
+    """A bundled part by name, or a user's own TOML file.
+
+    Raises InputError naming the file, the field, the value and what was expected.
+    """
+    return load_entry(Part, name, "part", _PARTS)
+
+
+def part_names() -> list[str]:
+    """Names of the bundled parts."""
+    return bundled(_PARTS)

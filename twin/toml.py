@@ -92,18 +92,25 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: can't be read ({error.strerror})") from error
 
 
-def load_entry(model: type[M], name: str | Path | M, kind: str, folder: Path) -> M:
+def load_entry(
+    model: type[M], name: str | Path | M, kind: str, folder: Path, parts: Path | None = None
+) -> M:
     """A catalogue entry by name, or a user's own file, validated; an entry is returned as it is.
 
     ``base = "NAME"`` in a file takes everything that it leaves out from another entry, or from a
-    file beside it. Raises InputError, one line that begins with the file, or with ``kind`` where
-    there is none.
+    file beside it; ``part = "NAME"`` in a section everything that the section leaves out from an
+    entry of ``parts``. Names of CSV files are relative to the file that gives them.
+
+    Raises InputError, one line that begins with the file, or with ``kind`` where there is none.
     """
     if isinstance(name, model):
         return name
     path = _find(str(name), kind, folder)
     try:
-        return model.model_validate(_with_base(path, kind, folder))
+        content = _with_base(path, kind, folder)
+        if parts:
+            content = {k: _with_part(k, v, path, parts) for k, v in content.items()}
+        return model.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
 
@@ -114,7 +121,7 @@ def bundled(folder: Path) -> list[str]:
 
 
 def _find(name: str, kind: str, folder: Path) -> Path:
-    entry, path = folder / f"{name}.toml", Path(name)
+    entry, path = folder / f"{name.lower()}.toml", Path(name)
     if entry.is_file() and path.suffix != ".toml":
         return entry
     if path.is_file():
@@ -126,6 +133,8 @@ def _find(name: str, kind: str, folder: Path) -> Path:
 
 def _with_base(path: Path, kind: str, folder: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     content = read_toml(path)
+    for section in content.values():
+        _place_files(section, path.parent)
     base = content.pop("base", None)
     if base is None:
         return content
@@ -140,10 +149,37 @@ def _with_base(path: Path, kind: str, folder: Path, seen: tuple[Path, ...] = ())
     return _merged(_with_base(found, kind, folder, (*seen, path)), content)
 
 
+def _with_part(section: str, value: Any, path: Path, parts: Path) -> Any:
+    """A section with what its part says, overridden by what the section says itself."""
+    if not isinstance(value, dict) or "part" not in value:
+        return value
+    name = value["part"]
+    if not isinstance(name, str):
+        raise InputError(f"{path}: {section}.part = {name!r}: expected the name of a part")
+    found = _find(name, f"{path}: {section}.part", parts)
+    part = _with_base(found, "part", parts)
+    if section not in part:
+        raise InputError(f"{path}: {section}.part = {name!r}: this part has no {section}")
+    return _merged(part[section], {k: v for k, v in value.items() if k != "part"})
+
+
+def _place_files(section: Any, folder: Path) -> None:
+    """Make the names of CSV and part files in a section absolute."""
+    if isinstance(section, dict):
+        part = section.get("part")
+        if isinstance(part, str) and (folder / part).is_file():
+            section["part"] = str((folder / part).resolve())
+        for key, entry in section.items():
+            if key.endswith("_csv") and isinstance(entry, dict) and "value" in entry:
+                entry["value"] = str((folder / str(entry["value"])).resolve())
+
+
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in over.items():
-        section = isinstance(value, dict) and not {"value", "source", "assumed"} & value.keys()
+        # A single value, and a section that names its part, replace what the base says.
+        whole = {"value", "source", "assumed", "part"}
+        section = isinstance(value, dict) and not whole & value.keys()
         known = base.get(key)
         merged[key] = _merged(known if isinstance(known, dict) else {}, value) if section else value
     return merged

@@ -9,7 +9,7 @@ import pytest
 from scipy import constants, optimize
 
 from twin import cli
-from twin.budget import Link, audit, frame_rates, link_of, load_part, part_names
+from twin.budget import SENSORS, Link, audit, frame_rates, link_of
 from twin.budget.link import (
     distance_sigma_m,
     implied_read_noise_e,
@@ -18,7 +18,7 @@ from twin.budget.link import (
     noise_e,
 )
 from twin.files import InputError
-from twin.system import load_system
+from twin.system import load_part, load_system
 
 PAPER = load_system("paper")
 
@@ -29,7 +29,7 @@ def paper_link(name: str, **options: bool) -> Link:
 
 def test_areas_as_printed_and_as_they_are() -> None:
     """Square micrometres: the FGA015's 4 times, the G9201's pixel 20 times apart."""
-    area = {name: load_part(name).sensor.pixel_area_m2 * 1e12 for name in part_names()}
+    area = {name: load_part(name).detector.area_m2 * 1e12 for name in SENSORS}
     assert area["fga015"] == pytest.approx(17_671, abs=1)
     assert area["fga015-paper"] == pytest.approx(70_683, rel=1e-4)
     assert area["g9201-256"] == pytest.approx(12_500)
@@ -143,8 +143,8 @@ def test_the_line_rate_is_respected() -> None:
     part = load_part("g10768-1024d")
     slow = part.model_copy(
         update={
-            "sensor": part.sensor.model_copy(
-                update={"line_rate_hz": type(part.sensor.line_rate_hz)(value=1e3, source="test")}
+            "detector": part.detector.model_copy(
+                update={"line_rate_hz": type(part.detector.line_rate_hz)(value=1e3, source="test")}
             )
         }
     )
@@ -173,14 +173,14 @@ def test_the_command_prints_and_writes(monkeypatch, capsys, tmp_path: Path) -> N
     for figure in ("61.7", "23.9", "51.5", "24.8"):
         assert figure in printed
     content = json.loads((out / "budget.json").read_text())
-    assert {row["sensor"] for row in content["table1"]} == set(part_names())
+    assert {row["sensor"] for row in content["table1"]} == set(SENSORS)
     assert (out / "budget.png").stat().st_size > 10_000
 
 
 def test_a_part_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "big.toml"
-    path.write_text('base = "fga015"\n[sensor]\nwidth_m = 3e-3\n')
-    assert load_part(path).sensor.pixel_area_m2 == pytest.approx(7.07e-6, rel=1e-3)
-    path.write_text('base = "fga015"\n[sensor]\nheight_m = 3e-3\n')
+    path.write_text('base = "fga015"\n[detector]\nwidth_m = 3e-3\n')
+    assert load_part(path).detector.area_m2 == pytest.approx(7.07e-6, rel=1e-3)
+    path.write_text('base = "fga015"\n[detector]\nheight_m = 3e-3\n')
     with pytest.raises(InputError, match="width_m alone"):
         load_part(path)

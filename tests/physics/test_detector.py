@@ -12,7 +12,7 @@ from scipy import constants, stats
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.records import Flag
 from twin.detector import FrontEnd, expose, noise_budget
-from twin.system import load_system
+from twin.system import System, load_part, load_system
 
 ALARM = 1e-6
 QUIET = FrontEnd(
@@ -138,6 +138,28 @@ def test_noise_below_the_lower_rail_is_flagged_too() -> None:
     counts, flags = expose(np.zeros((100, 1)), front_end, rng=np.random.default_rng(0))
     assert counts.min() == 0
     assert flags.any()
+
+
+def test_a_capacitive_amplifier_gives_q_over_c_and_fills_its_well() -> None:
+    """Gain from the photon-transfer curve: variance over mean of the counts, in the shot-noise
+    limit, is one count's share of an electron. Beyond the well the count stays and is flagged.
+    """
+    part = load_part("ctia-low-gain")
+    content = load_system("paper").model_dump()
+    content["readout"] = part.readout.model_dump()
+    content["readout"]["read_noise_e"] = 0.0
+    front_end = FrontEnd.of(System.model_validate(content))
+    per_count = 2.5 / 2**16 / (constants.e / 10e-12)
+    assert front_end.electrons_per_count == pytest.approx(per_count, rel=1e-12)
+    assert front_end.johnson_e == 0
+    power = 5e7 / front_end.electrons_per_watt
+    counts = draws(front_end, power, n=100_000) - front_end.offset_counts
+    gain = (counts.var() - 1 / 12) / counts.mean()
+    assert gain * per_count == pytest.approx(1.0, abs=5 * np.sqrt(2 / 100_000))
+    full, flags = expose(np.full((10, 1), 100 * power), front_end, rng=np.random.default_rng(0))
+    well = part.readout.full_well_e.value / per_count + front_end.offset_counts
+    assert (full == round(well)).all()
+    assert (flags == Flag.SATURATED).all()
 
 
 def test_same_seed_same_counts() -> None:

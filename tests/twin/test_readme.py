@@ -28,4 +28,5 @@ def test_the_system_file_loads(tmp_path: Path) -> None:
     (text,) = blocks("toml")
     assert tomllib.loads(text)["base"] == "paper"
     (tmp_path / "mine.toml").write_text(text)
+    (tmp_path / "filter.csv").write_text("nm,T\n1530,0\n1550,0.5\n1570,0\n")
     assert load_system(tmp_path / "mine.toml").optics.f_number.value == 0.8

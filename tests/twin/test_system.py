@@ -1,11 +1,12 @@
 """System files: typed, sourced, inheriting, and clear about what is wrong."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from twin.files import InputError
-from twin.system import load_system, system_names
+from twin.system import System, load_part, load_system, part_names, system_names
 
 
 def write(folder: Path, text: str, name: str = "mine.toml") -> Path:
@@ -89,3 +90,61 @@ def test_a_file_without_a_name_is_called_after_itself(tmp_path: Path) -> None:
 def test_slips_are_caught(tmp_path: Path, text: str, expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         load_system(write(tmp_path, f'base = "paper"\n{text}\n'))
+
+
+# Parts.
+
+
+@pytest.mark.parametrize("name", part_names())
+def test_bundled_parts_source_every_value(name: str) -> None:
+    part = load_part(name)
+    for field, value in part.values():
+        assert (value.source or value.assumed) != "given without a source", field
+
+
+def test_a_system_names_parts_and_overrides_them(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        'base = "paper"\n[filter]\npart = "fb1550-30"\ntransmission = 0.7\n[sky]\npart = "night"\n',
+    )
+    mine = load_system(path)
+    assert mine.filter.width_m.value == 30e-9
+    assert mine.filter.transmission.value == 0.7
+    assert mine.sky.illuminance_lx.value == 0.25
+
+
+def test_a_users_own_part_beside_the_system(tmp_path: Path) -> None:
+    write(tmp_path, 'base = "fga015"\n[detector]\nwidth_m = 2e-3\n', "big.toml")
+    path = write(tmp_path, 'base = "paper"\n[detector]\npart = "big.toml"\n')
+    assert load_system(path).detector.width_m.value == 2e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[filter]\npart = "nope"', "filter.part: 'nope' is neither"),
+        ('[filter]\npart = "fga015"', "filter.part = 'fga015': this part has no filter"),
+        ("[filter]\npart = 3", "filter.part = 3: expected the name"),
+        ("[sky]\nsun_elevation_deg = 30.0", "either illuminance_lx or sun_elevation_deg"),
+        ("[detector]\nheight_m = 1e-3", "width_m alone"),
+    ],
+)
+def test_bad_references(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        load_system(write(tmp_path, f'base = "paper"\n{text}\n'))
+
+
+def test_the_camera_refuses_a_line_sensor_for_now(tmp_path: Path) -> None:
+    from twin.camera import capture
+    from twin.scene import load_scene
+
+    path = write(tmp_path, 'base = "paper"\n[detector]\npart = "g10768-1024d"\n')
+    with pytest.raises(InputError, match=r"detector\.pixels = 1024"):
+        capture(load_scene("table1"), load_system(path))
+
+
+def test_schemas_know_every_section() -> None:
+    """What an editor checks against: sections, required fields, allowed words."""
+    text = json.dumps(System.model_json_schema())
+    for word in ("radiant_intensity_w_per_sr", "sequency", "matched", "sun_elevation_deg"):
+        assert word in text

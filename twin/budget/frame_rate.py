@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from twin.budget.sensors import SensorPart
-from twin.budget.table1 import PRINTED, REFLECTANCES
+from twin.budget.table1 import PRINTED, REFLECTANCES, detector_of
+from twin.system import Part
 
 PATTERNS = 64  # paper, section 2
 PROCESSING_S = 13e-3  # paper, section 2, ref. [22]
@@ -30,14 +30,15 @@ class FrameRate:
 
 
 def frame_rates(
-    part: SensorPart, patterns: int = PATTERNS, processing_s: float = PROCESSING_S
+    part: Part, patterns: int = PATTERNS, processing_s: float = PROCESSING_S
 ) -> list[FrameRate]:
     """Frame rates at the printed integration times, the sensor's line rate respected.
 
     In turns, a frame takes acquisition plus processing; overlapped, the longer of the two.
     """
     name = part.name.removesuffix("-paper")
-    shortest = 1 / part.sensor.line_rate_hz.value if part.sensor.line_rate_hz else 0.0
+    line_rate = detector_of(part).line_rate_hz
+    shortest = 1 / line_rate.value if line_rate else 0.0
     rows = []
     for number, (distance, time) in enumerate(PRINTED[name]):
         plain = patterns * max(time, shortest)

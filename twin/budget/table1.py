@@ -11,9 +11,9 @@ from twin.budget.link import (
     maximum_distance_m,
     minimum_time_s,
 )
-from twin.budget.sensors import SensorPart
-from twin.optics.spectra import in_band_fraction, sun_band_irradiance
-from twin.system import System
+from twin.files import InputError
+from twin.optics.spectra import in_band_fraction, responsivity_a_per_w, sun_in_band
+from twin.system import Detector, Part, System
 
 #: Reflectance; then distance in m and integration time in s, as printed, per sensor.
 REFLECTANCES = (0.2, 0.5, 0.8)
@@ -22,6 +22,8 @@ PRINTED = {
     "g10768-1024d": ((2.2, 70e-6), (4.5, 250e-6), (10.0, 450e-6)),
     "fga015": ((2.0, 50e-6), (4.5, 150e-6), (10.0, 315e-6)),
 }
+#: Data sheets and the paper's own words, as catalogue parts.
+SENSORS = ("fga015", "fga015-paper", "g10768-1024d", "g9201-256", "g9201-256-paper")
 #: Not in the paper: what a time-of-flight reading is taken to be modulated with.
 MODULATION_HZ = 10e6
 
@@ -50,26 +52,48 @@ class Row:
     elasticity: dict[str, float]
 
 
-def link_of(system: System, part: SensorPart, *, whole_line: bool = False) -> Link:
+def link_of(
+    system: System, part: Part, *, whole_line: bool = False, filter_before_lens: bool = False
+) -> Link:
     """The link of one pixel of a sensor in a system's place of the detector.
 
     ``whole_line``: as the paper has it, the emitter's line lies inside the filter altogether.
+    ``filter_before_lens``: light comes through the filter at the angles of the field, which move
+    its band; the share is the mean over the square field.
     """
     band, optics = system.filter, system.optics
-    lux = system.sky.illuminance_lx.value if system.sky else 0.0
+    detector = detector_of(part)
+    sun = sun_in_band(system.sky, band).irradiance_w_per_m2 if system.sky else 0.0
     return Link(
         radiant_intensity_w_per_sr=system.emitter.radiant_intensity_w_per_sr.value,
-        in_band=1.0 if whole_line else in_band_fraction(system.emitter, band),
+        in_band=1.0 if whole_line else _share(system, filter_before_lens),
         transmission=optics.transmission.value * band.transmission.value,
         f_number=optics.f_number.value,
-        pixel_area_m2=part.sensor.pixel_area_m2,
-        responsivity_a_per_w=part.sensor.responsivity_a_per_w.value,
-        dark_current_a=part.sensor.dark_current_a.value,
-        sun_w_per_m2=sun_band_irradiance(lux, band.center_wavelength_m.value, band.width_m.value),
+        pixel_area_m2=detector.area_m2,
+        responsivity_a_per_w=responsivity_a_per_w(detector, system.emitter, band),
+        dark_current_a=detector.dark_current_a.value,
+        sun_w_per_m2=sun,
     )
 
 
-def audit(link: Link, part: SensorPart) -> Row:
+def _share(system: System, over_field: bool) -> float:
+    if not over_field:
+        return in_band_fraction(system.emitter, system.filter)
+    edge = np.tan(np.radians(system.optics.field_of_view_deg.value / 2))
+    side = (np.arange(32) + 0.5) / 32 * edge  # a quarter of the field
+    angles = np.degrees(np.arctan(np.hypot(side[:, None], side)))
+    shares = [in_band_fraction(system.emitter, system.filter, a) for a in angles.ravel()]
+    return float(np.mean(shares))
+
+
+def detector_of(part: Part) -> Detector:
+    """The detector of a part. Raises InputError where it is none."""
+    if part.detector is None:
+        raise InputError(f"part {part.name}: is a {part.kind}, expected a detector")
+    return part.detector
+
+
+def audit(link: Link, part: Part) -> Row:
     """Re-derive one sensor's cells of Table 1. Raises KeyError for a sensor not in the table."""
     printed = PRINTED[part.name.removesuffix("-paper")]
     z, t = (np.array(column) for column in zip(*printed, strict=True))

@@ -12,12 +12,14 @@ from hardware.records import SpiRecord
 from twin import __version__
 from twin.camera.truth import Truth, render_truth
 from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
+from twin.files import InputError
 from twin.optics.radiometry import Collection, collection
-from twin.optics.spectra import SUN_ASSUMPTION, in_band_fraction, sun_band_irradiance
+from twin.optics.spectra import SUN_ASSUMPTION, in_band_fraction, responsivity_a_per_w, sun_in_band
 from twin.optics.transport import Pinhole, Quality, sunlight, transport
 from twin.scene import Scene
 from twin.scene.mitsuba import mitsuba_scene
-from twin.system import System
+from twin.system import Sky, System
+from twin.toml import Sourced
 
 Array = NDArray[np.float64]
 #: Opens a named stage of the work; what is run inside belongs to it.
@@ -91,26 +93,31 @@ def capture(
     shape = (system.emitter.rows.value, system.emitter.columns.value)
     light_seed, sun_seed, noise_seed = np.random.SeedSequence(seed).spawn(3)
 
+    if system.detector.pixels and system.detector.pixels.value > 1:
+        raise InputError(
+            f"system {system.name}: detector.pixels = {system.detector.pixels.value}: "
+            "the camera takes a single pixel so far"
+        )
     with stage("scene"):
         world = mitsuba_scene(scene) if rendered is None else rendered
     with stage("transport"):
         seeds = [int(s.generate_state(1)[0]) for s in (light_seed, sun_seed)]
         cells = transport(world, emitter, detector, shape, quality=quality, seed=seeds[0])
     with stage("sun"):
-        sky = system.sky
-        lux = sky.illuminance_lx.value if sky else scene.sun.illuminance_lx
-        band = system.filter
-        irradiance = sun_band_irradiance(lux, band.center_wavelength_m.value, band.width_m.value)
+        lux = Sourced(value=scene.sun.illuminance_lx, source="scene.toml")
+        above = sun_in_band(system.sky or Sky(illuminance_lx=lux), system.filter)
+        irradiance = above.irradiance_w_per_m2
         sun = sunlight(world, detector, scene.sun.direction, quality=quality, seed=seeds[1])
     with stage("truth"):
         truth = render_truth(world, emitter, shape)
     with stage("detector"):
+        responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
         fraction = in_band_fraction(system.emitter, system.filter)
         collected = lens.transmission * lens.pupil_area_m2
         watt = system.emitter.radiant_intensity_w_per_sr.value * fraction * collected
         signal_w = system.patterns.signal(watt * cells.total.ravel())
         background_w = irradiance * collected * float(sun.total.sum())
-        front_end = FrontEnd.of(system)
+        front_end = FrontEnd.of(system, responsivity)
         rng = np.random.default_rng(noise_seed)
         counts, flags = expose(signal_w[:, None] + background_w, front_end, rng=rng)
         budget = noise_budget(signal_w, background_w, front_end)
@@ -129,9 +136,9 @@ def capture(
         background_w=background_w,
         sun_irradiance_w_per_m2=irradiance,
         in_band_fraction=fraction,
-        illuminance_lx=lux,
+        illuminance_lx=above.illuminance_lx,
         assumptions=(*MODEL_ASSUMPTIONS, *scene.assumptions, *_assumed(system)),
-        warnings=_warnings(system, counts, fraction, cells_e),
+        warnings=_warnings(system, counts, flags, fraction, cells_e),
     )
 
 
@@ -178,14 +185,21 @@ def _assumed(system: System) -> tuple[str, ...]:
 
 
 def _warnings(
-    system: System, counts: NDArray[np.int32], in_band: float, cells_e: Array
+    system: System,
+    counts: NDArray[np.int32],
+    flags: NDArray[np.uint8],
+    in_band: float,
+    cells_e: Array,
 ) -> tuple[str, ...]:
     found = []
     top = 2**system.readout.adc_bits.value - 1
-    for rail, remedy in ((top, "transimpedance_ohm is too high"), (0, "adc_offset_v is too low")):
+    for rail, remedy in ((top, "its gain is too high"), (0, "adc_offset_v is too low")):
         hits = int((counts == rail).any(axis=1).sum())
         if hits:
-            found.append(f"{hits} of {len(counts)} exposures saturate: readout.{remedy}")
+            found.append(f"{hits} of {len(counts)} exposures saturate the ADC: readout: {remedy}")
+    full = int(np.count_nonzero(flags)) - int(((counts == 0) | (counts == top)).any(axis=1).sum())
+    if full > 0:
+        found.append(f"{full} of {len(counts)} exposures fill the well: readout.full_well_e")
     if in_band == 0 or system.emitter.radiant_intensity_w_per_sr.value == 0:
         found.append("no light of the emitter passes the filter, or it emits none")
     elif not cells_e.any():

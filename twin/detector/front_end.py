@@ -22,7 +22,8 @@ class FrontEnd:
 
     A transimpedance amplifier R averages the current over the integration time T, so that n
     electrons give n q R / T volts; its Johnson noise 4 k Theta / R in the bandwidth 1 / (2 T) of
-    that average is a charge variance of 2 k Theta T / R.
+    that average is a charge variance of 2 k Theta T / R. A capacitive one gives n q / C volts and
+    fills up at its well.
     """
 
     electrons_per_watt: float
@@ -32,23 +33,32 @@ class FrontEnd:
     electrons_per_count: float
     offset_counts: float
     adc_bits: int
+    full_well_e: float = np.inf
 
     @classmethod
-    def of(cls, system: System) -> "FrontEnd":
-        """Front end of a system."""
+    def of(cls, system: System, responsivity_a_per_w: float | None = None) -> "FrontEnd":
+        """Front end of a system, its responsivity by default the plain number it gives."""
         q, t = constants.e, system.acquisition.integration_time_s.value
         readout, detector = system.readout, system.detector
-        resistance = readout.transimpedance_ohm.value
+        responsivity = responsivity_a_per_w or detector.responsivity_a_per_w.value
         volts_per_count = readout.adc_full_scale_v.value / 2**readout.adc_bits.value
-        johnson_c2 = 2 * constants.k * readout.temperature_k.value * t / resistance
+        johnson_c2 = 0.0
+        if readout.transimpedance_ohm is not None:
+            resistance = readout.transimpedance_ohm.value
+            johnson_c2 = 2 * constants.k * readout.temperature_k.value * t / resistance
+            volts_per_e = q * resistance / t
+        else:
+            assert readout.feedback_capacitance_f is not None  # a Readout has one of the two
+            volts_per_e = q / readout.feedback_capacitance_f.value
         return cls(
-            electrons_per_watt=detector.responsivity_a_per_w.value * t / q,
+            electrons_per_watt=responsivity * t / q,
             dark_e=detector.dark_current_a.value * t / q,
             johnson_e=float(np.sqrt(johnson_c2)) / q,
             read_e=readout.read_noise_e.value,
-            electrons_per_count=volts_per_count * t / (resistance * q),
+            electrons_per_count=volts_per_count / volts_per_e,
             offset_counts=readout.adc_offset_v.value / volts_per_count,
             adc_bits=readout.adc_bits.value,
+            full_well_e=readout.full_well_e.value if readout.full_well_e else np.inf,
         )
 
 
@@ -71,15 +81,17 @@ def expose(
     counts : (n_exposures, n_detectors) int32
         Rounded and clipped to the converter's range.
     flags : (n_exposures,) uint8
-        `Flag.SATURATED` where any detector reached a rail.
+        `Flag.SATURATED` where any detector reached a rail or its full well.
     """
     mean_e = power_w * front_end.electrons_per_watt + front_end.dark_e
-    electrons = _shot(mean_e, rng)
+    collected = _shot(mean_e, rng)
+    full = collected >= front_end.full_well_e
+    electrons = np.minimum(collected, front_end.full_well_e)
     electrons += rng.normal(0.0, np.hypot(front_end.johnson_e, front_end.read_e), mean_e.shape)
     exact = electrons / front_end.electrons_per_count + front_end.offset_counts
     top = 2**front_end.adc_bits - 1
     counts = np.clip(np.rint(exact), 0, top).astype(np.int32)
-    railed = ((counts == 0) | (counts == top)).any(axis=1)
+    railed = ((counts == 0) | (counts == top) | full).any(axis=1)
     return counts, np.where(railed, np.uint8(Flag.SATURATED), np.uint8(0))
 
 

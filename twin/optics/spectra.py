@@ -1,55 +1,231 @@
-"""Spectra against the filter's band: the sun by its illuminance, the emitter's line."""
+"""Spectra against the filter's band: the sun by illuminance or elevation, the emitter's line.
 
+Everything is integrated over wavelength on a fine grid, except where a closed form exists. Vendors'
+curves come as CSV files, two columns: wavelength in nm (or um), value (or per cent).
+"""
+
+import csv
 import math
+from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twin.system import Emitter, Filter
+from twin.files import InputError
+from twin.system import Detector, Emitter, Filter, Sky
+
+Array = NDArray[np.float64]
 
 _LM_PER_W = 683.0  # maximum luminous efficacy of radiation
+_FINE = 20_001  # points of a numerical integral over a line or a band
 
 #: Declared with every result that depends on it.
 SUN_ASSUMPTION = (
-    "sun: ASTM G-173 global tilt spectrum, scaled to the illuminance; one directional source, "
-    "no light from the sky itself"
+    "sun: ASTM G-173 spectrum scaled to the illuminance, or that of a clear sky at the sun's "
+    "elevation; one directional source, no light from the sky itself"
 )
 
 
-@lru_cache(maxsize=32)
-def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width_m: float) -> float:
-    """Irradiance of the sun in a band, W/m^2, on the plane that receives ``illuminance_lx``.
+@dataclass(frozen=True)
+class SunInBand:
+    """Sun on the plane normal to it: illuminance, and irradiance behind the filter's shape."""
 
-    ASTM G-173-03 (global tilt, 1.5 air masses), 300 to 4000 nm, integrated over
-    ``center +/- width / 2`` and scaled by its luminous flux, 683 lm/W x integral of E V
-    (the intent of the paper's Eq. 1, which as printed weights the band itself by V(1550 nm) = 0).
+    illuminance_lx: float
+    irradiance_w_per_m2: float
+
+
+def sun_in_band(sky: Sky, band: Filter) -> SunInBand:
+    """Illuminance and band irradiance of a sky, on the plane normal to the sun."""
+    if sky.sun_elevation_deg is not None:
+        nm, spectrum = clear_sun(sky.sun_elevation_deg.value)
+        return SunInBand(_illuminance(nm, spectrum), _through(nm, spectrum, band))
+    assert sky.illuminance_lx is not None  # a Sky has one of the two
+    lux = sky.illuminance_lx.value
+    nm, spectrum = _tables()[0], _tables()[1]
+    return SunInBand(lux, _through(nm, spectrum, band) * lux / _illuminance(nm, spectrum))
+
+
+def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width_m: float) -> float:
+    """Irradiance of the sun in a flat band, W/m^2, on the plane that receives ``illuminance_lx``.
+
+    ASTM G-173-03 (global tilt, 1.5 air masses) integrated over ``center +/- width / 2`` and scaled
+    by its luminous flux, 683 lm/W x integral of E V (the intent of the paper's Eq. 1, which as
+    printed weights the band itself by V(1550 nm) = 0).
 
     Raises ValueError for a band outside the table.
     """
+    nm, spectrum, *_ = _tables()
+    low, high = ((center_wavelength_m + side * width_m / 2) * 1e9 for side in (-1, 1))
+    if low < nm[0] or high > nm[-1]:
+        raise ValueError(f"band {low:g} to {high:g} nm is outside the solar spectrum's table")
+    return _integral(nm, spectrum, low, high) * illuminance_lx / _illuminance(nm, spectrum)
+
+
+def clear_sun(elevation_deg: float) -> tuple[Array, Array]:
+    """Direct spectrum of the sun in a clear sky: wavelength in nm, W/m^2/nm on the normal plane.
+
+    ASTM G-173 holds the spectrum above the atmosphere and behind 1.5 air masses; what one air mass
+    lets through is the 1.5th root of their ratio, and Beer's law carries it to the air mass of the
+    elevation (Kasten and Young, Applied Optics 28, 1989). Zero below the horizon.
+    """
+    nm, _, outside, direct, _ = _tables()
+    if elevation_deg <= 0:
+        return nm, np.zeros_like(nm)
+    through = np.divide(direct, outside, out=np.zeros_like(direct), where=outside > 0)
+    return nm, outside * through ** (air_mass(elevation_deg) / 1.5)
+
+
+def air_mass(elevation_deg: float) -> float:
+    """Relative optical air mass (Kasten and Young 1989): 1 at the zenith, 38 at the horizon."""
+    sine = math.sin(math.radians(elevation_deg))
+    return 1 / (sine + 0.50572 * (elevation_deg + 6.07995) ** -1.6364)
+
+
+def in_band_fraction(emitter: Emitter, band: Filter, angle_deg: float = 0.0) -> float:
+    """Share of the emitter's line that the filter's shape lets through at an angle.
+
+    A Gaussian line of 100 nm full width at half maximum through 1550 +/- 6 nm: 0.112.
+    """
+    nm, line = emitter_line(emitter)
+    if emitter.spectrum_csv is None and band.transmission_csv is None:
+        sigma = emitter.line_fwhm_m.value / math.sqrt(8 * math.log(2))
+        center = band.center_wavelength_m.value * angle_shift(band, angle_deg)
+        offset = center - emitter.peak_wavelength_m.value
+        half = band.width_m.value * angle_shift(band, angle_deg) / 2
+        edges = [(offset + side * half) / (math.sqrt(2) * sigma) for side in (-1, 1)]
+        return (math.erf(edges[1]) - math.erf(edges[0])) / 2
+    fine, through = _passed(nm, line, band, angle_deg)
+    return float(np.trapezoid(through, fine) / np.trapezoid(line, nm))
+
+
+def angle_shift(band: Filter, angle_deg: float) -> float:
+    """Factor by which a filter's wavelengths shrink at an angle: sqrt(1 - (sin / n)^2).
+
+    1 where the filter has no effective index.
+    """
+    if band.effective_index is None:
+        return 1.0
+    ratio = math.sin(math.radians(angle_deg)) / band.effective_index.value
+    return math.sqrt(1 - ratio**2)
+
+
+def passband(band: Filter, wavelength_nm: Array, angle_deg: float = 0.0) -> Array:
+    """The filter's shape at wavelengths: 1 inside a flat band, or the vendor's curve."""
+    at_normal = wavelength_nm / angle_shift(band, angle_deg)
+    if band.transmission_csv is not None:
+        nm, values = read_curve(Path(band.transmission_csv.value))
+        return np.interp(at_normal, nm, values, left=0.0, right=0.0)
+    offset = np.abs(at_normal * 1e-9 - band.center_wavelength_m.value)
+    return (offset <= band.width_m.value / 2).astype(np.float64)
+
+
+def responsivity_a_per_w(detector: Detector, emitter: Emitter, band: Filter) -> float:
+    """Responsivity over the part of the emitter's line that the filter passes."""
+    if detector.responsivity_csv is None:
+        return detector.responsivity_a_per_w.value
+    nm, passed = _passed(*emitter_line(emitter), band)
+    power = np.trapezoid(passed, nm)
+    if power == 0:
+        return detector.responsivity_a_per_w.value
+    curve_nm, curve = read_curve(Path(detector.responsivity_csv.value))
+    current = np.trapezoid(passed * np.interp(nm, curve_nm, curve, left=0.0, right=0.0), nm)
+    return float(current / power)
+
+
+@lru_cache(maxsize=32)
+def read_curve(path: Path) -> tuple[Array, Array]:
+    """A vendor's curve: wavelengths in nm, ascending, and values.
+
+    Lines that are no two numbers are skipped as headers. Wavelengths below 20 are taken as um, and
+    values are divided by 100 where a header says per cent or ``%``. Raises InputError.
+    """
+    try:
+        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: can't be read as a CSV curve ({error})") from error
+    numbers = [pair for row in rows if (pair := _pair(row)) is not None]
+    header = " ".join(" ".join(row) for row in rows if _pair(row) is None).lower()
+    if len(numbers) < 2:
+        raise InputError(f"{path}: expected two columns of numbers, wavelength and value")
+    nm, values = np.array(sorted(numbers)).T
+    if not (np.isfinite(nm).all() and np.isfinite(values).all() and (values >= 0).all()):
+        raise InputError(f"{path}: a value is negative or no number")
+    if (np.diff(nm) == 0).any():
+        raise InputError(f"{path}: a wavelength stands twice")
+    nm = nm * 1e3 if nm[-1] < 20 else nm
+    return nm, values / 100 if "%" in header or "per cent" in header else values
+
+
+def read_responsivity(detector: Detector) -> tuple[Array, Array]:
+    """Wavelengths in nm and A/W: the vendor's curve, or the one number over 900 to 1700 nm."""
+    if detector.responsivity_csv is not None:
+        return read_curve(Path(detector.responsivity_csv.value))
+    return np.array([900.0, 1700.0]), np.full(2, detector.responsivity_a_per_w.value)
+
+
+def _pair(row: list[str]) -> tuple[float, float] | None:
+    try:
+        return float(row[0]), float(row[1])
+    except (ValueError, IndexError):
+        return None
+
+
+def emitter_line(emitter: Emitter) -> tuple[Array, Array]:
+    """The emitter's line on a fine grid of wavelengths in nm, arbitrary scale."""
+    if emitter.spectrum_csv is not None:
+        nm, values = read_curve(Path(emitter.spectrum_csv.value))
+        fine = np.linspace(nm[0], nm[-1], _FINE)
+        return fine, np.interp(fine, nm, values)
+    peak, fwhm = emitter.peak_wavelength_m.value * 1e9, emitter.line_fwhm_m.value * 1e9
+    fine = np.linspace(peak - 4 * fwhm, peak + 4 * fwhm, _FINE)
+    return fine, np.exp(-4 * math.log(2) * ((fine - peak) / fwhm) ** 2)
+
+
+def _passed(nm: Array, line: Array, band: Filter, angle_deg: float = 0.0) -> tuple[Array, Array]:
+    """A line behind the filter's shape, on a grid that knows the shape's edges."""
+    shift = angle_shift(band, angle_deg)
+    if band.transmission_csv is not None:
+        edges = read_curve(Path(band.transmission_csv.value))[0] * shift
+    else:
+        center, half = band.center_wavelength_m.value * 1e9, band.width_m.value * 1e9 / 2
+        edges = np.array([c + s * 1e-6 for c in (center - half, center + half) for s in (-1, 1)])
+        edges *= shift
+    fine = np.union1d(nm, edges[(edges > nm[0]) & (edges < nm[-1])])
+    return fine, np.interp(fine, nm, line) * passband(band, fine, angle_deg)
+
+
+def _through(nm: Array, spectrum: Array, band: Filter) -> float:
+    """Integral of a spectrum over the filter's shape."""
+    if band.transmission_csv is None:
+        center, half = band.center_wavelength_m.value * 1e9, band.width_m.value * 1e9 / 2
+        return _integral(nm, spectrum, center - half, center + half)
+    curve_nm, values = read_curve(Path(band.transmission_csv.value))
+    fine = np.union1d(nm[(nm > curve_nm[0]) & (nm < curve_nm[-1])], curve_nm)
+    passed = np.interp(fine, nm, spectrum) * np.interp(fine, curve_nm, values)
+    return float(np.trapezoid(passed, fine))
+
+
+def _integral(nm: Array, spectrum: Array, low: float, high: float) -> float:
+    inside = nm[(nm > low) & (nm < high)]
+    band = np.concatenate([[low], inside, [high]])
+    return float(np.trapezoid(np.interp(band, nm, spectrum), band))
+
+
+def _illuminance(nm: Array, spectrum: Array) -> float:
+    return float(_LM_PER_W * np.trapezoid(spectrum * _tables()[4], nm))
+
+
+@lru_cache(maxsize=1)
+def _tables() -> tuple[Array, Array, Array, Array, Array]:
+    """ASTM G-173: nm, global tilt, above the atmosphere, direct; and V(lambda) on its grid."""
     with np.printoptions():  # colour-science changes them on import
         import colour
         from colour.plotting.datasets import astm_g_173
-    spectrum = astm_g_173.SD_ASTMG173_GLOBAL_TILT
-
-    wavelength_nm, irradiance = spectrum.wavelengths, spectrum.values  # W/m^2/nm
-    low, high = ((center_wavelength_m + side * width_m / 2) * 1e9 for side in (-1, 1))
-    if low < wavelength_nm[0] or high > wavelength_nm[-1]:
-        raise ValueError(f"band {low:g} to {high:g} nm is outside the solar spectrum's table")
-    inside = wavelength_nm[(wavelength_nm > low) & (wavelength_nm < high)]
-    band = np.concatenate([[low], inside, [high]])
-    in_band = np.trapezoid(np.interp(band, wavelength_nm, irradiance), band)
+    tilt = astm_g_173.SD_ASTMG173_GLOBAL_TILT
     photopic = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
-    v = np.interp(wavelength_nm, photopic.wavelengths, photopic.values, left=0, right=0)
-    table_lx = _LM_PER_W * np.trapezoid(irradiance * v, wavelength_nm)
-    return float(in_band * illuminance_lx / table_lx)
-
-
-def in_band_fraction(emitter: Emitter, band: Filter) -> float:
-    """Share of the emitter's Gaussian line inside the filter's band.
-
-    A line of 100 nm full width at half maximum through 1550 +/- 6 nm: 0.112.
-    """
-    sigma = emitter.line_fwhm_m.value / math.sqrt(8 * math.log(2))
-    offset = band.center_wavelength_m.value - emitter.peak_wavelength_m.value
-    edges = [(offset + side * band.width_m.value / 2) / (math.sqrt(2) * sigma) for side in (-1, 1)]
-    return (math.erf(edges[1]) - math.erf(edges[0])) / 2
+    nm = np.asarray(tilt.wavelengths)
+    v = np.interp(nm, photopic.wavelengths, photopic.values, left=0, right=0)
+    outside, direct = astm_g_173.SD_ASTMG173_ETR, astm_g_173.SD_ASTMG173_DIRECT_CIRCUMSOLAR
+    return nm, tilt.values, outside.values, direct.values, v
