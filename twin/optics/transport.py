@@ -177,11 +177,11 @@ def _block(
     rng = mi.PCG32(size=n_rays, initstate=stream)
     ray, cos = primary_rays(camera, shape, block, quality.samples, rng)
     direct, indirect = _trace(
-        mi, scene, ray, rng, _connector(light), dr.opaque(mi.UInt32, quality.max_depth)
+        mi, scene, ray, rng, connector(light), dr.opaque(mi.UInt32, quality.max_depth)
     )
     if camera.outline == "disc":
-        inside = _inside(camera, ray.d)
-        direct, indirect = (dr.select(inside, x, 0) for x in (direct, indirect))
+        seen = inside(camera, ray.d)
+        direct, indirect = (dr.select(seen, x, 0) for x in (direct, indirect))
     dr.eval(cos, direct, indirect)
     full = (n_rows, shape[1], quality.samples)
     arrays = (np.array(x, dtype=np.float64).reshape(full) for x in (cos, direct, indirect))
@@ -238,11 +238,12 @@ class _DeviceConnector:
         weight = dr.rcp(distance2)
         if self.is_pupil:
             weight *= dr.maximum(dr.dot(-direction, self.forward), 0)
-        weight = dr.select(_inside(self.pinhole, -direction), weight, 0)
+        weight = dr.select(inside(self.pinhole, -direction), weight, 0)
         return direction, interaction.spawn_ray_to(self.origin), weight
 
 
-def _connector(light: SunLight | DeviceLight) -> _SunConnector | _DeviceConnector:
+def connector(light: SunLight | DeviceLight) -> Any:
+    """What a path asks at each vertex: direction to the light, shadow ray, weight."""
     return _SunConnector(light) if isinstance(light, SunLight) else _DeviceConnector(light)
 
 
@@ -274,14 +275,21 @@ def _trace(mi: Any, scene: Any, ray: Any, rng: Any, connect: Any, max_depth: Any
     return direct, indirect
 
 
-def _inside(pinhole: Pinhole, direction: Any) -> Any:
+def inside(pinhole: Pinhole, direction: Any) -> Any:
     """Whether a direction away from a pinhole is inside its field."""
+    ahead = dr.dot(direction, _vectors(pinhole.axes)[0]) > 0
+    left, up = field_coordinates(pinhole, direction)
+    if pinhole.outline == "square":
+        return ahead & (dr.abs(left) <= 1) & (dr.abs(up) <= 1)
+    return ahead & (left * left + up * up <= 1)
+
+
+def field_coordinates(pinhole: Pinhole, direction: Any) -> tuple[Any, Any]:
+    """Where a direction meets the plane at distance 1: left and up, +/- 1 at the field's edges."""
     mi = mitsuba()
     forward, left, up = (dr.dot(direction, axis) for axis in _vectors(pinhole.axes))
-    limit = dr.opaque(mi.Float, pinhole.tan_half_field) * forward
-    if pinhole.outline == "square":
-        return (forward > 0) & (dr.abs(left) <= limit) & (dr.abs(up) <= limit)
-    return (forward > 0) & (left * left + up * up <= limit * limit)
+    scale = dr.rcp(dr.opaque(mi.Float, pinhole.tan_half_field) * forward)
+    return left * scale, up * scale
 
 
 def _point(values: Array) -> Any:
