@@ -16,6 +16,7 @@ from twin.budget import Link, audit, link_of
 from twin.budget.link import maximum_distance_m, minimum_time_s
 from twin.camera.acquisition import capture, devices
 from twin.camera.evaluation import evaluate
+from twin.optics.matrix import Grid, Role, transport_matrix
 from twin.optics.radiometry import collection, wall_power_w
 from twin.optics.reference import PatternRenderer
 from twin.optics.spectra import sun_band_irradiance
@@ -30,6 +31,7 @@ def figures() -> Iterator[Figure]:
     yield from _accuracy()
     yield from _findings()
     yield from _transport()
+    yield from _line_sensor()
     yield from _vehicle()
     yield from _budget()
 
@@ -84,6 +86,24 @@ def _transport() -> Iterator[Figure]:
     one = timed(lambda: [reference.render(m, samples=4, seed=1) for m in masks], runs=3)
     note = "4 renders timed, scaled to 8192"
     yield "brute force, 8192 patterns, depth 4", one.scaled(8192 / 4, note), ""
+
+
+def _line_sensor() -> Iterator[Figure]:
+    """T between 16 LED rows and 256 columns: time, and error against 20 times the paths."""
+    scene, system = load_scene("yard"), load_system("line-256x16")
+    emitter, detector, _ = devices(scene, system)
+    world, rows, columns = mitsuba_scene(scene), Grid(emitter, 16, 1), Grid(detector, 1, 256)
+    best = transport_matrix(world, rows, columns, quality=Quality(96**2, 1), seed=9, role="scatter")
+    for role, side in (("scatter", 20), ("dual", 80)):
+
+        def work(role: Role = role, side: int = side) -> NDArray[np.float64]:
+            quality = Quality(side**2, 1)
+            return transport_matrix(world, rows, columns, quality=quality, seed=1, role=role)
+
+        name = f"T, 16 rows x 256 columns, direct, {role}"
+        yield name, timed(work), ""
+        error = np.sqrt(np.mean((work() - best) ** 2)) / np.sqrt(np.mean(best**2))
+        yield f"{name}: rms error over rms", 100 * float(error), "%"
 
 
 def _vehicle() -> Iterator[Figure]:

@@ -145,13 +145,17 @@ class Readout(Strict):
 
 
 class Acquisition(Strict):
-    """Which patterns are shown, and for how long."""
+    """Which patterns are shown, and for how long.
+
+    ``columns``: of a line sensor, whose pixels are binned to them; default one per pixel.
+    """
 
     integration_time_s: Sourced[Duration]
     pattern_period_s: Sourced[Duration]
     n_patterns: Sourced[Count]
     order: Sourced[Order]
     mode: Sourced[Mode]
+    columns: Sourced[Count] | None = None
 
     @model_validator(mode="after")
     def _fits(self) -> "Acquisition":
@@ -208,6 +212,35 @@ class System(Entry):
             order=self.acquisition.order.value,
             mode=self.acquisition.mode.value,
         )
+
+    @model_validator(mode="after")
+    def _line_sensor_fits(self) -> "System":
+        if self.detector.pixels is None or self.detector.pixels.value == 1:
+            return self
+        if self.detector.pixels.value % self.n_detectors:
+            raise ValueError(
+                f"acquisition.columns: {self.n_detectors} does not divide "
+                f"detector.pixels, {self.detector.pixels.value}"
+            )
+        if self.emitter.columns.value != 1 or self.optics.field_stop.value != "matched":
+            raise ValueError(
+                "a line sensor takes its columns itself: emitter.columns must be 1 (it is "
+                f"{self.emitter.columns.value}) and optics.field_stop matched"
+            )
+        return self
+
+    @property
+    def n_detectors(self) -> int:
+        """Numbers per exposure: 1, or the columns of a line sensor."""
+        if self.detector.pixels is None or self.detector.pixels.value == 1:
+            return 1
+        columns = self.acquisition.columns
+        return columns.value if columns else self.detector.pixels.value
+
+    @property
+    def pixels_per_detector(self) -> int:
+        """Pixels whose charge is added to one number."""
+        return (self.detector.pixels.value if self.detector.pixels else 1) // self.n_detectors
 
     @property
     def frame_time_s(self) -> float:

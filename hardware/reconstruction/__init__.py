@@ -37,6 +37,11 @@ class Reconstruction:
     noise_electrons: NDArray[np.float64]
     warnings: tuple[str, ...]
 
+    @property
+    def picture(self) -> NDArray[np.float64]:
+        """All detectors' images side by side, ``(rows, n_detectors * columns)``."""
+        return np.hstack(list(self.image))
+
 
 def reconstruct(record: SpiRecord, method: str = "lmmse") -> Reconstruction:
     """Reconstruct an image from a record.

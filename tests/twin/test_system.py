@@ -66,7 +66,9 @@ def test_errors_name_file_field_and_value(tmp_path: Path, text: str, expected: s
 
 
 def test_unknown_names_and_circles(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'nope' is neither a TOML file nor one of paper"):
+    with pytest.raises(
+        InputError, match="'nope' is neither a TOML file nor one of line-256x16, paper"
+    ):
         load_system("nope")
     write(tmp_path, 'base = "b.toml"\nname = "a"', "a.toml")
     path = write(tmp_path, 'base = "a.toml"\nname = "b"', "b.toml")
@@ -134,13 +136,16 @@ def test_bad_references(tmp_path: Path, text: str, expected: str) -> None:
         load_system(write(tmp_path, f'base = "paper"\n{text}\n'))
 
 
-def test_the_camera_refuses_a_line_sensor_for_now(tmp_path: Path) -> None:
-    from twin.camera import capture
-    from twin.scene import load_scene
-
-    path = write(tmp_path, 'base = "paper"\n[detector]\npart = "g10768-1024d"\n')
-    with pytest.raises(InputError, match=r"detector\.pixels = 1024"):
-        capture(load_scene("table1"), load_system(path))
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[acquisition]\ncolumns = 100", "columns: 100 does not divide detector.pixels, 1024"),
+        ("[emitter]\ncolumns = 16", r"emitter.columns must be 1 \(it is 16\)"),
+    ],
+)
+def test_line_sensors_that_do_not_fit(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        load_system(write(tmp_path, f'base = "line-256x16"\n{text}\n'))
 
 
 def test_schemas_know_every_section() -> None:

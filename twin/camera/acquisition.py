@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
 from twin import __version__
+from twin.camera.light import emitter_light, sun_light
 from twin.camera.truth import Truth, render_truth
 from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
-from twin.files import InputError
 from twin.optics.radiometry import Collection, collection
 from twin.optics.spectra import SUN_ASSUMPTION, in_band_fraction, responsivity_a_per_w, sun_in_band
-from twin.optics.transport import Pinhole, Quality, sunlight, transport
+from twin.optics.transport import Pinhole, Quality
 from twin.scene import Scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import Sky, System
@@ -43,9 +43,10 @@ class Capture:
     """A record with everything the twin knows about it. Only ``record`` exists on the vehicle.
 
     ``cells_e`` (rows, columns) are the electrons that each cell, lit alone for one exposure, gives
-    in the mean: what reconstructions are compared with. ``cells_error_e`` is their Monte-Carlo
-    standard error. ``snr`` is cells_e over the noise of a reconstructed pixel (inverse transform
-    of the patterns shown).
+    in the mean (a line sensor's columns side by side): what reconstructions are compared with.
+    ``cells_error_e`` is their Monte-Carlo standard error. ``snr`` is cells_e over the noise of a
+    reconstructed pixel (inverse transform of the patterns shown). ``background_w`` is the sun's
+    power on one detector, mean over the detectors.
     """
 
     record: SpiRecord
@@ -93,53 +94,64 @@ def capture(
     shape = (system.emitter.rows.value, system.emitter.columns.value)
     light_seed, sun_seed, noise_seed = np.random.SeedSequence(seed).spawn(3)
 
-    if system.detector.pixels and system.detector.pixels.value > 1:
-        raise InputError(
-            f"system {system.name}: detector.pixels = {system.detector.pixels.value}: "
-            "the camera takes a single pixel so far"
-        )
+    n_detectors = system.n_detectors
+    seeds = [int(s.generate_state(1)[0]) for s in (light_seed, sun_seed)]
+
     with stage("scene"):
         world = mitsuba_scene(scene) if rendered is None else rendered
     with stage("transport"):
-        seeds = [int(s.generate_state(1)[0]) for s in (light_seed, sun_seed)]
-        cells = transport(world, emitter, detector, shape, quality=quality, seed=seeds[0])
+        light = emitter_light(
+            world, emitter, detector, shape, n_detectors, quality=quality, seed=seeds[0]
+        )
     with stage("sun"):
         lux = Sourced(value=scene.sun.illuminance_lx, source="scene.toml")
         above = sun_in_band(system.sky or Sky(illuminance_lx=lux), system.filter)
         irradiance = above.irradiance_w_per_m2
-        sun = sunlight(world, detector, scene.sun.direction, quality=quality, seed=seeds[1])
+        sun = sun_light(
+            world, detector, scene.sun.direction, n_detectors, quality=quality, seed=seeds[1]
+        )
     with stage("truth"):
-        truth = render_truth(world, emitter, shape)
+        truth = render_truth(world, emitter, (shape[0], shape[1] * n_detectors))
     with stage("detector"):
         responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
         fraction = in_band_fraction(system.emitter, system.filter)
         collected = lens.transmission * lens.pupil_area_m2
         watt = system.emitter.radiant_intensity_w_per_sr.value * fraction * collected
-        signal_w = system.patterns.signal(watt * cells.total.ravel())
-        background_w = irradiance * collected * float(sun.total.sum())
+        signal_w = system.patterns.signal(watt * light.cells.T)
+        background_w = irradiance * collected * sun
         front_end = FrontEnd.of(system, responsivity)
         rng = np.random.default_rng(noise_seed)
-        counts, flags = expose(signal_w[:, None] + background_w, front_end, rng=rng)
+        counts, flags = expose(signal_w + background_w, front_end, rng=rng)
         budget = noise_budget(signal_w, background_w, front_end)
+        by_detector = [
+            noise_budget(s, b, front_end).pixel_noise_e(system.patterns)
+            for s, b in zip(signal_w.T, background_w, strict=True)
+        ]
     to_electrons = watt * front_end.electrons_per_watt
-    cells_e = to_electrons * cells.total
+    cells_e = to_electrons * _picture(light.cells, shape)
+    noise_e = _picture(np.tile(np.array(by_detector)[:, None], (1, shape[0] * shape[1])), shape)
     record = _record(scene, system, front_end, counts, flags)
     return Capture(
         record=record,
         truth=truth,
         cells_e=cells_e,
-        cells_error_e=to_electrons * cells.standard_error,
-        snr=cells_e / budget.pixel_noise_e(system.patterns),
+        cells_error_e=to_electrons * _picture(light.error, shape),
+        snr=cells_e / noise_e,
         noise=budget,
         lens=lens,
         signal_w=signal_w,
-        background_w=background_w,
+        background_w=float(background_w.mean()),
         sun_irradiance_w_per_m2=irradiance,
         in_band_fraction=fraction,
         illuminance_lx=above.illuminance_lx,
         assumptions=(*MODEL_ASSUMPTIONS, *scene.assumptions, *_assumed(system)),
         warnings=_warnings(system, counts, flags, fraction, cells_e),
     )
+
+
+def _picture(by_detector: Array, shape: tuple[int, int]) -> Array:
+    """Cells of all detectors (n_detectors, n_cells) as one picture, detectors side by side."""
+    return np.hstack(list(by_detector.reshape(-1, *shape)))
 
 
 def devices(scene: Scene, system: System) -> tuple[Pinhole, Pinhole, Collection]:

@@ -36,7 +36,7 @@ def evaluate(
     Raises ValueError for a reconstruction on another grid than the capture's.
     """
     images = reconstructions or [reconstruct(capture.record, method) for method in METHODS]
-    scored = [(image, score(capture.cells_e, image.image[0])) for image in images]
+    scored = [(image, score(capture.cells_e, image.picture)) for image in images]
     scored.sort(key=lambda pair: -pair[1].psnr_db)
     return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))
 

@@ -52,13 +52,15 @@ class FrontEnd:
             volts_per_e = q / readout.feedback_capacitance_f.value
         return cls(
             electrons_per_watt=responsivity * t / q,
-            dark_e=detector.dark_current_a.value * t / q,
+            dark_e=detector.dark_current_a.value * system.pixels_per_detector * t / q,
             johnson_e=float(np.sqrt(johnson_c2)) / q,
             read_e=readout.read_noise_e.value,
             electrons_per_count=volts_per_count / volts_per_e,
             offset_counts=readout.adc_offset_v.value / volts_per_count,
             adc_bits=readout.adc_bits.value,
-            full_well_e=readout.full_well_e.value if readout.full_well_e else np.inf,
+            full_well_e=readout.full_well_e.value * system.pixels_per_detector
+            if readout.full_well_e
+            else np.inf,
         )
 
 

@@ -34,10 +34,10 @@ class NoiseBudget:
         return float(per_value * self.total_noise_e * np.sqrt(patterns.count) / patterns.n_cells)
 
 
-def noise_budget(signal_w: Array, background_w: float, front_end: FrontEnd) -> NoiseBudget:
-    """Budget at the mean of the exposures ``signal_w``, W, over a constant background."""
+def noise_budget(signal_w: Array, background_w: float | Array, front_end: FrontEnd) -> NoiseBudget:
+    """Budget at the mean of the exposures ``signal_w``, W, and of the background."""
     signal = float(np.mean(signal_w)) * front_end.electrons_per_watt
-    background = background_w * front_end.electrons_per_watt
+    background = float(np.mean(background_w)) * front_end.electrons_per_watt
     return NoiseBudget(
         signal_e=signal,
         background_e=background,

@@ -42,7 +42,9 @@ def collection(system: System) -> Collection:
     outline: Outline = "square" if square else "disc"
     tangent = math.tan(math.radians(optics.field_of_view_deg.value) / 2)
     field_area = (4 if square else math.pi) * tangent**2
-    focal_length = math.sqrt(detector.area_m2 / field_area)
+    # A line sensor sees the field with all its pixels together.
+    area = detector.area_m2 * (detector.pixels.value if detector.pixels else 1)
+    focal_length = math.sqrt(area / field_area)
     n = optics.f_number.value
     return Collection(
         outline=outline,

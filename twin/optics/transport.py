@@ -112,13 +112,18 @@ def transport(
 
 
 def sunlight(
-    scene: Any, detector: Pinhole, direction: Array, *, quality: Quality, seed: int
+    scene: Any,
+    detector: Pinhole,
+    direction: Array,
+    *,
+    shape: tuple[int, int] = (32, 32),
+    quality: Quality,
+    seed: int,
 ) -> Gathered:
-    """Irradiance on the detector's pupil per irradiance of the sun, dimensionless, 32 x 32 parts.
+    """Irradiance on the detector's pupil per irradiance of the sun, by part of its field.
 
     The sum of the parts is the background; times E_sun tau A_pupil it is a power.
     """
-    shape = (32, 32)
     light = SunLight(direction)
     return gather(scene, detector, shape, light, cos_power=4, quality=quality, seed=seed)
 
@@ -197,14 +202,14 @@ def primary_rays(
     With ``rng`` None every ray goes through the middle of its stratum.
     """
     mi = mitsuba()
-    side = dr.opaque(mi.UInt32, round(samples**0.5))
+    wide, high = (dr.opaque(mi.UInt32, n) for n in strata(samples, shape[0] / shape[1]))
     columns = dr.opaque(mi.UInt32, shape[1])
     index = dr.arange(mi.UInt32, (block[1] - block[0]) * shape[1] * samples)
-    stratum, cell = index % (side * side), index // (side * side)
+    stratum, cell = index % (wide * high), index // (wide * high)
     row, column = cell // columns + dr.opaque(mi.UInt32, block[0]), cell % columns
     jitter_x, jitter_y = (0.5, 0.5) if rng is None else (rng.next_float32(), rng.next_float32())
-    x = mi.Float(column) + (mi.Float(stratum % side) + jitter_x) / mi.Float(side)
-    y = mi.Float(row) + (mi.Float(stratum // side) + jitter_y) / mi.Float(side)
+    x = mi.Float(column) + (mi.Float(stratum % wide) + jitter_x) / mi.Float(wide)
+    y = mi.Float(row) + (mi.Float(stratum // wide) + jitter_y) / mi.Float(high)
     t = dr.opaque(mi.Float, camera.tan_half_field)
     left = t * (1 - 2 * x / dr.opaque(mi.Float, shape[1]))
     up = t * (1 - 2 * y / dr.opaque(mi.Float, shape[0]))
@@ -212,6 +217,15 @@ def primary_rays(
     forward_axis, left_axis, up_axis = _vectors(camera.axes)
     direction = (forward_axis + left * left_axis + up * up_axis) * cos
     return mi.Ray3f(_point(camera.origin_m), direction), cos
+
+
+def strata(samples: int, aspect: float) -> tuple[int, int]:
+    """Strata across and up in a cell of ``aspect`` width over height: factors of ``samples`` whose
+    strata come nearest to squares.
+    """
+    factors = [n for n in range(1, samples + 1) if samples % n == 0]
+    across = min(factors, key=lambda n: abs(np.log(n * n / samples / aspect)))
+    return across, samples // across
 
 
 class _SunConnector:

@@ -26,7 +26,7 @@ def headline(view: View, evaluations: Sequence[Evaluation]) -> Figure:
         lux = evaluation.capture.illuminance_lx
         _image(
             axis,
-            evaluation.reconstructions[0].image[0],
+            evaluation.reconstructions[0].picture,
             f"{evaluation.system.name}, {_lux(lux)}: {_snr_words(evaluation)}",
         )
     return figure
@@ -45,15 +45,17 @@ def truth(evaluation: Evaluation) -> Figure:
     """Albedo and depth beside the reconstruction."""
     known = evaluation.capture.truth
     figure, axes = _panels(1, 3, 3.4)
-    drawn = axes[0].imshow(known.albedo, cmap="gray", vmin=0, vmax=1)
+    drawn = axes[0].imshow(known.albedo, cmap="gray", vmin=0, vmax=1, aspect=_aspect(known.albedo))
     figure.colorbar(drawn, ax=axes[0], shrink=0.8, label="reflectance at 1550 nm")
     axes[0].set_title("true albedo")
     drawn = axes[1].imshow(
-        np.where(np.isfinite(known.depth_m), known.depth_m, np.nan), cmap="viridis_r"
+        np.where(np.isfinite(known.depth_m), known.depth_m, np.nan),
+        cmap="viridis_r",
+        aspect=_aspect(known.depth_m),
     )
     figure.colorbar(drawn, ax=axes[1], shrink=0.8, label="depth along the boresight (m)")
     axes[1].set_title("true depth")
-    _image(axes[2], evaluation.reconstructions[0].image[0], f"reconstructed ({_best(evaluation)})")
+    _image(axes[2], evaluation.reconstructions[0].picture, f"reconstructed ({_best(evaluation)})")
     return figure
 
 
@@ -64,7 +66,7 @@ def reconstructions(evaluation: Evaluation) -> Figure:
     pairs = zip(evaluation.reconstructions, evaluation.scores, strict=True)
     for axis, (image, score) in zip(axes[1:], pairs, strict=True):
         title = f"{image.method}: PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
-        _image(axis, image.image[0], title)
+        _image(axis, image.picture, title)
     return figure
 
 
@@ -74,7 +76,7 @@ def snr_maps(evaluations: Sequence[Evaluation]) -> Figure:
     norm = LogNorm(1e-2, 1e2)
     for axis, evaluation in zip(axes, evaluations, strict=True):
         snr = evaluation.capture.snr
-        axis.imshow(np.maximum(snr, 1e-3), cmap="cividis", norm=norm)
+        axis.imshow(np.maximum(snr, 1e-3), cmap="cividis", norm=norm, aspect=_aspect(snr))
         if snr.min() < 1 < snr.max():
             axis.contour(snr, levels=[1.0], colors="white", linewidths=0.7)
         above = float(np.mean(snr >= 1))
@@ -89,7 +91,7 @@ def signal(evaluation: Evaluation) -> Figure:
     record, noise = evaluation.capture.record, evaluation.capture.noise
     figure = new_figure((10.2, 3.3))
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1))
-    counts = record.counts[:, 0]
+    counts = record.counts[:, record.counts.shape[1] // 2]
     if record.patterns.mode == "differential":
         left.plot(counts[0::2], ".", ms=1.6, color=BLUE, label="pattern")
         left.plot(counts[1::2], ".", ms=1.6, color=ORANGE, label="complement")
@@ -125,8 +127,14 @@ def _image(axis: Any, image: Array, title: str) -> None:
     """Grey picture, square-root scale from 0 to its 99.5th percentile; noise around 0 as it is."""
     top = float(np.percentile(image, 99.5))
     shown = np.sqrt(np.clip(image / top, 0, 1)) if top > 0 else np.zeros_like(image)
-    axis.imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+    aspect = _aspect(image)
+    axis.imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest", aspect=aspect)
     axis.set_title(title)
+
+
+def _aspect(image: Array) -> float:
+    """Height over width of a cell: the field is square, however many rows and columns it has."""
+    return image.shape[1] / image.shape[0]
 
 
 def _best(evaluation: Evaluation) -> str:

@@ -98,6 +98,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     taken, system = evaluation.capture, evaluation.system
     lens, noise, patterns = taken.lens, taken.noise, system.patterns
     best, score = evaluation.reconstructions[0], evaluation.scores[0]
+    found = float(np.sqrt(np.mean(best.noise_electrons**2))) / _per_value(evaluation)
     rendering = np.median(taken.cells_error_e) / noise.pixel_noise_e(patterns)
     return {
         "system": system.name,
@@ -115,7 +116,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "electrons per exposure": f"signal {noise.signal_e:.3g}, sun {noise.background_e:.3g}, "
         f"dark {noise.dark_e:.3g}",
         "noise per exposure": f"{noise.total_noise_e:.4g} e- predicted, "
-        f"{float(best.noise_electrons[0]) / _per_value(evaluation):.4g} e- found in the record",
+        f"{found:.4g} e- found in the record",
         "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
         "SNR per pixel": f"median {np.median(taken.snr):.3g}, best {taken.snr.max():.3g}",
         "pixels above their noise": f"{np.mean(taken.snr >= 1):.0%}",

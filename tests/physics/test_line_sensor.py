@@ -1,0 +1,121 @@
+"""A line sensor behind rows of LEDs: counts by column, and the picture they make."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import constants
+
+from hardware import reconstruct
+from twin.camera import capture
+from twin.camera.light import emitter_light, sun_light
+from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
+from twin.optics.transport import Pinhole, Quality
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene.mitsuba import mitsuba_scene
+from twin.system import System, load_system
+
+LINE = load_system("line-256x16")
+
+
+@pytest.fixture
+def at_dusk(tmp_path: Path) -> System:
+    """The same sensor where it works: source inside the filter, dusk, small capacitor."""
+    (tmp_path / "dusk.toml").write_text(
+        'base = "line-256x16"\n[emitter]\nline_fwhm_m = 2e-9\n[sky]\npart = "dusk"\n'
+        '[readout]\npart = "ctia-high-gain"\n'
+    )
+    return load_system(tmp_path / "dusk.toml")
+
+
+def wall(distance_m: float) -> Scene:
+    corners = np.array([[0, -50, -50], [0, 50, -50], [0, 50, 50], [0, -50, 50.0]])
+    faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
+    item = SceneObject("wall", corners + [distance_m, 0, 0], faces, None, "white", 0.5)
+    rig = Rig(Pose((0.0, 0.0, 0.0)), detector=Pose((0.0, 0.0, 0.0)))
+    return Scene("wall", Path(), "", (item,), rig, Sun(180.0, 0.0, 1e5))
+
+
+def test_all_columns_together_are_the_closed_form() -> None:
+    """Watts of all columns from a wall at 5 m: rho I tau A / ((4 N^2 + 1) z^2) <cos^7>, A of all
+    1024 pixels; and each column has the same share but for the cosines.
+    """
+    lens = collection(LINE)
+    scene = wall(5.0)
+    here = Pinhole(np.zeros(3), np.eye(3), lens.tan_half_field)
+    light = emitter_light(
+        mitsuba_scene(scene), here, here, (16, 1), 256, quality=Quality(64, 1), seed=1
+    )
+    intensity = LINE.emitter.radiant_intensity_w_per_sr.value
+    watts = intensity * lens.transmission * lens.pupil_area_m2 * light.cells.sum()
+    assert watts == pytest.approx(wall_power_w(LINE, 0.5, 5.0), rel=3e-3)
+    assert lens.pupil_area_m2 * lens.field_area == pytest.approx(np.pi * 2.56e-6 / 5, rel=1e-9)
+    columns = light.cells.sum(axis=1)
+    assert columns.min() > 0.8 * columns.max()
+    assert np.argmax(columns) in range(100, 156)
+
+
+def test_the_sun_falls_on_every_column() -> None:
+    lens = collection(LINE)
+    here = Pinhole(np.zeros(3), np.eye(3), lens.tan_half_field)
+    parts = sun_light(
+        mitsuba_scene(wall(5.0)), here, np.array([-1.0, 0, 0]), 256, quality=Quality(16, 1), seed=1
+    )
+    expected = 0.5 / np.pi * mean_cos_power(4, lens.tan_half_field, "square") * lens.field_area
+    assert parts.sum() == pytest.approx(expected, rel=1e-3)
+    assert parts.shape == (256,)
+    assert parts.min() > 0.9 * parts.max()
+
+
+def test_the_picture_is_the_scene(at_dusk: System) -> None:
+    """16 differential pairs of 256 counts make 256 x 16 pixels that agree with the noise-free ones;
+    turned over or mirrored they do not.
+    """
+    taken = capture(load_scene("yard"), at_dusk, seed=2, quality=Quality(16, 2))
+    assert taken.record.counts.shape == (32, 256)
+    assert taken.cells_e.shape == taken.truth.albedo.shape == (16, 256)
+    picture = reconstruct(taken.record, "zero-fill").picture
+
+    def likeness(other: np.ndarray) -> float:
+        return float(np.corrcoef(picture.ravel(), other.ravel())[0, 1])
+
+    assert likeness(taken.cells_e) > 0.99
+    assert likeness(taken.cells_e[::-1]) < 0.9
+    assert likeness(taken.cells_e[:, ::-1]) < 0.9
+
+
+def test_truth_lies_under_the_picture(at_dusk: System) -> None:
+    """Where the noise-free image is brightest the truth has the chart, 5 m ahead on the left."""
+    taken = capture(load_scene("yard"), at_dusk, quality=Quality(16, 1))
+    row, column = np.unravel_index(np.argmax(taken.cells_e), taken.cells_e.shape)
+    assert taken.truth.depth_m[row, column] == pytest.approx(5.0, abs=0.01)
+    assert column < 128
+
+
+def test_noise_of_a_column_is_that_of_its_own_light(at_dusk: System) -> None:
+    """Errors over predicted noise have rms 1: 4096 pixels, each noise from 16 pairs: 5 sigma."""
+    taken = capture(load_scene("yard"), at_dusk, seed=5, quality=Quality(64, 2))
+    picture = reconstruct(taken.record, "zero-fill").picture
+    lit = taken.cells_e > 0
+    noise = taken.cells_e[lit] / taken.snr[lit]
+    scaled = (picture - taken.cells_e)[lit] / noise
+    assert np.sqrt(np.mean(scaled**2)) == pytest.approx(
+        1.0, abs=5 / np.sqrt(2 * len(scaled)) + 0.02
+    )
+
+
+def test_binning_adds_charge_and_dark_current() -> None:
+    from twin.detector import FrontEnd
+
+    front_end = FrontEnd.of(LINE)
+    assert LINE.pixels_per_detector == 4
+    assert front_end.dark_e == pytest.approx(4 * 3e-12 * 450e-6 / constants.e, rel=1e-9)
+    assert front_end.full_well_e == pytest.approx(4 * 120e6)
+
+
+@pytest.mark.parametrize("columns", [64, 128, 256])
+def test_every_width_of_the_paper_works(tmp_path: Path, columns: int) -> None:
+    (tmp_path / "s.toml").write_text(f'base = "line-256x16"\n[acquisition]\ncolumns = {columns}\n')
+    taken = capture(load_scene("table1"), load_system(tmp_path / "s.toml"), quality=Quality(4, 1))
+    assert taken.cells_e.shape == (16, columns)
+    assert np.isfinite(reconstruct(taken.record).picture).all()
