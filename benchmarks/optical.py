@@ -14,8 +14,9 @@ from hardware.patterns import fwht
 from hardware.reconstruction import METHODS
 from twin.budget import Link, audit, link_of
 from twin.budget.link import maximum_distance_m, minimum_time_s
-from twin.camera.acquisition import capture, devices
+from twin.camera.acquisition import capture
 from twin.camera.evaluation import evaluate
+from twin.camera.light import devices
 from twin.optics.matrix import Grid, Role, transport_matrix
 from twin.optics.radiometry import collection, wall_power_w
 from twin.optics.reference import PatternRenderer

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from hardware.records import write_radar_record, write_record
 from hardware.records.sigmf import export_sigmf
-from twin.camera.acquisition import capture, devices
+from twin.camera.acquisition import capture
 from twin.camera.evaluation import Evaluation, evaluate
+from twin.camera.light import devices
 from twin.camera.truth import write_truth
 from twin.camera.view import View, render_view
 from twin.files import InputError, whole_folder
@@ -110,7 +111,7 @@ def _compute(
     evaluations = []
     for system in systems:
         taken = capture(
-            scene, system, seed=seed, quality=quality, rendered=rendered, stage=stages.stage
+            scene, system, seed=seed, quality=quality, world=rendered, stage=stages.stage
         )
         with stages.stage("reconstruction"):
             evaluations.append(evaluate(system, taken))

@@ -1,7 +1,6 @@
 """One acquisition of the single-pixel camera, from scene and system to a record of counts."""
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,20 +9,22 @@ from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
 from twin import __version__
-from twin.camera.light import emitter_light, sun_light
-from twin.camera.truth import Truth, render_truth
+from twin.camera.light import Rendered, Stage, render
+from twin.camera.truth import Truth
 from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
 from twin.optics.radiometry import Collection, collection
-from twin.optics.spectra import SUN_ASSUMPTION, in_band_fraction, responsivity_a_per_w, sun_in_band
-from twin.optics.transport import Pinhole, Quality
+from twin.optics.spectra import (
+    SUN_ASSUMPTION,
+    in_band_fraction,
+    responsivity_a_per_w,
+    sun_in_band,
+)
+from twin.optics.transport import Quality
 from twin.scene import Scene
-from twin.scene.mitsuba import mitsuba_scene
 from twin.system import Sky, System
 from twin.toml import Sourced
 
 Array = NDArray[np.float64]
-#: Opens a named stage of the work; what is run inside belongs to it.
-Stage = Callable[[str], AbstractContextManager[Any]]
 
 #: Holds for every capture; printed with it.
 MODEL_ASSUMPTIONS = (
@@ -71,10 +72,10 @@ def capture(
     *,
     seed: int = 0,
     quality: Quality | None = None,
-    rendered: Any = None,
+    world: Any = None,
     stage: Stage = lambda name: nullcontext(),
 ) -> Capture:
-    """Acquire one frame.
+    """Acquire one frame: `render`, then `measure`.
 
     Parameters
     ----------
@@ -84,83 +85,63 @@ def capture(
         Of every random draw: same seed, same counts, bit for bit.
     quality
         Knobs of the path tracer.
-    rendered
+    world
         `mitsuba_scene(scene)`, when it is at hand already.
     stage
         Called with each stage's name, for progress and timing.
     """
-    quality = quality or Quality()
-    emitter, detector, lens = devices(scene, system)
-    shape = (system.emitter.rows.value, system.emitter.columns.value)
-    light_seed, sun_seed, noise_seed = np.random.SeedSequence(seed).spawn(3)
-
-    n_detectors = system.n_detectors
-    seeds = [int(s.generate_state(1)[0]) for s in (light_seed, sun_seed)]
-
-    with stage("scene"):
-        world = mitsuba_scene(scene) if rendered is None else rendered
-    with stage("transport"):
-        light = emitter_light(
-            world, emitter, detector, shape, n_detectors, quality=quality, seed=seeds[0]
-        )
-    with stage("sun"):
-        lux = Sourced(value=scene.sun.illuminance_lx, source="scene.toml")
-        above = sun_in_band(system.sky or Sky(illuminance_lx=lux), system.filter)
-        irradiance = above.irradiance_w_per_m2
-        sun = sun_light(
-            world, detector, scene.sun.direction, n_detectors, quality=quality, seed=seeds[1]
-        )
-    with stage("truth"):
-        truth = render_truth(world, emitter, (shape[0], shape[1] * n_detectors))
+    light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
+    rendered = render(
+        scene, system, quality=quality or Quality(), seed=light_seed, world=world, stage=stage
+    )
     with stage("detector"):
-        responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
-        fraction = in_band_fraction(system.emitter, system.filter)
-        collected = lens.transmission * lens.pupil_area_m2
-        watt = system.emitter.radiant_intensity_w_per_sr.value * fraction * collected
-        signal_w = system.patterns.signal(watt * light.cells.T)
-        background_w = irradiance * collected * sun
-        front_end = FrontEnd.of(system, responsivity)
-        rng = np.random.default_rng(noise_seed)
-        counts, flags = expose(signal_w + background_w, front_end, rng=rng)
-        budget = noise_budget(signal_w, background_w, front_end)
-        by_detector = [
-            noise_budget(s, b, front_end).pixel_noise_e(system.patterns)
-            for s, b in zip(signal_w.T, background_w, strict=True)
-        ]
-    to_electrons = watt * front_end.electrons_per_watt
-    cells_e = to_electrons * _picture(light.cells, shape)
-    noise_e = _picture(np.tile(np.array(by_detector)[:, None], (1, shape[0] * shape[1])), shape)
-    record = _record(scene, system, front_end, counts, flags)
+        return measure(scene, system, rendered, rng=np.random.default_rng(noise_seed))
+
+
+def measure(
+    scene: Scene, system: System, rendered: Rendered, *, rng: np.random.Generator
+) -> Capture:
+    """Light to counts: filter, lens, detector, amplifier and converter of a system."""
+    lens = collection(system)
+    collected = lens.transmission * lens.pupil_area_m2
+    fraction = in_band_fraction(system.emitter, system.filter)
+    watt = system.emitter.radiant_intensity_w_per_sr.value * fraction * collected
+    signal_w = system.patterns.signal(watt * rendered.light.cells.T)
+    own_sky = Sky(illuminance_lx=Sourced(value=scene.sun.illuminance_lx, source="scene.toml"))
+    sky = sun_in_band(system.sky or own_sky, system.filter)
+    background_w = sky.irradiance_w_per_m2 * collected * rendered.sun
+
+    responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
+    front_end = FrontEnd.of(system, responsivity)
+    counts, flags = expose(signal_w + background_w, front_end, rng=rng)
+    cells_e = watt * front_end.electrons_per_watt * rendered.light.cells
+    error_e = watt * front_end.electrons_per_watt * rendered.light.error
+    noise_e = [
+        noise_budget(signal, sun, front_end).pixel_noise_e(system.patterns)
+        for signal, sun in zip(signal_w.T, background_w, strict=True)
+    ]
     return Capture(
-        record=record,
-        truth=truth,
-        cells_e=cells_e,
-        cells_error_e=to_electrons * _picture(light.error, shape),
-        snr=cells_e / noise_e,
-        noise=budget,
+        record=_record(scene, system, front_end, counts, flags),
+        truth=rendered.truth,
+        cells_e=_picture(cells_e, system),
+        cells_error_e=_picture(error_e, system),
+        snr=_picture(cells_e / np.array(noise_e)[:, None], system),
+        noise=noise_budget(signal_w, background_w, front_end),
         lens=lens,
         signal_w=signal_w,
         background_w=float(background_w.mean()),
-        sun_irradiance_w_per_m2=irradiance,
+        sun_irradiance_w_per_m2=sky.irradiance_w_per_m2,
         in_band_fraction=fraction,
-        illuminance_lx=above.illuminance_lx,
+        illuminance_lx=sky.illuminance_lx,
         assumptions=(*MODEL_ASSUMPTIONS, *scene.assumptions, *_assumed(system)),
         warnings=_warnings(system, counts, flags, fraction, cells_e),
     )
 
 
-def _picture(by_detector: Array, shape: tuple[int, int]) -> Array:
+def _picture(by_detector: Array, system: System) -> Array:
     """Cells of all detectors (n_detectors, n_cells) as one picture, detectors side by side."""
+    shape = (system.emitter.rows.value, system.emitter.columns.value)
     return np.hstack(list(by_detector.reshape(-1, *shape)))
-
-
-def devices(scene: Scene, system: System) -> tuple[Pinhole, Pinhole, Collection]:
-    """Emitter and detector where the rig holds them, and the detector's lens."""
-    lens = collection(system)
-    half = np.radians(system.emitter.field_of_view_deg.value) / 2
-    emitter = Pinhole(*scene.rig.device("emitter"), tan_half_field=float(np.tan(half)))
-    origin, axes = scene.rig.device("detector")
-    return emitter, Pinhole(origin, axes, lens.tan_half_field, lens.outline), lens
 
 
 def _record(

@@ -1,16 +1,29 @@
-"""Light that reaches each detector: from every emitter cell, and from the sun."""
+"""What is rendered once per scene and geometry: light from every cell and from the sun, and truth.
+
+Nothing here knows watts, electrons or seconds: detector, filter, sky and integration time may
+change without rendering again.
+"""
 
 import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.camera.truth import Truth, render_truth
 from twin.optics.matrix import Grid, transport_matrix
+from twin.optics.radiometry import Collection, collection
 from twin.optics.transport import Pinhole, Quality, sunlight, transport
+from twin.scene import Scene
+from twin.scene.mitsuba import mitsuba_scene
+from twin.system import System
 
 Array = NDArray[np.float64]
+#: Opens a named stage of the work; what is run inside belongs to it.
+Stage = Callable[[str], AbstractContextManager[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +34,54 @@ class Light:
 
     cells: Array
     error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """Everything that light transport says about a scene seen by a system's geometry.
+
+    ``sun``: irradiance on the pupil per irradiance of the sun, (n_detectors,). ``truth`` lies on
+    the grid of the virtual image.
+    """
+
+    light: Light
+    sun: Array
+    truth: Truth
+
+
+def render(
+    scene: Scene,
+    system: System,
+    *,
+    quality: Quality,
+    seed: np.random.SeedSequence,
+    world: Any = None,
+    stage: Stage = lambda name: nullcontext(),
+) -> Rendered:
+    """Render a scene for a system; ``world`` is `mitsuba_scene(scene)`, when it is at hand."""
+    emitter, detector, _ = devices(scene, system)
+    shape = (system.emitter.rows.value, system.emitter.columns.value)
+    n = system.n_detectors
+    seeds = [int(child.generate_state(1)[0]) for child in seed.spawn(2)]
+    with stage("scene"):
+        world = mitsuba_scene(scene) if world is None else world
+    with stage("transport"):
+        light = emitter_light(world, emitter, detector, shape, n, quality=quality, seed=seeds[0])
+    with stage("sun"):
+        direction = scene.sun.direction
+        sun = sun_light(world, detector, direction, n, quality=quality, seed=seeds[1])
+    with stage("truth"):
+        truth = render_truth(world, emitter, (shape[0], shape[1] * n))
+    return Rendered(light, sun, truth)
+
+
+def devices(scene: Scene, system: System) -> tuple[Pinhole, Pinhole, Collection]:
+    """Emitter and detector where the rig holds them, and the detector's lens."""
+    lens = collection(system)
+    half = np.radians(system.emitter.field_of_view_deg.value) / 2
+    emitter = Pinhole(*scene.rig.device("emitter"), tan_half_field=float(np.tan(half)))
+    origin, axes = scene.rig.device("detector")
+    return emitter, Pinhole(origin, axes, lens.tan_half_field, lens.outline), lens
 
 
 def emitter_light(
