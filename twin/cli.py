@@ -141,9 +141,11 @@ def budget(
 
     from twin.budget import SENSORS, audit, frame_rates, link_of
     from twin.budget.report import print_budget, write_budget
-    from twin.files import whole_folder
+    from twin.files import InputError, whole_folder
     from twin.system import load_part, load_system
 
+    if out is not None and not str(out).strip("."):
+        raise InputError("out: is empty, expected a folder to write to")
     design = load_system(system)
     parts = [load_part(name) for name in SENSORS]
     options = {"whole_line": whole_line, "filter_before_lens": before_lens}
@@ -182,7 +184,7 @@ def parts(
     if plot is not None:
         from twin.report.part_figure import plot_part
 
-        plot_part(part).savefig(plot)
+        plot_part(part).savefig(plot, format="png")
         print(f"written: {plot}")
 
 

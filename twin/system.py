@@ -45,7 +45,7 @@ class Emitter(Strict):
     rows: Sourced[GridSize]
     columns: Sourced[GridSize]
     field_of_view_deg: Sourced[FieldAngle]
-    radiant_intensity_w_per_sr: Sourced[NonNegative]
+    radiant_intensity_w_per_sr: Sourced[Annotated[NonNegative, Field(le=1e9)]]
     peak_wavelength_m: Sourced[Positive]
     line_fwhm_m: Sourced[Positive]
     spectrum_csv: Sourced[str] | None = None

@@ -54,6 +54,8 @@ def detect(
         Detections returned.
     """
     power = image.power_w
+    if all(size <= 2 * g + 1 for size, g in zip(power.shape, guard, strict=True)):
+        return []  # nothing but guard cells: nothing to tell the noise from
     above = power > cfar_threshold(power, false_alarm, guard, training)
     found = np.argwhere(above & _peaks(power))
     order = np.argsort(-image.power_w[tuple(found.T)])[:at_most]

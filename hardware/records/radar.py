@@ -98,5 +98,5 @@ def read_radar_record(path: str | Path) -> RadarRecord:
     fields, waveform = container.read(LAYOUT, path)
     try:
         return RadarRecord(waveform=OfdmWaveform(**waveform), **fields)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error

@@ -104,5 +104,5 @@ def read_record(path: str | Path) -> SpiRecord:
     fields, patterns = container.read(LAYOUT, path)
     try:
         return SpiRecord(patterns=PatternSet(**patterns), **fields)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error

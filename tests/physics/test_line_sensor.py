@@ -119,3 +119,16 @@ def test_every_width_of_the_paper_works(tmp_path: Path, columns: int) -> None:
     taken = capture(load_scene("table1"), load_system(tmp_path / "s.toml"), quality=Quality(4, 1))
     assert taken.cells_e.shape == (16, columns)
     assert np.isfinite(reconstruct(taken.record).picture).all()
+
+
+def test_a_picture_of_one_row_has_its_report(tmp_path: Path) -> None:
+    from twin.job import run
+
+    (tmp_path / "row.toml").write_text(
+        'base = "line-256x16"\n[emitter]\nrows = 1\nline_fwhm_m = 2e-9\n'
+        '[acquisition]\nn_patterns = 1\ncolumns = 32\n[sky]\npart = "dusk"\n'
+    )
+    quality = Quality(4, 1)
+    system = tmp_path / "row.toml"
+    result = run("yard", system, compare=None, radar=None, quality=quality, out=tmp_path / "out")
+    assert result.evaluations[0].capture.snr.shape == (1, 32)

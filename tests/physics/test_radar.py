@@ -299,6 +299,25 @@ def test_multipath_over_the_ground_keeps_the_rates_of_its_legs() -> None:
         assert found[0][via].delay_rate == pytest.approx(difference, rel=1e-4)
 
 
+def test_moving_reflectors_shift_every_path_over_them() -> None:
+    """A wall closing in at 3 m/s: its own echo, and the target seen in it, against finite
+    differences of the refined delays.
+    """
+    radar, step = load_radar("hybrid-79"), 1e-6
+
+    def at(offset: float) -> dict:
+        wall = replace(plate("wall", 30.0 + offset, 60.0), velocity_m_per_s=(-3.0, 0.0, 0.0))
+        return {
+            p.via: p for p in trace(world(wall, targets=(target((12.0, 4.0, 0)),)), radar).paths
+        }
+
+    here, moved = at(0.0), at(-3.0 * step)
+    for via in (("wall",), ("wall", "t"), ("t", "wall"), ("t",)):
+        difference = (moved[via].delay_s - here[via].delay_s) / step
+        assert here[via].delay_rate == pytest.approx(difference, rel=1e-4, abs=1e-15)
+    assert here[("wall",)].delay_rate == pytest.approx(-6.0 / C, rel=1e-6)
+
+
 # Captures.
 
 
@@ -354,6 +373,32 @@ def test_an_empty_scene_is_noise_only() -> None:
     rms = radar.front_end.noise_counts.value / np.sqrt(2)
     assert iq.std() == pytest.approx(np.hypot(rms, 1 / np.sqrt(12)), rel=0.01)
     assert len(evaluate_radar(radar, taken).detections) <= 2
+
+
+def test_a_target_at_the_radar_is_named() -> None:
+    near = (target((0.0, 0, 0.001), name="bug"), target((20.0, 0, 0), name="far"))
+    with pytest.raises(InputError, match=r"target 'bug': is 0\.001 m from the radar"):
+        radar_capture(world(targets=near), load_radar("hybrid-79-slow"))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (8, 8), (4096, 2)])
+def test_tiny_maps_give_no_detections_instead_of_an_error(shape: tuple[int, int]) -> None:
+    radar = changed(
+        load_radar("hybrid-79-slow"), waveform__n_subcarriers=shape[0], waveform__n_slots=shape[1]
+    )
+    evaluation = evaluate_radar(radar, radar_capture(world(targets=(target((20.0, 0, 0)),)), radar))
+    assert isinstance(evaluation.detections, tuple)
+
+
+def test_impossible_sizes_and_bands_are_refused() -> None:
+    radar = load_radar("hybrid-79")
+    for change in (
+        {"waveform__n_subcarriers": 65536, "waveform__n_slots": 65536},
+        {"front_end__noise_figure_db": 4000.0},
+        {"band__low_hz": 90e9},
+    ):
+        with pytest.raises(ValueError, match=r"n_subcarriers|noise_figure_db|low_hz"):
+            changed(radar, **change)
 
 
 def test_a_radar_inside_a_mesh_is_warned_of() -> None:

@@ -139,6 +139,8 @@ def test_a_measured_line_replaces_the_gaussian(tmp_path: Path) -> None:
         ("1500,1\n1500,2\n", "stands twice"),
         ("1500,1\n1600,-2\n", "negative"),
         ("1500,1\n1600,nan\n", "no number"),
+        ("1500,0\n1600,0\n", "every value is zero"),
+        ("1.54e-6,1\n1.56e-6,1\n", "expected nm or um"),
     ],
 )
 def test_bad_curves_name_the_file(tmp_path: Path, text: str, expected: str) -> None:
@@ -146,6 +148,13 @@ def test_bad_curves_name_the_file(tmp_path: Path, text: str, expected: str) -> N
         read_curve(curve(tmp_path, text))
     with pytest.raises(InputError, match=r"missing\.csv"):
         read_curve(tmp_path / "missing.csv")
+
+
+def test_per_cent_without_a_header_is_caught(tmp_path: Path) -> None:
+    path = curve(tmp_path, "1540,50\n1560,50\n")
+    band = PAPER.filter.model_copy(update={"transmission_csv": assumed(str(path))})
+    with pytest.raises(InputError, match=r"c\.csv: transmission 50: expected at most 1"):
+        in_band_fraction(PAPER.emitter, band)
 
 
 def test_a_systems_curves_lie_beside_its_file(tmp_path: Path, monkeypatch) -> None:

@@ -96,6 +96,8 @@ def detector_of(part: Part) -> Detector:
 def audit(link: Link, part: Part) -> Row:
     """Re-derive one sensor's cells of Table 1. Raises KeyError for a sensor not in the table."""
     printed = PRINTED[part.name.removesuffix("-paper")]
+    if not np.all(link.signal_e_per_s(1.0, 1.0)):
+        raise InputError("budget: no light of the emitter passes the filter, or it emits none")
     z, t = (np.array(column) for column in zip(*printed, strict=True))
     read = _fitted_read_noise(link, z, t)
     signal, background = _rates(link, z)

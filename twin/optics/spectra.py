@@ -115,7 +115,7 @@ def passband(band: Filter, wavelength_nm: Array, angle_deg: float = 0.0) -> Arra
     """The filter's shape at wavelengths: 1 inside a flat band, or the vendor's curve."""
     at_normal = wavelength_nm / angle_shift(band, angle_deg)
     if band.transmission_csv is not None:
-        nm, values = read_curve(Path(band.transmission_csv.value))
+        nm, values = read_transmission(Path(band.transmission_csv.value))
         return np.interp(at_normal, nm, values, left=0.0, right=0.0)
     offset = np.abs(at_normal * 1e-9 - band.center_wavelength_m.value)
     return (offset <= band.width_m.value / 2).astype(np.float64)
@@ -154,8 +154,25 @@ def read_curve(path: Path) -> tuple[Array, Array]:
         raise InputError(f"{path}: a value is negative or no number")
     if (np.diff(nm) == 0).any():
         raise InputError(f"{path}: a wavelength stands twice")
-    nm = nm * 1e3 if nm[-1] < 20 else nm
+    if nm[-1] < 20:  # micrometres
+        nm = nm * 1e3
+    if not 100 <= nm[0] < nm[-1] <= 20_000:
+        raise InputError(
+            f"{path}: wavelengths {nm[0]:g} to {nm[-1]:g} nm: expected nm or um, 100 to 20 000 nm"
+        )
+    if not values.any():
+        raise InputError(f"{path}: every value is zero")
     return nm, values / 100 if "%" in header or "per cent" in header else values
+
+
+def read_transmission(path: Path) -> tuple[Array, Array]:
+    """A curve whose values are shares. Raises InputError where one is above 1."""
+    nm, values = read_curve(path)
+    if values.max() > 1:
+        raise InputError(
+            f"{path}: transmission {values.max():g}: expected at most 1, or a header with %"
+        )
+    return nm, values
 
 
 def read_responsivity(detector: Detector) -> tuple[Array, Array]:
@@ -187,7 +204,7 @@ def _passed(nm: Array, line: Array, band: Filter, angle_deg: float = 0.0) -> tup
     """A line behind the filter's shape, on a grid that knows the shape's edges."""
     shift = angle_shift(band, angle_deg)
     if band.transmission_csv is not None:
-        edges = read_curve(Path(band.transmission_csv.value))[0] * shift
+        edges = read_transmission(Path(band.transmission_csv.value))[0] * shift
     else:
         center, half = band.center_wavelength_m.value * 1e9, band.width_m.value * 1e9 / 2
         edges = np.array([c + s * 1e-6 for c in (center - half, center + half) for s in (-1, 1)])
@@ -201,7 +218,7 @@ def _through(nm: Array, spectrum: Array, band: Filter) -> float:
     if band.transmission_csv is None:
         center, half = band.center_wavelength_m.value * 1e9, band.width_m.value * 1e9 / 2
         return _integral(nm, spectrum, center - half, center + half)
-    curve_nm, values = read_curve(Path(band.transmission_csv.value))
+    curve_nm, values = read_transmission(Path(band.transmission_csv.value))
     fine = np.union1d(nm[(nm > curve_nm[0]) & (nm < curve_nm[-1])], curve_nm)
     passed = np.interp(fine, nm, spectrum) * np.interp(fine, curve_nm, values)
     return float(np.trapezoid(passed, fine))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hardware.radar.waveform import OfdmWaveform
 from hardware.records import Flag, RadarRecord
 from twin import __version__
+from twin.files import InputError
 from twin.radar.design import RadarDesign
 from twin.radar.propagation import Path, Propagation, trace
 from twin.radar.synthesis import Contributions, synthesize
@@ -18,6 +19,7 @@ from twin.scene import Scene
 from twin.scene.enclosure import encloses
 from twin.scene.model import Target
 
+_NEAREST_M = 0.1  # a point target nearer than this is no point
 Stage = Callable[[str], AbstractContextManager[Any]]
 
 #: Holds for every capture; printed with it.
@@ -82,6 +84,7 @@ def radar_capture(
 
     Raises InputError where a material has no data at the carrier.
     """
+    _check_targets(scene)
     ray_seed, noise_seed = np.random.SeedSequence([seed, 79]).spawn(2)
     with stage("radar paths"):
         found = trace(scene, radar, seed=int(ray_seed.generate_state(1)[0]) >> 1)
@@ -98,6 +101,17 @@ def radar_capture(
         assumptions=(*MODEL_ASSUMPTIONS, *found.assumptions, *_assumed(scene, radar)),
         warnings=tuple(_warnings(scene, radar, found, truth, flags)),
     )
+
+
+def _check_targets(scene: Scene) -> None:
+    place = scene.rig.position_m + scene.rig.device("radar")[0]
+    for target in scene.targets:
+        distance = float(np.linalg.norm(np.asarray(target.position_m) - place))
+        if distance < _NEAREST_M:
+            raise InputError(
+                f"target {target.name!r}: is {distance:g} m from the radar, "
+                f"expected at least {_NEAREST_M:g} m"
+            )
 
 
 def contributions(paths: tuple[Path, ...], waveform: OfdmWaveform) -> Contributions:

@@ -21,6 +21,7 @@ from twin.toml import (
     load_entry,
 )
 
+_MOST_CELLS = 2**25  # of one interval: half a gigabyte in complex numbers
 _REFERENCE_K = 290.0  # of noise figures, by definition
 
 
@@ -44,8 +45,8 @@ class FrontEnd(Strict):
     """
 
     transmit_power_w: Sourced[Positive]
-    noise_figure_db: Sourced[NonNegative]
-    losses_db: Sourced[NonNegative]
+    noise_figure_db: Sourced[Annotated[NonNegative, Field(le=100)]]
+    losses_db: Sourced[Annotated[NonNegative, Field(le=300)]]
     noise_counts: Sourced[Positive]
 
 
@@ -66,6 +67,12 @@ class Band(Strict):
     low_hz: Sourced[Positive]
     high_hz: Sourced[Positive]
 
+    @model_validator(mode="after")
+    def _ascends(self) -> "Band":
+        if self.low_hz.value >= self.high_hz.value:
+            raise ValueError("low_hz is not below high_hz")
+        return self
+
 
 class RadarDesign(Entry):
     """One radar with one transmit and one receive antenna at the same place."""
@@ -77,7 +84,11 @@ class RadarDesign(Entry):
 
     @model_validator(mode="after")
     def _waveform_is_possible(self) -> "RadarDesign":
-        _ = self.ofdm
+        cells = self.ofdm.n_subcarriers * self.ofdm.n_slots
+        if cells > _MOST_CELLS:
+            raise ValueError(
+                f"waveform: n_subcarriers x n_slots = {cells}, expected at most {_MOST_CELLS}"
+            )
         return self
 
     @property

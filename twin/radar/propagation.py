@@ -19,7 +19,6 @@ from twin.radar.design import RadarDesign
 from twin.radar.materials import radio_properties
 from twin.radar.roles import Assignment, Role, assign_roles
 from twin.scene import Scene, SceneObject
-from twin.scene.model import Target
 
 Array = NDArray[np.float64]
 
@@ -142,7 +141,6 @@ class _RadioWorld:
                 name=f"object-{len(self.meshes)}",  # Sionna edits names of its own accord
                 radio_material=made[key],
             )
-            mesh.velocity = list(item.velocity_m_per_s)
             self.meshes[item.name] = mesh
         if self.meshes:
             self.world.edit(add=list(self.meshes.values()))
@@ -231,43 +229,41 @@ class _RadioWorld:
             k != _TARGET and n not in self.surfaces for n, k in zip(names, raw.kinds, strict=True)
         ):
             return None
+        planes = [
+            None if kind == _TARGET else self._plane(name, primitive)
+            for name, kind, primitive in zip(names, raw.kinds, raw.primitives, strict=True)
+        ]
+        vertices = raw.vertices.copy()
         at = next((i for i, kind in enumerate(raw.kinds) if kind == _TARGET), None)
+        target = None
         if at is None:
-            target = None
-            chain = [self._plane(n, p) for n, p in zip(names, raw.primitives, strict=True)]
-            image = _image(np.zeros(3), chain)
-            length = float(np.linalg.norm(image))
-            first, last = raw.vertices[0], raw.vertices[-1]
-            rate = -raw.doppler_hz / self.radar.ofdm.carrier_hz
+            length = float(np.linalg.norm(_image(np.zeros(3), planes)))
         else:
             target = self.target_by_name[names[at]]
-            names[at] = target.name
-            point = np.asarray(target.position_m) - self.origin
-            planes = [
-                self._plane(n, p) if i != at else None
-                for i, (n, p) in enumerate(zip(names, raw.primitives, strict=True))
-            ]
-            out = _image(np.zeros(3), planes[:at])
-            back = _image(np.zeros(3), planes[:at:-1])
-            length = float(np.linalg.norm(point - out) + np.linalg.norm(point - back))
-            first = raw.vertices[0] if at else point
-            last = raw.vertices[-1] if at < len(names) - 1 else point
-            rate = self._approach(raw, at, point, target)
-        gain = self.radar.antenna.gain(np.array([self._cosine(first), self._cosine(last)]))
+            vertices[at] = np.asarray(target.position_m) - self.origin
+            there, back = (_image(np.zeros(3), p) for p in (planes[:at], planes[:at:-1]))
+            length = float(
+                np.linalg.norm(vertices[at] - there) + np.linalg.norm(vertices[at] - back)
+            )
+        velocities = [
+            target.velocity_m_per_s
+            if target is not None and i == at
+            else self.objects[name].velocity_m_per_s
+            for i, name in enumerate(names)
+        ]
+        cosines = [self._cosine(vertices[0]), self._cosine(vertices[-1])]
+        gain = self.radar.antenna.gain(np.array(cosines))
         return Path(
-            via=tuple(names),
+            via=tuple(self._title(name) for name in names),
             target=None if target is None else target.name,
             amplitude=complex(raw.amplitude * np.sqrt(gain[0] * gain[1])),
             delay_s=length / C_M_PER_S,
-            delay_rate=float(rate),
+            delay_rate=_lengthening(vertices, np.array(velocities)) / C_M_PER_S,
         )
 
-    def _approach(self, raw: "_Raw", at: int, point: Array, target: Target) -> float:
-        """Rate of the delay: the target's velocity along both legs."""
-        before = raw.vertices[at - 1] if at else np.zeros(3)
-        after = raw.vertices[at + 1] if at < len(raw.kinds) - 1 else np.zeros(3)
-        legs = sum((point - p) / np.linalg.norm(point - p) for p in (before, after))
-        return float(legs @ np.asarray(target.velocity_m_per_s)) / C_M_PER_S
+    def _title(self, name: str) -> str:
+        """A target's own name for the one it has in Sionna's scene."""
+        return self.target_by_name[name].name if name in self.target_by_name else name
 
     def _cosine(self, towards: Array) -> float:
         return float(towards @ self.axes[0] / np.linalg.norm(towards))
@@ -289,7 +285,6 @@ class _Raw:
     primitives: tuple[int, ...]
     vertices: Array
     amplitude: complex
-    doppler_hz: float
 
     @staticmethod
     def unpack(solved: Any) -> "list[_Raw]":
@@ -302,7 +297,7 @@ class _Raw:
             for x in (solved.interactions, solved.objects, solved.primitives)
         )
         vertices = np.array(solved.vertices, dtype=np.float64).reshape(len(kinds), n, 3)
-        doppler, valid = np.array(solved.doppler).ravel(), np.array(solved.valid).ravel()
+        valid = np.array(solved.valid).ravel()
         found = []
         for i in np.flatnonzero(valid):
             used = int(np.count_nonzero(kinds[:, i]))
@@ -313,10 +308,21 @@ class _Raw:
                     primitives=tuple(int(p) for p in primitives[:used, i]),
                     vertices=vertices[:used, i],
                     amplitude=complex(real[i], imaginary[i]),
-                    doppler_hz=float(doppler[i]),
                 )
             )
         return found
+
+
+def _lengthening(vertices: Array, velocities: Array) -> float:
+    """Rate at which a path from the radar over moving vertices (n, 3) and back grows, m/s.
+
+    Each vertex adds its velocity along (arriving - leaving) unit vectors: for a mirror that is
+    twice its normal component, for a target the sum over both legs.
+    """
+    stops = np.vstack([np.zeros(3), vertices, np.zeros(3)])
+    legs = np.diff(stops, axis=0)
+    along = legs / np.linalg.norm(legs, axis=1)[:, None]
+    return float(np.sum(velocities * (along[:-1] - along[1:])))
 
 
 def _image(point: Array, planes: "list[Any]") -> Array:

@@ -77,7 +77,7 @@ def snr_maps(evaluations: Sequence[Evaluation]) -> Figure:
     for axis, evaluation in zip(axes, evaluations, strict=True):
         snr = evaluation.capture.snr
         axis.imshow(np.maximum(snr, 1e-3), cmap="cividis", norm=norm, aspect=_aspect(snr))
-        if snr.min() < 1 < snr.max():
+        if min(snr.shape) > 1 and snr.min() < 1 < snr.max():
             axis.contour(snr, levels=[1.0], colors="white", linewidths=0.7)
         above = float(np.mean(snr >= 1))
         axis.set_title(f"{evaluation.system.name}: {above:.0%} of pixels above noise")

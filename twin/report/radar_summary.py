@@ -123,4 +123,4 @@ def _others(evaluation: RadarEvaluation) -> list[str]:
 
 
 def _db(ratio: float) -> float:
-    return float(10 * np.log10(ratio))
+    return float(10 * np.log10(ratio)) if ratio > 0 else -np.inf
