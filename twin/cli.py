@@ -48,6 +48,8 @@ def run(
     sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
 ) -> None:
     """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
+    import numpy as np
+
     from twin.job import run as run_job
     from twin.scene import parse_pose
 
@@ -68,9 +70,8 @@ def run(
         for warning in evaluation.capture.warnings:
             print(f"warning: {evaluation.system.name}: {warning}", file=sys.stderr)
         best, score = evaluation.reconstructions[0], evaluation.scores[0]
-        snr = evaluation.capture.snr
         print(
-            f"{evaluation.system.name}: SNR per pixel {sorted(snr.ravel())[snr.size // 2]:.2g} "
+            f"{evaluation.system.name}: SNR per pixel {np.median(evaluation.capture.snr):.2g} "
             f"(median), {best.method} PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
         )
     if result.radar:
@@ -244,7 +245,7 @@ def main() -> None:
     except KeyboardInterrupt:
         pass
     if _interrupted:
-        print("twin: interrupted, nothing was written", file=sys.stderr)
+        print("twin: interrupted, nothing half-written is left", file=sys.stderr)
         sys.exit(130)
     print(f"twin: error: {' '.join(message.split())}", file=sys.stderr)
     sys.exit(2)

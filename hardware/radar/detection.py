@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 class Detection:
     """One target: where, how fast (positive: receding), how strong.
 
-    The standard errors are the Cramer-Rao bounds at its SNR for a rectangular window; other
-    windows are up to twice as wide.
+    The standard errors are the Cramer-Rao bounds at its SNR for a rectangular window; tapered by
+    ``hann`` an estimate scatters 1.5 times as much, by ``blackmanharris`` 2.2 times.
     """
 
     range_m: float
@@ -59,8 +59,8 @@ def detect(
     above = power > cfar_threshold(power, false_alarm, guard, training)
     found = np.argwhere(above & _peaks(power))
     order = np.argsort(-image.power_w[tuple(found.T)])[:at_most]
-    tapers = taper(window, channel.shape[0])[:, None] * taper(window, channel.shape[1])
-    return [_refined(channel * tapers, waveform, image, *found[i]) for i in order]
+    tapered = channel * taper(window, channel.shape[0])[:, None] * taper(window, channel.shape[1])
+    return [_refined(tapered, waveform, image, *found[i]) for i in order]
 
 
 def cfar_factor(false_alarm: float, cells: int) -> float:

@@ -37,7 +37,7 @@ class PatternRenderer:
         mi = mitsuba()
         if "disc" in (emitter.outline, detector.outline):
             raise ValueError("outline: the reference renderer knows square fields only")
-        self._emitter, self._detector = emitter, detector
+        self._emitter = emitter
         shapes = {f"s{i}": shape for i, shape in enumerate(mitsuba_scene(scene).shapes())}
         self._plugins: dict[str, Any] = {
             "type": "scene",

@@ -18,12 +18,12 @@ from twin.engine import sionna
 from twin.radar.design import RadarDesign
 from twin.radar.materials import radio_properties
 from twin.radar.roles import Assignment, Role, assign_roles
-from twin.scene import Scene, SceneObject
+from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
 
 _TARGET = 16  # Sionna's interaction type of a scattering point
-_AIR = "air"
+_AIR = "opaque air"
 _SAMPLES = 100_000  # rays that look for surfaces; the image method then is exact
 _BUFFER = 10_000
 #: A half space: deep enough that nothing comes back from the far side of a lossy wall.
@@ -112,38 +112,38 @@ class _RadioWorld:
         self.surfaces = {a.name for a in self.roles if a.role is Role.SURFACE}
         self.assumptions: list[str] = []
         self.objects = {item.name: item for item in scene.objects}
-        self.target_by_name = {f"target-{i}": t for i, t in enumerate(scene.targets)}
         self.world = rt.load_scene()
         self.world.frequency = radar.ofdm.carrier_hz
         array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
         self.world.tx_array = self.world.rx_array = array
         self.world.add(rt.Transmitter("transmitter", [0.0, 0.0, 0.0]))
         self.world.add(rt.Receiver("receiver", [0.0, 0.0, 0.0]))
-        self._add_meshes(scene)
-        self._add_targets()
-        self.mesh_names = {int(mesh.object_id): name for name, mesh in self.meshes.items()}
-        self.target_names = list(self.world.sensing_targets)
+        meshes = self._add_meshes(scene)
+        self._add_targets(scene)
+        self.meshes_met = {int(mesh.object_id): self.objects[name] for name, mesh in meshes.items()}
+        self.targets_met = scene.targets
 
-    def _add_meshes(self, scene: Scene) -> None:
+    def _add_meshes(self, scene: Scene) -> dict[str, Any]:
         """Surfaces with their material; obstacles as air that is opaque and reflects nothing."""
         rt = sionna()
         made: dict[str, Any] = {}
-        self.meshes: dict[str, Any] = {}
+        meshes: dict[str, Any] = {}
         for assigned in self.roles:
             if assigned.role is Role.TARGET:
                 continue
             item = self.objects[assigned.name]
             key = item.material if assigned.role is Role.SURFACE else _AIR
             if key not in made:
-                made[key] = rt.RadioMaterial(f"material-{key}", **self._material(key, scene))
+                made[key] = rt.RadioMaterial(f"material-{len(made)}", **self._material(key, scene))
             mesh = rt.SceneObject(
                 mi_mesh=_mesh(item, self.origin),
-                name=f"object-{len(self.meshes)}",  # Sionna edits names of its own accord
+                name=f"object-{len(meshes)}",  # Sionna edits names of its own accord
                 radio_material=made[key],
             )
-            self.meshes[item.name] = mesh
-        if self.meshes:
-            self.world.edit(add=list(self.meshes.values()))
+            meshes[item.name] = mesh
+        if meshes:
+            self.world.edit(add=list(meshes.values()))
+        return meshes
 
     def _material(self, name: str, scene: Scene) -> dict[str, float]:
         if name == _AIR:
@@ -158,7 +158,8 @@ class _RadioWorld:
             "thickness": _THICKNESS_M,
         }
 
-    def _add_targets(self) -> None:
+    def _add_targets(self, scene: Scene) -> None:
+        """Declared targets, in the scene's order: Sionna's paths count them so."""
         from sionna.rt.rcs import (
             ConstantCPM,
             ConstantRCS,
@@ -167,7 +168,8 @@ class _RadioWorld:
             SensingTarget,
         )
 
-        for name, target in self.target_by_name.items():
+        for number, target in enumerate(scene.targets):
+            name = f"target-{number}"
             place = np.asarray(target.position_m) - self.origin
             if target.object is None:
                 size = dict.fromkeys(("length", "width", "height"), 0.05)
@@ -206,7 +208,7 @@ class _RadioWorld:
 
     def targets(self, max_depth: int, seed: int) -> list[Path]:
         """Ways to every target and back, directly and over surfaces."""
-        if not self.target_by_name:
+        if not self.targets_met:
             return []
         solved = _target_solver()(
             self.world,
@@ -220,57 +222,43 @@ class _RadioWorld:
 
     def _refined(self, raw: "_Raw") -> Path | None:
         """The same path with its length in float64; None for one over an obstacle."""
-        # Sionna counts sensing targets by themselves.
-        names = [
-            self.target_names[i] if kind == _TARGET else self.mesh_names[i]
+        # Sionna counts sensing targets by themselves. Both kinds have a name and a velocity.
+        met: list[SceneObject | Target] = [
+            self.targets_met[i] if kind == _TARGET else self.meshes_met[i]
             for i, kind in zip(raw.objects, raw.kinds, strict=True)
         ]
-        if any(
-            k != _TARGET and n not in self.surfaces for n, k in zip(names, raw.kinds, strict=True)
-        ):
+        if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in met):
             return None
         planes = [
-            None if kind == _TARGET else self._plane(name, primitive)
-            for name, kind, primitive in zip(names, raw.kinds, raw.primitives, strict=True)
+            self._plane(m, primitive) if isinstance(m, SceneObject) else None
+            for m, primitive in zip(met, raw.primitives, strict=True)
         ]
         vertices = raw.vertices.copy()
-        at = next((i for i, kind in enumerate(raw.kinds) if kind == _TARGET), None)
-        target = None
+        at = next((i for i, m in enumerate(met) if isinstance(m, Target)), None)
         if at is None:
             length = float(np.linalg.norm(_image(np.zeros(3), planes)))
         else:
-            target = self.target_by_name[names[at]]
-            vertices[at] = np.asarray(target.position_m) - self.origin
+            vertices[at] = np.asarray(self.targets_met[raw.objects[at]].position_m) - self.origin
             there, back = (_image(np.zeros(3), p) for p in (planes[:at], planes[:at:-1]))
             length = float(
                 np.linalg.norm(vertices[at] - there) + np.linalg.norm(vertices[at] - back)
             )
-        velocities = [
-            target.velocity_m_per_s
-            if target is not None and i == at
-            else self.objects[name].velocity_m_per_s
-            for i, name in enumerate(names)
-        ]
-        cosines = [self._cosine(vertices[0]), self._cosine(vertices[-1])]
-        gain = self.radar.antenna.gain(np.array(cosines))
+        velocities = np.array([m.velocity_m_per_s for m in met])
+        cosines = np.array([self._cosine(vertices[0]), self._cosine(vertices[-1])])
+        gain = self.radar.antenna.gain(cosines)
         return Path(
-            via=tuple(self._title(name) for name in names),
-            target=None if target is None else target.name,
+            via=tuple(m.name for m in met),
+            target=None if at is None else met[at].name,
             amplitude=complex(raw.amplitude * np.sqrt(gain[0] * gain[1])),
             delay_s=length / C_M_PER_S,
-            delay_rate=_lengthening(vertices, np.array(velocities)) / C_M_PER_S,
+            delay_rate=_lengthening(vertices, velocities) / C_M_PER_S,
         )
-
-    def _title(self, name: str) -> str:
-        """A target's own name for the one it has in Sionna's scene."""
-        return self.target_by_name[name].name if name in self.target_by_name else name
 
     def _cosine(self, towards: Array) -> float:
         return float(towards @ self.axes[0] / np.linalg.norm(towards))
 
-    def _plane(self, name: str, primitive: int) -> tuple[Array, Array]:
+    def _plane(self, item: SceneObject, primitive: int) -> tuple[Array, Array]:
         """A point and the unit normal of a triangle, relative to the radar, in float64."""
-        item = self.objects[name]
         a, b, c = item.vertices_m[item.faces[primitive]] - self.origin
         normal = np.cross(b - a, c - a)
         return a, normal / np.linalg.norm(normal)

@@ -13,7 +13,7 @@ import numpy as np
 from twin.scene import Scene, SceneObject
 
 #: Side of a flat patch over its Fresnel zone from which the image method is taken to hold. At 3
-#: the plate's own cross-section 4 pi A^2 / lambda^2 is 19 dB above pi d^2 of an infinite plane:
+#: the plate's own cross-section 4 pi A^2 / lambda^2 is 25 dB above pi d^2 of an infinite plane:
 #: the patch is far larger than what reflects.
 LARGE = 3.0
 
