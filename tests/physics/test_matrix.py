@@ -107,3 +107,16 @@ def test_an_empty_view_gives_zeros() -> None:
     matrix = transport_matrix(wall(3.0), grid, grid, quality=Quality(4, 3), seed=1)
     assert matrix.shape == (16, 16)
     assert not matrix.any()
+
+
+@pytest.mark.parametrize("role", ["dual", "scatter"])
+def test_blocks_of_rows_land_where_they_belong(role, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Traced two rows at a time, the diagonal of a wall is the same but for noise."""
+    import twin.optics.matrix as module
+
+    grid, world, quality = Grid(HERE, 8, 8), wall(5.0), Quality(256, 1)
+    whole = transport_matrix(world, grid, grid, quality=quality, seed=1, role=role)
+    monkeypatch.setattr(module, "_RAYS_AT_ONCE", 2 * 8 * 256)
+    parts = transport_matrix(world, grid, grid, quality=quality, seed=1, role=role)
+    np.testing.assert_allclose(np.diag(parts), np.diag(whole), rtol=1e-3)
+    assert np.abs(parts - np.diag(np.diag(parts))).sum() < 1e-5 * parts.sum()
