@@ -1,25 +1,40 @@
 """From a record to an image: one interface, one function per method."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet
-from hardware.reconstruction.lmmse import lmmse
 from hardware.reconstruction.measurements import Measurements, measurements
-from hardware.reconstruction.zero_fill import zero_fill
+from hardware.reconstruction.registry import METHODS, Method, discover, load_plugins, method
+from hardware.reconstruction.sensing import Mixing, Sensing
 from hardware.records import Flag, SpiRecord
 
-__all__ = ["METHODS", "Measurements", "Reconstruction", "measurements", "reconstruct"]
-
-#: A method turns measurements y (count,) with noise variance into cells (n_cells,) and their
-#: standard error (n_cells,), both in electrons.
-Method = Callable[
-    [NDArray[np.float64], float, PatternSet], tuple[NDArray[np.float64], NDArray[np.float64]]
+__all__ = [
+    "METHODS",
+    "Measurements",
+    "Method",
+    "Mixing",
+    "Reconstruction",
+    "Sensing",
+    "fits_in_memory",
+    "load_plugins",
+    "measurements",
+    "method",
+    "reconstruct",
 ]
-METHODS: dict[str, Method] = {"zero-fill": zero_fill, "lmmse": lmmse}
+
+discover()
+
+
+def fits_in_memory(name: str, patterns: PatternSet) -> bool:
+    """Whether a method's matrices for a set of patterns fit into memory."""
+    from hardware.reconstruction.walsh_blocks import MOST_BYTES, bytes_needed
+
+    subset = patterns.count < patterns.n_cells
+    shape = (patterns.rows, patterns.columns)
+    return name != "lmmse" or not subset or bytes_needed(shape, patterns.indices) <= MOST_BYTES
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +42,14 @@ class Reconstruction:
     """An image with its uncertainty.
 
     ``image`` and ``standard_error`` have shape ``(n_detectors, rows, columns)``, in the
-    photo-electrons that a cell, lit alone for one exposure, would give. ``noise_electrons`` is the
-    noise of one measurement, as found in the record itself.
+    photo-electrons that a cell, lit alone for one exposure, would give; ``standard_error`` is None
+    where the method gives none. ``noise_electrons`` is the noise of one measurement, as found in
+    the record itself.
     """
 
     method: str
     image: NDArray[np.float64]
-    standard_error: NDArray[np.float64]
+    standard_error: NDArray[np.float64] | None
     noise_electrons: NDArray[np.float64]
     warnings: tuple[str, ...]
 
@@ -43,7 +59,9 @@ class Reconstruction:
         return np.hstack(list(self.image))
 
 
-def reconstruct(record: SpiRecord, method: str = "lmmse") -> Reconstruction:
+def reconstruct(
+    record: SpiRecord, method: str = "lmmse", *, mixing: Mixing | None = None
+) -> Reconstruction:
     """Reconstruct an image from a record.
 
     Parameters
@@ -51,24 +69,34 @@ def reconstruct(record: SpiRecord, method: str = "lmmse") -> Reconstruction:
     record
         From the twin or from a device.
     method
-        ``zero-fill``: inverse transform, patterns not shown count as zero. ``lmmse``: linear
-        minimum mean-square error under a 1/f^2 prior, noise level taken from the record.
+        A name in `METHODS`. Default: linear minimum mean-square error under a 1/f^2 prior, noise
+        level taken from the record.
+    mixing
+        Calibrated map from image cells to emitter elements, where these are no clean grid.
 
-    Raises ValueError for an unknown method.
+    Raises ValueError for an unknown method, a mixing that does not fit, or patterns whose
+    matrices would not fit into memory.
     """
     if method not in METHODS:
+        load_plugins()
+    if method not in METHODS:
         raise ValueError(f"method: {method!r} is none of {', '.join(METHODS)}")
+    solve, sensing = METHODS[method], Sensing(record.patterns, mixing)
     measured = measurements(record)
-    shape = (-1, record.patterns.rows, record.patterns.columns)
-    solved = [
-        METHODS[method](y, variance, record.patterns)
-        for y, variance in zip(measured.values.T, measured.noise_variance, strict=True)
-    ]
+    values, variance = measured.values, measured.noise_variance
+    if solve.joint:
+        cells, error = solve(values, variance, sensing)
+    else:
+        solved = [solve(y, float(s), sensing) for y, s in zip(values.T, variance, strict=True)]
+        cells = np.stack([cells for cells, _ in solved], axis=1)
+        errors = [error for _, error in solved if error is not None]
+        error = np.stack(errors, axis=1) if errors else None
+    shape = (-1, *sensing.shape)
     return Reconstruction(
         method=method,
-        image=np.stack([image for image, _ in solved]).reshape(shape),
-        standard_error=np.stack([error for _, error in solved]).reshape(shape),
-        noise_electrons=np.sqrt(measured.noise_variance),
+        image=cells.T.reshape(shape),
+        standard_error=None if error is None else error.T.reshape(shape),
+        noise_electrons=np.sqrt(variance),
         warnings=_warnings(record),
     )
 

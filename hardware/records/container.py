@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntFlag
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,9 @@ class Flag(IntFlag):
 class Layout:
     """What a record's file holds: its name, version, settings, arrays and one group of parameters.
 
-    ``arrays`` maps a name to its type on disk and its meaning.
+    ``arrays`` maps a name to its type on disk and its meaning. ``added`` names the version since
+    which an array is there; older files are read without it. ``optional`` parameters are lists of
+    integers that stand in the file only where they are set.
     """
 
     format: str
@@ -32,6 +34,8 @@ class Layout:
     arrays: Mapping[str, tuple[DTypeLike, str]]
     group: str
     parameters: tuple[str, ...]
+    added: Mapping[str, int] = field(default_factory=dict)
+    optional: tuple[str, ...] = ()
 
 
 def write(layout: Layout, record: Any, path: str | Path) -> None:
@@ -52,6 +56,9 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
             group = file.create_group(layout.group)
             for name in layout.parameters:
                 group.attrs[name] = getattr(getattr(record, layout.group), name)
+            for name in layout.optional:
+                if (value := getattr(getattr(record, layout.group), name)) is not None:
+                    group.create_dataset(name, data=np.asarray(value, dtype=np.int64))
             for name, (dtype, meaning) in layout.arrays.items():
                 data = np.asarray(getattr(record, name), dtype=dtype)
                 file.create_dataset(name, data=data).attrs["meaning"] = meaning
@@ -72,12 +79,18 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
         raise FileNotFoundError(f"{path}: no such record")
     try:
         with h5py.File(path, "r") as file:
-            _check(layout, file.attrs)
+            version = _check(layout, file.attrs)
             fields = {name: _plain(file.attrs[name]) for name in layout.settings}
             for name, (dtype, _) in layout.arrays.items():
+                if layout.added.get(name, 1) > version:
+                    continue
                 fields[name] = file[name][()].astype(dtype)
-            group = file[layout.group].attrs
-            return fields, {name: _plain(group[name]) for name in layout.parameters}
+            group = file[layout.group]
+            parameters = {name: _plain(group.attrs[name]) for name in layout.parameters}
+            for name in layout.optional:
+                if name in group:
+                    parameters[name] = tuple(group[name][()].tolist())
+            return fields, parameters
     except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -97,13 +110,14 @@ def check_positive(record: Any, *names: str) -> None:
             raise ValueError(f"{name}: {value} is not a positive number")
 
 
-def _check(layout: Layout, attributes: Mapping[str, Any]) -> None:
+def _check(layout: Layout, attributes: Mapping[str, Any]) -> int:
+    """The file's schema version, if it can be read."""
     if attributes.get("format") != layout.format:
         raise ValueError(f"not a {layout.format}: its format is {attributes.get('format')!r}")
-    if attributes["schema_version"] != layout.version:
-        raise ValueError(
-            f"schema version {attributes['schema_version']}, this software reads {layout.version}"
-        )
+    version = int(attributes["schema_version"])
+    if not 1 <= version <= layout.version:
+        raise ValueError(f"schema version {version}, this software reads 1 to {layout.version}")
+    return version
 
 
 def _plain(value: Any) -> Any:

@@ -1,6 +1,6 @@
 """One acquisition of the single-pixel camera: counts per pattern and detector."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,9 @@ class SpiRecord:
         Identification, as the device reports it.
     pose : (7,) float64
         Rig in the world at the start: x, y, z in metres, unit quaternion w, x, y, z (REP 103).
+    shutters : (n_shutters, 4) float64
+        Every pattern is shown once with each shutter, one after another: modulation frequency, Hz,
+        and phase, rad, of a lock-in tap, or delay and width of a gate, s. All zero: always open.
     """
 
     counts: NDArray[np.int32]
@@ -49,13 +52,23 @@ class SpiRecord:
     adc_bits: int
     device: str
     pose: NDArray[np.float64]
+    shutters: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 4)))
 
     def __post_init__(self) -> None:
-        n = self.patterns.n_exposures
+        if self.shutters.ndim != 2 or self.shutters.shape[1] != 4 or not len(self.shutters):
+            raise ValueError(f"shutters: shape {self.shutters.shape}, expected (n_shutters, 4)")
+        if not (np.isfinite(self.shutters).all() and (self.shutters >= 0).all()):
+            raise ValueError("shutters: a value is negative or no number")
+        n = self.patterns.n_exposures * len(self.shutters)
         shapes = {"device_time_ns": (n,), "sequence": (n,), "flags": (n,), "pose": (7,)}
         container.check_shapes(self, shapes)
         if self.counts.ndim != 2 or self.counts.shape[0] != n:
             raise ValueError(f"counts: shape {self.counts.shape}, expected ({n}, n_detectors)")
+        if self.counts.shape[1] == 0 or self.counts.shape[1] % self.patterns.n_arms:
+            raise ValueError(
+                f"counts: {self.counts.shape[1]} detectors, expected {self.patterns.n_arms} "
+                "for each image"
+            )
         if not np.issubdtype(self.counts.dtype, np.integer):
             raise ValueError(f"counts: dtype {self.counts.dtype}, expected integers")
         if not 1 <= self.adc_bits <= 31:
@@ -64,16 +77,28 @@ class SpiRecord:
         if self.counts.size and not (self.counts.min() >= 0 and self.counts.max() <= top):
             raise ValueError(f"counts: outside 0 to {top}, the range of {self.adc_bits} bits")
         container.check_positive(self, "integration_time_s", "electrons_per_count")
+        if not np.isfinite(self.offset_counts):
+            raise ValueError(f"offset_counts: {self.offset_counts} is not a number")
+        if not np.isfinite(self.pose).all():
+            raise ValueError(f"pose: {self.pose} holds what is not a number")
 
     @property
     def electrons(self) -> NDArray[np.float64]:
-        """Photo-electrons of each exposure, shape ``(n_exposures, n_detectors)``."""
-        return (self.counts - np.float64(self.offset_counts)) * self.electrons_per_count
+        """Photo-electrons of each pattern, all its shutters together, ``(n_patterns shown,
+        n_detectors)``.
+        """
+        return self.electrons_by_shutter.sum(axis=1)
+
+    @property
+    def electrons_by_shutter(self) -> NDArray[np.float64]:
+        """Photo-electrons, ``(n_patterns shown, n_shutters, n_detectors)``."""
+        electrons = (self.counts - np.float64(self.offset_counts)) * self.electrons_per_count
+        return electrons.reshape(self.patterns.n_exposures, len(self.shutters), -1)
 
 
 LAYOUT = container.Layout(
     format="ugv-spi-record",
-    version=1,
+    version=2,
     settings=("integration_time_s", "electrons_per_count", "offset_counts", "adc_bits", "device"),
     arrays={
         "counts": (np.int32, "ADC counts, (n_exposures, n_detectors)"),
@@ -81,9 +106,12 @@ LAYOUT = container.Layout(
         "sequence": (np.uint32, "exposure number given by the device"),
         "flags": (np.uint8, "1 saturated, 2 overrun, 4 reset"),
         "pose": (np.float64, "rig in the world: x y z (m), quaternion w x y z"),
+        "shutters": (np.float64, "per shutter: modulation Hz, phase rad, gate delay s, width s"),
     },
+    added={"shutters": 2},
     group="patterns",
     parameters=("rows", "columns", "count", "order", "mode"),
+    optional=("subset",),
 )
 
 

@@ -53,9 +53,21 @@ def test_format_and_schema_version_are_fixed(tmp_path: Path) -> None:
     write_record(make_record(), tmp_path / "r.h5")
     with h5py.File(tmp_path / "r.h5") as file:
         assert file.attrs["format"] == "ugv-spi-record"
-        assert file.attrs["schema_version"] == 1
-        assert set(file) == {"counts", "device_time_ns", "sequence", "flags", "pose", "patterns"}
+        assert file.attrs["schema_version"] == 2
+        members = {"counts", "device_time_ns", "sequence", "flags", "pose", "shutters"}
+        assert set(file) == members | {"patterns"}
         assert set(file["patterns"].attrs) == {"rows", "columns", "count", "order", "mode"}
+
+
+def test_records_of_version_1_are_read_without_shutters(tmp_path: Path) -> None:
+    path = tmp_path / "old.h5"
+    write_record(make_record(), path)
+    with h5py.File(path, "a") as file:
+        file.attrs["schema_version"] = 1
+        del file["shutters"]
+    old = read_record(path)
+    assert not old.shutters.any()
+    np.testing.assert_array_equal(old.electrons, make_record().electrons)
 
 
 def test_other_versions_and_other_files_are_refused(tmp_path: Path) -> None:
@@ -107,3 +119,14 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
 def test_a_record_that_no_device_could_send_is_refused(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=f"^{field}: "):
         replace(make_record(), **{field: value})
+
+
+def test_a_subset_of_patterns_is_kept(tmp_path: Path) -> None:
+    """Any rows in any order; a set with a named order writes nothing new."""
+    record = replace(make_record(), patterns=PatternSet.of(4, 4, list(range(15, -1, -1))))
+    write_record(record, tmp_path / "r.h5")
+    assert read_record(tmp_path / "r.h5").patterns == record.patterns
+    with h5py.File(tmp_path / "r.h5", "a") as file:
+        del file["patterns/subset"]
+    with pytest.raises(ValueError, match=r"r\.h5: subset: belongs to order 'custom'"):
+        read_record(tmp_path / "r.h5")

@@ -1,0 +1,189 @@
+"""Hadamard pattern sets: which patterns are shown, in which order, and their fast transform.
+
+A virtual image of ``rows x columns`` cells (both powers of two) is flattened row by row. Its
+patterns are rows of the Sylvester matrix H = H_rows (x) H_columns, entries +1 and -1, which a
+projector shows as 1 (lit) and 0 (dark).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.patterns.orders import ORDERS, ordered_indices
+from hardware.patterns.transform import fwht, fwht_in_place, hadamard_rows
+
+__all__ = [
+    "ORDERS",
+    "Mode",
+    "Order",
+    "PatternSet",
+    "fwht",
+    "fwht_in_place",
+    "hadamard_rows",
+    "ordered_indices",
+]
+
+Order = Literal[
+    "natural",
+    "sequency",
+    "sequency-max",
+    "walsh",
+    "zigzag",
+    "cake-cutting",
+    "russian-dolls",
+    "total-variation",
+    "prior-variance",
+    "custom",
+]
+Mode = Literal["differential", "plain", "reference", "s-matrix", "complementary"]
+
+
+@dataclass(frozen=True)
+class PatternSet:
+    """A set of Hadamard patterns, by name and parameters.
+
+    Parameters
+    ----------
+    rows, columns
+        Cells of the virtual image; powers of two.
+    count
+        Number of Hadamard rows shown, 1 to ``rows * columns``.
+    order
+        One of `ORDERS`, of which the first ``count`` rows are shown, or ``custom``: ``subset``.
+        ``sequency``: ascending sum of the sign changes along rows and along columns, ties by
+        index, so that the first patterns carry most of a natural image. ``natural``: Sylvester's
+        own order.
+    mode
+        How a row of +1 and -1 becomes light.
+        ``differential``: each pattern is followed by its complement, and their difference is the
+        measurement. ``plain``: the lit pattern alone. ``reference``: all cells lit and all dark
+        once, then the lit patterns. ``s-matrix``: the cells where the row is -1, so that one cell
+        is never lit and row 0 is the dark frame. ``complementary``: the lit pattern, while a
+        second detector sees its complement (both sides of a micro-mirror).
+    subset
+        With order ``custom``: rows of the natural-order matrix, in the order shown.
+    """
+
+    rows: int
+    columns: int
+    count: int
+    order: Order = "sequency"
+    mode: Mode = "differential"
+    subset: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns"):
+            size = getattr(self, name)
+            if size < 1 or size & (size - 1):
+                raise ValueError(f"{name}: {size} is not a power of two")
+        if not 1 <= self.count <= self.n_cells:
+            raise ValueError(f"count: {self.count} is not between 1 and {self.n_cells}")
+        if self.order not in get_args(Order):
+            raise ValueError(f"order: {self.order!r} is none of {', '.join(get_args(Order))}")
+        if self.mode not in get_args(Mode):
+            raise ValueError(f"mode: {self.mode!r} is none of {', '.join(get_args(Mode))}")
+        if (self.order == "custom") != (self.subset is not None):
+            raise ValueError("subset: belongs to order 'custom', and to no other")
+        if self.subset is not None:
+            self._check_subset(self.subset)
+        if self.mode == "s-matrix" and 0 not in self.indices:
+            raise ValueError("mode: 's-matrix' needs row 0, its dark frame, among the patterns")
+
+    def _check_subset(self, subset: tuple[int, ...]) -> None:
+        if len(subset) != self.count:
+            raise ValueError(f"subset: {len(subset)} rows, expected {self.count}")
+        if len(set(subset)) != len(subset):
+            raise ValueError("subset: a row stands in it twice")
+        outside = [row for row in subset if not 0 <= row < self.n_cells]
+        if outside:
+            raise ValueError(f"subset: {outside[0]} is not between 0 and {self.n_cells - 1}")
+
+    @classmethod
+    def of(
+        cls, rows: int, columns: int, indices: Sequence[int], mode: Mode = "differential"
+    ) -> "PatternSet":
+        """Any rows of the natural-order matrix, in the order given."""
+        subset = tuple(int(row) for row in indices)
+        return cls(rows, columns, len(subset), "custom", mode, subset)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        """Kept, because caches ask for it at every frame."""
+        fields = (self.rows, self.columns, self.count, self.order, self.mode, self.subset)
+        return hash(fields)
+
+    @property
+    def n_cells(self) -> int:
+        """Cells of the virtual image."""
+        return self.rows * self.columns
+
+    @property
+    def n_exposures(self) -> int:
+        """Patterns shown one after another: two per Hadamard row when differential."""
+        if self.mode == "differential":
+            return 2 * self.count
+        return self.count + (2 if self.mode == "reference" else 0)
+
+    @property
+    def n_arms(self) -> int:
+        """Detectors that see one image at the same time: two when complementary."""
+        return 2 if self.mode == "complementary" else 1
+
+    @cached_property
+    def indices(self) -> NDArray[np.intp]:
+        """Rows of the natural-order Hadamard matrix that are shown, shape ``(count,)``."""
+        if self.subset is not None:
+            index = np.array(self.subset, dtype=np.intp)
+            index.flags.writeable = False
+            return index
+        return ordered_indices(self.rows, self.columns, self.order)[: self.count]
+
+    @property
+    def exposures(self) -> tuple[NDArray[np.intp], NDArray[np.int8]]:
+        """Hadamard row and sign of each exposure: lit are the cells where sign x row is +1."""
+        plus = np.ones(self.count, np.int8)
+        if self.mode == "differential":
+            return np.repeat(self.indices, 2), np.stack([plus, -plus], axis=1).ravel()
+        if self.mode == "reference":
+            signs = np.concatenate([np.array([1, -1], np.int8), plus])
+            return np.concatenate([[0, 0], self.indices]), signs
+        return self.indices, -plus if self.mode == "s-matrix" else plus
+
+    def signal(self, cells: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Sum of the lit cells for every exposure, without forming a matrix.
+
+        Parameters
+        ----------
+        cells : (n_cells, ...) array
+            What each cell contributes when lit; any unit.
+
+        Returns
+        -------
+        (n_exposures, ...) array of the same unit. With H t from one fast transform, pattern and
+        complement are (sum(t) +/- H t) / 2. Complementary: (n_exposures, 2 n_detectors), the arms
+        that see the complements last.
+        """
+        t = np.asarray(cells, dtype=np.float64)
+        if t.shape[0] != self.n_cells:
+            raise ValueError(f"cells: first axis is {t.shape[0]}, expected {self.n_cells}")
+        rows, signs = self.exposures
+        total = t.sum(axis=0)
+        projected = fwht(t)[rows] * signs.reshape(-1, *(1,) * (t.ndim - 1))
+        lit = (total + projected) / 2
+        if self.n_arms == 1:
+            return lit
+        complement = (total - projected) / 2
+        return np.hstack([lit.reshape(self.count, -1), complement.reshape(self.count, -1)])
+
+    def masks(self, exposures: slice = slice(None)) -> NDArray[np.uint8]:
+        """Patterns as shown, 1 lit and 0 dark, shape ``(n, rows, columns)``."""
+        rows, signs = (part[exposures] for part in self.exposures)
+        lit = hadamard_rows(rows, self.n_cells) * signs[:, None] > 0
+        return lit.astype(np.uint8).reshape(-1, self.rows, self.columns)

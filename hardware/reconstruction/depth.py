@@ -1,0 +1,124 @@
+"""Depth from the phase of modulated light: amplitude, distance, its error, and unwrapping.
+
+The light is modulated at ``modulation_hz`` f; a cell's phasor is the sum over its paths of
+a exp(-j 2 pi f tau), tau the whole way over c. One path gives the phase -4 pi f d / c, the same for
+all distances d that differ by c / (2 f). Several frequencies together are the same only at the
+distances at which all of them wrap at once (for 10 and 11 MHz: 150 m instead of 15 m).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+C_M_PER_S = 299_792_458.0
+
+
+@dataclass(frozen=True, eq=False)
+class Depth:
+    """Depth per cell; all arrays ``(n_cells,)``.
+
+    ``amplitude`` in the phasors' unit: mean over the frequencies. ``standard_error_m`` is the
+    Cramer-Rao bound for the noise given, if the unwrapping is right; ``confidence`` the posterior
+    probability that it is, among all distances up to ``longest_m``, each cell taken to hold one
+    surface. Cells without light have NaN for distance and 0 for confidence. A distance may lie
+    below 0 by its error.
+    """
+
+    amplitude: Array
+    distance_m: Array
+    standard_error_m: Array
+    confidence: Array
+    longest_m: float
+
+
+def depth(
+    phasors: NDArray[np.complexfloating],
+    modulation_hz: ArrayLike,
+    noise: ArrayLike,
+    *,
+    longest_m: float | None = None,
+) -> Depth:
+    """Amplitude and distance of every cell.
+
+    Parameters
+    ----------
+    phasors : (n_frequencies, n_cells) complex array
+        One reconstruction for the real part, one for the imaginary part.
+    modulation_hz : (n_frequencies,)
+        Frequencies of the modulation.
+    noise
+        Standard deviation of the real part (and of the imaginary part) of a phasor: a number,
+        ``(n_frequencies,)`` or ``(n_frequencies, n_cells)``.
+    longest_m
+        Farthest distance to consider; default, and at most, where all frequencies wrap at once.
+
+    Raises ValueError for shapes that do not fit, frequencies that are not positive, or values
+    that are not numbers.
+    """
+    z = np.atleast_2d(np.asarray(phasors, dtype=np.complex128))
+    f = np.atleast_1d(np.asarray(modulation_hz, dtype=np.float64))
+    if z.ndim != 2 or len(f) != len(z):
+        raise ValueError(f"phasors: shape {z.shape}, expected ({len(f)}, n_cells)")
+    if not (np.isfinite(f).all() and (f > 0).all()):
+        raise ValueError(f"modulation_hz: {f} are not all positive numbers")
+    sigma = np.asarray(noise, dtype=np.float64)
+    sigma = np.broadcast_to(sigma[:, None] if sigma.ndim == 1 else sigma, z.shape)
+    if not (np.isfinite(z).all() and np.isfinite(sigma).all() and (sigma >= 0).all()):
+        raise ValueError("phasors: values or noise are not numbers, or noise is negative")
+    limit = common_range_m(f)
+    longest = limit if longest_m is None else float(longest_m)
+    if not 0 < longest <= limit * (1 + 1e-12):
+        raise ValueError(f"longest_m: {longest} is not above 0 and at most {limit:.6g}")
+
+    size = np.abs(z)
+    least = 1e-12 * size.max(initial=0.0)  # keeps a noiseless phasor's precision finite
+    phase_error = np.divide(np.maximum(sigma, least), size, out=np.ones(z.shape), where=size > 0)
+    precision = (4 * np.pi * f[:, None] / C_M_PER_S / phase_error) ** 2  # of distance, 1/m^2
+    distance, confidence = _unwrapped(np.angle(z), f, precision, longest, longest >= limit)
+    seen = (size > 0).all(axis=0)
+    return Depth(
+        amplitude=size.mean(axis=0),
+        distance_m=np.where(seen, distance, np.nan),
+        standard_error_m=np.where(seen, 1 / np.sqrt(precision.sum(axis=0)), np.inf),
+        confidence=np.where(seen, confidence, 0.0),
+        longest_m=longest,
+    )
+
+
+def common_range_m(modulation_hz: ArrayLike) -> float:
+    """Distance after which all frequencies repeat: c / (2 gcd), the gcd taken to 1 Hz."""
+    whole = np.rint(np.atleast_1d(modulation_hz)).astype(np.int64)
+    return float(C_M_PER_S / (2 * np.gcd.reduce(whole)))
+
+
+def _unwrapped(
+    phase: Array, f: Array, precision: Array, longest: float, circular: bool
+) -> tuple[Array, Array]:
+    """Most probable distance and its probability, all combinations of wraps tried.
+
+    For each number of wraps of the most precise frequency the others take their nearest ones:
+    least squares between the distances, weighted by their precision. Flat prior up to ``longest``.
+    """
+    unambiguous = C_M_PER_S / (2 * f)
+    folded = (-phase / (2 * np.pi) % 1.0) * unambiguous[:, None]
+    anchor = int(np.argmax(precision.mean(axis=1)))
+    wraps = np.arange(-1, np.ceil(longest / unambiguous[anchor] - 1e-9) + 1)
+    first = folded[anchor] + unambiguous[anchor] * wraps[:, None]  # (n_wraps, n_cells)
+    turns = np.rint((first - folded[:, None]) / unambiguous[:, None, None])
+    each = folded[:, None] + turns * unambiguous[:, None, None]
+    weight = precision[:, None] / precision.sum(axis=0)
+    mean = (weight * each).sum(axis=0)
+    misfit = (precision[:, None] * (each - mean) ** 2).sum(axis=0)
+    spread = 1 / np.sqrt(precision.sum(axis=0))
+    # Noise may take a cell at 0 below it. Where the whole range repeats, each distance counts once.
+    margin = np.minimum(6 * spread, longest / 2)
+    farthest = longest - margin if circular else longest + margin
+    outside = (mean < -margin) | (mean >= farthest)
+    misfit = np.where(outside, np.inf, misfit)
+    best = misfit.argmin(axis=0)
+    cells = np.arange(phase.shape[1])
+    relative = np.exp(-(misfit - misfit[best, cells]) / 2)
+    return mean[best, cells], 1 / relative.sum(axis=0)

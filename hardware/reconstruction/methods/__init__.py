@@ -1,0 +1,1 @@
+"""Reconstruction methods, one file each; every file here is found by itself."""

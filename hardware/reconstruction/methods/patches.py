@@ -1,0 +1,79 @@
+"""Sparse patches: every 8 x 8 patch has few DCT coefficients, and so has their overlap-average.
+
+Plug-and-play with a classical denoiser, in turns with the measurements: (1) take the DCT of all
+overlapping patches, set coefficients below a threshold to 0, and average the patches back, sparse
+ones counting more (Guleryuz, IEEE Trans. Image Process. 15, 2006); (2) project onto the images
+that the measurements allow within their noise. The threshold falls geometrically from coarse to
+fine. Total variation and a global DCT err in other places, so the result is a mean of the three,
+which the measurements allow too.
+
+Nothing is learned: thresholds, steps and the share were chosen on every other of the benchmark's
+pictures.
+"""
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from hardware.reconstruction.dictionaries import dct_matrix
+from hardware.reconstruction.methods.fista import fista
+from hardware.reconstruction.methods.lmmse import lmmse_plan
+from hardware.reconstruction.methods.total_variation import MISFIT, projection, total_variation
+from hardware.reconstruction.registry import Array, method
+from hardware.reconstruction.sensing import Sensing
+
+#: Side of a patch, cells.
+PATCH = 8
+#: Turns.
+ITERATIONS = 40
+#: First and last threshold over the standard deviation of the image.
+THRESHOLDS = (1.4, 0.05)
+#: Last threshold, at least, over the noise of a cell.
+NOISE_THRESHOLD = 2.0
+#: Shares in the mean of patches, total variation and global DCT.
+SHARES = (0.6, 0.2, 0.2)
+
+
+@method("patches", slow=True)
+def patches(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, None]:
+    """Sparse overlapping patches in turns with the data, averaged with TV and FISTA."""
+    plan = lmmse_plan(sensing)
+    scale = plan.scale(values, noise_variance)
+    if scale == 0:
+        return plan.flat(values), None
+    cells = plan.image(values, noise_variance / scale)
+    spread = float(cells.std())
+    radius = np.sqrt(MISFIT * sensing.count * noise_variance)
+    onto = projection(values[:, None], np.array([radius]), sensing)
+    cell_noise = np.sqrt(noise_variance * sensing.count / sensing.n_cells / sensing.largest_squared)
+    last = max(THRESHOLDS[1] * spread, NOISE_THRESHOLD * cell_noise)
+    for threshold in np.geomspace(max(THRESHOLDS[0] * spread, last), last, ITERATIONS):
+        smooth = sparse_patches(cells.reshape(sensing.shape), float(threshold))
+        cells = onto(smooth.reshape(-1, 1))[:, 0]
+    edges = total_variation(values, noise_variance, sensing)[0]
+    waves = fista(values, noise_variance, sensing)[0]
+    return SHARES[0] * cells + SHARES[1] * edges + SHARES[2] * waves, None
+
+
+def sparse_patches(picture: Array, threshold: float) -> Array:
+    """All overlapping patches hard-thresholded in their DCT, averaged by their sparsity.
+
+    The picture is mirrored at its edges, so that each cell lies in as many patches.
+    """
+    side = min(PATCH, *picture.shape)
+    margin = side - 1
+    padded = np.pad(picture, margin, mode="symmetric")
+    transform = np.kron(dct_matrix(side), dct_matrix(side))
+    windows = sliding_window_view(padded, (side, side))
+    coefficients = windows.reshape(-1, side * side) @ transform.T
+    kept = np.abs(coefficients) > threshold
+    kept[:, 0] = True
+    weight = 1 / np.count_nonzero(kept, axis=1)
+    found = ((coefficients * kept) @ transform * weight[:, None]).reshape(windows.shape)
+    weight = weight.reshape(windows.shape[:2])
+    total, weights = np.zeros_like(padded), np.zeros_like(padded)
+    rows, columns = weight.shape
+    for i in range(side):
+        for j in range(side):
+            total[i : i + rows, j : j + columns] += found[:, :, i, j]
+            weights[i : i + rows, j : j + columns] += weight
+    return np.asarray((total / weights)[margin : -margin or None, margin : -margin or None])

@@ -1,0 +1,105 @@
+"""Where reconstruction methods are found: one file, one decorator.
+
+    from hardware.reconstruction.registry import Array, Sensing, method
+
+    @method("mine")
+    def mine(values, noise_variance, sensing):
+        \"\"\"One line that says what it does.\"\"\"
+        return cells, standard_error  # or None where the method gives no error
+
+A file in `hardware.reconstruction.methods`, or a module named by an installed package under the
+entry-point group ``ugv.reconstruction``, is found by itself.
+"""
+
+import importlib
+import pkgutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.patterns import PatternSet
+from hardware.reconstruction.sensing import Sensing
+
+Array = NDArray[np.float64]
+Solve = Callable[[Array, float, Sensing], tuple[Array, Array | None]]
+SolveJointly = Callable[[Array, Array, Sensing], tuple[Array, Array | None]]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A reconstruction method.
+
+    ``solve`` takes measurements (count,), the noise variance of one and the `Sensing`, and gives
+    cells (n_cells,) with their standard error (n_cells,) or None, in electrons. A ``joint`` method
+    takes all detectors at once: (count, n_detectors), (n_detectors,); gives (n_cells,
+    n_detectors). A method that needs a clean grid of cells says ``grid_only``; one
+    that takes longer than a frame, ``slow``.
+    """
+
+    name: str
+    summary: str
+    solve: Solve | SolveJointly
+    joint: bool
+    grid_only: bool
+    slow: bool
+
+    def __call__(
+        self,
+        values: Array,
+        noise_variance: float | Array,
+        sensing: Sensing | PatternSet,
+    ) -> tuple[Array, Array | None]:
+        """Solve. Raises ValueError for values that do not fit, or are not numbers."""
+        problem = Sensing(sensing) if isinstance(sensing, PatternSet) else sensing
+        if len(values) != problem.count:
+            raise ValueError(f"values: {len(values)}, the pattern set has {problem.count}")
+        if not (np.isfinite(values).all() and np.isfinite(noise_variance).all()):
+            raise ValueError("values: hold what is not a number")
+        if self.grid_only and problem.mixing:
+            raise ValueError(f"method: {self.name!r} needs a clean grid of cells, without mixing")
+        if not (self.joint and values.ndim == 1):
+            return self.solve(values, noise_variance, problem)  # type: ignore[arg-type]
+        cells, error = self.solve(values[:, None], np.atleast_1d(noise_variance), problem)  # type: ignore[arg-type]
+        return cells[:, 0], None if error is None else error[:, 0]
+
+
+METHODS: dict[str, Method] = {}
+
+
+def method(
+    name: str, *, joint: bool = False, grid_only: bool = False, slow: bool = False
+) -> Callable[
+    [Callable[..., tuple[Array, Array | None]]], Callable[..., tuple[Array, Array | None]]
+]:
+    """Register a function as a reconstruction method. Raises ValueError for a name in use."""
+
+    def register(
+        solve: Callable[..., tuple[Array, Array | None]],
+    ) -> Callable[..., tuple[Array, Array | None]]:
+        if name in METHODS:
+            raise ValueError(f"method: {name!r} is registered twice")
+        summary = (solve.__doc__ or "").strip().split("\n")[0]
+        METHODS[name] = Method(name, summary, solve, joint, grid_only, slow)
+        return solve
+
+    return register
+
+
+def discover() -> None:
+    """Import every module of this package that registers methods."""
+    from hardware.reconstruction import methods
+
+    for module in sorted(pkgutil.iter_modules(methods.__path__), key=lambda m: m.name):
+        importlib.import_module(f"{methods.__name__}.{module.name}")
+
+
+@lru_cache(maxsize=1)
+def load_plugins() -> None:
+    """Import what installed packages offer; looking for it takes tens of milliseconds."""
+    from importlib.metadata import entry_points
+
+    for point in entry_points(group="ugv.reconstruction"):
+        point.load()

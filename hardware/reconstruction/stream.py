@@ -1,0 +1,113 @@
+"""Images from a sliding window of patterns: a new one after every few, not after a whole set.
+
+Patterns come round and round. Each Hadamard row's newest value stays in the window, and counts for
+less as it grows old: in a moving scene its noise variance grows by ``motion`` x age x its prior
+variance (a random walk). How fast is read off the scene itself, from how much values have changed
+when their row comes again. In a static scene nothing ages and the image is the LMMSE estimate of
+the whole set; in a fast one the newest patterns rule and the older ones keep what they still know.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.patterns import PatternSet
+from hardware.reconstruction.prior import prior_scale, walsh_variance
+from hardware.reconstruction.walsh_blocks import WalshBlocks
+
+Array = NDArray[np.float64]
+
+#: Share of what is known about the motion that one set of patterns keeps.
+MEMORY = 0.5
+
+
+class SlidingWindow:
+    """The newest value of each pattern, its time, and how fast the scene moves.
+
+    Parameters
+    ----------
+    patterns
+        The set that comes round.
+    noise_variance
+        Of one Hadamard measurement, electrons squared.
+    """
+
+    def __init__(self, patterns: PatternSet, noise_variance: float) -> None:
+        if not (np.isfinite(noise_variance) and noise_variance >= 0):
+            raise ValueError(f"noise_variance: {noise_variance} is not a number from 0 on")
+        self.patterns, self.noise_variance = patterns, float(noise_variance)
+        self._blocks = WalshBlocks.of((patterns.rows, patterns.columns), patterns.indices)
+        self._prior = walsh_variance(patterns.rows, patterns.columns)[patterns.indices]
+        self._values = np.zeros(patterns.count)
+        self._time_s = np.full(patterns.count, -np.inf)
+        self._changed, self._expected, self._compared = 0.0, 0.0, 0.0
+
+    @property
+    def motion_per_s(self) -> float:
+        """Growth of a value's variance with age, over its prior variance; 0 when static.
+
+        What noise alone may show (two standard deviations of it) does not count.
+        """
+        if self._expected == 0:
+            return 0.0
+        scatter = 2 * self.noise_variance * np.sqrt(2 * self._compared)
+        return max(self._changed - 2 * scatter, 0.0) / self._expected
+
+    def push(self, places: NDArray[np.integer], values: Array, time_s: float) -> Array:
+        """Take new measurements and give the image as of now, ``(n_cells,)``.
+
+        Parameters
+        ----------
+        places : (n,)
+            Which patterns of the set: 0 to count - 1, each once.
+        values : (n,)
+            Their Hadamard measurements, electrons.
+        time_s
+            When; must not run backwards.
+        """
+        places = np.asarray(places)
+        if places.shape != np.shape(values):
+            raise ValueError(f"values: shape {np.shape(values)}, expected {places.shape}")
+        if not (np.isfinite(values).all() and np.isfinite(time_s)):
+            raise ValueError("values: hold what is not a number")
+        if places.size and (places.min() < 0 or places.max() >= self.patterns.count):
+            raise ValueError(f"places: outside 0 to {self.patterns.count - 1}")
+        if time_s < self._time_s.max():
+            raise ValueError(f"time_s: {time_s} lies before {self._time_s.max()}")
+        self._learn_motion(places, values, time_s)
+        self._values[places] = values
+        self._time_s[places] = time_s
+        return self._image(time_s)
+
+    def _learn_motion(self, places: NDArray[np.integer], values: Array, time_s: float) -> None:
+        again = places[np.isfinite(self._time_s[places]) & (self._prior[places] > 0)]
+        if again.size == 0:
+            return
+        fresh = np.asarray(values)[np.isin(places, again)]
+        keep = MEMORY ** (again.size / self.patterns.count)
+        change = np.sum((fresh - self._values[again]) ** 2) - 2 * again.size * self.noise_variance
+        expected = self._scale() * np.sum(self._prior[again] * (time_s - self._time_s[again]))
+        self._changed = keep * self._changed + float(change)
+        self._expected = keep * self._expected + float(expected)
+        self._compared = keep**2 * self._compared + again.size
+
+    def _scale(self) -> float:
+        seen = np.isfinite(self._time_s) & (self._prior > 0)
+        energy = float(np.sum(self._values[seen] ** 2))
+        count = int(np.count_nonzero(seen))
+        return prior_scale(energy, count, self.noise_variance, float(self._prior[seen].sum()))
+
+    def _image(self, time_s: float) -> Array:
+        mean = self._values[self._blocks.mean_at].sum()
+        scale = self._scale()
+        if scale == 0:
+            return np.full(self.patterns.n_cells, mean / self.patterns.n_cells)
+        aged = (
+            np.minimum(self.motion_per_s * (time_s - self._time_s), 2.0) if self.motion_per_s else 0
+        )
+        seen = np.isfinite(self._time_s)
+        ratios = np.where(
+            seen, self.noise_variance / scale + aged * self._prior, 1e9 * self._prior.max()
+        )
+        coefficients = self._blocks.filter_unequal(np.where(seen, self._values, 0.0), ratios)
+        coefficients[0] = mean
+        return self._blocks.cells(coefficients)

@@ -1,0 +1,85 @@
+"""The command ``ugv``, as a user runs it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hardware import PatternSet, SpiRecord, reconstruct, write_record
+from hardware.reconstruction import METHODS, Mixing
+
+
+def ugv(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hardware", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SpiRecord]:
+    patterns = PatternSet(8, 16, 40)
+    n = patterns.n_exposures
+    cells = np.random.default_rng(0).integers(0, 500, size=(128, 2))
+    made = SpiRecord(
+        counts=patterns.signal(cells).astype(np.int32),
+        device_time_ns=np.arange(n, dtype=np.int64),
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=np.zeros(n, np.uint8),
+        patterns=patterns,
+        integration_time_s=1e-4,
+        electrons_per_count=2.0,
+        offset_counts=0.0,
+        adc_bits=24,
+        device="test",
+        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+    )
+    path = tmp_path_factory.mktemp("record") / "frame.h5"
+    write_record(made, path)
+    return path, made
+
+
+@pytest.mark.parametrize("method", ["lmmse", "tv"])
+def test_it_writes_what_the_library_gives(record: tuple[Path, SpiRecord], method: str) -> None:
+    path, made = record
+    done = ugv("reconstruct", str(path), "--method", method)
+    assert done.returncode == 0, done.stderr
+    assert "2 images of 8 x 16" in done.stdout
+    expected = reconstruct(made, method)
+    with np.load(path.with_name(f"frame-{method}.npz")) as stored:
+        np.testing.assert_allclose(stored["image"], expected.image)
+        assert ("standard_error" in stored) == (expected.standard_error is not None)
+
+
+def test_a_mixing_comes_from_a_file(record: tuple[Path, SpiRecord], tmp_path: Path) -> None:
+    path, made = record
+    matrix = np.random.default_rng(1).random((128, 8, 20))
+    np.save(tmp_path / "m.npy", matrix)
+    out = tmp_path / "image.npz"
+    done = ugv("reconstruct", str(path), "--mixing", str(tmp_path / "m.npy"), "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    expected = reconstruct(made, mixing=Mixing(matrix.reshape(128, -1), 8, 20))
+    with np.load(out) as stored:
+        np.testing.assert_allclose(stored["image"], expected.image)
+
+
+def test_every_method_is_listed() -> None:
+    listed = ugv("methods").stdout
+    for name, method in METHODS.items():
+        assert f"{name}: {method.summary}" in listed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["missing.h5"], "missing.h5: no such record"),
+        (["RECORD", "--method", "magic"], "method: 'magic' is none of"),
+        (["RECORD", "--mixing", "missing.npy"], "missing.npy"),
+        (["RECORD", "--methods", "x"], "No such option"),
+    ],
+)
+def test_errors_are_one_line(record, arguments: list[str], message: str) -> None:
+    done = ugv("reconstruct", *(a.replace("RECORD", str(record[0])) for a in arguments))
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,112 @@
+"""Depth from phasors: closed forms, error bounds and unwrapping, against simulated light."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hardware.reconstruction.depth import C_M_PER_S, common_range_m, depth
+
+
+def phasors(distance_m: np.ndarray, amplitude: float, frequencies: list[float]) -> np.ndarray:
+    """Straight from the definition: a exp(-j 2 pi f tau), tau = 2 d / c."""
+    tau = 2 * np.asarray(distance_m) / C_M_PER_S
+    return amplitude * np.exp(-2j * np.pi * np.asarray(frequencies)[:, None] * tau)
+
+
+@pytest.mark.parametrize("frequencies", [[10e6], [10e6, 11e6], [20e6, 25e6, 30e6]])
+def test_noiseless_distances_come_back(frequencies: list[float]) -> None:
+    """Up to where everything repeats; one frequency 14.99 m, 10 and 11 MHz 149.9 m."""
+    longest = common_range_m(frequencies)
+    distance = np.linspace(0.001, 0.999, 500) * longest
+    found = depth(phasors(distance, 3.0, frequencies), frequencies, 1e-6)
+    np.testing.assert_allclose(found.distance_m, distance, rtol=1e-9)
+    np.testing.assert_allclose(found.amplitude, 3.0)
+    assert (found.confidence > 0.999).all()
+
+
+def test_common_ranges() -> None:
+    assert common_range_m([10e6]) == pytest.approx(C_M_PER_S / 20e6)
+    assert common_range_m([10e6, 11e6]) == pytest.approx(C_M_PER_S / 2e6)
+    assert common_range_m([20e6, 30e6]) == pytest.approx(C_M_PER_S / 20e6)
+
+
+def test_standard_error_is_the_error_made() -> None:
+    """One frequency at 20 dB: sigma_d = c/(4 pi f) sigma/a; chi-square bounds at 1e-6."""
+    rng = np.random.default_rng(1)
+    n, f, a, sigma = 20_000, 10e6, 10.0, 0.1
+    distance = np.full(n, 7.0)
+    noise = rng.normal(size=(2, 1, n)) * sigma
+    found = depth(phasors(distance, a, [f]) + noise[0] + 1j * noise[1], [f], sigma)
+    expected = C_M_PER_S / (4 * np.pi * f) * sigma / a
+    np.testing.assert_allclose(found.standard_error_m, expected, rtol=0.06)
+    low, high = stats.chi2.ppf([5e-7, 1 - 5e-7], n) / n
+    # The bound holds to first order in sigma / a; the next is (sigma / a)^2 = 1e-4.
+    assert low < np.mean((found.distance_m - 7.0) ** 2) / expected**2 < high * 1.001
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.2, 0.3])
+def test_confidence_is_the_share_of_right_unwrappings(ratio: float) -> None:
+    """Noise near the amplitude's tenth makes some cells unwrap wrongly: as many as it says.
+
+    Binomial bounds at 1e-6, and 0.03 for the noise not being Gaussian in phase.
+    """
+    rng = np.random.default_rng(2)
+    n, frequencies = 20_000, [10e6, 13e6]
+    distance = rng.uniform(20, 130, n)
+    noise = rng.normal(size=(2, 2, n)) * ratio
+    z = phasors(distance, 1.0, frequencies) + noise[0] + 1j * noise[1]
+    found = depth(z, frequencies, ratio)
+    right = np.abs(found.distance_m - distance) < 5 * found.standard_error_m
+    share, said = right.mean(), found.confidence.mean()
+    assert abs(share - said) < 5 * np.sqrt(0.25 / n) + 0.03
+    if ratio > 0.1:
+        assert share < 0.99  # the case is a hard one, or the test would say nothing
+
+
+def test_a_shorter_range_rules_wrong_wraps_out() -> None:
+    rng = np.random.default_rng(3)
+    n, frequencies, ratio = 5000, [10e6, 11e6], 0.2
+    distance = rng.uniform(1, 20, n)
+    noise = rng.normal(size=(2, 2, n)) * ratio
+    z = phasors(distance, 1.0, frequencies) + noise[0] + 1j * noise[1]
+    wide, narrow = depth(z, frequencies, ratio), depth(z, frequencies, ratio, longest_m=25.0)
+    wrong = [np.mean(np.abs(d.distance_m - distance) > 3) for d in (wide, narrow)]
+    assert wrong[1] < 0.6 * wrong[0]
+
+
+def test_dark_cells_are_no_distance() -> None:
+    found = depth(np.zeros((2, 3), complex), [10e6, 11e6], 1.0)
+    assert np.isnan(found.distance_m).all()
+    assert not found.confidence.any()
+    assert not found.amplitude.any()
+
+
+@pytest.mark.parametrize(
+    ("field", "arguments"),
+    [
+        ("phasors", (np.ones((2, 3), complex), [1e6], 0.1)),
+        ("phasors", (np.full((1, 3), np.nan, complex), [1e6], 0.1)),
+        ("modulation_hz", (np.ones((1, 3), complex), [-1e6], 0.1)),
+        ("modulation_hz", (np.ones((1, 3), complex), [np.nan], 0.1)),
+    ],
+)
+def test_bad_input_is_named(field: str, arguments: tuple) -> None:
+    with pytest.raises(ValueError, match=f"^{field}: "):
+        depth(*arguments)
+
+
+def test_a_range_beyond_the_common_one_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^longest_m: 200\.0 is"):
+        depth(np.ones((2, 3), complex), [10e6, 11e6], 0.1, longest_m=200.0)
+
+
+def test_unequal_noise_is_weighed() -> None:
+    """One frequency ten times noisier: the errors are still those said, chi-square at 1e-6."""
+    rng = np.random.default_rng(4)
+    n, frequencies, sigma = 20_000, [10e6, 12e6], np.array([0.003, 0.03])
+    noise = rng.normal(size=(2, 2, n)) * sigma[:, None]
+    z = phasors(np.full(n, 21.0), 1.0, frequencies) + noise[0] + 1j * noise[1]
+    found = depth(z, frequencies, sigma)
+    low, high = stats.chi2.ppf([5e-7, 1 - 5e-7], n) / n
+    ratio = np.mean((found.distance_m - 21.0) ** 2 / found.standard_error_m**2)
+    assert low < ratio < high * 1.005  # sigma squared, the next order, is 1e-3

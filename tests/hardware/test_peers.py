@@ -1,0 +1,112 @@
+"""The same results as other people's libraries, where these are installed (extra ``peers``)."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import hadamard
+
+from hardware import PatternSet
+from hardware.patterns import fwht
+from hardware.reconstruction import Sensing
+from hardware.reconstruction.dictionaries import dct_matrix, prior_deviation
+from hardware.reconstruction.methods import fista
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # of the peers' own making
+
+
+@pytest.fixture
+def spyrit() -> Any:
+    pytest.importorskip("spyrit")
+    return pytest.importorskip("spyrit.core.torch"), pytest.importorskip("torch")
+
+
+def test_the_transform_is_spyrits(spyrit: Any) -> None:
+    theirs, torch = spyrit
+    x = np.random.default_rng(0).normal(size=1024)
+    found = theirs.fwht(torch.asarray(x), order=False).numpy()
+    np.testing.assert_allclose(fwht(x), found, atol=1e-10)
+
+
+def test_the_walsh_order_is_spyrits(spyrit: Any) -> None:
+    theirs, _ = spyrit
+    h = 2.0 * PatternSet(1, 64, 64, "walsh", "plain").masks().reshape(64, 64) - 1
+    np.testing.assert_array_equal(h, theirs.walsh_matrix(64).numpy())
+
+
+def test_split_measurements_are_spyrits(spyrit: Any) -> None:
+    """Pattern and complement, one after the other: rows of their split operator."""
+    meas = pytest.importorskip("spyrit.core.meas")
+    torch = spyrit[1]
+    operator = meas.HadamSplit2d(8, dtype=torch.float64)
+    picture = np.random.default_rng(1).random((8, 8))
+    theirs = operator.measure(torch.asarray(picture)[None, None]).numpy().ravel()
+    ours = PatternSet(8, 8, 64, "natural").signal(picture.ravel())
+    np.testing.assert_allclose(np.sort(ours), np.sort(theirs), atol=1e-9)
+    np.testing.assert_allclose(
+        np.sort(ours[0::2] - ours[1::2]), np.sort(theirs[0::2] - theirs[1::2]), atol=1e-9
+    )
+
+
+def test_the_s_matrix_is_spyrits() -> None:
+    """Rows and columns from 1 on, in Walsh order."""
+    walsh = pytest.importorskip("spyrit.misc.walsh_hadamard")
+    s = PatternSet(1, 32, 32, "walsh", "s-matrix").masks().reshape(32, 32)
+    np.testing.assert_array_equal(s[1:, 1:], walsh.walsh_S_matrix(31))
+
+
+@pytest.mark.parametrize(
+    ("order", "mask"), [("zigzag", "zig_zag_mask"), ("cake-cutting", "cake_cutting_mask")]
+)
+@pytest.mark.parametrize("count", [1, 3, 10, 15, 36, 64])
+def test_orders_are_deepinvs(order: Any, mask: str, count: int) -> None:
+    """Their masks of the Hadamard plane hold as many patterns of each kind, ours or transposed.
+
+    Zigzag: the same diagonals. Cake-cutting: the same numbers of pieces; ties are free.
+    """
+    theirs = getattr(pytest.importorskip("deepinv.physics.singlepixel"), mask)
+    rows, columns = np.nonzero(np.asarray(theirs((1, 8, 8), count)).reshape(8, 8))
+    changes_of = np.count_nonzero(np.diff(hadamard(8), axis=1), axis=1)
+    down, along = changes_of[rows], changes_of[columns]
+    images = 2 * PatternSet(8, 8, count, order, "plain").masks().astype(int) - 1
+    changes = (
+        [(np.diff(i[:, 0]) != 0).sum() for i in images],
+        [(np.diff(i[0]) != 0).sum() for i in images],
+    )
+    ours_down, ours_along = map(np.array, changes)
+    if order == "zigzag":
+        np.testing.assert_array_equal(np.sort(down + along), np.sort(ours_down + ours_along))
+    else:
+        expected = np.sort((down + 1) * (along + 1))
+        np.testing.assert_array_equal(expected, np.sort((ours_down + 1) * (ours_along + 1)))
+
+
+def test_fista_is_that_of_pylops() -> None:
+    """The same minimum: pylops' plain l1 problem in coefficients over their prior deviation."""
+    pylops = pytest.importorskip("pylops")
+    rng = np.random.default_rng(2)
+    sensing, noise = Sensing(PatternSet(8, 8, 30)), 400.0
+    y = sensing.forward(np.cumsum(rng.normal(size=64)) * 300) + noise * rng.normal(size=30)
+    ours = fista.fista(y, noise**2, sensing, iterations=20000)[0]
+    plan = fista.lmmse_plan(sensing)
+    scale = plan.scale(y, noise**2)
+    deviation = np.sqrt(scale) * prior_deviation("dct", 8, 8).ravel()
+    synthesis = np.kron(dct_matrix(8), dct_matrix(8)).T
+    structure = np.flatnonzero(sensing.patterns.indices != 0)  # the mean is not penalised
+    matrix = (sensing.matrix @ (synthesis * deviation))[structure][:, 1:]
+    # The step's threshold times the Lipschitz constant, twice for pylops' |r|^2 + eps |x|.
+    strength = fista.threshold(noise**2, scale, 64.0, 64) * 64.0
+    largest = np.linalg.norm(matrix, 2) ** 2
+    found = pylops.optimization.sparsity.fista(
+        pylops.MatrixMult(matrix), y[structure], niter=20000, eps=2 * strength,
+        alpha=0.99 / largest, tol=0.0,
+    )[0]  # fmt: skip
+    theirs = (synthesis[:, 1:] * deviation[1:]) @ found + ours.mean()
+
+    def objective(image: np.ndarray) -> float:
+        coefficients = (synthesis.T @ image)[1:] / deviation[1:]
+        misfit = np.sum((sensing.forward(image) - y)[structure] ** 2)
+        return float(misfit / 2 + strength * np.abs(coefficients).sum())
+
+    assert objective(ours) == pytest.approx(objective(theirs), rel=1e-6)
+    np.testing.assert_allclose(ours, theirs, atol=1e-3 * np.ptp(ours))
