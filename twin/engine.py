@@ -9,6 +9,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
@@ -59,23 +60,28 @@ def sionna() -> ModuleType:
 
 
 def _variant() -> str:
-    name = os.environ.get("TWIN_VARIANT") or (
-        "cuda_ad_mono" if Path("/dev/nvidiactl").exists() else "llvm_ad_mono"
-    )
+    name = os.environ.get("TWIN_VARIANT") or _variant_of_machine()
     if name not in ("llvm_ad_mono", "cuda_ad_mono"):
         raise EngineError(f"TWIN_VARIANT: {name!r} is none of llvm_ad_mono, cuda_ad_mono")
     return name
 
 
+@lru_cache(maxsize=1)
+def _variant_of_machine() -> str:
+    return "cuda_ad_mono" if Path("/dev/nvidiactl").exists() else "llvm_ad_mono"
+
+
 def _with_variant(name: str) -> ModuleType:
     """Mitsuba in a variant; set only when it changes, which takes a moment."""
+    loaded = sys.modules.get("mitsuba")
+    if loaded is not None and loaded.variant() == name:
+        return loaded
     if name.startswith("llvm"):
         ensure_llvm()
     import mitsuba as mi
 
-    if mi.variant() != name:
-        mi.set_variant(name)
-        mi.set_log_level(mi.LogLevel.Error)
+    mi.set_variant(name)
+    mi.set_log_level(mi.LogLevel.Error)
     return mi
 
 

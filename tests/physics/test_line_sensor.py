@@ -9,8 +9,10 @@ from scipy import constants
 from hardware import reconstruct
 from twin.camera import capture
 from twin.camera.light import emitter_light, sun_light
+from twin.fidelity import Fidelity
+from twin.optics.devices import Device
+from twin.optics.paths import Quality
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
-from twin.optics.transport import Pinhole, Quality
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
@@ -42,7 +44,7 @@ def test_all_columns_together_are_the_closed_form() -> None:
     """
     lens = collection(LINE)
     scene = wall(5.0)
-    here = Pinhole(np.zeros(3), np.eye(3), lens.tan_half_field)
+    here = Device(np.zeros(3), np.eye(3), lens.tan_half_field)
     light = emitter_light(
         mitsuba_scene(scene), here, here, (16, 1), 256, quality=Quality(64, 1), seed=1
     )
@@ -57,21 +59,22 @@ def test_all_columns_together_are_the_closed_form() -> None:
 
 def test_the_sun_falls_on_every_column() -> None:
     lens = collection(LINE)
-    here = Pinhole(np.zeros(3), np.eye(3), lens.tan_half_field)
+    here = Device(np.zeros(3), np.eye(3), lens.tan_half_field)
     parts = sun_light(
         mitsuba_scene(wall(5.0)), here, np.array([-1.0, 0, 0]), 256, quality=Quality(16, 1), seed=1
     )
     expected = 0.5 / np.pi * mean_cos_power(4, lens.tan_half_field, "square") * lens.field_area
     assert parts.sum() == pytest.approx(expected, rel=1e-3)
-    assert parts.shape == (256,)
-    assert parts.min() > 0.9 * parts.max()
+    assert parts.shape == (32, 256)
+    columns = parts.sum(axis=0)
+    assert columns.min() > 0.9 * columns.max()
 
 
 def test_the_picture_is_the_scene(at_dusk: System) -> None:
     """16 differential pairs of 256 counts make 256 x 16 pixels that agree with the noise-free ones;
     turned over or mirrored they do not.
     """
-    taken = capture(load_scene("yard"), at_dusk, seed=2, quality=Quality(16, 2))
+    taken = capture(load_scene("yard"), at_dusk, seed=2, fidelity=Fidelity(16, 2))
     assert taken.record.counts.shape == (32, 256)
     assert taken.cells_e.shape == taken.truth.albedo.shape == (16, 256)
     picture = reconstruct(taken.record, "zero-fill").picture
@@ -86,7 +89,7 @@ def test_the_picture_is_the_scene(at_dusk: System) -> None:
 
 def test_truth_lies_under_the_picture(at_dusk: System) -> None:
     """Where the noise-free image is brightest the truth has the chart, 5 m ahead on the left."""
-    taken = capture(load_scene("yard"), at_dusk, quality=Quality(16, 1))
+    taken = capture(load_scene("yard"), at_dusk, fidelity=Fidelity(16, 1))
     row, column = np.unravel_index(np.argmax(taken.cells_e), taken.cells_e.shape)
     assert taken.truth.depth_m[row, column] == pytest.approx(5.0, abs=0.01)
     assert column < 128
@@ -94,7 +97,7 @@ def test_truth_lies_under_the_picture(at_dusk: System) -> None:
 
 def test_noise_of_a_column_is_that_of_its_own_light(at_dusk: System) -> None:
     """Errors over predicted noise have rms 1: 4096 pixels, each noise from 16 pairs: 5 sigma."""
-    taken = capture(load_scene("yard"), at_dusk, seed=5, quality=Quality(64, 2))
+    taken = capture(load_scene("yard"), at_dusk, seed=5, fidelity=Fidelity(64, 2))
     picture = reconstruct(taken.record, "zero-fill").picture
     lit = taken.cells_e > 0
     noise = taken.cells_e[lit] / taken.snr[lit]
@@ -116,7 +119,7 @@ def test_binning_adds_charge_and_dark_current() -> None:
 @pytest.mark.parametrize("columns", [64, 128, 256])
 def test_every_width_of_the_paper_works(tmp_path: Path, columns: int) -> None:
     (tmp_path / "s.toml").write_text(f'base = "line-256x16"\n[acquisition]\ncolumns = {columns}\n')
-    taken = capture(load_scene("table1"), load_system(tmp_path / "s.toml"), quality=Quality(4, 1))
+    taken = capture(load_scene("table1"), load_system(tmp_path / "s.toml"), fidelity=Fidelity(4, 1))
     assert taken.cells_e.shape == (16, columns)
     assert np.isfinite(reconstruct(taken.record).picture).all()
 
@@ -128,7 +131,7 @@ def test_a_picture_of_one_row_has_its_report(tmp_path: Path) -> None:
         'base = "line-256x16"\n[emitter]\nrows = 1\nline_fwhm_m = 2e-9\n'
         '[acquisition]\nn_patterns = 1\ncolumns = 32\n[sky]\npart = "dusk"\n'
     )
-    quality = Quality(4, 1)
+    fidelity = Fidelity(4, 1)
     system = tmp_path / "row.toml"
-    result = run("yard", system, compare=None, radar=None, quality=quality, out=tmp_path / "out")
+    result = run("yard", system, compare=None, radar=None, fidelity=fidelity, out=tmp_path / "out")
     assert result.evaluations[0].capture.snr.shape == (1, 32)

@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from twin.optics.matrix import Grid, transport_matrix
-from twin.optics.transport import Pinhole, Quality, transport
+from hardware import PatternSet
+from twin.optics.devices import Device, Grid
+from twin.optics.matrix import transport_matrix
+from twin.optics.paths import Quality
+from twin.optics.reference import PatternRenderer
+from twin.optics.transport import transport
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 
 TAN = math.tan(math.radians(10))
 AHEAD = np.eye(3)
-HERE = Pinhole(np.zeros(3), AHEAD, TAN)
+HERE = Device(np.zeros(3), AHEAD, TAN)
 
 
 def wall(distance_m: float):
@@ -42,7 +46,7 @@ def test_a_baseline_moves_pixels_the_way_geometry_says(role) -> None:
     Tells rows from columns, left from right, and the emitter's axis from the detector's.
     """
     n, z = 8, 5.0
-    left = Pinhole(np.array([0, z * 2 * TAN / n, 0]), AHEAD, TAN)
+    left = Device(np.array([0, z * 2 * TAN / n, 0]), AHEAD, TAN)
     matrix = transport_matrix(
         wall(z), Grid(HERE, 4, n), Grid(left, 4, n), quality=Quality(64, 1), seed=1, role=role
     ).reshape(4, n, 4, n)
@@ -55,6 +59,55 @@ def test_a_baseline_moves_pixels_the_way_geometry_says(role) -> None:
                 assert pixel[row, column + 1] > 0.999 * pixel.sum() > 0
 
 
+@pytest.mark.parametrize("depth", [1, 5])
+def test_line_sensor_is_what_mitsuba_renders_pattern_by_pattern(depth: int) -> None:
+    """16 LED rows x 16 columns of the yard, four patterns, both roles, against `projector` and
+    `path`: Student's t over 12 renders each, 1e-4 over all 128 comparisons of a depth; columns in
+    reverse order fail it. A projector's texture has steps: 0.3 % is granted.
+    """
+    scene = load_scene("yard")
+    emitter = Device(*scene.rig.device("emitter"), TAN)
+    detector = Device(*scene.rig.device("detector"), TAN)
+    reference = PatternRenderer(scene, emitter, detector, max_depth=depth)
+    rows, columns = Grid(emitter, 16, 1), Grid(detector, 1, 16)
+    world, renders = mitsuba_scene(scene), 12
+    bound = stats.t.isf(1e-4 / 128 / 2, df=renders - 1)
+    patterns = PatternSet(16, 1, 4, "sequency", "plain").masks().astype(float)
+    brute = np.array(
+        [
+            [
+                reference.render_columns(
+                    np.repeat(p.reshape(16, 1), 16, axis=1), samples=64, seed=100 * i + s
+                )
+                .reshape(16, 4)
+                .sum(axis=1)
+                for s in range(renders)
+            ]
+            for i, p in enumerate(patterns)
+        ]
+    )
+    for role, samples in (("dual", 64**2), ("scatter", 48**2)):
+        ours = np.array(
+            [
+                transport_matrix(
+                    world, rows, columns, quality=Quality(samples, depth), seed=s, role=role
+                )
+                @ patterns.reshape(4, 16).T
+                for s in range(renders)
+            ]
+        )
+        ours = ours.transpose(2, 0, 1)  # pattern, seed, column
+        error = np.hypot(brute.std(axis=1, ddof=1), ours.std(axis=1, ddof=1)) / math.sqrt(renders)
+        mean = brute.mean(axis=1)
+
+        def worst(of: np.ndarray, mean: np.ndarray = mean, error: np.ndarray = error) -> float:
+            off = np.abs(of.mean(axis=1) - mean) - 3e-3 * mean
+            return float((off / error).max())
+
+        assert worst(ours) < bound
+        assert worst(ours[:, :, ::-1]) > 10 * bound
+
+
 def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
     """16 LED rows x 32 columns, two bounces, 24 seeds each: element by element and in sum.
 
@@ -64,8 +117,8 @@ def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
     """
     scene = load_scene("yard")
     world = mitsuba_scene(scene)
-    emitter = Grid(Pinhole(*scene.rig.device("emitter"), TAN), 16, 1)
-    detector = Grid(Pinhole(*scene.rig.device("detector"), TAN), 1, 32)
+    emitter = Grid(Device(*scene.rig.device("emitter"), TAN), 16, 1)
+    detector = Grid(Device(*scene.rig.device("detector"), TAN), 1, 32)
     draws = {
         role: np.stack(
             [
@@ -83,7 +136,7 @@ def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
     t = (mean["dual"] - mean["scatter"])[lit] / np.hypot(error["dual"], error["scatter"])[lit]
     assert np.abs(t).max() < stats.t.isf(1e-4 / lit.sum() / 2, df=23)
     plain = transport(
-        world, emitter.pinhole, detector.pinhole, (16, 1), quality=Quality(65536, 2), seed=5
+        world, emitter.device, detector.device, (16, 1), quality=Quality(65536, 2), seed=5
     )
     for d in draws.values():
         rows = d.sum(axis=1)
@@ -102,7 +155,7 @@ def test_same_seed_same_bits_and_roles_by_name() -> None:
 
 
 def test_an_empty_view_gives_zeros() -> None:
-    backwards = Pinhole(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
+    backwards = Device(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
     grid = Grid(backwards, 4, 4)
     matrix = transport_matrix(wall(3.0), grid, grid, quality=Quality(4, 3), seed=1)
     assert matrix.shape == (16, 16)
@@ -116,7 +169,7 @@ def test_blocks_of_rows_land_where_they_belong(role, monkeypatch: pytest.MonkeyP
 
     grid, world, quality = Grid(HERE, 8, 8), wall(5.0), Quality(256, 1)
     whole = transport_matrix(world, grid, grid, quality=quality, seed=1, role=role)
-    monkeypatch.setattr(module, "_RAYS_AT_ONCE", 2 * 8 * 256)
+    monkeypatch.setattr(module, "RAYS_AT_ONCE", 2 * 8 * 256)
     parts = transport_matrix(world, grid, grid, quality=quality, seed=1, role=role)
     np.testing.assert_allclose(np.diag(parts), np.diag(whole), rtol=1e-3)
     assert np.abs(parts - np.diag(np.diag(parts))).sum() < 1e-5 * parts.sum()

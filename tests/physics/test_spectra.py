@@ -75,7 +75,8 @@ def test_a_filter_shifts_6_to_11_nm_at_10_degrees(index: float, shift_nm: float)
 
 
 def test_no_index_no_shift() -> None:
-    assert angle_shift(PAPER.filter, 10.0) == 1.0
+    bare = PAPER.filter.model_copy(update={"effective_index": None})
+    assert angle_shift(bare, 10.0) == 1.0
 
 
 def test_line_share_at_an_angle_by_brute_force() -> None:

@@ -8,9 +8,11 @@ import pytest
 from scipy import stats
 
 from hardware import PatternSet
+from twin.optics.devices import Device
+from twin.optics.paths import Quality
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
 from twin.optics.reference import PatternRenderer
-from twin.optics.transport import Pinhole, Quality, sunlight, transport
+from twin.optics.transport import sunlight, transport
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import load_system
@@ -37,8 +39,8 @@ def wall_scene(distance_m: float, half_size_m: float = 50.0, origin=(0.0, 0.0, 0
 
 def on_wall(distance_m: float, baseline_m: float, quality: Quality, **scene) -> np.ndarray:
     world = mitsuba_scene(wall_scene(distance_m, **scene))
-    emitter = Pinhole(np.zeros(3), AHEAD, TAN)
-    detector = Pinhole(np.array([0, baseline_m, 0]), AHEAD, TAN)
+    emitter = Device(np.zeros(3), AHEAD, TAN)
+    detector = Device(np.array([0, baseline_m, 0]), AHEAD, TAN)
     return transport(world, emitter, detector, (32, 32), quality=quality, seed=1).total
 
 
@@ -87,7 +89,7 @@ def test_a_scene_in_map_coordinates_gives_the_same_light() -> None:
 
 def test_nothing_in_the_field_is_dark() -> None:
     world = mitsuba_scene(wall_scene(5.0))
-    backwards = Pinhole(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
+    backwards = Device(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
     cells = transport(world, backwards, backwards, (8, 8), quality=Quality(4, 2), seed=1)
     assert not cells.total.any()
 
@@ -95,7 +97,7 @@ def test_nothing_in_the_field_is_dark() -> None:
 def test_a_disc_shaped_field_sees_its_share_of_the_square() -> None:
     """Area pi/4 of the square, weighted by cos^7: closed form over the disc."""
     world = mitsuba_scene(wall_scene(5.0))
-    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    camera = Device(np.zeros(3), AHEAD, TAN)
     disc = replace(camera, outline="disc")
     seen = transport(world, camera, disc, (64, 64), quality=Quality(64, 1), seed=1).total.sum()
     whole = transport(world, camera, camera, (64, 64), quality=Quality(64, 1), seed=1).total.sum()
@@ -107,7 +109,7 @@ def test_sun_on_a_wall_is_the_closed_form() -> None:
     """E rho / pi cos(sun) seen through a flat pupil: <cos^4> of the field times its area."""
     scene = wall_scene(5.0)
     world = mitsuba_scene(scene)
-    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    camera = Device(np.zeros(3), AHEAD, TAN)
     seen = sunlight(world, camera, scene.sun.direction, quality=Quality(16, 2), seed=1).total.sum()
     facing = math.cos(math.radians(30))
     expected = 0.5 / math.pi * facing * mean_cos_power(4, TAN, "square") * 4 * TAN**2
@@ -117,7 +119,7 @@ def test_sun_on_a_wall_is_the_closed_form() -> None:
 def test_sun_casts_shadows_and_does_not_shine_through() -> None:
     """Sun behind the wall: the two-sided wall is lit on its other side only."""
     world = mitsuba_scene(wall_scene(5.0))
-    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    camera = Device(np.zeros(3), AHEAD, TAN)
     behind = np.array([1.0, 0.0, 0.0])
     assert not sunlight(world, camera, behind, quality=Quality(4, 2), seed=1).total.any()
 
@@ -137,7 +139,7 @@ def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
     ball = trimesh.creation.icosphere(6, radius=3.0)
     r = 0.5
     world = _assemble([(Mesh(np.array(ball.vertices), np.array(ball.faces)), r)])
-    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    camera = Device(np.zeros(3), AHEAD, TAN)
     light = transport(world, camera, camera, (8, 8), quality=Quality(1024, 8), seed=3)
     solid = 4 * math.asin(math.sin(math.radians(10)) ** 2)
     # A diffuse bounce inside a sphere lands uniformly on it: the share that lands where the
@@ -151,7 +153,7 @@ def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
 
 def test_same_seed_same_bits() -> None:
     world = mitsuba_scene(load_scene("yard"))
-    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    camera = Device(np.zeros(3), AHEAD, TAN)
     a, b, other = (
         transport(world, camera, camera, (16, 16), quality=Quality(16, 3), seed=s).total
         for s in (1, 1, 2)
@@ -165,9 +167,9 @@ def test_blocks_of_rows_do_not_change_the_picture(monkeypatch: pytest.MonkeyPatc
     import twin.optics.transport as module
 
     world = mitsuba_scene(load_scene("yard"))
-    camera = Pinhole(np.zeros(3), AHEAD, TAN)
+    camera = Device(np.zeros(3), AHEAD, TAN)
     whole = transport(world, camera, camera, (16, 16), quality=Quality(64, 2), seed=1)
-    monkeypatch.setattr(module, "_RAYS_AT_ONCE", 16 * 64 * 3)
+    monkeypatch.setattr(module, "RAYS_AT_ONCE", 16 * 64 * 3)
     parts = transport(world, camera, camera, (16, 16), quality=Quality(64, 2), seed=1)
     z = (parts.total - whole.total) / np.maximum(
         np.hypot(parts.standard_error, whole.standard_error), 1e-12
@@ -193,8 +195,8 @@ def test_ten_patterns_agree_with_mitsubas_projector() -> None:
     """
     scene = load_scene("yard")
     size, renders = 16, 32
-    emitter = Pinhole(*scene.rig.device("emitter"), TAN)
-    detector = Pinhole(*scene.rig.device("detector"), TAN)
+    emitter = Device(*scene.rig.device("emitter"), TAN)
+    detector = Device(*scene.rig.device("detector"), TAN)
     quality = Quality(1024, 4)
     cells = transport(
         mitsuba_scene(scene), emitter, detector, (size, size), quality=quality, seed=11

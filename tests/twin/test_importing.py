@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.scene import load_scene
 from twin.scene.importing import import_model
@@ -47,12 +48,13 @@ def test_gltf_is_y_up_by_itself_and_parts_keep_their_names(robot, tmp_path: Path
 
 def test_the_rig_sees_the_model(robot, tmp_path: Path) -> None:
     from twin.camera.acquisition import capture
-    from twin.optics.transport import Quality
     from twin.system import load_system
 
     robot.export(tmp_path / "robot.glb")
     import_model(tmp_path / "robot.glb", tmp_path / "scene")
-    taken = capture(load_scene(tmp_path / "scene"), load_system("workable"), quality=Quality(4, 1))
+    taken = capture(
+        load_scene(tmp_path / "scene"), load_system("workable"), fidelity=Fidelity(4, 1)
+    )
     lit = taken.truth.albedo > 0
     assert 0.05 < lit.mean() < 0.9
     assert not lit[0].any()

@@ -345,7 +345,7 @@ def test_obj_counts_from_one(tmp_path: Path) -> None:
 def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path) -> None:
     """An OBJ with a texture, its `to_uv`, filter and wrapping: albedo along 64 rays, both ways."""
     from twin.camera.truth import render_truth
-    from twin.optics.transport import Pinhole
+    from twin.optics.devices import Device
 
     mi = mitsuba()
     image = np.random.default_rng(0).random((8, 8, 1)).astype(np.float32)
@@ -361,7 +361,7 @@ def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path) -> Non
         'value="true"/><transform name="to_uv"><scale x="2" y="3"/></transform></texture></bsdf>'
         "</bsdf></shape></scene>"
     )
-    camera = Pinhole(np.zeros(3), np.eye(3), 0.15)
+    camera = Device(np.zeros(3), np.eye(3), 0.15)
     ours = mitsuba_scene(load_scene(tmp_path / "s.xml", Pose((0.0, 0.0, 0.0))))
     stock = mi.load_file(str(tmp_path / "s.xml"))
     a, b = (render_truth(world, camera, (8, 8)).albedo for world in (ours, stock))

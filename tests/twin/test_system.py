@@ -66,9 +66,7 @@ def test_errors_name_file_field_and_value(tmp_path: Path, text: str, expected: s
 
 
 def test_unknown_names_and_circles(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match="'nope' is neither a TOML file nor one of line-256x16, paper"
-    ):
+    with pytest.raises(InputError, match="'nope' is neither a TOML file nor one of led-16x16"):
         load_system("nope")
     write(tmp_path, 'base = "b.toml"\nname = "a"', "a.toml")
     path = write(tmp_path, 'base = "a.toml"\nname = "b"', "b.toml")

@@ -8,34 +8,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
-from twin import __version__
+from twin.camera.chain import Chain
+from twin.camera.illumination import dark_share
 from twin.camera.light import Rendered, Stage, render
 from twin.camera.truth import Truth
-from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
-from twin.optics.radiometry import Collection, collection
-from twin.optics.spectra import (
-    SUN_ASSUMPTION,
-    in_band_fraction,
-    responsivity_a_per_w,
-    sun_in_band,
-)
-from twin.optics.transport import Quality
+from twin.detector import NoiseBudget
+from twin.fidelity import Fidelity, Noise
+from twin.optics.emission import emission_matrix, independent_patterns
+from twin.optics.radiometry import Collection
+from twin.optics.spectra import SUN_ASSUMPTION
+from twin.optics.weather import air_of_system
 from twin.scene import Scene
-from twin.system import Sky, System
-from twin.toml import Sourced
+from twin.system import System
 
 Array = NDArray[np.float64]
 
+#: Optical depth one way up to which light scattered more than once is below some 2 % in fog.
+_THICK = 0.5
+
+#: Radius of the Airy disc over half the field from which it is warned of.
+_SMEARED = 0.05
+
 #: Holds for every capture; printed with it.
 MODEL_ASSUMPTIONS = (
-    "surfaces are Lambertian, two-sided and flat-shaded; air is clear",
+    "surfaces are Lambertian, two-sided and flat-shaded",
     SUN_ASSUMPTION,
-    "cells are equal and have sharp edges; dark cells emit nothing (infinite contrast)",
-    "the filter is flat inside its band and does not shift with angle "
-    "(a real one moves 6-11 nm at 10 deg)",
-    "lens: a pinhole in position, a flat pupil in power (cos^4 vignetting), in focus everywhere",
-    "nothing moves during a frame; emitter power does not fluctuate",
-    "amplifier: full settling within each exposure, white noise, linear up to the rails",
+    "nothing moves during a frame",
+    "amplifier: full settling within each exposure, linear up to the rails",
 )
 
 
@@ -71,7 +70,7 @@ def capture(
     system: System,
     *,
     seed: int = 0,
-    quality: Quality | None = None,
+    fidelity: Fidelity | None = None,
     world: Any = None,
     stage: Stage = lambda name: nullcontext(),
 ) -> Capture:
@@ -83,58 +82,63 @@ def capture(
         What is looked at, and with what.
     seed
         Of every random draw: same seed, same counts, bit for bit.
-    quality
-        Knobs of the path tracer.
+    fidelity
+        Knobs, each with the error it bounds.
     world
         `mitsuba_scene(scene)`, when it is at hand already.
     stage
         Called with each stage's name, for progress and timing.
     """
     light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
-    rendered = render(
-        scene, system, quality=quality or Quality(), seed=light_seed, world=world, stage=stage
-    )
+    fidelity = fidelity or Fidelity()
+    rendered = render(scene, system, fidelity=fidelity, seed=light_seed, world=world, stage=stage)
     with stage("detector"):
-        return measure(scene, system, rendered, rng=np.random.default_rng(noise_seed))
+        rng = np.random.default_rng(noise_seed)
+        return measure(scene, system, rendered, rng=rng, noise=fidelity.noise)
 
 
 def measure(
-    scene: Scene, system: System, rendered: Rendered, *, rng: np.random.Generator
+    scene: Scene,
+    system: System,
+    rendered: Rendered,
+    *,
+    rng: np.random.Generator,
+    noise: Noise = "full",
 ) -> Capture:
     """Light to counts: filter, lens, detector, amplifier and converter of a system."""
-    lens = collection(system)
-    collected = lens.transmission * lens.pupil_area_m2
-    fraction = in_band_fraction(system.emitter, system.filter)
-    watt = system.emitter.radiant_intensity_w_per_sr.value * fraction * collected
-    signal_w = system.patterns.signal(watt * rendered.light.cells.T)
-    own_sky = Sky(illuminance_lx=Sourced(value=scene.sun.illuminance_lx, source="scene.toml"))
-    sky = sun_in_band(system.sky or own_sky, system.filter)
-    background_w = sky.irradiance_w_per_m2 * collected * rendered.sun
-
-    responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
-    front_end = FrontEnd.of(system, responsivity)
-    counts, flags = expose(signal_w + background_w, front_end, rng=rng)
-    cells_e = watt * front_end.electrons_per_watt * rendered.light.cells
-    error_e = watt * front_end.electrons_per_watt * rendered.light.error
+    chain = Chain.of(system, scene.sun)
+    power = chain.powers(rendered)
+    signal_w, counts, flags = chain.take(power, rng=rng, noise=noise)
+    sun_w = float(chain.open_share.mean()) * power.sun_w
     noise_e = [
-        noise_budget(signal, sun, front_end).pixel_noise_e(system.patterns)
-        for signal, sun in zip(signal_w.T, background_w, strict=True)
+        chain.noise(signal, sun).pixel_noise_e(system.patterns)
+        for signal, sun in zip(np.moveaxis(signal_w, -1, 0), sun_w, strict=True)
     ]
+    # An image is the sum over all shutters; a dark cell's light is in every exposure alike.
+    to_e = (1 - dark_share(system)) * chain.front_end.electrons_per_watt
+    cells_e = to_e * power.cells_w.sum(axis=0)
+    of_image = np.sqrt(len(chain.taps)) * np.array(noise_e)
+    nearest_m = float(rendered.truth.depth_m.min())
+    sky = chain.sky
     return Capture(
-        record=_record(scene, system, front_end, counts, flags),
+        record=chain.record(scene.rig.pose, counts, flags),
         truth=rendered.truth,
         cells_e=_picture(cells_e, system),
-        cells_error_e=_picture(error_e, system),
-        snr=_picture(cells_e / np.array(noise_e)[:, None], system),
-        noise=noise_budget(signal_w, background_w, front_end),
-        lens=lens,
-        signal_w=signal_w,
-        background_w=float(background_w.mean()),
-        sun_irradiance_w_per_m2=sky.irradiance_w_per_m2,
-        in_band_fraction=fraction,
+        cells_error_e=_picture(to_e * power.error_w, system),
+        snr=_picture(cells_e / of_image[:, None], system),
+        noise=chain.noise(signal_w, sun_w),
+        lens=chain.lens,
+        signal_w=signal_w.reshape(-1, signal_w.shape[-1]),
+        background_w=float(sun_w.mean()),
+        sun_irradiance_w_per_m2=float(sky.sun_w_per_m2[0]),
+        in_band_fraction=float(sky.emitter[0]),
         illuminance_lx=sky.illuminance_lx,
-        assumptions=(*MODEL_ASSUMPTIONS, *scene.assumptions, *_assumed(system)),
-        warnings=_warnings(system, counts, flags, fraction, cells_e),
+        assumptions=_assumptions(scene, system),
+        warnings=(
+            *_warnings(system, counts, flags, float(sky.emitter.max()), cells_e, nearest_m),
+            *_diffraction(system, chain.lens),
+            *rendered.warnings,
+        ),
     )
 
 
@@ -144,29 +148,57 @@ def _picture(by_detector: Array, system: System) -> Array:
     return np.hstack(list(by_detector.reshape(-1, *shape)))
 
 
-def _record(
-    scene: Scene,
-    system: System,
-    front_end: FrontEnd,
-    counts: NDArray[np.int32],
-    flags: NDArray[np.uint8],
-) -> SpiRecord:
-    n = len(counts)
-    period_ns = system.acquisition.pattern_period_s.value * 1e9
-    x, y, z, w = scene.rig.pose.rotation.as_quat()
-    return SpiRecord(
-        counts=counts,
-        device_time_ns=np.rint(np.arange(n) * period_ns).astype(np.int64),
-        sequence=np.arange(n, dtype=np.uint32),
-        flags=flags,
-        patterns=system.patterns,
-        integration_time_s=system.acquisition.integration_time_s.value,
-        electrons_per_count=front_end.electrons_per_count,
-        offset_counts=front_end.offset_counts,
-        adc_bits=front_end.adc_bits,
-        device=f"twin {__version__}: {system.name}",
-        pose=np.array([*scene.rig.pose.position_m, w, x, y, z]),
-    )
+def _assumptions(scene: Scene, system: System) -> tuple[str, ...]:
+    return (*MODEL_ASSUMPTIONS, *_idealised(system), *scene.assumptions, *_assumed(system))
+
+
+def _idealised(system: System) -> tuple[str, ...]:
+    """What the system's file leaves out, and what that is taken to be."""
+    emitter, optics = system.emitter, system.optics
+    left_out = {
+        "the emitter's field is flat": emitter.viewing_angle_deg,
+        "its cells have sharp edges": emitter.blur_rms_deg if emitter.has_lens else True,
+        "its cells are equal": emitter.intensity_spread,
+        "dark cells emit nothing": emitter.contrast_ratio,
+        "its power does not fluctuate": emitter.intensity_noise,
+        "it switches at once": emitter.switching_time_s,
+        "the filter does not shift with angle (a real one moves 6-11 nm at 10 deg)": (
+            system.filter.effective_index
+        ),
+        "lens: cos^4 is its only vignetting": optics.edge_illumination,
+        "it images sharply": optics.blur_rms_deg,
+        "its pupil is a point, in focus everywhere": optics.focus_m,
+        "amplifier: white noise": system.readout.flicker_corner_hz,
+        "there is no air": system.weather,
+    }
+    taken = [what for what, given in left_out.items() if given is None]
+    return ("not in the system's file: " + "; ".join(taken),) if taken else ()
+
+
+def _diffraction(system: System, lens: Collection) -> list[str]:
+    """A pupil so small that its own Airy disc smears the field."""
+    airy = 1.22 * system.emitter.peak_wavelength_m.value / lens.pupil_diameter_m
+    share = airy / lens.tan_half_field
+    if share < _SMEARED:
+        return []
+    return [
+        f"the detector is too small for geometrical optics: diffraction at its pupil of "
+        f"{lens.pupil_diameter_m:.2g} m blurs the field's edge by {100 * share:.2g} % of its half "
+        "width, which is left out: optics.f_number, detector.width_m"
+    ]
+
+
+def _thick_air(system: System, distance_m: float) -> list[str]:
+    air = air_of_system(system)
+    if air is None or not np.isfinite(distance_m):
+        return []
+    depth = air.extinction_per_m * distance_m
+    if depth < _THICK:
+        return []
+    return [
+        f"the nearest surface stands behind an optical depth of {depth:.2g}: light scattered more "
+        "than once, 11 % of the whole at 1 and a third at 2 in fog, is left out"
+    ]
 
 
 def _assumed(system: System) -> tuple[str, ...]:
@@ -183,6 +215,7 @@ def _warnings(
     flags: NDArray[np.uint8],
     in_band: float,
     cells_e: Array,
+    distance_m: float,
 ) -> tuple[str, ...]:
     found = []
     top = 2**system.readout.adc_bits.value - 1
@@ -197,4 +230,11 @@ def _warnings(
         found.append("no light of the emitter passes the filter, or it emits none")
     elif not cells_e.any():
         found.append("no light of the emitter comes back: nothing in the field of view")
+    found += _thick_air(system, distance_m)
+    if not system.emitter.has_lens and np.isfinite(distance_m):
+        told_apart = independent_patterns(emission_matrix(system.emitter, distance_m))
+        found.append(
+            f"bare LEDs: at {distance_m:.3g} m only {told_apart} of {system.patterns.n_cells} "
+            "images differ by more than 1 % of the signal; a projection lens would tell all apart"
+        )
     return tuple(found)

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.reconstruction import METHODS, Reconstruction, reconstruct
+from hardware.reconstruction import Reconstruction, fits_in_memory, reconstruct
 from twin.camera.acquisition import Capture
 from twin.system import System
+
+#: Methods of every evaluation: the plain inverse and the vehicle's default.
+SHOWN = ("zero-fill", "lmmse")
 
 
 @dataclass(frozen=True)
@@ -16,6 +19,13 @@ class Score:
 
     psnr_db: float
     ssim: float
+
+    def __str__(self) -> str:
+        """In words, where either has no value too."""
+        if self.psnr_db == -np.inf:
+            return "nothing lit to compare with"
+        psnr = f"PSNR {self.psnr_db:.1f} dB" if np.isfinite(self.psnr_db) else "no error"
+        return psnr if np.isnan(self.ssim) else f"{psnr}, SSIM {self.ssim:.2f}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +41,13 @@ class Evaluation:
 def evaluate(
     system: System, capture: Capture, reconstructions: list[Reconstruction] | None = None
 ) -> Evaluation:
-    """Score reconstructions of a capture, by default one of each method.
+    """Score reconstructions of a capture, by default those of `SHOWN` that fit in memory.
 
     Raises ValueError for a reconstruction on another grid than the capture's.
     """
-    images = reconstructions or [reconstruct(capture.record, method) for method in METHODS]
+    record = capture.record
+    shown = [name for name in SHOWN if fits_in_memory(name, record.patterns)]
+    images = reconstructions or [reconstruct(record, name) for name in shown]
     scored = [(image, score(capture.cells_e, image.picture)) for image in images]
     scored.sort(key=lambda pair: -pair[1].psnr_db)
     return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))

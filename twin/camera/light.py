@@ -5,23 +5,32 @@ change without rendering again.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.truth import Truth, render_truth
-from twin.optics.matrix import Grid, transport_matrix
-from twin.optics.radiometry import Collection, collection
-from twin.optics.transport import Pinhole, Quality, sunlight, transport
+from twin.camera.air import glow, veil_of
+from twin.camera.limits import cut_off, grazing, unsampled
+from twin.camera.mounting import devices, field_points
+from twin.camera.truth import Truth, incidence_cosines, render_truth
+from twin.fidelity import Fidelity, Start
+from twin.optics.devices import Device, Grid
+from twin.optics.matrix import transport_matrix
+from twin.optics.paths import Quality
+from twin.optics.time_of_flight import Paths, trace_paths
+from twin.optics.transport import sunlight, transport
+from twin.optics.weather import air_of_system
 from twin.scene import Scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
 
 Array = NDArray[np.float64]
+#: Of the field's height, and of its width for a bucket.
+SUN_PARTS = 32
 #: Opens a named stage of the work; what is run inside belongs to it.
 Stage = Callable[[str], AbstractContextManager[Any]]
 
@@ -29,80 +38,174 @@ Stage = Callable[[str], AbstractContextManager[Any]]
 @dataclass(frozen=True, eq=False)
 class Light:
     """Per detector and cell, (n_detectors, n_cells): irradiance on the pupil per radiant intensity,
-    1/m^2, with its Monte-Carlo standard error.
+    1/m^2, with its Monte-Carlo standard error; and the share of it that bounced more than once,
+    where that is known (not for line sensors).
     """
 
     cells: Array
     error: Array
+    indirect_share: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
     """Everything that light transport says about a scene seen by a system's geometry.
 
-    ``sun``: irradiance on the pupil per irradiance of the sun, (n_detectors,). ``truth`` lies on
-    the grid of the virtual image.
+    ``sun``: irradiance on the pupil per irradiance of the sun, by part of the detector's field,
+    (rows, columns); each detector of a line sensor is a column. ``truth`` lies on the grid of the
+    virtual image. ``paths``: with their lengths, for time of flight. ``emitter``, ``detector``:
+    what was rendered from, and to. ``warnings``: what rendering leaves uncertain, with the error.
     """
 
     light: Light
     sun: Array
     truth: Truth
+    emitter: Device
+    detector: Device
+    paths: Paths | None = None
+    warnings: tuple[str, ...] = ()
+
+    def angles_deg(self) -> tuple[Array, Array]:
+        """Angle to the detector's axis under which light arrives: from each cell of the virtual
+        image (rows, columns), seen at its true depth, and from each part of the detector's field.
+        """
+        left, up = field_points(self.truth.depth_m.shape, self.emitter.tan_half_field)
+        along, depth = np.stack([np.ones_like(left), left, up], axis=-1), self.truth.depth_m
+        seen = along @ self.emitter.axes
+        near = np.isfinite(depth)
+        shift = self.emitter.origin_m - self.detector.origin_m
+        seen[near] += shift / depth[near, None]
+        cos = seen @ self.detector.axes[0] / np.linalg.norm(seen, axis=-1)
+        parts = np.hypot(*field_points(self.sun.shape, self.detector.tan_half_field))
+        return np.degrees(np.arccos(np.clip(cos, -1, 1))), np.degrees(np.arctan(parts))
 
 
 def render(
     scene: Scene,
     system: System,
     *,
-    quality: Quality,
+    fidelity: Fidelity,
     seed: np.random.SeedSequence,
     world: Any = None,
     stage: Stage = lambda name: nullcontext(),
 ) -> Rendered:
     """Render a scene for a system; ``world`` is `mitsuba_scene(scene)`, when it is at hand."""
     emitter, detector, _ = devices(scene, system)
-    shape = (system.emitter.rows.value, system.emitter.columns.value)
-    n = system.n_detectors
-    seeds = [int(child.generate_state(1)[0]) for child in seed.spawn(2)]
     with stage("scene"):
         world = mitsuba_scene(scene) if world is None else world
-    with stage("transport"):
-        light = emitter_light(world, emitter, detector, shape, n, quality=quality, seed=seeds[0])
-    with stage("sun"):
-        direction = scene.sun.direction
-        sun = sun_light(world, detector, direction, n, quality=quality, seed=seeds[1])
     with stage("truth"):
-        truth = render_truth(world, emitter, (shape[0], shape[1] * n))
-    return Rendered(light, sun, truth)
+        truth = render_truth(world, emitter, system.picture_shape)
+    direction, sun_quality, seeds = scene.sun.direction, fidelity.quality, seed.spawn(2)
+    rendered = render_light(
+        world, system, emitter, detector, direction, truth, fidelity, sun_quality, seeds, stage
+    )
+    return replace(rendered, warnings=_uncertain(scene, world, rendered, fidelity))
 
 
-def devices(scene: Scene, system: System) -> tuple[Pinhole, Pinhole, Collection]:
-    """Emitter and detector where the rig holds them, and the detector's lens."""
-    lens = collection(system)
-    half = np.radians(system.emitter.field_of_view_deg.value) / 2
-    emitter = Pinhole(*scene.rig.device("emitter"), tan_half_field=float(np.tan(half)))
-    origin, axes = scene.rig.device("detector")
-    return emitter, Pinhole(origin, axes, lens.tan_half_field, lens.outline), lens
+def _uncertain(scene: Scene, world: Any, rendered: Rendered, fidelity: Fidelity) -> tuple[str, ...]:
+    light, truth, emitter = rendered.light, rendered.truth, rendered.emitter
+    shape = truth.albedo.shape
+    # Of a line sensor's pixel and cell only the picture's cell is lit: side by side, they are it.
+    picture = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
+    return (
+        *unsampled(scene, emitter, picture.size * fidelity.samples),
+        *grazing(picture, incidence_cosines(world, emitter, shape)),
+        *cut_off(light.indirect_share, truth.albedo, fidelity.max_depth),
+    )
+
+
+def render_light(
+    world: Any,
+    system: System,
+    emitter: Device,
+    detector: Device,
+    sun_direction: Array,
+    truth: Truth,
+    fidelity: Fidelity,
+    sun_quality: Quality,
+    seeds: Sequence[np.random.SeedSequence],
+    stage: Stage = lambda name: nullcontext(),
+) -> Rendered:
+    """Light of emitter and sun, drawn from two seeds; air needs the truth's depth."""
+    air, n = air_of_system(system), system.n_detectors
+    extinction = air.surface_extinction_per_m if air else 0.0
+    shape = (system.emitter.rows.value, system.emitter.columns.value)
+    first, second = (int(seed.generate_state(1)[0]) for seed in seeds)
+    paths = None
+    with stage("transport"):
+        light = emitter_light(
+            world,
+            emitter,
+            detector,
+            shape,
+            n,
+            quality=fidelity.quality,
+            start=fidelity.start,
+            seed=first,
+            extinction_per_m=extinction,
+        )
+        if system.time_of_flight:
+            paths = trace_paths(
+                world,
+                emitter,
+                detector,
+                shape,
+                quality=fidelity.quality,
+                seed=first,
+                extinction_per_m=extinction,
+            )
+    with stage("sun"):
+        sun = sun_light(
+            world,
+            detector,
+            sun_direction,
+            n,
+            quality=sun_quality,
+            seed=second,
+            extinction_per_m=extinction,
+        )
+    if air:
+        with stage("air"):
+            veil = veil_of(system, air, emitter, detector, truth.depth_m)
+            light = replace(light, cells=light.cells + veil.light)
+            paths = paths and veil.added_to(paths)
+            sun = sun + glow(air, world, detector, sun.shape, sun_direction)
+    return Rendered(light, sun, truth, emitter, detector, paths)
 
 
 def emitter_light(
     world: Any,
-    emitter: Pinhole,
-    detector: Pinhole,
+    emitter: Device,
+    detector: Device,
     shape: tuple[int, int],
     n_detectors: int,
     *,
     quality: Quality,
     seed: int,
+    start: Start = "auto",
+    extinction_per_m: float = 0.0,
 ) -> Light:
     """Transport from ``shape`` cells to one bucket, or to the columns of a line sensor."""
     if n_detectors == 1:
-        found = transport(world, emitter, detector, shape, quality=quality, seed=seed)
-        return Light(found.total.reshape(1, -1), found.standard_error.reshape(1, -1))
+        found = transport(
+            world,
+            emitter,
+            detector,
+            shape,
+            quality=quality,
+            seed=seed,
+            extinction_per_m=extinction_per_m,
+        )
+        total = found.total
+        share = float(found.indirect.sum() / total.sum()) if total.any() else 0.0
+        return Light(total.reshape(1, -1), found.standard_error.reshape(1, -1), share)
     cells, columns = Grid(emitter, *shape), Grid(detector, 1, n_detectors)
-    finer, coarser = max(cells.size, n_detectors), min(cells.size, n_detectors)
+    if start == "auto":
+        start = "scatter" if n_detectors > cells.size else "dual"
+    ends = cells.size if start == "scatter" else n_detectors
     # As many paths per pair of cell and column as a bucket's cell would have, in two halves that
     # tell the error.
-    side = math.ceil(math.sqrt(quality.samples * coarser / 2))
+    side = math.ceil(math.sqrt(quality.samples * ends / 2))
     halves = [
         transport_matrix(
             world,
@@ -110,7 +213,8 @@ def emitter_light(
             columns,
             quality=Quality(side * side, quality.max_depth),
             seed=seed + half,
-            role="scatter" if finer == n_detectors else "dual",
+            role=start,
+            extinction_per_m=extinction_per_m,
         )
         for half in range(2)
     ]
@@ -119,16 +223,25 @@ def emitter_light(
 
 def sun_light(
     world: Any,
-    detector: Pinhole,
+    detector: Device,
     direction: Array,
     n_detectors: int,
     *,
     quality: Quality,
     seed: int,
+    extinction_per_m: float = 0.0,
 ) -> Array:
-    """Irradiance on the pupil per irradiance of the sun, by detector, (n_detectors,)."""
-    columns = 32 if n_detectors == 1 else n_detectors
-    parts = sunlight(
-        world, detector, direction, shape=(32, columns), quality=quality, seed=seed
-    ).total
-    return parts.sum(axis=0) if n_detectors > 1 else parts.sum(keepdims=True).reshape(1)
+    """Irradiance on the pupil per irradiance of the sun, by part of the field, (rows, columns); the
+    columns are those of a line sensor.
+    """
+    shape = (SUN_PARTS, SUN_PARTS if n_detectors == 1 else n_detectors)
+    found = sunlight(
+        world,
+        detector,
+        direction,
+        shape=shape,
+        quality=quality,
+        seed=seed,
+        extinction_per_m=extinction_per_m,
+    )
+    return found.total

@@ -4,11 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.transport import Pinhole, primary_rays
+from twin.optics.devices import Device, Grid, primary_rays
+from twin.optics.paths import albedo as reflectance
 
 _ALBEDO_SAMPLES = 64
 
@@ -25,11 +27,37 @@ class Truth:
     depth_m: NDArray[np.float64]
 
 
-def render_truth(scene: Any, camera: Pinhole, shape: tuple[int, int]) -> Truth:
+def render_truth(scene: Any, camera: Device, shape: tuple[int, int]) -> Truth:
     """Look through a camera, no light needed."""
     albedo, _ = _look(scene, camera, shape, _ALBEDO_SAMPLES)
-    _, depth = _look(scene, camera, shape, 1)
-    return Truth(albedo, depth)
+    return Truth(albedo, depths(scene, camera, shape))
+
+
+def depths(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Depth in the middle of each cell of a camera, m, infinite where there is nothing."""
+    return _look(scene, camera, shape, 1)[1]
+
+
+def object_shares(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Mean albedo of each cell by object, (n_objects, rows, columns): their sum is the albedo."""
+    ray, _ = primary_rays(Grid(camera, *shape), (0, shape[0]), _ALBEDO_SAMPLES, None)
+    hit = scene.ray_intersect(ray)
+    albedo = np.where(np.array(hit.is_valid()), np.array(reflectance(hit), dtype=np.float64), 0.0)
+    shares = [
+        np.where(np.array(hit.shape == item), albedo, 0.0)
+        .reshape(*shape, _ALBEDO_SAMPLES)
+        .mean(axis=-1)
+        for item in scene.shapes()
+    ]
+    return np.array(shares).reshape(-1, *shape)
+
+
+def incidence_cosines(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Cosine of the angle at which the middle of each cell meets its surface, 0 for nothing."""
+    ray, _ = primary_rays(Grid(camera, *shape), (0, shape[0]), 1, None)
+    hit = scene.ray_intersect(ray)
+    cosine = np.abs(np.array(dr.dot(ray.d, hit.n), dtype=np.float64))
+    return np.where(np.array(hit.is_valid()), cosine, 0.0).reshape(shape)
 
 
 def write_truth(truth: Truth, path: Path) -> None:
@@ -48,13 +76,13 @@ def write_truth(truth: Truth, path: Path) -> None:
 
 
 def _look(
-    scene: Any, camera: Pinhole, shape: tuple[int, int], samples: int
+    scene: Any, camera: Device, shape: tuple[int, int], samples: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean albedo and depth over the samples of each cell."""
-    ray, cos = primary_rays(camera, shape, (0, shape[0]), samples, None)
+    ray, cos = primary_rays(Grid(camera, *shape), (0, shape[0]), samples, None)
     hit = scene.ray_intersect(ray)
     found = np.array(hit.is_valid())
-    albedo = np.array(hit.bsdf(ray).eval_diffuse_reflectance(hit)[0], dtype=np.float64)
+    albedo = np.array(reflectance(hit), dtype=np.float64)
     depth = np.array(hit.t, dtype=np.float64) * np.array(cos, dtype=np.float64)
     cells = (*shape, samples)
     return (

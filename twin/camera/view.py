@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.transport import DeviceLight, Pinhole, Quality, SunLight, gather
+from twin.optics.devices import Device, Grid
+from twin.optics.paths import DeviceLight, Light, Quality, SunLight
+from twin.optics.transport import gather
 
 Array = NDArray[np.float64]
 
@@ -26,7 +28,7 @@ class View:
 
 def render_view(
     world: Any,
-    emitter: Pinhole,
+    emitter: Device,
     sun_direction: Array,
     *,
     sun_irradiance_w_per_m2: float,
@@ -38,9 +40,9 @@ def render_view(
     """Picture of the lit field, sun and emitter (all cells on) rendered apart."""
     quality = Quality(samples=samples, max_depth=3)
 
-    def seen(light: SunLight | DeviceLight) -> Array:
-        shape = (pixels, pixels)
-        return gather(world, emitter, shape, light, cos_power=0, quality=quality, seed=seed).total
+    def seen(light: Light) -> Array:
+        grid = Grid(emitter, pixels, pixels)
+        return gather(world, grid, light, role="picture", quality=quality, seed=seed).total
 
     return View(
         sun=sun_irradiance_w_per_m2 * seen(SunLight(sun_direction)),

@@ -1,6 +1,7 @@
 """Power on the detector to ADC counts: shot, dark, Johnson and read noise, then the converter."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,8 @@ class FrontEnd:
     A transimpedance amplifier R averages the current over the integration time T, so that n
     electrons give n q R / T volts; its Johnson noise 4 k Theta / R in the bandwidth 1 / (2 T) of
     that average is a charge variance of 2 k Theta T / R. A capacitive one gives n q / C volts and
-    fills up at its well.
+    fills up at its well. ``flicker_cycles``: exposures' period times the corner frequency below
+    which the amplifier's noise density grows as 1/f; 0 is white noise.
     """
 
     electrons_per_watt: float
@@ -34,6 +36,7 @@ class FrontEnd:
     offset_counts: float
     adc_bits: int
     full_well_e: float = np.inf
+    flicker_cycles: float = 0.0
 
     @classmethod
     def of(cls, system: System, responsivity_a_per_w: float | None = None) -> "FrontEnd":
@@ -61,11 +64,24 @@ class FrontEnd:
             full_well_e=readout.full_well_e.value * system.pixels_per_detector
             if readout.full_well_e
             else np.inf,
+            flicker_cycles=readout.flicker_corner_hz.value
+            * system.acquisition.pattern_period_s.value
+            if readout.flicker_corner_hz
+            else 0.0,
         )
+
+    @property
+    def amplifier_e(self) -> float:
+        """White noise of the amplifier, rms of one exposure."""
+        return float(np.hypot(self.johnson_e, self.read_e))
 
 
 def expose(
-    power_w: Array, front_end: FrontEnd, *, rng: np.random.Generator
+    power_w: Array,
+    front_end: FrontEnd,
+    *,
+    rng: np.random.Generator,
+    noise: Literal["none", "gaussian", "full"] = "full",
 ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
     """Counts and flags of exposures to a constant power.
 
@@ -77,6 +93,8 @@ def expose(
         Detector, amplifier and converter.
     rng
         Source of all noise.
+    noise
+        ``full``: Poisson; ``gaussian``: shot noise as a normal distribution; ``none``: the mean.
 
     Returns
     -------
@@ -84,12 +102,22 @@ def expose(
         Rounded and clipped to the converter's range.
     flags : (n_exposures,) uint8
         `Flag.SATURATED` where any detector reached a rail or its full well.
+
+    Raises ValueError for a power that is negative, or no finite number of electrons.
     """
     mean_e = power_w * front_end.electrons_per_watt + front_end.dark_e
-    collected = _shot(mean_e, rng)
+    if not ((mean_e >= 0) & (mean_e < np.inf)).all():
+        raise ValueError(
+            f"power_w: {float(np.min(power_w)):g} to {float(np.max(power_w)):g} W give "
+            f"{float(np.max(mean_e)):g} electrons, expected a finite number from 0 up"
+        )
+    collected = mean_e if noise == "none" else _shot(mean_e, rng, gaussian=noise == "gaussian")
     full = collected >= front_end.full_well_e
     electrons = np.minimum(collected, front_end.full_well_e)
-    electrons += rng.normal(0.0, np.hypot(front_end.johnson_e, front_end.read_e), mean_e.shape)
+    if noise != "none":
+        electrons += rng.normal(0.0, front_end.amplifier_e, mean_e.shape)
+    if noise != "none" and front_end.flicker_cycles:
+        electrons += _flicker(mean_e.shape, front_end, rng)
     exact = electrons / front_end.electrons_per_count + front_end.offset_counts
     top = 2**front_end.adc_bits - 1
     counts = np.clip(np.rint(exact), 0, top).astype(np.int32)
@@ -97,8 +125,21 @@ def expose(
     return counts, np.where(railed, np.uint8(Flag.SATURATED), np.uint8(0))
 
 
-def _shot(mean: Array, rng: np.random.Generator) -> Array:
-    """Poisson numbers as float64, any mean from 0 up."""
+def _flicker(shape: tuple[int, ...], front_end: FrontEnd, rng: np.random.Generator) -> Array:
+    """1/f noise of a series of exposures: the white noise's density times corner over frequency.
+
+    What is slower than the series is left out: it is an offset.
+    """
+    white = np.fft.rfft(rng.normal(0.0, front_end.amplifier_e, shape), axis=0)
+    frequency = np.fft.rfftfreq(shape[0])  # in cycles per exposure
+    gain = np.sqrt(front_end.flicker_cycles / np.where(frequency > 0, frequency, np.inf))
+    return np.fft.irfft(white * gain[:, None], n=shape[0], axis=0)
+
+
+def _shot(mean: Array, rng: np.random.Generator, *, gaussian: bool = False) -> Array:
+    """Poisson numbers as float64, any mean from 0 up; or normal ones of the same variance."""
+    if gaussian:
+        return rng.normal(mean, np.sqrt(mean))
     few = rng.poisson(np.minimum(mean, _NORMAL_FROM)).astype(np.float64)
     many = mean > _NORMAL_FROM
     if many.any():

@@ -34,8 +34,22 @@ class NoiseBudget:
         return float(per_value * self.total_noise_e * np.sqrt(patterns.count) / patterns.n_cells)
 
 
-def noise_budget(signal_w: Array, background_w: float | Array, front_end: FrontEnd) -> NoiseBudget:
-    """Budget at the mean of the exposures ``signal_w``, W, and of the background."""
+#: 2 x 4 x the integral of sin(u)^2 / u from 0 to pi/2: what the difference of two exposures in turn
+#: keeps of 1/f noise, per white variance and corner frequency times period.
+_FLICKER_OF_A_PAIR = 6.593
+
+
+def noise_budget(
+    signal_w: Array,
+    background_w: float | Array,
+    front_end: FrontEnd,
+    emitter_noise: float = 0.0,
+) -> NoiseBudget:
+    """Budget at the mean of the exposures ``signal_w``, W, and of the background.
+
+    ``emitter_noise``: relative fluctuation of the emitter. 1/f noise is counted as it survives the
+    difference of a pair.
+    """
     signal = float(np.mean(signal_w)) * front_end.electrons_per_watt
     background = float(np.mean(background_w)) * front_end.electrons_per_watt
     return NoiseBudget(
@@ -48,6 +62,9 @@ def noise_budget(signal_w: Array, background_w: float | Array, front_end: FrontE
             "shot noise of the dark current": float(np.sqrt(front_end.dark_e)),
             "Johnson noise of the amplifier": front_end.johnson_e,
             "read noise": front_end.read_e,
+            "1/f noise of the amplifier": front_end.amplifier_e
+            * float(np.sqrt(_FLICKER_OF_A_PAIR / 2 * front_end.flicker_cycles)),
+            "fluctuation of the emitter": emitter_noise * signal,
             "quantisation": front_end.electrons_per_count / float(np.sqrt(12)),
         },
     )

@@ -1,47 +1,33 @@
 """Transport between every emitter cell and every detector pixel, from one pass of paths.
 
-Paths start in the cells of one device and connect, at every bounce, to the other; the direction of
-the connection tells which of the other's cells it belongs to. *Dual*: paths start at the emitter.
-*Scatter*: paths start at the detector's pixels. Both give the same matrix; which one is less noisy
-depends on whose cells are finer: start from the side with more cells.
+Paths start in the cells of one device and connect, at every bounce, to the other; the place in the
+other's field tells which of its cells the connection belongs to. *Dual*: paths start at the
+emitter. *Scatter*: paths start at the detector's pixels. Both give the same matrix; which one is
+less noisy depends on whose cells are finer: start from the side with more cells.
 """
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.transport import (
+from twin.optics.devices import Grid, Role, field_coordinates, inside, started_rays
+from twin.optics.paths import (
     DeviceLight,
-    Pinhole,
     Quality,
+    albedo,
+    bounce,
     connector,
-    field_coordinates,
-    inside,
-    primary_rays,
+    meet,
+    next_event,
+    random_numbers,
 )
+from twin.optics.transport import RAYS_AT_ONCE
 
 Array = NDArray[np.float64]
-Role = Literal["dual", "scatter"]
-
-_RAYS_AT_ONCE = 2**22
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """A device whose field is divided into rows x columns of equal cells on the plane at 1."""
-
-    pinhole: Pinhole
-    rows: int
-    columns: int
-
-    @property
-    def size(self) -> int:
-        """Number of cells."""
-        return self.rows * self.columns
+Start = Literal["dual", "scatter"]
 
 
 def transport_matrix(
@@ -51,91 +37,111 @@ def transport_matrix(
     *,
     quality: Quality,
     seed: int,
-    role: Role = "dual",
+    role: Start = "dual",
+    extinction_per_m: float = 0.0,
 ) -> Array:
     """T[pixel, cell], shape ``(detector.size, emitter.size)``, in 1/m^2.
 
     The power that cell i puts on pixel j is I tau A_pupil T[j, i]; summed over the pixels it is
     `transport`. Contributions are added in float64 in a fixed order: same seed, same bits.
 
-    Raises ValueError for a role that is none.
+    Raises ValueError for a role that is none, and for *scatter* towards elements without a lens.
     """
+    if role not in get_args(Start):
+        raise ValueError(f"role: {role!r} is none of dual, scatter")
     if role == "dual":
-        return _pass(scene, emitter, detector, 3, "pupil", quality, seed).T
-    if role == "scatter":
-        return _pass(scene, detector, emitter, 4, "emitter", quality, seed)
-    raise ValueError(f"role: {role!r} is none of dual, scatter")
+        light = DeviceLight(detector.device, "pupil")
+        return _pass(scene, emitter, detector, light, "emitter", quality, seed, extinction_per_m).T
+    if emitter.device.pitch_m is not None:
+        raise ValueError("role: scatter needs an emitter behind a lens; take dual")
+    light = DeviceLight(emitter.device, "emitter")
+    return _pass(scene, detector, emitter, light, "pupil", quality, seed, extinction_per_m)
 
 
 def _pass(
     scene: Any,
     start: Grid,
     other: Grid,
-    cos_power: int,
-    kind: Literal["emitter", "pupil"],
+    light: DeviceLight,
+    role: Role,
     quality: Quality,
     seed: int,
+    extinction_per_m: float,
 ) -> Array:
     """Matrix (start.size, other.size) of paths that start at ``start``."""
-    per_block = max(1, _RAYS_AT_ONCE // (start.columns * quality.samples))
+    per_block = max(1, RAYS_AT_ONCE // (start.columns * quality.samples))
     matrix = np.zeros((start.size, other.size))
     for top in range(0, start.rows, per_block):
-        rows = (top, min(top + per_block, start.rows))
-        first, last = rows[0] * start.columns, rows[1] * start.columns
-        matrix[first:last] = _block(scene, start, other, rows, cos_power, kind, quality, seed)
-    return matrix * (2 * start.pinhole.tan_half_field) ** 2 / start.size
+        block = (top, min(top + per_block, start.rows))
+        first, last = block[0] * start.columns, block[1] * start.columns
+        matrix[first:last] = _block(
+            scene, start, other, light, role, quality, seed, extinction_per_m, block
+        )
+    return matrix
 
 
 def _block(
     scene: Any,
     start: Grid,
     other: Grid,
-    rows: tuple[int, int],
-    cos_power: int,
-    kind: Literal["emitter", "pupil"],
+    light: DeviceLight,
+    role: Role,
     quality: Quality,
     seed: int,
+    extinction_per_m: float,
+    block: tuple[int, int],
 ) -> Array:
     mi = mitsuba()
-    n_cells = (rows[1] - rows[0]) * start.columns
-    n_rays = n_cells * quality.samples
-    state = int(np.random.SeedSequence([seed, rows[0]]).generate_state(1)[0])
-    rng = mi.PCG32(size=n_rays, initstate=dr.opaque(mi.UInt64, state))
-    shape = (start.rows, start.columns)
-    ray, cos = primary_rays(start.pinhole, shape, rows, quality.samples, rng)
-    connect = connector(DeviceLight(other.pinhole, kind))
-    context = mi.BSDFContext()
-    active = inside(start.pinhole, ray.d)
-    throughput = dr.power(cos, cos_power)
-    from_cell = np.repeat(np.arange(n_cells), quality.samples)
+    n_cells = (block[1] - block[0]) * start.columns
+    rng = random_numbers(n_cells * quality.samples, seed, block[0])
+    ray, throughput = started_rays(start, block, quality.samples, rng, role)
+    active = inside(start.device, *field_coordinates(start.device, ray.d))
+    connect = connector(light)
+    extinction = dr.opaque(mi.Float, extinction_per_m)
+    length = mi.Float(0)
+    samples = dr.opaque(mi.UInt32, quality.samples)
+    from_cell = dr.arange(mi.UInt32, n_cells * quality.samples) // samples
     sums = np.zeros(n_cells * other.size)
     for depth in range(quality.max_depth):
-        hit = scene.ray_intersect(ray, active)
+        first = depth == 0
+        hit = meet(scene, ray, first, active)
         active &= hit.is_valid()
-        surface = hit.bsdf(ray)
-        direction, shadow_ray, weight = connect(mi, hit)
-        value = throughput * surface.eval(context, hit, hit.to_local(direction), active)[0] * weight
-        lit = active & (value > 0)
-        lit &= ~scene.ray_test(shadow_ray, lit)
-        value = dr.select(lit, value, 0)
-        cell = _cell(other, -direction)
+        length = length + dr.select(active, hit.t, 0)
+        value, link = next_event(scene, hit, ray, connect, rng, active, first)
+        value *= throughput * dr.exp(-extinction * (length + link.length))
+        cell, share = _cell(other, link.left, link.up)
+        value *= share
         if depth + 1 < quality.max_depth:
-            point = mi.Point2f(rng.next_float32(), rng.next_float32())
-            sampled, factor = surface.sample(context, hit, rng.next_float32(), point, active)
-            throughput = throughput * factor[0]
-            ray = hit.spawn_ray(hit.to_world(sampled.wo))
-            dr.eval(value, cell, throughput, ray, active, rng)
-        added = np.array(value, dtype=np.float64)
-        where = from_cell * other.size + np.array(cell, dtype=np.int64)
-        sums += np.bincount(where, weights=added, minlength=sums.size)
+            throughput = throughput * albedo(hit, active)
+            ray = bounce(hit, ray, rng)
+        dr.eval(value, cell, throughput, ray, active, length, rng)
+        sums += _sums(value, from_cell * other.size + cell, sums.size)
     return sums.reshape(n_cells, other.size) / quality.samples
 
 
-def _cell(grid: Grid, direction: Any) -> Any:
-    """Index of the cell that a direction away from the device goes through; 0 outside."""
+def _sums(value: Any, where: Any, size: int) -> Array:
+    """Values added up by place. In fixed point the order in which threads add does not matter;
+    one step is 2^-40 of the largest value, and 2^22 of them fit.
+    """
     mi = mitsuba()
-    left, up = field_coordinates(grid.pinhole, direction)
-    column = mi.Int32(dr.floor((1 - left) / 2 * grid.columns))
-    row = mi.Int32(dr.floor((1 - up) / 2 * grid.rows))
-    column = dr.clip(column, 0, grid.columns - 1)
-    return mi.UInt32(dr.clip(row, 0, grid.rows - 1) * grid.columns + column)
+    largest = dr.max(value)
+    if largest[0] == 0:
+        return np.zeros(size)
+    scale = mi.Float64(2.0**40) / mi.Float64(largest)
+    target = dr.zeros(mi.UInt64, size)
+    dr.scatter_reduce(dr.ReduceOp.Add, target, mi.UInt64(mi.Float64(value) * scale), where)
+    return np.asarray(np.array(target, dtype=np.float64) / scale[0])
+
+
+def _cell(grid: Grid, left: Any, up: Any) -> tuple[Any, Any]:
+    """Cell of a place in the field, and the light there over the cell's mean (its fill factor)."""
+    mi = mitsuba()
+    x, y = (1 - left) / 2 * grid.columns, (1 - up) / 2 * grid.rows
+    column = dr.clip(mi.Int32(dr.floor(x)), 0, grid.columns - 1)
+    row = dr.clip(mi.Int32(dr.floor(y)), 0, grid.rows - 1)
+    share = mi.Float(1)
+    if grid.device.fill_factor < 1:
+        half = dr.opaque(mi.Float, grid.device.fill_factor**0.5 / 2)
+        lit = (dr.abs(x - column - 0.5) < half) & (dr.abs(y - row - 0.5) < half)
+        share = dr.select(lit, dr.opaque(mi.Float, 1 / grid.device.fill_factor), 0)
+    return mi.UInt32(row * grid.columns + column), share

@@ -1,7 +1,7 @@
 """The slow way, as reference: Mitsuba's own projector, camera and path tracer, pattern by pattern.
 
 It shares nothing with `transport` but the triangles: another emitter, another integrator, light
-followed in the other direction.
+followed in the other direction. With air it follows the light through every scattering (`volpath`).
 """
 
 from typing import Any
@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.transport import Pinhole
+from twin.optics.devices import Device
+from twin.optics.weather import BACKWARD_ASYMMETRY, Air
 from twin.scene import Scene
 from twin.scene.mitsuba import mitsuba_scene
 
@@ -19,7 +20,7 @@ _FINE = 4  # texels along a cell: cos^3 in steps that cost below 0.1 %
 
 
 class PatternRenderer:
-    """Renders one pattern at a time: irradiance on the pupil per radiant intensity, 1/m^2.
+    """Renders one square pattern at a time: irradiance on the pupil per radiant intensity, 1/m^2.
 
     Parameters
     ----------
@@ -28,24 +29,39 @@ class PatternRenderer:
     emitter, detector
         Square fields.
     max_depth
-        Bounces, as in `Quality`.
+        Bounces, as in `Quality`; with air its scatterings count too: 1 is direct light and single
+        backscatter.
+    air
+        Fills all space.
     """
 
     def __init__(
-        self, scene: Scene, emitter: Pinhole, detector: Pinhole, *, max_depth: int
+        self,
+        scene: Scene,
+        emitter: Device,
+        detector: Device,
+        *,
+        max_depth: int,
+        air: Air | None = None,
     ) -> None:
         mi = mitsuba()
         if "disc" in (emitter.outline, detector.outline):
             raise ValueError("outline: the reference renderer knows square fields only")
         self._emitter = emitter
         shapes = {f"s{i}": shape for i, shape in enumerate(mitsuba_scene(scene).shapes())}
-        self._plugins: dict[str, Any] = {
+        scene_dict = {
             "type": "scene",
             # Mitsuba counts the emitter's own vertex; roulette would only add noise.
-            "integrator": {"type": "path", "max_depth": max_depth + 1, "rr_depth": 1000},
+            "integrator": {
+                "type": "volpath" if air else "path",
+                "max_depth": max_depth + 1,
+                "rr_depth": 1000,
+            },
             "sensor": {
                 "type": "perspective",
                 **_placed(detector),
+                "near_clip": 1e-5,  # rays begin here: light up to it would go through no air
+                **({"medium": _medium(air)} if air else {}),
                 "film": {
                     "type": "hdrfilm",
                     "width": _FILM,
@@ -60,21 +76,36 @@ class PatternRenderer:
         u = ((np.arange(_FILM) + 0.5) / _FILM * 2 - 1) * tan
         # Radiance to irradiance on a flat pupil: cosine times solid angle, cos^4 per pixel.
         self._weight = (1 + u[:, None] ** 2 + u**2) ** -2 * (2 * tan / _FILM) ** 2
-        self._mi = mi
+        self._mi, self._scene_dict = mi, scene_dict
+        self._world: dict[tuple[int, ...], tuple[Any, Any]] = {}
 
     def render(self, pattern: NDArray[Any], *, samples: int, seed: int) -> float:
         """Bucket signal of one pattern (rows, columns) with ``samples`` paths per film pixel."""
-        mi = self._mi
-        texture = mi.Bitmap(self._texture(pattern)[:, :, None])
+        return float(self.render_columns(pattern, samples=samples, seed=seed).sum())
+
+    def render_columns(
+        self, pattern: NDArray[Any], *, samples: int, seed: int
+    ) -> NDArray[np.float64]:
+        """The same by column of the film, (64,): what the columns of a line sensor get."""
+        texture = self._texture(pattern)[:, :, None]
+        if pattern.shape not in self._world:
+            self._world[pattern.shape] = self._with_projector(texture)
+        world, parameters = self._world[pattern.shape]
+        parameters["projector.irradiance.data"] = texture
+        parameters.update()
+        image = np.array(self._mi.render(world, spp=samples, seed=seed), dtype=np.float64)[..., 0]
+        return np.asarray((image * self._weight).sum(axis=0))
+
+    def _with_projector(self, texture: NDArray[np.float32]) -> tuple[Any, Any]:
+        """Scene and its parameters for textures of this size; patterns are updated in place."""
         projector = {
             "type": "projector",
             **_placed(self._emitter),
-            "irradiance": {"type": "bitmap", "bitmap": texture, "raw": True}
+            "irradiance": {"type": "bitmap", "bitmap": self._mi.Bitmap(texture), "raw": True}
             | {"filter_type": "nearest"},
         }
-        world = mi.load_dict({**self._plugins, "projector": projector})
-        image = np.array(mi.render(world, spp=samples, seed=seed), dtype=np.float64)[..., 0]
-        return float((image * self._weight).sum())
+        world = self._mi.load_dict({**self._scene_dict, "projector": projector})
+        return world, self._mi.traverse(world)
 
     def _texture(self, pattern: NDArray[Any]) -> NDArray[np.float32]:
         """The plugin gives pi x texture on the plane at distance 1; intensity 1 gives cos^3."""
@@ -84,7 +115,24 @@ class PatternRenderer:
         return (np.kron(pattern, np.ones((_FINE, _FINE))) * cos3 / np.pi).astype(np.float32)
 
 
-def _placed(device: Pinhole) -> dict[str, Any]:
+def _medium(air: Air) -> dict[str, Any]:
+    lobe, rest = (
+        {"type": "hg", "g": float(g)} for g in (BACKWARD_ASYMMETRY, air.forward_asymmetry)
+    )
+    return {
+        "type": "homogeneous",
+        "sigma_t": float(air.extinction_per_m),
+        "albedo": air.scattering_per_m / (air.extinction_per_m or 1.0),
+        "phase": {
+            "type": "blendphase",
+            "weight": float(air.backward_share),
+            "phase_0": rest,
+            "phase_1": lobe,
+        },
+    }
+
+
+def _placed(device: Device) -> dict[str, Any]:
     forward, _, up = device.axes
     look_at = mitsuba().ScalarTransform4f().look_at
     return {

@@ -36,15 +36,18 @@ class SunInBand:
     irradiance_w_per_m2: float
 
 
-def sun_in_band(sky: Sky, band: Filter) -> SunInBand:
-    """Illuminance and band irradiance of a sky, on the plane normal to the sun."""
+def sun_in_band(sky: Sky, band: Filter, angle_deg: float = 0.0) -> SunInBand:
+    """Illuminance and band irradiance of a sky, on the plane normal to the sun; light meets the
+    filter at ``angle_deg``.
+    """
     if sky.sun_elevation_deg is not None:
         nm, spectrum = clear_sun(sky.sun_elevation_deg.value)
-        return SunInBand(_illuminance(nm, spectrum), _through(nm, spectrum, band))
+        return SunInBand(_illuminance(nm, spectrum), _through(nm, spectrum, band, angle_deg))
     assert sky.illuminance_lx is not None  # a Sky has one of the two
     lux = sky.illuminance_lx.value
     nm, spectrum = _tables()[0], _tables()[1]
-    return SunInBand(lux, _through(nm, spectrum, band) * lux / _illuminance(nm, spectrum))
+    through = _through(nm, spectrum, band, angle_deg)
+    return SunInBand(lux, through * lux / _illuminance(nm, spectrum))
 
 
 def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width_m: float) -> float:
@@ -213,12 +216,14 @@ def _passed(nm: Array, line: Array, band: Filter, angle_deg: float = 0.0) -> tup
     return fine, np.interp(fine, nm, line) * passband(band, fine, angle_deg)
 
 
-def _through(nm: Array, spectrum: Array, band: Filter) -> float:
+def _through(nm: Array, spectrum: Array, band: Filter, angle_deg: float) -> float:
     """Integral of a spectrum over the filter's shape."""
+    shift = angle_shift(band, angle_deg)
     if band.transmission_csv is None:
         center, half = band.center_wavelength_m.value * 1e9, band.width_m.value * 1e9 / 2
-        return _integral(nm, spectrum, center - half, center + half)
+        return _integral(nm, spectrum, (center - half) * shift, (center + half) * shift)
     curve_nm, values = read_transmission(Path(band.transmission_csv.value))
+    curve_nm = curve_nm * shift
     fine = np.union1d(nm[(nm > curve_nm[0]) & (nm < curve_nm[-1])], curve_nm)
     passed = np.interp(fine, nm, spectrum) * np.interp(fine, curve_nm, values)
     return float(np.trapezoid(passed, fine))

@@ -5,82 +5,41 @@ every vertex connects to the detector's pupil. What a cell sends to the pupil pe
 is one pixel; a pattern's signal is then the sum of its lit pixels, exact in float64.
 
 The same path tracer, started at the detector and connected to the sun, gives the background; and
-started at a camera, the picture. Contributions are added up per path in float64, in a fixed order:
+started at a camera, the picture. Contributions are added up per cell in float64, in a fixed order:
 the same seed gives the same bits.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.radiometry import Outline
+from twin.optics.devices import Device, Grid, Role, field_coordinates, inside, started_rays
+from twin.optics.paths import (
+    DeviceLight,
+    Light,
+    Quality,
+    SunLight,
+    albedo,
+    bounce,
+    connector,
+    meet,
+    next_event,
+    random_numbers,
+)
 
 Array = NDArray[np.float64]
 
-_RAYS_AT_ONCE = 2**22
-
-
-@dataclass(frozen=True, eq=False)
-class Pinhole:
-    """A device small against all distances, with a flat field.
-
-    ``origin_m`` (3,) relative to the rig; ``axes`` (3, 3) with the rows forward, left, up;
-    ``tan_half_field`` of the square's half width or the disc's radius.
-    """
-
-    origin_m: Array
-    axes: Array
-    tan_half_field: float
-    outline: Outline = "square"
-
-
-@dataclass(frozen=True, eq=False)
-class SunLight:
-    """Directional light; radiances come out per unit irradiance on the plane normal to it."""
-
-    direction: Array
-
-
-@dataclass(frozen=True, eq=False)
-class DeviceLight:
-    """A pinhole as light: of radiant intensity 1 (``emitter``), or a pupil of area 1 seen by
-    reciprocity (``pupil``, which adds the cosine of its flat surface).
-    """
-
-    pinhole: Pinhole
-    kind: Literal["emitter", "pupil"]
-
-
-@dataclass(frozen=True)
-class Quality:
-    """Knobs of the path tracer, each with the error it bounds.
-
-    samples
-        Paths per cell, a square number, stratified: noise of a cell. Against a sensor's own noise
-        16 is rarely visible.
-    max_depth
-        Bounces: 1 is direct light; each further one adds light of up to the reflectance's next
-        power. What is cut off is lost.
-    """
-
-    samples: int = 64
-    max_depth: int = 4
-
-    def __post_init__(self) -> None:
-        side = round(self.samples**0.5)
-        if self.samples < 1 or side * side != self.samples:
-            raise ValueError(f"samples: {self.samples} is not a square number")
-        if self.max_depth < 1:
-            raise ValueError(f"max_depth: {self.max_depth} is less than 1")
+#: Paths traced in one kernel, which bounds memory.
+RAYS_AT_ONCE = 2**22
 
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """What a grid of cells gathers: mean over each cell, (rows, columns), with standard error."""
+    """What a grid of cells gathers, (rows, columns), with standard error."""
 
     direct: Array
     indirect: Array
@@ -94,12 +53,13 @@ class Gathered:
 
 def transport(
     scene: Any,
-    emitter: Pinhole,
-    detector: Pinhole,
+    emitter: Device,
+    detector: Device,
     shape: tuple[int, int],
     *,
     quality: Quality,
     seed: int,
+    extinction_per_m: float = 0.0,
 ) -> Gathered:
     """Irradiance on the detector's pupil per radiant intensity of each cell, in 1/m^2.
 
@@ -107,210 +67,151 @@ def transport(
     the radiant intensity I that the cell has inside its solid angle. Cosines of surface and pupil,
     shadowing and the outline of the detector's field are in it. Row 0 is the top, column 0 left.
     """
-    light = DeviceLight(detector, "pupil")
-    return gather(scene, emitter, shape, light, cos_power=3, quality=quality, seed=seed)
+    return gather(
+        scene,
+        Grid(emitter, *shape),
+        DeviceLight(detector, "pupil"),
+        role="emitter",
+        quality=quality,
+        seed=seed,
+        extinction_per_m=extinction_per_m,
+    )
 
 
 def sunlight(
     scene: Any,
-    detector: Pinhole,
+    detector: Device,
     direction: Array,
     *,
     shape: tuple[int, int] = (32, 32),
     quality: Quality,
     seed: int,
+    extinction_per_m: float = 0.0,
 ) -> Gathered:
     """Irradiance on the detector's pupil per irradiance of the sun, by part of its field.
 
     The sum of the parts is the background; times E_sun tau A_pupil it is a power.
     """
-    light = SunLight(direction)
-    return gather(scene, detector, shape, light, cos_power=4, quality=quality, seed=seed)
+    return gather(
+        scene,
+        Grid(detector, *shape),
+        SunLight(direction),
+        role="pupil",
+        quality=quality,
+        seed=seed,
+        extinction_per_m=extinction_per_m,
+    )
 
 
 def gather(
     scene: Any,
-    camera: Pinhole,
-    shape: tuple[int, int],
-    light: SunLight | DeviceLight,
+    camera: Grid,
+    light: Light,
     *,
-    cos_power: int,
+    role: Role,
     quality: Quality,
     seed: int,
+    extinction_per_m: float = 0.0,
 ) -> Gathered:
-    """Light that each cell of a camera's field receives.
+    """Light that each cell of a camera's field receives, weighted by the camera's ``role``.
 
-    With ``cos_power`` 0 the mean radiance of the cell; with k > 0 its integral over the cell's
-    area on the plane at distance 1, weighted by cos^k (3: solid angle; 4: solid angle and a flat
-    pupil).
+    Direct and indirect light are rendered apart, each with its own number of paths. Air takes
+    exp(-extinction x length) from every path.
     """
-    rows, columns = shape
-    per_block = max(1, _RAYS_AT_ONCE // (columns * quality.samples))
-    blocks = [
-        _block(scene, camera, shape, (top, min(top + per_block, rows)), light, quality, seed)
-        for top in range(0, rows, per_block)
-    ]
-    cos, direct, indirect = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    weight = np.ones_like(cos)
-    if cos_power:
-        weight = cos**cos_power * (2 * camera.tan_half_field) ** 2 / (rows * columns)
-    direct, indirect = weight * direct, weight * indirect
-    return Gathered(
-        direct=direct.mean(axis=-1),
-        indirect=indirect.mean(axis=-1),
-        standard_error=(direct + indirect).std(axis=-1) / np.sqrt(quality.samples),
-    )
+    task = _Task(scene, camera, light, role, extinction_per_m)
+    direct, error = _passes(task, quality.samples, 1, (seed,))
+    if quality.max_depth == 1:
+        return Gathered(direct, np.zeros_like(direct), error)
+    indirect, further = _passes(task, quality.further_samples, quality.max_depth, (seed, 1))
+    return Gathered(direct, indirect, np.hypot(error, further))
+
+
+class _Task(NamedTuple):
+    scene: Any
+    camera: Grid
+    light: Light
+    role: Role
+    extinction_per_m: float
+
+
+def _passes(
+    task: _Task, samples: int, max_depth: int, seed: tuple[int, ...]
+) -> tuple[Array, Array]:
+    """Mean of each cell and its standard error, in blocks of rows that fit into memory."""
+    camera = task.camera
+    per_block = max(1, RAYS_AT_ONCE // (camera.columns * samples))
+    means, errors = [], []
+    for top in range(0, camera.rows, per_block):
+        block = (top, min(top + per_block, camera.rows))
+        # Sums per cell, in float64: the kernel's own numbers have 24 bits.
+        value = mitsuba().Float64(_block(task, samples, max_depth, seed, block))
+        sums = [dr.block_reduce(dr.ReduceOp.Add, x, samples) for x in (value, value * value)]
+        mean, square = (np.array(s) / samples for s in sums)
+        means.append(mean)
+        errors.append(np.sqrt(np.maximum(square - mean**2, 0) / samples))
+    shape = (camera.rows, camera.columns)
+    return np.concatenate(means).reshape(shape), np.concatenate(errors).reshape(shape)
 
 
 def _block(
-    scene: Any,
-    camera: Pinhole,
-    shape: tuple[int, int],
-    block: tuple[int, int],
-    light: SunLight | DeviceLight,
-    quality: Quality,
-    seed: int,
-) -> tuple[Array, Array, Array]:
-    """Cosine, direct and indirect light of every path: three (rows, columns, samples) arrays."""
+    task: _Task, samples: int, max_depth: int, seed: tuple[int, ...], block: tuple[int, int]
+) -> Any:
+    """Direct light of every path (``max_depth`` 1), or the light of further bounces."""
     mi = mitsuba()
-    n_rows = block[1] - block[0]
-    n_rays = n_rows * shape[1] * quality.samples
-    # Scalars are made opaque, or each new value would compile a new kernel.
-    stream = dr.opaque(
-        mi.UInt64, int(np.random.SeedSequence([seed, block[0]]).generate_state(1)[0])
-    )
-    rng = mi.PCG32(size=n_rays, initstate=stream)
-    ray, cos = primary_rays(camera, shape, block, quality.samples, rng)
-    direct, indirect = _trace(
-        mi, scene, ray, rng, connector(light), dr.opaque(mi.UInt32, quality.max_depth)
-    )
-    if camera.outline == "disc":
-        seen = inside(camera, ray.d)
-        direct, indirect = (dr.select(seen, x, 0) for x in (direct, indirect))
-    dr.eval(cos, direct, indirect)
-    full = (n_rows, shape[1], quality.samples)
-    arrays = (np.array(x, dtype=np.float64).reshape(full) for x in (cos, direct, indirect))
-    first, second, third = arrays
-    return first, second, third
+    scene, camera, light, role, extinction_per_m = task
+    n_rays = (block[1] - block[0]) * camera.columns * samples
+    rng = random_numbers(n_rays, *seed, block[0])
+    ray, weight = started_rays(camera, block, samples, rng, role)
+    active = dr.full(mi.Bool, True, n_rays)
+    if camera.device.outline == "disc":
+        active &= inside(camera.device, *field_coordinates(camera.device, ray.d))
+    extinction = dr.opaque(mi.Float, extinction_per_m)
+    connect = connector(light)
+    if max_depth == 1:
+        light_found = _direct(scene, ray, rng, connect, extinction, active)
+    else:
+        depth = dr.opaque(mi.UInt32, max_depth)
+        light_found = _indirect(mi, scene, ray, rng, connect, extinction, active, depth)
+    return weight * light_found + dr.zeros(mi.Float, n_rays)
 
 
-def primary_rays(
-    camera: Pinhole, shape: tuple[int, int], block: tuple[int, int], samples: int, rng: Any
-) -> tuple[Any, Any]:
-    """Stratified rays through the cells of rows ``block``, and their cosine to the axis.
-
-    With ``rng`` None every ray goes through the middle of its stratum.
-    """
-    mi = mitsuba()
-    wide, high = (dr.opaque(mi.UInt32, n) for n in strata(samples, shape[0] / shape[1]))
-    columns = dr.opaque(mi.UInt32, shape[1])
-    index = dr.arange(mi.UInt32, (block[1] - block[0]) * shape[1] * samples)
-    stratum, cell = index % (wide * high), index // (wide * high)
-    row, column = cell // columns + dr.opaque(mi.UInt32, block[0]), cell % columns
-    jitter_x, jitter_y = (0.5, 0.5) if rng is None else (rng.next_float32(), rng.next_float32())
-    x = mi.Float(column) + (mi.Float(stratum % wide) + jitter_x) / mi.Float(wide)
-    y = mi.Float(row) + (mi.Float(stratum // wide) + jitter_y) / mi.Float(high)
-    t = dr.opaque(mi.Float, camera.tan_half_field)
-    left = t * (1 - 2 * x / dr.opaque(mi.Float, shape[1]))
-    up = t * (1 - 2 * y / dr.opaque(mi.Float, shape[0]))
-    cos = dr.rsqrt(1 + left * left + up * up)
-    forward_axis, left_axis, up_axis = _vectors(camera.axes)
-    direction = (forward_axis + left * left_axis + up * up_axis) * cos
-    return mi.Ray3f(_point(camera.origin_m), direction), cos
+def _direct(scene: Any, ray: Any, rng: Any, connect: Any, extinction: Any, active: Any) -> Any:
+    hit, active, length = _first_hit(scene, ray, active)
+    value, link = next_event(scene, hit, ray, connect, rng, active, True)
+    return value * dr.exp(-extinction * (length + link.length))
 
 
-def strata(samples: int, aspect: float) -> tuple[int, int]:
-    """Strata across and up in a cell of ``aspect`` width over height: factors of ``samples`` whose
-    strata come nearest to squares.
-    """
-    factors = [n for n in range(1, samples + 1) if samples % n == 0]
-    across = min(factors, key=lambda n: abs(np.log(n * n / samples / aspect)))
-    return across, samples // across
-
-
-class _SunConnector:
-    def __init__(self, light: SunLight) -> None:
-        (self.direction,) = _vectors(light.direction[None])
-
-    def __call__(self, mi: Any, interaction: Any) -> tuple[Any, Any, Any]:
-        """Direction to the light, the ray that must be free, and the light's weight."""
-        return self.direction, interaction.spawn_ray(self.direction), mi.Float(1)
-
-
-class _DeviceConnector:
-    def __init__(self, light: DeviceLight) -> None:
-        self.pinhole = light.pinhole
-        self.is_pupil = light.kind == "pupil"
-        self.origin = _point(light.pinhole.origin_m)
-        (self.forward, *_) = _vectors(light.pinhole.axes)
-
-    def __call__(self, mi: Any, interaction: Any) -> tuple[Any, Any, Any]:
-        """Direction to the device, the ray that must be free, and 1/r^2 (x pupil cosine)."""
-        towards = self.origin - interaction.p
-        distance2 = dr.squared_norm(towards)
-        direction = towards * dr.rsqrt(distance2)
-        weight = dr.rcp(distance2)
-        if self.is_pupil:
-            weight *= dr.maximum(dr.dot(-direction, self.forward), 0)
-        weight = dr.select(inside(self.pinhole, -direction), weight, 0)
-        return direction, interaction.spawn_ray_to(self.origin), weight
-
-
-def connector(light: SunLight | DeviceLight) -> Any:
-    """What a path asks at each vertex: direction to the light, shadow ray, weight."""
-    return _SunConnector(light) if isinstance(light, SunLight) else _DeviceConnector(light)
+def _first_hit(scene: Any, ray: Any, active: Any) -> tuple[Any, Any, Any]:
+    hit = meet(scene, ray, True, active)
+    active = active & hit.is_valid()
+    return hit, active, dr.select(active, hit.t, 0)
 
 
 @dr.syntax
-def _trace(mi: Any, scene: Any, ray: Any, rng: Any, connect: Any, max_depth: Any) -> Any:
-    """Path tracing with next-event estimation to one light; (direct, indirect) per path."""
-    context = mi.BSDFContext()
-    throughput, direct, indirect = mi.Float(1), mi.Float(0), mi.Float(0)
-    depth = mi.UInt32(0)
-    active = mi.Bool(True)
-    while active:
-        interaction = scene.ray_intersect(ray, active)
-        active &= interaction.is_valid()
-        surface = interaction.bsdf(ray)
-        direction, shadow_ray, weight = connect(mi, interaction)
-        reflected = surface.eval(context, interaction, interaction.to_local(direction), active)[0]
-        lit = active & (reflected * weight > 0)
-        lit &= ~scene.ray_test(shadow_ray, lit)
-        added = dr.select(lit, throughput * reflected * weight, 0)
-        direct += dr.select(depth == 0, added, 0)
-        indirect += dr.select(depth == 0, 0, added)
-        depth += 1
-        active &= depth < max_depth
-        point = mi.Point2f(rng.next_float32(), rng.next_float32())
-        sampled, value = surface.sample(context, interaction, rng.next_float32(), point, active)
-        throughput *= value[0]
+def _indirect(
+    mi: Any,
+    scene: Any,
+    ray: Any,
+    rng: Any,
+    connect: Any,
+    extinction: Any,
+    active: Any,
+    max_depth: Any,
+) -> Any:
+    """Path tracing with next-event estimation from the second vertex on."""
+    hit, active, length = _first_hit(scene, ray, active)
+    throughput, total = albedo(hit, active), mi.Float(0)
+    ray = bounce(hit, ray, rng)
+    depth = mi.UInt32(1)
+    active &= throughput > 0
+    while active & (depth < max_depth):
+        hit = meet(scene, ray, False, active)
+        active &= hit.is_valid()
+        length += dr.select(active, hit.t, 0)
+        value, link = next_event(scene, hit, ray, connect, rng, active, False)
+        total += throughput * value * dr.exp(-extinction * (length + link.length))
+        throughput *= albedo(hit, active)
         active &= throughput > 0
-        ray = interaction.spawn_ray(interaction.to_world(sampled.wo))
-    return direct, indirect
-
-
-def inside(pinhole: Pinhole, direction: Any) -> Any:
-    """Whether a direction away from a pinhole is inside its field."""
-    ahead = dr.dot(direction, _vectors(pinhole.axes)[0]) > 0
-    left, up = field_coordinates(pinhole, direction)
-    if pinhole.outline == "square":
-        return ahead & (dr.abs(left) <= 1) & (dr.abs(up) <= 1)
-    return ahead & (left * left + up * up <= 1)
-
-
-def field_coordinates(pinhole: Pinhole, direction: Any) -> tuple[Any, Any]:
-    """Where a direction meets the plane at distance 1: left and up, +/- 1 at the field's edges."""
-    mi = mitsuba()
-    forward, left, up = (dr.dot(direction, axis) for axis in _vectors(pinhole.axes))
-    scale = dr.rcp(dr.opaque(mi.Float, pinhole.tan_half_field) * forward)
-    return left * scale, up * scale
-
-
-def _point(values: Array) -> Any:
-    mi = mitsuba()
-    return mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in values))
-
-
-def _vectors(rows: Array) -> list[Any]:
-    mi = mitsuba()
-    return [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in row)) for row in rows]
+        ray = bounce(hit, ray, rng)
+        depth += 1
+    return total

@@ -23,6 +23,10 @@ _MESH_PLUGINS = ("ply", "obj", "stl")
 #: light on a wall of half-size 1e4 m and 27 % on one of 1e6 m.
 FARTHEST_M = 1e5
 
+#: A rig farther from the origin is taken for a fault: float64 has steps of 0.1 um there.
+FARTHEST_ORIGIN_M = 1e9
+_COARSE_M = 1e-3  # step of a mesh file's float32 coordinates that is warned of
+
 
 def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
     """Read, validate and complete a scene.
@@ -50,6 +54,12 @@ def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
 
     meshes = {shape.name: _mesh(path, shape) for shape in document.shapes}
     rig, warnings = _rig(settings, document, meshes, pose)
+    if not np.abs(rig.position_m).max() <= FARTHEST_ORIGIN_M:
+        raise InputError(
+            f"{toml if settings and not pose else path}: rig: position_m = "
+            f"{rig.position_m.tolist()}, expected at most {FARTHEST_ORIGIN_M:g} m from the origin"
+        )
+    warnings += [w for shape in document.shapes if (w := _coarse(shape, meshes[shape.name], rig))]
     if not document.shapes:
         warnings.append("the scene has no shapes")
     for shape in document.shapes:
@@ -133,6 +143,26 @@ def _check_extent(path: Path, shape: xml.Shape, mesh: Mesh, rig: Rig) -> None:
             f"{_place(path, shape)}: vertex {far} is {distance[far]:.3g} m from the rig, "
             f"expected at most {FARTHEST_M:g} m"
         )
+
+
+def _coarse(shape: xml.Shape, mesh: Mesh, rig: Rig) -> str | None:
+    """Warning for a mesh file with float32 coordinates far from the origin."""
+    if shape.plugin not in _MESH_PLUGINS or not np.array_equal(shape.to_world, np.eye(4)):
+        return None
+    narrow = mesh.vertices.astype(np.float32)
+    step = float(np.spacing(np.abs(narrow).max()))
+    if step < _COARSE_M or not np.array_equal(narrow, mesh.vertices):
+        return None
+    from trimesh.triangles import closest_point
+
+    corners = mesh.vertices[mesh.faces] - rig.position_m
+    near = np.linalg.norm(closest_point(corners, np.zeros((len(corners), 3))), axis=1).min()
+    # A corner is off by sqrt(3) / 2 steps; light falls with the square of the distance.
+    error = float(np.sqrt(3) * step / max(near, step))
+    return (
+        f"{shape.name}: its float32 coordinates have steps of {step:.2g} m: light is off by up to "
+        f"{100 * error:.2g} % at its nearest point; place it by to_world, or write doubles"
+    )
 
 
 def _object(

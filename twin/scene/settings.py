@@ -35,11 +35,15 @@ class _Rig(Strict):
 class _Sun(Strict):
     azimuth_deg: Finite
     elevation_deg: Annotated[Finite, Field(ge=-90, le=90)]
-    illuminance_lx: NonNegative
+    illuminance_lx: Annotated[NonNegative, Field(le=1e7)]
+
+
+#: Delays are computed to first order in v / c.
+_Speed = Annotated[Finite, Field(ge=-1e5, le=1e5)]
 
 
 class _Object(Strict):
-    velocity_m_per_s: Vector = (0.0, 0.0, 0.0)
+    velocity_m_per_s: tuple[_Speed, _Speed, _Speed] = (0.0, 0.0, 0.0)
 
 
 class _Target(Strict):

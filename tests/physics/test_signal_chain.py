@@ -1,0 +1,215 @@
+"""What the emitter shows and what the filter passes, through to the counts.
+
+Statistical bounds hold at 5 sigma, a false-alarm rate of 6e-7 per test.
+"""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from hardware import reconstruct
+from twin.camera import capture
+from twin.camera.illumination import dark_share, residual_share, shown
+from twin.detector import FrontEnd, expose, noise_budget
+from twin.fidelity import Fidelity
+from twin.optics.passband import passband
+from twin.optics.spectra import in_band_fraction
+from twin.scene import load_scene
+from twin.system import Sky, System, load_system
+from twin.toml import Sourced
+
+SKY = Sky(illuminance_lx=Sourced(value=1e5, source="test"))
+RNG = np.random.default_rng
+
+
+@pytest.fixture
+def system(tmp_path: Path):
+    """`workable` with changes to its sections, by TOML text."""
+
+    def build(text: str) -> System:
+        (tmp_path / "s.toml").write_text(f'base = "workable"\n{text}')
+        return load_system(tmp_path / "s.toml")
+
+    return build
+
+
+def lit_cells(system: System, seed: int = 0) -> np.ndarray:
+    return RNG(seed).uniform(0, 1e-9, (1, 1, system.patterns.n_cells))
+
+
+def test_dark_cells_leak_the_same_light_into_every_pattern(system) -> None:
+    """Contrast 100: pattern = lit + (1/100) dark; the difference of a pair loses 1 %."""
+    leaky = system("[emitter]\ncontrast_ratio = 100.0\n")
+    cells = lit_cells(leaky)
+    ideal = shown(system(""), cells, rng=RNG(0))[:, 0, 0]
+    real = shown(leaky, cells, rng=RNG(0))[:, 0, 0]
+    total = cells.sum()
+    np.testing.assert_allclose(real, ideal + (total - ideal) / 100, rtol=1e-12)
+    assert real[1] == pytest.approx(total / 100)  # the complement of all lit is never dark
+    assert dark_share(leaky) == pytest.approx(0.01)
+
+
+def test_images_of_a_leaky_emitter_are_what_the_capture_promises(system) -> None:
+    leaky = system("[emitter]\ncontrast_ratio = 10.0\nradiant_intensity_w_per_sr = 100.0\n")
+    taken = capture(load_scene("table1"), leaky, fidelity=Fidelity(4, 1))
+    picture = reconstruct(taken.record, "zero-fill").picture
+    lit = taken.cells_e > 0.5 * taken.cells_e.max()
+    assert picture[lit].sum() / taken.cells_e[lit].sum() == pytest.approx(1, rel=0.01)
+
+
+def test_the_pattern_before_glows_into_the_next_exposure(system) -> None:
+    """Share left over: the integral of exp(-t / tau) over the exposure, by quadrature."""
+    slow = system("[emitter]\nswitching_time_s = 30e-6\n")
+    tau = 30e-6 / math.log(9)
+    dead, time = 20e-6, 80e-6
+    expected, _ = integrate.quad(lambda t: math.exp(-t / tau) / time, dead, dead + time)
+    assert residual_share(slow) == pytest.approx(expected, rel=1e-9)
+    assert math.exp(-30e-6 / tau) == pytest.approx(1 / 9)  # from 90 to 10 %
+    cells = lit_cells(slow)
+    ideal = shown(system(""), cells, rng=RNG(0))[:, 0, 0]
+    real = shown(slow, cells, rng=RNG(0))[:, 0, 0]
+    np.testing.assert_allclose(
+        real[1:], (1 - expected) * ideal[1:] + expected * ideal[:-1], rtol=1e-12
+    )
+    assert residual_share(system("[emitter]\nswitching_time_s = 0.0\n")) == 0
+
+
+def test_slow_switching_alone_explains_the_ghost_in_the_image(system) -> None:
+    """Without noise: natural order shows each pattern after its neighbour's complement; an image
+    taken with slow LEDs differs from a fast one's by the residual share, no more.
+    """
+    slow = system("[emitter]\nswitching_time_s = 60e-6\n")
+    cells = lit_cells(slow)
+    ideal = shown(system(""), cells, rng=RNG(0))[:, 0, 0]
+    real = shown(slow, cells, rng=RNG(0))[:, 0, 0]
+    share = residual_share(slow)
+    assert 0.1 < share < 0.5
+    assert np.abs(real - ideal).max() <= share * np.ptp(np.append(ideal, 0)) * (1 + 1e-12)
+
+
+def test_the_emitter_fluctuates_as_a_whole(system) -> None:
+    noisy = system("[emitter]\nintensity_noise = 0.01\n")
+    cells = lit_cells(noisy)
+    ideal = shown(system(""), cells, rng=RNG(0))[:, 0, 0]
+    real = shown(noisy, cells, rng=RNG(1))[:, 0, 0]
+    lit = ideal > 0.1 * ideal.max()
+    relative = real[lit] / ideal[lit] - 1
+    n = lit.sum()
+    assert relative.std() == pytest.approx(0.01, rel=5 / math.sqrt(2 * n))
+    assert abs(relative.mean()) < 5 * 0.01 / math.sqrt(n)
+
+
+def test_fluctuation_is_in_the_budget(system) -> None:
+    """Noise found in the record against the budget's total, which the fluctuation dominates."""
+    noisy = system("[emitter]\nintensity_noise = 0.02\n")
+    taken = capture(load_scene("yard"), noisy, fidelity=Fidelity(4, 1))
+    worst = max(taken.noise.noise_e, key=taken.noise.noise_e.__getitem__)
+    assert worst == "fluctuation of the emitter"
+    found = float(reconstruct(taken.record).noise_electrons[0]) / math.sqrt(2)
+    assert found == pytest.approx(taken.noise.total_noise_e, rel=0.1)
+
+
+def flickering(corner_cycles: float) -> FrontEnd:
+    return FrontEnd(
+        electrons_per_watt=1.0,
+        dark_e=0.0,
+        johnson_e=0.0,
+        read_e=100.0,
+        electrons_per_count=0.01,
+        offset_counts=2**30,
+        adc_bits=31,
+        flicker_cycles=corner_cycles,
+    )
+
+
+def test_flicker_has_the_spectrum_it_says() -> None:
+    """White density below the corner times corner over frequency: periodogram in octaves, each
+    within 5 sigma of its mean (a bin is exponential).
+    """
+    n, corner = 2**18, 0.02
+    front_end = flickering(corner)
+    counts, _ = expose(np.zeros((n, 1)), front_end, rng=RNG(3))
+    x = (counts[:, 0] - front_end.offset_counts) * front_end.electrons_per_count
+    density = np.abs(np.fft.rfft(x)) ** 2 / n
+    frequency = np.fft.rfftfreq(n)
+    for octave in range(2, 14):
+        band = (frequency >= 2.0**-octave / 2) & (frequency < 2.0**-octave)
+        expected = np.mean(1e4 * (1 + corner / frequency[band]))
+        assert density[band].mean() == pytest.approx(expected, rel=5 / math.sqrt(band.sum()))
+
+
+def test_what_a_pair_keeps_of_flicker_is_in_the_budget() -> None:
+    """Variance of the difference of two exposures in turn, less its white part."""
+    n, corner = 2**20, 0.5
+    front_end = flickering(corner)
+    counts, _ = expose(np.zeros((n, 1)), front_end, rng=RNG(4))
+    pairs = np.diff(counts[:, 0].reshape(-1, 2)).ravel() * front_end.electrons_per_count
+    budget = noise_budget(np.zeros(1), 0.0, front_end)
+    assert np.std(pairs) / math.sqrt(2) == pytest.approx(
+        budget.total_noise_e, rel=5 / math.sqrt(2 * n / 2) + 0.001
+    )
+    white = noise_budget(np.zeros(1), 0.0, replace(front_end, flicker_cycles=0.0))
+    assert budget.total_noise_e > 1.2 * white.total_noise_e
+
+
+def test_a_filter_before_the_lens_passes_less_at_the_edge_of_the_field(system) -> None:
+    """A laser line of 2 nm at 1550, a 12 nm filter of index 1.8: the band moves down by
+    1550 (1 - sqrt(1 - sin^2 / n^2)) and has left the line behind at 10 degrees.
+    """
+    narrow = system(
+        "[filter]\nwidth_m = 12e-9\neffective_index = 1.8\n[optics]\nfield_of_view_deg = 30.0\n"
+    )
+    found = passband(narrow, SKY)
+    assert found.emitter_at(np.array(0.0)) == pytest.approx(1, abs=1e-6)
+    edge = float(found.emitter_at(np.array(12.0)))
+    assert edge == pytest.approx(in_band_fraction(narrow.emitter, narrow.filter, 12.0), abs=0.02)
+    assert edge < 0.05
+    taken = capture(load_scene("yard"), narrow, fidelity=Fidelity(4, 1))
+    wide = capture(
+        load_scene("yard"), system("[optics]\nfield_of_view_deg = 30.0\n"), fidelity=Fidelity(4, 1)
+    )
+    lit = wide.cells_e > 0
+    kept = np.divide(taken.cells_e, wide.cells_e, out=np.full((64, 64), np.nan), where=lit)
+    assert kept[31:33, 31:33] == pytest.approx(1, abs=1e-3)
+    assert np.nanmin(kept[-1]) < 0.2
+
+
+def test_behind_the_lens_the_whole_cone_is_averaged(system) -> None:
+    """Mean over the cone's solid angle, by quadrature; the same everywhere in the field."""
+    behind = system(
+        '[filter]\nwidth_m = 12e-9\neffective_index = 1.8\nplace = "behind lens"\n'
+        "[optics]\nf_number = 2.0\n"
+    )
+    found = passband(behind, SKY)
+    expected, _ = integrate.quad(
+        lambda s2: in_band_fraction(
+            behind.emitter, behind.filter, math.degrees(math.asin(math.sqrt(s2)))
+        ),
+        0,
+        1 / 16,
+        limit=200,
+    )
+    assert float(found.emitter_at(np.array(5.0))) == pytest.approx(expected * 16, abs=2e-3)
+    assert found.emitter_at(np.array(0.0)) == found.emitter_at(np.array(10.0))
+    assert expected * 16 < 0.7
+
+
+def test_a_broad_line_hardly_notices_the_shift(system) -> None:
+    paper = load_system("paper")
+    found = passband(paper, SKY)
+    assert found.emitter[0] == pytest.approx(0.112, abs=1e-3)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(16, 256), (16, 64), (16, 128), (64, 64)])
+def test_every_grid_of_the_paper_works_with_mirrors(system, rows: int, columns: int) -> None:
+    made = system(
+        f"[emitter]\nrows = {rows}\ncolumns = {columns}\n[acquisition]\nn_patterns = 512\n"
+    )
+    taken = capture(load_scene("yard"), made, fidelity=Fidelity(4, 1))
+    assert taken.cells_e.shape == (rows, columns)
+    truth, found = taken.cells_e, reconstruct(taken.record).picture
+    assert np.corrcoef(truth.ravel(), found.ravel())[0, 1] > 0.5

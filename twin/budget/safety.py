@@ -1,0 +1,194 @@
+"""Margin of a design to the exposure limits of the eye; what another wavelength would change."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from twin.optics.eye_safety import (
+    CLASS_1_TIME_S,
+    LAMP_DISTANCE_M,
+    LASER_DISTANCE_M,
+    aperture_m,
+    c5,
+    class_1_ael_j,
+    is_retinal,
+    lamp_cornea_w_per_m2,
+    lamp_retina,
+    mpe_j_per_m2,
+    t2_s,
+)
+from twin.report.style import si
+from twin.system import System
+
+Array = NDArray[np.float64]
+
+#: From the paper's tens of ns to continuous light.
+DURATIONS_S = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
+
+
+@dataclass(frozen=True)
+class Hazard:
+    """One limit: what the design gives, what is allowed, and by which clause.
+
+    ``margin`` above 1 is safe. All cells are taken as lit all the time, the worst of all patterns.
+    """
+
+    name: str
+    clause: str
+    wavelength_m: float
+    exposure: float
+    limit: float
+    unit: str
+
+    @property
+    def margin(self) -> float:
+        """Limit over exposure."""
+        return self.limit / self.exposure if self.exposure else math.inf
+
+
+def hazards(system: System, wavelength_m: float | None = None) -> list[Hazard]:
+    """Every limit that concerns the emitter, at its peak or at another wavelength.
+
+    By its kind, laser or LED; both standards where the system doesn't say. Raises ValueError for
+    wavelengths outside 700-1800 nm.
+    """
+    emitter = system.emitter
+    wavelength = emitter.peak_wavelength_m.value if wavelength_m is None else wavelength_m
+    diameter = emitter.source_diameter_m.value if emitter.source_diameter_m else 0.0
+    kind = emitter.kind.value if emitter.kind else None
+    found = []
+    if kind in ("laser", None):
+        found += _laser(system, wavelength, diameter)
+    if kind in ("led", None):
+        found += _lamp(system, wavelength, diameter)
+    return found
+
+
+def assumptions(system: System) -> list[str]:
+    """What was taken because the system says nothing."""
+    emitter, taken = system.emitter, []
+    if emitter.kind is None:
+        taken.append("emitter.kind: not given, both standards are applied")
+    if emitter.source_diameter_m is None:
+        taken.append("emitter.source_diameter_m: not given, a point source (worst case)")
+    taken.append("all cells lit all the time; no optical instruments; no single fault")
+    taken.append("limits and clauses after secondary sources: check them against the standards")
+    return taken
+
+
+def wavelength_ratio(
+    time_s: Any, wavelength_m: float = 1550e-9, other_m: float = 850e-9
+) -> tuple[Array, Array]:
+    """How much more a wavelength may expose the eye than another: J/m^2 and J, pulses of a point.
+
+    The second counts the energy through each wavelength's limiting aperture (class 1): 1 mm for
+    pulses at 1550 nm and 7 mm at 850 nm make it 49 times smaller than the first.
+    """
+    exposure = mpe_j_per_m2(wavelength_m, time_s) / mpe_j_per_m2(other_m, time_s)
+    energy = class_1_ael_j(wavelength_m, time_s) / class_1_ael_j(other_m, time_s)
+    return exposure, energy
+
+
+def _laser(system: System, wavelength: float, diameter: float) -> list[Hazard]:
+    """IEC 60825-1, 4.3 f): a single pulse, the average, and the train of pulses."""
+    alpha = diameter / LASER_DISTANCE_M
+    pulse = system.acquisition.integration_time_s.value
+    pulse = min(max(pulse, 1e-9), CLASS_1_TIME_S)
+    found = []
+    for name, clause, duration in (
+        ("laser, one exposure", "4.3 f) 1", pulse),
+        ("laser, continuous, 100 s", "4.3 f) 2", CLASS_1_TIME_S),
+    ):
+        energy = _collected_w(system, wavelength, duration) * duration
+        limit = float(class_1_ael_j(wavelength, duration, alpha))
+        table = "Table 4" if is_retinal(wavelength) and alpha > 1.5e-3 else "Table 3"
+        where = f"IEC 60825-1 {clause}), {table}, class 1"
+        found.append(Hazard(name, where, wavelength, energy, limit, "J"))
+    if is_retinal(wavelength):
+        period = system.acquisition.pattern_period_s.value
+        # Closer than T_i, or joined to one light: the whole period counts as the pulse.
+        duration = max(period, 13e-6)
+        pulses = min(t2_s(alpha), CLASS_1_TIME_S) / duration
+        factor = c5(wavelength, duration, max(pulses, 1.0), alpha)
+        duration = min(duration, CLASS_1_TIME_S)
+        energy = _collected_w(system, wavelength, duration) * duration
+        limit = factor * float(class_1_ael_j(wavelength, duration, alpha))
+        where = "IEC 60825-1 4.3 f) 3), C5, class 1"
+        found.append(Hazard("laser, pulse train", where, wavelength, energy, limit, "J"))
+    return found
+
+
+def _collected_w(system: System, wavelength: float, duration_s: float) -> float:
+    """Power through the limiting aperture at 100 mm; never more than there is."""
+    emitter = system.emitter
+    radius = float(aperture_m(wavelength, duration_s)) / 2
+    seen = 2 * math.pi * (1 - math.cos(math.atan(radius / LASER_DISTANCE_M)))
+    half = math.radians(emitter.field_of_view_deg.value) / 2
+    whole = 4 * math.asin(math.sin(half) ** 2)  # solid angle of the square field
+    return emitter.radiant_intensity_w_per_sr.value * min(seen, whole)
+
+
+def _lamp(system: System, wavelength: float, diameter: float) -> list[Hazard]:
+    """IEC 62471 at 0.2 m, exempt group."""
+    intensity = system.emitter.radiant_intensity_w_per_sr.value
+    irradiance = intensity / LAMP_DISTANCE_M**2
+    pulse = min(max(system.acquisition.integration_time_s.value, 1e-5), 10.0)
+    found = []
+    if wavelength >= 780e-9:
+        limit = float(lamp_cornea_w_per_m2(1001.0))
+        where = "IEC 62471 4.3.7, exempt"
+        found.append(Hazard("LED, cornea, > 1000 s", where, wavelength, irradiance, limit, "W/m^2"))
+    if is_retinal(wavelength):
+        for name, clause, duration in (
+            ("LED, retina, one exposure", "4.3.5", pulse),
+            ("LED, retina, 10 s", "4.3.5", 10.0),
+            ("LED, retina, > 10 s, unseen", "4.3.6", 1000.0),
+        ):
+            retina = lamp_retina(wavelength, intensity, diameter, duration)
+            where = f"IEC 62471 {clause}, exempt"
+            unit = "W/(m^2 sr)"
+            found.append(Hazard(name, where, wavelength, retina.radiance, retina.limit, unit))
+    return found
+
+
+def print_safety(system: System, rows: Sequence[Hazard], console: Console) -> None:
+    """The margins, and the ratio of 1550 to 850 nm over the duration of a pulse."""
+    table = Table("limit", "clause", "wavelength", "exposure", "allowed", "margin", box=None)
+    table.title = f"{system.name}: eye safety; a margin below 1 exceeds the limit"
+    for row in rows:
+        cells = (row.name, row.clause, f"{row.wavelength_m * 1e9:g} nm")
+        values = (si(row.exposure, row.unit), si(row.limit, row.unit))
+        style = "" if row.margin >= 1 else "bold"
+        table.add_row(*cells, *values, f"{row.margin:.3g}", style=style)
+    console.print(table)
+    ratios = Table("pulse", "exposure, J/m^2", "energy into the aperture, J", box=None)
+    ratios.title = "What 1550 nm may give over what 850 nm may (laser, one pulse, point source)"
+    for duration, exposure, energy in zip(
+        DURATIONS_S, *wavelength_ratio(np.array(DURATIONS_S)), strict=True
+    ):
+        ratios.add_row(si(duration, "s"), f"{exposure:.3g}", f"{energy:.3g}")
+    console.print(ratios)
+
+
+def write_safety(system: System, rows: Sequence[Hazard], folder: Path) -> None:
+    """``safety.json`` with every number."""
+    exposure, energy = wavelength_ratio(np.array(DURATIONS_S))
+    content = {
+        "system": system.name,
+        "hazards": [{**asdict(row), "margin": row.margin} for row in rows],
+        "assumed": assumptions(system),
+        "ratio_1550_to_850": {
+            "duration_s": list(DURATIONS_S),
+            "exposure": exposure.tolist(),
+            "energy": energy.tolist(),
+        },
+    }
+    (folder / "safety.json").write_text(json.dumps(content, indent=1))

@@ -1,0 +1,133 @@
+"""From light to counts: everything of a camera that no scene and no pose changes, ready to use."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.records import SpiRecord
+from twin import __version__
+from twin.camera.illumination import shown
+from twin.camera.light import Rendered
+from twin.camera.shutters import Shutter, shutters
+from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
+from twin.fidelity import Noise
+from twin.optics.emission import cell_gains
+from twin.optics.passband import Passband, passband
+from twin.optics.radiometry import Collection, collection
+from twin.optics.spectra import responsivity_a_per_w
+from twin.scene import Pose, Sun
+from twin.system import Sky, System
+from twin.toml import Sourced
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Powers:
+    """On the detectors, W: from each cell lit alone, (n_shutters, n_detectors, n_cells), with its
+    Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,).
+    """
+
+    cells_w: Array
+    error_w: Array
+    sun_w: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Lens, filter under a sky, shutters, detector and amplifier of a system."""
+
+    system: System
+    lens: Collection
+    sky: Passband
+    taps: tuple[Shutter, ...]
+    front_end: FrontEnd
+    gains: Array
+
+    @classmethod
+    def of(cls, system: System, sun: Sun) -> "Chain":
+        """Chain of a system, under its own sky or else the scene's sun."""
+        own = Sky(illuminance_lx=Sourced(value=sun.illuminance_lx, source="scene.toml"))
+        responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
+        return cls(
+            system=system,
+            lens=collection(system),
+            sky=passband(system, system.sky or own),
+            taps=shutters(system),
+            front_end=FrontEnd.of(system, responsivity),
+            gains=cell_gains(system.emitter),
+        )
+
+    @property
+    def open_share(self) -> Array:
+        """Share of the time that the detector is open, by shutter."""
+        return np.array([tap.open_share for tap in self.taps])
+
+    def powers(self, rendered: Rendered) -> Powers:
+        """What rendered light is on the detectors."""
+        system = self.system
+        collected = self.lens.transmission * self.lens.pupil_area_m2
+        cell_angle, sun_angle = rendered.angles_deg()
+        passed = _by_detector(self.sky.emitter_at(cell_angle), system)
+        if not system.emitter.has_lens:  # every LED lights the whole field
+            passed = np.full_like(passed, passed.mean())
+        watt = system.emitter.radiant_intensity_w_per_sr.value * collected * passed * self.gains
+        lights = [self._through(tap, rendered) for tap in self.taps]
+        sun = collected * rendered.sun * self.sky.sun_at(sun_angle)
+        one = system.n_detectors == 1
+        return Powers(
+            cells_w=watt * np.stack(lights),
+            error_w=watt * rendered.light.error,
+            sun_w=sun.sum(keepdims=True).reshape(1) if one else sun.sum(axis=0),
+        )
+
+    def _through(self, tap: Shutter, rendered: Rendered) -> Array:
+        if tap.response is None:
+            return rendered.light.cells
+        assert rendered.paths is not None  # rendered for a system with time of flight
+        return rendered.paths.light(tap.response).reshape(1, -1) * tap.light_share
+
+    def take(
+        self, power: Powers, *, rng: np.random.Generator, noise: Noise = "full"
+    ) -> tuple[Array, NDArray[np.int32], NDArray[np.uint8]]:
+        """One frame: signal (n_exposures, n_shutters, n_detectors) in W; counts and flags."""
+        fluctuating = None if noise == "none" else rng
+        signal_w = shown(self.system, power.cells_w, rng=fluctuating)
+        power_w = signal_w + self.open_share[:, None] * power.sun_w
+        exposed = power_w.reshape(-1, power_w.shape[-1])
+        counts, flags = expose(exposed, self.front_end, rng=rng, noise=noise)
+        return signal_w, counts, flags
+
+    def noise(self, signal_w: Array, sun_w: Array) -> NoiseBudget:
+        """Budget at the mean of exposures."""
+        fluctuation = self.system.emitter.intensity_noise
+        relative = fluctuation.value if fluctuation else 0.0
+        return noise_budget(signal_w, sun_w, self.front_end, relative)
+
+    def record(self, pose: Pose, counts: NDArray[np.int32], flags: NDArray[np.uint8]) -> SpiRecord:
+        """What the vehicle gets of it."""
+        n, system = len(counts), self.system
+        period_ns = system.acquisition.pattern_period_s.value * 1e9
+        x, y, z, w = pose.rotation.as_quat()
+        return SpiRecord(
+            counts=counts,
+            device_time_ns=np.rint(np.arange(n) * period_ns).astype(np.int64),
+            sequence=np.arange(n, dtype=np.uint32),
+            flags=flags,
+            patterns=system.patterns,
+            shutters=np.array(
+                [(t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s) for t in self.taps]
+            ),
+            integration_time_s=system.acquisition.integration_time_s.value,
+            electrons_per_count=self.front_end.electrons_per_count,
+            offset_counts=self.front_end.offset_counts,
+            adc_bits=self.front_end.adc_bits,
+            device=f"twin {__version__}: {system.name}",
+            pose=np.array([*pose.position_m, w, x, y, z]),
+        )
+
+
+def _by_detector(picture: Array, system: System) -> Array:
+    """Cells of a picture with the detectors side by side, (n_detectors, n_cells)."""
+    return np.stack(np.hsplit(picture, system.n_detectors)).reshape(system.n_detectors, -1)

@@ -1,0 +1,52 @@
+"""What an emitter really shows for each pattern: finite contrast, slow switching, fluctuation."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.system import System
+
+Array = NDArray[np.float64]
+
+
+def shown(system: System, cells_w: Array, *, rng: np.random.Generator | None) -> Array:
+    """Signal power of every exposure, (n_exposures, n_shutters, n_detectors), W.
+
+    ``cells_w`` (n_shutters, n_detectors, n_cells): power of each cell, lit alone. Without ``rng``
+    nothing fluctuates.
+    """
+    ideal = system.patterns.signal(np.moveaxis(cells_w, -1, 0))
+    dark = dark_share(system)
+    signal = (1 - dark) * ideal + dark * cells_w.sum(axis=-1) if dark else ideal
+    left_over = residual_share(system)
+    if left_over:
+        # The pattern before still glows; it does so while its successor's first shutter is open.
+        before = np.concatenate([np.zeros_like(signal[:1]), signal[:-1]])[:, 0]
+        signal = signal.copy()
+        signal[:, 0] += left_over * (before - signal[:, 0])
+    noise = system.emitter.intensity_noise
+    if rng is not None and noise is not None and noise.value:
+        signal = signal * (1 + rng.normal(0, noise.value, (*signal.shape[:2], 1)))
+    return np.maximum(signal, 0)
+
+
+def dark_share(system: System) -> float:
+    """Radiant intensity of a dark cell over that of a lit one."""
+    contrast = system.emitter.contrast_ratio
+    return 1 / contrast.value if contrast else 0.0
+
+
+def residual_share(system: System) -> float:
+    """Share of an exposure's light that is still the pattern before's.
+
+    After a switch the light decays with exp(-t / tau), tau = t_10-90 / ln 9; integration begins
+    when the dead time between patterns is over.
+    """
+    switching = system.emitter.switching_time_s
+    if switching is None or switching.value == 0:
+        return 0.0
+    tau = switching.value / math.log(9)
+    time = system.acquisition.integration_time_s.value
+    dead = system.acquisition.pattern_period_s.value - time
+    return tau / time * math.exp(-dead / tau) * -math.expm1(-time / tau)

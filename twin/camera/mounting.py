@@ -1,0 +1,50 @@
+"""Emitter and detector of a system where a scene's rig holds them."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.optics.devices import Device
+from twin.optics.emission import lobe_exponent
+from twin.optics.radiometry import Collection, collection
+from twin.scene import Scene
+from twin.system import System
+
+Array = NDArray[np.float64]
+
+
+def devices(scene: Scene, system: System) -> tuple[Device, Device, Collection]:
+    """Emitter and detector where the rig holds them, and the detector's lens."""
+    lens = collection(system)
+    made, optics = system.emitter, system.optics
+    emitter = Device(
+        *scene.rig.device("emitter"),
+        tan_half_field=_tan(made.field_of_view_deg.value / 2),
+        blur_tan=_tan(made.blur_rms_deg.value) if made.blur_rms_deg else 0.0,
+        lobe_exponent=lobe_exponent(made.viewing_angle_deg.value)
+        if made.viewing_angle_deg
+        else 0.0,
+        fill_factor=made.fill_factor.value if made.fill_factor else 1.0,
+        pitch_m=made.pitch_m.value if made.pitch_m and not made.has_lens else None,
+    )
+    detector = Device(
+        *scene.rig.device("detector"),
+        tan_half_field=lens.tan_half_field,
+        outline=lens.outline,
+        blur_tan=_tan(optics.blur_rms_deg.value) if optics.blur_rms_deg else 0.0,
+        edge_illumination=optics.edge_illumination.value if optics.edge_illumination else 1.0,
+        pupil_radius_m=lens.pupil_diameter_m / 2 if optics.focus_m else 0.0,
+        focus_m=optics.focus_m.value if optics.focus_m else math.inf,
+    )
+    return emitter, detector, lens
+
+
+def _tan(angle_deg: float) -> float:
+    return math.tan(math.radians(angle_deg))
+
+
+def field_points(shape: tuple[int, ...], tan_half_field: float) -> tuple[Array, Array]:
+    """Middle of each cell on the plane at distance 1, left and up."""
+    up, left = (tan_half_field * (1 - (2 * np.arange(n) + 1) / n) for n in shape)
+    return np.broadcast_to(left, shape), np.broadcast_to(up[:, None], shape)

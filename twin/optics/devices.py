@@ -1,0 +1,222 @@
+"""Emitter and detector as light transport sees them: where they stand, which rays they start.
+
+A device has a square or round field on the plane at distance 1, divided into cells; row 0 is the
+top, column 0 left. Coordinates run from -1 to 1 across a field, left and up positive.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.engine import mitsuba
+from twin.optics.radiometry import Outline
+
+Array = NDArray[np.float64]
+Role = Literal["picture", "emitter", "pupil"]
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """A camera, an emitter or a detector.
+
+    Parameters
+    ----------
+    origin_m : (3,) array
+        Position relative to the rig.
+    axes : (3, 3) array
+        Rows forward, left, up.
+    tan_half_field
+        Of the square's half width or the disc's radius.
+    outline
+        Of the field.
+    blur_tan
+        Standard deviation of a Gaussian blur on the plane at distance 1; 0 is a perfect lens.
+    lobe_exponent
+        Radiant intensity falls as cos^m off the axis; 0 is a flat field.
+    edge_illumination
+        Vignetting beyond the cosines: what is left at the middle of the field's edge.
+    fill_factor
+        Share of a cell's area that is lit, a square in its middle, with the whole cell's light.
+    pitch_m
+        None: a lens images the cells. Else there is no lens: bare elements at this pitch, each with
+        its lobe around the axis.
+    pupil_radius_m, focus_m
+        A pupil of finite size, focused at a distance; with radius 0 a pinhole.
+    """
+
+    origin_m: Array
+    axes: Array
+    tan_half_field: float
+    outline: Outline = "square"
+    blur_tan: float = 0.0
+    lobe_exponent: float = 0.0
+    edge_illumination: float = 1.0
+    fill_factor: float = 1.0
+    pitch_m: float | None = None
+    pupil_radius_m: float = 0.0
+    focus_m: float = float("inf")
+
+    def moved(self, rotation: Array, shift_m: Array) -> "Device":
+        """The same device after a rigid motion: turned about the rig's position, then shifted."""
+        return replace(
+            self, origin_m=rotation @ self.origin_m + shift_m, axes=self.axes @ rotation.T
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A device whose field is divided into rows x columns of equal cells."""
+
+    device: Device
+    rows: int
+    columns: int
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return self.rows * self.columns
+
+
+def started_rays(
+    grid: Grid, block: tuple[int, int], samples: int, rng: Any, role: Role
+) -> tuple[Any, Any]:
+    """Rays from the cells of rows ``block``, ``samples`` of each, and their weights.
+
+    The mean of weight times what a ray finds is, per cell: for a ``picture`` the mean over it; for
+    an ``emitter`` the integral over its solid angle per radiant intensity (of the whole device on
+    its axis, where bare elements share it); for a ``pupil`` the integral over its projected solid
+    angle.
+    """
+    device = grid.device
+    if device.pitch_m is not None and role == "emitter":
+        return _bare_rays(grid, block, samples, rng, device.pitch_m)
+    ray, cos = primary_rays(grid, block, samples, rng)
+    if role == "picture":
+        return ray, mitsuba().Float(1)
+    area = (2 * device.tan_half_field) ** 2 / grid.size
+    weight = cos * cos * cos * dr.opaque(mitsuba().Float, area)
+    if role == "pupil":
+        weight *= cos
+    return ray, weight * relative(device, *field_coordinates(device, ray.d), cos)
+
+
+def primary_rays(grid: Grid, block: tuple[int, int], samples: int, rng: Any) -> tuple[Any, Any]:
+    """Stratified rays through the cells of rows ``block``, and their cosine to the axis.
+
+    With ``rng`` None every ray goes through the middle of its stratum, without blur.
+    """
+    mi = mitsuba()
+    device = grid.device
+    row, column, x, y = _strata_points(grid, block, samples, rng)
+    if rng is not None and device.fill_factor < 1:
+        lit = dr.opaque(mi.Float, device.fill_factor**0.5)
+        x, y = 0.5 + (x - 0.5) * lit, 0.5 + (y - 0.5) * lit
+    left = 1 - 2 * (column + x) / dr.opaque(mi.Float, grid.columns)
+    up = 1 - 2 * (row + y) / dr.opaque(mi.Float, grid.rows)
+    if rng is not None:
+        left, up = blurred(device, left, up, rng)
+    tangent = dr.opaque(mi.Float, device.tan_half_field)
+    left, up = left * tangent, up * tangent
+    cos = dr.rsqrt(1 + left * left + up * up)
+    forward_axis, left_axis, up_axis = vectors(device.axes)
+    direction = (forward_axis + left * left_axis + up * up_axis) * cos
+    return mi.Ray3f(point(device.origin_m), direction), cos
+
+
+def _bare_rays(
+    grid: Grid, block: tuple[int, int], samples: int, rng: Any, pitch_m: float
+) -> tuple[Any, Any]:
+    """Rays of elements without a lens, drawn from their lobes: cos^m has 2 pi / (m + 1) of it."""
+    mi = mitsuba()
+    device = grid.device
+    row, column, x, y = _strata_points(grid, block, samples, rng)
+    exponent = dr.opaque(mi.Float, device.lobe_exponent + 1)
+    cos = dr.power(1 - x, 1 / exponent)
+    sin = dr.safe_sqrt(1 - cos * cos)
+    sin_phi, cos_phi = dr.sincos(2 * dr.pi * y)
+    forward_axis, left_axis, up_axis = vectors(device.axes)
+    direction = cos * forward_axis + sin * (cos_phi * left_axis + sin_phi * up_axis)
+    pitch = dr.opaque(mi.Float, pitch_m)
+    offset = (
+        pitch * (dr.opaque(mi.Float, (grid.columns - 1) / 2) - column) * left_axis
+        + pitch * (dr.opaque(mi.Float, (grid.rows - 1) / 2) - row) * up_axis
+    )
+    weight = dr.opaque(mi.Float, 2 * np.pi / (device.lobe_exponent + 1) / grid.size)
+    return mi.Ray3f(point(device.origin_m) + offset, direction), weight
+
+
+def _strata_points(
+    grid: Grid, block: tuple[int, int], samples: int, rng: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Row and column of each ray's cell, and its point in the cell, each from 0 to 1."""
+    mi = mitsuba()
+    shares = strata(samples, grid.rows / grid.columns)
+    wide, high = (dr.opaque(mi.UInt32, n) for n in shares)
+    columns = dr.opaque(mi.UInt32, grid.columns)
+    index = dr.arange(mi.UInt32, (block[1] - block[0]) * grid.columns * samples)
+    stratum, cell = index % (wide * high), index // (wide * high)
+    jitter_x, jitter_y = (0.5, 0.5) if rng is None else (rng.next_float32(), rng.next_float32())
+    row = mi.Float(cell // columns + dr.opaque(mi.UInt32, block[0]))
+    x = (mi.Float(stratum % wide) + jitter_x) / mi.Float(wide)
+    y = (mi.Float(stratum // wide) + jitter_y) / mi.Float(high)
+    return row, mi.Float(cell % columns), x, y
+
+
+def strata(samples: int, aspect: float) -> tuple[int, int]:
+    """Strata across and up in a cell of ``aspect`` width over height: factors of ``samples`` whose
+    strata come nearest to squares.
+    """
+    factors = [n for n in range(1, samples + 1) if samples % n == 0]
+    across = min(factors, key=lambda n: abs(np.log(n * n / samples / aspect)))
+    return across, samples // across
+
+
+def relative(device: Device, left: Any, up: Any, cos: Any) -> Any:
+    """Lobe and vignetting at a place in the field."""
+    mi = mitsuba()
+    value = mi.Float(1)
+    if device.lobe_exponent:
+        value *= dr.power(cos, dr.opaque(mi.Float, device.lobe_exponent))
+    if device.edge_illumination != 1:
+        value *= dr.power(dr.opaque(mi.Float, device.edge_illumination), left * left + up * up)
+    return value
+
+
+def blurred(device: Device, left: Any, up: Any, rng: Any) -> tuple[Any, Any]:
+    """A place in the field moved at random by the lens's blur."""
+    if not device.blur_tan:
+        return left, up
+    mi = mitsuba()
+    sigma = dr.opaque(mi.Float, device.blur_tan / device.tan_half_field)
+    shift = mi.warp.square_to_std_normal(mi.Point2f(rng.next_float32(), rng.next_float32()))
+    return left + sigma * shift.x, up + sigma * shift.y
+
+
+def inside(device: Device, left: Any, up: Any) -> Any:
+    """Whether a place is in the field."""
+    if device.outline == "square":
+        return (dr.abs(left) <= 1) & (dr.abs(up) <= 1)
+    return left * left + up * up <= 1
+
+
+def field_coordinates(device: Device, direction: Any) -> tuple[Any, Any]:
+    """Where a direction meets the field; meaningless for directions backwards."""
+    mi = mitsuba()
+    forward, left, up = (dr.dot(direction, axis) for axis in vectors(device.axes))
+    scale = dr.rcp(dr.opaque(mi.Float, device.tan_half_field) * forward)
+    return left * scale, up * scale
+
+
+def point(values: Array) -> Any:
+    """A position whose value never recompiles a kernel."""
+    mi = mitsuba()
+    return mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in values))
+
+
+def vectors(rows: Array) -> list[Any]:
+    """Directions whose values never recompile a kernel."""
+    mi = mitsuba()
+    return [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in row)) for row in rows]

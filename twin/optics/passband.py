@@ -1,0 +1,77 @@
+"""What the filter passes at each angle of the field: the emitter's line, and the sun."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.optics.spectra import in_band_fraction, sun_in_band
+from twin.system import Emitter, Filter, Sky, System
+
+Array = NDArray[np.float64]
+
+_KNOTS = 65  # angles at which spectra are integrated; between them it is linear
+
+
+@dataclass(frozen=True, eq=False)
+class Passband:
+    """Share of the emitter's line and irradiance of the sun behind the filter, by field angle.
+
+    ``angles_deg`` (n,) ascending from 0; ``emitter`` (n,); ``sun_w_per_m2`` (n,), on the plane
+    normal to the sun.
+    """
+
+    angles_deg: Array
+    emitter: Array
+    sun_w_per_m2: Array
+    illuminance_lx: float
+
+    def emitter_at(self, angle_deg: Array) -> Array:
+        """Share of the emitter's line at field angles."""
+        return np.interp(angle_deg, self.angles_deg, self.emitter)
+
+    def sun_at(self, angle_deg: Array) -> Array:
+        """Irradiance of the sun at field angles, W/m^2."""
+        return np.interp(angle_deg, self.angles_deg, self.sun_w_per_m2)
+
+
+def passband(system: System, sky: Sky) -> Passband:
+    """Integrate a system's spectra over its filter.
+
+    Before the lens light meets the filter at the angle of the field. Behind it every point of the
+    field sends a cone, the same for all: its mean over the solid angle, up to sin = 1 / (2 N), as
+    for a lens without coma.
+    """
+    optics = system.optics
+    half_field_deg = optics.field_of_view_deg.value / 2
+    return _integrated(system.emitter, system.filter, sky, optics.f_number.value, half_field_deg)
+
+
+@lru_cache(maxsize=256)
+def _integrated(
+    emitter: Emitter, band: Filter, sky: Sky, f_number: float, half_field_deg: float
+) -> Passband:
+    normal = sun_in_band(sky, band)
+    if band.effective_index is None:
+        share = in_band_fraction(emitter, band)
+        sun = np.array([normal.irradiance_w_per_m2])
+        return Passband(np.zeros(1), np.array([share]), sun, normal.illuminance_lx)
+    if band.place is not None and band.place.value == "behind lens":
+        widest = min(1 / (2 * f_number), 1.0)
+        node, weight = np.polynomial.legendre.leggauss(_KNOTS)
+        # Uniform in sin^2: the etendue of the cone.
+        angles = np.degrees(np.arcsin(widest * np.sqrt((node + 1) / 2)))
+        share, sun_w = (float(weight @ values) / 2 for values in _at(emitter, band, sky, angles))
+        return Passband(np.zeros(1), np.array([share]), np.array([sun_w]), normal.illuminance_lx)
+    corner = math.sqrt(2) * math.tan(math.radians(half_field_deg))
+    angles = np.linspace(0, math.degrees(math.atan(corner)), _KNOTS)
+    share_at, sun_at = _at(emitter, band, sky, angles)
+    return Passband(angles, share_at, sun_at, normal.illuminance_lx)
+
+
+def _at(emitter: Emitter, band: Filter, sky: Sky, angles_deg: Array) -> tuple[Array, Array]:
+    shares = [in_band_fraction(emitter, band, a) for a in angles_deg]
+    suns = [sun_in_band(sky, band, a).irradiance_w_per_m2 for a in angles_deg]
+    return np.array(shares), np.array(suns)

@@ -1,0 +1,193 @@
+"""The steps of a light path between Lambertian surfaces: connect to a light, bounce.
+
+All tracers (`transport`, `matrix`, `time_of_flight`) take these steps; they differ in what they add
+up. Surfaces are two-sided, with one reflectance at each point.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.engine import mitsuba
+from twin.optics.devices import (
+    Device,
+    blurred,
+    field_coordinates,
+    inside,
+    point,
+    relative,
+    vectors,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Knobs of the path tracer, each with the error it bounds.
+
+    samples
+        Paths per cell, a square number, stratified: noise of a cell's direct light, which falls as
+        samples^-0.75. How much a sensor's own noise hides, `twin trade` measures.
+    max_depth
+        Bounces: 1 is direct light; each further one adds light of up to the reflectance's next
+        power. What is cut off is lost.
+    indirect_samples
+        Paths per cell for the light of further bounces, a square number: its noise falls as
+        samples^-0.5, but there is less of it. Default: a quarter of ``samples``.
+    """
+
+    samples: int = 64
+    max_depth: int = 4
+    indirect_samples: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("samples", "indirect_samples"):
+            value = getattr(self, name)
+            if value is not None and (value < 1 or round(value**0.5) ** 2 != value):
+                raise ValueError(f"{name}: {value} is not a square number")
+        if self.max_depth < 1:
+            raise ValueError(f"max_depth: {self.max_depth} is less than 1")
+
+    @property
+    def further_samples(self) -> int:
+        """Paths per cell for indirect light."""
+        if self.indirect_samples is not None:
+            return self.indirect_samples
+        return max(1, round(self.samples**0.5) // 2) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class SunLight:
+    """Directional light; radiances come out per unit irradiance on the plane normal to it."""
+
+    direction: Array
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceLight:
+    """A device as light: of radiant intensity 1 (``emitter``), or a pupil of area 1 seen by
+    reciprocity (``pupil``, which adds the cosine of its flat surface).
+    """
+
+    device: Device
+    kind: Literal["emitter", "pupil"]
+
+
+Light = SunLight | DeviceLight
+
+
+class Connection(NamedTuple):
+    """From a surface to a light: direction, the ray that must be free, irradiance per light on a
+    surface facing it, length of the way, and the place in the light's field.
+    """
+
+    direction: Any
+    shadow_ray: Any
+    weight: Any
+    length: Any
+    left: Any
+    up: Any
+
+
+class _SunConnector:
+    def __init__(self, light: SunLight) -> None:
+        (self.direction,) = vectors(light.direction[None])
+
+    def __call__(self, hit: Any, rng: Any) -> Connection:
+        mi = mitsuba()
+        zero = mi.Float(0)
+        ray = hit.spawn_ray(self.direction)
+        return Connection(self.direction, ray, mi.Float(1), zero, zero, zero)
+
+
+class _DeviceConnector:
+    def __init__(self, light: DeviceLight) -> None:
+        mi = mitsuba()
+        self.device = light.device
+        self.is_pupil = light.kind == "pupil"
+        self.origin = point(light.device.origin_m)
+        self.axes = vectors(light.device.axes)
+        self.radius = dr.opaque(mi.Float, light.device.pupil_radius_m)
+        scale = light.device.focus_m * light.device.tan_half_field
+        self.defocus = dr.opaque(mi.Float, 1 / scale)
+
+    def __call__(self, hit: Any, rng: Any) -> Connection:
+        mi = mitsuba()
+        origin, shift = self.origin, None
+        if self.device.pupil_radius_m:
+            sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+            shift = self.radius * mi.warp.square_to_uniform_disk_concentric(sample)
+            origin = origin + shift.x * self.axes[1] + shift.y * self.axes[2]
+        towards = origin - hit.p
+        distance2 = dr.squared_norm(towards)
+        direction = towards * dr.rsqrt(distance2)
+        cos = dr.dot(-direction, self.axes[0])
+        left, up = field_coordinates(self.device, -direction)
+        if shift is not None:
+            # The sharp image is that of the plane in focus.
+            left, up = left + shift.x * self.defocus, up + shift.y * self.defocus
+        weight = dr.rcp(distance2) * relative(self.device, left, up, cos)
+        if self.is_pupil:
+            weight *= cos
+        left, up = blurred(self.device, left, up, rng)
+        weight = dr.select((cos > 0) & inside(self.device, left, up), weight, 0)
+        ray = hit.spawn_ray_to(origin)
+        return Connection(direction, ray, weight, dr.sqrt(distance2), left, up)
+
+
+def connector(light: Light) -> Any:
+    """What a path asks at each vertex: ``connector(light)(hit, rng)`` is a `Connection`."""
+    return _SunConnector(light) if isinstance(light, SunLight) else _DeviceConnector(light)
+
+
+def meet(scene: Any, ray: Any, coherent: bool, active: Any = True) -> Any:
+    """The surface that a ray meets, at a point of the ray itself.
+
+    Mitsuba puts the point between the triangle's corners; at grazing incidence on a large triangle
+    that is off sideways by the corners' float32 step over the cosine, 8 mm at 89.9 deg on 200 m.
+    """
+    mi = mitsuba()
+    hit = scene.ray_intersect(ray, mi.RayFlags.All, mi.Bool(coherent), active)
+    hit.p = dr.select(hit.is_valid(), ray(hit.t), hit.p)
+    return hit
+
+
+def next_event(
+    scene: Any, hit: Any, ray: Any, connect: Any, rng: Any, active: Any, coherent: bool
+) -> tuple[Any, Connection]:
+    """Light that reaches a vertex straight from the light and goes back along the ray.
+
+    ``coherent`` says that neighbouring rays are alike, which makes tracing them cheaper.
+    """
+    mi = mitsuba()
+    link = connect(hit, rng)
+    cos_out = dr.dot(link.direction, hit.n)
+    same_side = cos_out * dr.dot(ray.d, hit.n) < 0
+    value = albedo(hit, active) * dr.abs(cos_out) * link.weight / dr.pi
+    lit = active & same_side & (value > 0)
+    lit &= ~scene.ray_test(link.shadow_ray, mi.Bool(coherent), lit)
+    return dr.select(lit, value, 0), link
+
+
+def bounce(hit: Any, ray: Any, rng: Any) -> Any:
+    """The next ray, drawn from the cosine lobe on the side the last one came from."""
+    mi = mitsuba()
+    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
+    local.z = dr.copysign(local.z, -dr.dot(ray.d, hit.n))
+    return hit.spawn_ray(hit.to_world(local))
+
+
+def albedo(hit: Any, active: Any = True) -> Any:
+    """Reflectance of the surface at a hit."""
+    return hit.bsdf().eval_diffuse_reflectance(hit, active)[0]
+
+
+def random_numbers(n: int, *seed: int) -> Any:
+    """A generator of ``n`` independent streams."""
+    mi = mitsuba()
+    state = int(np.random.SeedSequence(list(seed)).generate_state(1)[0])
+    return mi.PCG32(size=n, initstate=dr.opaque(mi.UInt64, state))

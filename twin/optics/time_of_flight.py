@@ -1,0 +1,143 @@
+"""Transport with the length of every path kept: phase, time histogram and gates from one render.
+
+What a modulated emitter and a gated detector make of a path depends on its length alone. So the
+paths are traced once, and any shutter is a sum over them, in float64.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+from scipy import constants
+
+from twin.engine import mitsuba
+from twin.optics.devices import Device, Grid, field_coordinates, inside, started_rays
+from twin.optics.paths import (
+    DeviceLight,
+    Quality,
+    albedo,
+    bounce,
+    connector,
+    meet,
+    next_event,
+    random_numbers,
+)
+
+Array = NDArray[np.float64]
+#: Share of the light that counts, for path lengths in metres (any shape).
+Response = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Every contribution of the cells of an emitter to a detector.
+
+    ``value`` (n_cells, n) in 1/m^2, so that its sum over the last axis is `transport`; ``length_m``
+    (n_cells, n), from emitter to detector; ``shape`` (rows, columns) of the cells.
+    """
+
+    value: NDArray[np.float32]
+    length_m: NDArray[np.float32]
+    shape: tuple[int, int]
+
+    def light(self, response: Response | None = None) -> Array:
+        """Light of each cell, (rows, columns), each path weighted by the response to its length."""
+        value = self.value.astype(np.float64)
+        if response is not None:
+            value *= response(self.length_m.astype(np.float64))
+        return value.sum(axis=-1).reshape(self.shape)
+
+    def phasor(self, modulation_hz: float) -> NDArray[np.complex128]:
+        """Sum of a exp(-2 pi j f L / c), (rows, columns): amplitude and phase of each cell when the
+        emitter's power is modulated at f.
+        """
+        wave = -2 * np.pi * modulation_hz / constants.c * self.length_m.astype(np.float64)
+        value = self.value.astype(np.float64)
+        real, imaginary = (value * np.cos(wave)).sum(axis=-1), (value * np.sin(wave)).sum(axis=-1)
+        return (real + 1j * imaginary).reshape(self.shape)
+
+    def histogram(self, edges_s: Array) -> Array:
+        """Light of each cell by its time of flight, (rows, columns, n_bins).
+
+        ``edges_s`` (n_bins + 1,) ascending and equally spaced; what arrives outside is left out.
+        """
+        n_bins = len(edges_s) - 1
+        width = (edges_s[-1] - edges_s[0]) / n_bins
+        place = np.floor((self.length_m.astype(np.float64) / constants.c - edges_s[0]) / width)
+        cell = np.arange(len(self.value))[:, None]
+        kept = (place >= 0) & (place < n_bins) & (self.value > 0)
+        where = (cell * n_bins + place.clip(0, n_bins - 1)).astype(np.int64)
+        sums = np.bincount(
+            where[kept], weights=self.value[kept], minlength=len(self.value) * n_bins
+        )
+        return sums.astype(np.float64).reshape(*self.shape, n_bins)
+
+
+def trace_paths(
+    scene: Any,
+    emitter: Device,
+    detector: Device,
+    shape: tuple[int, int],
+    *,
+    quality: Quality,
+    seed: int,
+    extinction_per_m: float = 0.0,
+) -> Paths:
+    """Trace the paths of every cell to a detector, direct and indirect, and keep their lengths.
+
+    Memory: 8 bytes for each of cells x samples x bounces.
+    """
+    mi = mitsuba()
+    grid = Grid(emitter, *shape)
+    rng = random_numbers(grid.size * quality.samples, seed)
+    ray, throughput = started_rays(grid, (0, grid.rows), quality.samples, rng, "emitter")
+    active = mi.Bool(True)
+    if emitter.outline == "disc":
+        active = inside(emitter, *field_coordinates(emitter, ray.d))
+    connect = connector(DeviceLight(detector, "pupil"))
+    throughput = throughput / quality.samples
+    travelled, found = mi.Float(0), []
+    extinction = dr.opaque(mi.Float, extinction_per_m)
+    for depth in range(quality.max_depth):
+        first = depth == 0
+        hit = meet(scene, ray, first, active)
+        active &= hit.is_valid()
+        travelled = travelled + dr.select(active, hit.t, 0)
+        value, link = next_event(scene, hit, ray, connect, rng, active, first)
+        length = dr.select(value > 0, travelled + link.length, 0)
+        value *= throughput * dr.exp(-extinction * length)
+        throughput = throughput * albedo(hit, active)
+        ray = bounce(hit, ray, rng)
+        dr.eval(value, length, throughput, ray, active, travelled, rng)
+        found.append((np.array(value), np.array(length)))
+    values, lengths = (
+        np.concatenate([part.reshape(grid.size, -1) for part in parts], axis=1)
+        for parts in zip(*found, strict=True)
+    )
+    return Paths(values, lengths, shape)
+
+
+def phase_tap(modulation_hz: float, phase_rad: float, contrast: float = 1.0) -> Response:
+    """Detector that is sensitive half of the time, in step with the modulation: one tap of a
+    lock-in measurement, (1 + contrast cos(2 pi f L / c - phase)) / 2.
+    """
+    k = 2 * np.pi * modulation_hz / constants.c
+    return lambda length_m: (1 + contrast * np.cos(k * length_m - phase_rad)) / 2
+
+
+def gate(pulse_width_s: float, delay_s: float, width_s: float) -> Response:
+    """Share of a rectangular pulse that comes back while a gate is open.
+
+    The pulse leaves from 0 to ``pulse_width_s``; the gate is open from ``delay_s`` for ``width_s``.
+    """
+
+    def response(length_m: Array) -> Array:
+        arrives = length_m / constants.c
+        first = np.maximum(arrives, delay_s)
+        last = np.minimum(arrives + pulse_width_s, delay_s + width_s)
+        return np.maximum(last - first, 0) / pulse_width_s
+
+    return response
