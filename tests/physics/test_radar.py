@@ -8,6 +8,7 @@ import pytest
 from scipy import constants
 
 from hardware.radar import channel, detect, range_doppler
+from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import contributions
@@ -306,14 +307,13 @@ def test_two_runs_have_the_same_bits() -> None:
 def test_both_engines_share_one_process() -> None:
     """Optical, radar, optical again: the same light before and after, the same echoes."""
     from twin.camera.acquisition import capture
-    from twin.optics.transport import Quality
     from twin.system import load_system
 
     scene, radar, system = load_scene("table1"), load_radar("hybrid-79-slow"), load_system("paper")
-    quality = Quality(4, 2)
-    before = capture(scene, system, quality=quality).record.counts
+    fidelity = Fidelity(4, 2)
+    before = capture(scene, system, fidelity=fidelity).record.counts
     radar_capture(scene, radar)
-    np.testing.assert_array_equal(capture(scene, system, quality=quality).record.counts, before)
+    np.testing.assert_array_equal(capture(scene, system, fidelity=fidelity).record.counts, before)
 
 
 def test_an_empty_scene_is_noise_only() -> None:

@@ -11,15 +11,20 @@ from numpy.typing import NDArray
 from hardware.radar.waveform import OfdmWaveform
 from hardware.records import Flag, RadarRecord
 from twin import __version__
+from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar.design import RadarDesign
+from twin.radar.free_space import straight_paths
 from twin.radar.propagation import Path, Propagation, trace
+from twin.radar.roles import Role
 from twin.radar.synthesis import Contributions, synthesize
-from twin.scene import Scene
+from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import encloses
+from twin.scene.meshes import Mesh, divided
 from twin.scene.model import Target
 
 _NEAREST_M = 0.1  # a point target nearer than this is no point
+_BENT_RAD = 0.02  # phase of a bent path from which it is warned of
 Stage = Callable[[str], AbstractContextManager[Any]]
 
 #: Holds for every capture; printed with it.
@@ -29,7 +34,8 @@ MODEL_ASSUMPTIONS = (
     "nothing goes through them; objects that are neither only cast shadows",
     "one transmit and one receive antenna at one place, vertical polarisation, "
     "gain G0 cos^q; no leakage between them, no phase noise",
-    "velocities are constant within the interval; positions are those of its middle",
+    "velocities are constant within the interval, positions those of its middle, delays linear in "
+    f"time to first order in v / c (bends beyond {_BENT_RAD} rad are warned of)",
     "air is clear and does not attenuate",
 )
 
@@ -69,6 +75,7 @@ def radar_capture(
     radar: RadarDesign,
     *,
     seed: int = 0,
+    fidelity: Fidelity | None = None,
     stage: Stage = lambda name: nullcontext(),
 ) -> RadarCapture:
     """Acquire one interval.
@@ -79,6 +86,8 @@ def radar_capture(
         What is looked at, and with what.
     seed
         Of every random draw: same seed, same counts, bit for bit.
+    fidelity
+        Knobs, each with the error it bounds.
     stage
         Called with each stage's name, for progress and timing.
 
@@ -86,12 +95,18 @@ def radar_capture(
     """
     _check_targets(scene)
     ray_seed, noise_seed = np.random.SeedSequence([seed, 79]).spawn(2)
+    fidelity = fidelity or Fidelity()
     with stage("radar paths"):
-        found = trace(scene, radar, seed=int(ray_seed.generate_state(1)[0]) >> 1)
+        if fidelity.radar == "targets":
+            found = straight_paths(scene, radar)
+        else:
+            found = trace(scene, radar, seed=int(ray_seed.generate_state(1)[0]) >> 1)
     with stage("radar signal"):
-        channel = synthesize(contributions(found.paths, radar.ofdm), radar.ofdm)
+        channel = synthesize(
+            contributions(found.paths, radar.ofdm), radar.ofdm, fidelity.nufft_tolerance
+        )
         rng = np.random.default_rng(noise_seed)
-        iq, flags, scale = digitize(channel, radar, rng=rng)
+        iq, flags, scale = digitize(channel, radar, rng=rng, noisy=fidelity.noise != "none")
     truth = tuple(_true(t, scene, radar, found.paths) for t in scene.targets)
     return RadarCapture(
         record=_record(scene, radar, iq, flags, scale),
@@ -128,7 +143,11 @@ def contributions(paths: tuple[Path, ...], waveform: OfdmWaveform) -> Contributi
 
 
 def digitize(
-    channel: NDArray[np.complex128], radar: RadarDesign, *, rng: np.random.Generator
+    channel: NDArray[np.complex128],
+    radar: RadarDesign,
+    *,
+    rng: np.random.Generator,
+    noisy: bool = True,
 ) -> tuple[NDArray[np.int16], NDArray[np.uint8], float]:
     """Counts (1, n_slots, n_subcarriers, 2), flags (1, n_slots), and root watts per count.
 
@@ -140,7 +159,9 @@ def digitize(
     sent = wave.sent() * np.sqrt(power / wave.n_subcarriers)
     received = np.fft.ifft(np.fft.ifftshift(channel.T * sent, axes=1), axis=1)
     received *= wave.n_subcarriers
-    noise = rng.normal(size=(*received.shape, 2)) * np.sqrt(radar.sample_noise_w / 2)
+    noise = 0.0
+    if noisy:
+        noise = rng.normal(size=(*received.shape, 2)) * np.sqrt(radar.sample_noise_w / 2)
     scale = np.sqrt(radar.sample_noise_w) / radar.front_end.noise_counts.value
     exact = (np.stack([received.real, received.imag], axis=-1) + noise) / scale
     counts = np.clip(np.rint(exact), -32768, 32767).astype(np.int16)
@@ -208,6 +229,32 @@ def _assumed(scene: Scene, radar: RadarDesign) -> list[str]:
     return [*values, *targets]
 
 
+def _too_large(item: SceneObject, place: NDArray[np.float64]) -> bool:
+    """Whether a renderer's rays would need the object divided; the radar's are not."""
+    mesh = Mesh(item.vertices_m - place, item.faces)
+    return len(divided(mesh).faces) > len(mesh.faces)
+
+
+def _bend(target: Target, place: NDArray[np.float64], radar: RadarDesign) -> str | None:
+    """Warning where a target crosses so fast that its range is no straight line in time.
+
+    Across the line of sight v moves it by (v t)^2 / (2 R), which a path's one rate leaves out.
+    """
+    towards = np.asarray(target.position_m) - place
+    distance = float(np.linalg.norm(towards))
+    velocity = np.asarray(target.velocity_m_per_s)
+    across2 = float(velocity @ velocity - (velocity @ towards / distance) ** 2)
+    half_time = radar.ofdm.n_slots * radar.ofdm.slot_period_s / 2
+    bend = across2 * half_time**2 / (2 * distance)
+    phase = 4 * np.pi * bend / radar.ofdm.wavelength_m
+    if phase < _BENT_RAD:
+        return None
+    return (
+        f"{target.name} crosses so fast that its range bends by {bend:.2g} m within the interval, "
+        f"which is left out: its echo is off by up to {100 * min(phase, 2.0):.3g} % of itself"
+    )
+
+
 def _warnings(
     scene: Scene,
     radar: RadarDesign,
@@ -225,6 +272,14 @@ def _warnings(
     hidden = [t.name for t in truth if not t.visible]
     if hidden:
         warnings.append(f"no direct path to {', '.join(hidden)}")
+    surfaces = {a.name for a in found.roles if a.role is Role.SURFACE}
+    coarse = [o.name for o in scene.objects if o.name in surfaces and _too_large(o, place)]
+    if coarse:
+        warnings.append(
+            f"triangles of {', '.join(coarse)} are so large that float32 rays may lose their echo "
+            "or count it again (off by up to 300 % in what was tried): divide them"
+        )
+    warnings += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
     if not found.paths:
         warnings.append("no echo at all: the record holds noise only")
     if flags.any():

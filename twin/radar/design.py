@@ -28,11 +28,11 @@ _REFERENCE_K = 290.0  # of noise figures, by definition
 class Waveform(Strict):
     """See `OfdmWaveform`."""
 
-    carrier_hz: Sourced[Positive]
+    carrier_hz: Sourced[Annotated[Positive, Field(le=1e13)]]
     n_subcarriers: Sourced[Count]
     subcarrier_spacing_hz: Sourced[Positive]
     n_slots: Sourced[Count]
-    slot_period_s: Sourced[Positive]
+    slot_period_s: Sourced[Annotated[Positive, Field(ge=1e-9, le=1e3)]]
     repeats: Sourced[Count]
     prefix_s: Sourced[NonNegative]
     symbols: Sourced[Symbols]

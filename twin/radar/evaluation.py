@@ -47,10 +47,30 @@ def evaluate_radar(
         capture=capture,
         image=image,
         detections=tuple(found),
-        matches=_matched(found, capture.truth, radar),
+        matches=match_detections(found, capture.truth, radar),
         window=window,
         false_alarm=false_alarm,
     )
+
+
+def match_detections(
+    detections: Sequence[Detection], truth: tuple[TrueTarget, ...], radar: RadarDesign
+) -> tuple[TrueTarget | None, ...]:
+    """Nearest true target within two cells in range and rate; each target goes to one detection."""
+    wave, free = radar.ofdm, list(truth)
+    matches: list[TrueTarget | None] = []
+    for found in detections:
+        best, nearest = None, 2.0
+        for target in free:
+            off_range = abs(found.range_m - target.seen_at[0]) / wave.range_cell_m
+            off_rate = abs(found.range_rate_m_per_s - target.seen_at[1])
+            off = max(off_range, off_rate / wave.velocity_cell_m_per_s)
+            if off <= nearest:
+                best, nearest = target, off
+        if best is not None:
+            free.remove(best)
+        matches.append(best)
+    return tuple(matches)
 
 
 def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
@@ -89,23 +109,3 @@ def _write(path: Path, names: list[str], rows: Iterable[dict[str, Any]]) -> None
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         writer.writerows(rows)
-
-
-def _matched(
-    detections: list[Detection], truth: tuple[TrueTarget, ...], radar: RadarDesign
-) -> tuple[TrueTarget | None, ...]:
-    """Nearest true target within two cells in range and rate; each target goes to one detection."""
-    wave, free = radar.ofdm, list(truth)
-    matches: list[TrueTarget | None] = []
-    for found in detections:
-        best, nearest = None, 2.0
-        for target in free:
-            off_range = abs(found.range_m - target.seen_at[0]) / wave.range_cell_m
-            off_rate = abs(found.range_rate_m_per_s - target.seen_at[1])
-            off = max(off_range, off_rate / wave.velocity_cell_m_per_s)
-            if off <= nearest:
-                best, nearest = target, off
-        if best is not None:
-            free.remove(best)
-        matches.append(best)
-    return tuple(matches)

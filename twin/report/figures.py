@@ -65,8 +65,7 @@ def reconstructions(evaluation: Evaluation) -> Figure:
     _image(axes[0], evaluation.capture.cells_e, "noise-free")
     pairs = zip(evaluation.reconstructions, evaluation.scores, strict=True)
     for axis, (image, score) in zip(axes[1:], pairs, strict=True):
-        title = f"{image.method}: PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
-        _image(axis, image.picture, title)
+        _image(axis, image.picture, f"{image.method}: {score}")
     return figure
 
 
@@ -138,8 +137,7 @@ def _aspect(image: Array) -> float:
 
 
 def _best(evaluation: Evaluation) -> str:
-    score = evaluation.scores[0]
-    return f"{evaluation.reconstructions[0].method}, PSNR {score.psnr_db:.1f} dB"
+    return f"{evaluation.reconstructions[0].method}, {evaluation.scores[0]}"
 
 
 def _snr_words(evaluation: Evaluation) -> str:

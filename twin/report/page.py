@@ -121,7 +121,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "SNR per pixel": f"median {np.median(taken.snr):.3g}, best {taken.snr.max():.3g}",
         "pixels above their noise": f"{np.mean(taken.snr >= 1):.0%}",
         "Monte-Carlo error of the twin over sensor noise, median": f"{rendering:.2g}",
-        "best reconstruction": f"{best.method}: PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.3f}",
+        "best reconstruction": f"{best.method}: {score}",
     }
 
 

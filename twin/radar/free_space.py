@@ -1,0 +1,40 @@
+"""The cheap rung: declared targets straight ahead in empty space, in closed form."""
+
+import numpy as np
+
+from hardware.radar.waveform import C_M_PER_S
+from twin.radar.design import RadarDesign
+from twin.radar.propagation import Path, Propagation
+from twin.scene import Scene
+
+
+def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
+    """One path to each target in front of the radar, by the radar equation.
+
+    What is left out: multipath, clutter, shadows.
+    """
+    offset, axes = scene.rig.device("radar")
+    sent = radar.front_end.transmit_power_w.value
+    paths = []
+    for target in scene.targets:
+        towards = np.asarray(target.position_m) - scene.rig.position_m - offset
+        distance = float(np.linalg.norm(towards))
+        ahead = float(axes[0] @ towards) / distance
+        if ahead <= 0:
+            continue
+        received = radar.received_power_w(distance, target.rcs_m2, ahead)
+        rate = float(np.asarray(target.velocity_m_per_s) @ towards) / distance
+        paths.append(
+            Path(
+                via=(target.name,),
+                target=target.name,
+                amplitude=complex(np.sqrt(received / sent)),
+                delay_s=2 * distance / C_M_PER_S,
+                delay_rate=2 * rate / C_M_PER_S,
+            )
+        )
+    return Propagation(
+        paths=tuple(sorted(paths, key=lambda p: p.delay_s)),
+        roles=(),
+        assumptions=("the scene itself is left out: no multipath, no clutter, no shadows",),
+    )

@@ -1,0 +1,183 @@
+"""Radar cross-section of a mesh, and where the figure is not to be trusted."""
+
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from twin.radar.scattering.diffraction import EdgeQuality, edge_diffraction
+from twin.radar.scattering.edges import Edges, sharp_edges
+from twin.radar.scattering.rays import Echo, Quality, physical_optics
+from twin.radar.scattering.surface import PEC
+from twin.radar.scattering.target import Target
+from twin.radar.scattering.wave import Polarization, Radar
+
+Array = NDArray[np.float64]
+
+# From here on a figure comes with a warning.
+_SMALL = 3.0  # wavelengths that a target measures: at 2.6 the Austin plates are 10 dB off
+_NARROW = 1.0
+_FACETED = 1 / 16  # wavelengths between facets and the surface they stand for: 45 deg of phase
+_GRAZED = 0.5  # share of the lit wavefront
+_FADED = 0.5
+_UNFINISHED = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Cross-section over aspect: complex amplitude S (n,) in metres with sigma = 4 pi |S|^2, and
+    what to know before using it.
+    """
+
+    azimuth_deg: Array
+    elevation_deg: Array
+    amplitude_m: NDArray[np.complex128]
+    warnings: tuple[str, ...]
+
+    @property
+    def cross_section_m2(self) -> Array:
+        """4 pi |S|^2."""
+        return 4 * np.pi * np.abs(self.amplitude_m) ** 2
+
+    @property
+    def cross_section_dbsm(self) -> Array:
+        """In dB over 1 m^2; -inf where nothing comes back."""
+        with np.errstate(divide="ignore"):
+            decibel: Array = 10 * np.log10(self.cross_section_m2)
+        return decibel
+
+
+def sweep(
+    target: Target,
+    carrier_hz: float,
+    azimuth_deg: Iterable[float],
+    elevation_deg: float = 0.0,
+    *,
+    distance_m: float = np.inf,
+    transmit: Polarization = "V",
+    receive: Polarization | None = None,
+    edges: bool = False,
+    quality: Quality | None = None,
+    edge_quality: EdgeQuality | None = None,
+    stage: Callable[[str], AbstractContextManager[None]] = lambda _: nullcontext(),
+) -> Sweep:
+    """Monostatic cross-section from each azimuth.
+
+    Parameters
+    ----------
+    distance_m
+        Of the radar from the target's origin; finite: what the radar equation with that distance
+        needs to give the echo of a target in the near field.
+    transmit, receive
+        Polarisations; ``receive`` defaults to ``transmit``.
+    edges
+        Adds the diffraction of sharp edges.
+    stage
+        Entered for each azimuth with its name: progress.
+    """
+    quality = quality or Quality()
+    edge_quality = edge_quality or EdgeQuality()
+    azimuths = np.array(list(azimuth_deg), dtype=np.float64)
+    found = sharp_edges(target, edge_quality.sharp_angle_deg)
+    port = 0 if (receive or transmit) == "V" else 1
+    amplitudes, echoes = [], []
+    for azimuth in azimuths:
+        with stage(f"azimuth {azimuth:g} deg"):
+            radar = Radar.at(azimuth, elevation_deg, distance_m)
+            echo = physical_optics(target, radar, carrier_hz, transmit, quality)
+            amplitude = echo.amplitude[port]
+            if edges:
+                amplitude = (
+                    amplitude
+                    + edge_diffraction(target, found, radar, carrier_hz, transmit, edge_quality)[
+                        port
+                    ]
+                )
+        amplitudes.append(amplitude)
+        echoes.append(echo)
+    diffracting = edges and len(found.length_m) > 0
+    remarks = [
+        *_on_target(target, found, speed_of_light / carrier_hz, edges),
+        *_on_distance(target, distance_m),
+        *_on_aspects(azimuths, echoes, quality, diffracting),
+    ]
+    return Sweep(
+        azimuths,
+        np.full(len(azimuths), float(elevation_deg)),
+        np.array(amplitudes, dtype=np.complex128),
+        tuple(remarks),
+    )
+
+
+def _on_target(target: Target, edges: Edges, wavelength: float, diffraction: bool) -> list[str]:
+    points = target.used_m - target.used_m.mean(axis=0)
+    sizes = np.ptp(points @ np.linalg.svd(points, full_matrices=False)[2].T, axis=0) / wavelength
+    sizes = np.sort(sizes)[::-1]
+    remarks = []
+    if sizes[0] < _SMALL:
+        remarks.append(
+            f"the target measures {sizes[0]:.2g} wavelengths: below {_SMALL:g} physical optics is "
+            "no more than an order of magnitude"
+        )
+    elif sizes[1] < _NARROW:
+        remarks.append(
+            f"the target is {sizes[1]:.2g} wavelengths wide: currents around it are not followed"
+        )
+    if edges.sagitta_m > _FACETED * wavelength:
+        remarks.append(
+            f"facets lie up to {edges.sagitta_m / wavelength:.2g} wavelengths off a smooth surface:"
+            " each reflects for itself; a finer mesh is needed"
+        )
+    if diffraction and edges.crowded:
+        remarks.append(f"{edges.crowded} edges of more than two faces diffract nothing")
+    if diffraction and any(surface != PEC for surface in target.surfaces):
+        remarks.append("edges diffract as if they were conducting")
+    return remarks
+
+
+def _on_distance(target: Target, distance_m: float) -> list[str]:
+    center, radius = target.sphere
+    if distance_m < float(np.linalg.norm(center)) + radius:
+        return ["the radar may stand within the target: the figure is an echo, no cross-section"]
+    return []
+
+
+def _on_aspects(
+    azimuths: Array, echoes: list[Echo], quality: Quality, diffracting: bool
+) -> list[str]:
+    remarks = []
+    grazed = [echo.grazing > _GRAZED and not diffracting for echo in echoes]
+    faded = [echo.faded > _FADED for echo in echoes]
+    unfinished = [echo.unfinished > _UNFINISHED for echo in echoes]
+    if any(grazed):
+        remarks.append(
+            f"{_where(azimuths, grazed)}: most of the target is met within 15 deg of grazing, "
+            "where creeping and travelling waves, outside physical optics, decide the echo"
+        )
+    if any(faded):
+        remarks.append(
+            f"{_where(azimuths, faded)}: over most of the target rays are too few to follow the "
+            "phase, and what its edges send back in physical optics is lost"
+        )
+    if any(unfinished):
+        most = 100 * max(echo.unfinished for echo in echoes)
+        remarks.append(
+            f"{_where(azimuths, unfinished)}: up to {most:.0f} % of the rays go on after "
+            f"{quality.max_bounces} bounces"
+        )
+    thinned = max((echo.thinned for echo in echoes), default=1.0)
+    if thinned > 1:
+        remarks.append(
+            f"rays up to {thinned:.2g} times wider apart than asked for: {quality.max_rays} at most"
+        )
+    return remarks
+
+
+def _where(azimuths: Array, flags: list[bool]) -> str:
+    at = azimuths[np.array(flags)]
+    if len(at) == 1:
+        return f"azimuth {at[0]:g} deg"
+    return f"{len(at)} azimuths from {at.min():g} to {at.max():g} deg"

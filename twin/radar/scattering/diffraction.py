@@ -1,0 +1,133 @@
+"""Echo of sharp edges: fringe currents along every edge that the radar sees.
+
+To be added to physical optics, which has the rest of the current. Edges seen from within a corner
+(between faces less than 180 deg apart) are left to the rays that bounce there; waves diffracted
+twice, corners, and waves that creep around curved surfaces are left out.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from twin.engine import mitsuba
+from twin.radar.scattering.edges import Edges
+from twin.radar.scattering.fringe import backscatter, moment
+from twin.radar.scattering.target import Target
+from twin.radar.scattering.wave import Polarization, Radar, Wave
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EdgeQuality:
+    """Knobs of edge diffraction, each with the error it bounds.
+
+    sharp_angle_deg
+        A surface that turns by less counts as smooth: facets of a round body must not diffract.
+    pieces_per_wavelength
+        Of an edge. Phase is followed within a piece, but the current that the face's end cuts off
+        is taken at its middle. Against 64 pieces the field of a plate's edges, rms over aspects, is
+        off by up to 15, 9, 5, 4 % at 2, 4, 8, 16.
+    """
+
+    sharp_angle_deg: float = 25.0
+    pieces_per_wavelength: float = 8.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.sharp_angle_deg < 180:
+            raise ValueError(f"sharp_angle_deg: {self.sharp_angle_deg}: expected 0 to 180")
+        if not self.pieces_per_wavelength > 0:
+            raise ValueError(
+                f"pieces_per_wavelength: {self.pieces_per_wavelength}: expected above 0"
+            )
+
+
+def edge_diffraction(
+    target: Target,
+    edges: Edges,
+    radar: Radar,
+    carrier_hz: float,
+    polarization: Polarization = "V",
+    quality: EdgeQuality | None = None,
+) -> NDArray[np.complex128]:
+    """Scattered amplitude of all edges for reception in V and H, (2,) in metres.
+
+    Conducting faces; for others it is an upper bound.
+    """
+    if not len(edges.length_m):
+        return np.zeros(2, dtype=np.complex128)
+    quality = quality or EdgeQuality()
+    wavelength = speed_of_light / carrier_hz
+    k = 2 * np.pi / wavelength
+    edge, middle, length = _pieces(edges, wavelength / quality.pieces_per_wavelength)
+    outside = -edges.inwards.sum(axis=1)[edge]
+    outside /= np.maximum(np.linalg.norm(outside, axis=1, keepdims=True), 1e-300)
+    seen = _visible(target, radar, middle, outside)
+    edge, middle, length = edge[seen], middle[seen], length[seen]
+    wave = radar.wave_at(middle, polarization)
+    radiating = sum(_face(edges, edge, side, middle, wave, k) for side in (0, 1))
+    # Back and forth along a piece: the sinc of its linear phase.
+    slope = np.sum(wave.direction * edges.along[edge], axis=1)
+    phase = np.exp(-2j * k * wave.detour_m) * np.sinc(k * length * slope / np.pi)
+    factor = -1j * k / (4 * np.pi) * length * phase / wave.scale**2
+    amplitude = [
+        np.sum(factor * np.sum(radar.wave_at(middle, p).field * radiating, axis=1))
+        for p in ("V", "H")
+    ]
+    return np.array(amplitude)
+
+
+def _pieces(edges: Edges, longest_m: float) -> tuple[NDArray[np.int64], Array, Array]:
+    """Edges cut into equal pieces: edge (m,), middle (m, 3), length (m,)."""
+    count = np.maximum(np.ceil(edges.length_m / longest_m), 1).astype(np.int64)
+    edge = np.repeat(np.arange(len(count)), count)
+    number = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    at = (number + 0.5) / count[edge] * edges.length_m[edge]
+    return (
+        edge,
+        edges.start_m[edge] + at[:, None] * edges.along[edge],
+        (edges.length_m / count)[edge],
+    )
+
+
+def _visible(target: Target, radar: Radar, points: Array, outside: Array) -> NDArray[np.bool_]:
+    """Whether nothing stands between points on edges and the radar."""
+    mi: Any = mitsuba()
+    engine = target.engine
+    nudge = 2e-5 * engine.radius_m
+    start = points - engine.center_m + nudge * outside
+    away = radar.direction - radar.inverse_distance * points
+    size = np.linalg.norm(away, axis=1)
+    start += nudge * away / size[:, None]
+    reach = np.minimum(size * min(radar.distance_m, 1e30), 3 * engine.radius_m)
+    ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f((away / size[:, None]).T))
+    ray.maxt = mi.Float(reach)
+    return ~np.array(engine.scene.ray_test(ray), dtype=bool)
+
+
+def _face(
+    edges: Edges, edge: NDArray[np.int64], side: int, middle: Array, wave: Wave, k: float
+) -> NDArray[np.complex128]:
+    """Moment of the fringe current on one face, (m, 3) per length of edge; 0 in a corner."""
+    x, y = edges.inwards[edge, side], edges.upwards[edge, side]
+    z = np.cross(x, y)
+    back = -wave.direction
+    phi0 = np.arctan2(np.sum(back * y, axis=1), np.sum(back * x, axis=1)) % (2 * np.pi)
+    n = edges.wedge[edge]
+    phi0 = np.where(phi0 > 2 * np.pi - 1e-9, 0.0, phi0)
+    around = phi0 <= n * np.pi + 1e-9
+    phi0 = np.where(around, np.minimum(phi0, n * np.pi), 1.0)
+    cos_beta0 = np.sum(wave.direction * z, axis=1)
+    along = np.abs(cos_beta0) > 1 - 1e-8  # an edge seen end on radiates nothing back
+    cos_beta0 = np.where(along, 0.0, cos_beta0)
+    grazing = np.sqrt(1 - cos_beta0**2)[:, None] * x + cos_beta0[:, None] * z
+    way = edges.patches.reach(edges.patch[edge, side], middle, grazing)
+    end = way * np.sqrt(1 - cos_beta0**2)
+    e_z = np.sum(wave.field * z, axis=1)
+    h_z = np.sum(np.cross(wave.direction, wave.field) * z, axis=1)
+    m_x, m_z = moment(backscatter(n, phi0, cos_beta0, end), e_z, h_z, k)
+    total = m_x[:, None] * x + m_z[:, None] * z
+    return np.where((around & ~along)[:, None], total, 0)

@@ -1,0 +1,211 @@
+"""The kernel of the ray tracer: rays out, currents on every facet they meet, echo back.
+
+Everything is an array on the device, one element per ray; vectors are float64 but for what meets
+triangles. Re and Im are apart, ``_im`` marks the latter.
+"""
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from twin.radar.scattering.surface import TABLE_STEPS
+from twin.radar.scattering.target import Traced
+
+_PASSED, _STOPPED = 0.5, 0.9  # cycles of phase from tube to tube
+_GRAZING = 0.25881904510252074  # cosine of 75 deg
+
+
+def opaque(mi: Any, values: dict[str, Any]) -> dict[str, Any]:
+    """Numbers on the device that no kernel takes for constants, else each would compile anew."""
+    found = {}
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            found[name] = mi.Vector3d(*(dr.opaque(mi.Float64, float(v)) for v in value))
+        else:
+            found[name] = dr.opaque(mi.UInt32 if isinstance(value, int) else mi.Float64, value)
+    return found
+
+
+def launch(mi: Any, setting: dict[str, Any], grid: dict[str, Any], size: int) -> tuple[Any, ...]:
+    """Start of every ray: point, direction, path so far, weight, tube, field.
+
+    Points are relative to the mesh's centre, paths to the distance of the target's origin.
+    """
+    u, q = setting["towards"], setting["inverse_distance"]
+    index = dr.arange(mi.UInt32, size)
+    row = index // grid["columns"]
+    column = index - row * grid["columns"]
+    a = (mi.Float64(column) + grid["left"]) * grid["spacing"]
+    b = (mi.Float64(row) + grid["bottom"]) * grid["spacing"]
+    x = grid["center"] + a * grid["first"] + b * grid["second"]
+    ray = q * x - u
+    stretch = dr.norm(ray)
+    direction = ray / stretch
+    path = (q * dr.squared_norm(x) - 2 * dr.dot(u, x)) / (1 + stretch)
+    weight = grid["spacing"] ** 2 * dr.dot(direction, grid["forward"]) / stretch**2
+    x -= setting["center"]
+    back = dr.minimum(stretch * setting["distance"], dr.dot(direction, x) + setting["radius"])
+    tube = (grid["first"] * grid["spacing"] / stretch, grid["second"] * grid["spacing"] / stretch)
+    field = _turned(setting["sent"], u, direction)
+    return x - direction * back, direction, path - back, weight, *tube, field
+
+
+def _turned(e: Any, u: Any, direction: Any) -> Any:
+    """Polarisation ``e`` of the boresight -u, in another direction of the antenna's field."""
+    return e - dr.dot(e, direction) / dr.maximum(1 - dr.dot(u, direction), 1e-9) * (direction - u)
+
+
+@dr.syntax
+def trace(
+    mi: Any,
+    engine: Traced,
+    setting: dict[str, Any],
+    coefficients: Any,
+    max_bounces: Any,
+    origin: Any,
+    direction: Any,
+    path: Any,
+    weight: Any,
+    tube_a: Any,
+    tube_b: Any,
+    field: Any,
+) -> Any:
+    """Follow every ray. Nine numbers for each: its echo in V and H (Re, Im each); its weight where
+    it hits, the same times the cosine, and its weight where it grazes, is faded, is unfinished.
+    """
+    u, q, radius = setting["towards"], setting["inverse_distance"], setting["radius"]
+    wavelength = setting["wavelength"]
+    field_im = mi.Vector3d(0)
+    vertical, horizontal = mi.Vector2d(0), mi.Vector2d(0)  # Re and Im
+    lit, cosines, grazing, faded, unfinished = (mi.Float64(0) for _ in range(5))
+    bounce = mi.UInt32(0)
+    ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))
+    hit = engine.scene.ray_intersect_preliminary(ray, coherent=True)
+    face, coarse, active = hit.prim_index, mi.Float64(hit.t), hit.is_valid()
+    while active:
+        normal, distance = _plane(mi, engine, face, origin, direction, active)
+        # On a facet seen edge on the plane says nothing about the distance.
+        distance = dr.select(dr.abs(distance - coarse) < 1e-3 * radius, distance, coarse)
+        origin = origin + distance * direction
+        path += distance
+        cosine = -dr.dot(normal, direction)
+
+        te_re, te_im, tm_re, tm_im = _coefficients(mi, engine, coefficients, face, cosine, active)
+        away = direction + 2 * cosine * normal
+        out = _reflected(field, direction, normal, te_re, te_im, tm_re, tm_im, 1)
+        out_im = _reflected(field, direction, normal, te_re, te_im, tm_re, tm_im, 0)
+        rest = _reflected(field_im, direction, normal, te_re, te_im, tm_re, tm_im, 1)
+        rest_im = _reflected(field_im, direction, normal, te_re, te_im, tm_re, tm_im, 0)
+        out, out_im = out - rest_im, out_im + rest
+
+        # Back to the radar: unit vector, distance over and minus that of the origin.
+        place = origin + setting["center"]
+        towards = u - q * place
+        scale = dr.maximum(dr.norm(towards), 1e-12)
+        back = towards / scale
+        detour = (q * dr.squared_norm(place) - 2 * dr.dot(u, place)) / (1 + scale)
+        offset = normal * (4e-6 * radius)
+        reach = mi.Float(dr.minimum(scale * setting["distance"], 3 * radius))
+        shadow = mi.Ray3f(mi.Point3f(origin + offset), mi.Vector3f(back), reach, 0.0, [])
+        sees = active & ~engine.scene.ray_test(shadow, active=active & (bounce > 0))
+
+        amplitude = weight * (1 + q * path) / scale / dr.maximum(cosine, 1e-9)
+        step = (direction - back) * (1 + q * path)
+        kept = _followed(tube_a, step, direction, normal, cosine, wavelength)
+        kept *= _followed(tube_b, step, direction, normal, cosine, wavelength)
+        amplitude *= kept
+        cycles = (path + detour) / wavelength
+        turn_im, turn_re = dr.sincos(2 * dr.pi * (dr.round(cycles) - cycles))
+        turn_re *= amplitude
+        turn_im *= amplitude
+        current = _radiating(field, out, direction, away, normal, back)
+        current_im = _radiating(field_im, out_im, direction, away, normal, back)
+        for e, echo in ((setting["vertical"], vertical), (setting["horizontal"], horizontal)):
+            received = _turned(e, u, -back)
+            re, im = dr.dot(received, current), dr.dot(received, current_im)
+            echo.x += dr.select(sees, re * turn_re - im * turn_im, 0)
+            echo.y += dr.select(sees, re * turn_im + im * turn_re, 0)
+
+        first = bounce == 0
+        lit += dr.select(first, weight, 0)
+        cosines += dr.select(first, weight * cosine, 0)
+        grazing += dr.select(first & (cosine < _GRAZING), weight, 0)
+        faded += dr.select(first & (kept < 0.5), weight, 0)
+
+        field, field_im, direction = out, out_im, away
+        tube_a -= 2 * dr.dot(normal, tube_a) * normal
+        tube_b -= 2 * dr.dot(normal, tube_b) * normal
+        bounce += 1
+        active &= dr.squared_norm(field) + dr.squared_norm(field_im) > 1e-12
+        following = mi.Ray3f(mi.Point3f(origin + offset), mi.Vector3f(direction))
+        struck = engine.scene.ray_intersect_preliminary(following, active=active)
+        face, coarse = struck.prim_index, mi.Float64(struck.t)
+        active &= struck.is_valid()
+        unfinished += dr.select(active & (bounce == max_bounces), weight, 0)
+        active &= bounce < max_bounces
+    echo = (vertical.x, vertical.y, horizontal.x, horizontal.y)
+    return *echo, lit, cosines, grazing, faded, unfinished
+
+
+def _plane(
+    mi: Any, engine: Traced, face: Any, origin: Any, direction: Any, active: Any
+) -> tuple[Any, Any]:
+    """Normal against the ray, and the float64 distance along it to the facet's plane."""
+    x, y, z, a, b, c = (
+        dr.gather(mi.Float64, engine.planes, 6 * face + i, active) for i in range(6)
+    )
+    normal = mi.Vector3d(a, b, c)
+    along = dr.dot(normal, direction)
+    distance = dr.dot(normal, mi.Vector3d(x, y, z) - origin) / along
+    return normal * dr.select(along < 0, 1.0, -1.0), distance
+
+
+def _coefficients(
+    mi: Any, engine: Traced, coefficients: Any, face: Any, cosine: Any, active: Any
+) -> list[Any]:
+    """Re and Im of the reflection coefficients TE and TM, between two rows of the table."""
+    surface = dr.gather(mi.UInt32, engine.surface_of_face, face, active)
+    at = dr.clip(cosine, 0, 1) * TABLE_STEPS
+    below = dr.minimum(mi.UInt32(at), TABLE_STEPS - 1)
+    share = at - mi.Float64(below)
+    row = 4 * (surface * (TABLE_STEPS + 1) + below)
+    return [
+        (1 - share) * dr.gather(mi.Float64, coefficients, row + i, active)
+        + share * dr.gather(mi.Float64, coefficients, row + i + 4, active)
+        for i in range(4)
+    ]
+
+
+def _reflected(
+    field: Any, direction: Any, normal: Any, te_re: Any, te_im: Any, tm_re: Any, tm_im: Any, re: int
+) -> Any:
+    """Reflected field of a real one; its real or imaginary part.
+
+    A conductor's mirror image times TM, and what TE differs from it across the plane of incidence.
+    That difference vanishes at normal incidence, where "across" has no meaning.
+    """
+    image = 2 * dr.dot(normal, field) * normal - field
+    across = dr.cross(direction, normal)
+    part = across * (dr.dot(across, field) / dr.maximum(dr.squared_norm(across), 1e-30))
+    if re:
+        return tm_re * image + (te_re + tm_re) * part
+    return tm_im * image + (te_im + tm_im) * part
+
+
+def _radiating(field: Any, out: Any, direction: Any, away: Any, normal: Any, back: Any) -> Any:
+    """J + M x s, with the impedance of free space taken out."""
+    magnetic = dr.cross(direction, field) + dr.cross(away, out)
+    current = dr.cross(normal, magnetic)
+    return current - dr.cross(dr.cross(normal, field + out), back)
+
+
+def _followed(
+    side: Any, step: Any, direction: Any, normal: Any, cosine: Any, wavelength: Any
+) -> Any:
+    """1 while neighbouring tubes follow the phase on the facet, smoothly to 0 before they alias."""
+    along = side + direction * (dr.dot(normal, side) / dr.maximum(cosine, 1e-9))
+    cycles = dr.abs(dr.dot(step, along)) / wavelength
+    late = (cycles - _PASSED) / (_STOPPED - _PASSED)
+    fading = dr.square(dr.cos(0.5 * dr.pi * dr.maximum(late, 0)))
+    return dr.select(late < 1, fading, 0)
