@@ -10,8 +10,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import commands, optical, radar
+from benchmarks import commands, optical, radar, rcs, reconstruction, regression, sweep, weather
 from benchmarks.timing import Timing, fft_workload
+
+_ROOMS = (reconstruction, optical, weather, radar, rcs, regression, sweep, commands)
 
 
 def main() -> None:
@@ -21,7 +23,7 @@ def main() -> None:
     table.add_row("complex FFT, 2^20, NumPy (the unit)", *_timing(unit, unit))
     found: dict[str, Any] = {"FFT 2^20": asdict(unit)}
     with console.status("measuring"):
-        for name, value, what in chain(optical.figures(), radar.figures(), commands.figures()):
+        for name, value, what in chain.from_iterable(room.figures() for room in _ROOMS):
             if isinstance(value, Timing):
                 table.add_row(name, *_timing(value, unit))
                 ratio = value.median_s / unit.median_s

@@ -20,14 +20,14 @@ from twin.camera.acquisition import capture, measure
 from twin.camera.evaluation import evaluate, score
 from twin.camera.light import render
 from twin.engine import mitsuba
+from twin.fidelity import Fidelity
 from twin.files import InputError, whole_folder
 from twin.job import run
-from twin.optics.transport import Quality
 from twin.radar import load_radar
 from twin.scene import load_scene, parse_pose
 from twin.system import load_system
 
-FAST = Quality(samples=4, max_depth=2)
+FAST = Fidelity(samples=4, max_depth=2)
 FILES = {
     "report.html",
     "record.h5",
@@ -112,7 +112,7 @@ def test_the_radar_record_alone_gives_the_detections(finished: Path) -> None:
 
 
 def test_paths_and_sigmf_come_on_request_and_the_radar_can_stay_away(tmp_path: Path) -> None:
-    common = {"compare": None, "quality": FAST}
+    common = {"compare": None, "fidelity": FAST}
     run("table1", out=tmp_path / "a", paths=True, sigmf=True, **common)
     run("table1", out=tmp_path / "b", radar=None, **common)
     extra = {"paths.csv", "radar.sigmf-data", "radar.sigmf-meta"}
@@ -124,7 +124,7 @@ def test_paths_and_sigmf_come_on_request_and_the_radar_can_stay_away(tmp_path: P
 def test_an_empty_scene_runs_to_its_report(tmp_path: Path) -> None:
     """Nothing to see: noise in both records, warnings, no crash."""
     (tmp_path / "void.xml").write_text('<scene version="3.0.0"></scene>')
-    result = run(tmp_path / "void.xml", out=tmp_path / "out", quality=FAST)
+    result = run(tmp_path / "void.xml", out=tmp_path / "out", fidelity=FAST)
     assert "the scene has no shapes" in result.scene.warnings
     assert any("noise only" in w for w in result.radar.capture.warnings)
     assert not result.evaluations[0].capture.cells_e.any()
@@ -133,7 +133,7 @@ def test_an_empty_scene_runs_to_its_report(tmp_path: Path) -> None:
 def test_the_record_alone_gives_the_image(finished: Path) -> None:
     """What the vehicle does with the file, without the twin: recognisably the scene."""
     image = reconstruct(read_record(finished / "record.h5")).image[0]
-    expected = capture(load_scene("yard"), load_system("workable"), quality=FAST).cells_e
+    expected = capture(load_scene("yard"), load_system("workable"), fidelity=FAST).cells_e
     assert np.corrcoef(image.ravel(), expected.ravel())[0, 1] > 0.95
 
 
@@ -156,7 +156,7 @@ twin.run("yard", seed=7, out=r"{out}")
 
 def test_another_seed_is_another_noise_of_the_same_scene() -> None:
     scene, system = load_scene("table1"), load_system("workable")
-    a, b = (capture(scene, system, seed=s, quality=FAST) for s in (1, 2))
+    a, b = (capture(scene, system, seed=s, fidelity=FAST) for s in (1, 2))
     assert (a.record.counts != b.record.counts).any()
     np.testing.assert_allclose(a.cells_e.sum(), b.cells_e.sum(), rtol=0.02)
 
@@ -166,8 +166,8 @@ def test_one_render_serves_every_detector_and_sky() -> None:
     scene = load_scene("table1")
     paper, workable = load_system("paper"), load_system("workable")
     seed = np.random.SeedSequence(5)
-    light = render(scene, paper, quality=FAST, seed=seed)
-    anew = render(scene, workable, quality=FAST, seed=np.random.SeedSequence(5))
+    light = render(scene, paper, fidelity=FAST, seed=seed)
+    anew = render(scene, workable, fidelity=FAST, seed=np.random.SeedSequence(5))
     a, b = (
         measure(scene, workable, rendered, rng=np.random.default_rng(1)).record.counts
         for rendered in (light, anew)
@@ -178,7 +178,7 @@ def test_one_render_serves_every_detector_and_sky() -> None:
 def test_paper_is_noise_and_workable_works() -> None:
     """The finding of the headline: no pixel of the paper's full-sun yard stands above its noise."""
     scene = load_scene("yard")
-    snr = {n: capture(scene, load_system(n), quality=FAST).snr for n in ("paper", "workable")}
+    snr = {n: capture(scene, load_system(n), fidelity=FAST).snr for n in ("paper", "workable")}
     assert snr["paper"].max() < 1
     assert np.median(snr["workable"]) > 3
 
@@ -186,7 +186,7 @@ def test_paper_is_noise_and_workable_works() -> None:
 def test_predicted_noise_is_found_in_the_record() -> None:
     """Twin's budget against the scatter of the record's own pairs: 4095 of them, 5 sigma."""
     for name in ("paper", "workable"):
-        taken = capture(load_scene("yard"), load_system(name), seed=3, quality=FAST)
+        taken = capture(load_scene("yard"), load_system(name), seed=3, fidelity=FAST)
         found = reconstruct(taken.record, "zero-fill").noise_electrons[0] / np.sqrt(2)
         sigma = np.sqrt(3 / (4 * 4095))
         # The first pattern's exposures carry more light than the mean: 1 % allowance.
@@ -205,10 +205,10 @@ def test_saturation_and_darkness_are_warned_of() -> None:
     content = load_system("workable").model_dump()
     content["readout"]["transimpedance_ohm"] = 1e12
     bright = type(load_system("paper")).model_validate(content)
-    taken = capture(load_scene("yard"), bright, quality=FAST)
+    taken = capture(load_scene("yard"), bright, fidelity=FAST)
     assert any("exposures saturate" in w for w in taken.warnings)
     sky = load_scene("yard", parse_pose("0,0,1.2,0,-80"))
-    dark = capture(sky, load_system("workable"), quality=FAST)
+    dark = capture(sky, load_system("workable"), fidelity=FAST)
     assert any("nothing in the field of view" in w for w in dark.warnings)
     assert np.isfinite(evaluate(load_system("workable"), dark).reconstructions[0].image).all()
 

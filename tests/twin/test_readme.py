@@ -4,8 +4,11 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from twin.sweep import load_study
+from twin.sweep.evaluate import evaluate_chunk
 from twin.system import load_system
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
@@ -25,8 +28,18 @@ def test_python_examples_run(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_system_file_loads(tmp_path: Path) -> None:
-    (text,) = blocks("toml")
+    _, text = blocks("toml")
     assert tomllib.loads(text)["base"] == "paper"
     (tmp_path / "mine.toml").write_text(text)
     (tmp_path / "filter.csv").write_text("nm,T\n1530,0\n1550,0.5\n1570,0\n")
     assert load_system(tmp_path / "mine.toml").optics.f_number.value == 0.8
+
+
+def test_the_study_runs(tmp_path: Path) -> None:
+    text, _ = blocks("toml")
+    (tmp_path / "study.toml").write_text(text)
+    study = load_study(tmp_path / "study.toml")
+    chunk = evaluate_chunk(study, 0, 2)
+    assert study.n_points == 36
+    assert not chunk.errors
+    assert np.isfinite(chunk.values["psnr_db"]).all()

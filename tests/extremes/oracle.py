@@ -1,0 +1,88 @@
+"""Closed forms in arbitrary precision (mpmath), written from physics and not from the twin."""
+
+from functools import lru_cache
+from itertools import pairwise
+
+import mpmath as mp
+import numpy as np
+
+mp.mp.dps = 30
+C = mp.mpf(299792458)
+Q = mp.mpf("1.602176634e-19")
+K = mp.mpf("1.380649e-23")
+
+
+@lru_cache(maxsize=64)
+def plane_light(distance_m: float, incline_deg: float, field_deg: float) -> mp.mpf:
+    """Irradiance on a pupil per radiant intensity beside it, 1/m^2, from a white plane.
+
+    Square field around an axis that meets the plane, ``distance_m`` away along its normal, at
+    ``incline_deg`` to its surface (90: facing). Over the tangents X, Y of the field, with
+    s = sin(a) - Y cos(a) and n = 1 + X^2 + Y^2: s / sqrt(n) is the cosine on the plane, h sqrt(n)/s
+    the range, 1/sqrt(n) the cosine on the pupil, dX dY / n^1.5 the solid angle; and 1/pi.
+    """
+    h, a = mp.mpf(distance_m), mp.radians(mp.mpf(incline_deg))
+    t = mp.tan(mp.radians(mp.mpf(field_deg) / 2))
+    sine, cosine = mp.sin(a), mp.cos(a)
+
+    def light(x: mp.mpf, y: mp.mpf) -> mp.mpf:
+        return (sine - y * cosine) ** 3 / (1 + x * x + y * y) ** mp.mpf("3.5")
+
+    with mp.workdps(18):
+        whole = mp.quad(light, [-t, t], [-t, t])
+    return whole / (mp.pi * h * h)
+
+
+@lru_cache(maxsize=8)
+def field_cos4(field_deg: float) -> mp.mpf:
+    """Projected solid angle of a square field on a flat pupil."""
+    t = mp.tan(mp.radians(mp.mpf(field_deg) / 2))
+    with mp.workdps(18):
+        return mp.quad(lambda x, y: (1 + x * x + y * y) ** -2, [-t, t], [-t, t])
+
+
+def pupil_m2(diameter_m: float, f_number: float, field_deg: float) -> mp.mpf:
+    """Effective pupil of a lens that spreads a square field over a disc: etendue
+    pi A / (4 N^2 + 1) over the field's area at distance 1.
+    """
+    area = mp.pi * mp.mpf(diameter_m) ** 2 / 4
+    t = mp.tan(mp.radians(mp.mpf(field_deg) / 2))
+    return mp.pi * area / (4 * mp.mpf(f_number) ** 2 + 1) / (4 * t * t)
+
+
+def band_share(peak_m: float, fwhm_m: float, center_m: float, width_m: float) -> mp.mpf:
+    """Share of a Gaussian line inside a flat band."""
+    sigma = mp.mpf(fwhm_m) / mp.sqrt(8 * mp.log(2))
+    low, high = (mp.mpf(center_m) + s * mp.mpf(width_m) / 2 - mp.mpf(peak_m) for s in (-1, 1))
+    return (mp.erf(high / sigma / mp.sqrt(2)) - mp.erf(low / sigma / mp.sqrt(2))) / 2
+
+
+@lru_cache(maxsize=4)
+def sun_per_lux(center_m: float, width_m: float) -> mp.mpf:
+    """Irradiance of ASTM G-173's global tilt in a band over its illuminance, W/m^2/lx."""
+    import colour
+    from colour.plotting.datasets import astm_g_173
+
+    tilt = astm_g_173.SD_ASTMG173_GLOBAL_TILT
+    eye = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
+    low, high = ((center_m + s * width_m / 2) * 1e9 for s in (-1, 1))
+    inside = [low, *(float(x) for x in tilt.wavelengths if low < x < high), high]
+    band = [(x, float(np.interp(x, tilt.wavelengths, tilt.values))) for x in inside]
+    sight = [
+        (float(x), float(y) * float(np.interp(x, eye.wavelengths, eye.values, 0, 0)))
+        for x, y in zip(tilt.wavelengths, tilt.values, strict=True)
+    ]
+    return _trapezoid(band) / (683 * _trapezoid(sight))
+
+
+def _trapezoid(points: list[tuple[float, float]]) -> mp.mpf:
+    pairs = pairwise(points)
+    return mp.fsum((mp.mpf(b[0]) - a[0]) * (mp.mpf(a[1]) + b[1]) / 2 for a, b in pairs)
+
+
+def relative(found: float, exact: mp.mpf) -> float:
+    """Relative error; the absolute value where the oracle says zero, NaN as infinite."""
+    if not np.isfinite(found):
+        return float("inf")
+    off = abs(mp.mpf(float(found)) - exact)
+    return float(off / abs(exact)) if exact else float(off)

@@ -1,0 +1,398 @@
+"""Sweeps: what is varied arrives, renders are shared, kills lose nothing, workers do not matter."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+from twin.camera import capture
+from twin.camera.light import render
+from twin.camera.repaint import render_unpainted
+from twin.fidelity import Fidelity
+from twin.files import InputError
+from twin.scene import load_scene
+from twin.sweep import load_study, open_sweep, sweep
+from twin.sweep.evaluate import evaluate_chunk, outcome_of
+from twin.sweep.show import pareto_front, plot_front, plot_plane, sensitivities
+from twin.system import load_system
+
+SMALL = """
+scene = "table1"
+metrics = ["snr_median", "psnr_db"]
+[set]
+"system.emitter.rows" = 16
+"system.emitter.columns" = 16
+"system.acquisition.n_patterns" = 256
+"fidelity.samples" = 4
+"fidelity.max_depth" = 1
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path):
+    """A study's file from TOML text."""
+
+    def write(text: str, head: str = SMALL, name: str = "study") -> Path:
+        path = tmp_path / f"{name}.toml"
+        path.write_text(head + text)
+        return path
+
+    return write
+
+
+def test_grid_zip_and_sample_make_one_labelled_dataset(study, tmp_path: Path) -> None:
+    path = study(
+        '[grid]\n"system.sky.illuminance_lx" = [0, 1e4]\n'
+        '[[zip]]\n"system.acquisition.integration_time_s" = ["50 us", "80 us", "0.1 ms"]\n'
+        '"system.readout.read_noise_e" = [1e3, 2e3, 3e3]\n'
+        '[sample]\nmethod = "sobol"\nn = 4\n'
+        '[sample.ranges]\n"system.optics.f_number" = { low = 1.0, high = 4.0, log = true }\n'
+    )
+    summary = sweep(path, out=tmp_path / "out", workers=1)
+    data = open_sweep(tmp_path / "out")
+    assert summary.n_points == 24
+    assert summary.n_failed == 0
+    assert dict(data.sizes) == {"system.sky.illuminance_lx": 2, "zip_0": 3, "sample": 4}
+    times = data["system.acquisition.integration_time_s"]
+    np.testing.assert_allclose(times, [50e-6, 80e-6, 100e-6], rtol=1e-12)
+    assert times.attrs["units"] == "s"
+    assert data["psnr_db"].attrs["units"] == "dB"
+    assert np.isfinite(data["snr_median"]).all()
+    # More sun, less signal to noise; a faster lens, more.
+    snr = data["snr_median"].transpose("system.sky.illuminance_lx", "zip_0", "sample")
+    assert (snr[1] < snr[0]).all()
+    fast_first = np.argsort(data["system.optics.f_number"].to_numpy())
+    assert (np.diff(snr.to_numpy()[:, :, fast_first], axis=-1) < 0).all()
+    assert json.loads(data.attrs["study"])["scene"] == "table1"
+    assert "mitsuba" in json.loads(data.attrs["versions"])
+
+
+def test_a_point_is_what_a_capture_gives(study) -> None:
+    """The same expected electrons as `capture` with the same values set by hand."""
+    path = study('[grid]\n"system.detector.width_m" = ["2 mm"]\n')
+    outcome = outcome_of(load_study(path), 0)
+    made = outcome.setup
+    assert made.system.detector.width_m.value == pytest.approx(2e-3)
+    by_hand = capture(made.scene, made.system, fidelity=made.fidelity)
+    # Other seeds of rays: 4 paths a cell.
+    total = outcome.capture.cells_e.sum()
+    assert total == pytest.approx(by_hand.cells_e.sum(), rel=0.1)
+    assert outcome.capture.record.counts.shape == by_hand.record.counts.shape
+
+
+def test_paint_is_put_on_afterwards_without_another_render() -> None:
+    """Light by object times reflectance is the light of the painted scene: to float32's digits."""
+    scene, system = load_scene("yard"), load_system("workable")
+    fidelity = Fidelity(16, 1)
+    unpainted = render_unpainted(scene, system, fidelity=fidelity, seed=np.random.SeedSequence(3))
+    from dataclasses import replace
+
+    for factor in (1.0, 0.3):
+        objects = tuple(
+            replace(o, reflectance=o.reflectance * factor)
+            if isinstance(o.reflectance, float) and o.name != "ground"
+            else o
+            for o in scene.objects
+        )
+        painted = replace(scene, objects=objects)
+        expected = render(painted, system, fidelity=fidelity, seed=np.random.SeedSequence(3))
+        found = unpainted.painted(painted)
+        for a, b in (
+            (found.light.cells, expected.light.cells),
+            (found.sun, expected.sun),
+            (found.truth.albedo, expected.truth.albedo),
+        ):
+            np.testing.assert_allclose(a, b, atol=1e-6 * b.max())
+        np.testing.assert_array_equal(found.truth.depth_m, expected.truth.depth_m)
+    with pytest.raises(ValueError, match="direct light"):
+        render_unpainted(scene, system, fidelity=Fidelity(4, 2), seed=np.random.SeedSequence(0))
+
+
+def test_only_what_differs_optically_is_rendered(study) -> None:
+    """3 detectors x 2 reflectances x 2 skies x 2 methods at 2 distances: 2 renders."""
+    path = study(
+        '[grid]\n"system.detector.width_m" = [1e-3, 2e-3, 3e-3]\n'
+        '"scene.objects.*.reflectance" = [0.2, 0.8]\n"scene.rig.x_m" = [0.0, 0.5]\n'
+        '"system.sky.illuminance_lx" = [0, 400]\n"processing.method" = ["zero-fill", "lmmse"]\n'
+    )
+    plan = load_study(path)
+    chunk = evaluate_chunk(plan, 0, plan.n_points)
+    assert plan.n_points == 48
+    assert not chunk.errors
+    assert chunk.renders == 2
+
+
+def test_reflectance_moves_the_signal_in_proportion(study) -> None:
+    path = study('[grid]\n"scene.objects.*.reflectance" = [0.0, 0.2, 0.4]\n').read_text()
+    study(path.replace('"psnr_db"', '"signal_e"'), head="")
+    plan = load_study(study(path.replace('"psnr_db"', '"signal_e"'), head=""))
+    signal = evaluate_chunk(plan, 0, 3).values["signal_e"]
+    assert signal[0] == 0
+    assert signal[2] == pytest.approx(2 * signal[1], rel=1e-9)
+
+
+def test_results_do_not_depend_on_workers(study, tmp_path: Path) -> None:
+    text = '[grid]\n"scene.rig.x_m" = [0.0, 0.2, 0.4, 0.6]\n"system.readout.read_noise_e" = '
+    text += f"{[float(n) for n in range(1, 13)]}\n"
+    found = []
+    for workers in (1, 2, 3):
+        sweep(study(text), out=tmp_path / str(workers), workers=workers)
+        found.append(open_sweep(tmp_path / str(workers)).load())
+    for other in found[1:]:
+        for name in ("snr_median", "psnr_db"):
+            np.testing.assert_array_equal(other[name], found[0][name])
+
+
+def test_a_failed_point_is_a_row_with_its_error(study, tmp_path: Path) -> None:
+    path = study('[grid]\n"system.detector.part" = ["fga015", "g10768-1024d"]\n')
+    summary = sweep(path, out=tmp_path / "out", workers=1)
+    data = open_sweep(tmp_path / "out")
+    assert summary.n_failed == 1
+    assert np.isfinite(data["snr_median"][0])
+    assert np.isnan(data["snr_median"][1])
+    assert "line sensor" in str(data["error"].values[1])
+    assert str(data["error"].values[0]) == ""
+
+
+def test_a_users_own_metric_is_found_beside_the_study(study, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "def brightest(outcome):\n"
+        '    """Electrons of the brightest cell."""\n'
+        "    return outcome.capture.cells_e.max()\n"
+        'brightest.unit = "e"\n'
+    )
+    head = SMALL.replace('"psnr_db"', '"mine:brightest"')
+    plan = load_study(study('[grid]\n"scene.rig.x_m" = [0.0]\n', head))
+    chunk = evaluate_chunk(plan, 0, 1)
+    assert not chunk.errors
+    assert chunk.values["mine:brightest"][0] > 0
+
+
+CLOSED = 'model = "closed-form"\nmetrics = ["snr", "minimum_time_s", "maximum_distance_m"]\n'
+
+
+def test_closed_form_equals_the_budget_point_by_point(study, tmp_path: Path) -> None:
+    """Arrays against one link at a time; an impossible point is a row with its error."""
+    from twin.budget.link import minimum_time_s
+    from twin.budget.table1 import link_of
+    from twin.system import load_part
+
+    path = study(
+        '[grid]\n"link.distance_m" = [1.0, 5.0, 10.0]\n"link.reflectance" = [0.2, 0.8]\n'
+        '"system.detector.part" = ["fga015", "g9201-256-paper"]\n'
+        '"system.filter.width_m" = ["12 nm", "30 nm"]\n"system.optics.f_number" = [1.0, -1.0]\n',
+        CLOSED,
+    )
+    summary = sweep(path, out=tmp_path / "out")
+    data = open_sweep(tmp_path / "out")
+    assert summary.n_points == 48
+    assert summary.n_failed == 24
+    one = data.sel(
+        {
+            "link.distance_m": 5.0,
+            "link.reflectance": 0.8,
+            "system.detector.part": "fga015",
+            "system.filter.width_m": 12e-9,
+            "system.optics.f_number": 1.0,
+        },
+        method=None,
+    )
+    system = load_system("workable")
+    narrow = system.filter.model_copy(
+        update={"width_m": system.filter.width_m.model_copy(update={"value": 12e-9})}
+    )
+    link = link_of(system.model_copy(update={"filter": narrow}), load_part("fga015"))
+    expected = minimum_time_s(
+        link.signal_e_per_s(0.8, 5.0),
+        link.background_e_per_s(0.8),
+        system.readout.read_noise_e.value,
+    )
+    assert float(one["minimum_time_s"]) == pytest.approx(float(expected), rel=1e-12)
+    assert "f_number = -1.0" in str(data["error"].values.ravel()[-1])
+
+
+def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_path: Path) -> None:
+    path = study(
+        '[sample]\nmethod = "latin-hypercube"\nn = 100000\n[sample.ranges]\n'
+        '"link.distance_m" = { low = 1.0, high = 100.0, log = true }\n'
+        '"system.optics.f_number" = { low = 1.0, high = 4.0 }\n'
+        '"system.acquisition.integration_time_s" = { low = 1e-6, high = 1e-2, log = true }\n',
+        CLOSED,
+    )
+    start = time.perf_counter()
+    sweep(path, out=tmp_path / "out")
+    assert time.perf_counter() - start < 20  # 5 s on an idle machine; see `make bench`
+    data = open_sweep(tmp_path / "out")
+    assert np.isfinite(data["snr"]).all()
+    assert data["link.distance_m"].min() >= 1
+    moved = sensitivities(data, "maximum_distance_m")
+    assert moved["system.acquisition.integration_time_s"] > moved["link.distance_m"]
+
+
+@pytest.mark.parametrize("kills_tried", [3, pytest.param(50, marks=pytest.mark.slow)])
+def test_kill_and_resume_give_the_same_bits(study, tmp_path: Path, kills_tried: int) -> None:
+    """Killed at random moments, SIGKILL, then resumed until done."""
+    text = f'[grid]\n"scene.rig.x_m" = {[i / 10 for i in range(8)]}\n'
+    noises = 64 if kills_tried == 3 else 1024
+    text += f'"system.readout.read_noise_e" = {[float(n) for n in range(1, noises + 1)]}\n'
+    path = study(text)
+    sweep(path, out=tmp_path / "whole", workers=1)
+    out, rng, kills = tmp_path / "killed", np.random.default_rng(0), 0
+    command = [sys.executable, "-m", "twin", "sweep", str(path), "--out", str(out)]
+    command += ["--workers", "1"]
+    for _ in range(kills_tried):
+        process = subprocess.Popen(
+            command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        try:
+            process.wait(timeout=float(rng.uniform(1.5, 4.0)))
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            kills += 1
+        if (out / "study.json").is_file():
+            assert open_sweep(out).attrs["points"] == 8 * noises  # readable at any time
+    with (out / "journal.jsonl").open("a") as journal:
+        journal.write('{"start": 11')  # a line that a kill cut off
+    sweep(path, out=out, workers=1)
+    whole, resumed = (open_sweep(tmp_path / n).load() for n in ("whole", "killed"))
+    assert kills >= 1
+    for name in ("snr_median", "psnr_db"):
+        np.testing.assert_array_equal(whole[name], resumed[name])
+
+
+def test_a_running_scheduler_is_used_by_its_address(study, tmp_path: Path) -> None:
+    """A real `dask scheduler` and two workers, each a process of its own."""
+    text = '[grid]\n"scene.rig.x_m" = [0.0, 0.3]\n"system.readout.read_noise_e" = [1.0, 2.0]\n'
+    path = study(text)
+    file = tmp_path / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker"]
+    common = ["--scheduler-file", str(file), "--no-dashboard"]
+    processes = [subprocess.Popen([*dask, *common, "--port", "0"], **quiet)]
+    try:
+        for _ in range(2):
+            processes.append(
+                subprocess.Popen([*worker, *common, "--nthreads", "1", "--no-nanny"], **quiet)
+            )
+        for _ in range(200):
+            if file.is_file() and file.stat().st_size:
+                break
+            time.sleep(0.1)
+        address = json.loads(file.read_text())["address"]
+        sweep(path, out=tmp_path / "far", scheduler=address)
+    finally:
+        for process in reversed(processes):
+            process.kill()
+        for process in processes:
+            process.wait(timeout=20)
+    sweep(path, out=tmp_path / "near", workers=1)
+    far, near = (open_sweep(tmp_path / name).load() for name in ("far", "near"))
+    xarray.testing.assert_equal(far.drop_vars("error"), near.drop_vars("error"))
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('[grid]\n"system.optics.f_numbr" = [1.0]\n', "did you mean system.optics.f_number?"),
+        ('[grid]\n"system.optics.f_number" = []\n', "f_number"),
+        ('[grid]\n"scene.objects.*.colour" = [1.0]\n', "'colour' is none of reflectance"),
+        ('[grid]\n"system.optics.f_number" = [1.0, 1.0]\n', "stands twice"),
+        ('[grid]\n"system.filter.width_m" = ["12 s"]\n', "expected a number or a quantity in m"),
+        ('[grid]\n"system.emitter.rows" = [16]\n', "given twice"),
+        (
+            '[[zip]]\n"system.optics.f_number" = [1.0]\n"link.distance_m" = [1.0, 2.0]\n',
+            "different lengths",
+        ),
+        ('[sample]\nmethod = "random"\nn = 4\n[sample.ranges]\n"seed" = {low=1,high=2}', "method"),
+        (
+            '[sample]\nmethod = "sobol"\nn = 4\n[sample.ranges]\n'
+            '"system.optics.f_number" = { low = 4.0, high = 1.0 }\n',
+            "low below high",
+        ),
+        ("colour = 1\n", "colour"),
+    ],
+)
+def test_bad_studies_are_named(study, text: str, complaint: str) -> None:
+    with pytest.raises(InputError, match=r"study\.toml") as caught:
+        load_study(study(text))
+    assert complaint in str(caught.value)
+
+
+def test_unknown_metrics_suggest_the_nearest(study, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="did you mean snr_median"):
+        load_study(study("", SMALL.replace("snr_median", "snr_medain")))
+    plan = load_study(study("", SMALL.replace('"psnr_db"', '"nowhere:f"')))
+    with pytest.raises(ValueError, match="No module"):
+        sweep(plan, out=tmp_path / "out")
+
+
+def test_other_results_and_too_many_points_are_refused(study, tmp_path: Path) -> None:
+    one = study('[grid]\n"scene.rig.x_m" = [0.0]\n', name="one")
+    two = study('[grid]\n"scene.rig.x_m" = [0.1]\n', name="two")
+    sweep(one, out=tmp_path / "out", workers=1)
+    with pytest.raises(InputError, match="another study"):
+        sweep(two, out=tmp_path / "out", workers=1)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter").write_text("x")
+    with pytest.raises(InputError, match="holds no sweep"):
+        sweep(one, out=tmp_path / "full", workers=1)
+    with pytest.raises(InputError, match="holds no sweep"):
+        open_sweep(tmp_path / "full")
+    many = study(
+        '[sample]\nmethod = "sobol"\nn = 10000000\n[sample.ranges]\n'
+        '"system.optics.f_number" = { low = 1.0, high = 4.0 }\n'
+        '[grid]\n"link.reflectance" = [0.1, 0.2]\n',
+        CLOSED,
+        name="many",
+    )
+    with pytest.raises(InputError, match="20000000 points; --yes"):
+        sweep(many, out=tmp_path / "many")
+    assert not (tmp_path / "many").exists()
+
+
+def test_a_full_disk_is_found_before_the_work(study, tmp_path: Path, monkeypatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(InputError, match="No space left"):
+        sweep(study('[grid]\n"scene.rig.x_m" = [0.0]\n'), out=tmp_path / "out", workers=1)
+
+
+def test_front_and_sensitivities_by_hand(study, tmp_path: Path) -> None:
+    """Four points of which two are beaten; a metric that depends on one of two parameters."""
+    gains = np.array([[1.0, 2.0, 3.0, 1.0, np.nan], [3.0, 2.0, 1.0, 1.0, 9.0]])
+    assert sorted(pareto_front(gains)) == [0, 1, 2]
+    grid = xarray.Dataset(
+        {"m": (("a", "b"), np.array([[0.0, 0.0], [1.0, 1.0]]))}, {"a": [0, 1], "b": [0, 1]}
+    )
+    assert sensitivities(grid, "m") == {"a": pytest.approx(1), "b": pytest.approx(0)}
+    sweep(
+        study('[grid]\n"link.distance_m" = [1.0, 2.0]\n"link.reflectance" = [0.2, 0.4]\n', CLOSED),
+        out=tmp_path / "out",
+    )
+    data = open_sweep(tmp_path / "out")
+    assert plot_plane(data, "snr", "link.distance_m", "link.reflectance").axes
+    assert plot_plane(data, "snr", "link.distance_m").axes
+    assert plot_front(data, "snr", "minimum_time_s").axes
+    with pytest.raises(InputError, match="is none of"):
+        plot_plane(data, "snr", "distance")
+
+
+def test_radar_metrics_come_along(study, tmp_path: Path) -> None:
+    head = 'scene = "yard"\nmetrics = ["detections", "range_error_m"]\n'
+    path = study('[grid]\n"radar.front_end.noise_figure_db" = [13.0, 60.0]\n', head)
+    sweep(path, out=tmp_path / "out", workers=1)
+    data = open_sweep(tmp_path / "out")
+    assert data["detections"][0] == 5
+    assert data["detections"][1] < 5
+    assert data["range_error_m"][0] < 0.05

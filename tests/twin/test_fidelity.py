@@ -1,0 +1,101 @@
+"""The knobs: stricter of two, presets, and what each rung leaves out."""
+
+import numpy as np
+import pytest
+
+from twin.camera import capture
+from twin.fidelity import PRESETS, Fidelity, preset
+from twin.optics.paths import Quality
+from twin.radar import load_radar, radar_capture
+from twin.scene import load_scene
+from twin.system import load_system
+
+
+def test_the_stricter_of_two_wins_knob_by_knob() -> None:
+    rough = Fidelity(samples=4, max_depth=6, noise="none", nufft_tolerance=1e-8)
+    fine = Fidelity(samples=256, max_depth=1, radar="targets", start="dual")
+    both = rough | fine
+    assert both == Fidelity(256, 6, 64, "dual", "full", "paths", 1e-8)
+    assert both == fine | rough
+    assert both | both == both
+
+
+def test_presets_are_ordered_by_strictness() -> None:
+    draft, standard, reference = (PRESETS[n] for n in ("draft", "standard", "reference"))
+    for rough, fine in ((draft, standard), (standard, reference)):
+        both = (rough | fine).quality
+        assert both == Quality(fine.samples, fine.max_depth, fine.quality.further_samples)
+    assert preset("draft") == draft
+    assert preset(draft) is draft
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"samples": 5},
+        {"max_depth": 0},
+        {"indirect_samples": 3},
+        {"noise": "loud"},
+        {"radar": "rays"},
+        {"start": "left"},
+        {"nufft_tolerance": 0.0},
+    ],
+)
+def test_wrong_knobs_are_named(wrong: dict[str, object]) -> None:
+    (name,) = wrong
+    with pytest.raises(ValueError, match=name):
+        Fidelity(**wrong)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="no knob"):
+        Fidelity().with_(speed=1)
+    with pytest.raises(ValueError, match="is none of draft"):
+        preset("fast")
+
+
+def test_without_noise_counts_are_the_mean_of_noisy_ones() -> None:
+    """Mean of 64 noisy records against the silent one: within 5 sigma plus half a count."""
+    scene, system = load_scene("table1"), load_system("workable")
+    system = system.model_copy(
+        update={
+            "acquisition": system.acquisition.model_copy(
+                update={
+                    "n_patterns": system.acquisition.n_patterns.model_copy(update={"value": 32})
+                }
+            )
+        }
+    )
+    quiet = Fidelity(4, 1, noise="none")
+    silent, again = (capture(scene, system, fidelity=quiet) for _ in range(2))
+    np.testing.assert_array_equal(silent.record.counts, again.record.counts)
+    from twin.camera.acquisition import measure
+    from twin.camera.light import render
+
+    light_seed = np.random.SeedSequence(0).spawn(2)[0]
+    rendered = render(scene, system, fidelity=Fidelity(4, 1), seed=light_seed)
+    for noise in ("gaussian", "full"):
+        noisy = np.array(
+            [
+                measure(
+                    scene, system, rendered, rng=np.random.default_rng(s), noise=noise
+                ).record.counts
+                for s in range(64)
+            ]
+        )
+        error = noisy.std(axis=0) / 8
+        assert (np.abs(noisy.mean(axis=0) - silent.record.counts) < 5 * error + 0.5).all()
+
+
+def test_free_space_targets_are_the_traced_direct_paths() -> None:
+    """The radar equation against Sionna's own legs: delay to 1 um, level to 0.01 dB."""
+    scene, radar = load_scene("yard"), load_radar("hybrid-79")
+    traced = radar_capture(scene, radar).propagation.paths
+    direct = {p.target: p for p in traced if p.via == (p.target,)}
+    free = radar_capture(scene, radar, fidelity=Fidelity(radar="targets")).propagation.paths
+    assert len(free) == len(scene.targets)
+    for path in free:
+        if path.target not in direct:
+            continue
+        other = direct[path.target]
+        assert path.range_m == pytest.approx(other.range_m, abs=1e-6)
+        assert path.delay_rate == pytest.approx(other.delay_rate, rel=1e-6, abs=1e-15)
+        assert 20 * np.log10(abs(path.amplitude / other.amplitude)) == pytest.approx(0, abs=0.01)
+    assert len(direct) >= 3

@@ -1,0 +1,56 @@
+"""Regression tests against rendered truth, as a pytest plugin.
+
+Installed with the package, it gives two fixtures. A test of a method on the vehicle, by name:
+
+    def test_lmmse_on_the_yard(twin_regression):
+        twin_regression.camera("yard", "workable", method="lmmse")
+
+and of one's own, a function from a record to an image (rows, columns) in electrons:
+
+    def test_mine_on_the_yard(twin_regression):
+        twin_regression.camera("yard", "workable", method=my_reconstruction)
+
+A radar detector is a function from a record to a list of `hardware.radar.Detection`; without one
+it is the vehicle's:
+
+    def test_detector_on_the_yard(twin_regression):
+        twin_regression.radar("yard", "hybrid-79", detector=my_detector)
+
+The scene's truth is rendered once and kept in pytest's cache. The method then runs over seeds of
+the sensor's noise, and its figures are compared with a baseline: a JSON file in ``baselines/``
+beside the test. Make or change one by giving the reason, which is stored with the figures before
+and after:
+
+    pytest tests/test_mine.py --update-baseline "prior measured on the new lens"
+
+A test fails when any figure became worse by more than its metric's ``tolerance``, at a false-alarm
+probability of 1 % for all figures together (`twin.regression.statistics`). Pictures before and
+after are then in ``regression-pictures/``. Nothing is rounded in one's favour: a missing baseline
+fails, and so does one that was made with another scene, system or number of seeds.
+
+``twin_truth`` gives the rendered light alone: ``twin_truth.light(scene, system)`` is what
+`twin.camera.acquisition.measure` takes.
+"""
+
+from importlib import import_module
+from typing import Any
+
+# Looked up when first used: the plugin is loaded by every pytest of this environment.
+_HOMES = {
+    "CAMERA_METRICS": "twin.regression.metrics",
+    "Metric": "twin.regression.metrics",
+    "RADAR_METRICS": "twin.regression.metrics",
+    "Verdict": "twin.regression.statistics",
+    "compare": "twin.regression.statistics",
+}
+__all__ = [*_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'twin.regression' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_HOMES]

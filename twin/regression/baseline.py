@@ -1,0 +1,86 @@
+"""Baselines: figures of a method, seed by seed, with the reasons for every change, as JSON."""
+
+import json
+import os
+import re
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.files import InputError
+
+_FORMAT = 1
+_DIGITS = 10
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """What a method reached.
+
+    setup
+        Scene, design, fidelity, seeds, metrics: what has to be the same for figures to compare.
+    figures
+        By metric, one number per seed.
+    example
+        The first seed's result, to be shown beside a later one.
+    history
+        Why it is as it is, oldest first: reason, method, versions, means before and after, and the
+        smallest loss that the figures find even when draws don't pair.
+    """
+
+    setup: dict[str, Any]
+    figures: dict[str, list[float]]
+    example: dict[str, Any]
+    history: tuple[dict[str, Any], ...]
+
+    def arrays(self) -> dict[str, NDArray[np.float64]]:
+        """Figures as arrays."""
+        return {name: np.array(values) for name, values in self.figures.items()}
+
+    def means(self) -> dict[str, float]:
+        """Mean figure of each metric."""
+        return {name: rounded(np.mean(values)) for name, values in self.figures.items()}
+
+
+def rounded(value: Any) -> float:
+    """To as many digits as baselines hold."""
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def read_baseline(path: Path) -> Baseline | None:
+    """A baseline, or None where there is none. Raises InputError for a file that is none."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except ValueError as error:
+        raise InputError(f"{path}: no valid JSON: {error}") from error
+    if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
+        raise InputError(f"{path}: is no baseline of format {_FORMAT}")
+    try:
+        content["history"] = tuple(content["history"])
+        return Baseline(**content)
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{path}: is no whole baseline ({error})") from error
+
+
+def write_baseline(baseline: Baseline, path: Path) -> None:
+    """Write it whole or not at all; the numbers of a list stand on one line."""
+    text = json.dumps({"format": _FORMAT, **asdict(baseline)}, indent=1, ensure_ascii=False)
+    text = re.sub(r"\[[^][{}\"]*\]", lambda found: " ".join(found[0].split()), text)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    partial.write_text(text + "\n", encoding="utf-8")
+    partial.replace(path)
+
+
+def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Entries of two setups that are not the same, one line each."""
+    return [
+        f"{name}: {before.get(name)!r} in the baseline, {now.get(name)!r} now"
+        for name in sorted({*before, *now})
+        if before.get(name) != now.get(name)
+    ]

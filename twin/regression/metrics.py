@@ -1,0 +1,104 @@
+"""What is compared: one number per seed, which way is worse, and which loss is none."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar import Detection
+from twin.camera.evaluation import score
+from twin.radar.acquisition import TrueTarget
+
+Image = NDArray[np.float64]
+
+#: A target that is not found counts as one found at the edge of the gate, in cells.
+_GATE_CELLS = 2.0
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A figure of merit.
+
+    name, unit
+        As it stands in baselines and messages.
+    of
+        From truth and result of one seed to a number. Truth and result are images in electrons
+        (rows, columns) for a camera, the visible `TrueTarget`s and an `Echo` for a radar.
+    tolerance
+        Mean loss that does not matter: rounding, another order of sums. In ``unit``.
+    higher_is_better
+        Else lower is.
+    relative
+        The tolerance is a share of the baseline's mean.
+    """
+
+    name: str
+    unit: str
+    of: Callable[[Any, Any], float]
+    tolerance: float
+    higher_is_better: bool = False
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class Echo:
+    """Detections of one record, each with its true target or None, and the size of a range cell."""
+
+    detections: tuple[Detection, ...]
+    matches: tuple[TrueTarget | None, ...]
+    range_cell_m: float
+
+
+def psnr_db(truth: Image, image: Image) -> float:
+    """Peak signal-to-noise ratio; the peak is the brightest true cell."""
+    return score(truth, image).psnr_db
+
+
+def ssim(truth: Image, image: Image) -> float:
+    """Structural similarity (Wang 2004)."""
+    return score(truth, image).ssim
+
+
+def rmse_e(truth: Image, image: Image) -> float:
+    """Root mean square error, electrons."""
+    return float(np.sqrt(np.mean((image - truth) ** 2)))
+
+
+def range_error_m(truth: tuple[TrueTarget, ...], found: Echo) -> float:
+    """Range error, rms over the targets; one that is not found counts as two cells off.
+
+    So losing a target never improves it.
+    """
+    off = {
+        target.name: abs(detection.range_m - target.seen_at[0])
+        for detection, target in zip(found.detections, found.matches, strict=True)
+        if target is not None
+    }
+    gate = _GATE_CELLS * found.range_cell_m
+    return float(np.sqrt(np.mean([off.get(t.name, gate) ** 2 for t in truth]))) if truth else 0.0
+
+
+def missed(truth: tuple[TrueTarget, ...], found: Echo) -> float:
+    """Visible targets without a detection."""
+    seen = {target.name for target in found.matches if target is not None}
+    return float(sum(target.name not in seen for target in truth))
+
+
+def unmatched(_: tuple[TrueTarget, ...], found: Echo) -> float:
+    """Detections that are no declared target: echoes of echoes, clutter, noise."""
+    return float(sum(target is None for target in found.matches))
+
+
+#: Losses below these tolerances are not looked for; all are far below what a picture shows.
+CAMERA_METRICS = (
+    Metric("psnr_db", "dB", psnr_db, 0.02, higher_is_better=True),
+    Metric("ssim", "", ssim, 0.001, higher_is_better=True),
+    Metric("rmse_e", "electrons", rmse_e, 0.0025, relative=True),
+)
+RADAR_METRICS = (
+    Metric("range_error_m", "m", range_error_m, 1e-5),
+    Metric("missed", "targets", missed, 0.01),
+    Metric("unmatched", "detections", unmatched, 0.01),
+)

@@ -1,0 +1,42 @@
+"""Truth of a scene, rendered once: light for the camera, paths for the radar."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+
+from twin.camera.light import Rendered, render
+from twin.fidelity import Fidelity
+from twin.radar import RadarCapture, RadarDesign, radar_capture
+from twin.regression.cache import Store, code, digest, versions
+from twin.scene import Scene
+from twin.system import System
+
+
+class Truths:
+    """Truths in a store on disk. Same scene, design, fidelity and versions: same bits."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def light(self, scene: Scene, system: System, fidelity: Fidelity | None = None) -> Rendered:
+        """Light of a scene for a system, as `measure` takes it."""
+        fidelity = fidelity or Fidelity()
+        return self._store.get(
+            _key("light", scene, system, fidelity),
+            lambda: render(scene, system, fidelity=fidelity, seed=np.random.SeedSequence(0)),
+        )
+
+    def echo(
+        self, scene: Scene, radar: RadarDesign, fidelity: Fidelity | None = None
+    ) -> RadarCapture:
+        """A capture of a scene without noise, whose paths give any number of noisy ones."""
+        quiet = replace(fidelity or Fidelity(), noise="none")
+        return self._store.get(
+            _key("echo", scene, radar, quiet), lambda: radar_capture(scene, radar, fidelity=quiet)
+        )
+
+
+def _key(kind: str, scene: Scene, design: System | RadarDesign, fidelity: Fidelity) -> str:
+    variant = os.environ.get("TWIN_VARIANT", "")
+    return digest(kind, scene, design, fidelity, versions(), code(), variant)

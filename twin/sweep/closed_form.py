@@ -1,0 +1,121 @@
+"""Points of the closed form, all at once: one pixel's link as arrays.
+
+Fields that enter the link as they are become arrays; what needs a spectrum is integrated once for
+every combination of its values.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.budget.link import (
+    Link,
+    maximum_distance_m,
+    minimum_time_s,
+    noise_e,
+)
+from twin.budget.table1 import link_of
+from twin.sweep.setup import changed, setup
+from twin.sweep.study import Study, Value
+from twin.system import Part, System
+
+Array = NDArray[Any]
+
+#: Parameters that are a factor or a term of the link themselves.
+_DIRECT = {
+    "system.emitter.radiant_intensity_w_per_sr": "radiant_intensity_w_per_sr",
+    "system.optics.f_number": "f_number",
+    "system.detector.dark_current_a": "dark_current_a",
+}
+_OF_THE_POINT = (
+    "link.distance_m",
+    "link.reflectance",
+    "system.acquisition.integration_time_s",
+    "system.readout.read_noise_e",
+)
+
+
+def closed_form(study: Study, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Metrics of points, (n,) each. ``columns``: what is set in the points, by parameter.
+
+    Without ``link.distance_m`` it is 5 m, without ``link.reflectance`` 0.5.
+    Raises InputError naming the parameter of a combination that can't be.
+    """
+    n = len(next(iter(columns.values())))
+    free = [name for name in columns if name not in _DIRECT and name not in _OF_THE_POINT]
+    inverse, found = _combinations(study, columns, free, n)
+    systems, links = [system for system, _ in found], [link for _, link in found]
+    values = {
+        name: np.array([getattr(link, name) for link in links])[inverse]
+        for name in Link.__dataclass_fields__
+    }
+    for parameter, field in _DIRECT.items():
+        if parameter in columns:
+            values[field] = columns[parameter].astype(np.float64)
+    _check(columns)
+    link = Link(**values)
+    distance = columns.get("link.distance_m", np.float64(5.0))
+    reflectance = columns.get("link.reflectance", np.float64(0.5))
+    time = _own(columns, "system.acquisition.integration_time_s", systems, inverse)
+    read = _own(columns, "system.readout.read_noise_e", systems, inverse)
+    signal = link.signal_e_per_s(reflectance, distance)
+    background = link.background_e_per_s(reflectance)
+    results = {
+        "signal_e_per_s": signal,
+        "background_e_per_s": background,
+        "snr": signal * time / noise_e(signal, background, time, read),
+        "minimum_time_s": minimum_time_s(signal, background, read),
+        "maximum_distance_m": maximum_distance_m(
+            link.signal_e_per_s(reflectance, 1.0), background, time, read
+        ),
+    }
+    return {name: np.broadcast_to(results[name], (n,)) for name in study.metrics}
+
+
+def _combinations(
+    study: Study, columns: Mapping[str, Array], names: list[str], n: int
+) -> tuple[Array, list[tuple[System, Link]]]:
+    """Which system each point has, and the different systems with their links."""
+    index = np.zeros(n, dtype=np.int64)
+    for name in names:
+        _, place = np.unique(columns[name], return_inverse=True)
+        index = index * (place.max() + 1) + place
+    _, first, inverse = np.unique(index, return_index=True, return_inverse=True)
+    return inverse, [_link(study, {name: columns[name][i].item() for name in names}) for i in first]
+
+
+def _link(study: Study, values: dict[str, Value]) -> tuple[System, Link]:
+    """System and link. The detector stands alone: one pixel of a line sensor is a pixel too."""
+    own = {n: v for n, v in values.items() if n.startswith("system.detector.")}
+    system = setup(study, {n: v for n, v in values.items() if n not in own}).system
+    part = Part(name=system.name, detector=system.detector)
+    if own:
+        part = changed(part, tuple((n.removeprefix("system."), v) for n, v in own.items()))
+    return system, link_of(system, part)
+
+
+def _own(
+    columns: Mapping[str, Array], parameter: str, systems: list[System], inverse: Array
+) -> Array:
+    """A parameter's column, or each system's own value."""
+    if parameter in columns:
+        return columns[parameter].astype(np.float64)
+    _, section, field = parameter.split(".")
+    return np.array([getattr(getattr(s, section), field).value for s in systems])[inverse]
+
+
+def _check(columns: Mapping[str, Array]) -> None:
+    """Raise ValueError where an array holds what the fields themselves would refuse."""
+    for name in (*_DIRECT, *_OF_THE_POINT):
+        if name not in columns:
+            continue
+        column = columns[name]
+        may_be_zero = name.endswith(("_e", "_a", "reflectance", "w_per_sr"))
+        bad = ~(np.isfinite(column) & ((column >= 0) if may_be_zero else (column > 0)))
+        if name == "link.reflectance":
+            bad |= column > 1
+        if bad.any():
+            wanted = "0 to 1" if name == "link.reflectance" else "a positive number"
+            raise ValueError(f"{name} = {column[bad][0]}: expected {wanted}")

@@ -1,0 +1,199 @@
+"""What a study may measure of a point: metrics by name, with unit and meaning."""
+
+import importlib
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from hardware.reconstruction import Reconstruction, reconstruct
+from twin.camera.acquisition import Capture
+from twin.camera.evaluation import Score, score
+from twin.radar.evaluation import RadarEvaluation
+from twin.sweep.setup import Setup
+
+
+class Outcome:
+    """One point's results, each computed when a metric first asks for it."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        capture: Callable[[], Capture],
+        radar: Callable[[], RadarEvaluation],
+    ) -> None:
+        self.setup = setup
+        self._capture, self._radar = capture, radar
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The camera's record, with what the twin knows about it."""
+        return self._capture()
+
+    @cached_property
+    def reconstruction(self) -> Reconstruction:
+        """The image, by the point's method."""
+        return reconstruct(self.capture.record, self.setup.method)
+
+    @cached_property
+    def score(self) -> Score:
+        """The image against its noise-free truth."""
+        return score(self.capture.cells_e, self.reconstruction.picture)
+
+    @cached_property
+    def radar(self) -> RadarEvaluation:
+        """Detections and what they should have been."""
+        return self._radar()
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number per point, its unit and what it is."""
+
+    unit: str
+    meaning: str
+    measure: Callable[[Outcome], float]
+    of_radar: bool = False
+
+
+def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
+    """Of the median pixel: signal and all that is collected, e/s; constant noise and noise that
+    grows with time, both as what is left in a pixel: k^2 (collected T + constant^2 + (rate T)^2).
+    """
+    taken, system = outcome.capture, outcome.setup.system
+    time = system.acquisition.integration_time_s.value
+    noise = taken.noise.noise_e
+    shot = ("shot noise of the signal", "shot noise of the sun", "shot noise of the dark current")
+    factor = taken.noise.pixel_noise_e(system.patterns) / taken.noise.total_noise_e
+    has_tia = system.readout.transimpedance_ohm is not None
+    growing = [noise["fluctuation of the emitter"]]
+    constant = [noise["read noise"], noise["1/f noise of the amplifier"]]
+    # A transimpedance amplifier averages: its converter's step grows with time.
+    (growing if has_tia else constant).append(noise["quantisation"])
+    linear = [noise[name] for name in shot] + [noise["Johnson noise of the amplifier"]]
+    signal = float(np.median(taken.cells_e)) / factor / time
+    return (
+        signal,
+        sum(x**2 for x in linear) / time,
+        math.hypot(*constant),
+        math.hypot(*growing) / time,
+    )
+
+
+def minimum_time_s(outcome: Outcome) -> float:
+    """Integration time at which the median pixel equals its noise; infinite where none does.
+
+    (s T)^2 = c T + r^2 + (g T)^2, with the patterns, sun and readout of the point.
+    """
+    s, c, r, g = _pixel_terms(outcome)
+    a = s * s - g * g
+    if s <= 0 or a <= 0:
+        return math.inf
+    return (c + math.sqrt(c * c + 4 * a * r * r)) / (2 * a)
+
+
+def maximum_distance_m(outcome: Outcome) -> float:
+    """Distance at which the median pixel would equal its noise, its signal falling with 1 / z^2.
+
+    The sun's part stays. Nothing in the field: not a number.
+    """
+    s, c, r, g = _pixel_terms(outcome)
+    taken = outcome.capture
+    depth = taken.truth.depth_m[np.isfinite(taken.truth.depth_m)]
+    if not depth.size or s <= 0:
+        return math.nan
+    time = outcome.setup.system.acquisition.integration_time_s.value
+    own = taken.noise.noise_e["shot noise of the signal"] ** 2
+    other = c * time - own + r * r
+    # (s x T)^2 = own x + other + (g x T)^2 with x = (z0 / z)^2
+    a = (s * time) ** 2 - (g * time) ** 2
+    if a <= 0:
+        return 0.0
+    x = (own + math.sqrt(own * own + 4 * a * other)) / (2 * a)
+    return float(np.median(depth)) / math.sqrt(x)
+
+
+def _range_error(outcome: Outcome) -> float:
+    pairs = zip(outcome.radar.detections, outcome.radar.matches, strict=True)
+    errors = [abs(found.range_m - true.seen_at[0]) for found, true in pairs if true is not None]
+    return max(errors, default=math.nan)
+
+
+def _detected(outcome: Outcome) -> float:
+    return float(len({true.name for true in outcome.radar.matches if true is not None}))
+
+
+RENDERED: dict[str, Metric] = {
+    "snr_median": Metric(
+        "1", "signal over noise per pixel, median", lambda o: float(np.median(o.capture.snr))
+    ),
+    "snr_above_1": Metric(
+        "1", "share of pixels above their noise", lambda o: float(np.mean(o.capture.snr >= 1))
+    ),
+    "signal_e": Metric("e", "signal of one average exposure", lambda o: o.capture.noise.signal_e),
+    "background_e": Metric("e", "sun in one exposure", lambda o: o.capture.noise.background_e),
+    "noise_e": Metric("e", "noise of one exposure", lambda o: o.capture.noise.total_noise_e),
+    "saturated": Metric(
+        "1",
+        "share of exposures marked saturated",
+        lambda o: float(np.mean(o.capture.record.flags != 0)),
+    ),
+    "in_band": Metric(
+        "1", "share of the emitter's line inside the filter", lambda o: o.capture.in_band_fraction
+    ),
+    "psnr_db": Metric("dB", "peak signal-to-noise ratio of the image", lambda o: o.score.psnr_db),
+    "ssim": Metric("1", "structural similarity of the image", lambda o: o.score.ssim),
+    "minimum_time_s": Metric("s", "integration for SNR 1 in the median pixel", minimum_time_s),
+    "maximum_distance_m": Metric("m", "distance for SNR 1 in the median pixel", maximum_distance_m),
+    "frame_rate_hz": Metric(
+        "Hz", "frames per second, acquisition alone", lambda o: 1 / o.setup.system.frame_time_s
+    ),
+    "range_error_m": Metric(
+        "m", "largest range error of a detected target", _range_error, of_radar=True
+    ),
+    "detections": Metric(
+        "1",
+        "true targets that are detected",
+        _detected,
+        of_radar=True,
+    ),
+}
+#: Of the closed form; unit and meaning.
+CLOSED_FORM: dict[str, tuple[str, str]] = {
+    "signal_e_per_s": ("e/s", "photo-electrons of the emitter, all cells lit"),
+    "background_e_per_s": ("e/s", "photo-electrons of the sun, and dark current"),
+    "snr": ("1", "signal over noise of one exposure with all cells lit"),
+    "minimum_time_s": ("s", "integration for SNR 1"),
+    "maximum_distance_m": ("m", "distance for SNR 1"),
+}
+
+
+def metric(name: str, folder: Path) -> Metric:
+    """A metric by name, or a user's own function, ``MODULE:FUNCTION`` of an `Outcome`, from a
+    module that can be imported or lies beside the study.
+
+    Raises ValueError for one that can't be found.
+    """
+    if name in RENDERED:
+        return RENDERED[name]
+    module, _, function = name.partition(":")
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+    try:
+        found = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"metrics: {name!r}: {error}") from error
+    summary = (found.__doc__ or name).strip().splitlines()[0]
+    return Metric(getattr(found, "unit", "1"), summary, found)
+
+
+def described(name: str, folder: Path, *, closed_form: bool) -> tuple[str, str]:
+    """Unit and meaning of a metric."""
+    if closed_form:
+        return CLOSED_FORM[name]
+    known = metric(name, folder)
+    return known.unit, known.meaning

@@ -1,0 +1,143 @@
+"""Parameters of a study: dotted names, checked against what there is, and their values with units.
+
+``system.SECTION.FIELD``, ``system.SECTION.part``, ``system``; ``weather.FIELD`` for
+``system.weather.FIELD``; ``scene``, ``scene.rig.x_m`` (y, z; yaw, pitch, roll in deg),
+``scene.sun.FIELD``, ``scene.objects.NAME.reflectance`` and ``.shift_x_m`` (y, z; NAME may be
+``*``), ``scene.targets.NAME.rcs_m2``; ``fidelity.KNOB``, ``fidelity.preset``;
+``radar.SECTION.FIELD``; ``processing.method``; ``link.distance_m`` and ``link.reflectance`` of
+the closed form.
+"""
+
+import difflib
+import re
+from dataclasses import fields
+from functools import lru_cache
+from types import UnionType
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+from twin.fidelity import Fidelity
+from twin.radar.design import RadarDesign
+from twin.system import System
+from twin.toml import Strict
+
+Value = bool | int | float | str
+
+_POSE = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "roll_deg")
+_SUN = ("azimuth_deg", "elevation_deg", "illuminance_lx")
+_OBJECT = ("reflectance", "shift_x_m", "shift_y_m", "shift_z_m")
+_NAMED = re.compile(r"scene\.(objects|targets)\.(.+)\.(\w+)")
+#: Units that end a field's name, longest first.
+_UNITS = {
+    "_kg_per_m3": "kg/m^3",
+    "_mm_per_h": "mm/h",
+    "_m_per_s": "m/s",
+    "_w_per_sr": "W/sr",
+    "_a_per_w": "A/W",
+    "_ohm": "ohm",
+    "_deg": "degree",
+    "_hz": "Hz",
+    "_m2": "m^2",
+    "_lx": "lux",
+    "_dbi": "",
+    "_sr": "sr",
+    "_w": "W",
+    "_s": "s",
+    "_m": "m",
+    "_k": "K",
+    "_f": "F",
+    "_a": "A",
+    "_v": "V",
+}
+#: What a new render is not needed for.
+_LATER = re.compile(
+    r"(system|weather|scene)?\.?(system\.)?("
+    r"detector\.(?!shape|pixels|part)|readout\.|acquisition\.|sky\.|filter\.|detector\.part|"
+    r"emitter\.(radiant|peak|line|spectrum|contrast|intensity|switching|kind|source)|"
+    r"optics\.(f_number|transmission))|processing\.|fidelity\.noise|radar\.|link\.|scene\.targets|"
+    r"scene\.sun\.illuminance|scene\.objects\..*\.reflectance"
+)
+
+
+def is_optical(name: str) -> bool:
+    """Whether a parameter may change what is rendered; it only decides the order of the work."""
+    return _LATER.match(name) is None
+
+
+def check_name(name: str) -> None:
+    """Raise ValueError, with the nearest name, for a parameter that does not exist."""
+    if name in _plain_names():
+        return
+    match = _NAMED.fullmatch(name)
+    if match:
+        known = _OBJECT if match[1] == "objects" else ("rcs_m2",)
+        if match[3] in known:
+            return
+        raise ValueError(f"{name}: {match[3]!r} is none of {', '.join(known)}")
+    near = difflib.get_close_matches(name, _plain_names(), n=1)
+    raise ValueError(f"{name}: is no parameter" + (f"; did you mean {near[0]}?" if near else ""))
+
+
+def check_value(name: str, value: Value) -> Value:
+    """A value in the SI unit of the parameter; text with a unit ("315 us") is converted.
+
+    Raises ValueError for an unknown parameter, and for a unit of another kind.
+    """
+    check_name(name)
+    unit = unit_of(name)
+    if not isinstance(value, str) or unit is None:
+        return value
+    import pint
+
+    registry = _registry()
+    try:
+        # Digits that conversion does not blur: 12 nm is 1.2e-8 m.
+        return float(f"{registry.Quantity(value).to(unit).magnitude:.15g}")
+    except (pint.PintError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(
+            f"{name} = {value!r}: expected a number or a quantity in {unit}"
+        ) from error
+
+
+def unit_of(name: str) -> str | None:
+    """Unit that the end of a name says, None where it says none."""
+    return next((unit for end, unit in _UNITS.items() if name.endswith(end)), None)
+
+
+@lru_cache(maxsize=1)
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+@lru_cache(maxsize=1)
+def _plain_names() -> tuple[str, ...]:
+    names = ["scene", "system", "radar", "seed", "processing.method", "fidelity.preset"]
+    names += [f"scene.rig.{field}" for field in _POSE]
+    names += [f"scene.sun.{field}" for field in _SUN]
+    names += [f"fidelity.{field.name}" for field in fields(Fidelity)]
+    names += ["link.distance_m", "link.reflectance"]
+    for root, model in (("system", System), ("radar", RadarDesign)):
+        for section, part in _sections(model).items():
+            names += [f"{root}.{section}.{field}" for field in part.model_fields]
+            if root == "system":
+                names.append(f"system.{section}.part")
+    weather = [name.removeprefix("system.") for name in names if ".weather." in name]
+    return tuple(names + weather)
+
+
+def _sections(model: type[BaseModel]) -> dict[str, type[Strict]]:
+    """Sections of an entry by name, optional ones as well."""
+    found = {}
+    for name, field in model.model_fields.items():
+        kinds = get_args(field.annotation) if _is_union(field.annotation) else (field.annotation,)
+        for kind in kinds:
+            if isinstance(kind, type) and issubclass(kind, Strict):
+                found[name] = kind
+    return found
+
+
+def _is_union(annotation: Any) -> bool:
+    return isinstance(annotation, UnionType) or len(get_args(annotation)) > 1

@@ -1,0 +1,199 @@
+"""A study: what is varied, over which values, and what is measured of each point."""
+
+import difflib
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+
+from twin.files import InputError
+from twin.sweep.parameters import check_value, is_optical
+from twin.toml import Finite, Name, Strict, describe, read_toml
+
+Value = bool | int | float | str
+
+
+class Range(Strict):
+    """Bounds of a sampled parameter; ``log``: uniform in its logarithm."""
+
+    low: Finite | str
+    high: Finite | str
+    log: bool = False
+
+
+class Sample(Strict):
+    """Points drawn from ranges: Latin hypercube, or Sobol's scrambled sequence (SciPy)."""
+
+    method: Literal["latin-hypercube", "sobol"]
+    n: Annotated[int, Field(strict=True, ge=1, le=10**7)]
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    ranges: Annotated[dict[str, Range], Field(min_length=1)]
+
+
+class Study(Strict):
+    """A study, as its TOML file says it.
+
+    ``grid``: every combination of values; ``zip``: parameters that change together; ``sample``:
+    drawn points. All of them together make the product of their dimensions. ``set``: parameters
+    that differ from scene and system in every point.
+    """
+
+    name: Name
+    model: Literal["rendered", "closed-form"] = "rendered"
+    scene: str = "yard"
+    system: str = "workable"
+    radar: str = "hybrid-79"
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    metrics: Annotated[tuple[str, ...], Field(min_length=1)]
+    set: dict[str, Value] = {}
+    grid: dict[str, Annotated[list[Value], Field(min_length=1)]] = {}
+    zip: list[dict[str, Annotated[list[Value], Field(min_length=1)]]] = []
+    sample: Sample | None = None
+    folder: Path = Path()
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> "Study":
+        seen: set[str] = set()
+        groups: list[Mapping[str, Any]] = [self.set, self.grid, *self.zip]
+        if self.sample:
+            groups.append(self.sample.ranges)
+        for names in groups:
+            for name in names:
+                if name in seen:
+                    raise ValueError(f"{name}: is given twice")
+                seen.add(name)
+        for index, together in enumerate(self.zip):
+            lengths = {name: len(values) for name, values in together.items()}
+            if len(set(lengths.values())) != 1:
+                raise ValueError(f"zip.{index}: lists of different lengths: {lengths}")
+        return self
+
+    @cached_property
+    def axes(self) -> tuple["Axis", ...]:
+        """Dimensions of the study; those that need a new render vary slowest."""
+        axes = [Axis(n, {n: _column(n, v)}) for n, v in self.grid.items()]
+        axes += [
+            Axis(f"zip_{i}", {n: _column(n, v) for n, v in together.items()})
+            for i, together in enumerate(self.zip)
+        ]
+        if self.sample:
+            axes.append(Axis("sample", _drawn(self.sample)))
+        return tuple(sorted(axes, key=lambda axis: not axis.is_optical))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Length of each dimension."""
+        return tuple(len(axis) for axis in self.axes)
+
+    @property
+    def n_points(self) -> int:
+        """Points in all."""
+        return math.prod(self.shape)
+
+    def point(self, index: int) -> dict[str, Value]:
+        """What is set in a point, by parameter."""
+        values = {name: check_value(name, value) for name, value in self.set.items()}
+        for axis, place in zip(self.axes, np.unravel_index(index, self.shape), strict=True):
+            values |= {name: column[place].item() for name, column in axis.columns.items()}
+        return values
+
+    def columns(self, start: int, stop: int) -> dict[str, NDArray[Any]]:
+        """What is set in a run of points, by parameter: arrays."""
+        n = stop - start
+        found: dict[str, NDArray[Any]] = {
+            name: np.full(n, check_value(name, value)) for name, value in self.set.items()
+        }
+        places = np.unravel_index(np.arange(start, stop), self.shape)
+        for axis, place in zip(self.axes, places, strict=True):
+            found |= {name: column[place] for name, column in axis.columns.items()}
+        return found
+
+
+class Axis:
+    """A dimension: one or more parameters that change together."""
+
+    def __init__(self, name: str, columns: dict[str, NDArray[Any]]) -> None:
+        self.name = name
+        self.columns = columns
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    @property
+    def is_optical(self) -> bool:
+        """Whether a step along it may need another render."""
+        return any(is_optical(name) for name in self.columns)
+
+
+def load_study(path: str | Path) -> Study:
+    """A study from its TOML file.
+
+    Raises InputError naming the file, the parameter, the value, and what was expected.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"study: {str(path)!r} is no file")
+    content = read_toml(path)
+    content.setdefault("name", path.stem)
+    if "folder" in content:
+        raise InputError(f"{path}: folder: is no field of a study")
+    try:
+        study = Study.model_validate({**content, "folder": path.resolve().parent})
+        _ = study.axes, {name: check_value(name, value) for name, value in study.set.items()}
+        _check_metrics(study)
+    except ValidationError as error:
+        raise InputError(f"{path}: {describe(error)}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    return study
+
+
+def _check_metrics(study: Study) -> None:
+    from twin.sweep.metrics import CLOSED_FORM, RENDERED
+
+    known = RENDERED if study.model == "rendered" else CLOSED_FORM
+    for name in study.metrics:
+        if ":" in name and study.model == "rendered":
+            continue
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(known)}"
+            raise ValueError(f"metrics: {name!r} is unknown{hint}")
+    if len(set(study.metrics)) != len(study.metrics):
+        raise ValueError("metrics: a name stands twice")
+
+
+def _column(name: str, values: list[Value]) -> NDArray[Any]:
+    column = np.array([check_value(name, value) for value in values])
+    if len(set(column.tolist())) != len(column):
+        raise ValueError(f"{name}: a value stands twice")
+    return column
+
+
+def _drawn(sample: Sample) -> dict[str, NDArray[Any]]:
+    from scipy.stats import qmc
+
+    d = len(sample.ranges)
+    if sample.method == "sobol":
+        # Balance holds for powers of two; any number of its first points is a sequence still.
+        power = max(0, math.ceil(math.log2(sample.n)))
+        unit = qmc.Sobol(d, rng=np.random.default_rng(sample.seed)).random_base2(power)[: sample.n]
+    else:
+        unit = qmc.LatinHypercube(d, rng=np.random.default_rng(sample.seed)).random(sample.n)
+    columns = {}
+    for share, (name, bounds) in zip(unit.T, sample.ranges.items(), strict=True):
+        low, high = (check_value(name, v) for v in (bounds.low, bounds.high))
+        if not (isinstance(low, float | int) and isinstance(high, float | int) and low < high):
+            raise ValueError(f"sample.ranges.{name}: expected numbers, low below high")
+        if bounds.log:
+            if low <= 0:
+                raise ValueError(f"sample.ranges.{name}.low: {low}: expected above 0 with log")
+            columns[name] = low * (high / low) ** share
+        else:
+            columns[name] = low + (high - low) * share
+    return columns

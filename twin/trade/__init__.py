@@ -1,0 +1,16 @@
+"""The speed/accuracy trade: time, memory and error of every rung on one's own scene and machine."""
+
+from twin.trade.measurement import Choice, Cost, Measurement, cheapest, front
+from twin.trade.walk import TOLERANCE, Trade, choose, trade
+
+__all__ = [
+    "TOLERANCE",
+    "Choice",
+    "Cost",
+    "Measurement",
+    "Trade",
+    "cheapest",
+    "choose",
+    "front",
+    "trade",
+]

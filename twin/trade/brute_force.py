@@ -1,0 +1,207 @@
+"""The check from outside: Mitsuba's projector and path tracer on a sample of the patterns."""
+
+from dataclasses import MISSING, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.camera.light import render_light
+from twin.optics.devices import Device
+from twin.optics.paths import Quality
+from twin.optics.reference import PatternRenderer
+from twin.optics.weather import air_of_system
+from twin.trade.camera import Reference, View, reference_rung
+from twin.trade.measurement import Cost, Measurement
+from twin.trade.meter import metered
+
+Array = NDArray[np.float64]
+
+_PATTERNS = 8  # exposures out of the set: the first, all lit, and others at random
+_SEEDS = 12
+_SAMPLES = 16  # paths per pixel of its film, 64 x 64
+_BOUNCES = 32  # what the reference leaves out is in it
+_TRANSPORT_RUNS = 4
+#: Projected texels in steps of cos^3 and film pixels of finite size, in all.
+_ALLOWANCE = 2e-3
+_SIGMAS = 4.0  # of Student's t with 11 degrees of freedom: 0.2 % false alarms
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Light of the sampled patterns, transport over brute force less 1, with its standard error.
+
+    ``worst_sigmas``: the pattern that is off most, over its own Monte-Carlo error.
+    """
+
+    difference: float
+    standard_error: float
+    worst_sigmas: float
+    patterns: int
+    of_exposures: int
+    renders_each: int
+    paths_each: int
+    idealised: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether the two agree within their errors and what the texture's steps cost."""
+        return abs(self.difference) <= _SIGMAS * self.standard_error + _ALLOWANCE
+
+    def __str__(self) -> str:
+        how = f"{self.patterns} of {self.of_exposures} exposures, {self.renders_each} renders each"
+        return (
+            f"transport over brute force: {100 * self.difference:+.3f} % "
+            f"+- {100 * self.standard_error:.3f} % ({how} of {self.paths_each} paths; worst "
+            f"pattern {self.worst_sigmas:.1f} sigma){self.idealised}"
+        )
+
+
+def check(view: View, reference: Reference) -> tuple[Agreement | None, Measurement | None]:
+    """Agreement of the reference, and brute force as a rung for comparison.
+
+    (None, None) for bare LEDs: the projector has a lens. The rung is None for line sensors, whose
+    columns the reference renderer does not tell apart as fine.
+    """
+    system = view.system
+    if not system.emitter.has_lens:
+        return None, None
+    masks, transport = _sampled_masks(view), _transport(view)
+    renderer = PatternRenderer(
+        view.scene,
+        _ideal(view.emitter),
+        _ideal(view.detector),
+        max_depth=_BOUNCES,
+        air=air_of_system(system),
+    )
+    seeds = np.random.SeedSequence([view.seed, 4]).generate_state(len(masks) * (1 + _SEEDS))
+    table = seeds.reshape(len(masks), -1).tolist()
+    brute, costs = _renders(renderer, masks, table)
+    agreement = _agreement(view, brute, transport, masks)
+    if system.n_detectors > 1:
+        return agreement, None
+    return agreement, _rung(view, reference, brute, costs)
+
+
+def _renders(
+    renderer: PatternRenderer, masks: NDArray[np.uint8], seeds: list[list[int]]
+) -> tuple[Array, list[Cost]]:
+    """Signals, (n_patterns, n_seeds), and what one render of each pattern costs."""
+    renders, costs = [], []
+    for mask, row in zip(map(_square, masks), seeds, strict=True):
+
+        def once(run: int, mask: Any = mask, row: list[int] = row) -> float:
+            return renderer.render(mask, samples=_SAMPLES, seed=row[run])
+
+        cost, found = metered(once, least=_SEEDS, most=_SEEDS)
+        renders.append(found)
+        costs.append(cost)
+    return np.array(renders), costs
+
+
+def _sampled_masks(view: View) -> NDArray[np.uint8]:
+    """The first exposure, all lit, and others at random; the all dark one is left out."""
+    patterns = view.system.patterns
+    first = 2 if patterns.mode == "differential" else 1
+    others = np.arange(first, patterns.n_exposures)
+    rng = np.random.default_rng([view.seed, 3])
+    chosen = rng.choice(others, min(_PATTERNS - 1, len(others)), replace=False)
+    numbers = [0, *sorted(chosen.tolist())]
+    return np.concatenate([patterns.masks(slice(n, n + 1)) for n in numbers])
+
+
+def _square(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The same pattern with as many texels in both directions: a projector's field has the aspect
+    of its texture, an emitter's is square. Rows and columns are powers of two.
+    """
+    rows, columns = mask.shape
+    side = max(rows, columns)
+    return np.kron(mask, np.ones((side // rows, side // columns), dtype=np.uint8))
+
+
+def _transport(view: View) -> Array:
+    """Light of each cell on all detectors together, by run, (n_runs, n_cells), between the same
+    ideal devices.
+    """
+    no_sun = Quality(1, 1)
+    found = []
+    for run in range(_TRANSPORT_RUNS):
+        rendered = render_light(
+            view.world,
+            view.system,
+            _ideal(view.emitter),
+            _ideal(view.detector),
+            view.scene.sun.direction,
+            view.truth,
+            reference_rung(view.system),
+            no_sun,
+            np.random.SeedSequence([view.seed, 5, run]).spawn(2),
+        )
+        found.append(rendered.light.cells.sum(axis=0))
+    return np.array(found)
+
+
+def _agreement(view: View, brute: Array, transport: Array, masks: NDArray[np.uint8]) -> Agreement:
+    signals = transport @ masks.reshape(len(masks), -1).T.astype(np.float64)  # (n_runs, n_patterns)
+    whole, per_seed, per_run = brute.mean(axis=1).sum(), brute.sum(axis=0), signals.sum(axis=1)
+    if not whole:
+        return _described(view, 0.0, 0.0, 0.0, len(masks))
+    error = np.hypot(_standard_error(per_seed), _standard_error(per_run)) / whole
+    off = signals.mean(axis=0) - brute.mean(axis=1)
+    own = np.hypot(_standard_error(brute.T), _standard_error(signals))
+    worst = np.max(np.abs(off) / np.where(own, own, np.inf))
+    difference = per_run.mean() / whole - 1
+    return _described(view, float(difference), float(error), float(worst), len(masks))
+
+
+def _described(view: View, off: float, error: float, worst: float, patterns: int) -> Agreement:
+    given = [*_set(view.emitter, "emitter"), *_set(view.detector, "detector")]
+    return Agreement(
+        difference=off,
+        standard_error=error,
+        worst_sigmas=worst,
+        patterns=patterns,
+        of_exposures=view.system.patterns.n_exposures,
+        renders_each=_SEEDS,
+        paths_each=_SAMPLES * 64**2,
+        idealised=f"; both without {', '.join(given)}" if given else "",
+    )
+
+
+def _rung(view: View, reference: Reference, brute: Array, costs: list[Cost]) -> Measurement:
+    """Brute force for the whole set: its noise passes through the same inverse transform."""
+    patterns = view.system.patterns
+    per_value = np.sqrt(2.0) if patterns.mode == "differential" else 2.0
+    sigma = np.sqrt(np.mean(brute.var(axis=1, ddof=1)))
+    light = float(reference.rendered.light.cells.sum())
+    to_e = float(reference.picture.cells_e.sum()) / light if light else 0.0
+    error = float(per_value * sigma * np.sqrt(patterns.count) / patterns.n_cells * to_e)
+    times = np.array([(c.low_s, c.seconds, c.high_s) for c in costs]).mean(axis=0)
+    low, median, high = (patterns.n_exposures * times).tolist()
+    return Measurement(
+        ladder="light",
+        name="brute force per pattern",
+        fidelity=None,
+        cost=Cost(median, low, high, _SEEDS, max(c.peak_bytes for c in costs)),
+        error=error,
+        unit="e-",
+        over_noise=error / float(reference.noise_e[0]),
+        detail={"error_w": error / view.electrons_per_watt},
+        note=f"{brute.size} renders of {_SAMPLES * 64**2} paths timed, scaled to "
+        f"{patterns.n_exposures}; noise alone",
+    )
+
+
+def _ideal(device: Device) -> Device:
+    """What the reference renderer knows: a square field, sharp and even, a pinhole."""
+    return Device(device.origin_m, device.axes, device.tan_half_field)
+
+
+def _set(device: Device, whose: str) -> list[str]:
+    """Names of what `_ideal` takes away."""
+    known = [f for f in fields(Device) if f.default is not MISSING]
+    return [f"{whose}.{f.name}" for f in known if getattr(device, f.name) != f.default]
+
+
+def _standard_error(values: Array) -> Any:
+    return values.std(axis=0, ddof=1) / np.sqrt(len(values))

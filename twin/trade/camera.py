@@ -1,0 +1,283 @@
+"""Rungs of the camera: paths, bounces, the side they start on; and the noise of an exposure."""
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.patterns import PatternSet, fwht
+from twin.camera.chain import Chain, Powers
+from twin.camera.illumination import dark_share
+from twin.camera.light import Rendered, render_light
+from twin.camera.mounting import devices
+from twin.camera.truth import Truth, render_truth
+from twin.detector import FrontEnd, expose
+from twin.fidelity import PRESETS, Fidelity, Noise, Start
+from twin.optics.devices import Device
+from twin.scene import Scene
+from twin.scene.mitsuba import mitsuba_scene
+from twin.system import System
+from twin.trade.measurement import Cost, Measurement
+from twin.trade.meter import metered
+
+Array = NDArray[np.float64]
+Stage = Callable[[str], AbstractContextManager[Any]]
+
+_DEPTHS = (1, 2, 4)
+_REFERENCE_RUNS = 4
+#: Paths of the reference in all: a few large cells need more each than many small ones.
+_LEAST_PATHS = 2**22
+_EXPOSURES, _DRAWS = 8, 20_000  # distributions compared, and how many numbers tell each
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A scene seen by a system, with everything at hand that is the same on every rung."""
+
+    scene: Scene
+    system: System
+    world: Any
+    truth: Truth
+    emitter: Device
+    detector: Device
+    chain: Chain
+    seed: int
+
+    @classmethod
+    def of(cls, scene: Scene, system: System, seed: int) -> "View":
+        """Load the world once and look at it."""
+        emitter, detector, _ = devices(scene, system)
+        world = mitsuba_scene(scene)
+        truth = render_truth(world, emitter, system.picture_shape)
+        chain = Chain.of(system, scene.sun)
+        return cls(scene, system, world, truth, emitter, detector, chain, seed)
+
+    def light(self, fidelity: Fidelity, *key: int) -> Rendered:
+        """Light of emitter and sun; another key draws other paths."""
+        return render_light(
+            self.world,
+            self.system,
+            self.emitter,
+            self.detector,
+            self.scene.sun.direction,
+            self.truth,
+            fidelity,
+            fidelity.quality,
+            np.random.SeedSequence([self.seed, *key]).spawn(2),
+        )
+
+    @property
+    def electrons_per_watt(self) -> float:
+        """Of what patterns tell: a dark cell's light is in every exposure alike."""
+        return (1 - dark_share(self.system)) * self.chain.front_end.electrons_per_watt
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Electrons of each cell lit alone, (n_detectors, n_cells), as far as the patterns shown can
+    tell them; and the sun's power on all detectors, W.
+    """
+
+    cells_e: Array
+    sun_w: float
+
+    @classmethod
+    def of(cls, view: View, rendered: Rendered) -> "Picture":
+        """Through lens, filter and shutters."""
+        power = view.chain.powers(rendered)
+        cells = view.electrons_per_watt * power.cells_w.sum(axis=0)
+        return cls(told_apart(cells, view.system.patterns), float(power.sun_w.sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Mean of several renders, and the noise of a pixel under it, (n_detectors,), electrons."""
+
+    picture: Picture
+    noise_e: Array
+    rendered: Rendered
+
+
+def reference_rung(system: System) -> Fidelity:
+    """The `reference` preset, with more paths per cell where cells are few."""
+    cells = system.emitter.rows.value * system.emitter.columns.value * system.n_detectors
+    side = math.ceil(math.sqrt(_LEAST_PATHS / cells))
+    preset = PRESETS["reference"]
+    return preset.with_(samples=max(preset.samples, side**2))
+
+
+def light_rungs(system: System) -> list[Fidelity]:
+    """Paths x bounces; to a line sensor behind a lens from either side."""
+    finest = reference_rung(system).samples
+    samples = [4**power for power in range(20) if 4**power < finest]
+    both = system.n_detectors > 1 and system.emitter.has_lens
+    starts: tuple[Start, ...] = ("dual", "scatter") if both else ("auto",)
+    return [Fidelity(s, d, start=side) for side in starts for d in _DEPTHS for s in samples]
+
+
+def measure_light(view: View, stage: Stage) -> tuple[Reference, list[Measurement]]:
+    """Every rung against the mean of several renders of the reference."""
+    finest = reference_rung(view.system)
+    with stage("reference light"):
+        cost, rendered = metered(partial(view.light, finest, 0), least=_REFERENCE_RUNS)
+        pictures = [Picture.of(view, light) for light in rendered]
+        cells = np.mean([p.cells_e for p in pictures], axis=0)
+        sun_w = float(np.mean([p.sun_w for p in pictures]))
+        reference = Reference(Picture(cells, sun_w), _pixel_noise(view, rendered[0]), rendered[0])
+        # One render's scatter about the mean of all, which it is part of.
+        unbiased = np.sqrt(len(pictures) / (len(pictures) - 1))
+        name = f"reference: {finest.samples} paths, {finest.max_depth} bounces"
+        found = _compared(view, name, finest, cost, pictures, reference)
+        found = replace(
+            found,
+            error=found.error * unbiased,
+            over_noise=found.over_noise * unbiased,
+            detail=found.detail | {"error_w": found.detail["error_w"] * unbiased},
+            note=f"scatter of {len(pictures)} renders; their mean is what all are compared with",
+        )
+    measured = []
+    for number, rung in enumerate(light_rungs(view.system), start=1):
+        with stage(f"light: {_name(rung)}"):
+            cost, rendered = metered(partial(view.light, rung, number))
+            pictures = [Picture.of(view, light) for light in rendered]
+            measured.append(_compared(view, _name(rung), rung, cost, pictures, reference))
+    return reference, [*measured, found]
+
+
+def _compared(
+    view: View,
+    name: str,
+    fidelity: Fidelity,
+    cost: Cost,
+    pictures: list[Picture],
+    reference: Reference,
+) -> Measurement:
+    """Root mean square over cells and runs."""
+    off = np.stack([p.cells_e for p in pictures]) - reference.picture.cells_e
+    error = float(np.sqrt(np.mean(off**2)))
+    over_noise = np.abs(off) / reference.noise_e[:, None]
+    scale = float(np.sqrt(np.mean(reference.picture.cells_e**2)))
+    total = float(np.mean([p.cells_e.sum() for p in pictures]))
+    sun_w = float(np.mean([p.sun_w for p in pictures]))
+    return Measurement(
+        ladder="light",
+        name=name,
+        fidelity=fidelity,
+        cost=cost,
+        error=error,
+        unit="e-",
+        over_noise=float(np.sqrt(np.mean(over_noise**2))),
+        detail={
+            "median_over_noise": float(np.median(over_noise)),
+            "error_w": error / view.electrons_per_watt,
+            "relative": _ratio(error, scale),
+            "total_light_off": _ratio(total, float(reference.picture.cells_e.sum()), 1.0) - 1,
+            "sun_off": _ratio(sun_w, reference.picture.sun_w, 1.0) - 1,
+        },
+    )
+
+
+def _pixel_noise(view: View, rendered: Rendered) -> Array:
+    """Noise of a pixel of the image, by detector, electrons."""
+    chain = view.chain
+    power = chain.powers(rendered)
+    signal_w, _, _ = chain.take(power, rng=np.random.default_rng(0), noise="none")
+    sun_w = float(chain.open_share.mean()) * power.sun_w
+    pixel_e = [
+        chain.noise(signal, sun).pixel_noise_e(view.system.patterns)
+        for signal, sun in zip(np.moveaxis(signal_w, -1, 0), sun_w, strict=True)
+    ]
+    return np.sqrt(len(chain.taps)) * np.array(pixel_e)
+
+
+def _name(rung: Fidelity) -> str:
+    name = f"{rung.samples} path{'s' if rung.samples > 1 else ''}, "
+    name += f"{rung.max_depth} bounces" if rung.max_depth > 1 else "direct"
+    if rung.start != "auto":
+        name += f", {rung.start}"
+    known = [key for key, value in PRESETS.items() if value.quality == rung.quality]
+    return f"{name} ({known[0]})" if known else name
+
+
+def _ratio(value: float, scale: float, of_nothing: float = 0.0) -> float:
+    return value / scale if scale else of_nothing
+
+
+def measure_noise(view: View, reference: Reference, stage: Stage) -> list[Measurement]:
+    """Noise rungs: how far the distribution of an exposure's counts is from the full one's.
+
+    The distance is Wasserstein's, the mean shift of a sorted sample, for exposures spread over the
+    range of signals; the worst one counts. The full rung is the reference; what two samples of it
+    differ by is in the others' errors.
+    """
+    power = view.chain.powers(reference.rendered)
+    rungs: tuple[Noise, ...] = get_args(Noise)
+    samples, found = _samples(view, power, rungs), []
+    truth = samples["full"][0]
+    spread = truth.std(axis=1)
+    for rung in rungs:
+        with stage(f"noise: {rung}"):
+            cost, _ = metered(partial(_one_frame, view, power, rung))
+            shift = np.abs(samples[rung][1] - truth).mean(axis=1)
+            worst = int(np.argmax(shift / spread))
+            own = float(shift[worst] / spread[worst])
+            exact = rung == "full"
+            found.append(
+                Measurement(
+                    ladder="noise",
+                    name="no noise" if rung == "none" else rung,
+                    fidelity=Fidelity(noise=rung),
+                    cost=cost,
+                    error=0.0 if exact else float(shift[worst]),
+                    unit="e-",
+                    over_noise=0.0 if exact else own,
+                    detail={"noise_e": float(spread[worst])},
+                    note=f"the reference; two samples of it differ by {own:.2g} of the noise"
+                    if exact
+                    else f"shift of the distribution, worst of {len(truth)} exposures",
+                )
+            )
+    return found
+
+
+def _one_frame(view: View, power: Powers, kind: Noise, seed: int) -> None:
+    view.chain.take(power, rng=np.random.default_rng([view.seed, seed]), noise=kind)
+
+
+def _samples(view: View, power: Powers, rungs: Sequence[Noise]) -> dict[Noise, tuple[Array, Array]]:
+    """Of exposures spread over the range of signals."""
+    rng = np.random.default_rng([view.seed, 2])
+    signal_w, _, _ = view.chain.take(power, rng=rng, noise="none")
+    light = signal_w + view.chain.open_share[:, None] * power.sun_w
+    levels = np.quantile(light, np.linspace(0, 1, _EXPOSURES))
+    return distributions(levels, view.chain.front_end, rungs, rng)
+
+
+def distributions(
+    levels_w: Array, front_end: FrontEnd, rungs: Sequence[Noise], rng: np.random.Generator
+) -> dict[Noise, tuple[Array, Array]]:
+    """Two sorted samples of electrons for each rung, (n_exposures, n_draws)."""
+
+    def drawn(kind: Noise) -> Array:
+        many = np.repeat(levels_w[None], _DRAWS, axis=0)
+        counts, _ = expose(many, front_end, rng=rng, noise=kind)
+        # Spread over its step, so that rounding does not pass for shape.
+        electrons = (counts + rng.uniform(-0.5, 0.5, counts.shape)) * front_end.electrons_per_count
+        return np.sort(electrons, axis=0).T
+
+    return {kind: (drawn(kind), drawn(kind)) for kind in rungs}
+
+
+def told_apart(cells: Array, patterns: PatternSet) -> Array:
+    """Part of images (n, n_cells) that the patterns shown can tell; the rest is never measured."""
+    if patterns.count == patterns.n_cells:
+        return cells
+    spectrum = fwht(cells.T)
+    kept = np.zeros_like(spectrum)
+    kept[patterns.indices] = spectrum[patterns.indices]
+    return fwht(kept).T / patterns.n_cells

@@ -1,0 +1,133 @@
+"""Rungs of the radar: declared targets or traced paths, and the tolerance of the synthesis."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.fidelity import PRESETS, Fidelity, RadarRung
+from twin.radar import RadarDesign
+from twin.radar.acquisition import contributions
+from twin.radar.free_space import straight_paths
+from twin.radar.propagation import Propagation, trace
+from twin.radar.synthesis import direct_sum, synthesize
+from twin.scene import Scene
+from twin.trade.measurement import Cost, Measurement
+from twin.trade.meter import metered
+
+Complex = NDArray[np.complex128]
+Stage = Callable[[str], AbstractContextManager[Any]]
+
+_TOLERANCES = (1e-3, 1e-6, 1e-10)
+_ROWS, _COLUMNS = 64, 32  # of the bins compared: edges of band and interval, the rest at random
+
+
+@dataclass(frozen=True, eq=False)
+class _Bins:
+    """Bins that are compared, and the channel there by direct sum in float64."""
+
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    channel: Complex
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(np.abs(self.channel) ** 2)))
+
+
+def measure_radar(scene: Scene, radar: RadarDesign, seed: int, stage: Stage) -> list[Measurement]:
+    """Every rung against the direct sum over paths traced from another seed.
+
+    The error over noise is that of the range-Doppler map: the error's whole energy, as if it were
+    one echo, against the noise of one cell. An echo left out is exactly that; what a tolerance
+    leaves is spread over the map, and less. Empty where the scene sends no echo at all.
+    """
+    with stage("reference channel"):
+        bins = _reference(scene, radar, seed)
+    if bins.rms == 0:
+        return []
+    finders: dict[RadarRung, Callable[[int], Propagation]] = {
+        "targets": lambda run: straight_paths(scene, radar),
+        "paths": lambda run: trace(scene, radar, seed=seed + 1 + run),
+    }
+    measured = []
+    for kind in get_args(RadarRung):
+        with stage(f"radar {kind}"):
+            finding, found = metered(finders[kind])
+        for tolerance in _TOLERANCES:
+            with stage(f"radar {kind}, {tolerance:.0e}"):
+                rung = Fidelity(radar=kind, nufft_tolerance=tolerance)
+                measured.append(_rung(radar, rung, finding, found[0], bins))
+    return measured
+
+
+def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
+    wave = radar.ofdm
+    rng = np.random.default_rng([seed, 6])
+    rows, columns = (
+        np.unique([0, n - 1, *rng.choice(n, min(n, most), replace=False)])
+        for n, most in ((wave.n_subcarriers, _ROWS), (wave.n_slots, _COLUMNS))
+    )
+    echoes = contributions(trace(scene, radar, seed=seed).paths, wave)
+    f, t = wave.frequency_offsets_hz[rows], wave.slot_times_s[columns]
+    return _Bins(rows, columns, direct_sum(echoes, f, t, wave.carrier_hz))
+
+
+def _rung(
+    radar: RadarDesign, rung: Fidelity, finding: Cost, found: Propagation, bins: _Bins
+) -> Measurement:
+    wave = radar.ofdm
+    echoes = contributions(found.paths, wave)
+    tolerance = rung.nufft_tolerance
+    cost, channels = metered(lambda run: synthesize(echoes, wave, tolerance)[_sampled(bins)])
+    off = np.abs(channels[0] - bins.channel)
+    rms = float(np.sqrt(np.mean(off**2)))
+    relative = rms / bins.rms
+    known = [name for name, value in PRESETS.items() if _same(value, rung)]
+    return Measurement(
+        ladder="radar",
+        name=f"{rung.radar}, tolerance {tolerance:.0e}" + (f" ({known[0]})" if known else ""),
+        fidelity=rung,
+        cost=_both(finding, cost),
+        error=relative,
+        unit="of the channel",
+        over_noise=rms / _noise(radar),
+        detail={
+            "error_db": 20 * float(np.log10(relative)) if relative else -np.inf,
+            "largest": float(off.max()) / bins.rms,
+            "paths": len(found.paths),
+        },
+        note=f"{bins.channel.size} bins of {wave.n_subcarriers * wave.n_slots}",
+    )
+
+
+def _noise(radar: RadarDesign) -> float:
+    """Channel error, rms over bins, whose energy in one cell of the map equals the noise there.
+
+    A bin's noise is the sample's over the sent power; the transform gains by all bins.
+    """
+    wave = radar.ofdm
+    per_bin = radar.sample_noise_w / radar.front_end.transmit_power_w.value
+    return float(np.sqrt(per_bin / (wave.n_subcarriers * wave.n_slots)))
+
+
+def _both(a: Cost, b: Cost) -> Cost:
+    """One after the other."""
+    return Cost(
+        a.seconds + b.seconds,
+        a.low_s + b.low_s,
+        a.high_s + b.high_s,
+        min(a.runs, b.runs),
+        max(a.peak_bytes, b.peak_bytes),
+    )
+
+
+def _sampled(bins: _Bins) -> Any:
+    return np.ix_(bins.rows, bins.columns)
+
+
+def _same(preset: Fidelity, rung: Fidelity) -> bool:
+    return preset == replace(preset, radar=rung.radar, nufft_tolerance=rung.nufft_tolerance)
