@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 VEHICLE := .venv-vehicle
 PIP_FLAGS := -q --disable-pip-version-check
 
-.PHONY: demo test test-vehicle test-slow lint bench install clean
+.PHONY: demo test test-vehicle test-slow lint bench extremes install clean
 
 demo: install
 	$(BIN)/twin run scenes/yard
@@ -27,6 +27,10 @@ lint: install
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+# Every axis pushed until a result leaves its stated error; writes docs/extremes.md.
+extremes: install
+	$(BIN)/python -m tests.extremes
 
 bench: install
 	$(BIN)/python -m benchmarks

@@ -1,5 +1,6 @@
 """The command ``twin``. Errors are one line and exit code 2; nothing half-written stays behind."""
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Annotated
 import typer
 
 from twin.engine import EngineError
+from twin.progress import interrupts
 
 app = typer.Typer(
     name="twin",
@@ -72,7 +74,7 @@ def run(
         best, score = evaluation.reconstructions[0], evaluation.scores[0]
         print(
             f"{evaluation.system.name}: SNR per pixel {np.median(evaluation.capture.snr):.2g} "
-            f"(median), {best.method} PSNR {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
+            f"(median), {best.method}: {score}"
         )
     if result.radar:
         for warning in result.radar.capture.warnings:
@@ -127,6 +129,39 @@ def import_(
 
 
 @app.command()
+def trade(
+    scene: SceneArgument,
+    system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
+    radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
+    tolerance: Annotated[
+        float, typer.Option(help="Error that counts as unseen, over the sensor's own noise.")
+    ] = 0.2,
+    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; default runs/trade-SCENE-SYSTEM.")
+    ] = None,
+) -> None:
+    """Measure time, memory and error of every rung on a scene, and say which one to take."""
+    from rich.console import Console
+
+    from twin.trade import trade as run_trade
+    from twin.trade.report import print_trade
+
+    found, folder = run_trade(
+        scene,
+        system,
+        radar=None if radar == "none" else radar,
+        tolerance=tolerance,
+        seed=seed,
+        out=out,
+    )
+    for warning in found.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print_trade(found, Console(width=None if sys.stdout.isatty() else 150))
+    print(f"written: {folder / 'trade.md'}")
+
+
+@app.command()
 def budget(
     system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "paper",
     whole_line: Annotated[
@@ -160,6 +195,129 @@ def budget(
         with whole_folder(out) as folder:
             write_budget(rows, rates, folder)
         print(f"written: {out / 'budget.json'}")
+
+
+@app.command()
+def rcs(
+    mesh: Annotated[Path, typer.Argument(help="PLY, OBJ, STL or glTF file.")],
+    carrier_hz: Annotated[float, typer.Option("--carrier-hz", help="Carrier frequency.")],
+    azimuth: Annotated[
+        str, typer.Option(help="START:STOP:STEP in deg, ends included; or one number.")
+    ],
+    elevation: Annotated[float, typer.Option(help="Of the radar above the xy plane, deg.")] = 0.0,
+    polarization: Annotated[str, typer.Option(help="V or H; VH, HV: sent, then received.")] = "V",
+    distance: Annotated[
+        float | None, typer.Option(help="From the mesh's origin, m; default: far field.")
+    ] = None,
+    edges: Annotated[bool, typer.Option("--edges", help="Add diffraction at sharp edges.")] = False,
+    scale: Annotated[float, typer.Option(help="Metres per unit of the mesh.")] = 1.0,
+    permittivity: Annotated[
+        str | None, typer.Option(help="Relative, such as 5.3-0.4j; default: a conductor.")
+    ] = None,
+    thickness: Annotated[
+        float | None, typer.Option(help="Of a dielectric sheet, m; default: a solid.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="CSV to write, with a PNG beside; default: print it.")
+    ] = None,
+) -> None:
+    """Radar cross-section of a mesh over azimuth, by physical optics."""
+    from twin.rcs import Request, csv_lines, run
+
+    result = run(
+        Request(
+            mesh,
+            carrier_hz,
+            azimuth,
+            elevation,
+            polarization,
+            distance,
+            edges,
+            scale,
+            permittivity,
+            thickness,
+        ),
+        out,
+    )
+    for warning in result.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    if out is None:
+        print("\n".join(csv_lines(result)))
+    else:
+        print(f"written: {out}, {out.with_suffix('.png')}")
+
+
+@app.command()
+def sweep(
+    study: Annotated[Path, typer.Argument(help="TOML file: what is varied, what is measured.")],
+    out: Annotated[Path | None, typer.Option(help="Folder; default runs/NAME.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="A running Dask scheduler, tcp://HOST:PORT.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; default one a core.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Agree to more than 1e7 points.")] = False,
+) -> None:
+    """Sweep a design space; the same command resumes what was interrupted."""
+    from twin.sweep import sweep as run_sweep
+
+    done = run_sweep(study, out=out, scheduler=scheduler, workers=workers, yes=yes)
+    failed = f", {done.n_failed} failed" if done.n_failed else ""
+    print(f"{done.n_points} points{failed}, {done.renders} renders: {done.out / 'results.zarr'}")
+
+
+@app.command()
+def show(
+    sweep: Annotated[Path, typer.Argument(help="Folder of a sweep.")],
+    metric: Annotated[str | None, typer.Option(help="What is drawn; default the first.")] = None,
+    x: Annotated[str | None, typer.Option(help="Parameter to the right.")] = None,
+    y: Annotated[str | None, typer.Option(help="Parameter upwards; none: a line.")] = None,
+    front: Annotated[str | None, typer.Option(help="Second metric: a Pareto front.")] = None,
+    out: Annotated[Path | None, typer.Option(help="PNG file; default in the folder.")] = None,
+) -> None:
+    """Draw a sweep: a metric over parameters, a Pareto front, or what moves the metric most."""
+    from twin.sweep import open_sweep
+    from twin.sweep.show import plot_front, plot_plane, plot_sensitivities
+
+    data = open_sweep(sweep)
+    metric = metric or next(str(name) for name in data.data_vars if name != "error")
+    if front is not None:
+        figure = plot_front(data, metric, front)
+    elif x is not None:
+        figure = plot_plane(data, metric, x, y)
+    else:
+        figure = plot_sensitivities(data, metric)
+    out = out or sweep / f"{metric.replace(':', '.')}.png"
+    figure.savefig(out, dpi=150)
+    print(f"written: {out}")
+
+
+@app.command()
+def safety(
+    system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
+    out: Annotated[Path | None, typer.Option(help="Folder for safety.json.")] = None,
+) -> None:
+    """Margin to the exposure limits of the eye, beside the same light at 850 nm."""
+    from rich.console import Console
+
+    from twin.budget.safety import assumptions, hazards, print_safety, write_safety
+    from twin.files import InputError, whole_folder
+    from twin.system import load_system
+
+    if out is not None and not str(out).strip("."):
+        raise InputError("out: is empty, expected a folder to write to")
+    design = load_system(system)
+    try:
+        rows = hazards(design)
+    except ValueError as error:
+        raise InputError(f"{system}: emitter.peak_wavelength_m: {error}") from error
+    rows += hazards(design, 850e-9)
+    print_safety(design, rows, Console(width=None if sys.stdout.isatty() else 150))
+    for line in assumptions(design):
+        print(f"assumed: {line}")
+    if out is not None:
+        with whole_folder(out) as folder:
+            write_safety(design, rows, folder)
+        print(f"written: {out / 'safety.json'}")
 
 
 @app.command()
@@ -233,28 +391,26 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
-        if not _interrupted:
+        if not interrupts:
             sys.exit(code)
     except (InputError, OSError, EngineError) as error:
         message = str(error)
     except Exception as error:
-        if not _interrupted:
+        if not interrupts:
             if not hasattr(error, "format_message"):  # how usage errors are told from faults
                 raise
             message = error.format_message()
     except KeyboardInterrupt:
         pass
-    if _interrupted:
+    if interrupts:
         print("twin: interrupted, nothing half-written is left", file=sys.stderr)
-        sys.exit(130)
+        sys.stderr.flush()
+        os._exit(130)  # threads of a library that was still loading would abort an orderly exit
     print(f"twin: error: {' '.join(message.split())}", file=sys.stderr)
     sys.exit(2)
 
 
-_interrupted: list[int] = []
-
-
 def _interrupt(number: int, _: object) -> None:
     """Remember the signal: libraries in between may turn the exception into another one."""
-    _interrupted.append(number)
+    interrupts.append(number)
     raise KeyboardInterrupt

@@ -8,11 +8,11 @@ from hardware.records import write_radar_record, write_record
 from hardware.records.sigmf import export_sigmf
 from twin.camera.acquisition import capture
 from twin.camera.evaluation import Evaluation, evaluate
-from twin.camera.light import devices
+from twin.camera.mounting import devices
 from twin.camera.truth import write_truth
 from twin.camera.view import View, render_view
+from twin.fidelity import Fidelity
 from twin.files import InputError, whole_folder
-from twin.optics.transport import Quality
 from twin.progress import Stages
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.evaluation import (
@@ -52,7 +52,7 @@ def run(
     pose: Pose | None = None,
     seed: int = 0,
     out: str | Path | None = None,
-    quality: Quality | None = None,
+    fidelity: Fidelity | None = None,
     paths: bool = False,
     sigmf: bool = False,
 ) -> Result:
@@ -72,8 +72,8 @@ def run(
         Of every random draw.
     out
         Folder to write to; default ``runs/SCENE-SYSTEM``. It appears whole or not at all.
-    quality
-        Knobs of the path tracer.
+    fidelity
+        Knobs, each with the error it bounds; default `standard`.
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
 
@@ -92,11 +92,11 @@ def run(
             world = load_scene(scene, pose)
         folder = folder or Path("runs") / f"{world.name}-{systems[0].name}"
         with whole_folder(folder) as partial:
-            view, evaluations = _compute(world, systems, seed, quality, stages)
+            view, evaluations = _compute(world, systems, seed, fidelity, stages)
             first = evaluations[0].capture
             write_truth(first.truth, partial / "truth.exr")
             write_record(first.record, partial / "record.h5")
-            echoes = _radar(world, design, seed, stages) if design else None
+            echoes = _radar(world, design, seed, fidelity, stages) if design else None
             if echoes:
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
             write_report(world, view, evaluations, echoes, seed, stages, partial)
@@ -104,14 +104,14 @@ def run(
 
 
 def _compute(
-    scene: Scene, systems: Sequence[System], seed: int, quality: Quality | None, stages: Stages
+    scene: Scene, systems: Sequence[System], seed: int, fidelity: Fidelity | None, stages: Stages
 ) -> tuple[View, tuple[Evaluation, ...]]:
     with stages.stage("scene"):
         rendered = mitsuba_scene(scene)
     evaluations = []
     for system in systems:
         taken = capture(
-            scene, system, seed=seed, quality=quality, world=rendered, stage=stages.stage
+            scene, system, seed=seed, fidelity=fidelity, world=rendered, stage=stages.stage
         )
         with stages.stage("reconstruction"):
             evaluations.append(evaluate(system, taken))
@@ -130,8 +130,10 @@ def _compute(
     return view, tuple(evaluations)
 
 
-def _radar(scene: Scene, design: RadarDesign, seed: int, stages: Stages) -> RadarEvaluation:
-    taken = radar_capture(scene, design, seed=seed, stage=stages.stage)
+def _radar(
+    scene: Scene, design: RadarDesign, seed: int, fidelity: Fidelity | None, stages: Stages
+) -> RadarEvaluation:
+    taken = radar_capture(scene, design, seed=seed, fidelity=fidelity, stage=stages.stage)
     with stages.stage("radar processing"):
         return evaluate_radar(design, taken)
 

@@ -5,6 +5,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+#: Signals received. A library may swallow the KeyboardInterrupt that one raises in its callback;
+#: the next stage raises it again.
+interrupts: list[int] = []
+
 
 class Stages:
     """Times named stages and shows them as one progress bar on a terminal.
@@ -39,6 +43,8 @@ class Stages:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """One stage of the work."""
+        if interrupts:
+            raise KeyboardInterrupt
         self._progress.update(self._task, description=name)
         start = time.perf_counter()
         try:
