@@ -46,7 +46,7 @@ def _synthesis() -> Iterator[Figure]:
     rows, columns = np.array([0, 777, 2048, 4095]), np.array([0, 31, 63])
     f, t = wave.frequency_offsets_hz, wave.slot_times_s
     for name, rate in cases.items():
-        echoes = Contributions(amplitude, delay, rate)
+        echoes = Contributions.ahead(amplitude, delay, rate)
         label = f"synthesis, 1e5 echoes, 4096 x 64, {name}"
         yield label, timed(lambda e=echoes: synthesize(e, wave), runs=7), ""
         found = synthesize(echoes, wave)

@@ -33,14 +33,17 @@ class RangeDopplerMap:
     noise_w: float
 
 
-def channel(record: "RadarRecord", step: int = 0) -> NDArray[np.complex128]:
+def channel(
+    record: "RadarRecord", *, burst: int = 0, step: int = 0, receiver: int = 0
+) -> NDArray[np.complex128]:
     """Channel times root transmit power, in root watts, ``(n_subcarriers, n_slots)``.
 
     One subcarrier carries 1/N of the power; the division by the sent symbols scales it back to the
     whole, so that an echo of power P has the modulus sqrt(P) everywhere.
     """
     n = record.waveform.n_subcarriers
-    received = np.fft.fftshift(np.fft.fft(record.wave[step], axis=-1), axes=-1) / n
+    wave = record.wave[burst, step, :, receiver]
+    received = np.fft.fftshift(np.fft.fft(wave, axis=-1), axes=-1) / n
     return (received * np.sqrt(n) / record.waveform.sent()).T
 
 

@@ -24,8 +24,8 @@ class Layout:
     """What a record's file holds: its name, version, settings, arrays and one group of parameters.
 
     ``arrays`` maps a name to its type on disk and its meaning. ``added`` names the version since
-    which an array is there; older files are read without it. ``optional`` parameters are lists of
-    integers that stand in the file only where they are set.
+    which an array or a setting is there; older files are read without it. ``optional`` parameters
+    are lists of integers that stand in the file only where they are set.
     """
 
     format: str
@@ -80,11 +80,11 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
     try:
         with h5py.File(path, "r") as file:
             version = _check(layout, file.attrs)
-            fields = {name: _plain(file.attrs[name]) for name in layout.settings}
+            there = {n for n in _names(layout) if layout.added.get(n, 1) <= version}
+            fields = {n: _plain(file.attrs[n]) for n in layout.settings if n in there}
             for name, (dtype, _) in layout.arrays.items():
-                if layout.added.get(name, 1) > version:
-                    continue
-                fields[name] = file[name][()].astype(dtype)
+                if name in there:
+                    fields[name] = file[name][()].astype(dtype)
             group = file[layout.group]
             parameters = {name: _plain(group.attrs[name]) for name in layout.parameters}
             for name in layout.optional:
@@ -118,6 +118,10 @@ def _check(layout: Layout, attributes: Mapping[str, Any]) -> int:
     if not 1 <= version <= layout.version:
         raise ValueError(f"schema version {version}, this software reads 1 to {layout.version}")
     return version
+
+
+def _names(layout: Layout) -> tuple[str, ...]:
+    return (*layout.settings, *layout.arrays)
 
 
 def _plain(value: Any) -> Any:

@@ -1,7 +1,8 @@
-"""One coherent processing interval of the radar: IQ per carrier step, slot and sample."""
+"""Bursts of the radar: IQ per burst, carrier step, slot, receiver and sample."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,64 +13,130 @@ from hardware.records import container
 
 @dataclass(frozen=True, eq=False)
 class RadarRecord:
-    """Raw IQ of one interval.
+    """Raw IQ of one or more bursts; one burst is one coherent processing interval at one pose.
 
     Parameters
     ----------
-    iq : (n_steps, n_slots, n_subcarriers, 2) int16
+    iq : (n_bursts, n_steps, n_slots, n_receivers, n_subcarriers, 2) int16
         In-phase and quadrature counts, one symbol per slot (the mean of its repeats). A radar that
         does not step its carrier has one step.
-    device_time_ns : (n_steps, n_slots) int64
+    device_time_ns : (n_bursts, n_steps, n_slots) int64
         Device clock at the start of each slot.
-    flags : (n_steps, n_slots) uint8
+    flags : (n_bursts, n_steps, n_slots) uint8
         Bits of `Flag`.
+    carriers_hz : (n_steps,) float64
+        What the radio was tuned to at each step, in the order of time.
+    transmitter : (n_slots,) uint8
+        Which transmitter sends in each slot.
+    transmitters_m, receivers_m : (n_transmitters, 3), (n_receivers, 3) float64
+        Phase centres in the antenna's frame: x ahead, y left, z up.
     waveform
-        What was sent; its carrier is that of the first step.
+        What was sent in each step; its carrier is that of the first.
     root_watt_per_count
         The front end's calibration: one count is this wave amplitude at the antenna's port.
     transmit_power_w
         At the antenna's port.
+    antenna_gain_dbi
+        Of one transmitter or receiver, along x; NaN when nobody measured it.
+    losses_db
+        From the antennas' ports on and back, all told (radome, feeds).
+    leakage_delay_s
+        Of the direct way from transmitter to receiver, by calibration; NaN when unknown.
     device
         Identification, as the device reports it.
-    pose : (7,) float64
+    pose : (n_bursts, 7) float64
         Antenna in the world: x, y, z in metres, unit quaternion w, x, y, z (REP 103).
     """
 
     iq: NDArray[np.int16]
     device_time_ns: NDArray[np.int64]
     flags: NDArray[np.uint8]
+    carriers_hz: NDArray[np.float64]
+    transmitter: NDArray[np.uint8]
+    transmitters_m: NDArray[np.float64]
+    receivers_m: NDArray[np.float64]
     waveform: OfdmWaveform
     root_watt_per_count: float
     transmit_power_w: float
+    antenna_gain_dbi: float
+    losses_db: float
+    leakage_delay_s: float
     device: str
     pose: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        shape = (len(self.iq), self.waveform.n_slots)
-        samples = self.waveform.n_subcarriers
-        shapes = {"iq": (*shape, samples, 2), "device_time_ns": shape, "flags": shape}
-        container.check_shapes(self, {**shapes, "pose": (7,)})
+        wave = self.waveform
+        n_bursts, n_steps = len(self.iq), len(self.carriers_hz)
+        shape = (n_bursts, n_steps, wave.n_slots)
+        shapes: dict[str, tuple[int, ...]] = {
+            "iq": (*shape, len(self.receivers_m), wave.n_subcarriers, 2),
+            "device_time_ns": shape,
+            "flags": shape,
+            "carriers_hz": (n_steps,),
+            "transmitter": (wave.n_slots,),
+            "transmitters_m": (len(self.transmitters_m), 3),
+            "receivers_m": (len(self.receivers_m), 3),
+            "pose": (n_bursts, 7),
+        }
+        container.check_shapes(self, shapes)
         if self.iq.dtype != np.int16:
             raise ValueError(f"iq: dtype {self.iq.dtype}, expected int16")
+        if n_steps == 0 or self.carriers_hz[0] != wave.carrier_hz:
+            raise ValueError(f"carriers_hz: {self.carriers_hz} does not begin at the waveform's")
+        if self.transmitter.max(initial=0) >= len(self.transmitters_m):
+            raise ValueError(
+                f"transmitter: {self.transmitter.max(initial=0)}, but transmitters_m holds "
+                f"{len(self.transmitters_m)}"
+            )
         container.check_positive(self, "root_watt_per_count", "transmit_power_w")
 
     @property
     def wave(self) -> NDArray[np.complex128]:
-        """Received wave in root watts, (n_steps, n_slots, n_subcarriers)."""
+        """Received wave in root watts, (n_bursts, n_steps, n_slots, n_receivers, n_subcarriers)."""
         counts = self.iq.astype(np.float64) * self.root_watt_per_count
         return counts[..., 0] + 1j * counts[..., 1]
+
+    def waveform_at(self, step: int) -> OfdmWaveform:
+        """The waveform with the carrier of a step."""
+        return replace(self.waveform, carrier_hz=float(self.carriers_hz[step]))
 
 
 LAYOUT = container.Layout(
     format="ugv-radar-record",
-    version=1,
-    settings=("root_watt_per_count", "transmit_power_w", "device"),
+    version=2,
+    settings=(
+        "root_watt_per_count",
+        "transmit_power_w",
+        "antenna_gain_dbi",
+        "losses_db",
+        "leakage_delay_s",
+        "device",
+    ),
     arrays={
-        "iq": (np.int16, "counts, (n_steps, n_slots, n_subcarriers, in-phase and quadrature)"),
+        "iq": (
+            np.int16,
+            "counts, (bursts, steps, slots, receivers, subcarriers, I and Q)",
+        ),
         "device_time_ns": (np.int64, "device clock at the start of each slot, ns"),
         "flags": (np.uint8, "1 saturated, 2 overrun, 4 reset"),
-        "pose": (np.float64, "antenna in the world: x y z (m), quaternion w x y z"),
+        "carriers_hz": (np.float64, "tuned carrier of each step, Hz"),
+        "transmitter": (np.uint8, "which transmitter sends in each slot"),
+        "transmitters_m": (np.float64, "phase centres: x ahead, y left, z up, m"),
+        "receivers_m": (np.float64, "phase centres: x ahead, y left, z up, m"),
+        "pose": (np.float64, "antenna in the world at each burst: x y z (m), quaternion w x y z"),
     },
+    added=dict.fromkeys(
+        (
+            "antenna_gain_dbi",
+            "losses_db",
+            "leakage_delay_s",
+            "carriers_hz",
+            "transmitter",
+            "transmitters_m",
+            "receivers_m",
+        ),
+        2,
+    ),
     group="waveform",
     parameters=(
         "carrier_hz",
@@ -95,8 +162,26 @@ def read_radar_record(path: str | Path) -> RadarRecord:
     Raises FileNotFoundError; ValueError for a file that is no radar record, of another schema
     version, or incomplete.
     """
-    fields, waveform = container.read(LAYOUT, path)
+    fields, parameters = container.read(LAYOUT, path)
     try:
-        return RadarRecord(waveform=OfdmWaveform(**waveform), **fields)
+        waveform = OfdmWaveform(**parameters)
+        if "carriers_hz" not in fields:
+            fields = _from_version_1(fields, waveform)
+        return RadarRecord(waveform=waveform, **fields)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def _from_version_1(fields: dict[str, Any], waveform: OfdmWaveform) -> dict[str, Any]:
+    """One burst of one transmitter and one receiver at the same place; gain and losses unknown."""
+    one_place = np.zeros((1, 3))
+    return {
+        **fields,
+        "iq": fields["iq"][None, :, :, None],
+        **{name: fields[name][None] for name in ("device_time_ns", "flags", "pose")},
+        "carriers_hz": np.full(len(fields["iq"]), waveform.carrier_hz),
+        "transmitter": np.zeros(waveform.n_slots, dtype=np.uint8),
+        "transmitters_m": one_place,
+        "receivers_m": one_place,
+        **dict.fromkeys(("antenna_gain_dbi", "losses_db", "leakage_delay_s"), float("nan")),
+    }

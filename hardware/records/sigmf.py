@@ -1,4 +1,4 @@
-"""Radar IQ as SigMF: one capture per carrier step, for every tool that reads radio recordings."""
+"""Radar IQ as SigMF, one capture per burst and carrier step: what tools for radio read."""
 
 from pathlib import Path
 
@@ -11,16 +11,19 @@ def export_sigmf(record: RadarRecord, stem: str | Path) -> tuple[Path, Path]:
     """Write ``STEM.sigmf-data`` (interleaved 16-bit I and Q) and ``STEM.sigmf-meta``.
 
     Slots follow each other without the pauses between them: one symbol each, sampled at the
-    bandwidth. Needs the package `sigmf` (``pip install ugv-twin[sigmf]``).
+    bandwidth; in each the receivers one after the other. Needs the package `sigmf`
+    (``pip install ugv-twin[sigmf]``).
     """
     import sigmf
 
     data, meta = (Path(f"{stem}.sigmf-{kind}") for kind in ("data", "meta"))
     np.ascontiguousarray(record.iq, dtype="<i2").tofile(data)
     wave = record.waveform
+    n_bursts, n_steps, n_slots, n_receivers = record.iq.shape[:4]
     description = (
-        f"OFDM radar, {record.iq.shape[0]} carrier steps, {wave.n_slots} slots of "
-        f"{wave.slot_period_s:g} s, {wave.n_subcarriers} samples per slot, symbols {wave.symbols}; "
+        f"OFDM radar, {n_bursts} bursts, {n_steps} carrier steps, {n_slots} slots of "
+        f"{wave.slot_period_s:g} s, {n_receivers} receivers, "
+        f"{wave.n_subcarriers} samples per slot, symbols {wave.symbols}; "
         f"one count is {record.root_watt_per_count:g} root watts"
     )
     file = sigmf.SigMFFile(
@@ -32,8 +35,8 @@ def export_sigmf(record: RadarRecord, stem: str | Path) -> tuple[Path, Path]:
             sigmf.DESCRIPTION_KEY: description,
         },
     )
-    samples = record.iq.shape[1] * record.iq.shape[2]
-    for step in range(record.iq.shape[0]):
-        file.add_capture(step * samples, metadata={sigmf.FREQUENCY_KEY: wave.carrier_hz})
+    samples = n_slots * n_receivers * wave.n_subcarriers
+    for capture, carrier in enumerate(np.tile(record.carriers_hz, n_bursts)):
+        file.add_capture(capture * samples, metadata={sigmf.FREQUENCY_KEY: float(carrier)})
     file.tofile(str(meta))
     return data, meta

@@ -6,6 +6,7 @@ Statistical bounds hold at a false-alarm rate of 1e-6 unless a test says otherwi
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from scipy import stats
@@ -38,16 +39,23 @@ def record_of(received: np.ndarray, wave: OfdmWaveform, scale: float) -> RadarRe
     n = wave.n_subcarriers
     sent = received.T * wave.sent() / np.sqrt(n)
     time = np.fft.ifft(np.fft.ifftshift(sent, axes=1), axis=1) * n / scale
-    iq = np.rint(np.stack([time.real, time.imag], axis=-1)).astype(np.int16)[None]
+    iq = np.rint(np.stack([time.real, time.imag], axis=-1)).astype(np.int16)
     return RadarRecord(
-        iq=iq,
-        device_time_ns=np.zeros((1, wave.n_slots), np.int64),
-        flags=np.zeros((1, wave.n_slots), np.uint8),
+        iq=iq[None, None, :, None],
+        device_time_ns=np.zeros((1, 1, wave.n_slots), np.int64),
+        flags=np.zeros((1, 1, wave.n_slots), np.uint8),
+        carriers_hz=np.array([wave.carrier_hz]),
+        transmitter=np.zeros(wave.n_slots, np.uint8),
+        transmitters_m=np.zeros((1, 3)),
+        receivers_m=np.zeros((1, 3)),
         waveform=wave,
         root_watt_per_count=scale,
         transmit_power_w=1.0,
+        antenna_gain_dbi=20.0,
+        losses_db=0.0,
+        leakage_delay_s=float("nan"),
         device="test",
-        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+        pose=np.array([[0, 0, 0, 1, 0, 0, 0]], dtype=np.float64),
     )
 
 
@@ -222,6 +230,41 @@ def test_radar_record_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.iq, record.iq)
     assert back.waveform == record.waveform
     assert back.iq.dtype == np.int16
+    assert back.antenna_gain_dbi == 20.0
+    assert np.isnan(back.leakage_delay_s)
+
+
+def test_version_1_is_read_as_one_burst_of_one_antenna(tmp_path: Path) -> None:
+    record = record_of(echo(SMALL, 3.0, 1.0, 1e-9), SMALL, 1e-9)
+    write_radar_record(record, tmp_path / "r.h5")
+    with h5py.File(tmp_path / "r.h5", "r+") as file:
+        for name in ("iq", "device_time_ns", "flags", "pose"):
+            data = file[name][0][:, :, 0] if name == "iq" else file[name][0]
+            del file[name]
+            file[name] = data
+        for name in ("carriers_hz", "transmitter", "transmitters_m", "receivers_m"):
+            del file[name]
+        for name in ("antenna_gain_dbi", "losses_db", "leakage_delay_s"):
+            del file.attrs[name]
+        file.attrs["schema_version"] = 1
+    back = read_radar_record(tmp_path / "r.h5")
+    for name in ("iq", "device_time_ns", "flags", "pose", "carriers_hz", "receivers_m"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(record, name))
+    assert np.isnan(back.antenna_gain_dbi)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"carriers_hz": np.array([78e9])}, "does not begin"),
+        ({"transmitter": np.ones(SMALL.n_slots, np.uint8)}, "transmitters_m holds 1"),
+        ({"receivers_m": np.zeros((2, 3))}, "iq: shape"),
+        ({"pose": np.zeros((2, 7))}, "pose: shape"),
+    ],
+)
+def test_a_record_that_contradicts_itself_is_refused(change, told) -> None:
+    with pytest.raises(ValueError, match=told):
+        replace(record_of(echo(SMALL, 3.0, 1.0, 1e-9), SMALL, 1e-9), **change)
 
 
 def test_a_radar_record_is_no_optical_one(tmp_path: Path) -> None:
@@ -241,7 +284,7 @@ def test_sigmf_is_read_back_by_its_own_library(tmp_path: Path) -> None:
     file = sigmf.fromfile(str(meta))
     file.validate()
     samples = np.asarray(file.read_samples()) * 2**15  # it scales to +/- 1
-    counts = record.iq[0].astype(float).reshape(-1, 2)
+    counts = record.iq.astype(float).reshape(-1, 2)
     np.testing.assert_allclose(samples, counts[:, 0] + 1j * counts[:, 1], atol=1e-6)
     assert file.get_captures()[0]["core:frequency"] == 79e9
 

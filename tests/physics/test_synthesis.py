@@ -25,7 +25,7 @@ def test_nufft_is_the_direct_sum(kind: str, shape: tuple[int, int]) -> None:
         "everything": rng.uniform(-2 * 30 / C, 2 * 30 / C, n),
     }[kind]
     amplitude = rng.normal(size=n) + 1j * rng.normal(size=n)
-    echoes = Contributions(amplitude, rng.uniform(1e-10, 1.02e-6, n), rates)
+    echoes = Contributions.ahead(amplitude, rng.uniform(1e-10, 1.02e-6, n), rates)
     wave = replace(WAVE, n_subcarriers=shape[0], n_slots=shape[1])
     found = synthesize(echoes, wave)
     rows = np.unique(np.linspace(0, shape[0] - 1, 9).astype(int))
@@ -39,7 +39,7 @@ def test_nufft_is_the_direct_sum(kind: str, shape: tuple[int, int]) -> None:
 
 def test_tolerance_is_what_bounds_the_error() -> None:
     rng = np.random.default_rng(2)
-    echoes = Contributions(
+    echoes = Contributions.ahead(
         rng.normal(size=500) + 0j, rng.uniform(0, 1e-6, 500), 2 * rng.uniform(4, 5, 500) / C
     )
     exact = direct_sum(echoes, WAVE.frequency_offsets_hz[::500], WAVE.slot_times_s, WAVE.carrier_hz)

@@ -139,6 +139,8 @@ def contributions(paths: tuple[Path, ...], waveform: OfdmWaveform) -> Contributi
         amplitude=amplitude * waveform.slot_gain(waveform.carrier_hz * rate),
         delay_s=np.array([path.delay_s for path in paths]),
         delay_rate=rate,
+        departure=np.array([path.departure for path in paths]),
+        arrival=np.array([path.arrival for path in paths]),
     )
 
 
@@ -204,14 +206,21 @@ def _record(
     rotation = scene.rig.pose.rotation * scene.rig.radar.rotation
     x, y, z, w = rotation.as_quat()
     return RadarRecord(
-        iq=iq,
-        device_time_ns=starts[None],
-        flags=flags,
+        iq=iq[None, :, :, None],
+        device_time_ns=starts[None, None],
+        flags=flags[None],
+        carriers_hz=np.array([wave.carrier_hz]),
+        transmitter=np.zeros(wave.n_slots, dtype=np.uint8),
+        transmitters_m=np.zeros((1, 3)),
+        receivers_m=np.zeros((1, 3)),
         waveform=wave,
         root_watt_per_count=scale,
         transmit_power_w=radar.front_end.transmit_power_w.value,
+        antenna_gain_dbi=radar.antenna.gain_dbi.value,
+        losses_db=radar.front_end.losses_db.value,
+        leakage_delay_s=float("nan"),
         device=f"twin {__version__}: {radar.name}",
-        pose=np.array([*(scene.rig.position_m + offset), w, x, y, z]),
+        pose=np.array([[*(scene.rig.position_m + offset), w, x, y, z]]),
     )
 
 

@@ -19,7 +19,7 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
     for target in scene.targets:
         towards = np.asarray(target.position_m) - scene.rig.position_m - offset
         distance = float(np.linalg.norm(towards))
-        ahead = float(axes[0] @ towards) / distance
+        ahead, left, up = (float(x) for x in axes @ towards / distance)
         if ahead <= 0:
             continue
         received = radar.received_power_w(distance, target.rcs_m2, ahead)
@@ -31,6 +31,8 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
                 amplitude=complex(np.sqrt(received / sent)),
                 delay_s=2 * distance / C_M_PER_S,
                 delay_rate=2 * rate / C_M_PER_S,
+                departure=(ahead, left, up),
+                arrival=(ahead, left, up),
             )
         )
     return Propagation(

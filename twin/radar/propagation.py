@@ -35,7 +35,8 @@ class Path:
     """One way from the radar and back.
 
     ``via`` names the objects in order; ``amplitude`` is the wave relative to the sent one, antenna
-    gains and losses included, without the phase of the delay.
+    gains and losses included, without the phase of the delay. ``departure`` and ``arrival`` are
+    unit vectors from the antenna to the first and the last object, in its own frame.
     """
 
     via: tuple[str, ...]
@@ -43,6 +44,8 @@ class Path:
     amplitude: complex
     delay_s: float
     delay_rate: float
+    departure: tuple[float, float, float]
+    arrival: tuple[float, float, float]
 
     @property
     def range_m(self) -> float:
@@ -244,18 +247,22 @@ class _RadioWorld:
                 np.linalg.norm(vertices[at] - there) + np.linalg.norm(vertices[at] - back)
             )
         velocities = np.array([m.velocity_m_per_s for m in met])
-        cosines = np.array([self._cosine(vertices[0]), self._cosine(vertices[-1])])
-        gain = self.radar.antenna.gain(cosines)
+        departure, arrival = self._direction(vertices[0]), self._direction(vertices[-1])
+        gain = self.radar.antenna.gain(np.array([departure[0], arrival[0]]))
         return Path(
             via=tuple(m.name for m in met),
             target=None if at is None else met[at].name,
             amplitude=complex(raw.amplitude * np.sqrt(gain[0] * gain[1])),
             delay_s=length / C_M_PER_S,
             delay_rate=_lengthening(vertices, velocities) / C_M_PER_S,
+            departure=departure,
+            arrival=arrival,
         )
 
-    def _cosine(self, towards: Array) -> float:
-        return float(towards @ self.axes[0] / np.linalg.norm(towards))
+    def _direction(self, towards: Array) -> tuple[float, float, float]:
+        """Unit vector in the antenna's frame."""
+        x, y, z = self.axes @ towards / np.linalg.norm(towards)
+        return float(x), float(y), float(z)
 
     def _plane(self, item: SceneObject, primitive: int) -> tuple[Array, Array]:
         """A point and the unit normal of a triangle, relative to the radar, in float64."""

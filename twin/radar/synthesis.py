@@ -27,17 +27,28 @@ class Contributions:
     """Echoes, each (n,): amplitude, delay in s, and its rate in s/s (positive: receding).
 
     The amplitude is that of the wave relative to the sent one, without the phase of the delay.
-    Delays belong to the middle of the interval.
+    Delays belong to the middle of the interval and to the antenna's origin. ``departure`` and
+    ``arrival`` (n, 3) are unit vectors from the antenna towards where a path begins and whence it
+    comes back, in its own frame: x ahead, y left, z up.
     """
 
     amplitude: Complex
     delay_s: Array
     delay_rate: Array
+    departure: Array
+    arrival: Array
+
+    @staticmethod
+    def ahead(amplitude: Complex, delay_s: Array, delay_rate: Array) -> "Contributions":
+        """Echoes from straight ahead."""
+        forward = np.tile([1.0, 0.0, 0.0], (len(delay_s), 1))
+        return Contributions(amplitude, delay_s, delay_rate, forward, forward)
 
     @staticmethod
     def none() -> "Contributions":
         """No echo at all."""
-        return Contributions(np.zeros(0, dtype=np.complex128), np.zeros(0), np.zeros(0))
+        empty = np.zeros(0)
+        return Contributions.ahead(empty.astype(np.complex128), empty, empty)
 
 
 def synthesize(
@@ -158,4 +169,10 @@ def _terms(phase_rad: float, tolerance: float) -> int:
 
 
 def _chosen(part: Contributions, which: "NDArray[np.intp] | slice") -> Contributions:
-    return Contributions(part.amplitude[which], part.delay_s[which], part.delay_rate[which])
+    return Contributions(
+        part.amplitude[which],
+        part.delay_s[which],
+        part.delay_rate[which],
+        part.departure[which],
+        part.arrival[which],
+    )
