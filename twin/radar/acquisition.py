@@ -131,9 +131,7 @@ def contributions(found: Propagation, radar: RadarDesign, air: Air) -> Contribut
     )
 
 
-def channel(
-    found: Propagation, radar: RadarDesign, air: Air, tolerance: float = 1e-6
-) -> Complex:
+def channel(found: Propagation, radar: RadarDesign, air: Air, tolerance: float = 1e-6) -> Complex:
     """Received over sent wave of one burst, (n_steps, n_slots, n_receivers, n_subcarriers)."""
     return burst_channel(contributions(found, radar, air), radar.burst, tolerance)
 

@@ -1,6 +1,7 @@
 """The radar under study, as data, and what contradicts itself in it."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -97,7 +98,7 @@ class Oscillator(Strict):
             raise ValueError(
                 f"offset_hz has {len(offsets)} points, phase_noise_dbc_per_hz {len(levels)}"
             )
-        if any(a >= b for a, b in zip(offsets, offsets[1:], strict=False)):
+        if any(a >= b for a, b in pairwise(offsets)):
             raise ValueError("offset_hz does not ascend")
         return self
 
@@ -313,9 +314,7 @@ class RadarDesign(Entry):
         pattern = self.antenna.pattern
         if pattern is None or pattern.efficiency <= _MOST_FED:
             return []
-        return [
-            f"antenna: the pattern radiates {100 * pattern.efficiency:.0f} % of what it is fed"
-        ]
+        return [f"antenna: the pattern radiates {100 * pattern.efficiency:.0f} % of what it is fed"]
 
 
 def load_radar(name: "str | Path | RadarDesign") -> RadarDesign:

@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _BITS = 16  # of a record's counts
+_MANY = 12  # repeats from which the mean of uniform errors is normal
+_SIGMAS = 7.0  # of noise that must fit below a converter's rails
 
 
 def digitize(
@@ -126,16 +128,36 @@ def _branches(radar: RadarDesign) -> tuple[float, float]:
 def _converted(
     received: Complex, radar: RadarDesign, scale: float, rng: np.random.Generator, noisy: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Mean of the repeats, each with its own noise and through the converter by itself."""
+    """Mean of the repeats, each with its own noise and through the converter by itself.
+
+    Noise of a whole code and more makes the converter's errors uniform and independent of what it
+    converts, to 3e-9 (Widrow and Kollar, "Quantization Noise", 2008): where nothing comes near the
+    rails, either, their mean over the repeats is drawn at once.
+    """
     assert radar.front_end.adc_bits is not None
     bits, repeats = radar.front_end.adc_bits.value, radar.ofdm.repeats if noisy else 1
     step = 2.0 ** (_BITS - bits)  # counts per code
+    codes = scale * step  # root watts per code
+    deviation = np.sqrt(radar.sample_noise_w * repeats / 2) / codes
+    dithered = noisy and deviation * min(1.0, _branches(radar)[0]) >= 1
+    if dithered and repeats >= _MANY and _far_from_rails(received, radar, codes, deviation):
+        mean = _mixed(_noisy(received, radar.sample_noise_w, rng, noisy) / scale, radar)
+        mean += rng.normal(size=mean.shape) * (step / np.sqrt(12 * repeats))
+        return _coded(mean, _BITS)
     total, outside = np.zeros(()), np.zeros((), dtype=np.bool_)
     for _ in range(repeats):
         parts = _noisy(received, radar.sample_noise_w * repeats, rng, noisy)
-        codes, clipped = _coded(_mixed(parts / (scale * step), radar), bits)
-        total, outside = total + codes, outside | clipped
+        coded, clipped = _coded(_mixed(parts / codes, radar), bits)
+        total, outside = total + coded, outside | clipped
     return _coded(total * (step / repeats), _BITS)[0], outside
+
+
+def _far_from_rails(received: Complex, radar: RadarDesign, codes: float, deviation: float) -> bool:
+    """Whether noise on top of the wave leaves the converter's range less than once in 1e12."""
+    assert radar.front_end.adc_bits is not None
+    highest = float(np.abs(received).max(initial=0.0)) / codes + _SIGMAS * deviation
+    rail = 2.0 ** (radar.front_end.adc_bits.value - 1) - 1
+    return max(1.0, _branches(radar)[0]) * highest < rail
 
 
 def _coded(exact: Array, bits: int) -> tuple[Array, NDArray[np.bool_]]:

@@ -7,8 +7,9 @@ of delay tau then carries phi(t - tau) - phi(t) of a shared oscillator, whose sp
 4 sin^2(pi f tau) of phi's (range correlation: Budge and Burt, "Range correlation effects in
 radars", IEEE National Radar Conference, 1993), or the difference of two of separate ones.
 
-Left out: offsets beyond half the band, and the square of what is left, so that |phi|^2 / 2 should
-be small against 1 (`residual_rad` says how large it is).
+Left out: offsets beyond half the band, and the square of what is left on each repeat, so that
+|phi|^2 / 2 should be small against 1 (`residual_rad` times the root of the repeats says how large
+phi is).
 """
 
 from dataclasses import dataclass

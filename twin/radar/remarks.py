@@ -151,13 +151,12 @@ def _noise(radar: RadarDesign, farthest_m: float) -> list[str]:
     if radar.oscillator is None:
         return []
     delay = 2 * min(farthest_m or np.inf, radar.ofdm.max_range_m) / C_M_PER_S
-    left = residual_rad(radar.oscillator, radar.ofdm, delay)
+    left = residual_rad(radar.oscillator, radar.ofdm, delay) * np.sqrt(radar.ofdm.repeats)
     if left < _NOISY_RAD:
         return []
     return [
         f"oscillator: {left:.2g} rad of phase noise are left on an echo, too much for a model to "
-        "first order: its loss is off by up to "
-        f"{100 * (1 - np.exp(-(left**2) / 2)):.0f} %"
+        f"first order: {100 * (1 - np.exp(-(left**2) / 2)):.0f} % of its amplitude should be lost"
     ]
 
 

@@ -151,9 +151,7 @@ def _body(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Comp
     return channel
 
 
-def _grids(
-    part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float
-) -> Complex:
+def _grids(part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float) -> Complex:
     """Transforms along frequency and Doppler, ``(n_powers, n_subcarriers, n_slots)``.
 
     finufft's slots run from -M // 2, ours are centred on (M - 1) / 2: the half slot between them
@@ -203,7 +201,7 @@ def _migration(rate: float, waveform: OfdmWaveform) -> Complex:
 
 
 def _accuracy(tolerance: float) -> dict[str, Any]:
-    """finufft's own tolerance, with room for the largest error of a bin, and its finer grid.
+    """Tolerance for finufft, with room for the largest error of a bin, and its finer grid.
 
     The small grid reaches 1e-9.
     """

@@ -6,7 +6,17 @@ renderer crashes, and on other faults it silently returns wrong light.
 """
 
 from twin.scene.load import load_scene
-from twin.scene.model import Pose, Rig, Scene, SceneObject, Sun, Target, Track, parse_pose, parse_track
+from twin.scene.model import (
+    Pose,
+    Rig,
+    Scene,
+    SceneObject,
+    Sun,
+    Target,
+    Track,
+    parse_pose,
+    parse_track,
+)
 
 __all__ = [
     "Pose",

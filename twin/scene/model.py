@@ -115,7 +115,7 @@ class Track:
         """Poses of the rig at all stops."""
         step = start.rotation.apply(np.asarray(self.step_m))
         places = np.asarray(start.position_m) + np.arange(self.count)[:, None] * step
-        return tuple(replace(start, position_m=(float(x), float(y), float(z))) for x, y, z in places)
+        return tuple(replace(start, position_m=(x, y, z)) for x, y, z in places.tolist())
 
 
 def parse_track(text: str) -> Track:
@@ -167,8 +167,9 @@ class Target:
 
     def after(self, seconds: float) -> "Target":
         """The same target later."""
-        x, y, z = np.asarray(self.position_m) + seconds * np.asarray(self.velocity_m_per_s)
-        return replace(self, position_m=(float(x), float(y), float(z)))
+        place = np.asarray(self.position_m) + seconds * np.asarray(self.velocity_m_per_s)
+        x, y, z = place.tolist()
+        return replace(self, position_m=(x, y, z))
 
 
 @dataclass(frozen=True)
