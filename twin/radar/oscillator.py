@@ -105,7 +105,8 @@ def _symbols(wave: OfdmWaveform) -> int:
 def _slow_hz(wave: OfdmWaveform) -> Array:
     """Offsets from one turn per step to just below half a subcarrier."""
     symbols = _symbols(wave)
-    return np.arange(1, (symbols + 1) // 2) / (symbols * wave.symbol_s)
+    offset = np.arange(1, (symbols + 1) // 2) / (symbols * wave.symbol_s)
+    return np.asarray(offset, dtype=np.float64)
 
 
 def _raster_hz(wave: OfdmWaveform) -> Array:

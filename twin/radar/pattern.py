@@ -25,8 +25,8 @@ _DECIMALS = 6  # of a degree, to which angles count as equal
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Power gain over the sphere, linear between the points of a grid: with points h apart it is off
-    by h^2 / 8 of its second derivative.
+    """Power gain over the sphere, linear between the points of a grid: with points h apart it is
+    off by h^2 / 8 of its second derivative.
 
     ``gain`` (n_thetas, n_phis) over ``theta_deg``, ascending from the pole, and ``phi_deg``,
     ascending through a whole turn, both ends included. Outside the thetas it is zero.
