@@ -105,11 +105,14 @@ def outcome_of(study: Study, index: int) -> Outcome:
 
     def evaluated() -> RadarEvaluation:
         assert made.radar is not None  # a study with radar metrics has one
-        key = (study.scene, study.folder, made.scene_key(), made.radar, made.fidelity, study.seed)
-        radar = made.radar
+        radar, weather = made.radar, made.system.weather
+        where = (study.scene, study.folder, made.scene_key())
+        key = (*where, radar, weather, made.fidelity, study.seed)
 
         def work() -> RadarEvaluation:
-            taken = radar_capture(made.scene, radar, seed=study.seed, fidelity=made.fidelity)
+            taken = radar_capture(
+                made.scene, radar, seed=study.seed, fidelity=made.fidelity, weather=weather
+            )
             return evaluate_radar(radar, taken)
 
         return _RADAR.get(key, work)
