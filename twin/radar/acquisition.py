@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,8 @@ from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar.design import RadarDesign
 from twin.radar.free_space import straight_paths
-from twin.radar.propagation import Path, Propagation, trace
+from twin.radar.paths import Path, Propagation
+from twin.radar.propagation import trace
 from twin.radar.roles import Role
 from twin.radar.synthesis import Contributions, synthesize
 from twin.scene import Scene, SceneObject
@@ -100,14 +101,17 @@ def radar_capture(
         if fidelity.radar == "targets":
             found = straight_paths(scene, radar)
         else:
-            found = trace(scene, radar, seed=int(ray_seed.generate_state(1)[0]) >> 1)
+            ray_number = int(ray_seed.generate_state(1)[0]) >> 1
+            found = trace(scene, radar, fidelity=fidelity, seed=ray_number)
     with stage("radar signal"):
         channel = synthesize(
-            contributions(found.paths, radar.ofdm), radar.ofdm, fidelity.nufft_tolerance
+            contributions(found.paths, radar.ofdm, found.echoes),
+            radar.ofdm,
+            fidelity.nufft_tolerance,
         )
         rng = np.random.default_rng(noise_seed)
         iq, flags, scale = digitize(channel, radar, rng=rng, noisy=fidelity.noise != "none")
-    truth = tuple(_true(t, scene, radar, found.paths) for t in scene.targets)
+    truth = tuple(_true(t, scene, radar, found) for t in scene.targets)
     return RadarCapture(
         record=_record(scene, radar, iq, flags, scale),
         truth=truth,
@@ -129,19 +133,22 @@ def _check_targets(scene: Scene) -> None:
             )
 
 
-def contributions(paths: tuple[Path, ...], waveform: OfdmWaveform) -> Contributions:
-    """Paths as the synthesis takes them, with what averaging over a slot leaves of each."""
-    if not paths:
-        return Contributions.none()
-    rate = np.array([path.delay_rate for path in paths])
-    amplitude = np.array([path.amplitude for path in paths], dtype=np.complex128)
-    return Contributions(
-        amplitude=amplitude * waveform.slot_gain(waveform.carrier_hz * rate),
+def contributions(
+    paths: tuple[Path, ...], waveform: OfdmWaveform, echoes: Contributions | None = None
+) -> Contributions:
+    """Paths and dense echoes as the synthesis takes them, with what averaging over a slot leaves
+    of each.
+    """
+    single = Contributions(
+        amplitude=np.array([path.amplitude for path in paths], dtype=np.complex128),
         delay_s=np.array([path.delay_s for path in paths]),
-        delay_rate=rate,
-        departure=np.array([path.departure for path in paths]),
-        arrival=np.array([path.arrival for path in paths]),
+        delay_rate=np.array([path.delay_rate for path in paths]),
+        departure=np.array([path.departure for path in paths]).reshape(-1, 3),
+        arrival=np.array([path.arrival for path in paths]).reshape(-1, 3),
     )
+    every = single if echoes is None else Contributions.joined([single, echoes])
+    gain = waveform.slot_gain(waveform.carrier_hz * every.delay_rate)
+    return replace(every, amplitude=every.amplitude * gain)
 
 
 def digitize(
@@ -172,7 +179,7 @@ def digitize(
     return counts[None], flags[None], float(scale)
 
 
-def _true(target: Target, scene: Scene, radar: RadarDesign, paths: tuple[Path, ...]) -> TrueTarget:
+def _true(target: Target, scene: Scene, radar: RadarDesign, found: Propagation) -> TrueTarget:
     offset, axes = scene.rig.device("radar")
     towards = np.asarray(target.position_m) - scene.rig.position_m - offset
     distance = float(np.linalg.norm(towards))
@@ -188,7 +195,8 @@ def _true(target: Target, scene: Scene, radar: RadarDesign, paths: tuple[Path, .
         azimuth_deg=float(np.degrees(np.arctan2(left, ahead))),
         rcs_m2=target.rcs_m2,
         received_w=radar.received_power_w(distance, target.rcs_m2, ahead / distance) * gain**2,
-        visible=any(path.via == (target.name,) for path in paths),
+        visible=any(path.via == (target.name,) for path in found.paths)
+        or any(heard.name == target.object for heard in found.heard),
         seen_at=(distance % wave.max_range_m, (rate + fastest) % (2 * fastest) - fastest),
     )
 
@@ -288,8 +296,9 @@ def _warnings(
             f"triangles of {', '.join(coarse)} are so large that float32 rays may lose their echo "
             "or count it again (off by up to 300 % in what was tried): divide them"
         )
+    warnings += found.warnings
     warnings += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
-    if not found.paths:
+    if not found.paths and not len(found.echoes.delay_s):
         warnings.append("no echo at all: the record holds noise only")
     if flags.any():
         warnings.append(

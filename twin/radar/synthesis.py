@@ -8,7 +8,8 @@ bulk for contributions of nearly the same rate, and the rest is a short Taylor s
 differ too much for that, one one-dimensional transform per slot is exact.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,7 @@ class Contributions:
     @staticmethod
     def ahead(amplitude: Complex, delay_s: Array, delay_rate: Array) -> "Contributions":
         """Echoes from straight ahead."""
-        forward = np.tile([1.0, 0.0, 0.0], (len(delay_s), 1))
+        forward = np.tile([1.0, 0.0, 0.0], (len(delay_s), 1)).reshape(-1, 3)
         return Contributions(amplitude, delay_s, delay_rate, forward, forward)
 
     @staticmethod
@@ -49,6 +50,13 @@ class Contributions:
         """No echo at all."""
         empty = np.zeros(0)
         return Contributions.ahead(empty.astype(np.complex128), empty, empty)
+
+    @staticmethod
+    def joined(parts: Sequence["Contributions"]) -> "Contributions":
+        """Echoes of all parts together."""
+        return Contributions(
+            *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Contributions))
+        )
 
 
 def synthesize(
