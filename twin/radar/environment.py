@@ -43,7 +43,7 @@ def mirror_echoes(s: Station) -> tuple[NDArray[np.intp], Complex, Array, Array, 
     return (
         seen + 1,
         amplitude[seen],
-        np.array(way.length)[seen],
+        np.array(way.length + way.passage.extra)[seen],
         np.array(way.rate)[seen],
         np.array(way.departure).T[seen],
         np.array(way.back).T[seen],
@@ -62,12 +62,21 @@ class PointEchoes:
         way: Leg = leg(s, source, place, dr.zeros(mi.Vector3d, 1), mi.Bool(True))
         self.clear = self._table(way.clear)
         self.length = self._table(way.length)
+        self.extra = self._table(way.passage.extra)
+        self.ring = 1 / (1 - self._ringing(way, s))
         self.rate = self._table(way.rate)
         self.back, self.departure = self._vectors(way.back), self._vectors(way.departure)
         self.field = self._vectors(way.field) + 1j * self._vectors(way.field_im)
 
     def _table(self, value: Any) -> Any:
         return np.broadcast_to(np.array(value), self.shape[0] * self.shape[1]).reshape(self.shape)
+
+    def _ringing(self, way: Leg, s: Station) -> Any:
+        """The internal echo of a wall over the one before it, at the carrier."""
+        p = way.passage
+        turn = 2 * np.pi * (self._table(p.lag) / float(s.wavelength[0]) % 1.0)
+        rho = self._table(p.rho_re) + 1j * self._table(p.rho_im)
+        return rho * np.exp(-1j * turn)
 
     def _vectors(self, value: Any) -> Any:
         flat = np.array(value)
@@ -82,10 +91,11 @@ class PointEchoes:
         """
         if not (self.clear[i, number] and self.clear[j, number]):
             return None
-        length = self.length[i, number] + self.length[j, number]
+        length = sum(self.length[n, number] + self.extra[n, number] for n in (i, j))
         spread = (4 * np.pi) ** 1.5 * self.length[i, number] * self.length[j, number]
         amplitude = np.sqrt(target.rcs_m2) / spread
         amplitude = amplitude * (self.field[i, number] @ self.field[j, number])
+        amplitude = amplitude * self.ring[i, number] * self.ring[j, number]
         across = self.back[i, number] + self.back[j, number]
         moving = -np.asarray(target.velocity_m_per_s) @ across
         rate = self.rate[i, number] + self.rate[j, number] + moving

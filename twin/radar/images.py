@@ -12,6 +12,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.walls import Walls
 from twin.radar.world import Flat, Mesher
 
 Array = NDArray[np.float64]
@@ -41,9 +42,7 @@ def mirrored(point: Array, flat: Flat) -> Array:
     return image
 
 
-def images(
-    mi: Any, world: Mesher, flats: Sequence[Flat], patch_of_face: Any, radar: Array, order: int
-) -> list[Image]:
+def images(sight: "Sight", flats: Sequence[Flat], radar: Array, order: int) -> list[Image]:
     """The radar, and its images in all sequences of patches that some ray from it meets."""
     found = [Image((), radar[None])]
     newest = found
@@ -55,7 +54,7 @@ def images(
                     continue
                 if abs((image.place - flat.point) @ flat.normal) < 1e-6:
                     continue
-                if _reached(mi, world, flats, patch_of_face, image, number):
+                if _reached(sight, flats, image, number):
                     places = np.vstack([image.places, mirrored(image.place, flat)])
                     following.append(Image((*image.patches, number), places))
         found = found + following
@@ -63,9 +62,40 @@ def images(
     return found
 
 
-def _reached(
-    mi: Any, world: Mesher, flats: Sequence[Flat], patch_of_face: Any, image: Image, number: int
-) -> bool:
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What rays from patch to patch meet: solid things with the patch of every face, and walls."""
+
+    mi: Any
+    world: Mesher
+    patch_of_face: Any
+    walls: Walls | None
+
+    def sees(self, begin: Array, end: Array, patch: int, of_wall: bool) -> NDArray[np.bool_]:
+        """Whether rays from points (n, 3) towards others first meet the patch there.
+
+        A wall stands in the way of no patch but another wall's.
+        """
+        mi, way = self.mi, end - begin
+        length = np.linalg.norm(way, axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            direction = np.nan_to_num(way / length[:, None])
+        start = begin + direction * 4e-6 * (np.abs(begin).max() + 1)
+        reach = mi.Float((length * (1 - 1e-4)).astype(np.float32))
+        point, vector = (x.T.astype(np.float32) for x in (start, direction))
+        clear = ~self.world.scene.ray_test(
+            mi.Ray3f(mi.Point3f(point), mi.Vector3f(vector), reach, 0.0, [])
+        )
+        mesh, labels = self.world, self.patch_of_face
+        if of_wall:
+            assert self.walls is not None
+            mesh, labels = self.walls.mesh, self.walls.patch_of_face
+        hit = mesh.scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(point), mi.Vector3f(vector)))
+        met = dr.gather(mi.UInt32, labels, hit.prim_index, hit.is_valid())
+        return np.array(clear & hit.is_valid() & (met == patch))
+
+
+def _reached(sight: Sight, flats: Sequence[Flat], image: Image, number: int) -> bool:
     """Whether any ray by way of the image's patches comes to some point of another patch."""
     at = flats[number].samples
     alive = np.ones(len(at), dtype=bool)
@@ -82,25 +112,8 @@ def _reached(
                 t = ((flat.point - at) @ flat.normal) / slope
                 begin = at + t[:, None] * towards
             alive &= (t > 0) & (t < 1)
-        alive &= _sees(mi, world, patch_of_face, begin, at, wanted)
+        alive &= sight.sees(begin, at, wanted, flats[wanted].is_wall)
         if not alive.any():
             return False
         at, wanted = begin, image.patches[level - 1] if level else -1
     return True
-
-
-def _sees(
-    mi: Any, world: Mesher, patch_of_face: Any, begin: Array, end: Array, patch: int
-) -> NDArray[np.bool_]:
-    """Whether rays from points (n, 3) towards others first meet the patch."""
-    way = end - begin
-    with np.errstate(invalid="ignore", divide="ignore"):
-        direction = np.nan_to_num(way / np.linalg.norm(way, axis=1, keepdims=True))
-    start = begin + direction * 4e-6 * (np.abs(begin).max() + 1)
-    ray = mi.Ray3f(
-        mi.Point3f(start.T.astype(np.float32)), mi.Vector3f(direction.T.astype(np.float32))
-    )
-    hit = world.scene.ray_intersect_preliminary(ray)
-    valid = hit.is_valid()
-    met = dr.gather(mi.UInt32, patch_of_face, hit.prim_index, valid)
-    return np.array(valid & (met == patch))

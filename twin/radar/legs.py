@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from twin.radar.images import Image
 from twin.radar.scattering.kernel import coefficients_at, reflected, turned
+from twin.radar.walls import Passage, Walls, cross, no_passage
 from twin.radar.world import Flat, Mesher
 
 Array = NDArray[np.float64]
@@ -43,6 +44,8 @@ class Station:
     positions: Any
     levels: Any
     marks: Any
+    wavelength: Any
+    walls: Walls | None
 
 
 def station(
@@ -57,11 +60,13 @@ def station(
     boresight: Array,
     vertical: Array,
     order: int,
+    wavelength_m: float,
+    walls: Walls | None,
 ) -> Station:
     """Put all of it on the device; of every image each level's aim, plane and velocity."""
     levels = np.zeros((len(images), order, 12))
     levels[:, :, 6:9] = boresight  # any unit vector where there is no plane
-    marks = np.zeros((len(images), order, 2), dtype=np.uint32)
+    marks = np.zeros((len(images), order, 3), dtype=np.uint32)
     for row, image in enumerate(images):
         for level, number in enumerate(image.patches):
             flat = flats[number]
@@ -69,7 +74,7 @@ def station(
             levels[row, level, 3:6] = flat.point
             levels[row, level, 6:9] = flat.normal
             levels[row, level, 9:12] = velocities[flat.object]
-            marks[row, level] = number, surface_of_object[flat.object]
+            marks[row, level] = number, surface_of_object[flat.object], flat.is_wall
     return Station(
         mi=mi,
         world=world,
@@ -84,6 +89,8 @@ def station(
         positions=mi.Float64(np.concatenate([i.place for i in images])),
         levels=mi.Float64(levels.ravel() if levels.size else np.zeros(1)),
         marks=mi.UInt32(marks.ravel() if marks.size else np.zeros(1, dtype=np.uint32)),
+        wavelength=dr.opaque(mi.Float64, wavelength_m),
+        walls=walls,
     )
 
 
@@ -97,7 +104,8 @@ class Leg:
 
     ``back`` and ``length``: unit vector and distance to the image; ``departure``: unit vector from
     the radar; ``field`` and ``field_im``: what a wave of amplitude 1 has become, apart from its
-    spreading and phase; ``rate``: velocity by which moving mirrors lengthen it; ``clear``.
+    spreading and phase; ``rate``: velocity by which moving mirrors lengthen it; ``clear``; and what
+    the walls that it crosses do.
     """
 
     back: Any
@@ -107,6 +115,7 @@ class Leg:
     field_im: Any
     rate: Any
     clear: Any
+    passage: Passage
 
 
 def leg(
@@ -125,7 +134,7 @@ def leg(
     clear = mi.Bool(active)
 
     at, aim, start = place, image, place + off
-    inwards, normals, rates, surfaces = [], [], [], []
+    inwards, normals, rates, surfaces, segments = [], [], [], [], []
     for level in reversed(range(s.order)):
         has = active & (order > level)
         row = source * s.order + level
@@ -138,11 +147,12 @@ def leg(
         slope = dr.dot(normal, direction)
         t = dr.dot(normal, point - at) / dr.select(slope != 0, slope, 1.0)
         mirror = at + t * direction
-        number, surface = (dr.gather(mi.UInt32, s.marks, 2 * row + i, has) for i in range(2))
-        ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
-        hit = s.world.scene.ray_intersect_preliminary(ray, active=has & clear)
-        met = dr.gather(mi.UInt32, s.patch_of_face, hit.prim_index, has & hit.is_valid())
-        clear &= ~has | (hit.is_valid() & (met == number) & (t > 0) & (t < distance))
+        number, surface, of_wall = (
+            dr.gather(mi.UInt32, s.marks, 3 * row + i, has) for i in range(3)
+        )
+        clear &= ~has | ((t > 0) & (t < distance))
+        clear &= ~has | _first_meets(s, start, direction, t, number, of_wall > 0, has & clear)
+        segments.append((has, mirror, -direction, t))
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
         at = dr.select(has, mirror, at)
         aim = dr.select(has, before, aim)
@@ -163,8 +173,18 @@ def leg(
     departure = -home
     field, field_im = turned(s.vertical, -s.boresight, departure), mi.Vector3d(0)
     rate, travel = mi.Float64(0), departure
-    for (has, direction), normal, velocity, surface in zip(
-        inwards[::-1], normals[::-1], rates[::-1], surfaces[::-1], strict=True
+    passage = no_passage(mi)
+
+    def cross_walls(begin: Any, along: Any, segment: Any, where: Any) -> None:
+        nonlocal field, field_im
+        if s.walls is not None:
+            both = (field, field_im)
+            way = (begin, along, segment, length, s.wavelength, where)
+            field, field_im = cross(mi, s.walls, passage, both, *way)
+
+    cross_walls(s.place + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
+    for (has, direction), normal, velocity, surface, segment in zip(
+        inwards[::-1], normals[::-1], rates[::-1], surfaces[::-1], segments[::-1], strict=True
     ):
         cosine = -dr.dot(normal, travel)
         row = coefficients_at(mi, s.table, surface, cosine, has)
@@ -172,7 +192,26 @@ def leg(
         field, field_im = dr.select(has, out, field), dr.select(has, out_im, field_im)
         rate += dr.select(has, dr.dot(velocity, travel + direction), 0)
         travel = dr.select(has, -direction, travel)
-    return Leg(back, length, departure, field, field_im, rate, clear)
+        _, mirror, along, way_on = segment
+        cross_walls(mirror, along, way_on, has & clear)
+    return Leg(back, length, departure, field, field_im, rate, clear, passage)
+
+
+def _first_meets(
+    s: Station, start: Any, direction: Any, distance: Any, number: Any, of_wall: Any, active: Any
+) -> Any:
+    """Whether rays first meet the patch asked for: of something solid, or of a wall."""
+    mi = s.mi
+    ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
+    hit = s.world.scene.ray_intersect_preliminary(ray, active=active)
+    met = dr.gather(mi.UInt32, s.patch_of_face, hit.prim_index, active & hit.is_valid())
+    solid = hit.is_valid() & (met == number)
+    if s.walls is None:
+        return solid
+    free = ~hit.is_valid() | (mi.Float64(hit.t) > distance * (1 - 1e-5))
+    hit = s.walls.mesh.scene.ray_intersect_preliminary(ray, active=active & of_wall)
+    met = dr.gather(mi.UInt32, s.walls.patch_of_face, hit.prim_index, active & hit.is_valid())
+    return dr.select(of_wall, free & hit.is_valid() & (met == number), solid)
 
 
 def offset(place: Any) -> Any:

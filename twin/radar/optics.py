@@ -4,7 +4,7 @@ A pure function of scene, radar and knobs; what depends on the meshes alone is k
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +15,7 @@ from twin.engine import mitsuba
 from twin.fidelity import Fidelity
 from twin.radar.design import RadarDesign
 from twin.radar.grids import grids, launch
-from twin.radar.images import Image, images
+from twin.radar.images import Image, Sight, images
 from twin.radar.legs import Station, station
 from twin.radar.materials import radio_properties
 from twin.radar.roles import LARGE_BESIDE_OPTICS, Assignment, Role
@@ -23,6 +23,7 @@ from twin.radar.scattering.surface import PEC, Layer, Surface, table
 from twin.radar.shape import shape_of
 from twin.radar.shooting import Rays, bodies, shoot
 from twin.radar.synthesis import Contributions
+from twin.radar.walls import lets_through, thickness_of, walls
 from twin.radar.world import Flat, Mesher, anchor_of, flats, mesher
 from twin.scene import Scene, SceneObject
 
@@ -69,25 +70,30 @@ def set_stage(scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], ord
     role_of = {a.name: a.role for a in roles}
     kept = [item for item in scene.objects if role_of[item.name] is not Role.TARGET]
     carrier = radar.ofdm.carrier_hz
-    surfaces, surface_of_object, assumed = _surfaces(scene, kept, role_of, carrier)
-    mi, world = mitsuba(), mesher(kept, anchor)
-    items = tuple(item for item in world.items if item is not None)
-    zone = {
-        i: LARGE_BESIDE_OPTICS
-        * (radar.ofdm.wavelength_m * _near(world, i, place_m - anchor)) ** 0.5
-        for i, item in enumerate(items)
-        if role_of[item.name] is Role.SURFACE
-    }
-    mirrors, patch_of_face = flats(world, zone)
+    slabs = _slabs(scene, kept, role_of, radar)
+    solid = [item for item in kept if item.name not in slabs]
+    clear = [item for item in kept if item.name in slabs]
+    surfaces, surface_of_object, assumed = _surfaces(scene, [*solid, *clear], role_of, carrier)
+    mi, world, place = mitsuba(), mesher(solid, anchor), place_m - anchor
+    wavelength = radar.ofdm.wavelength_m
+    mirrors, patch_of_face = flats(world, _zones(world, role_of, place, wavelength))
+    items, through = [item for item in world.items if item], None
+    if clear:
+        mesh = mesher(clear, anchor)
+        more, labels = flats(mesh, _zones(mesh, role_of, place, wavelength))
+        values = [slabs[item.name] for item in clear]
+        through = walls(mi, mesh, values, labels + np.uint32(len(mirrors)), carrier)
+        mirrors += [replace(f, object=f.object + len(solid), is_wall=True) for f in more]
+        items += [item for item in mesh.items if item]
     patches = mi.UInt32(patch_of_face)
-    found = images(mi, world, mirrors, patches, place_m - anchor, order)
-    velocities = np.array([item.velocity_m_per_s for item in items])
+    found = images(Sight(mi, world, patches, through), mirrors, place, order)
+    velocities = np.array([item.velocity_m_per_s for item in items]).reshape(-1, 3)
     return Stage(
         anchor_m=anchor,
         axes=axes,
-        place=place_m - anchor,
-        wavelength_m=radar.ofdm.wavelength_m,
-        items=items,
+        place=place,
+        wavelength_m=wavelength,
+        items=tuple(items),
         roles=tuple(role_of[item.name] for item in items),
         world=world,
         flats=tuple(mirrors),
@@ -104,6 +110,8 @@ def set_stage(scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], ord
             axes[0],
             axes[2],
             order,
+            wavelength,
+            through,
         ),
         surface_of_object=surface_of_object,
         assumptions=assumed,
@@ -184,6 +192,37 @@ def _table(surfaces: Sequence[Surface], carrier_hz: float) -> Array:
     return np.concatenate([_rows(surface, carrier_hz) for surface in surfaces])
 
 
+def _slabs(
+    scene: Scene, items: Sequence[SceneObject], role_of: dict[str, Role], radar: RadarDesign
+) -> dict[str, tuple[complex, float]]:
+    """Large surfaces that the radar sees through: permittivity, and thickness where the mesh is
+    open (0 where it shows it itself).
+    """
+    found = {}
+    for item in items:
+        if role_of[item.name] is not Role.SURFACE:
+            continue
+        depth = thickness_of(item, shape_of(item))
+        surface = surface_of(item, scene, radar.ofdm.carrier_hz)[0]
+        epsilon = surface.layers[0].permittivity if surface.layers else surface.backing
+        if depth is None or epsilon is None:
+            continue
+        if lets_through(epsilon, depth, radar.ofdm.wavelength_m):
+            found[item.name] = (epsilon, item.thickness_m or 0.0)
+    return found
+
+
+def _zones(
+    world: Mesher, role_of: dict[str, Role], place: Array, wavelength_m: float
+) -> dict[int, float]:
+    """Of every surface, the side from which a flat patch of it mirrors."""
+    return {
+        i: LARGE_BESIDE_OPTICS * (wavelength_m * _near(world, i, place)) ** 0.5
+        for i, item in enumerate(world.items)
+        if item is not None and role_of[item.name] is Role.SURFACE
+    }
+
+
 def _near(world: Mesher, number: int, place: Array) -> float:
     points = world.vertices[world.vertex_ranges[number]]
     low, high = points.min(axis=0) - place, points.max(axis=0) - place
@@ -198,7 +237,7 @@ def _bodies(stage: Stage) -> tuple[NDArray[np.int32], list[Array]]:
     scattering = [i for i, role in enumerate(stage.roles) if role is Role.OPTICS]
     hulls = {}
     for i in scattering:
-        points = stage.world.vertices[stage.world.vertex_ranges[i]]
+        points = stage.items[i].vertices_m - stage.anchor_m
         hulls[i] = points[shape_of(stage.items[i]).hull]
     label = {i: i for i in scattering}
     for n, i in enumerate(scattering):

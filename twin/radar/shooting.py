@@ -6,8 +6,8 @@ and back, directly or by an image, are legs (`twin.radar.legs`). Every ray is a 
 own, with its own delay: right over the whole band.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import drjit as dr
@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 from twin.radar.grids import Launch
 from twin.radar.legs import Leg, Station, leg, offset
 from twin.radar.scattering.kernel import coefficients_at, followed, plane, radiating, reflected
+from twin.radar.walls import Passage, no_passage
 
 Array = NDArray[np.float64]
 
 _RAYS_AT_ONCE = 2**18  # some 200 MB while they are under way
+_MOST_TRIPS = 8  # within a wall
+_FAINTEST = 3e-3  # of the first: 0.03 dB
 _SURELY = 2e-4  # of the distance: float32's error where a facet is not seen edge on
 
 
@@ -39,6 +42,10 @@ class Rays:
     object: NDArray[np.uint32]
     source: NDArray[np.uint32]
     receiver: NDArray[np.uint32]
+
+    def chosen(self, which: Any) -> "Rays":
+        """Only some of them, by index or mask."""
+        return Rays(*(getattr(self, f.name)[which] for f in fields(Rays)))
 
     @staticmethod
     def joined(parts: Sequence["Rays"]) -> "Rays":
@@ -115,9 +122,19 @@ class _Front:
     rate: Any
     departure: Any
     source: Any
+    passage: Passage
 
     def everything(self) -> list[Any]:
-        return [getattr(self, name) for name in self.__dataclass_fields__]
+        return [*self._own().values(), *vars(self.passage).values()]
+
+    def chosen(self, kept: Any) -> "_Front":
+        """Only some of the rays."""
+        own = {name: _taken(value, kept) for name, value in self._own().items()}
+        passage = {name: _taken(value, kept) for name, value in vars(self.passage).items()}
+        return _Front(**own, passage=Passage(**passage))
+
+    def _own(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "passage"}
 
 
 def _follow(
@@ -153,6 +170,10 @@ def _follow(
             front.path = out_leg.length
             front.field, front.field_im = out_leg.field, out_leg.field_im
             front.rate, front.departure = out_leg.rate, out_leg.departure
+            front.passage = out_leg.passage
+        elif s.walls is not None:  # between bodies no wall lets through
+            ray.maxt = hit.t
+            active &= ~s.walls.mesh.scene.ray_test(ray, active=active)
         velocity = [
             dr.gather(mi.Float64, scatterers.velocity, 3 * number + i, active) for i in range(3)
         ]
@@ -227,6 +248,7 @@ def _launched(s: Station, launched: Launch, row: Any, index: Any) -> tuple[_Fron
         rate=none,
         departure=mi.Vector3d(zero),
         source=source,
+        passage=no_passage(mi),
     )
     return front, body
 
@@ -267,7 +289,7 @@ class _Hits:
 
     def chosen(self, front: _Front, kept: Any) -> "tuple[_Front, _Hits]":
         """Only some of the rays."""
-        front = _Front(*(_taken(value, kept) for value in front.everything()))
+        front = front.chosen(kept)
         return front, _Hits(front, *(_taken(value, kept) for value in self.everything()))
 
     def onwards(self, front: _Front) -> _Front:
@@ -286,11 +308,12 @@ class _Hits:
             rate=front.rate + dr.dot(self.velocity, front.direction - self.away),
             departure=front.departure,
             source=front.source,
+            passage=front.passage,
         )
 
 
 def _taken(value: Any, kept: Any) -> Any:
-    return dr.gather(type(value), value, kept)
+    return value if dr.width(value) == 1 else dr.gather(type(value), value, kept)
 
 
 def _received(
@@ -316,9 +339,9 @@ def _received(
     scale /= 8 * dr.pi
     a_re, a_im = scale * im, -scale * re
     rate = front.rate + home.rate + dr.dot(hits.velocity, front.direction - home.back)
-    length = front.path + home.length
+    length = front.path + home.length + front.passage.extra + home.passage.extra
     seen &= (a_re != 0) | (a_im != 0)
-    dr.eval(a_re, a_im, length, rate, home.departure, seen)
+    dr.eval(a_re, a_im, length, rate, home.departure, seen, *vars(home.passage).values())
     chosen = dr.compress(seen)
     n = dr.width(chosen)
     if n == 0:
@@ -327,7 +350,24 @@ def _received(
     def host(value: Any) -> Any:
         return np.array(_taken(value, chosen))
 
-    one = Rays(
+    one = _once(s, front, hits, home, host, (a_re, a_im, length, rate), receiver, n)
+    if s.walls is not None:
+        one = ringing(one, *_rings(front.passage, home.passage, host, n))
+    return _and_reversed(one, receiver)
+
+
+def _once(
+    s: Station,
+    front: _Front,
+    hits: _Hits,
+    home: Leg,
+    host: Callable[[Any], Any],
+    values: tuple[Any, ...],
+    receiver: int,
+    n: int,
+) -> Rays:
+    a_re, a_im, length, rate = values
+    return Rays(
         amplitude=host(a_re) + 1j * host(a_im),
         length_m=host(length),
         rate_m_per_s=host(rate),
@@ -337,17 +377,55 @@ def _received(
         source=host(front.source),
         receiver=np.full(n, receiver, dtype=np.uint32),
     )
+
+
+def _rings(
+    out: Passage, home: Passage, host: Callable[[Any], Any], n: int
+) -> tuple[NDArray[np.complex128], Array, NDArray[np.int64]]:
+    """Internal echo over the one before, its lag, and how many legs have one, (n,)."""
+    parts = [(p.rho_re, p.rho_im, p.lag) for p in (out, home)]
+    re, im, lag = (
+        np.array([np.broadcast_to(host(part[i]), n) for part in parts]) for i in range(3)
+    )
+    legs = np.count_nonzero(lag > 0, axis=0)
+    share = np.maximum(legs, 1)
+    return (re + 1j * im).sum(axis=0) / share, lag.sum(axis=0) / share, legs
+
+
+def ringing(rays: Rays, rho: NDArray[np.complex128], lag_m: Array, legs: NDArray[np.int64]) -> Rays:
+    """Rays with the echoes that run to and fro within walls, each one a contribution of its own.
+
+    Over ``legs`` legs that ring alike, p round trips in all come C(legs + p - 1, p) times.
+    """
+    found = [rays]
+    strongest = float(np.abs(rho).max(initial=0.0))
+    for trips in range(1, _MOST_TRIPS + 1):
+        if (trips + 1) * strongest**trips < _FAINTEST:
+            break
+        chosen = np.flatnonzero(legs > 0)
+        times = np.where(legs[chosen] == 2, trips + 1, 1)
+        some = rays.chosen(chosen)
+        found.append(
+            replace(
+                some,
+                amplitude=some.amplitude * times * rho[chosen] ** trips,
+                length_m=some.length_m + trips * lag_m[chosen],
+            )
+        )
+    return Rays.joined(found)
+
+
+def _and_reversed(one: Rays, receiver: int) -> Rays:
+    """The same ways walked the other way round, too, unless they end where they began."""
     back = one.source != receiver
     if not back.any():
         return one
-    reverse = Rays(
-        one.amplitude[back],
-        one.length_m[back],
-        one.rate_m_per_s[back],
-        one.arrival[back],
-        one.departure[back],
-        one.object[back],
-        one.receiver[back],
-        one.source[back],
+    some = one.chosen(back)
+    reverse = replace(
+        some,
+        departure=some.arrival,
+        arrival=some.departure,
+        source=some.receiver,
+        receiver=some.source,
     )
     return Rays.joined([one, reverse])

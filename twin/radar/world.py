@@ -63,6 +63,7 @@ class Mesher:
 
     def __init__(self, objects: Sequence[SceneObject]) -> None:
         self.items: list[SceneObject | None] = [None] * len(objects)
+        self.is_empty = not objects
         self.kept = tuple(item.faces for item in objects)  # their ids are the key
         self.anchor_m = np.full(3, np.nan)
         vertices = np.cumsum([0, *(len(item.vertices_m) for item in objects)])
@@ -78,6 +79,10 @@ class Mesher:
                 *(o.faces.astype(np.uint32) + a for o, a in zip(objects, vertices, strict=False)),
             ]
         )
+        if self.is_empty:  # a point, which no ray hits: there is always something to trace
+            self.vertices, self.faces = np.zeros((1, 3)), np.zeros((1, 3), dtype=np.uint32)
+            self.plane_table = np.zeros((1, 6))
+            self.object_of_face = np.zeros(1, dtype=np.uint32)
         self.scene: Any = None
         self.planes: Any = None
 
@@ -95,7 +100,7 @@ class Mesher:
             here = item.vertices_m - self.anchor_m
             self.vertices[self.vertex_ranges[i]] = here
             self.plane_table[self.face_ranges[i]] = _planes(here[item.faces])
-        if changed and len(self.faces):
+        if changed or self.scene is None:
             self._upload()
 
     def _upload(self) -> None:
@@ -140,13 +145,14 @@ def _planes(corners: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class Flat:
     """A large flat patch of a surface: a point and the unit normal, relative to the anchor, and a
-    few points all over it.
+    few points all over it; ``is_wall`` where the radar also sees through it.
     """
 
     object: int
     point: Array
     normal: Array
     samples: Array
+    is_wall: bool = False
 
 
 def flats(world: Mesher, large_m: Mapping[int, float]) -> tuple[list[Flat], NDArray[np.uint32]]:
