@@ -7,7 +7,7 @@ from twin.optics.paths import Quality
 
 Noise = Literal["none", "gaussian", "full"]
 Start = Literal["auto", "dual", "scatter"]
-RadarRung = Literal["targets", "paths"]
+RadarRung = Literal["targets", "paths", "optics", "rough"]
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,21 @@ class Fidelity:
         wrong in shape below some 100 electrons. ``full``: Poisson.
     radar
         ``targets``: declared targets straight ahead, without the scene: no multipath, no clutter,
-        no shadows. ``paths``: traced through the scene.
+        no shadows. ``paths``: traced through the scene. ``optics``: meshes scatter by physical
+        optics instead of a declared cross-section, over the ground and large walls too. ``rough``:
+        surfaces scatter as well, and reflect the less.
     nufft_tolerance
         Relative error of the radar's channel against the direct sum.
+    radar_rays
+        Of physical optics, all objects together: where they are wider apart than an eighth of a
+        wavelength, echoes of edges that are met obliquely fade, and outlines are off by a spacing.
+    radar_bounces
+        Between objects that scatter by physical optics: what is reflected more often is lost. A
+        trihedral needs 3.
+    radar_images
+        Reflections at large surfaces on the way to an object, and as many back.
+    radar_scatterers
+        Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
     """
 
     samples: int = 64
@@ -41,6 +53,10 @@ class Fidelity:
     noise: Noise = "full"
     radar: RadarRung = "paths"
     nufft_tolerance: float = 1e-6
+    radar_rays: int = 200_000
+    radar_bounces: int = 3
+    radar_images: int = 1
+    radar_scatterers: int = 50_000
 
     def __post_init__(self) -> None:
         _ = self.quality  # has its own checks
@@ -48,6 +64,14 @@ class Fidelity:
             value = getattr(self, name)
             if value not in get_args(kind):
                 raise ValueError(f"{name}: {value!r} is none of {', '.join(get_args(kind))}")
+        for name, least in (
+            ("radar_rays", 1),
+            ("radar_bounces", 1),
+            ("radar_images", 0),
+            ("radar_scatterers", 1),
+        ):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}: {getattr(self, name)} is less than {least}")
         if not 1e-14 <= self.nufft_tolerance < 1:
             raise ValueError(f"nufft_tolerance: {self.nufft_tolerance} is not in 1e-14 to 1")
 
@@ -66,6 +90,10 @@ class Fidelity:
             start=self.start if other.start == "auto" else other.start,
             noise=max(self.noise, other.noise, key=get_args(Noise).index),
             radar=max(self.radar, other.radar, key=get_args(RadarRung).index),
+            radar_rays=max(self.radar_rays, other.radar_rays),
+            radar_bounces=max(self.radar_bounces, other.radar_bounces),
+            radar_images=max(self.radar_images, other.radar_images),
+            radar_scatterers=max(self.radar_scatterers, other.radar_scatterers),
             nufft_tolerance=min(self.nufft_tolerance, other.nufft_tolerance),
         )
 

@@ -14,7 +14,7 @@ from twin.radar.atmosphere import Air
 from twin.radar.design import Oscillator, RadarDesign
 from twin.radar.front_end import arriving, digitize, full_scale_w, image_rejection_db
 from twin.radar.oscillator import apply, draw, residual_rad
-from twin.radar.propagation import Propagation
+from twin.radar.paths import Propagation
 
 NOTHING = Propagation(paths=(), roles=(), assumptions=())
 

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.waveform import C_M_PER_S
 from hardware.records import RadarRecord
 from twin import __version__
 from twin.fidelity import Fidelity
@@ -17,7 +18,8 @@ from twin.radar.burst import burst_channel
 from twin.radar.design import RadarDesign
 from twin.radar.free_space import straight_paths
 from twin.radar.front_end import digitize
-from twin.radar.propagation import Propagation, trace
+from twin.radar.paths import Propagation
+from twin.radar.propagation import trace
 from twin.radar.remarks import assumptions, warnings
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
@@ -93,7 +95,7 @@ def radar_capture(
         bursts = tuple(
             straight_paths(world, radar)
             if fidelity.radar == "targets"
-            else trace(world, radar, seed=rays)
+            else trace(world, radar, fidelity=fidelity, seed=rays)
             for world in worlds
         )
     with stage("radar signal"):
@@ -121,13 +123,14 @@ def contributions(found: Propagation, radar: RadarDesign, air: Air) -> Contribut
     """Echoes as the synthesis takes them, with what air, averaging over a slot and a stepped
     carrier leave of each, and the leakage.
     """
-    parts = [_of_paths(found, radar, air), _of_leakage(radar)]
-    return Contributions(
-        amplitude=np.concatenate([part.amplitude for part in parts], axis=-1),
-        delay_s=np.concatenate([part.delay_s for part in parts]),
-        delay_rate=np.concatenate([part.delay_rate for part in parts]),
-        departure=np.concatenate([part.departure for part in parts]),
-        arrival=np.concatenate([part.arrival for part in parts]),
+    lengths = radar.burst.carriers_hz[0] / radar.burst.carriers_hz
+    return Contributions.joined(
+        [
+            # Mirrors and constant cross-sections answer with the wavelength, meshes without it.
+            _stepped(_of_paths(found), radar, air, lengths),
+            _stepped(found.echoes, radar, air, np.ones_like(lengths)),
+            _of_leakage(radar),
+        ]
     )
 
 
@@ -153,33 +156,36 @@ def measure(
     return np.stack([iq for iq, _, _ in taken]), np.stack([f for _, f, _ in taken]), taken[0][2]
 
 
-def _of_paths(found: Propagation, radar: RadarDesign, air: Air) -> Contributions:
-    """Amplitudes (n_steps, n). Mirrors and constant cross-sections answer with the wavelength."""
-    if not found.paths:
-        return _nothing(radar)
-    carriers = radar.burst.carriers_hz
-    rate = np.array([path.delay_rate for path in found.paths])
-    length = np.array([2 * path.range_m for path in found.paths])
-    amplitude = np.array([path.amplitude for path in found.paths], dtype=np.complex128)
-    per_step = [
-        amplitude
-        * (carriers[0] / carrier)
-        * radar.ofdm.slot_gain(carrier * rate)
-        * air.amplitude(length, carrier)
-        for carrier in carriers
-    ]
+def _of_paths(found: Propagation) -> Contributions:
+    paths = found.paths
     return Contributions(
-        amplitude=np.stack(per_step),
-        delay_s=np.array([path.delay_s for path in found.paths]),
-        delay_rate=rate,
-        departure=np.array([path.departure for path in found.paths]),
-        arrival=np.array([path.arrival for path in found.paths]),
+        amplitude=np.array([path.amplitude for path in paths], dtype=np.complex128),
+        delay_s=np.array([path.delay_s for path in paths]),
+        delay_rate=np.array([path.delay_rate for path in paths]),
+        departure=np.array([path.departure for path in paths]).reshape(-1, 3),
+        arrival=np.array([path.arrival for path in paths]).reshape(-1, 3),
     )
+
+
+def _stepped(
+    echoes: Contributions, radar: RadarDesign, air: Air, factors: NDArray[np.float64]
+) -> Contributions:
+    """Echoes with their amplitudes at every carrier step, (n_steps, n)."""
+    length = C_M_PER_S * echoes.delay_s
+    per_step = [
+        echoes.amplitude
+        * factor
+        * radar.ofdm.slot_gain(carrier * echoes.delay_rate)
+        * air.amplitude(length, carrier)
+        for carrier, factor in zip(radar.burst.carriers_hz, factors, strict=True)
+    ]
+    return replace(echoes, amplitude=np.stack(per_step))
 
 
 def _of_leakage(radar: RadarDesign) -> Contributions:
     if radar.leakage is None:
-        return _nothing(radar)
+        none = Contributions.none()
+        return replace(none, amplitude=np.zeros((len(radar.burst.carriers_hz), 0), np.complex128))
     level = 10 ** (radar.leakage.level_db.value / 20)
     nowhere = np.zeros((1, 3))
     return Contributions(
@@ -189,12 +195,6 @@ def _of_leakage(radar: RadarDesign) -> Contributions:
         departure=nowhere,
         arrival=nowhere,
     )
-
-
-def _nothing(radar: RadarDesign) -> Contributions:
-    none = np.zeros(0)
-    amplitude = np.zeros((len(radar.burst.carriers_hz), 0), dtype=np.complex128)
-    return Contributions(amplitude, none, none, np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 def _air(weather: Weather | None, radar: RadarDesign) -> Air:

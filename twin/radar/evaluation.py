@@ -11,7 +11,7 @@ import numpy as np
 from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap, channel, detect, range_doppler
 from twin.radar.acquisition import RadarCapture
 from twin.radar.design import RadarDesign
-from twin.radar.propagation import Path as RadioPath
+from twin.radar.paths import Path as RadioPath
 from twin.radar.truth import TrueTarget
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from hardware.radar.waveform import C_M_PER_S
 from twin.radar.design import RadarDesign
-from twin.radar.propagation import Path, Propagation
+from twin.radar.paths import Path, Propagation
 from twin.scene import Scene
 
 

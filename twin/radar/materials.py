@@ -1,5 +1,7 @@
 """Materials at the carrier: ITU-R P.2040 where its row is valid, cited values elsewhere."""
 
+from functools import lru_cache
+
 from twin.engine import sionna
 from twin.files import InputError
 from twin.scene.materials import Material
@@ -14,18 +16,14 @@ def radio_properties(
     """
     radio = material.radio
     if radio.itu is not None:
-        sionna()
-        from sionna.rt.radio_materials.itu import ITU_MATERIALS_PROPERTIES, itu_material
-
-        ranges = ITU_MATERIALS_PROPERTIES.get(radio.itu)
-        if ranges is None:
+        try:
+            row = _itu(radio.itu, carrier_hz)
+        except KeyError as error:
             raise InputError(
-                f"material {name!r}: radio.itu = {radio.itu!r} is none of "
-                f"{', '.join(ITU_MATERIALS_PROPERTIES)}"
-            )
-        if any(low <= carrier_hz / 1e9 <= high for low, high in ranges):
-            permittivity, conductivity = itu_material(radio.itu, carrier_hz)
-            return float(permittivity), float(conductivity), None
+                f"material {name!r}: radio.itu = {radio.itu!r} is none of {error.args[0]}"
+            ) from error
+        if row is not None:
+            return *row, None
     for band in radio.cited:
         if band.from_hz <= carrier_hz <= band.to_hz:
             return band.relative_permittivity, band.conductivity_s_per_m, band.assumed
@@ -36,3 +34,21 @@ def radio_properties(
         f"material {name!r}: no radio properties at {carrier_hz / 1e9:g} GHz "
         f"(it has {', '.join(known) or 'none'})"
     )
+
+
+@lru_cache(maxsize=256)
+def _itu(name: str, carrier_hz: float) -> tuple[float, float] | None:
+    """Relative permittivity and conductivity of an ITU row; None where it does not hold.
+
+    Asked once: Sionna sets the engine's other variant. Raises KeyError with the rows that exist.
+    """
+    sionna()
+    from sionna.rt.radio_materials.itu import ITU_MATERIALS_PROPERTIES, itu_material
+
+    ranges = ITU_MATERIALS_PROPERTIES.get(name)
+    if ranges is None:
+        raise KeyError(", ".join(ITU_MATERIALS_PROPERTIES))
+    if not any(low <= carrier_hz / 1e9 <= high for low, high in ranges):
+        return None
+    permittivity, conductivity = itu_material(name, carrier_hz)
+    return float(permittivity), float(conductivity)

@@ -4,6 +4,8 @@
 Sionna computes in float32, where 80 GHz times the delay of 150 m is off by 1.4 degrees per last
 digit: so from its paths only the sequence of surfaces and the amplitude are taken, and lengths are
 measured anew on the scene's own planes in float64.
+
+Higher rungs leave Sionna aside: `twin.radar.echoes`.
 """
 
 from dataclasses import dataclass, replace
@@ -15,9 +17,12 @@ from numpy.typing import NDArray
 
 from hardware.radar.waveform import C_M_PER_S
 from twin.engine import sionna
+from twin.fidelity import Fidelity
 from twin.radar.design import RadarDesign
+from twin.radar.echoes import echoes
 from twin.radar.materials import radio_properties
-from twin.radar.roles import Assignment, Role, assign_roles
+from twin.radar.paths import Path, Propagation
+from twin.radar.roles import Role, assign_roles
 from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
@@ -30,52 +35,32 @@ _BUFFER = 10_000
 _THICKNESS_M = 10.0
 
 
-@dataclass(frozen=True)
-class Path:
-    """One way from the radar and back.
-
-    ``via`` names the objects in order; ``amplitude`` is the wave relative to the sent one, antenna
-    gains and losses included, without the phase of the delay. ``departure`` and ``arrival`` are
-    unit vectors from the antenna to the first and the last object, in its own frame.
-    """
-
-    via: tuple[str, ...]
-    target: str | None
-    amplitude: complex
-    delay_s: float
-    delay_rate: float
-    departure: tuple[float, float, float]
-    arrival: tuple[float, float, float]
-
-    @property
-    def range_m(self) -> float:
-        """Half the length."""
-        return self.delay_s * C_M_PER_S / 2
-
-
-@dataclass(frozen=True)
-class Propagation:
-    """All paths, and how the scene was understood."""
-
-    paths: tuple[Path, ...]
-    roles: tuple[Assignment, ...]
-    assumptions: tuple[str, ...]
-
-
-def trace(scene: Scene, radar: RadarDesign, *, max_depth: int = 3, seed: int = 0) -> Propagation:
+def trace(
+    scene: Scene,
+    radar: RadarDesign,
+    *,
+    fidelity: Fidelity | None = None,
+    max_depth: int = 3,
+    seed: int = 0,
+) -> Propagation:
     """Trace the scene.
 
     Parameters
     ----------
     scene, radar
         What is looked at, and with what.
+    fidelity
+        Its ``radar`` rung decides: up to ``paths``, Sionna RT finds images and ways to declared
+        targets; from ``optics`` on, see `twin.radar.optics`.
     max_depth
-        Interactions of a path at most, the target's included.
+        Interactions of one of Sionna's paths at most, the target's included.
     seed
-        Of the rays that look for surfaces.
+        Of the rays that look for surfaces, and of rough ones.
 
     Raises InputError where a reflecting surface's material has no data at the carrier.
     """
+    if fidelity is not None and fidelity.radar in ("optics", "rough"):
+        return echoes(scene, radar, fidelity, seed)
     world = _RadioWorld(scene, radar)
     paths = [*world.environment(max_depth, seed), *world.targets(max_depth, seed)]
     loss = 10 ** (-radar.front_end.losses_db.value / 20)

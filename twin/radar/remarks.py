@@ -10,7 +10,7 @@ from twin.radar.atmosphere import Air
 from twin.radar.design import RadarDesign
 from twin.radar.front_end import full_scale_w, image_rejection_db
 from twin.radar.oscillator import residual_rad
-from twin.radar.propagation import Propagation
+from twin.radar.paths import Propagation
 from twin.radar.roles import Role
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene, SceneObject
@@ -82,10 +82,11 @@ def warnings(
             f"triangles of {', '.join(coarse)} are so large that float32 rays may lose their echo "
             "or count it again (off by up to 300 % in what was tried): divide them"
         )
+    found += bursts[0].warnings
     found += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
     found += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
     found += _noise(radar, farthest)
-    if not any(burst.paths for burst in bursts):
+    if not any(len(burst.paths) + len(burst.echoes.delay_s) for burst in bursts):
         what = "noise and leakage" if radar.leakage else "noise"
         found.append(f"no echo at all: the record holds {what} only")
     if flags.any():

@@ -1,61 +1,98 @@
-"""Which object the radar meets as what: reflecting surface, target, or mere obstacle.
+"""Which object the radar meets as what: reflecting surface, scatterer, target, or mere obstacle.
 
-The image method returns pi d^2 of cross-section from any plane, whatever its size. That is right
-only for surfaces large against the first Fresnel zone sqrt(lambda d), so only they reflect. Objects
-of declared targets answer with their cross-section. Everything else casts its shadow and is silent.
+The image method returns pi d^2 of cross-section from any plane, whatever its size: right only for
+surfaces large against the first Fresnel zone sqrt(lambda d). Physical optics is right for any size
+from a few wavelengths on, flat or curved, but needs rays in proportion to (size / Fresnel zone)^2.
+So where objects scatter by physical optics, images are left to what is flat and very large.
 """
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
+from twin.fidelity import RadarRung
+from twin.radar.shape import Shape, shape_of
 from twin.scene import Scene, SceneObject
+
+Array = NDArray[np.float64]
 
 #: Side of a flat patch over its Fresnel zone from which the image method is taken to hold. At 3
 #: the plate's own cross-section 4 pi A^2 / lambda^2 is 25 dB above pi d^2 of an infinite plane:
 #: the patch is far larger than what reflects.
 LARGE = 3.0
+#: The same where physical optics is the alternative. At 10, what it leaves out, the diffraction of
+#: the patch's edges, is 30 dB below the mirror image, and physical optics would need 1e4 rays.
+LARGE_BESIDE_OPTICS = 10.0
+_MOSTLY = 0.5  # share of an object's area in such patches, else the rest of it would be silent
+_BENT = 10.0  # radius of curvature over distance: at 10 an image is off by 1 + d / R, 0.8 dB
+_SMALLEST = 3.0  # wavelengths from which physical optics is more than an order of magnitude
 
 
 class Role(StrEnum):
     """What an object is to the radar."""
 
     SURFACE = "reflects as a large surface"
+    OPTICS = "scatters by physical optics"
     TARGET = "answers with its declared cross-section"
     OBSTACLE = "only casts a shadow"
 
 
+#: What ``scene.toml`` calls them.
+_WANTED = {
+    "surface": Role.SURFACE,
+    "optics": Role.OPTICS,
+    "declared": Role.TARGET,
+    "obstacle": Role.OBSTACLE,
+}
+
+
 @dataclass(frozen=True)
 class Assignment:
-    """The role of one object and the ratio that decided it."""
+    """The role of one object, the ratio that decided it, and whether the scene overrode it."""
 
     name: str
     role: Role
     over_fresnel_zone: float
+    declared: bool = False
 
 
-def assign_roles(scene: Scene, wavelength_m: float) -> list[Assignment]:
+def assign_roles(scene: Scene, wavelength_m: float, rung: RadarRung = "paths") -> list[Assignment]:
     """Role of every object, as the rule of this module has it."""
     declared = {target.object for target in scene.targets if target.object}
     origin = scene.rig.position_m + scene.rig.device("radar")[0]
+    with_optics = rung not in ("targets", "paths")
     found = []
     for item in scene.objects:
-        ratio = _flatness(item, origin, wavelength_m)
-        role = Role.SURFACE if ratio >= LARGE else Role.OBSTACLE
-        if item.name in declared:
+        shape = shape_of(item)
+        distance = max(_nearest(item, origin), wavelength_m)
+        ratio = shape.largest_patch_m2**0.5 / (wavelength_m * distance) ** 0.5
+        wanted = _WANTED.get(item.radar or "")
+        if wanted is not None and (with_optics or wanted is not Role.OPTICS):
+            role = wanted
+        elif with_optics:
+            role = _by_size(shape, distance, wavelength_m, item.name in declared)
+        elif item.name in declared:
             role = Role.TARGET
-        found.append(Assignment(item.name, role, ratio))
+        else:
+            role = Role.SURFACE if ratio >= LARGE else Role.OBSTACLE
+        found.append(Assignment(item.name, role, ratio, wanted is role))
     return found
 
 
-def _flatness(item: SceneObject, origin: np.ndarray, wavelength_m: float) -> float:
-    """Side of the object's largest flat patch over the Fresnel zone at its nearest point."""
-    import trimesh
+def _by_size(shape: Shape, distance_m: float, wavelength_m: float, is_declared: bool) -> Role:
+    zone = (wavelength_m * distance_m) ** 0.5
+    large = shape.patch_area_m2[shape.patch_area_m2**0.5 >= LARGE_BESIDE_OPTICS * zone]
+    is_flat = shape.bend_radius_m >= _BENT * distance_m
+    if large.sum() >= _MOSTLY * shape.patch_area_m2.sum() and is_flat:
+        return Role.SURFACE
+    if shape.size_m >= _SMALLEST * wavelength_m:
+        return Role.OPTICS
+    return Role.TARGET if is_declared else Role.OBSTACLE
 
-    mesh = trimesh.Trimesh(item.vertices_m - origin, item.faces, process=True)
-    # Single triangles count as patches too: trimesh's facets join two and more.
-    areas = np.append(mesh.facets_area, mesh.area_faces.max(initial=0.0))
-    low, high = mesh.bounds
-    distance = max(float(np.linalg.norm(np.clip(0.0, low, high))), wavelength_m)
-    return float(np.sqrt(areas.max()) / np.sqrt(wavelength_m * distance))
+
+def _nearest(item: SceneObject, origin: Array) -> float:
+    """Distance to the object's box."""
+    low, high = item.vertices_m.min(axis=0) - origin, item.vertices_m.max(axis=0) - origin
+    return float(np.linalg.norm(np.clip(0.0, low, high)))

@@ -10,7 +10,8 @@ transform along frequency serves all slots. Where they differ too much for any o
 transform per slot is exact.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ class Contributions:
     @staticmethod
     def ahead(amplitude: Complex, delay_s: Array, delay_rate: Array) -> "Contributions":
         """Echoes from straight ahead."""
-        forward = np.tile([1.0, 0.0, 0.0], (len(delay_s), 1))
+        forward = np.tile([1.0, 0.0, 0.0], (len(delay_s), 1)).reshape(-1, 3)
         return Contributions(amplitude, delay_s, delay_rate, forward, forward)
 
     @staticmethod
@@ -56,6 +57,15 @@ class Contributions:
         """No echo at all."""
         empty = np.zeros(0)
         return Contributions.ahead(empty.astype(np.complex128), empty, empty)
+
+    @staticmethod
+    def joined(parts: Sequence["Contributions"]) -> "Contributions":
+        """Echoes of all parts together."""
+        amplitude = np.concatenate([part.amplitude for part in parts], axis=-1)
+        others = (f.name for f in fields(Contributions) if f.name != "amplitude")
+        return Contributions(
+            amplitude, *(np.concatenate([getattr(p, name) for p in parts]) for name in others)
+        )
 
 
 def synthesize(

@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.radar.atmosphere import Air
 from twin.radar.design import RadarDesign
-from twin.radar.propagation import Propagation
+from twin.radar.paths import Propagation
 from twin.scene import Scene, Target
 
 
@@ -15,8 +15,8 @@ class TrueTarget:
     """One target at the first burst. ``received_w`` is the direct path's at the first carrier, air
     and slot loss included.
 
-    ``visible``: a direct path exists. ``seen_at`` is range and rate as an unambiguous radar would
-    wrap them.
+    ``visible``: a direct path exists, or its mesh is heard. ``seen_at`` is range and rate as an
+    unambiguous radar would wrap them.
     """
 
     name: str
@@ -56,6 +56,7 @@ def _true(
         azimuth_deg=float(np.degrees(np.arctan2(left, ahead))),
         rcs_m2=target.rcs_m2,
         received_w=power * gain**2,
-        visible=any(path.via == (target.name,) for path in found.paths),
+        visible=any(path.via == (target.name,) for path in found.paths)
+        or any(heard.name == target.object for heard in found.heard),
         seen_at=(distance % wave.max_range_m, (rate + fastest) % (2 * fastest) - fastest),
     )

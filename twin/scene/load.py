@@ -184,6 +184,8 @@ def _object(
         material=row,
         reflectance=reflectance,
         velocity_m_per_s=settings.velocity(shape.name) if settings else (0.0, 0.0, 0.0),
+        radar=settings.radar_role(shape.name) if settings else None,
+        thickness_m=settings.thickness_m(shape.name) if settings else None,
     )
 
 

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from twin.scene.materials import Material
 from twin.scene.texture import Reflectance
 
 Array = NDArray[np.float64]
+RadarRole = Literal["surface", "optics", "declared", "obstacle"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +24,8 @@ class SceneObject:
     """A rigid triangle mesh of one material.
 
     ``vertices_m`` (n, 3) in world coordinates; ``faces`` (m, 3) indices; ``uv`` (n, 2) or None;
-    ``reflectance`` at 1550 nm: one number, or a texture looked up by ``uv``.
+    ``reflectance`` at 1550 nm: one number, or a texture looked up by ``uv``. ``radar`` overrides
+    what the object is to a radar; ``thickness_m`` is that of an open mesh that stands for a sheet.
     """
 
     name: str
@@ -32,6 +35,8 @@ class SceneObject:
     material: str
     reflectance: Reflectance
     velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    radar: RadarRole | None = None
+    thickness_m: float | None = None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
-from twin.scene.model import Pose, Rig, Sun, Target, Track
+from twin.scene.model import Pose, RadarRole, Rig, Sun, Target, Track
 from twin.toml import Count, Finite, NonNegative, Positive, Strict, describe, read_toml
 
 Vector = tuple[Finite, Finite, Finite]
@@ -46,6 +46,8 @@ _Speed = Annotated[Finite, Field(ge=-1e5, le=1e5)]
 
 class _Object(Strict):
     velocity_m_per_s: tuple[_Speed, _Speed, _Speed] = (0.0, 0.0, 0.0)
+    radar: RadarRole | None = None
+    thickness_m: Positive | None = None
 
 
 class _Track(Strict):
@@ -98,6 +100,14 @@ class SceneSettings(Strict):
         """Velocity of an object; zero unless it is named."""
         return self.objects[name].velocity_m_per_s if name in self.objects else (0.0, 0.0, 0.0)
 
+    def radar_role(self, name: str) -> RadarRole | None:
+        """What an object is to the radar, where the scene says so."""
+        return self.objects[name].radar if name in self.objects else None
+
+    def thickness_m(self, name: str) -> float | None:
+        """Thickness of a sheet that the mesh shows from one side only."""
+        return self.objects[name].thickness_m if name in self.objects else None
+
     def make_targets(self) -> tuple[Target, ...]:
         """True targets, moving with their objects."""
         return tuple(
@@ -119,6 +129,12 @@ def load_settings(path: Path, object_names: set[str]) -> SceneSettings:
         settings = SceneSettings.model_validate(read_toml(path))
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
+    carried = {target.object for target in settings.targets}
+    for name, item in settings.objects.items():
+        if item.radar == "declared" and name not in carried:
+            raise InputError(
+                f"{path}: objects.{name}.radar = 'declared', but no target has it as its object"
+            )
     named = {**{f"objects.{name}": name for name in settings.objects}}
     named |= {f"targets.{t.name}.object": t.object for t in settings.targets if t.object}
     for place, name in named.items():

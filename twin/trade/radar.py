@@ -1,9 +1,12 @@
-"""Rungs of the radar: declared targets or traced paths, and the tolerance of the synthesis."""
+"""Rungs of the radar: declared targets or traced paths, and the tolerance of the synthesis.
+
+The rungs of physical optics have other echoes, not the same ones more closely: they are not here.
+"""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +16,8 @@ from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
 from twin.radar.atmosphere import Air
 from twin.radar.free_space import straight_paths
-from twin.radar.propagation import Propagation, trace
+from twin.radar.paths import Propagation
+from twin.radar.propagation import trace
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
 from twin.trade.measurement import Cost, Measurement
@@ -55,7 +59,7 @@ def measure_radar(scene: Scene, radar: RadarDesign, seed: int, stage: Stage) -> 
         "paths": lambda run: trace(scene, radar, seed=seed + 1 + run),
     }
     measured = []
-    for kind in get_args(RadarRung):
+    for kind in finders:
         with stage(f"radar {kind}"):
             finding, found = metered(finders[kind])
         for tolerance in _TOLERANCES:

@@ -47,11 +47,11 @@ def launch(mi: Any, setting: dict[str, Any], grid: dict[str, Any], size: int) ->
     x -= setting["center"]
     back = dr.minimum(stretch * setting["distance"], dr.dot(direction, x) + setting["radius"])
     tube = (grid["first"] * grid["spacing"] / stretch, grid["second"] * grid["spacing"] / stretch)
-    field = _turned(setting["sent"], u, direction)
+    field = turned(setting["sent"], u, direction)
     return x - direction * back, direction, path - back, weight, *tube, field
 
 
-def _turned(e: Any, u: Any, direction: Any) -> Any:
+def turned(e: Any, u: Any, direction: Any) -> Any:
     """Polarisation ``e`` of the boresight -u, in another direction of the antenna's field."""
     return e - dr.dot(e, direction) / dr.maximum(1 - dr.dot(u, direction), 1e-9) * (direction - u)
 
@@ -84,20 +84,17 @@ def trace(
     hit = engine.scene.ray_intersect_preliminary(ray, coherent=True)
     face, coarse, active = hit.prim_index, mi.Float64(hit.t), hit.is_valid()
     while active:
-        normal, distance = _plane(mi, engine, face, origin, direction, active)
+        normal, distance = plane(mi, engine, face, origin, direction, active)
         # On a facet seen edge on the plane says nothing about the distance.
         distance = dr.select(dr.abs(distance - coarse) < 1e-3 * radius, distance, coarse)
         origin = origin + distance * direction
         path += distance
         cosine = -dr.dot(normal, direction)
 
-        te_re, te_im, tm_re, tm_im = _coefficients(mi, engine, coefficients, face, cosine, active)
+        surface = dr.gather(mi.UInt32, engine.surface_of_face, face, active)
+        row = coefficients_at(mi, coefficients, surface, cosine, active)
         away = direction + 2 * cosine * normal
-        out = _reflected(field, direction, normal, te_re, te_im, tm_re, tm_im, 1)
-        out_im = _reflected(field, direction, normal, te_re, te_im, tm_re, tm_im, 0)
-        rest = _reflected(field_im, direction, normal, te_re, te_im, tm_re, tm_im, 1)
-        rest_im = _reflected(field_im, direction, normal, te_re, te_im, tm_re, tm_im, 0)
-        out, out_im = out - rest_im, out_im + rest
+        out, out_im = reflected(field, field_im, direction, normal, row)
 
         # Back to the radar: unit vector, distance over and minus that of the origin.
         place = origin + setting["center"]
@@ -112,17 +109,17 @@ def trace(
 
         amplitude = weight * (1 + q * path) / scale / dr.maximum(cosine, 1e-9)
         step = (direction - back) * (1 + q * path)
-        kept = _followed(tube_a, step, direction, normal, cosine, wavelength)
-        kept *= _followed(tube_b, step, direction, normal, cosine, wavelength)
+        kept = followed(tube_a, step, direction, normal, cosine, wavelength)
+        kept *= followed(tube_b, step, direction, normal, cosine, wavelength)
         amplitude *= kept
         cycles = (path + detour) / wavelength
         turn_im, turn_re = dr.sincos(2 * dr.pi * (dr.round(cycles) - cycles))
         turn_re *= amplitude
         turn_im *= amplitude
-        current = _radiating(field, out, direction, away, normal, back)
-        current_im = _radiating(field_im, out_im, direction, away, normal, back)
+        current = radiating(field, out, direction, away, normal, back)
+        current_im = radiating(field_im, out_im, direction, away, normal, back)
         for e, echo in ((setting["vertical"], vertical), (setting["horizontal"], horizontal)):
-            received = _turned(e, u, -back)
+            received = turned(e, u, -back)
             re, im = dr.dot(received, current), dr.dot(received, current_im)
             echo.x += dr.select(sees, re * turn_re - im * turn_im, 0)
             echo.y += dr.select(sees, re * turn_im + im * turn_re, 0)
@@ -148,8 +145,8 @@ def trace(
     return *echo, lit, cosines, grazing, faded, unfinished
 
 
-def _plane(
-    mi: Any, engine: Traced, face: Any, origin: Any, direction: Any, active: Any
+def plane(
+    mi: Any, engine: Any, face: Any, origin: Any, direction: Any, active: Any
 ) -> tuple[Any, Any]:
     """Normal against the ray, and the float64 distance along it to the facet's plane."""
     x, y, z, a, b, c = (
@@ -161,46 +158,51 @@ def _plane(
     return normal * dr.select(along < 0, 1.0, -1.0), distance
 
 
-def _coefficients(
-    mi: Any, engine: Traced, coefficients: Any, face: Any, cosine: Any, active: Any
+def coefficients_at(
+    mi: Any, coefficients: Any, surface: Any, cosine: Any, active: Any, columns: int = 4
 ) -> list[Any]:
-    """Re and Im of the reflection coefficients TE and TM, between two rows of the table."""
-    surface = dr.gather(mi.UInt32, engine.surface_of_face, face, active)
+    """Re and Im of a surface's coefficients TE and TM, between two rows of the table."""
     at = dr.clip(cosine, 0, 1) * TABLE_STEPS
     below = dr.minimum(mi.UInt32(at), TABLE_STEPS - 1)
     share = at - mi.Float64(below)
-    row = 4 * (surface * (TABLE_STEPS + 1) + below)
+    row = columns * (surface * (TABLE_STEPS + 1) + below)
     return [
         (1 - share) * dr.gather(mi.Float64, coefficients, row + i, active)
-        + share * dr.gather(mi.Float64, coefficients, row + i + 4, active)
-        for i in range(4)
+        + share * dr.gather(mi.Float64, coefficients, row + i + columns, active)
+        for i in range(columns)
     ]
 
 
-def _reflected(
-    field: Any, direction: Any, normal: Any, te_re: Any, te_im: Any, tm_re: Any, tm_im: Any, re: int
-) -> Any:
-    """Reflected field of a real one; its real or imaginary part.
+def reflected(
+    field: Any, field_im: Any, direction: Any, normal: Any, coefficients: Any
+) -> tuple[Any, Any]:
+    """Reflected field, Re and Im, by the Re and Im of TE and TM.
 
     A conductor's mirror image times TM, and what TE differs from it across the plane of incidence.
     That difference vanishes at normal incidence, where "across" has no meaning.
     """
-    image = 2 * dr.dot(normal, field) * normal - field
+    te_re, te_im, tm_re, tm_im = coefficients
     across = dr.cross(direction, normal)
-    part = across * (dr.dot(across, field) / dr.maximum(dr.squared_norm(across), 1e-30))
-    if re:
-        return tm_re * image + (te_re + tm_re) * part
-    return tm_im * image + (te_im + tm_im) * part
+    across_norm = dr.maximum(dr.squared_norm(across), 1e-30)
+    image, part = [], []
+    for real in (field, field_im):
+        image.append(2 * dr.dot(normal, real) * normal - real)
+        part.append(across * (dr.dot(across, real) / across_norm))
+    more_re, more_im = te_re + tm_re, te_im + tm_im
+    return (
+        tm_re * image[0] - tm_im * image[1] + more_re * part[0] - more_im * part[1],
+        tm_im * image[0] + tm_re * image[1] + more_im * part[0] + more_re * part[1],
+    )
 
 
-def _radiating(field: Any, out: Any, direction: Any, away: Any, normal: Any, back: Any) -> Any:
+def radiating(field: Any, out: Any, direction: Any, away: Any, normal: Any, back: Any) -> Any:
     """J + M x s, with the impedance of free space taken out."""
     magnetic = dr.cross(direction, field) + dr.cross(away, out)
     current = dr.cross(normal, magnetic)
     return current - dr.cross(dr.cross(normal, field + out), back)
 
 
-def _followed(
+def followed(
     side: Any, step: Any, direction: Any, normal: Any, cosine: Any, wavelength: Any
 ) -> Any:
     """1 while neighbouring tubes follow the phase on the facet, smoothly to 0 before they alias."""

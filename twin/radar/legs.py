@@ -1,0 +1,223 @@
+"""The way between the radar and a point, straight or over large flat surfaces: one kernel for both
+directions, since the way out is the way back.
+
+Everything is an array on the device, one element per ray; ``source`` numbers the images of
+`twin.radar.images`. Re and Im are apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.images import Image
+from twin.radar.scattering.kernel import coefficients_at, reflected, turned
+from twin.radar.walls import Passage, Walls, cross, no_passage
+from twin.radar.world import Flat, Mesher
+
+Array = NDArray[np.float64]
+
+#: Rays start this far off a surface, over the distance from the anchor: 30 steps of float32.
+OFF_SURFACE = 2e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """What all legs share: the world, the antenna, the images, the coefficients of reflection.
+
+    ``order`` is the largest number of reflections; ``table`` that of `scattering.surface`.
+    """
+
+    mi: Any
+    world: Mesher
+    order: int
+    n_sources: int
+    place: Any
+    boresight: Any
+    vertical: Any
+    patch_of_face: Any
+    table: Any
+    orders: Any
+    positions: Any
+    levels: Any
+    marks: Any
+    wavelength: Any
+    walls: Walls | None
+
+
+def station(
+    mi: Any,
+    world: Mesher,
+    images: Sequence[Image],
+    flats: Sequence[Flat],
+    velocities: Array,
+    surface_of_object: NDArray[np.uint32],
+    patch_of_face: Any,
+    table: Any,
+    boresight: Array,
+    vertical: Array,
+    order: int,
+    wavelength_m: float,
+    walls: Walls | None,
+) -> Station:
+    """Put all of it on the device; of every image each level's aim, plane and velocity."""
+    levels = np.zeros((len(images), order, 12))
+    levels[:, :, 6:9] = boresight  # any unit vector where there is no plane
+    marks = np.zeros((len(images), order, 3), dtype=np.uint32)
+    for row, image in enumerate(images):
+        for level, number in enumerate(image.patches):
+            flat = flats[number]
+            levels[row, level, 0:3] = image.places[level]
+            levels[row, level, 3:6] = flat.point
+            levels[row, level, 6:9] = flat.normal
+            levels[row, level, 9:12] = velocities[flat.object]
+            marks[row, level] = number, surface_of_object[flat.object], flat.is_wall
+    return Station(
+        mi=mi,
+        world=world,
+        order=order,
+        n_sources=len(images),
+        place=_vector(mi, images[0].place),
+        boresight=_vector(mi, boresight),
+        vertical=_vector(mi, vertical),
+        patch_of_face=patch_of_face,
+        table=table,
+        orders=mi.UInt32(np.array([len(i.patches) for i in images], dtype=np.uint32)),
+        positions=mi.Float64(np.concatenate([i.place for i in images])),
+        levels=mi.Float64(levels.ravel() if levels.size else np.zeros(1)),
+        marks=mi.UInt32(marks.ravel() if marks.size else np.zeros(1, dtype=np.uint32)),
+        wavelength=dr.opaque(mi.Float64, wavelength_m),
+        walls=walls,
+    )
+
+
+def _vector(mi: Any, value: Array) -> Any:
+    return mi.Vector3d(*(dr.opaque(mi.Float64, float(v)) for v in value))
+
+
+@dataclass(eq=False)
+class Leg:
+    """A way from the radar to points, seen from them.
+
+    ``back`` and ``length``: unit vector and distance to the image; ``departure``: unit vector from
+    the radar; ``field`` and ``field_im``: what a wave of amplitude 1 has become, apart from its
+    spreading and phase; ``rate``: velocity by which moving mirrors lengthen it; ``clear``; and what
+    the walls that it crosses do.
+    """
+
+    back: Any
+    length: Any
+    departure: Any
+    field: Any
+    field_im: Any
+    rate: Any
+    clear: Any
+    passage: Passage
+
+
+def leg(
+    at_station: Station, source: Any, place: Any, off: Any, active: Any, traced: bool = False
+) -> Leg:
+    """The leg to a point from which rays start at a distance ``off`` (vector) from the surface.
+
+    ``traced``: nothing stands between the point and the last mirror, or the radar itself.
+    """
+    s, mi = at_station, at_station.mi
+    order = dr.gather(mi.UInt32, s.orders, source, active)
+    image = _gathered(mi, s.positions, 3 * source, active)
+    towards = image - place
+    length = dr.norm(towards)
+    back = towards / dr.maximum(length, 1e-12)
+    clear = mi.Bool(active)
+
+    at, aim, start = place, image, place + off
+    inwards, normals, rates, surfaces, segments = [], [], [], [], []
+    for level in reversed(range(s.order)):
+        has = active & (order > level)
+        row = source * s.order + level
+        before, point, normal, velocity = (
+            _gathered(mi, s.levels, 12 * row + 3 * i, has) for i in range(4)
+        )
+        way = aim - at
+        distance = dr.norm(way)
+        direction = way / dr.maximum(distance, 1e-12)
+        slope = dr.dot(normal, direction)
+        t = dr.dot(normal, point - at) / dr.select(slope != 0, slope, 1.0)
+        mirror = at + t * direction
+        number, surface, of_wall = (
+            dr.gather(mi.UInt32, s.marks, 3 * row + i, has) for i in range(3)
+        )
+        clear &= ~has | ((t > 0) & (t < distance))
+        clear &= ~has | _first_meets(s, start, direction, t, number, of_wall > 0, has & clear)
+        segments.append((has, mirror, -direction, t))
+        facing = normal * dr.select(slope < 0, 1.0, -1.0)
+        at = dr.select(has, mirror, at)
+        aim = dr.select(has, before, aim)
+        start = dr.select(has, mirror + facing * offset(mirror), start)
+        inwards.append((has, direction))
+        normals.append(facing)
+        rates.append(velocity)
+        surfaces.append(surface)
+
+    way = s.place - at
+    distance = dr.norm(way)
+    home = way / dr.maximum(distance, 1e-12)
+    reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
+    shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(home), reach, 0.0, [])
+    untested = clear & (order > 0) if traced else mi.Bool(clear)
+    clear &= ~s.world.scene.ray_test(shadow, active=untested)
+
+    departure = -home
+    field, field_im = turned(s.vertical, -s.boresight, departure), mi.Vector3d(0)
+    rate, travel = mi.Float64(0), departure
+    passage = no_passage(mi)
+
+    def cross_walls(begin: Any, along: Any, segment: Any, where: Any) -> None:
+        nonlocal field, field_im
+        if s.walls is not None:
+            both = (field, field_im)
+            way = (begin, along, segment, length, s.wavelength, where)
+            field, field_im = cross(mi, s.walls, passage, both, *way)
+
+    cross_walls(s.place + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
+    for (has, direction), normal, velocity, surface, segment in zip(
+        inwards[::-1], normals[::-1], rates[::-1], surfaces[::-1], segments[::-1], strict=True
+    ):
+        cosine = -dr.dot(normal, travel)
+        row = coefficients_at(mi, s.table, surface, cosine, has)
+        out, out_im = reflected(field, field_im, travel, normal, row)
+        field, field_im = dr.select(has, out, field), dr.select(has, out_im, field_im)
+        rate += dr.select(has, dr.dot(velocity, travel + direction), 0)
+        travel = dr.select(has, -direction, travel)
+        _, mirror, along, way_on = segment
+        cross_walls(mirror, along, way_on, has & clear)
+    return Leg(back, length, departure, field, field_im, rate, clear, passage)
+
+
+def _first_meets(
+    s: Station, start: Any, direction: Any, distance: Any, number: Any, of_wall: Any, active: Any
+) -> Any:
+    """Whether rays first meet the patch asked for: of something solid, or of a wall."""
+    mi = s.mi
+    ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
+    hit = s.world.scene.ray_intersect_preliminary(ray, active=active)
+    met = dr.gather(mi.UInt32, s.patch_of_face, hit.prim_index, active & hit.is_valid())
+    solid = hit.is_valid() & (met == number)
+    if s.walls is None:
+        return solid
+    free = ~hit.is_valid() | (mi.Float64(hit.t) > distance * (1 - 1e-5))
+    hit = s.walls.mesh.scene.ray_intersect_preliminary(ray, active=active & of_wall)
+    met = dr.gather(mi.UInt32, s.walls.patch_of_face, hit.prim_index, active & hit.is_valid())
+    return dr.select(of_wall, free & hit.is_valid() & (met == number), solid)
+
+
+def offset(place: Any) -> Any:
+    """How far off a surface rays start there."""
+    return OFF_SURFACE * (dr.norm(place) + 1e-3)
+
+
+def _gathered(mi: Any, values: Any, index: Any, active: Any) -> Any:
+    return mi.Vector3d(*(dr.gather(mi.Float64, values, index + i, active) for i in range(3)))

@@ -1,0 +1,260 @@
+"""Echoes of a scene by physical optics: who scatters, seen from where, and what comes back.
+
+A pure function of scene, radar and knobs; what depends on the meshes alone is kept between calls.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import epsilon_0, speed_of_light
+
+from twin.engine import mitsuba
+from twin.fidelity import Fidelity
+from twin.radar.design import RadarDesign
+from twin.radar.grids import grids, launch
+from twin.radar.images import Image, Sight, images
+from twin.radar.legs import Station, station
+from twin.radar.materials import radio_properties
+from twin.radar.roles import LARGE_BESIDE_OPTICS, Assignment, Role
+from twin.radar.scattering.surface import PEC, Layer, Surface, table
+from twin.radar.shape import shape_of
+from twin.radar.shooting import Rays, bodies, shoot
+from twin.radar.synthesis import Contributions
+from twin.radar.walls import lets_through, thickness_of, walls
+from twin.radar.world import Flat, Mesher, anchor_of, flats, mesher
+from twin.scene import Scene, SceneObject
+
+Array = NDArray[np.float64]
+
+_CONDUCTOR = 1e5  # S/m: from here on a metal reflects all
+_NEAR = 0.02  # of a body's size: bodies closer than this are one
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """The scene set up for one pose: objects the rays meet, mirrors, and what all legs share.
+
+    Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world.
+    """
+
+    anchor_m: Array
+    axes: Array
+    place: Array
+    wavelength_m: float
+    items: tuple[SceneObject, ...]
+    roles: tuple[Role, ...]
+    world: Mesher
+    flats: tuple[Flat, ...]
+    images: tuple[Image, ...]
+    station: Station
+    surface_of_object: NDArray[np.uint32]
+    assumptions: tuple[str, ...]
+
+    def via(self, image: int) -> tuple[str, ...]:
+        """Names of the objects that make an image."""
+        patches = self.images[image].patches
+        return tuple(self.items[self.flats[p].object].name for p in patches)
+
+
+def set_stage(scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], order: int) -> Stage:
+    """Set a scene up for a radar at its pose.
+
+    ``order``: reflections at large surfaces on a leg, at most. Raises InputError where a material
+    has no data at the carrier.
+    """
+    place_m = scene.rig.position_m + scene.rig.device("radar")[0]
+    axes, anchor = scene.rig.device("radar")[1], anchor_of(place_m)
+    role_of = {a.name: a.role for a in roles}
+    kept = [item for item in scene.objects if role_of[item.name] is not Role.TARGET]
+    carrier = radar.ofdm.carrier_hz
+    slabs = _slabs(scene, kept, role_of, radar)
+    solid = [item for item in kept if item.name not in slabs]
+    clear = [item for item in kept if item.name in slabs]
+    surfaces, surface_of_object, assumed = _surfaces(scene, [*solid, *clear], role_of, carrier)
+    mi, world, place = mitsuba(), mesher(solid, anchor), place_m - anchor
+    wavelength = radar.ofdm.wavelength_m
+    mirrors, patch_of_face = flats(world, _zones(world, role_of, place, wavelength))
+    items, through = [item for item in world.items if item], None
+    if clear:
+        mesh = mesher(clear, anchor)
+        more, labels = flats(mesh, _zones(mesh, role_of, place, wavelength))
+        values = [slabs[item.name] for item in clear]
+        through = walls(mi, mesh, values, labels + np.uint32(len(mirrors)), carrier)
+        mirrors += [replace(f, object=f.object + len(solid), is_wall=True) for f in more]
+        items += [item for item in mesh.items if item]
+    patches = mi.UInt32(patch_of_face)
+    found = images(Sight(mi, world, patches, through), mirrors, place, order)
+    velocities = np.array([item.velocity_m_per_s for item in items]).reshape(-1, 3)
+    return Stage(
+        anchor_m=anchor,
+        axes=axes,
+        place=place,
+        wavelength_m=wavelength,
+        items=tuple(items),
+        roles=tuple(role_of[item.name] for item in items),
+        world=world,
+        flats=tuple(mirrors),
+        images=tuple(found),
+        station=station(
+            mi,
+            world,
+            found,
+            mirrors,
+            velocities,
+            surface_of_object,
+            patches,
+            mi.Float64(_table(surfaces, carrier)),
+            axes[0],
+            axes[2],
+            order,
+            wavelength,
+            through,
+        ),
+        surface_of_object=surface_of_object,
+        assumptions=assumed,
+    )
+
+
+def scattered(stage: Stage, fidelity: Fidelity) -> Rays:
+    """Contributions of every object that scatters by physical optics."""
+    body, hulls = _bodies(stage)
+    if not hulls:
+        return Rays.joined([])
+    launched = launch(grids(stage.images, hulls), stage.wavelength_m, fidelity.radar_rays)
+    velocities = np.array([item.velocity_m_per_s for item in stage.items])
+    return shoot(
+        stage.station,
+        bodies(stage.station.mi, body, stage.surface_of_object, velocities),
+        launched,
+        stage.wavelength_m,
+        fidelity.radar_bounces,
+    )
+
+
+def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributions:
+    """Rays with the antenna's gains and the front end's losses, as the synthesis takes them."""
+    departure, arrival = rays.departure @ stage.axes.T, rays.arrival @ stage.axes.T
+    loss = 10 ** (-radar.front_end.losses_db.value / 20)
+    gain = np.sqrt(antenna_gain(radar, departure) * antenna_gain(radar, arrival))
+    return Contributions(
+        amplitude=rays.amplitude * gain * loss,
+        delay_s=rays.length_m / speed_of_light,
+        delay_rate=rays.rate_m_per_s / speed_of_light,
+        departure=departure,
+        arrival=arrival,
+    )
+
+
+def antenna_gain(radar: RadarDesign, directions: Array) -> Array:
+    """Power gain in directions (n, 3) of the antenna's frame."""
+    return radar.antenna.gain(directions[:, 0])
+
+
+def surface_of(item: SceneObject, scene: Scene, carrier_hz: float) -> tuple[Surface, str | None]:
+    """What an object's facets are made of at the carrier, and why that is assumed."""
+    found = radio_properties(item.material, scene.materials[item.material], carrier_hz)
+    permittivity, conductivity, assumed = found
+    if conductivity >= _CONDUCTOR:
+        return PEC, assumed
+    epsilon = permittivity - 1j * conductivity / (2 * np.pi * carrier_hz * epsilon_0)
+    if item.thickness_m is None:
+        return Surface(backing=epsilon), assumed
+    return Surface((Layer(epsilon, item.thickness_m),), backing=1), assumed
+
+
+def _surfaces(
+    scene: Scene, items: Sequence[SceneObject], role_of: dict[str, Role], carrier_hz: float
+) -> tuple[tuple[Surface, ...], NDArray[np.uint32], tuple[str, ...]]:
+    """Different surfaces of all objects that answer, which one each has, and what is assumed."""
+    known: dict[Surface, int] = {PEC: 0}
+    assumed: dict[str, None] = {}
+    numbers = np.zeros(len(items), dtype=np.uint32)
+    for i, item in enumerate(items):
+        if role_of[item.name] is Role.OBSTACLE:
+            continue
+        surface, why = surface_of(item, scene, carrier_hz)
+        numbers[i] = known.setdefault(surface, len(known))
+        if why:
+            assumed[f"radio properties of {item.material}: {why}"] = None
+    return tuple(known), numbers, tuple(assumed)
+
+
+@lru_cache(maxsize=64)
+def _rows(surface: Surface, carrier_hz: float) -> Array:
+    rows: Array = table((surface,), carrier_hz).ravel()
+    return rows
+
+
+def _table(surfaces: Sequence[Surface], carrier_hz: float) -> Array:
+    return np.concatenate([_rows(surface, carrier_hz) for surface in surfaces])
+
+
+def _slabs(
+    scene: Scene, items: Sequence[SceneObject], role_of: dict[str, Role], radar: RadarDesign
+) -> dict[str, tuple[complex, float]]:
+    """Large surfaces that the radar sees through: permittivity, and thickness where the mesh is
+    open (0 where it shows it itself).
+    """
+    found = {}
+    for item in items:
+        if role_of[item.name] is not Role.SURFACE:
+            continue
+        depth = thickness_of(item, shape_of(item))
+        surface = surface_of(item, scene, radar.ofdm.carrier_hz)[0]
+        epsilon = surface.layers[0].permittivity if surface.layers else surface.backing
+        if depth is None or epsilon is None:
+            continue
+        if lets_through(epsilon, depth, radar.ofdm.wavelength_m):
+            found[item.name] = (epsilon, item.thickness_m or 0.0)
+    return found
+
+
+def _zones(
+    world: Mesher, role_of: dict[str, Role], place: Array, wavelength_m: float
+) -> dict[int, float]:
+    """Of every surface, the side from which a flat patch of it mirrors."""
+    return {
+        i: LARGE_BESIDE_OPTICS * (wavelength_m * _near(world, i, place)) ** 0.5
+        for i, item in enumerate(world.items)
+        if item is not None and role_of[item.name] is Role.SURFACE
+    }
+
+
+def _near(world: Mesher, number: int, place: Array) -> float:
+    points = world.vertices[world.vertex_ranges[number]]
+    low, high = points.min(axis=0) - place, points.max(axis=0) - place
+    return max(float(np.linalg.norm(np.clip(0.0, low, high))), 1e-3)
+
+
+def _bodies(stage: Stage) -> tuple[NDArray[np.int32], list[Array]]:
+    """Body of every object, -1 for what does not scatter, and points around each body.
+
+    Objects that touch and move alike are one: their grids would overlap.
+    """
+    scattering = [i for i, role in enumerate(stage.roles) if role is Role.OPTICS]
+    hulls = {}
+    for i in scattering:
+        points = stage.items[i].vertices_m - stage.anchor_m
+        hulls[i] = points[shape_of(stage.items[i]).hull]
+    label = {i: i for i in scattering}
+    for n, i in enumerate(scattering):
+        for j in scattering[:n]:
+            if _together(stage.items[i], hulls[i], stage.items[j], hulls[j]):
+                old, new = label[i], label[j]
+                label = {k: new if v == old else v for k, v in label.items()}
+    names = sorted(set(label.values()))
+    body = np.full(len(stage.items), -1, dtype=np.int32)
+    for i in scattering:
+        body[i] = names.index(label[i])
+    return body, [np.vstack([hulls[i] for i in scattering if label[i] == name]) for name in names]
+
+
+def _together(a: SceneObject, at_a: Array, b: SceneObject, at_b: Array) -> bool:
+    if a.velocity_m_per_s != b.velocity_m_per_s:
+        return False
+    gap = np.maximum(at_a.min(axis=0) - at_b.max(axis=0), at_b.min(axis=0) - at_a.max(axis=0))
+    size = max(float(np.ptp(at_a, axis=0).max()), float(np.ptp(at_b, axis=0).max()))
+    return bool((gap <= _NEAR * size).all())
