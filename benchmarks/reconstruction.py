@@ -17,7 +17,8 @@ from benchmarks.timing import Figure, timed
 from hardware import PatternSet, compiled
 from hardware.patterns import fwht
 from hardware.reconstruction import METHODS, Method, Sensing
-from hardware.reconstruction.dictionaries import dct_matrix, prior_deviation
+from hardware.reconstruction.cosine import dct_matrix
+from hardware.reconstruction.dictionaries import prior_deviation
 from hardware.reconstruction.methods.lmmse import lmmse_plan
 from hardware.reconstruction.methods.total_variation import total_variation
 from hardware.reconstruction.pursuit import batch_omp

@@ -14,7 +14,7 @@ pictures.
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from hardware.reconstruction.dictionaries import dct_matrix
+from hardware.reconstruction.cosine import dct_matrix
 from hardware.reconstruction.methods.fista import fista
 from hardware.reconstruction.methods.lmmse import lmmse_plan
 from hardware.reconstruction.methods.total_variation import MISFIT, projection, total_variation
