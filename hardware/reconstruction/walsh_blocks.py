@@ -180,9 +180,7 @@ def _block(
     covariance = measured @ cosines
     covariance = (covariance + covariance.T) / 2
     eigenvalues, eigenvectors = np.linalg.eigh(covariance)
-    return Block(
-        place, covariance, eigenvectors, np.maximum(eigenvalues, 0.0), cosines, parity
-    )
+    return Block(place, covariance, eigenvectors, np.maximum(eigenvalues, 0.0), cosines, parity)
 
 
 def _explained_quarter(shape: tuple[int, int], block: Block) -> Array:

@@ -165,7 +165,7 @@ class FullPlan:
 
 @dataclass(frozen=True, eq=False)
 class MixedPlan:
-    """With a mixing: eigenvectors U and eigenvalues of A C A^T, C A^T U, and the flat image as seen."""
+    """With a mixing: eigenvectors U, eigenvalues of A C A^T, C A^T U, the flat image as seen."""
 
     eigenvectors: Array
     eigenvalues: Array
