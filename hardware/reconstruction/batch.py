@@ -157,28 +157,29 @@ def batch_total_variation(
     spread = xp.where(spread > 0, spread, xp.ones_like(spread))
     y, image = values / spread, start / spread
     radius = xp.sqrt(single_tv.MISFIT * patterns.count * noise_variance) / spread
-    step, dual_step = single_tv.STEP, 1 / (8 * single_tv.STEP)
-    ahead = image
+    (w_down, w_along), dual_step = single_tv.steps(shape[:2])
+    relaxation, new = single_tv.RELAXATION, image
     p = xp.zeros_like(xp.reshape(image, shape))
     q = p
     for _ in range(single_tv.ITERATIONS if iterations is None else iterations):
-        x = xp.reshape(ahead, shape)
-        p = p + dual_step * xp.concat([x[1:, ...] - x[:-1, ...], xp.zeros_like(x[:1, ...])], axis=0)
-        along = xp.concat([x[:, 1:, :] - x[:, :-1, :], xp.zeros_like(x[:, :1, :])], axis=1)
-        q = q + dual_step * along
-        length = xp.sqrt(xp.maximum(p**2 + q**2, xp.ones_like(p)))
-        p, q = p / length, q / length
         above = xp.concat([xp.zeros_like(p[:1, ...]), p[:-1, ...]], axis=0)
         before = xp.concat([xp.zeros_like(q[:, :1, :]), q[:, :-1, :]], axis=1)
-        moved = image + step * xp.reshape(p - above + q - before, image.shape)
+        flow = w_down * (p - above) + w_along * (q - before)
+        moved = image + single_tv.STEP * xp.reshape(flow, image.shape)
         misfit = y - _forward(moved, patterns)
         size = xp.sqrt(xp.sum(misfit**2, axis=0))
         excess = 1 - radius / xp.where(size > 0, size, xp.ones_like(size))
         excess = xp.maximum(excess, xp.zeros_like(excess))
         new = moved + _adjoint(misfit * excess, patterns) / patterns.n_cells
-        ahead = 2 * new - image
-        image = new
-    return image * spread
+        x = xp.reshape(2 * new - image, shape)
+        down = xp.concat([x[1:, ...] - x[:-1, ...], xp.zeros_like(x[:1, ...])], axis=0)
+        along = xp.concat([x[:, 1:, :] - x[:, :-1, :], xp.zeros_like(x[:, :1, :])], axis=1)
+        p_new, q_new = p + dual_step * w_down * down, q + dual_step * w_along * along
+        length = xp.sqrt(xp.maximum(p_new**2 + q_new**2, xp.ones_like(p)))
+        p = p + relaxation * (p_new / length - p)
+        q = q + relaxation * (q_new / length - q)
+        image = image + relaxation * (new - image)
+    return new * spread
 
 
 def _forward(cells: Any, patterns: PatternSet) -> Any:

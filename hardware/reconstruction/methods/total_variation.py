@@ -2,8 +2,8 @@
 
     min over x of  sum over cells of |grad x|   with   |A x - y|^2 <= M s
 
-by the primal-dual steps of Chambolle and Pock, J. Math. Imaging Vis. 40, 2011, warm-started from
-LMMSE. Hadamard rows are orthogonal, so the constraint's projection is exact: one transform there,
+by the primal-dual steps of Chambolle and Pock, J. Math. Imaging Vis. 40, 2011, over-relaxed and
+warm-started from LMMSE. Hadamard rows are orthogonal, so the constraint's projection is exact: one transform there,
 one back. With a calibrated mixing it takes the singular vectors of A.
 
 The joint method does the same for the columns of a line sensor side by side: differences between
@@ -15,13 +15,14 @@ from collections.abc import Callable
 import numpy as np
 
 from hardware.reconstruction.methods.lmmse import lmmse_plan
-from hardware.reconstruction.primal_dual import ascend, descend
+from hardware.reconstruction.primal_dual import RELAXATION, ascend, descend
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
 
-#: Steps; 40 from LMMSE come within 0.15 dB of the converged images, in the mean over pictures.
+#: Steps; 40 from LMMSE come within 0.3 dB of the converged image for each test picture, and lie
+#: above it in the mean.
 ITERATIONS = 40
-#: Primal step over the spread of the image; the dual one follows (their product is 1/8).
+#: Primal step over the spread of the image; the dual one follows.
 STEP = 0.1
 #: Squared misfit over its expectation M s, chosen on every other of the test pictures.
 MISFIT = 0.6
@@ -52,17 +53,28 @@ def total_variation_joint(
         return start, None
     radius = np.sqrt(MISFIT * sensing.count * noise_variance)
     onto = projection(values / spread, radius / spread, sensing)
-    picture = _side_by_side(start / spread, sensing)
-    image, ahead = picture.copy(), picture
-    duals = np.zeros((2, *picture.shape))
-    dual_step = 1 / (8 * STEP)
+    image = _side_by_side(start / spread, sensing)
+    new, duals = image, np.zeros((2, *image.shape))
+    weights, dual_step = steps(image.shape)
     for _ in range(iterations):
-        ascend(ahead, duals, dual_step)
-        moved = descend(image, duals, STEP)
+        moved = descend(image, duals, STEP, weights)
         new = _side_by_side(onto(_stacked(moved, sensing)), sensing)
-        ahead = 2 * new - image
-        image = new
-    return spread * _stacked(image, sensing), None
+        change = new - image
+        ascend(new + change, duals, dual_step, weights)
+        change *= RELAXATION
+        image += change
+    return spread * _stacked(new, sensing), None
+
+
+def steps(shape: tuple[int, int]) -> tuple[tuple[float, float], float]:
+    """Weights of differences down the rows and along the columns, and the dual step.
+
+    The field is taken as square, as the prior does: where cells are four times as wide as high, a
+    difference along the columns is a quarter of that slope. Both steps times |grad|^2 make 1.
+    """
+    least = min(shape)
+    weights = least / shape[1], least / shape[0]
+    return weights, 1 / (4 * STEP * (weights[0] ** 2 + weights[1] ** 2))
 
 
 def _start(values: Array, noise_variance: float, sensing: Sensing) -> Array:
