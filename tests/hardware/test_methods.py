@@ -302,7 +302,7 @@ def test_total_variation_converges_to_the_least(path: None, noise: float) -> Non
     assert variation(found.reshape(8, 8)) < 0.98 * variation(start.reshape(8, 8))
 
 
-def test_projections_agree_and_touch_the_bound() -> None:
+def test_projections_agree_and_touch_the_bound(path: None) -> None:
     """A mixing of ones on the diagonal is the clean grid: exact transform against SVD."""
     rng = np.random.default_rng(6)
     patterns = PatternSet(8, 8, 30)

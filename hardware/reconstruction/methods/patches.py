@@ -77,8 +77,8 @@ def sparse_patches(picture: Array, threshold: float) -> Array:
         for j in range(wide):
             total[i : i + rows, j : j + columns] += found[:, :, i, j]
             weights[i : i + rows, j : j + columns] += weight
-    inside = tuple(slice(m - 1, m - 1 + n) for m, n in zip((high, wide), picture.shape, strict=True))
-    return np.asarray((total / weights)[inside])
+    down, along = picture.shape
+    return np.asarray((total / weights)[high - 1 : high - 1 + down, wide - 1 : wide - 1 + along])
 
 
 def sides(shape: tuple[int, ...]) -> tuple[int, int]:
