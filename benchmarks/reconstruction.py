@@ -130,7 +130,7 @@ def _methods(label: str) -> Iterator[Figure]:
         for method in METHODS.values():
             if method.joint or (method.slow and label == "NumPy"):
                 continue
-            runs = 3 if method.slow else 25
+            runs = 3 if method.slow or method.name.startswith("omp") else 25
             work = timed(lambda m=method, y=y, s=sensing: m(y, 1.0, s), runs=runs)
             yield f"{method.name}, {name}, {label}", work, ""
     window = SlidingWindow(PatternSet(64, 64, 1024), 1.0)

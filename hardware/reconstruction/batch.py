@@ -20,6 +20,7 @@ from hardware.reconstruction.dictionaries import prior_deviation
 from hardware.reconstruction.methods import fista as single_fista
 from hardware.reconstruction.methods import total_variation as single_tv
 from hardware.reconstruction.methods.lmmse import lmmse_blocks
+from hardware.reconstruction.primal_dual import RELAXATION
 from hardware.reconstruction.prior import prior_spectrum, walsh_variance
 from hardware.reconstruction.sensing import Sensing
 
@@ -158,7 +159,7 @@ def batch_total_variation(
     y, image = values / spread, start / spread
     radius = xp.sqrt(single_tv.MISFIT * patterns.count * noise_variance) / spread
     (w_down, w_along), dual_step = single_tv.steps(shape[:2])
-    relaxation, new = single_tv.RELAXATION, image
+    relaxation, new = RELAXATION, image
     p = xp.zeros_like(xp.reshape(image, shape))
     q = p
     for _ in range(single_tv.ITERATIONS if iterations is None else iterations):
