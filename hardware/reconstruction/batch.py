@@ -7,6 +7,7 @@ Values are ``(count, n_images)``; needs ``array-api-compat`` (extra ``batch``).
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,13 @@ from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet
 from hardware.patterns.transform import small_matrix
-from hardware.reconstruction.dictionaries import dct_matrix, prior_deviation
+from hardware.reconstruction.cosine import dct_matrix
+from hardware.reconstruction.dictionaries import prior_deviation
 from hardware.reconstruction.methods import fista as single_fista
 from hardware.reconstruction.methods import total_variation as single_tv
 from hardware.reconstruction.methods.lmmse import lmmse_blocks
-from hardware.reconstruction.prior import walsh_variance
+from hardware.reconstruction.primal_dual import RELAXATION
+from hardware.reconstruction.prior import prior_spectrum, walsh_variance
 from hardware.reconstruction.sensing import Sensing
 
 
@@ -47,25 +50,21 @@ def batch_lmmse(values: Any, noise_variance: Any, patterns: PatternSet) -> Any:
     some = scale > 0
     safe = xp.where(some, scale, xp.ones_like(scale))
     ratio = xp.maximum(noise_variance / safe, xp.full_like(safe, blocks.floor))
-    coefficients, rows = [], []
-    for g in blocks.groups:
-        y = xp.take(structure, _index(g.place.ravel(), values), axis=0)
-        y = xp.reshape(y, (*g.place.shape, -1)) * _like(g.shown[..., None], values)
-        scores = (
-            _like(g.eigenvectors, values) @ y / (_like(g.eigenvalues[..., None], values) + ratio)
-        )
-        found = _like(g.spread, values) @ scores
-        coefficients.append(xp.reshape(found, (-1, values.shape[1])))
-        rows.append(g.rows.ravel())
-    mean = xp.sum(values * is_mean, axis=0)
-    found = xp.concat([*coefficients, xp.zeros_like(values[:1, :])], axis=0)
-    order = np.concatenate(rows)
-    place = np.full(patterns.n_cells, order.size)  # rows in no block: the zeros
-    place[order] = np.arange(order.size)
-    found = xp.take(found, _index(place, values), axis=0)
-    found = xp.where(some, found, xp.zeros_like(found))
-    is_first = _like((np.arange(patterns.n_cells) == 0).astype(float)[:, None], values)
-    return batch_fwht(found * (1 - is_first) + is_first * mean) / patterns.n_cells
+    found, places = [], []
+    for b in blocks.blocks:
+        vectors = _like(b.eigenvectors, values)
+        y = xp.take(structure, _index(b.place, values), axis=0)
+        scores = xp.matrix_transpose(vectors) @ y / (_like(b.eigenvalues[:, None], values) + ratio)
+        found.append(vectors @ scores)
+        places.append(b.place)
+    found.append(0 * structure[: len(blocks.mean_at), :])
+    place = np.argsort(np.concatenate([*places, blocks.mean_at]))
+    duals = xp.take(xp.concat(found, axis=0), _index(place, values), axis=0)
+    spectrum = _like(prior_spectrum(patterns.rows, patterns.columns), values)
+    analysed, synthesised = _cosine(patterns, values)
+    cells = synthesised(spectrum * analysed(_adjoint(duals, patterns)))
+    mean = xp.sum(values * is_mean, axis=0) / patterns.n_cells
+    return mean + xp.where(some, cells, xp.zeros_like(cells))
 
 
 def batch_pursuit(
@@ -127,7 +126,6 @@ def batch_fista(
     """Cells ``(n_cells, n_images)`` with sparse DCT coefficients, as the method ``fista``."""
     xp = _namespace(values)
     rows, columns, n = patterns.rows, patterns.columns, patterns.n_cells
-    down, along = (_like(dct_matrix(size), values) for size in (rows, columns))
     is_mean = _like((patterns.indices == 0).astype(float)[:, None], values)
     scale = _prior_scale(xp.sum((values * (1 - is_mean)) ** 2, axis=0), noise_variance, patterns)
     threshold = single_fista.threshold(noise_variance, scale, float(n), n, xp)
@@ -136,14 +134,7 @@ def batch_fista(
     root = xp.sqrt(xp.where(scale > 0, scale, xp.ones_like(scale)))
     thresholds = (threshold / root)[:, None, None] * _like(inverse, values)
 
-    def analysed(cells: Any) -> Any:  # (n_cells, n_images) to (n_images, rows, columns)
-        picture = xp.reshape(xp.matrix_transpose(cells), (-1, rows, columns))
-        return down @ picture @ xp.matrix_transpose(along)
-
-    def synthesised(coefficients: Any) -> Any:
-        picture = xp.matrix_transpose(down) @ coefficients @ along
-        return xp.matrix_transpose(xp.reshape(picture, (-1, n)))
-
+    analysed, synthesised = _cosine(patterns, values)
     current = analysed(batch_lmmse(values, noise_variance, patterns))
     ahead, t = current, 1.0
     for _ in range(single_fista.ITERATIONS if iterations is None else iterations):
@@ -167,28 +158,29 @@ def batch_total_variation(
     spread = xp.where(spread > 0, spread, xp.ones_like(spread))
     y, image = values / spread, start / spread
     radius = xp.sqrt(single_tv.MISFIT * patterns.count * noise_variance) / spread
-    step, dual_step = single_tv.STEP, 1 / (8 * single_tv.STEP)
-    ahead = image
+    (w_down, w_along), dual_step = single_tv.steps(shape[:2])
+    relaxation, new = RELAXATION, image
     p = xp.zeros_like(xp.reshape(image, shape))
     q = p
     for _ in range(single_tv.ITERATIONS if iterations is None else iterations):
-        x = xp.reshape(ahead, shape)
-        p = p + dual_step * xp.concat([x[1:, ...] - x[:-1, ...], xp.zeros_like(x[:1, ...])], axis=0)
-        along = xp.concat([x[:, 1:, :] - x[:, :-1, :], xp.zeros_like(x[:, :1, :])], axis=1)
-        q = q + dual_step * along
-        length = xp.sqrt(xp.maximum(p**2 + q**2, xp.ones_like(p)))
-        p, q = p / length, q / length
         above = xp.concat([xp.zeros_like(p[:1, ...]), p[:-1, ...]], axis=0)
         before = xp.concat([xp.zeros_like(q[:, :1, :]), q[:, :-1, :]], axis=1)
-        moved = image + step * xp.reshape(p - above + q - before, image.shape)
+        flow = w_down * (p - above) + w_along * (q - before)
+        moved = image + single_tv.STEP * xp.reshape(flow, image.shape)
         misfit = y - _forward(moved, patterns)
         size = xp.sqrt(xp.sum(misfit**2, axis=0))
         excess = 1 - radius / xp.where(size > 0, size, xp.ones_like(size))
         excess = xp.maximum(excess, xp.zeros_like(excess))
         new = moved + _adjoint(misfit * excess, patterns) / patterns.n_cells
-        ahead = 2 * new - image
-        image = new
-    return image * spread
+        x = xp.reshape(2 * new - image, shape)
+        down = xp.concat([x[1:, ...] - x[:-1, ...], xp.zeros_like(x[:1, ...])], axis=0)
+        along = xp.concat([x[:, 1:, :] - x[:, :-1, :], xp.zeros_like(x[:, :1, :])], axis=1)
+        p_new, q_new = p + dual_step * w_down * down, q + dual_step * w_along * along
+        length = xp.sqrt(xp.maximum(p_new**2 + q_new**2, xp.ones_like(p)))
+        p = p + relaxation * (p_new / length - p)
+        q = q + relaxation * (q_new / length - q)
+        image = image + relaxation * (new - image)
+    return new * spread
 
 
 def _forward(cells: Any, patterns: PatternSet) -> Any:
@@ -201,6 +193,22 @@ def _adjoint(values: Any, patterns: PatternSet) -> Any:
     place[patterns.indices] = np.arange(patterns.count)
     padded = xp.concat([values, xp.zeros_like(values[:1, :])], axis=0)
     return batch_fwht(xp.take(padded, _index(place, values), axis=0))
+
+
+def _cosine(patterns: PatternSet, like: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """Cosine transform, (n_cells, n_images) to (n_images, rows, columns), and its inverse."""
+    xp = _namespace(like)
+    down, along = (_like(dct_matrix(n), like) for n in (patterns.rows, patterns.columns))
+
+    def analysed(cells: Any) -> Any:
+        picture = xp.reshape(xp.matrix_transpose(cells), (-1, patterns.rows, patterns.columns))
+        return down @ picture @ xp.matrix_transpose(along)
+
+    def synthesised(coefficients: Any) -> Any:
+        picture = xp.matrix_transpose(down) @ coefficients @ along
+        return xp.matrix_transpose(xp.reshape(picture, (-1, patterns.n_cells)))
+
+    return analysed, synthesised
 
 
 def _prior_scale(energy: Any, noise_variance: Any, patterns: PatternSet) -> Any:

@@ -5,18 +5,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.reconstruction.cosine import dct_matrix
 from hardware.reconstruction.prior import prior_spectrum
 
 Array = NDArray[np.float64]
-
-
-@lru_cache(maxsize=16)
-def dct_matrix(n: int) -> Array:
-    """Orthonormal DCT-II, one basis function per row, ``(n, n)``."""
-    k, j = np.arange(n)[:, None], np.arange(n) + 0.5
-    matrix = np.sqrt(2 / n) * np.cos(np.pi * k * j / n)
-    matrix[0] /= np.sqrt(2)
-    return np.asarray(matrix)
 
 
 @lru_cache(maxsize=16)
@@ -42,9 +34,7 @@ def prior_deviation(name: str, rows: int, columns: int) -> Array:
 
     0 for the constant, which stays out of the prior.
     """
-    powers = []
-    for n in (rows, columns):
-        powers.append(np.abs(np.fft.fft(DICTIONARIES[name](n), axis=1)) ** 2 / n)
-    variance = powers[0] @ prior_spectrum(rows, columns) @ powers[1].T
+    down, along = ((DICTIONARIES[name](n) @ dct_matrix(n).T) ** 2 for n in (rows, columns))
+    variance = down @ prior_spectrum(rows, columns) @ along.T
     variance[0, 0] = 0.0
     return np.asarray(np.sqrt(variance))

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet
-from hardware.reconstruction.prior import prior_scale, walsh_variance
+from hardware.reconstruction.cosine import filtered
+from hardware.reconstruction.prior import prior_scale, prior_spectrum, walsh_variance
+from hardware.reconstruction.sensing import Sensing
 from hardware.reconstruction.walsh_blocks import WalshBlocks
 
 Array = NDArray[np.float64]
@@ -35,6 +37,7 @@ class SlidingWindow:
         if not (np.isfinite(noise_variance) and noise_variance >= 0):
             raise ValueError(f"noise_variance: {noise_variance} is not a number from 0 on")
         self.patterns, self.noise_variance = patterns, float(noise_variance)
+        self._sensing = Sensing(patterns)
         self._blocks = WalshBlocks.of((patterns.rows, patterns.columns), patterns.indices)
         self._prior = walsh_variance(patterns.rows, patterns.columns)[patterns.indices]
         self._values = np.zeros(patterns.count)
@@ -97,10 +100,10 @@ class SlidingWindow:
         return prior_scale(energy, count, self.noise_variance, float(self._prior[seen].sum()))
 
     def _image(self, time_s: float) -> Array:
-        mean = self._values[self._blocks.mean_at].sum()
+        mean = self._values[self._blocks.mean_at].sum() / self.patterns.n_cells
         scale = self._scale()
         if scale == 0:
-            return np.full(self.patterns.n_cells, mean / self.patterns.n_cells)
+            return np.full(self.patterns.n_cells, mean)
         aged = (
             np.minimum(self.motion_per_s * (time_s - self._time_s), 2.0) if self.motion_per_s else 0
         )
@@ -108,6 +111,6 @@ class SlidingWindow:
         ratios = np.where(
             seen, self.noise_variance / scale + aged * self._prior, 1e9 * self._prior.max()
         )
-        coefficients = self._blocks.filter_unequal(np.where(seen, self._values, 0.0), ratios)
-        coefficients[0] = mean
-        return self._blocks.cells(coefficients)
+        duals = self._blocks.duals_unequal(np.where(seen, self._values, 0.0), ratios)
+        spectrum = prior_spectrum(self.patterns.rows, self.patterns.columns)
+        return mean + filtered(self._sensing.adjoint(duals), spectrum)

@@ -1,58 +1,55 @@
-"""The 1/f^2 covariance between Hadamard measurements, as the small blocks it consists of.
+"""The prior covariance between Hadamard measurements, as the four blocks it consists of.
 
-A circulant, even covariance commutes with shifts and with reflections, on each axis. Walsh
-functions are eigenfunctions of some of them: of the reflection j -> n - 1 - j (sign: parity of the
-index), of the shift by n/2 (sign: highest bit), and, where that bit is 0, of the shift by n/4, and
-so on. So H C H^T couples only rows whose indices agree in the position of the highest bit and in
-parity, on both axes: of 64 x 64, blocks of at most 256. They are kept as eigenvectors and
+Mirroring an image about its middle leaves the prior as it is, on each axis. Walsh functions are
+even or odd under it (the parity of their index), and so are cosine functions: H C H^T couples only
+rows whose indices agree in parity, on both axes. Each block is kept as eigenvectors and
 eigenvalues of the rows shown, for any noise level.
 """
 
-from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from hardware.patterns import fwht_in_place, hadamard_rows
-from hardware.reconstruction.prior import prior_spectrum
+from hardware.reconstruction.cosine import dct_matrix
+from hardware.reconstruction.prior import cell_variance, prior_spectrum, walsh_to_cosine
 
 #: What the blocks of a subset may take.
 MOST_BYTES = 2**32
+#: Relative error of a posterior variance from noise levels being interpolated.
+_INTERPOLATION = 1e-9
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
-    """Blocks of one size: g blocks of n rows each, of which up to m are shown (padded).
+class Block:
+    """Rows of one parity: m of them shown, k cosine functions.
 
-    ``place`` (g, m) where the shown rows stand in the measurements, ``shown`` 0 for padding;
-    ``eigenvectors`` (g, m, m), transposed; ``eigenvalues`` (g, m); ``spread`` (g, n, m) takes
-    eigen-coordinates to ``rows`` (g, n). ``pairs`` (g, n, m) are dyadic autocorrelations of
-    ``spread``, at the index differences ``lags`` (g, n).
+    ``place`` (m,) in the measurements; ``covariance`` (m, m) with its ``eigenvectors``, one per
+    column, and ``eigenvalues``; ``cosines`` (k, m), coefficients of C A^T.
     """
 
     place: Integers
-    shown: Array
+    covariance: Array
     eigenvectors: Array
     eigenvalues: Array
-    spread: Array
-    rows: Integers
-    pairs: Array
-    lags: Integers
+    cosines: Array
+    parity: tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class WalshBlocks:
-    """All groups of a set of rows; ``trace`` of H C H^T, ``mean_at`` the place of row 0."""
+    """Blocks of a set of rows; ``mean_at`` is the place of row 0, which is in none."""
 
-    n_cells: int
-    groups: tuple[Group, ...]
-    trace: float
+    shape: tuple[int, int]
+    count: int
+    blocks: tuple[Block, ...]
     mean_at: Integers
-    prior_variance: float
 
     @classmethod
     def of(cls, shape: tuple[int, int], indices: Integers) -> "WalshBlocks":
@@ -64,130 +61,135 @@ class WalshBlocks:
                 f"matrices, at most {MOST_BYTES / 2**30:g} are granted; take all patterns, fewer, "
                 "or another method"
             )
-        place = np.full(shape[0] * shape[1], -1)
-        place[indices] = np.arange(len(indices))
-        by_size: dict[int, list[tuple[Integers, Array]]] = defaultdict(list)
-        for down in _classes(shape[0]):
-            for along in _classes(shape[1]):
-                rows = (down[:, None] * shape[1] + along).ravel()
-                if (place[rows] >= 0).any():
-                    by_size[rows.size].append((rows, _covariance(shape, down, along)))
-        groups = tuple(_group(place, members) for _, members in sorted(by_size.items()))
-        return cls(
-            n_cells=place.size,
-            groups=groups,
-            trace=sum(float(g.eigenvalues.sum()) for g in groups),
-            mean_at=np.flatnonzero(indices == 0),
-            prior_variance=float(np.mean(prior_spectrum(*shape))),
+        blocks = tuple(
+            _block(shape, indices, place, parity) for parity, place in _classes(shape, indices)
         )
+        return cls(shape, len(indices), blocks, np.flatnonzero(indices == 0))
 
-    def filter(self, values: Array, ratio: float) -> Array:
-        """Hadamard coefficients ``(n_cells,)`` of the estimate; that of the mean is 0."""
-        coefficients = np.zeros(self.n_cells)
-        ratio = max(ratio, self.floor)
-        for g in self.groups:
-            y = (values[g.place] * g.shown)[..., None]
-            scores = (g.eigenvectors @ y)[..., 0] / (g.eigenvalues + ratio)
-            coefficients[g.rows] = (g.spread @ scores[..., None])[..., 0]
-        return coefficients
-
-    def filter_unequal(self, values: Array, ratios: Array) -> Array:
-        """The same with a noise level of its own for each measurement, ``(count,)``."""
-        coefficients = np.zeros(self.n_cells)
-        for g in self.groups:
-            y = (values[g.place] * g.shown)[..., None]
-            noise = np.where(g.shown > 0, np.maximum(ratios[g.place], self.floor), 1.0)
-            covariance = (g.eigenvectors.swapaxes(1, 2) * g.eigenvalues[:, None]) @ g.eigenvectors
-            diagonal = np.arange(noise.shape[1])
-            covariance[:, diagonal, diagonal] += noise
-            solved = np.linalg.solve(covariance, y)
-            coefficients[g.rows] = (g.spread @ (g.eigenvectors @ solved))[..., 0]
-        return coefficients
-
-    def cells(self, coefficients: Array) -> Array:
-        """Inverse transform; overwrites its argument."""
-        return fwht_in_place(coefficients) / self.n_cells
-
-    def variance(self, ratio: float) -> Array:
-        """Variance of each cell after the measurement, without the mean, for a unit prior.
-
-        Cell p has sum over i, j of h_ip h_jp V_ij / n^2, and h_ip h_jp is row i xor j: one
-        transform of the sums over equal i xor j.
-        """
-        explained = np.zeros(self.n_cells)
-        ratio = max(ratio, self.floor)
-        for g in self.groups:
-            sums = (g.pairs @ (1 / (g.eigenvalues + ratio) * g.shown)[..., None])[..., 0]
-            np.add.at(explained, g.lags, sums)
-        return self.prior_variance - fwht_in_place(explained) / self.n_cells**2
+    @property
+    def trace(self) -> float:
+        """Sum of the prior variances of all measurements."""
+        return sum(float(block.eigenvalues.sum()) for block in self.blocks)
 
     @property
     def floor(self) -> float:
         """Keeps roundoff from making a block singular where there is no noise."""
-        return 1e-12 * self.trace / self.n_cells + 1e-300
+        return 1e-12 * self.trace / self.count + 1e-300
+
+    def duals(self, values: Array, ratio: float) -> Array:
+        """Solve (A C A^T + ratio I) w = y, ``(count,)``; 0 for the mean. Then x = C A^T w."""
+        w = np.zeros(self.count)
+        ratio = max(ratio, self._floor)
+        for b in self.blocks:
+            scores = (values[b.place] @ b.eigenvectors) / (b.eigenvalues + ratio)
+            w[b.place] = b.eigenvectors @ scores
+        return w
+
+    def duals_unequal(self, values: Array, ratios: Array) -> Array:
+        """The same with a noise level of its own for each measurement, ``(count,)``."""
+        if np.ptp(ratios) == 0:
+            return self.duals(values, float(ratios[0]))
+        from scipy import linalg  # takes 0.1 s to import
+
+        w = np.zeros(self.count)
+        for b in self.blocks:
+            system = b.covariance.copy()
+            np.fill_diagonal(
+                system, b.covariance.diagonal() + np.maximum(ratios[b.place], self._floor)
+            )
+            factor = linalg.cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
+            w[b.place] = linalg.cho_solve(factor, values[b.place], check_finite=False)
+        return w
+
+    def variance(self, ratio: float) -> Array:
+        """Variance of each cell after the measurement, without the mean, for a unit prior."""
+        nodes, shares = self._explained
+        explained = shares @ (nodes / (nodes + max(ratio, self._floor)))
+        return cell_variance(*self.shape) - explained[self._quarter_of]
+
+    @cached_property
+    def _floor(self) -> float:
+        return self.floor
+
+    @cached_property
+    def _explained(self) -> tuple[Array, Array]:
+        """Eigenvalues (k,) and what each explains of the cells of one quarter, (n_quarter, k).
+
+        Cell p has sum over eigenvalues of s_pi v_i / (v_i + ratio). As a function of log v that
+        fraction is so smooth that a few Chebyshev nodes stand for all eigenvalues, at any ratio.
+        """
+        parts = [_explained_quarter(self.shape, block) for block in self.blocks]
+        if not parts:
+            return np.ones(1), np.zeros((-(-self.shape[0] // 2) * -(-self.shape[1] // 2), 1))
+        values = np.concatenate([block.eigenvalues for block in self.blocks])
+        return compressed(values, np.hstack(parts))
+
+    @cached_property
+    def _quarter_of(self) -> Integers:
+        """Place of each cell, or of its mirror image, in the first quarter."""
+        down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in self.shape)
+        return np.asarray((down[:, None] * -(-self.shape[1] // 2) + along).ravel())
+
+
+def compressed(values: Array, shares: Array) -> tuple[Array, Array]:
+    """Fewer eigenvalues with which sums of shares v / (v + ratio) are the same at any ratio > 0.
+
+    ``values`` (m,), ``shares`` (n, m). With u = log v the fraction is 1 / (1 + ratio exp(-u)),
+    analytic for |Im u| < pi: Chebyshev interpolation over a range of half-width h converges as
+    rho^-k with rho = pi/h + sqrt(1 + (pi/h)^2) (Trefethen, Approximation Theory and Approximation
+    Practice, theorem 8.2).
+    """
+    u = np.log(np.maximum(values, 1e-9 * values.max() + 1e-300))
+    middle, half = (u.max() + u.min()) / 2, max((u.max() - u.min()) / 2, 1e-3)
+    rho = np.pi / half + np.hypot(1, np.pi / half)
+    k = int(np.ceil(-np.log(_INTERPOLATION) / np.log(rho))) + 4
+    if k >= len(values):
+        return np.exp(u), shares
+    nodes = np.cos(np.pi * (np.arange(k) + 0.5) / k)
+    weights = chebyshev.chebvander(nodes, k - 1) * (2 / k)
+    weights[:, 0] /= 2
+    lagrange = chebyshev.chebvander(np.clip((u - middle) / half, -1, 1), k - 1) @ weights.T
+    return np.exp(middle + half * nodes), shares @ lagrange
 
 
 def bytes_needed(shape: tuple[int, int], indices: Integers) -> int:
-    """Memory for the blocks of a subset: eigenvectors, what spreads them, and their pairs."""
-    shown = np.zeros(shape[0] * shape[1], dtype=bool)
-    shown[indices] = True
-    total = 0
-    for down in _classes(shape[0]):
-        for along in _classes(shape[1]):
-            rows = (down[:, None] * shape[1] + along).ravel()
-            m = int(shown[rows].sum())
-            # The whole block's covariance is made first, whatever is shown of it.
-            total += 8 * (rows.size**2 + m * m + 2 * rows.size * m) if m else 0
-    return total
+    """Memory for the blocks of a subset: covariances, eigenvectors, cosine spectra, quarters."""
+    quarter = -(-shape[0] // 2) * -(-shape[1] // 2)
+    sizes = (len(place) for _, place in _classes(shape, indices))
+    return sum(8 * m * (2 * m + 3 * quarter) for m in sizes)
 
 
-def _classes(n: int) -> list[Integers]:
-    """Indices that one axis couples. The smallest classes go together: fewer products."""
-    by_class: dict[tuple[int, int], list[int]] = defaultdict(list)
-    for index in range(n):
-        by_class[max(index.bit_length(), 3), index.bit_count() % 2].append(index)
-    return [np.array(members) for members in by_class.values()]
+def _classes(
+    shape: tuple[int, int], indices: Integers
+) -> Iterator[tuple[tuple[int, int], Integers]]:
+    """Parity and places of the rows shown that one block couples, all but row 0."""
+    down, along = (np.bitwise_count(i) & 1 for i in divmod(indices, shape[1]))
+    for parity in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        place = np.flatnonzero((down == parity[0]) & (along == parity[1]) & (indices != 0))
+        if place.size:
+            yield parity, place
 
 
-def _covariance(shape: tuple[int, int], down: Integers, along: Integers) -> Array:
-    """H C H^T between the rows ``down x along``."""
-    products = []
-    for n, index in zip(shape, (down, along), strict=True):
-        spectrum = np.fft.fft(hadamard_rows(index, n), axis=1) / np.sqrt(n)
-        both = np.real(spectrum[:, None] * spectrum[None].conj())
-        products.append(both.reshape(-1, n))
-    covariance = products[0] @ prior_spectrum(*shape) @ products[1].T
-    a, b = down.size, along.size
-    return covariance.reshape(a, a, b, b).swapaxes(1, 2).reshape(a * b, a * b)
+def _block(
+    shape: tuple[int, int], indices: Integers, place: Integers, parity: tuple[int, int]
+) -> Block:
+    down, along = divmod(indices[place], shape[1])
+    rows = walsh_to_cosine(shape[0])[down, parity[0] :: 2]
+    columns = walsh_to_cosine(shape[1])[along, parity[1] :: 2]
+    spectrum = prior_spectrum(*shape)[parity[0] :: 2, parity[1] :: 2]
+    measured = np.einsum("mi,mj->mij", rows, columns).reshape(len(place), -1)
+    cosines = (measured * spectrum.ravel()).T
+    covariance = measured @ cosines
+    covariance = (covariance + covariance.T) / 2
+    eigenvalues, eigenvectors = np.linalg.eigh(covariance)
+    return Block(place, covariance, eigenvectors, np.maximum(eigenvalues, 0.0), cosines, parity)
 
 
-def _group(place: Integers, members: list[tuple[Integers, Array]]) -> Group:
-    n = members[0][0].size
-    m = max(int(np.count_nonzero(place[rows] >= 0)) for rows, _ in members)
-    parts = [_padded(place, rows, covariance, m) for rows, covariance in members]
-    stacked = [np.stack(arrays) for arrays in zip(*parts, strict=True)]
-    rows = np.stack([rows for rows, _ in members])
-    spread = stacked[4]
-    lags = rows ^ rows[:, :1]
-    pairs = np.empty_like(spread)
-    for g in range(len(members)):
-        order = np.argsort(rows[g])
-        for lag in range(n):
-            partner = order[np.searchsorted(rows[g], rows[g] ^ lags[g, lag], sorter=order)]
-            pairs[g, lag] = np.einsum("ik,ik->k", spread[g], spread[g, partner])
-    place_of, shown, vectors, values = stacked[:4]
-    return Group(place_of, shown, vectors, values, spread, rows, pairs, lags)
-
-
-def _padded(
-    place: Integers, rows: Integers, covariance: Array, m: int
-) -> tuple[Integers, Array, Array, Array, Array]:
-    """Place, shown, eigenvectors, eigenvalues and spread of one block, padded to m."""
-    shown = np.flatnonzero(place[rows] >= 0)
-    k = shown.size
-    eigenvalues, u = np.linalg.eigh(covariance[np.ix_(shown, shown)])
-    places, mask, values = np.zeros(m, np.intp), np.zeros(m), np.zeros(m)
-    vectors, spread = np.zeros((m, m)), np.zeros((rows.size, m))
-    places[:k], mask[:k], values[:k] = place[rows[shown]], 1.0, np.maximum(eigenvalues, 0.0)
-    vectors[:k, :k], spread[:, :k] = u.T, covariance[:, shown] @ u
-    return places, mask, vectors, values, spread
+def _explained_quarter(shape: tuple[int, int], block: Block) -> Array:
+    """Square of each eigenvector's cells over its eigenvalue, in the first quarter, (n, m)."""
+    down, along = (
+        dct_matrix(n)[p::2, : -(-n // 2)] for n, p in zip(shape, block.parity, strict=True)
+    )
+    spectra = (block.cosines @ block.eigenvectors).T.reshape(-1, len(down), len(along))
+    cells = (down.T @ spectra @ along).reshape(len(spectra), -1)
+    return np.asarray((cells**2 / np.maximum(block.eigenvalues, 1e-300)[:, None]).T)

@@ -1,6 +1,6 @@
 """One acquisition of the single-pixel camera: counts per pattern and detector."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +88,22 @@ class SpiRecord:
         n_detectors)``.
         """
         return self.electrons_by_shutter.sum(axis=1)
+
+    @property
+    def by_shutter(self) -> "tuple[SpiRecord, ...]":
+        """What each shutter took, as a record of its own."""
+        n = len(self.shutters)
+        return tuple(
+            replace(
+                self,
+                counts=self.counts[i::n],
+                device_time_ns=self.device_time_ns[i::n],
+                sequence=self.sequence[i::n],
+                flags=self.flags[i::n],
+                shutters=self.shutters[i : i + 1],
+            )
+            for i in range(n)
+        )
 
     @property
     def electrons_by_shutter(self) -> NDArray[np.float64]:

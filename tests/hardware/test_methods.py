@@ -11,11 +11,12 @@ from scipy import fft, optimize
 from hardware import PatternSet, SpiRecord, compiled, reconstruct
 from hardware.patterns import fwht
 from hardware.reconstruction import METHODS, Mixing, Sensing, measurements, method
-from hardware.reconstruction.dictionaries import dct_matrix, haar_matrix, prior_deviation
-from hardware.reconstruction.methods.lmmse import dense_plan, lmmse_plan
+from hardware.reconstruction.cosine import dct_matrix
+from hardware.reconstruction.dictionaries import haar_matrix, prior_deviation
+from hardware.reconstruction.methods.lmmse import SubsetPlan, lmmse_blocks, lmmse_plan, mixed_plan
 from hardware.reconstruction.methods.patches import sparse_patches
 from hardware.reconstruction.methods.total_variation import projection, total_variation
-from hardware.reconstruction.prior import prior_spectrum, walsh_variance
+from hardware.reconstruction.prior import cell_variance, prior_spectrum, walsh_variance
 from hardware.reconstruction.pursuit import batch_omp
 from hardware.records import Flag
 
@@ -146,7 +147,7 @@ def test_the_adjoint_is_the_transpose(path: None, rows: int, columns: int, mixed
     assert sensing.largest_squared == pytest.approx(largest)
 
 
-@pytest.mark.parametrize("shape", [(32, 32), (64, 16), (4, 64), (2, 8)])
+@pytest.mark.parametrize("shape", [(32, 32), (64, 16), (4, 64), (2, 8), (1, 16), (64, 64)])
 @pytest.mark.parametrize("order", ["sequency", "natural", "custom"])
 def test_walsh_blocks_are_the_dense_formula(shape: tuple[int, int], order: str) -> None:
     """Image, variance and scale of the blocks against dense eigenvectors, for any subset."""
@@ -158,9 +159,7 @@ def test_walsh_blocks_are_the_dense_formula(shape: tuple[int, int], order: str) 
         else PatternSet.of(*shape, np.random.default_rng(2).permutation(n)[:count].tolist())
     )
     sensing = Sensing(patterns)
-    from hardware.reconstruction.methods.lmmse import BlockPlan, lmmse_blocks
-
-    dense, blocks = dense_plan(sensing), BlockPlan(sensing, lmmse_blocks(sensing))
+    dense, blocks = mixed_plan(sensing), SubsetPlan(sensing, lmmse_blocks(sensing))
     y = np.random.default_rng(3).normal(size=count) * 100
     for ratio in (0.0, 0.3, 1e4):
         image = dense.image(y, ratio)
@@ -180,7 +179,7 @@ def test_the_standard_error_of_a_cell_covers_the_truth() -> None:
     spectrum = np.sqrt(prior_spectrum(16, 16))
     inside, errors = [], []
     for _ in range(300):
-        x = np.fft.ifft2(np.fft.fft2(rng.normal(size=(16, 16))) * spectrum).real.ravel() * 1000
+        x = fft.idctn(rng.normal(size=(16, 16)) * spectrum, norm="ortho").ravel() * 1000
         y = fwht(x)[patterns.indices] + 200 * rng.normal(size=30)
         cells, error = METHODS["lmmse"](y, 200.0**2, patterns)
         assert error is not None
@@ -195,13 +194,15 @@ def test_the_standard_error_of_a_cell_covers_the_truth() -> None:
 
 def test_prior_variances_are_those_of_the_dense_covariance() -> None:
     spectrum = prior_spectrum(8, 4)
-    fourier = np.kron(fft.fft(np.eye(8)), fft.fft(np.eye(4)))
-    covariance = np.real(fourier.conj().T @ np.diag(spectrum.ravel()) @ fourier) / 32
+    basis = np.kron(*(fft.dct(np.eye(n), norm="ortho", axis=0) for n in (8, 4)))
+    covariance = basis.T @ np.diag(spectrum.ravel()) @ basis
     h = Sensing(PatternSet(8, 4, 32, "natural")).matrix
     np.testing.assert_allclose(walsh_variance(8, 4), np.diag(h @ covariance @ h.T), atol=1e-9)
-    basis = np.kron(dct_matrix(8), dct_matrix(4))
-    expected = np.sqrt(np.maximum(np.diag(basis @ covariance @ basis.T), 0))
-    np.testing.assert_allclose(prior_deviation("dct", 8, 4).ravel(), expected, atol=1e-7)
+    np.testing.assert_allclose(cell_variance(8, 4), np.diag(covariance), atol=1e-12)
+    for name, matrix in (("dct", dct_matrix), ("haar", haar_matrix)):
+        basis = np.kron(matrix(8), matrix(4))
+        expected = np.sqrt(np.maximum(np.diag(basis @ covariance @ basis.T), 0))
+        np.testing.assert_allclose(prior_deviation(name, 8, 4).ravel(), expected, atol=1e-7)
 
 
 def test_dictionaries() -> None:
@@ -301,7 +302,7 @@ def test_total_variation_converges_to_the_least(path: None, noise: float) -> Non
     assert variation(found.reshape(8, 8)) < 0.98 * variation(start.reshape(8, 8))
 
 
-def test_projections_agree_and_touch_the_bound() -> None:
+def test_projections_agree_and_touch_the_bound(path: None) -> None:
     """A mixing of ones on the diagonal is the clean grid: exact transform against SVD."""
     rng = np.random.default_rng(6)
     patterns = PatternSet(8, 8, 30)
@@ -342,8 +343,8 @@ def test_lmmse_with_a_mixing_is_the_dense_formula() -> None:
     mixing = Mixing(rng.random((64, 60)), 6, 10)
     sensing = Sensing(PatternSet(8, 8, 30), mixing)
     a, y, ratio = sensing.matrix, rng.normal(size=30) * 100, 0.7
-    fourier = np.kron(fft.fft(np.eye(6)), fft.fft(np.eye(10)))
-    c = np.real(fourier.conj().T @ np.diag(prior_spectrum(6, 10).ravel()) @ fourier) / 60
+    basis = np.kron(*(fft.dct(np.eye(n), norm="ortho", axis=0) for n in (6, 10)))
+    c = basis.T @ np.diag(prior_spectrum(6, 10).ravel()) @ basis
     k = np.linalg.inv(a @ c @ a.T + ratio * np.eye(30))
     flat = a.sum(axis=1)
     mean = flat @ k @ y / (flat @ k @ flat)

@@ -9,7 +9,8 @@ from scipy.linalg import hadamard
 from hardware import PatternSet
 from hardware.patterns import fwht
 from hardware.reconstruction import Sensing
-from hardware.reconstruction.dictionaries import dct_matrix, prior_deviation
+from hardware.reconstruction.cosine import dct_matrix
+from hardware.reconstruction.dictionaries import prior_deviation
 from hardware.reconstruction.methods import fista
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of the peers' own making

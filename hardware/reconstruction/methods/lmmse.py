@@ -1,13 +1,13 @@
 """Linear minimum mean-square error under a 1/f^2 prior, in closed form.
 
-With a prior covariance C that is circulant (diagonal in Fourier space), measurements A and white
-noise of variance s:
+With a prior covariance C that is diagonal in the cosine transform, measurements A and white noise
+of variance s:
 
     x = C A^T (A C A^T + s I)^-1 y
 
 For a full Hadamard set A^T A = n I and the whole estimate is a Wiener filter behind the inverse
 transform. For a subset everything that depends on the patterns alone is kept: the eigenvectors of
-A C A^T, so that any noise level costs two products. Large sets use that A C A^T falls into small
+A C A^T, so that any noise level costs two products. Of Hadamard rows A C A^T falls into four
 blocks (`hardware.reconstruction.walsh_blocks`).
 
 The mean stays out of the prior: it is estimated by generalised least squares (universal kriging;
@@ -15,16 +15,22 @@ Cressie, Statistics for Spatial Data, 1993, section 3.4). For Hadamard rows it i
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from hardware.reconstruction.prior import filtered, prior_scale, prior_spectrum
+from hardware.reconstruction.cosine import filtered
+from hardware.reconstruction.prior import (
+    cell_variance,
+    mean_square,
+    prior_scale,
+    prior_spectrum,
+)
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
 from hardware.reconstruction.walsh_blocks import WalshBlocks
 
-#: Values of the dense plan, up to which it is faster than the transform.
+#: Values of a matrix from measurements to cells, up to which it is faster than the transforms.
 _DENSE = 2**17
 
 
@@ -44,15 +50,13 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
 
 
 @lru_cache(maxsize=16)
-def lmmse_plan(sensing: Sensing) -> "DensePlan | BlockPlan | FullPlan":
+def lmmse_plan(sensing: Sensing) -> "MixedPlan | SubsetPlan | FullPlan":
     """What depends on the patterns alone. ``ratio`` is noise variance over the prior's scale."""
     if sensing.mixing:
-        return dense_plan(sensing)
+        return mixed_plan(sensing)
     if sensing.count == sensing.n_cells:
         return FullPlan(sensing, prior_spectrum(*sensing.shape))
-    if sensing.count * sensing.n_cells <= _DENSE:
-        return dense_plan(sensing)
-    return BlockPlan(sensing, lmmse_blocks(sensing))
+    return SubsetPlan(sensing, lmmse_blocks(sensing))
 
 
 @lru_cache(maxsize=16)
@@ -62,15 +66,113 @@ def lmmse_blocks(sensing: Sensing) -> WalshBlocks:
 
 
 @dataclass(frozen=True, eq=False)
-class DensePlan:
-    """Eigenvectors U and eigenvalues of A C A^T, C A^T U, and the response to a flat image."""
+class SubsetPlan:
+    """A subset of Hadamard rows: four blocks between them, two fast transforms behind them."""
+
+    sensing: Sensing
+    blocks: WalshBlocks
+
+    def scale(self, values: Array, noise_variance: float) -> float:
+        """Scale of the prior, from all but the mean."""
+        energy = float(values @ values) - self._mean(values) ** 2
+        return prior_scale(energy, len(values), noise_variance, self._trace)
+
+    def image(self, values: Array, ratio: float) -> Array:
+        """Cells."""
+        mean = self._mean(values) / self.sensing.n_cells
+        if self._dense is None:
+            duals = self.sensing.adjoint(self.blocks.duals(values, ratio))
+            return mean + filtered(duals, prior_spectrum(*self.sensing.shape))
+        eigenvalues, eigenvectors, cells = self._dense
+        weight = 1 / (eigenvalues + max(ratio, self._floor))
+        return mean + cells @ (weight * (eigenvectors @ values))
+
+    def variance(self, ratio: float) -> Array:
+        """Posterior variance of each cell, for a prior of scale 1."""
+        mean = ratio / self.sensing.n_cells**2 if self.blocks.mean_at.size else 0.0
+        return np.maximum(self.blocks.variance(ratio) + mean, 0.0)
+
+    def flat(self, values: Array) -> Array:
+        """The image when there is no structure: its mean."""
+        return np.full(self.sensing.n_cells, self._mean(values) / self.sensing.n_cells)
+
+    def _mean(self, values: Array) -> float:
+        """Value of row 0, all cells lit; 0 where it is not shown."""
+        return float(values[self._mean_at]) if self._mean_at >= 0 else 0.0
+
+    @cached_property
+    def _mean_at(self) -> int:
+        return int(self.blocks.mean_at[0]) if self.blocks.mean_at.size else -1
+
+    @cached_property
+    def _trace(self) -> float:
+        return self.blocks.trace
+
+    @cached_property
+    def _floor(self) -> float:
+        return self.blocks.floor
+
+    @cached_property
+    def _dense(self) -> tuple[Array, Array, Array] | None:
+        """Eigenvalues (m,), eigenvectors (m, count) and what they are in cells (n_cells, m)."""
+        if self.sensing.count * self.sensing.n_cells > _DENSE or not self.blocks.blocks:
+            return None
+        vectors = np.zeros((self.sensing.count, self.sensing.count - self.blocks.mean_at.size))
+        start = 0
+        for block in self.blocks.blocks:
+            stop = start + len(block.place)
+            vectors[block.place, start:stop] = block.eigenvectors
+            start = stop
+        values = np.concatenate([block.eigenvalues for block in self.blocks.blocks])
+        cells = filtered(self.sensing.adjoint(vectors), prior_spectrum(*self.sensing.shape))
+        return values, np.ascontiguousarray(vectors.T), np.ascontiguousarray(cells)
+
+
+@dataclass(frozen=True, eq=False)
+class FullPlan:
+    """All Hadamard rows: a Wiener filter behind the inverse transform."""
+
+    sensing: Sensing
+    spectrum: Array
+
+    def scale(self, values: Array, noise_variance: float) -> float:
+        """Scale of the prior, from all but the mean."""
+        structure = np.where(self.sensing.patterns.indices == 0, 0.0, values)
+        expected = self.sensing.n_cells * float(self.spectrum.sum())
+        energy = float(structure @ structure)
+        return prior_scale(energy, len(values), noise_variance, expected)
+
+    def image(self, values: Array, ratio: float) -> Array:
+        """Cells."""
+        weight = self._weight(ratio)
+        weight[0, 0] = 1.0  # the mean
+        return filtered(self.sensing.adjoint(values) / self.sensing.n_cells, weight)
+
+    def variance(self, ratio: float) -> Array:
+        """Posterior variance of each cell, for a prior of scale 1."""
+        left = mean_square(self.spectrum * (1 - self._weight(ratio)))
+        return left + ratio / self.sensing.n_cells**2
+
+    def flat(self, values: Array) -> Array:
+        """The image when there is no structure: its mean."""
+        n = self.sensing.n_cells
+        return np.full(n, values[self.sensing.patterns.indices == 0].sum() / n)
+
+    def _weight(self, ratio: float) -> Array:
+        noise = ratio / self.sensing.n_cells + np.finfo(float).tiny
+        return np.asarray(self.spectrum / (self.spectrum + noise))
+
+
+@dataclass(frozen=True, eq=False)
+class MixedPlan:
+    """With a mixing: eigenvectors U, eigenvalues of A C A^T, C A^T U, the flat image as seen."""
 
     eigenvectors: Array
     eigenvalues: Array
     cells: Array
     cells_squared: Array
     flat_image: Array
-    prior_variance: float
+    prior_variance: Array
     expected: float
     floor: float
 
@@ -107,8 +209,8 @@ class DensePlan:
         return np.full(len(self.cells), mean)
 
 
-def dense_plan(sensing: Sensing) -> DensePlan:
-    """Make a plan with a dense matrix ``(n_cells, count)``."""
+def mixed_plan(sensing: Sensing) -> MixedPlan:
+    """Plan of any sensing, with a dense matrix ``(n_cells, count)``."""
     spectrum = prior_spectrum(*sensing.shape)
     covariance = filtered(sensing.adjoint(np.eye(sensing.count)), spectrum)
     gram = sensing.forward(covariance)
@@ -118,83 +220,13 @@ def dense_plan(sensing: Sensing) -> DensePlan:
     flat = sensing.forward(np.ones(sensing.n_cells))
     power = float(flat @ flat)
     trace = float(np.trace(gram))
-    return DensePlan(
+    return MixedPlan(
         eigenvectors=eigenvectors,
         eigenvalues=np.maximum(eigenvalues, 0.0),
         cells=cells,
         cells_squared=cells**2,
         flat_image=flat,
-        prior_variance=float(np.mean(spectrum)),
+        prior_variance=cell_variance(*sensing.shape),
         expected=trace - (float(flat @ gram @ flat) / power if power else 0.0),
         floor=1e-12 * trace / sensing.count + 1e-300,  # roundoff must not make it singular
     )
-
-
-@dataclass(frozen=True, eq=False)
-class BlockPlan:
-    """A subset of Hadamard rows: small blocks between them, one fast transform behind them."""
-
-    sensing: Sensing
-    blocks: WalshBlocks
-
-    def scale(self, values: Array, noise_variance: float) -> float:
-        """Scale of the prior, from all but the mean."""
-        energy = float(values @ values) - float(np.sum(self._mean(values) ** 2))
-        return prior_scale(energy, len(values), noise_variance, self.blocks.trace)
-
-    def image(self, values: Array, ratio: float) -> Array:
-        """Cells."""
-        coefficients = self.blocks.filter(values, ratio)
-        coefficients[0] = self._mean(values).sum()
-        return self.blocks.cells(coefficients)
-
-    def variance(self, ratio: float) -> Array:
-        """Posterior variance of each cell, for a prior of scale 1."""
-        n = self.sensing.n_cells
-        return np.maximum(self.blocks.variance(ratio) + self._mean_variance(ratio) / n**2, 0.0)
-
-    def flat(self, values: Array) -> Array:
-        """The image when there is no structure: its mean."""
-        return np.full(self.sensing.n_cells, self._mean(values).sum() / self.sensing.n_cells)
-
-    def _mean(self, values: Array) -> Array:
-        return values[self.blocks.mean_at]
-
-    def _mean_variance(self, ratio: float) -> float:
-        return ratio if self.blocks.mean_at.size else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class FullPlan:
-    """All Hadamard rows: a Wiener filter behind the inverse transform."""
-
-    sensing: Sensing
-    spectrum: Array
-
-    def scale(self, values: Array, noise_variance: float) -> float:
-        """Scale of the prior, from all but the mean."""
-        structure = np.where(self.sensing.patterns.indices == 0, 0.0, values)
-        expected = self.sensing.n_cells * float(self.spectrum.sum())
-        energy = float(structure @ structure)
-        return prior_scale(energy, len(values), noise_variance, expected)
-
-    def image(self, values: Array, ratio: float) -> Array:
-        """Cells."""
-        weight = self._weight(ratio)
-        weight[0, 0] = 1.0  # the mean
-        return filtered(self.sensing.adjoint(values) / self.sensing.n_cells, weight)
-
-    def variance(self, ratio: float) -> Array:
-        """Posterior variance of each cell, for a prior of scale 1; the same for all of them."""
-        n = self.sensing.n_cells
-        variance = np.mean(self.spectrum * (1 - self._weight(ratio))) + ratio / n**2
-        return np.full(n, variance)
-
-    def flat(self, values: Array) -> Array:
-        """The image when there is no structure: its mean."""
-        n = self.sensing.n_cells
-        return np.full(n, values[self.sensing.patterns.indices == 0].sum() / n)
-
-    def _weight(self, ratio: float) -> Array:
-        noise = ratio / self.sensing.n_cells + np.finfo(float).tiny
-        return np.asarray(self.spectrum / (self.spectrum + noise))

@@ -1,4 +1,4 @@
-"""Sparse patches: every 8 x 8 patch has few DCT coefficients, and so has their overlap-average.
+"""Sparse patches: every small patch has few DCT coefficients, and so has their overlap-average.
 
 Plug-and-play with a classical denoiser, in turns with the measurements: (1) take the DCT of all
 overlapping patches, set coefficients below a threshold to 0, and average the patches back, sparse
@@ -14,18 +14,19 @@ pictures.
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from hardware.reconstruction.dictionaries import dct_matrix
+from hardware.reconstruction.cosine import dct_matrix
 from hardware.reconstruction.methods.fista import fista
 from hardware.reconstruction.methods.lmmse import lmmse_plan
 from hardware.reconstruction.methods.total_variation import MISFIT, projection, total_variation
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
 
-#: Side of a patch, cells.
+#: Side of a patch of square cells. Where cells are wider than high it is higher by the square root
+#: of that ratio, or the other way round.
 PATCH = 8
 #: Turns.
 ITERATIONS = 40
-#: First and last threshold over the standard deviation of the image.
+#: First and last threshold over the standard deviation of the image, for 8 x 8 cells.
 THRESHOLDS = (1.4, 0.05)
 #: Last threshold, at least, over the noise of a cell.
 NOISE_THRESHOLD = 2.0
@@ -45,8 +46,9 @@ def patches(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Arr
     radius = np.sqrt(MISFIT * sensing.count * noise_variance)
     onto = projection(values[:, None], np.array([radius]), sensing)
     cell_noise = np.sqrt(noise_variance * sensing.count / sensing.n_cells / sensing.largest_squared)
-    last = max(THRESHOLDS[1] * spread, NOISE_THRESHOLD * cell_noise)
-    for threshold in np.geomspace(max(THRESHOLDS[0] * spread, last), last, ITERATIONS):
+    first, last = (t * spread * np.sqrt(np.prod(sides(sensing.shape))) / 8 for t in THRESHOLDS)
+    last = max(last, NOISE_THRESHOLD * cell_noise)
+    for threshold in np.geomspace(max(first, last), last, ITERATIONS):
         smooth = sparse_patches(cells.reshape(sensing.shape), float(threshold))
         cells = onto(smooth.reshape(-1, 1))[:, 0]
     edges = total_variation(values, noise_variance, sensing)[0]
@@ -59,12 +61,11 @@ def sparse_patches(picture: Array, threshold: float) -> Array:
 
     The picture is mirrored at its edges, so that each cell lies in as many patches.
     """
-    side = min(PATCH, *picture.shape)
-    margin = side - 1
-    padded = np.pad(picture, margin, mode="symmetric")
-    transform = np.kron(dct_matrix(side), dct_matrix(side))
-    windows = sliding_window_view(padded, (side, side))
-    coefficients = windows.reshape(-1, side * side) @ transform.T
+    high, wide = sides(picture.shape)
+    padded = np.pad(picture, ((high - 1,) * 2, (wide - 1,) * 2), mode="symmetric")
+    transform = np.kron(dct_matrix(high), dct_matrix(wide))
+    windows = sliding_window_view(padded, (high, wide))
+    coefficients = windows.reshape(-1, high * wide) @ transform.T
     kept = np.abs(coefficients) > threshold
     kept[:, 0] = True
     weight = 1 / np.count_nonzero(kept, axis=1)
@@ -72,8 +73,16 @@ def sparse_patches(picture: Array, threshold: float) -> Array:
     weight = weight.reshape(windows.shape[:2])
     total, weights = np.zeros_like(padded), np.zeros_like(padded)
     rows, columns = weight.shape
-    for i in range(side):
-        for j in range(side):
+    for i in range(high):
+        for j in range(wide):
             total[i : i + rows, j : j + columns] += found[:, :, i, j]
             weights[i : i + rows, j : j + columns] += weight
-    return np.asarray((total / weights)[margin : -margin or None, margin : -margin or None])
+    down, along = picture.shape
+    return np.asarray((total / weights)[high - 1 : high - 1 + down, wide - 1 : wide - 1 + along])
+
+
+def sides(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Rows and columns of a patch."""
+    ratio = np.sqrt(shape[0] / shape[1])
+    high, wide = round(PATCH * max(ratio, 1)), round(PATCH * max(1 / ratio, 1))
+    return min(high, shape[0]), min(wide, shape[1])

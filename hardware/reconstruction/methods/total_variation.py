@@ -2,9 +2,9 @@
 
     min over x of  sum over cells of |grad x|   with   |A x - y|^2 <= M s
 
-by the primal-dual steps of Chambolle and Pock, J. Math. Imaging Vis. 40, 2011, warm-started from
-LMMSE. Hadamard rows are orthogonal, so the constraint's projection is exact: one transform there,
-one back. With a calibrated mixing it takes the singular vectors of A.
+by the primal-dual steps of Chambolle and Pock, J. Math. Imaging Vis. 40, 2011, over-relaxed and
+warm-started from LMMSE. Hadamard rows are orthogonal, so the constraint's projection is exact: one
+transform there, one back. With a calibrated mixing it takes the singular vectors of A.
 
 The joint method does the same for the columns of a line sensor side by side: differences between
 neighbouring columns count too, while every detector's measurements bind its own columns.
@@ -14,15 +14,20 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hardware import compiled
+from hardware.patterns.transform import small_matrix
 from hardware.reconstruction.methods.lmmse import lmmse_plan
-from hardware.reconstruction.primal_dual import ascend, descend
+from hardware.reconstruction.primal_dual import RELAXATION, ascend, descend
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
 
-#: Steps; 40 from LMMSE come within 0.15 dB of the converged images, in the mean over pictures.
-ITERATIONS = 40
-#: Primal step over the spread of the image; the dual one follows (their product is 1/8).
+#: Steps; 48 from LMMSE come within 0.25 dB of the converged image for each test picture, and lie
+#: above it in the mean.
+ITERATIONS = 48
+#: Primal step over the spread of the image; the dual one follows.
 STEP = 0.1
+#: Side up to which, without numba, matrix products are faster than the transform.
+_LARGEST_PRODUCT = 64
 #: Squared misfit over its expectation M s, chosen on every other of the test pictures.
 MISFIT = 0.6
 
@@ -52,17 +57,28 @@ def total_variation_joint(
         return start, None
     radius = np.sqrt(MISFIT * sensing.count * noise_variance)
     onto = projection(values / spread, radius / spread, sensing)
-    picture = _side_by_side(start / spread, sensing)
-    image, ahead = picture.copy(), picture
-    duals = np.zeros((2, *picture.shape))
-    dual_step = 1 / (8 * STEP)
+    image = _side_by_side(start / spread, sensing)
+    new, duals = image, np.zeros((2, *image.shape))
+    weights, dual_step = steps(image.shape)
     for _ in range(iterations):
-        ascend(ahead, duals, dual_step)
-        moved = descend(image, duals, STEP)
+        moved = descend(image, duals, STEP, weights)
         new = _side_by_side(onto(_stacked(moved, sensing)), sensing)
-        ahead = 2 * new - image
-        image = new
-    return spread * _stacked(image, sensing), None
+        change = new - image
+        ascend(new + change, duals, dual_step, weights)
+        change *= RELAXATION
+        image += change
+    return spread * _stacked(new, sensing), None
+
+
+def steps(shape: tuple[int, int]) -> tuple[tuple[float, float], float]:
+    """Weights of differences down the rows and along the columns, and the dual step.
+
+    The field is taken as square, as the prior does: where cells are four times as wide as high, a
+    difference along the columns is a quarter of that slope. Both steps times |grad|^2 make 1.
+    """
+    least = min(shape)
+    weights = least / shape[1], least / shape[0]
+    return weights, 1 / (4 * STEP * (weights[0] ** 2 + weights[1] ** 2))
 
 
 def _start(values: Array, noise_variance: float, sensing: Sensing) -> Array:
@@ -87,8 +103,11 @@ def _stacked(picture: Array, sensing: Sensing) -> Array:
 
 def projection(values: Array, radius: Array, sensing: Sensing) -> Callable[[Array], Array]:
     """Onto the images (n_cells, n_detectors) whose misfit is at most ``radius`` (n_detectors,)."""
-    kind = _MixedProjection if sensing.mixing else _Projection
-    return kind(values, radius, sensing)
+    if sensing.mixing:
+        return _MixedProjection(values, radius, sensing)
+    if values.shape[1] == 1 and max(sensing.shape) <= _LARGEST_PRODUCT and not compiled.available():
+        return _ProductProjection(values, radius, sensing)
+    return _Projection(values, radius, sensing)
 
 
 class _Projection:
@@ -102,6 +121,29 @@ class _Projection:
         size = np.sqrt(np.einsum("ij,ij->j", misfit, misfit))
         excess = np.maximum(1 - self.radius / np.maximum(size, 1e-300), 0.0)
         return cells + self.sensing.adjoint(misfit * (excess / self.sensing.n_cells))
+
+
+class _ProductProjection:
+    """The same of one small image by matrix products, with the Walsh functions that take part."""
+
+    def __init__(self, values: Array, radius: Array, sensing: Sensing) -> None:
+        down, along = divmod(sensing.patterns.indices, sensing.shape[1])
+        rows, row = np.unique(down, return_inverse=True)
+        columns, column = np.unique(along, return_inverse=True)
+        self.down = small_matrix(sensing.shape[0])[rows]
+        self.along = small_matrix(sensing.shape[1])[:, columns]
+        self.values, self.shown = np.zeros((2, len(rows), len(columns)))
+        self.values[row, column], self.shown[row, column] = values[:, 0], 1.0
+        self.shape, self.n_cells, self.radius = sensing.shape, sensing.n_cells, float(radius[0])
+
+    def __call__(self, cells: Array) -> Array:
+        misfit = self.down @ cells.reshape(self.shape) @ self.along
+        np.subtract(self.values, misfit, out=misfit)
+        misfit *= self.shown
+        size = float(np.sqrt(np.vdot(misfit, misfit)))
+        excess = max(1 - self.radius / max(size, 1e-300), 0.0)
+        misfit *= excess / self.n_cells
+        return cells + (self.down.T @ misfit @ self.along.T).reshape(cells.shape)
 
 
 class _MixedProjection:
