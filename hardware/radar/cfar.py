@@ -84,25 +84,22 @@ def cfar_threshold(
     Raises ValueError when the map leaves no cells to tell the noise from.
     """
     regions = _regions(power.shape, cfar)
-    if at is None:
-        rows, columns = np.indices(power.shape)
-        at = rows.ravel(), columns.ravel()
-        shape: tuple[int, ...] = power.shape
-    else:
-        shape = at[0].shape
+    offsets, rank = _offsets(regions[0]), 0
     if cfar.method == "os":
-        offsets = _lattice(power.shape, regions, window, oversampling)
-        cells, rank = len(offsets), round(_QUANTILE * len(offsets))
+        offsets = _thinned(offsets, power.shape, window, oversampling)
+        rank = round(_QUANTILE * len(offsets))
         level = _ordered(power, offsets, rank, at)
     else:
-        means = [_means(power, region, at) for region in regions]
+        means = [_means(power, region) for region in regions]
         level = means[0] if cfar.method == "ca" else np.maximum(*means)
+        level = level if at is None else level[at]
         # A running sum loses digits next to a peak 1e10 times higher: never below zero.
-        level = np.maximum(level, 0)
-        offsets, cells, rank = _offsets(power.shape, regions[0]), int(regions[0].sum()), 0
+        np.maximum(level, 0, out=level)
+    cells = len(offsets)
     alike = _independent(power.shape, offsets, window, oversampling, rank / cells)
     factor = cfar_factor(cfar.false_alarm, alike, cfar.method, n_channels, rank * alike / cells)
-    return np.asarray(factor * level, dtype=np.float64).reshape(shape)
+    level *= factor
+    return level
 
 
 @lru_cache(maxsize=64)
@@ -165,61 +162,67 @@ def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[NDArray[np.bool_]]:
     return regions
 
 
-def _offsets(shape: tuple[int, ...], region: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _offsets(region: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Rows and columns of a region's cells relative to its middle, (n_cells, 2)."""
     return np.argwhere(region) - np.array(region.shape) // 2
 
 
-def _lattice(
-    shape: tuple[int, ...],
-    regions: list[NDArray[np.bool_]],
-    window: str,
-    oversampling: int,
+def _thinned(
+    offsets: NDArray[np.intp], shape: tuple[int, ...], window: str, oversampling: int
 ) -> NDArray[np.intp]:
-    """Cells of the ring far enough apart to be nearly independent, and few enough to sort."""
-    offsets = _offsets(shape, regions[0])
+    """Of the training cells those on a grid wide enough that few are left to sort, nearly alone."""
     steps = [
-        int(np.argmax(correlation(taper(window, n // oversampling), oversampling) < 0.05)) or 1
+        max(1, int(np.argmax(correlation(taper(window, n // oversampling), oversampling) < 0.05)))
         for n in shape
     ]
-    while True:
-        thin = offsets[np.all(offsets % steps == 0, axis=1)]
-        if len(thin) <= _MOST_ORDERED:
-            return thin if len(thin) > 1 else offsets
+    while np.count_nonzero(np.all(offsets % steps == 0, axis=1)) > _MOST_ORDERED:
         steps[int(np.argmin(steps))] += 1
+    thin = offsets[np.all(offsets % steps == 0, axis=1)]
+    return thin if len(thin) > 1 else offsets
 
 
-def _means(
-    power: NDArray[np.floating[Any]],
-    region: NDArray[np.bool_],
-    at: tuple[NDArray[np.intp], NDArray[np.intp]],
-) -> Array:
-    """Mean over a region, a box or a box with a hole, around chosen cells."""
+def _means(power: NDArray[np.floating[Any]], region: NDArray[np.bool_]) -> Array:
+    """Mean over a region, a box or a box with a hole, around every cell; the map wraps around."""
+    if power.flags.f_contiguous and not power.flags.c_contiguous:
+        return _means(power.T, region.T).T
     pad = [(n // 2, n - n // 2) for n in region.shape]
     total = np.zeros([n + a + b + 1 for n, (a, b) in zip(power.shape, pad, strict=True)])
     np.cumsum(np.pad(power, pad, mode="wrap"), axis=1, dtype=np.float64, out=total[1:, 1:])
     np.cumsum(total, axis=0, out=total)
 
-    def box(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-        top, bottom = at[0] + rows.min(), at[0] + rows.max() + 1
-        left, right = at[1] + columns.min(), at[1] + columns.max() + 1
-        return total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+    def box(rows: tuple[int, int], columns: tuple[int, int]) -> Array:
+        top, bottom = (slice(r, r + power.shape[0]) for r in rows)
+        left, right = (slice(c, c + power.shape[1]) for c in columns)
+        summed = total[bottom, right] - total[top, right]
+        summed -= total[bottom, left]
+        summed += total[top, left]
+        return summed
 
-    inside = np.nonzero(region)
-    around = box(*inside)
-    hole = np.nonzero(~region[inside[0].min() : inside[0].max() + 1])
+    around = box(*(_extent(inside) for inside in np.nonzero(region)))
+    filled = tuple(slice(*_extent(inside)) for inside in np.nonzero(region))
+    hole = np.nonzero(~region[filled])
     if len(hole[0]):
-        around = around - box(hole[0] + inside[0].min(), hole[1])
-    return np.asarray(around / region.sum())
+        starts = [side.start for side in filled]
+        spans = [_extent(h + start) for h, start in zip(hole, starts, strict=True)]
+        around -= box(*spans)
+    around /= region.sum()
+    return around
+
+
+def _extent(indices: NDArray[np.intp]) -> tuple[int, int]:
+    return int(indices.min()), int(indices.max()) + 1
 
 
 def _ordered(
     power: NDArray[np.floating[Any]],
     offsets: NDArray[np.intp],
     rank: int,
-    at: tuple[NDArray[np.intp], NDArray[np.intp]],
+    at: tuple[NDArray[np.intp], NDArray[np.intp]] | None,
 ) -> Array:
-    """The rank-th smallest (from 1) of the cells at the offsets around chosen cells."""
+    """The rank-th smallest (from 1) of the cells at the offsets around every or chosen cells."""
+    if at is None:
+        every = np.unravel_index(np.arange(power.size), power.shape)
+        return _ordered(power, offsets, rank, (every[0], every[1])).reshape(power.shape)
     level = np.empty(len(at[0]))
     for start in range(0, len(level), 65536):
         part = slice(start, start + 65536)

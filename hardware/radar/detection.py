@@ -98,39 +98,42 @@ def peaks_above(
     image: RangeDopplerMap, cfar: Cfar, window: str
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of the cells above their threshold and above the cells around them."""
+    from scipy.ndimage import maximum_filter
+
     power = image.power_w
     if all(size <= 2 * g + 1 for size, g in zip(power.shape, cfar.guard, strict=True)):
         none = np.zeros(0, dtype=np.intp)
         return none, none  # nothing but guard cells: nothing to tell the noise from
-    at = _peaks(power)
-    threshold = cfar_threshold(
-        power,
-        cfar,
-        window=window,
-        n_channels=image.n_channels,
-        oversampling=image.oversampling,
-        at=at,
-    )
-    above = power[at] > threshold
-    return at[0][above], at[1][above]
+    made: dict[str, Any] = {
+        "window": window,
+        "n_channels": image.n_channels,
+        "oversampling": image.oversampling,
+    }
+    if cfar.method == "os":  # sorting is slow: only where a peak may be
+        rows, columns = np.nonzero(maximum_filter(power, _around(power), mode="wrap") == power)
+        at = rows, columns
+        above = power[at] > cfar_threshold(power, cfar, at=at, **made)
+        return at[0][above], at[1][above]
+    rows, columns = np.nonzero(power > cfar_threshold(power, cfar, **made))
+    peak = _are_peaks(power, rows, columns)
+    return rows[peak], columns[peak]
 
 
-def _peaks(power: NDArray[np.floating[Any]]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Cells that are the highest of the 5 x 5 around them; the map wraps around."""
-    middle = power > 0
-    for axis, size in enumerate(power.shape):
-        if size > 1:
-            middle &= power >= np.roll(power, 1, axis)
-            middle &= power >= np.roll(power, -1, axis)
-    rows, columns = np.nonzero(middle)
-    reach = [np.arange(-min(2, (size - 1) // 2), min(2, size // 2) + 1) for size in power.shape]
-    highest_of = np.zeros(len(rows))
-    for i in reach[0]:
-        for j in reach[1]:
-            around = power[(rows + i) % power.shape[0], (columns + j) % power.shape[1]]
-            np.maximum(highest_of, around, out=highest_of)
-    kept = power[rows, columns] >= highest_of
-    return rows[kept], columns[kept]
+def _around(power: NDArray[np.floating[Any]]) -> tuple[int, ...]:
+    return tuple(min(5, size) for size in power.shape)
+
+
+def _are_peaks(
+    power: NDArray[np.floating[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Whether cells are the highest of the 5 x 5 around them; the map wraps around."""
+    reach = [np.arange(size) - size // 2 for size in _around(power)]
+    around = power[
+        (rows[:, None, None] + reach[0][:, None]) % power.shape[0],
+        (columns[:, None, None] + reach[1]) % power.shape[1],
+    ]
+    own = power[rows, columns]
+    return np.asarray((own >= around.max(axis=(1, 2))) & (own > 0))
 
 
 def _measured(

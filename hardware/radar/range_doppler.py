@@ -89,7 +89,7 @@ def check_channel(channel: Complex, waveform: OfdmWaveform) -> None:
         )
 
 
-def _power(part: Complex, by_range: Array, by_slot: Array, across: int, along: int) -> Power:
+def _power(part: Complex, by_range: Power, by_slot: Power, across: int, along: int) -> Power:
     """Power (across, along) of one channel; rates ascend.
 
     Range rates run against Doppler, so the transform over slots is the inverse one, without 1/M.
@@ -110,4 +110,7 @@ def _noise(power: Power, n_channels: int) -> float:
     """Mean of the noise, from the map's median: that of the mean of n exponential cells."""
     from scipy.special import gammaincinv
 
-    return float(np.median(power) / gammaincinv(n_channels, 0.5) * n_channels)
+    middle = power.size // 2
+    # Far quicker than np.median, which sorts with care for NaN.
+    median = np.partition(power.ravel(order="K"), middle)[middle]
+    return float(median / gammaincinv(n_channels, 0.5) * n_channels)

@@ -59,20 +59,21 @@ def blocks_about(
     f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
     along_f = np.exp(2j * np.pi * np.outer(delay, f)) * (taper(window, n) / n)
     along_t = np.exp(2j * np.pi * waveform.carrier_hz * np.outer(rate, t)) * (taper(window, m) / m)
-    parts = channel.reshape(-1, n, m)
+    # Slots first: the channel comes transposed, its subcarriers contiguous.
+    parts = channel.reshape(-1, n, m).swapaxes(1, 2)
     edges_f, f_mean = _edges(f)
     edges_t, t_mean = _edges(t)
-    by_f = np.empty((len(f_mean), len(parts), len(delay), m), dtype=np.complex128)
     along_f = along_f.astype(channel.dtype)
+    by_f = np.empty((len(parts), len(f_mean), len(delay), m), dtype=np.complex128)
     for i, (start, stop) in enumerate(pairwise(edges_f)):
-        by_f[i] = along_f[:, start:stop] @ parts[:, start:stop]
+        by_f[:, i] = (parts[..., start:stop] @ along_f[:, start:stop].T).swapaxes(1, 2)
     sums = np.add.reduceat(by_f * along_t, edges_t[:-1], axis=-1)
     # Migration through range cells, which couples frequency and time.
-    sums *= np.exp(2j * np.pi * f_mean[:, None, None, None] * rate[:, None] * t_mean)
+    sums *= np.exp(2j * np.pi * f_mean[:, None, None] * rate[:, None] * t_mean)
     cell = np.array([1 / waveform.bandwidth_hz, 2 * waveform.velocity_cell_m_per_s / C_M_PER_S])
     return [
         Blocks(
-            np.moveaxis(sums[:, :, i], 0, 1),
+            sums[:, :, i],
             f_mean,
             t_mean,
             waveform.carrier_hz,
