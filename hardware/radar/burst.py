@@ -1,4 +1,4 @@
-"""One burst, ready to process: every pair of transmitter and receiver a channel of one wide band."""
+"""One burst, ready to process: each pair of transmitter and receiver a channel of one wide band."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING

@@ -65,7 +65,7 @@ def _noise_space(on_line: Complex, size: int, n_targets: int) -> Complex:
 
 
 def _roots(noise: Complex, n_targets: int, spacing: float) -> Array:
-    """Azimuths from the roots of the noise polynomial nearest to the unit circle (Barabell 1983)."""
+    """Azimuths from the noise polynomial's roots nearest to the unit circle (Barabell 1983)."""
     size = len(noise)
     projector = noise @ noise.conj().T
     polynomial = np.array([np.trace(projector, offset) for offset in range(size - 1, -size, -1)])

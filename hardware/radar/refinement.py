@@ -27,11 +27,14 @@ class Blocks:
 
     ``sums`` (n_channels, n_f, n_t) at mean frequencies ``f_hz`` and times ``t_s``; ``cell`` holds
     one cell of delay (s) and of delay rate (s/s). ``delay_s`` and ``delay_rate`` are the middle.
+    ``share_f`` and ``share_t``: each block's share of all subcarriers and slots.
     """
 
     sums: NDArray[np.complex128]
     f_hz: Array
     t_s: Array
+    share_f: Array
+    share_t: Array
     carrier_hz: float
     delay_s: float
     delay_rate: float
@@ -76,6 +79,8 @@ def blocks_about(
             sums[:, :, i],
             f_mean,
             t_mean,
+            np.diff(edges_f) / n,
+            np.diff(edges_t) / m,
             waveform.carrier_hz,
             delay[i],
             rate[i],

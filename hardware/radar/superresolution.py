@@ -98,7 +98,10 @@ def _atoms(blocks: Blocks, steps: Array) -> NDArray[np.complex128]:
     """Block sums (n_targets, n_f, n_t) of targets of unit amplitude."""
     a, b = blocks.turns
     turn = a * steps[:, 0, None, None] + b * steps[:, 1, None, None]
-    return np.asarray(np.exp(-1j * turn) / (a.size * blocks.t_s.size))
+    # What turning within a block leaves of its sum.
+    along_f = blocks.share_f * np.sinc(steps[:, :1] * blocks.share_f)
+    along_t = blocks.share_t * np.sinc(steps[:, 1:] * blocks.share_t)
+    return np.asarray(np.exp(-1j * turn) * along_f[:, :, None] * along_t[:, None])
 
 
 def _amplitudes(
