@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import Complex, Precision, demodulated
 from hardware.radar.integrity import usable
 from hardware.radar.stitching import stitch
@@ -51,6 +52,7 @@ def demodulate(
     *,
     waveform: OfdmWaveform | None = None,
     precision: Precision = "double",
+    leakage: bool = True,
     reference_delay_s: float | None = None,
     range_rate_m_per_s: float = 0.0,
 ) -> Burst:
@@ -64,6 +66,8 @@ def demodulate(
         What the caller believes was sent; refused when it is not the record's.
     precision
         See `Precision`. Carrier steps are joined in double precision always.
+    leakage
+        Take the record's leakage away, where its delay is known.
     reference_delay_s, range_rate_m_per_s
         See `stitch`; without a delay that of the record's leakage.
 
@@ -80,6 +84,7 @@ def demodulate(
     slots = wave.slot_times_s[turns]
     own = replace(wave, n_slots=n_turns, slot_period_s=wave.slot_period_s * n_transmitters)
     cube = [_step(record, burst, step, turns, precision) for step in steps]
+    motion = None
     if len(record.carriers_hz) == 1:
         joined, wide = cube[0], own
     else:
@@ -91,7 +96,11 @@ def demodulate(
             step_times_s=1e-9 * record.device_time_ns[burst, : part.n_steps, 0].astype(np.float64),
             range_rate_m_per_s=range_rate_m_per_s,
         )
-        joined, wide = stitched.channel, stitched.waveform
+        joined, wide, motion = stitched.channel, stitched.waveform, stitched.motion
+    if leakage and np.isfinite(record.leakage_delay_s):
+        joined = without_leakage(joined, wide, record.leakage_delay_s)
+    if motion is not None:
+        joined = joined * motion[:, None]
     used = record.transmitter[turns[:, 0]]
     n_receivers = len(record.receivers_m)
     return Burst(

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.burst import Burst, demodulate
-from hardware.radar.clutter import without_leakage
 from hardware.radar.waveform import C_M_PER_S
 
 if TYPE_CHECKING:
@@ -150,7 +149,7 @@ def _whole_bursts(record: "RadarRecord", leakage: bool) -> tuple[list[Burst], tu
     warnings: list[str] = []
     for number in range(len(record.iq)):
         try:
-            burst = demodulate(record, number)
+            burst = demodulate(record, number, leakage=leakage)
         except ValueError:
             if not bursts:
                 raise
@@ -161,18 +160,10 @@ def _whole_bursts(record: "RadarRecord", leakage: bool) -> tuple[list[Burst], tu
             if not bursts:
                 raise ValueError(burst.warnings[0])
             break
-        bursts.append(_without_leakage(burst, record.leakage_delay_s) if leakage else burst)
+        bursts.append(burst)
     if len(bursts) < len(record.iq):
         warnings.append(f"the image is of the {len(bursts)} of {len(record.iq)} bursts before it")
     return bursts, tuple(warnings)
-
-
-def _without_leakage(burst: Burst, delay_s: float) -> Burst:
-    from dataclasses import replace
-
-    if not np.isfinite(delay_s):
-        return burst
-    return replace(burst, channel=without_leakage(burst.channel, burst.waveform, delay_s))
 
 
 def _in_middle_frame(

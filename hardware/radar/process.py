@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hardware.radar.angles import compensated, direction, extents, virtual_places
 from hardware.radar.burst import Burst, demodulate
 from hardware.radar.cfar import Cfar
-from hardware.radar.clutter import without_leakage, without_static
+from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Precision
 from hardware.radar.detection import Detection, detected, distinct, with_cross_section
 from hardware.radar.music import music
@@ -91,14 +91,11 @@ def process(
         burst,
         waveform=waveform,
         precision=how.precision,
+        leakage=how.leakage,
         reference_delay_s=how.reference_delay_s,
         range_rate_m_per_s=how.range_rate_m_per_s,
     )
-    channel = taken.channel
-    if how.leakage and np.isfinite(record.leakage_delay_s):
-        channel = without_leakage(channel, taken.waveform, record.leakage_delay_s)
-    if how.moving_only:
-        channel = without_static(channel)
+    channel = without_static(taken.channel) if how.moving_only else taken.channel
     image = range_doppler(channel, taken.waveform, how.window, oversampling=how.oversampling)
     found = detected(channel, taken.waveform, image, how.cfar, how.window, how.at_most)
     if how.resolve:

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.waveform import OfdmWaveform
+from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -26,11 +26,14 @@ Complex = NDArray[np.complex128]
 class Stitched:
     """A wide channel (n_channels, n_steps n_subcarriers, n_slots) and the waveform it belongs to.
 
-    ``phase_rad`` and ``late_samples`` (n_steps,), in the order of time: what was taken out.
+    ``motion`` (n_steps n_subcarriers,) takes a moving echo to the burst's middle when multiplied;
+    the reference does not move, so take that away first. ``phase_rad`` and ``late_samples``
+    (n_steps,), in the order of time: what was taken out.
     """
 
     channel: Complex
     waveform: OfdmWaveform
+    motion: Complex
     phase_rad: Array
     late_samples: NDArray[np.int64]
 
@@ -60,9 +63,9 @@ def stitch(
     step_times_s : (n_steps,)
         Start of each step, for Doppler between them; only used with a range rate.
     range_rate_m_per_s
-        Motion that is compensated between steps, to the middle of the burst. In one burst of
-        ascending steps rate and range cannot be told apart: rate r looks like a range off by
-        r fc / (df/dt); so the rate must be known, from a track or the vehicle's own motion.
+        Of the echoes, for their motion between steps. In one burst of ascending steps rate and
+        range cannot be told apart: rate r looks like a range off by r fc / (df/dt); so the rate
+        must be known, from a track or the vehicle's own motion.
     iterations
         Bounds what echoes leave in the phases; they converge by a factor of about 2 each.
 
@@ -84,7 +87,7 @@ def stitch(
     absolute = carriers_hz[:, None] + f
     motion = np.ones_like(absolute, dtype=np.complex128)
     if range_rate_m_per_s and step_times_s is not None:
-        moved = 2 * range_rate_m_per_s / 299_792_458.0 * (step_times_s - step_times_s.mean())
+        moved = 2 * range_rate_m_per_s / C_M_PER_S * (step_times_s - step_times_s.mean())
         motion = np.exp(2j * np.pi * absolute * moved[:, None])
     path = np.exp(-2j * np.pi * (absolute - centre) * reference_delay_s)
     phase = _phases(
@@ -92,10 +95,10 @@ def stitch(
     )
     unsorted = np.empty_like(phase)
     unsorted[order] = phase
-    turn = timing * motion * np.exp(-1j * unsorted)[:, None]
+    turn = timing * np.exp(-1j * unsorted)[:, None]
     joined = (steps * turn[..., None])[:, order]
     shape = (len(steps), len(order) * n, steps.shape[-1])
-    return Stitched(joined.reshape(shape), wide, unsorted, late)
+    return Stitched(joined.reshape(shape), wide, motion[order].ravel(), unsorted, late)
 
 
 def _wide(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:

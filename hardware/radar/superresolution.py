@@ -60,7 +60,7 @@ def resolve(
     rest = blocks.sums
     while len(steps) < at_most:
         power, step = _strongest(rest, blocks, reached)
-        if power * len(rest) <= noise_w * _threshold(false_alarm, len(rest), reached):
+        if power * len(rest) <= noise_w * _threshold(false_alarm, len(rest)):
             break
         steps = _fitted(np.vstack([steps, step]), blocks)
         atoms = _atoms(blocks, steps)
@@ -73,12 +73,15 @@ def resolve(
     return sorted(results, key=lambda pair: pair[0].range_m)
 
 
-def _threshold(false_alarm: float, n_channels: int, reach: tuple[float, float]) -> float:
-    """Sum over channels of noise over its mean that the highest of all cells searched exceeds."""
+def _threshold(false_alarm: float, n_channels: int) -> float:
+    """Sum over channels of noise over its mean that a peak near a cell exceeds by chance.
+
+    Between cells noise peaks higher than on them: along each axis sqrt(pi x / 3) as often (Rice's
+    rate of crossings of a level x by band-limited noise).
+    """
     from scipy.special import gammainccinv
 
-    cells = (2 * reach[0] + 1) * (2 * reach[1] + 1)
-    return float(gammainccinv(n_channels, min(false_alarm * cells, 0.5)))
+    return float(gammainccinv(n_channels, false_alarm / (np.pi / 3 * -np.log(false_alarm))))
 
 
 def _strongest(

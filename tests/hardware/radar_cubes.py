@@ -12,6 +12,7 @@ from hardware.radar import OfdmWaveform
 from hardware.records import RadarRecord
 
 C = 299_792_458.0
+HERE = np.zeros((1, 3))
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,8 @@ def cube(
     *,
     carriers_hz: np.ndarray | None = None,
     transmitter: Sequence[int] = (0,),
-    transmitters_m: np.ndarray = np.zeros((1, 3)),
-    receivers_m: np.ndarray = np.zeros((1, 3)),
+    transmitters_m: np.ndarray = HERE,
+    receivers_m: np.ndarray = HERE,
     pose: np.ndarray | None = None,
     noise_w: float = 0.0,
     leakage: tuple[float, float] | None = None,
