@@ -26,9 +26,14 @@ from numpy.typing import NDArray
 from hardware.radar.windows import correlation, taper
 
 Array = NDArray[np.float64]
+Power = NDArray[np.floating[Any]]
+Mask = NDArray[np.bool_]
+Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
 Method = Literal["ca", "go", "os"]
 _QUANTILE = 0.75  # of the training cells, for os
 _MOST_ORDERED = 96  # cells that os sorts
+_TILE = 4  # cells along each side
+_MOST_GATHERED = 2000  # cells looked at one by one
 
 
 @dataclass(frozen=True)
@@ -62,13 +67,13 @@ class Cfar:
 
 
 def cfar_threshold(
-    power: NDArray[np.floating[Any]],
+    power: Power,
     cfar: Cfar,
     *,
     window: str = "boxcar",
     n_channels: int = 1,
     oversampling: int = 1,
-    at: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
+    at: Cells | None = None,
 ) -> Array:
     """Threshold of every cell, or of those at rows and columns ``at``; the map wraps around.
 
@@ -83,23 +88,53 @@ def cfar_threshold(
 
     Raises ValueError when the map leaves no cells to tell the noise from.
     """
-    regions = _regions(power.shape, cfar)
-    offsets, rank = _offsets(regions[0]), 0
-    if cfar.method == "os":
-        offsets = _thinned(offsets, power.shape, window, oversampling)
-        rank = round(_QUANTILE * len(offsets))
-        level = _ordered(power, offsets, rank, at)
-    else:
-        means = [_means(power, region) for region in regions]
-        level = means[0] if cfar.method == "ca" else np.maximum(*means)
-        level = level if at is None else level[at]
+    regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
+    whole = at is None
+    if at is None and rank:
+        rows, columns = np.unravel_index(np.arange(power.size), power.shape)
+        at = rows, columns
+    if at is None or (not rank and len(at[0]) > _MOST_GATHERED):
+        level = np.max([_sums(power, region) / region.sum() for region in regions], axis=0)
         # A running sum loses digits next to a peak 1e10 times higher: never below zero.
-        np.maximum(level, 0, out=level)
-    cells = len(offsets)
-    alike = _independent(power.shape, offsets, window, oversampling, rank / cells)
+        level = factor * np.maximum(level, 0)
+        return np.asarray(level if at is None else level[at])
+    levels = [_gathered(power, _offsets(region), rank, at) for region in regions]
+    level = factor * np.max(levels, axis=0)
+    return np.asarray(level.reshape(power.shape) if whole else level)
+
+
+def possible(
+    power: Power, cfar: Cfar, *, window: str = "boxcar", n_channels: int = 1, oversampling: int = 1
+) -> Cells:
+    """Rows and columns of all cells above their threshold, and of few others.
+
+    A lower bound of the training cells' sum, from tiles that lie among them wherever in its own
+    tile a cell is, rules most cells out at a small part of the cost.
+    """
+    regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
+    if rank or any(size % _TILE for size in power.shape):
+        rows, columns = np.nonzero(power > 0)
+        return rows, columns
+    least = np.max([_least(power, region) for region in regions], axis=0) * factor
+    # Rounding of single precision must not rule a cell out.
+    bound = (least * (1 - 1e-5)).astype(power.dtype)
+    rows, columns = np.nonzero(power > np.repeat(np.repeat(bound, _TILE, 0), _TILE, 1))
+    return rows, columns
+
+
+def _rule(
+    shape: tuple[int, ...], cfar: Cfar, window: str, n_channels: int, oversampling: int
+) -> tuple[list[Mask], float, int]:
+    """Training cells, the factor on their reference, and for ``os`` the rank of that, else 0."""
+    regions = _regions(shape, cfar)
+    rank = 0
+    if cfar.method == "os":
+        regions = [_thinned(regions[0], shape, window, oversampling)]
+        rank = round(_QUANTILE * int(regions[0].sum()))
+    cells = int(regions[0].sum())
+    alike = _independent(shape, _offsets(regions[0]), window, oversampling, rank / cells)
     factor = cfar_factor(cfar.false_alarm, alike, cfar.method, n_channels, rank * alike / cells)
-    level *= factor
-    return level
+    return regions, factor, rank
 
 
 @lru_cache(maxsize=64)
@@ -135,7 +170,7 @@ def cfar_factor(
     return float(np.exp(brentq(excess, -20, 20, xtol=1e-10)))
 
 
-def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[NDArray[np.bool_]]:
+def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[Mask]:
     """Training cells as masks around a cell, (n_rows, n_columns), both odd unless they fill a map.
 
     One ring, or for ``go`` the parts before and behind in range.
@@ -162,29 +197,56 @@ def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[NDArray[np.bool_]]:
     return regions
 
 
-def _offsets(region: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _offsets(region: Mask) -> NDArray[np.intp]:
     """Rows and columns of a region's cells relative to its middle, (n_cells, 2)."""
     return np.argwhere(region) - np.array(region.shape) // 2
 
 
-def _thinned(
-    offsets: NDArray[np.intp], shape: tuple[int, ...], window: str, oversampling: int
-) -> NDArray[np.intp]:
+def _thinned(region: Mask, shape: tuple[int, ...], window: str, oversampling: int) -> Mask:
     """Of the training cells those on a grid wide enough that few are left to sort, nearly alone."""
     steps = [
         max(1, int(np.argmax(correlation(taper(window, n // oversampling), oversampling) < 0.05)))
         for n in shape
     ]
-    while np.count_nonzero(np.all(offsets % steps == 0, axis=1)) > _MOST_ORDERED:
+    rows, columns = (np.arange(n) - n // 2 for n in region.shape)
+    while True:
+        thin = region & ((rows % steps[0] == 0)[:, None] & (columns % steps[1] == 0))
+        if thin.sum() <= _MOST_ORDERED:
+            return thin if thin.sum() > 1 else region
         steps[int(np.argmin(steps))] += 1
-    thin = offsets[np.all(offsets % steps == 0, axis=1)]
-    return thin if len(thin) > 1 else offsets
 
 
-def _means(power: NDArray[np.floating[Any]], region: NDArray[np.bool_]) -> Array:
-    """Mean over a region, a box or a box with a hole, around every cell; the map wraps around."""
+def _least(power: Power, region: Mask) -> Array:
+    """Lower bound of a region's mean for all cells of every tile."""
+    rows, columns = (size // _TILE for size in power.shape)
+    tiles = power.reshape(rows, _TILE, columns, _TILE).sum(axis=(1, 3), dtype=np.float64)
+    certain = _certain(region.tobytes(), region.shape)
+    if not certain.any() or any(c > t for c, t in zip(certain.shape, tiles.shape, strict=True)):
+        return np.zeros_like(tiles)
+    return np.maximum(_sums(tiles, certain), 0) / region.sum()
+
+
+@lru_cache(maxsize=16)
+def _certain(packed: bytes, shape: tuple[int, int]) -> Mask:
+    """Tiles around a cell's own that lie within a region wherever in its tile the cell is."""
+    region = np.frombuffer(packed, dtype=bool).reshape(shape)
+    reach = [n // 2 // _TILE for n in shape]
+    certain = np.zeros([2 * r + 1 for r in reach], dtype=bool)
+    for tile in np.ndindex(certain.shape):
+        starts = [
+            n // 2 + (i - r) * _TILE - (_TILE - 1)
+            for n, i, r in zip(shape, tile, reach, strict=True)
+        ]
+        stops = [start + 2 * _TILE - 1 for start in starts]
+        if min(starts) >= 0 and all(stop <= n for stop, n in zip(stops, shape, strict=True)):
+            certain[tile] = region[starts[0] : stops[0], starts[1] : stops[1]].all()
+    return certain
+
+
+def _sums(power: Power, region: Mask) -> Array:
+    """Sum over a region, a box or a box with a hole, around every cell; the map wraps around."""
     if power.flags.f_contiguous and not power.flags.c_contiguous:
-        return _means(power.T, region.T).T
+        return _sums(power.T, region.T).T
     pad = [(n // 2, n - n // 2) for n in region.shape]
     total = np.zeros([n + a + b + 1 for n, (a, b) in zip(power.shape, pad, strict=True)])
     np.cumsum(np.pad(power, pad, mode="wrap"), axis=1, dtype=np.float64, out=total[1:, 1:])
@@ -198,14 +260,11 @@ def _means(power: NDArray[np.floating[Any]], region: NDArray[np.bool_]) -> Array
         summed += total[top, left]
         return summed
 
-    around = box(*(_extent(inside) for inside in np.nonzero(region)))
-    filled = tuple(slice(*_extent(inside)) for inside in np.nonzero(region))
-    hole = np.nonzero(~region[filled])
+    spans = [_extent(inside) for inside in np.nonzero(region)]
+    hole = np.nonzero(~region[slice(*spans[0]), slice(*spans[1])])
+    around = box(*spans)
     if len(hole[0]):
-        starts = [side.start for side in filled]
-        spans = [_extent(h + start) for h, start in zip(hole, starts, strict=True)]
-        around -= box(*spans)
-    around /= region.sum()
+        around -= box(*(_extent(h + start) for h, (start, _) in zip(hole, spans, strict=True)))
     return around
 
 
@@ -213,22 +272,18 @@ def _extent(indices: NDArray[np.intp]) -> tuple[int, int]:
     return int(indices.min()), int(indices.max()) + 1
 
 
-def _ordered(
-    power: NDArray[np.floating[Any]],
-    offsets: NDArray[np.intp],
-    rank: int,
-    at: tuple[NDArray[np.intp], NDArray[np.intp]] | None,
-) -> Array:
-    """The rank-th smallest (from 1) of the cells at the offsets around every or chosen cells."""
-    if at is None:
-        every = np.unravel_index(np.arange(power.size), power.shape)
-        return _ordered(power, offsets, rank, (every[0], every[1])).reshape(power.shape)
+def _gathered(power: Power, offsets: NDArray[np.intp], rank: int, at: Cells) -> Array:
+    """Mean, or with a rank (from 1) the rank-th smallest, of the cells around chosen ones."""
     level = np.empty(len(at[0]))
-    for start in range(0, len(level), 65536):
-        part = slice(start, start + 65536)
+    for start in range(0, len(level), 8192):
+        part = slice(start, start + 8192)
         rows = (at[0][part, None] + offsets[:, 0]) % power.shape[0]
         columns = (at[1][part, None] + offsets[:, 1]) % power.shape[1]
-        level[part] = np.partition(power[rows, columns], rank - 1, axis=1)[:, rank - 1]
+        around = power[rows, columns]
+        if rank:
+            level[part] = np.partition(around, rank - 1, axis=1)[:, rank - 1]
+        else:
+            level[part] = around.mean(axis=1, dtype=np.float64)
     return level
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.cfar import Cfar, cfar_threshold
+from hardware.radar.cfar import Cfar, cfar_threshold, possible
 from hardware.radar.demodulation import Complex
 from hardware.radar.range_doppler import RangeDopplerMap, check_channel
 from hardware.radar.refinement import Blocks, amplitudes, blocks_about, highest
@@ -98,8 +98,6 @@ def peaks_above(
     image: RangeDopplerMap, cfar: Cfar, window: str
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of the cells above their threshold and above the cells around them."""
-    from scipy.ndimage import maximum_filter
-
     power = image.power_w
     if all(size <= 2 * g + 1 for size, g in zip(power.shape, cfar.guard, strict=True)):
         none = np.zeros(0, dtype=np.intp)
@@ -109,31 +107,30 @@ def peaks_above(
         "n_channels": image.n_channels,
         "oversampling": image.oversampling,
     }
-    if cfar.method == "os":  # sorting is slow: only where a peak may be
-        rows, columns = np.nonzero(maximum_filter(power, _around(power), mode="wrap") == power)
-        at = rows, columns
-        above = power[at] > cfar_threshold(power, cfar, at=at, **made)
-        return at[0][above], at[1][above]
-    rows, columns = np.nonzero(power > cfar_threshold(power, cfar, **made))
+    rows, columns = possible(power, cfar, **made)
     peak = _are_peaks(power, rows, columns)
-    return rows[peak], columns[peak]
-
-
-def _around(power: NDArray[np.floating[Any]]) -> tuple[int, ...]:
-    return tuple(min(5, size) for size in power.shape)
+    rows, columns = rows[peak], columns[peak]
+    above = power[rows, columns] > cfar_threshold(power, cfar, at=(rows, columns), **made)
+    return rows[above], columns[above]
 
 
 def _are_peaks(
     power: NDArray[np.floating[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
     """Whether cells are the highest of the 5 x 5 around them; the map wraps around."""
-    reach = [np.arange(size) - size // 2 for size in _around(power)]
-    around = power[
-        (rows[:, None, None] + reach[0][:, None]) % power.shape[0],
-        (columns[:, None, None] + reach[1]) % power.shape[1],
-    ]
-    own = power[rows, columns]
-    return np.asarray((own >= around.max(axis=(1, 2))) & (own > 0))
+    from scipy.ndimage import maximum_filter
+
+    sizes = [min(5, size) for size in power.shape]
+    if len(rows) > power.size // 25:
+        top = maximum_filter(power, sizes, mode="wrap")[rows, columns]
+    else:
+        reach = [np.arange(size) - size // 2 for size in sizes]
+        around = power[
+            (rows[:, None, None] + reach[0][:, None]) % power.shape[0],
+            (columns[:, None, None] + reach[1]) % power.shape[1],
+        ]
+        top = around.max(axis=(1, 2))
+    return np.asarray((power[rows, columns] >= top) & (top > 0))
 
 
 def _measured(

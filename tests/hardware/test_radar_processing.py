@@ -13,6 +13,7 @@ from scipy import stats
 from hardware.radar import Cfar, OfdmWaveform, cfar_threshold, range_doppler
 from hardware.radar.angles import compensated, direction
 from hardware.radar.burst import demodulate, even_turns
+from hardware.radar.cfar import possible
 from hardware.radar.clutter import without_leakage, without_static
 from hardware.radar.detection import Detection, detected
 from hardware.radar.music import music
@@ -531,3 +532,21 @@ def test_angles_and_turns_agree_with_what_was_compensated() -> None:
     still = compensated(amplitude, burst, found.range_rate_m_per_s)
     phase = np.unwrap(np.angle(still[np.argsort((burst.transmitter_m + burst.receiver_m)[:, 1])]))
     np.testing.assert_allclose(np.diff(phase), np.pi * np.sin(0.2), atol=0.02)
+
+
+@pytest.mark.parametrize("method", ["ca", "go"])
+@pytest.mark.parametrize("false_alarm", [1e-1, 1e-2, 1e-4, 1e-7])
+@pytest.mark.parametrize("shape", [(256, 64), (253, 64), (64, 64)])
+def test_the_quick_way_finds_the_same_cells(method, false_alarm: float, shape) -> None:
+    """On noise with strong echoes and a quiet corner."""
+    rng = np.random.default_rng(10)
+    power = rng.exponential(size=shape)
+    power[:20, :20] *= 1e-3
+    power[rng.integers(0, shape[0], 40), rng.integers(0, 64, 40)] *= 1e6
+    cfar = Cfar(false_alarm, method)
+    threshold = cfar_threshold(power, cfar)
+    at = possible(power, cfar)
+    np.testing.assert_allclose(cfar_threshold(power, cfar, at=at), threshold[at], rtol=1e-6)
+    chosen = np.zeros(shape, dtype=bool)
+    chosen[at] = True
+    assert chosen[power > threshold].all()
