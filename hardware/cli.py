@@ -6,22 +6,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware import radar_commands
+
 if TYPE_CHECKING:
     from hardware.reconstruction import Mixing, RangeImage
     from hardware.records import SpiRecord
 
 app = typer.Typer(
     name="ugv",
-    help="Images from the records of a single-pixel camera.",
+    help="Images and detections from the records of a single-pixel camera and a radar.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
 
+radar_commands.register(app)
+
+
 @app.callback()
 def _ugv() -> None:
-    """Images from the records of a single-pixel camera."""
+    """Images and detections from the records of a single-pixel camera and a radar."""
 
 
 @app.command()

@@ -1,14 +1,21 @@
 """From IQ samples to detections: OFDM demodulation, range-Doppler map, CFAR."""
 
+from hardware.radar.cfar import Cfar, cfar_factor, cfar_threshold
+from hardware.radar.demodulation import channel
 from hardware.radar.detection import Detection, detect
-from hardware.radar.range_doppler import RangeDopplerMap, channel, range_doppler
+from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
+from hardware.radar.stitching import stitch
 from hardware.radar.waveform import OfdmWaveform
 
 __all__ = [
+    "Cfar",
     "Detection",
     "OfdmWaveform",
     "RangeDopplerMap",
+    "cfar_factor",
+    "cfar_threshold",
     "channel",
     "detect",
     "range_doppler",
+    "stitch",
 ]

@@ -1,12 +1,18 @@
 """Detections: constant false-alarm rate on the map, then each peak refined on the channel."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.range_doppler import RangeDopplerMap, taper
+from hardware.radar.cfar import Cfar, cfar_threshold, possible
+from hardware.radar.demodulation import Complex
+from hardware.radar.range_doppler import RangeDopplerMap, check_channel
+from hardware.radar.refinement import Blocks, amplitudes, blocks_about, highest
 from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
+from hardware.radar.windows import frequency_variance, taper
 
 Array = NDArray[np.float64]
 
@@ -15,8 +21,9 @@ Array = NDArray[np.float64]
 class Detection:
     """One target: where, how fast (positive: receding), how strong.
 
-    The standard errors are the Cramer-Rao bounds at its SNR for a rectangular window; tapered by
-    ``hann`` an estimate scatters 1.5 times as much, by ``blackmanharris`` 2.2 times.
+    ``power_w`` is what one antenna received. Standard errors follow from the SNR and the window:
+    with a rectangular one they are the Cramer-Rao bounds. Azimuth (positive: left), elevation and
+    cross-section are NaN where array or antenna do not tell them.
     """
 
     range_m: float
@@ -25,10 +32,15 @@ class Detection:
     snr_db: float
     range_error_m: float
     range_rate_error_m_per_s: float
+    azimuth_rad: float = float("nan")
+    azimuth_error_rad: float = float("nan")
+    elevation_rad: float = float("nan")
+    elevation_error_rad: float = float("nan")
+    rcs_m2: float = float("nan")
 
 
 def detect(
-    channel: NDArray[np.complex128],
+    channel: Complex,
     waveform: OfdmWaveform,
     image: RangeDopplerMap,
     *,
@@ -44,160 +56,160 @@ def detect(
     ----------
     channel, waveform, image
         As `range_doppler` took and gave them.
-    false_alarm
-        Probability per cell that noise alone is called a target.
+    false_alarm, guard, training
+        See `Cfar`; for other methods than the mean use `detected`.
     window
         The one of ``image``.
-    guard, training
-        Cells on each side along range and rate that are left out, and that tell the noise.
     at_most
         Detections returned.
     """
-    power = image.power_w
-    if all(size <= 2 * g + 1 for size, g in zip(power.shape, guard, strict=True)):
-        return []  # nothing but guard cells: nothing to tell the noise from
-    above = power > cfar_threshold(power, false_alarm, guard, training)
-    found = np.argwhere(above & _peaks(power))
-    order = np.argsort(-image.power_w[tuple(found.T)])[:at_most]
-    tapered = channel * taper(window, channel.shape[0])[:, None] * taper(window, channel.shape[1])
-    return [_refined(tapered, waveform, image, *found[i]) for i in order]
+    cfar = Cfar(false_alarm, "ca", guard, training)
+    return [found for found, _ in detected(channel, waveform, image, cfar, window, at_most)]
 
 
-def cfar_factor(false_alarm: float, cells: int) -> float:
-    """Threshold over the mean of ``cells`` exponential cells: n (Pfa^(-1/n) - 1)."""
-    return float(cells * (false_alarm ** (-1 / cells) - 1))
-
-
-def cfar_threshold(
-    power: Array, false_alarm: float, guard: tuple[int, int], training: tuple[int, int]
-) -> Array:
-    """Cell-averaging threshold of every cell; the map wraps around.
-
-    Raises ValueError when the map leaves no cells to tell the noise from.
-    """
-    from scipy.ndimage import uniform_filter
-
-    inner = tuple(min(2 * g + 1, size) for g, size in zip(guard, power.shape, strict=True))
-    outer = tuple(
-        min(2 * (g + t) + 1, size) for g, t, size in zip(guard, training, power.shape, strict=True)
-    )
-    n_inner, n_outer = inner[0] * inner[1], outer[0] * outer[1]
-    cells = n_outer - n_inner
-    if cells < 1:
-        raise ValueError(f"training: no cells left of a map of {power.shape} to tell the noise")
-    around = n_outer * uniform_filter(power, outer, mode="wrap")
-    around -= n_inner * uniform_filter(power, inner, mode="wrap")
-    # A running mean loses digits next to a peak 1e10 times higher: never below zero.
-    level = np.maximum(around / cells, 0)
-    return np.asarray(cfar_factor(false_alarm, cells) * level, dtype=np.float64)
-
-
-def _peaks(power: Array) -> NDArray[np.bool_]:
-    """Cells that are the highest of the 5 x 5 around them."""
-    from scipy.ndimage import maximum_filter
-
-    highest = maximum_filter(power, tuple(min(5, size) for size in power.shape), mode="wrap")
-    return np.asarray((power == highest) & (power > 0))
-
-
-def _refined(
-    tapered: NDArray[np.complex128],
+def detected(
+    channel: Complex,
     waveform: OfdmWaveform,
     image: RangeDopplerMap,
-    row: int,
-    column: int,
-) -> Detection:
-    """Maximum-likelihood range and rate of a lone target near a cell, by Newton's method.
+    cfar: Cfar,
+    window: str = "blackmanharris",
+    at_most: int = 64,
+) -> list[tuple[Detection, NDArray[np.complex128]]]:
+    """Find targets, strongest first, each with its amplitude on every channel, (n_channels,)."""
+    check_channel(channel, waveform)
+    cells = tuple(s * image.oversampling for s in channel.shape[-2:])
+    if image.power_w.shape != cells:
+        raise ValueError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")
+    rows, columns = peaks_above(image, cfar, window)
+    strongest = np.argsort(-image.power_w[rows, columns], kind="stable")[:at_most]
+    if not len(strongest):
+        return []
+    rows, columns = rows[strongest], columns[strongest]
+    found = [
+        _measured(blocks, waveform, image.noise_w, window)
+        for blocks in blocks_about(
+            channel, waveform, window, image.range_m[rows], image.range_rate_m_per_s[columns]
+        )
+    ]
+    return distinct(found, waveform)
 
-    The model is exact: exp(-j 2 pi (fc + f) (tau + rate t)), with the migration through range
-    cells that a fast target makes within the interval. The channel is brought to the cell and
-    summed in blocks first, which leaves a small, slowly turning array.
-    """
-    delay = 2 * image.range_m[row] / C_M_PER_S
-    rate = 2 * image.range_rate_m_per_s[column] / C_M_PER_S
-    f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
-    mixed = tapered * np.exp(2j * np.pi * f * delay)[:, None]
-    mixed *= np.exp(2j * np.pi * waveform.carrier_hz * rate * t)
-    blocks, f, t = _in_blocks(mixed, f, t)
-    by_delay = 2 * np.pi * np.broadcast_to(f[:, None], blocks.shape)
-    by_rate = 2 * np.pi * (waveform.carrier_hz + f[:, None]) * t
-    blocks = blocks * np.exp(2j * np.pi * f[:, None] * t * rate)
 
-    cell = np.array([1 / waveform.bandwidth_hz, 2 * waveform.velocity_cell_m_per_s / C_M_PER_S])
-    # Migration smears the peak over as many cells as the target crosses.
-    crossed = abs(rate) * waveform.n_slots * waveform.slot_period_s / cell[0]
-    step = _highest(blocks, 2 * np.pi * f * cell[0], by_rate[len(f) // 2] * cell[1], 1 + crossed)
-    for _ in range(12):
-        gradient, hessian = _slope(blocks, by_delay * cell[0], by_rate * cell[1], step)
-        change = -np.linalg.lstsq(hessian, gradient, rcond=None)[0]
-        step = step + np.clip(change, -0.25, 0.25)
-        if np.abs(change).max() < 1e-9:
-            break
-    turned = blocks * np.exp(1j * (by_delay * cell[0] * step[0] + by_rate * cell[1] * step[1]))
-    power = float(np.abs(turned.sum() / tapered.size) ** 2)
-    snr = power / image.noise_w if image.noise_w else np.inf
-    range_error, rate_error = _bounds(waveform, snr)
-    return Detection(
-        range_m=float(C_M_PER_S / 2 * (delay + step[0] * cell[0])) % waveform.max_range_m,
-        range_rate_m_per_s=float(C_M_PER_S / 2 * (rate + step[1] * cell[1])),
+def peaks_above(
+    image: RangeDopplerMap, cfar: Cfar, window: str
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the cells above their threshold and above the cells around them."""
+    power = image.power_w
+    if all(size <= 2 * g + 1 for size, g in zip(power.shape, cfar.guard, strict=True)):
+        none = np.zeros(0, dtype=np.intp)
+        return none, none  # nothing but guard cells: nothing to tell the noise from
+    made: dict[str, Any] = {
+        "window": window,
+        "n_channels": image.n_channels,
+        "oversampling": image.oversampling,
+    }
+    rows, columns = possible(power, cfar, **made)
+    peak = _are_peaks(power, rows, columns)
+    rows, columns = rows[peak], columns[peak]
+    above = power[rows, columns] > cfar_threshold(power, cfar, at=(rows, columns), **made)
+    return rows[above], columns[above]
+
+
+def _are_peaks(
+    power: NDArray[np.floating[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Whether cells are the highest of the 5 x 5 around them; the map wraps around."""
+    from scipy.ndimage import maximum_filter
+
+    sizes = [min(5, size) for size in power.shape]
+    if len(rows) > power.size // 25:
+        top = maximum_filter(power, sizes, mode="wrap")[rows, columns]
+    else:
+        reach = [np.arange(size) - size // 2 for size in sizes]
+        around = power[
+            (rows[:, None, None] + reach[0][:, None]) % power.shape[0],
+            (columns[:, None, None] + reach[1]) % power.shape[1],
+        ]
+        top = around.max(axis=(1, 2))
+    return np.asarray((power[rows, columns] >= top) & (top > 0))
+
+
+def _measured(
+    blocks: Blocks, waveform: OfdmWaveform, noise_w: float, window: str
+) -> tuple[Detection, NDArray[np.complex128]]:
+    step = highest(blocks)
+    return measurement(blocks, step, amplitudes(blocks, step), waveform, noise_w, window)
+
+
+def measurement(
+    blocks: Blocks,
+    step: Array,
+    amplitude: NDArray[np.complex128],
+    waveform: OfdmWaveform,
+    noise_w: float,
+    window: str,
+) -> tuple[Detection, NDArray[np.complex128]]:
+    """A detection at cells from the middle of blocks."""
+    power = float(np.mean(np.abs(amplitude) ** 2))
+    snr = power / noise_w if noise_w else np.inf
+    range_error, rate_error = standard_errors(waveform, window, snr * len(amplitude))
+    delay = blocks.delay_s + step[0] * blocks.cell[0]
+    found = Detection(
+        range_m=float(C_M_PER_S / 2 * delay) % waveform.max_range_m,
+        range_rate_m_per_s=float(C_M_PER_S / 2 * (blocks.delay_rate + step[1] * blocks.cell[1])),
         power_w=power,
-        snr_db=float(10 * np.log10(snr)),
+        snr_db=float(10 * np.log10(snr)) if snr else -np.inf,
         range_error_m=range_error,
         range_rate_error_m_per_s=rate_error,
     )
+    return found, amplitude
 
 
-def _in_blocks(
-    mixed: NDArray[np.complex128], f: Array, t: Array, most: tuple[int, int] = (64, 64)
-) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Sums over up to 64 x 64 blocks, with the blocks' mean frequencies and times."""
-    starts = [
-        np.unique(np.linspace(0, size, min(m, size), endpoint=False).astype(int))
-        for size, m in zip(mixed.shape, most, strict=True)
+def distinct(
+    found: Sequence[tuple[Detection, NDArray[np.complex128]]], waveform: OfdmWaveform
+) -> list[tuple[Detection, NDArray[np.complex128]]]:
+    """Strongest first, without those that climbed the same peak: nearer than 0.3 cells."""
+    kept: list[tuple[Detection, NDArray[np.complex128]]] = []
+    for candidate in sorted(found, key=lambda pair: -pair[0].power_w):
+        if all(_apart(candidate[0], other[0], waveform) > 0.3 for other in kept):
+            kept.append(candidate)
+    return kept
+
+
+def _apart(a: Detection, b: Detection, waveform: OfdmWaveform) -> float:
+    by_range = abs(a.range_m - b.range_m) / waveform.range_cell_m
+    by_rate = abs(a.range_rate_m_per_s - b.range_rate_m_per_s) / waveform.velocity_cell_m_per_s
+    return max(by_range, by_rate)
+
+
+def standard_errors(waveform: OfdmWaveform, window: str, snr: float) -> tuple[float, float]:
+    """Standard errors of range and range rate at an image SNR (after all processing)."""
+    if not snr:
+        return float("inf"), float("inf")
+    spread = [
+        np.sqrt(frequency_variance(taper(window, n)) / snr)
+        for n in (waveform.n_subcarriers, waveform.n_slots)
     ]
-    summed = np.add.reduceat(np.add.reduceat(mixed, starts[0], axis=0), starts[1], axis=1)
-    means = [
-        np.add.reduceat(axis, s) / np.diff(np.append(s, len(axis)))
-        for axis, s in zip((f, t), starts, strict=True)
-    ]
-    return summed, means[0], means[1]
-
-
-def _highest(
-    blocks: NDArray[np.complex128], by_delay: Array, by_rate: Array, reach: float
-) -> Array:
-    """Best of a grid of quarter cells out to ``reach`` cells: a start from which Newton climbs."""
-    steps = np.arange(-np.ceil(4 * reach), np.ceil(4 * reach) + 1) / 4
-    sums = np.exp(1j * np.outer(steps, by_delay)) @ blocks @ np.exp(1j * np.outer(by_rate, steps))
-    row, column = np.unravel_index(np.argmax(np.abs(sums)), sums.shape)
-    return np.array([steps[row], steps[column]])
-
-
-def _slope(blocks: NDArray[np.complex128], a: Array, b: Array, step: Array) -> tuple[Array, Array]:
-    """Gradient and Hessian of log |sum blocks exp(j (a x + b y))|^2 at ``step``."""
-    turned = blocks * np.exp(1j * (a * step[0] + b * step[1]))
-    s = turned.sum()
-    first = np.array([(1j * a * turned).sum(), (1j * b * turned).sum()])
-    second = -np.array(
-        [
-            [(a * a * turned).sum(), (a * b * turned).sum()],
-            [(a * b * turned).sum(), (b * b * turned).sum()],
-        ]
-    )
-    gradient = 2 * np.real(first / s)
-    hessian = 2 * np.real(second / s - first[:, None] * first / s**2)
-    return gradient, hessian
-
-
-def _bounds(waveform: OfdmWaveform, snr: float) -> tuple[float, float]:
-    """Cramer-Rao bounds of range and range rate at an image SNR (after all processing).
-
-    sigma_R = c / (4 pi df) sqrt(6 / (SNR (N^2 - 1))), and the same along slots.
-    """
-    n, m = waveform.n_subcarriers, waveform.n_slots
-    along_range = np.sqrt(6 / (snr * max(n**2 - 1, 1)))
-    along_slots = np.sqrt(6 / (snr * max(m**2 - 1, 1)))
     return (
-        float(C_M_PER_S / (4 * np.pi * waveform.subcarrier_spacing_hz) * along_range),
-        float(waveform.wavelength_m / (4 * np.pi * waveform.slot_period_s) * along_slots),
+        float(C_M_PER_S / (4 * np.pi * waveform.subcarrier_spacing_hz) * spread[0]),
+        float(waveform.wavelength_m / (4 * np.pi * waveform.slot_period_s) * spread[1]),
     )
+
+
+def with_cross_section(
+    found: Detection,
+    waveform: OfdmWaveform,
+    transmit_power_w: float,
+    antenna_gain_dbi: float,
+    losses_db: float,
+) -> Detection:
+    """A detection with its cross-section by the radar equation in free space, at the boresight.
+
+    What averaging over a slot takes from a moving target's echo is put back.
+    """
+    gain = 10 ** (antenna_gain_dbi / 10)
+    loss = 10 ** (losses_db / 10)
+    doppler = 2 * found.range_rate_m_per_s / waveform.wavelength_m
+    kept = float(waveform.slot_gain(np.array(doppler))) ** 2
+    spread = (4 * np.pi) ** 3 * found.range_m**4 * loss
+    sent = transmit_power_w * gain**2 * waveform.wavelength_m**2 * kept
+    return replace(found, rcs_m2=float(found.power_w * spread / sent) if sent else float("nan"))

@@ -1,88 +1,116 @@
-"""Demodulation and the range-Doppler map, in received power.
+"""The range-Doppler map in received power.
 
-Element-wise division by the sent symbols, then a two-dimensional FFT (Sturm and Wiesbeck, Proc.
-IEEE 99, 2011).
+A two-dimensional transform of the channel (Sturm and Wiesbeck, Proc. IEEE 99, 2011).
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.demodulation import Complex
 from hardware.radar.waveform import OfdmWaveform
-
-if TYPE_CHECKING:
-    from hardware.records.radar import RadarRecord
+from hardware.radar.windows import taper
 
 Array = NDArray[np.float64]
+Power = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
 class RangeDopplerMap:
     """Received power by range and range rate.
 
-    ``power_w`` (n_ranges, n_rates): a lone target at a cell's centre shows the power that the
-    antenna received from it. ``range_m`` ascends from 0; ``range_rate_m_per_s`` ascends, positive
-    when the target recedes. ``noise_w`` is the mean noise power of a cell.
+    ``power_w`` (n_ranges, n_rates): a lone target at a cell's centre shows the power that one
+    antenna received from it, the mean over ``n_channels``. ``range_m`` ascends from 0;
+    ``range_rate_m_per_s`` ascends, positive when the target recedes. ``noise_w`` is the mean noise
+    power of a cell. ``oversampling`` cells stand where one would do.
     """
 
-    power_w: Array
+    power_w: Power
     range_m: Array
     range_rate_m_per_s: Array
     noise_w: float
-
-
-def channel(
-    record: "RadarRecord", *, burst: int = 0, step: int = 0, receiver: int = 0
-) -> NDArray[np.complex128]:
-    """Channel times root transmit power, in root watts, ``(n_subcarriers, n_slots)``.
-
-    One subcarrier carries 1/N of the power; the division by the sent symbols scales it back to the
-    whole, so that an echo of power P has the modulus sqrt(P) everywhere.
-    """
-    n = record.waveform.n_subcarriers
-    wave = record.wave[burst, step, :, receiver]
-    received = np.fft.fftshift(np.fft.fft(wave, axis=-1), axes=-1) / n
-    return (received * np.sqrt(n) / record.waveform.sent()).T
-
-
-def taper(name: str, size: int) -> Array:
-    """Window of mean 1: peaks keep their power, noise grows by the mean square.
-
-    Raises ValueError for a name that SciPy does not know.
-    """
-    from scipy.signal import get_window
-
-    window = get_window(name, size, fftbins=False)
-    return np.asarray(window / window.mean(), dtype=np.float64)
+    n_channels: int = 1
+    oversampling: int = 1
 
 
 def range_doppler(
-    channel: NDArray[np.complex128], waveform: OfdmWaveform, window: str = "blackmanharris"
+    channel: Complex,
+    waveform: OfdmWaveform,
+    window: str = "blackmanharris",
+    *,
+    oversampling: int = 1,
 ) -> RangeDopplerMap:
-    """Range-Doppler map of a channel.
+    """Range-Doppler map of a channel, or of several, their powers averaged.
 
     Parameters
     ----------
-    channel : (n_subcarriers, n_slots) array
-        In root watts, from `channel`.
+    channel : (n_subcarriers, n_slots) or (n_channels, n_subcarriers, n_slots) array
+        In root watts. Single precision stays single.
     waveform
         Sets the axes.
     window
         Along both axes, by SciPy's name. ``boxcar`` resolves best; ``blackmanharris`` keeps side
         lobes 92 dB down, at twice the width and 3 dB of noise per axis.
+    oversampling
+        Cells per resolution cell along each axis. Bounds what a target between cells loses: with
+        ``boxcar`` 3.9 dB per axis for 1, 0.9 for 2; with ``blackmanharris`` 0.8 for 1.
+
+    Raises ValueError for a channel that is not the waveform's.
     """
-    n, m = channel.shape
-    tapered = channel * taper(window, n)[:, None] * taper(window, m)
+    check_channel(channel, waveform)
+    n, m = channel.shape[-2:]
+    across, along = oversampling * n, oversampling * m
+    parts = channel.reshape(-1, n, m)
     # ifft has the 1/N along range that makes a mean of the sum; the sign undoes exp(-j 2 pi f tau).
-    image = np.fft.fftshift(np.fft.fft(np.fft.ifft(tapered, axis=0), axis=1), axes=1) / m
-    power = np.abs(image) ** 2
-    doppler = (np.arange(m) - m // 2) / (m * waveform.slot_period_s)
+    by_range = (taper(window, n) * oversampling).astype(parts.real.dtype)
+    by_slot = (taper(window, m) / m).astype(parts.real.dtype)
+    powers = [_power(part, by_range, by_slot, across, along) for part in parts]
+    power = powers[0] if len(parts) == 1 else np.mean(powers, axis=0)
+    rates = (np.arange(along) - (along - 1) // 2) / (along * waveform.slot_period_s)
     return RangeDopplerMap(
-        power_w=power[:, ::-1],
-        range_m=np.arange(n, dtype=np.float64) * waveform.range_cell_m,
-        range_rate_m_per_s=(-doppler * waveform.wavelength_m / 2)[::-1],
-        # The median of an exponential distribution is its mean times log 2.
-        noise_w=float(np.median(power) / np.log(2)),
+        power_w=power,
+        range_m=np.arange(across) * (waveform.range_cell_m / oversampling),
+        range_rate_m_per_s=rates * waveform.wavelength_m / 2,
+        noise_w=_noise(power, len(parts)),
+        n_channels=len(parts),
+        oversampling=oversampling,
     )
+
+
+def check_channel(channel: Complex, waveform: OfdmWaveform) -> None:
+    """Raise ValueError unless a channel has the waveform's subcarriers and slots."""
+    expected = waveform.n_subcarriers, waveform.n_slots
+    if channel.ndim not in (2, 3) or channel.shape[-2:] != expected:
+        raise ValueError(
+            f"channel: shape {channel.shape}, expected (..., {expected[0]}, {expected[1]}) "
+            "subcarriers and slots of the waveform"
+        )
+
+
+def _power(part: Complex, by_range: Power, by_slot: Power, across: int, along: int) -> Power:
+    """Power (across, along) of one channel; rates ascend.
+
+    Range rates run against Doppler, so the transform over slots is the inverse one, without 1/M.
+    """
+    from scipy.fft import ifft
+
+    # Slots first: the channel comes transposed, its subcarriers contiguous.
+    slots = part.T * by_range
+    slots *= by_slot[:, None]
+    profiles = ifft(slots, across, axis=1, overwrite_x=True, workers=-1)
+    image = ifft(profiles, along, axis=0, norm="forward", overwrite_x=True, workers=-1)
+    power = image.real**2
+    power += image.imag**2
+    return np.roll(power, (along - 1) // 2, axis=0).T
+
+
+def _noise(power: Power, n_channels: int) -> float:
+    """Mean of the noise, from the map's median: that of the mean of n exponential cells."""
+    from scipy.special import gammaincinv
+
+    middle = power.size // 2
+    # Far quicker than np.median, which sorts with care for NaN.
+    median = np.partition(power.ravel(order="K"), middle)[middle]
+    return float(median / gammaincinv(n_channels, 0.5) * n_channels)

@@ -11,9 +11,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hardware.radar import OfdmWaveform, channel, detect, range_doppler
-from hardware.radar.detection import cfar_factor, cfar_threshold
-from hardware.radar.range_doppler import taper
+from hardware.radar import (
+    Cfar,
+    OfdmWaveform,
+    cfar_factor,
+    cfar_threshold,
+    channel,
+    detect,
+    range_doppler,
+)
+from hardware.radar.windows import taper
 from hardware.records import RadarRecord, read_radar_record, write_radar_record
 
 C = 299_792_458.0
@@ -153,7 +160,7 @@ def test_noise_floor_is_noise_over_cells_times_the_windows_loss(window: str) -> 
 def test_false_alarms_come_at_the_rate_asked_for(false_alarm: float) -> None:
     """Cells of 2^20 exponential ones above the threshold: a Poisson number, bounds at 1e-6."""
     power = np.random.default_rng(2).exponential(size=(4096, 256))
-    above = np.count_nonzero(power > cfar_threshold(power, false_alarm, (6, 6), (16, 12)))
+    above = np.count_nonzero(power > cfar_threshold(power, Cfar(false_alarm)))
     low, high = stats.poisson.ppf([5e-7, 1 - 5e-7], false_alarm * power.size)
     assert low <= above <= high
 
@@ -215,7 +222,7 @@ def test_silence_gives_no_detection() -> None:
 
 def test_a_map_too_small_to_tell_the_noise_is_refused() -> None:
     with pytest.raises(ValueError, match="training"):
-        cfar_threshold(np.ones((8, 8)), 1e-3, (6, 6), (16, 12))
+        cfar_threshold(np.ones((8, 8)), Cfar(1e-3))
 
 
 # Record.
@@ -299,7 +306,7 @@ def test_rare_false_alarms_come_at_the_rate_asked_for() -> None:
     above = 0
     for _ in range(200):
         power = rng.exponential(size=(4096, 256))
-        above += np.count_nonzero(power > cfar_threshold(power, 1e-6, (6, 6), (16, 12)))
+        above += np.count_nonzero(power > cfar_threshold(power, Cfar(1e-6)))
     low, high = stats.poisson.ppf([5e-7, 1 - 5e-7], 1e-6 * 200 * 2**20)
     assert low <= above <= high
 

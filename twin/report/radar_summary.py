@@ -99,7 +99,7 @@ def _budget(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
 
 def _window_loss(evaluation: RadarEvaluation) -> float:
     """Noise that the windows add: product of their mean squares at mean 1."""
-    from hardware.radar.range_doppler import taper
+    from hardware.radar.windows import taper
 
     sizes = evaluation.waveform.n_subcarriers, evaluation.waveform.n_slots
     return float(np.prod([np.mean(taper(evaluation.window, n) ** 2) for n in sizes]))

@@ -1,0 +1,148 @@
+"""One burst, ready to process: each pair of transmitter and receiver a channel of one wide band."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.clutter import without_leakage
+from hardware.radar.demodulation import Complex, Precision, demodulated
+from hardware.radar.integrity import usable
+from hardware.radar.stitching import stitch
+from hardware.radar.waveform import OfdmWaveform
+
+if TYPE_CHECKING:
+    from hardware.records.radar import RadarRecord
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Burst:
+    """A coherent processing interval.
+
+    Parameters
+    ----------
+    channel : (n_channels, n_subcarriers, n_slots)
+        In root watts; transmitters first, then receivers.
+    waveform
+        Of each channel: all carrier steps together, and only the slots in which its transmitter
+        sends, so that its velocity ambiguity is that of the turns.
+    late_s : (n_channels,)
+        By how much a channel's slots come after the mean of all.
+    transmitter_m, receiver_m : (n_channels, 3)
+        Phase centres in the antenna's frame.
+    whole
+        False when a gap or an overflow cut the burst short; ``warnings`` say where.
+    """
+
+    channel: Complex
+    waveform: OfdmWaveform
+    late_s: Array
+    transmitter_m: Array
+    receiver_m: Array
+    whole: bool
+    warnings: tuple[str, ...]
+
+
+def demodulate(
+    record: "RadarRecord",
+    burst: int = 0,
+    *,
+    waveform: OfdmWaveform | None = None,
+    precision: Precision = "double",
+    leakage: bool = True,
+    reference_delay_s: float | None = None,
+    range_rate_m_per_s: float = 0.0,
+) -> Burst:
+    """Demodulate a burst up to its first gap or overflow.
+
+    Parameters
+    ----------
+    record, burst
+        What was measured.
+    waveform
+        What the caller believes was sent; refused when it is not the record's.
+    precision
+        See `Precision`. Carrier steps are joined in double precision always.
+    leakage
+        Take the record's leakage away, where its delay is known.
+    reference_delay_s, range_rate_m_per_s
+        See `stitch`; without a delay that of the record's leakage.
+
+    Raises ValueError for another waveform, for transmitters that take no even turns, or where
+    nothing can be used.
+    """
+    if waveform is not None and waveform != record.waveform:
+        raise ValueError(f"waveform: {waveform} is not the record's, {record.waveform}")
+    part = usable(record, burst)
+    turns = even_turns(record.transmitter[: part.n_slots])
+    steps = range(part.n_steps)
+    wave = record.waveform
+    n_transmitters, n_turns = turns.shape
+    slots = wave.slot_times_s[turns]
+    own = replace(wave, n_slots=n_turns, slot_period_s=wave.slot_period_s * n_transmitters)
+    cube = [_step(record, burst, step, turns, precision) for step in steps]
+    motion = None
+    if len(record.carriers_hz) == 1:
+        joined, wide = cube[0], own
+    else:
+        stitched = stitch(
+            np.stack(cube, axis=1).astype(np.complex128),
+            own,
+            record.carriers_hz[: part.n_steps],
+            record.leakage_delay_s if reference_delay_s is None else reference_delay_s,
+            step_times_s=1e-9 * record.device_time_ns[burst, : part.n_steps, 0].astype(np.float64),
+            range_rate_m_per_s=range_rate_m_per_s,
+        )
+        joined, wide, motion = stitched.channel, stitched.waveform, stitched.motion
+    if leakage and np.isfinite(record.leakage_delay_s):
+        joined = without_leakage(joined, wide, record.leakage_delay_s)
+    if motion is not None:
+        joined = joined * motion[:, None]
+    used = record.transmitter[turns[:, 0]]
+    n_receivers = len(record.receivers_m)
+    return Burst(
+        channel=joined,
+        waveform=wide,
+        late_s=np.repeat(slots.mean(axis=1) - slots.mean(), n_receivers),
+        transmitter_m=np.repeat(record.transmitters_m[used], n_receivers, axis=0),
+        receiver_m=np.tile(record.receivers_m, (n_transmitters, 1)),
+        whole=part.whole,
+        warnings=part.warnings,
+    )
+
+
+def even_turns(transmitter: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """Slots of each transmitter that sends at all, (n_transmitters, n_turns), by its number.
+
+    A last, incomplete round is left out. Raises ValueError unless they take turns evenly.
+    """
+    names = np.unique(transmitter)
+    n_turns = len(transmitter) // len(names)
+    rounds = transmitter[: n_turns * len(names)].reshape(n_turns, len(names))
+    if (rounds != rounds[0]).any() or len(np.unique(rounds[0])) != len(names):
+        raise ValueError(
+            f"transmitter: slots of {', '.join(map(str, names))} do not take even turns"
+        )
+    return (np.arange(n_turns)[:, None] * len(names) + np.argsort(rounds[0])).T
+
+
+def _step(
+    record: "RadarRecord",
+    burst: int,
+    step: int,
+    turns: NDArray[np.intp],
+    precision: Precision,
+) -> Complex:
+    """Channels (n_channels, n_subcarriers, n_turns) of one step."""
+    wave = record.waveform
+    iq = record.iq[burst, step]
+    channels = []
+    for slots in turns:
+        regular = slice(int(slots[0]), int(slots[-1]) + 1, len(turns))  # a view, no copy
+        for receiver in range(iq.shape[1]):
+            counts = iq[regular, receiver]
+            channels.append(demodulated(counts, wave, record.root_watt_per_count, precision).T)
+    return channels[0][None] if len(channels) == 1 else np.stack(channels)

@@ -1,0 +1,323 @@
+"""Constant false-alarm rate: thresholds from the cells around, at a chosen probability.
+
+A noise cell, the mean of V channels, is gamma distributed with shape V. The reference z is
+
+- ``ca``: the mean of n training cells;
+- ``go``: the greater of the means before and behind in range, for edges of clutter;
+- ``os``: the k-th smallest of n, k = 3 n / 4, for neighbours among the training cells;
+
+and a cell is a detection above factor * z. The factor solves E[Q(V, V factor z)] = Pfa over z's
+distribution (Q the regularised upper gamma function). For one channel and independent cells that
+is the textbooks' n (Pfa^(-1/n) - 1) for ``ca`` and prod (n - i) / (n - i + factor) = Pfa for ``os``
+(Rohling, IEEE Trans. AES 19, 1983).
+
+A window makes neighbouring cells alike: n cells then tell as much as fewer independent ones. That
+number replaces n: for a mean, the one with the same variance; for a quantile, the one with the same
+variance of the share of cells below it.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.windows import correlation, taper
+
+Array = NDArray[np.float64]
+Power = NDArray[np.floating[Any]]
+Mask = NDArray[np.bool_]
+Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
+Method = Literal["ca", "go", "os"]
+_QUANTILE = 0.75  # of the training cells, for os
+_MOST_ORDERED = 96  # cells that os sorts
+_TILE = 4  # cells along each side
+_MOST_GATHERED = 2000  # cells looked at one by one
+
+
+@dataclass(frozen=True)
+class Cfar:
+    """How detections are told from noise.
+
+    Parameters
+    ----------
+    false_alarm
+        Probability per cell that noise alone is called a target.
+    method
+        ``ca``, ``go`` or ``os``.
+    guard, training
+        Cells on each side along range and rate that are left out, and that tell the noise. The
+        guard must hold what a window spreads a cell over: 3 for ``blackmanharris``.
+    """
+
+    false_alarm: float = 1e-8
+    method: Method = "ca"
+    guard: tuple[int, int] = (6, 6)
+    training: tuple[int, int] = (16, 12)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.false_alarm < 1:
+            raise ValueError(f"false_alarm: {self.false_alarm} is no probability")
+        if self.method not in get_args(Method):
+            raise ValueError(f"method: {self.method!r} is none of {', '.join(get_args(Method))}")
+        for name in ("guard", "training"):
+            if min(getattr(self, name)) < 0:
+                raise ValueError(f"{name}: {getattr(self, name)} is negative")
+
+
+def cfar_threshold(
+    power: Power,
+    cfar: Cfar,
+    *,
+    window: str = "boxcar",
+    n_channels: int = 1,
+    oversampling: int = 1,
+    at: Cells | None = None,
+) -> Array:
+    """Threshold of every cell, or of those at rows and columns ``at``; the map wraps around.
+
+    Parameters
+    ----------
+    power : (n_ranges, n_rates)
+        In any unit.
+    cfar
+        What is asked for.
+    window, n_channels, oversampling
+        How the map was made: they set how alike its cells are, and how they scatter.
+
+    Raises ValueError when the map leaves no cells to tell the noise from.
+    """
+    regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
+    whole = at is None
+    if at is None and rank:
+        rows, columns = np.unravel_index(np.arange(power.size), power.shape)
+        at = rows, columns
+    if at is None or (not rank and len(at[0]) > _MOST_GATHERED):
+        level = np.max([_sums(power, region) / region.sum() for region in regions], axis=0)
+        # A running sum loses digits next to a peak 1e10 times higher: never below zero.
+        level = factor * np.maximum(level, 0)
+        return np.asarray(level if at is None else level[at])
+    levels = [_gathered(power, _offsets(region), rank, at) for region in regions]
+    level = factor * np.max(levels, axis=0)
+    return np.asarray(level.reshape(power.shape) if whole else level)
+
+
+def possible(
+    power: Power, cfar: Cfar, *, window: str = "boxcar", n_channels: int = 1, oversampling: int = 1
+) -> Cells:
+    """Rows and columns of all cells above their threshold, and of few others.
+
+    A lower bound of the training cells' sum, from tiles that lie among them wherever in its own
+    tile a cell is, rules most cells out at a small part of the cost.
+    """
+    regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
+    if rank or any(size % _TILE for size in power.shape):
+        rows, columns = np.nonzero(power > 0)
+        return rows, columns
+    least = np.max([_least(power, region) for region in regions], axis=0) * factor
+    # Rounding of single precision must not rule a cell out.
+    bound = (least * (1 - 1e-5)).astype(power.dtype)
+    rows, columns = np.nonzero(power > np.repeat(np.repeat(bound, _TILE, 0), _TILE, 1))
+    return rows, columns
+
+
+def _rule(
+    shape: tuple[int, ...], cfar: Cfar, window: str, n_channels: int, oversampling: int
+) -> tuple[list[Mask], float, int]:
+    """Training cells, the factor on their reference, and for ``os`` the rank of that, else 0."""
+    regions = _regions(shape, cfar)
+    rank = 0
+    if cfar.method == "os":
+        regions = [_thinned(regions[0], shape, window, oversampling)]
+        rank = round(_QUANTILE * int(regions[0].sum()))
+    cells = int(regions[0].sum())
+    alike = _independent(shape, _offsets(regions[0]), window, oversampling, rank / cells)
+    factor = cfar_factor(cfar.false_alarm, alike, cfar.method, n_channels, rank * alike / cells)
+    return regions, factor, rank
+
+
+@lru_cache(maxsize=64)
+def cfar_factor(
+    false_alarm: float,
+    cells: float,
+    method: Method = "ca",
+    n_channels: int = 1,
+    rank: float | None = None,
+) -> float:
+    """Threshold over the reference of ``cells`` independent cells (in each half, for ``go``)."""
+    from scipy.optimize import brentq
+    from scipy.special import betaincinv, gammaincc, gammaincinv
+    from scipy.stats import norm
+
+    # Over the reference's quantiles, spaced evenly in a normal variable: its tails are reached.
+    x = np.linspace(-12, 12, 4001)
+    weight = norm.pdf(x) * (x[1] - x[0])
+    u = norm.cdf(x)
+    shape = n_channels * cells
+    if method == "ca":
+        z = gammaincinv(shape, u) / shape
+    elif method == "go":
+        z = gammaincinv(shape, np.sqrt(u)) / shape
+    else:
+        rank = _QUANTILE * cells if rank is None else rank
+        z = gammaincinv(n_channels, betaincinv(rank, cells - rank + 1, u)) / n_channels
+
+    def excess(log_factor: float) -> float:
+        rate = weight @ gammaincc(n_channels, n_channels * np.exp(log_factor) * z)
+        return float(np.log(rate + 1e-300) - np.log(false_alarm))
+
+    return float(np.exp(brentq(excess, -20, 20, xtol=1e-10)))
+
+
+def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[Mask]:
+    """Training cells as masks around a cell, (n_rows, n_columns), both odd unless they fill a map.
+
+    One ring, or for ``go`` the parts before and behind in range.
+    """
+    inner = [min(2 * g + 1, n) for g, n in zip(cfar.guard, shape, strict=True)]
+    outer = [
+        min(2 * (g + t) + 1, n) for g, t, n in zip(cfar.guard, cfar.training, shape, strict=True)
+    ]
+    middle = [
+        slice(o // 2 - i // 2, o // 2 - i // 2 + i) for i, o in zip(inner, outer, strict=True)
+    ]
+    ring = np.ones(outer, dtype=bool)
+    if cfar.method == "go":
+        ring[middle[0]] = False
+        before, behind = ring.copy(), ring.copy()
+        before[outer[0] // 2 :] = False
+        behind[: outer[0] // 2] = False
+        regions = [before, behind]
+    else:
+        ring[tuple(middle)] = False
+        regions = [ring]
+    if not all(region.any() for region in regions):
+        raise ValueError(f"training: no cells left of a map of {tuple(shape)} to tell the noise")
+    return regions
+
+
+def _offsets(region: Mask) -> NDArray[np.intp]:
+    """Rows and columns of a region's cells relative to its middle, (n_cells, 2)."""
+    return np.argwhere(region) - np.array(region.shape) // 2
+
+
+def _thinned(region: Mask, shape: tuple[int, ...], window: str, oversampling: int) -> Mask:
+    """Of the training cells those on a grid wide enough that few are left to sort, nearly alone."""
+    steps = [
+        max(1, int(np.argmax(correlation(taper(window, n // oversampling), oversampling) < 0.05)))
+        for n in shape
+    ]
+    rows, columns = (np.arange(n) - n // 2 for n in region.shape)
+    while True:
+        thin = region & ((rows % steps[0] == 0)[:, None] & (columns % steps[1] == 0))
+        if thin.sum() <= _MOST_ORDERED:
+            return thin if thin.sum() > 1 else region
+        steps[int(np.argmin(steps))] += 1
+
+
+def _least(power: Power, region: Mask) -> Array:
+    """Lower bound of a region's mean for all cells of every tile."""
+    rows, columns = (size // _TILE for size in power.shape)
+    tiles = power.reshape(rows, _TILE, columns, _TILE).sum(axis=(1, 3), dtype=np.float64)
+    certain = _certain(region.tobytes(), region.shape)
+    if not certain.any() or any(c > t for c, t in zip(certain.shape, tiles.shape, strict=True)):
+        return np.zeros_like(tiles)
+    return np.maximum(_sums(tiles, certain), 0) / region.sum()
+
+
+@lru_cache(maxsize=16)
+def _certain(packed: bytes, shape: tuple[int, int]) -> Mask:
+    """Tiles around a cell's own that lie within a region wherever in its tile the cell is."""
+    region = np.frombuffer(packed, dtype=bool).reshape(shape)
+    reach = [n // 2 // _TILE for n in shape]
+    certain = np.zeros([2 * r + 1 for r in reach], dtype=bool)
+    for tile in np.ndindex(certain.shape):
+        starts = [
+            n // 2 + (i - r) * _TILE - (_TILE - 1)
+            for n, i, r in zip(shape, tile, reach, strict=True)
+        ]
+        stops = [start + 2 * _TILE - 1 for start in starts]
+        if min(starts) >= 0 and all(stop <= n for stop, n in zip(stops, shape, strict=True)):
+            certain[tile] = region[starts[0] : stops[0], starts[1] : stops[1]].all()
+    return certain
+
+
+def _sums(power: Power, region: Mask) -> Array:
+    """Sum over a region, a box or a box with a hole, around every cell; the map wraps around."""
+    if power.flags.f_contiguous and not power.flags.c_contiguous:
+        return _sums(power.T, region.T).T
+    pad = [(n // 2, n - n // 2) for n in region.shape]
+    total = np.zeros([n + a + b + 1 for n, (a, b) in zip(power.shape, pad, strict=True)])
+    np.cumsum(np.pad(power, pad, mode="wrap"), axis=1, dtype=np.float64, out=total[1:, 1:])
+    np.cumsum(total, axis=0, out=total)
+
+    def box(rows: tuple[int, int], columns: tuple[int, int]) -> Array:
+        top, bottom = (slice(r, r + power.shape[0]) for r in rows)
+        left, right = (slice(c, c + power.shape[1]) for c in columns)
+        summed = total[bottom, right] - total[top, right]
+        summed -= total[bottom, left]
+        summed += total[top, left]
+        return summed
+
+    spans = [_extent(inside) for inside in np.nonzero(region)]
+    hole = np.nonzero(~region[slice(*spans[0]), slice(*spans[1])])
+    around = box(*spans)
+    if len(hole[0]):
+        around -= box(*(_extent(h + start) for h, (start, _) in zip(hole, spans, strict=True)))
+    return around
+
+
+def _extent(indices: NDArray[np.intp]) -> tuple[int, int]:
+    return int(indices.min()), int(indices.max()) + 1
+
+
+def _gathered(power: Power, offsets: NDArray[np.intp], rank: int, at: Cells) -> Array:
+    """Mean, or with a rank (from 1) the rank-th smallest, of the cells around chosen ones."""
+    level = np.empty(len(at[0]))
+    for start in range(0, len(level), 8192):
+        part = slice(start, start + 8192)
+        rows = (at[0][part, None] + offsets[:, 0]) % power.shape[0]
+        columns = (at[1][part, None] + offsets[:, 1]) % power.shape[1]
+        around = power[rows, columns]
+        if rank:
+            level[part] = np.partition(around, rank - 1, axis=1)[:, rank - 1]
+        else:
+            level[part] = around.mean(axis=1, dtype=np.float64)
+    return level
+
+
+def _independent(
+    shape: tuple[int, ...],
+    offsets: NDArray[np.intp],
+    window: str,
+    oversampling: int,
+    quantile: float,
+) -> float:
+    """Number of independent cells with the same variance of the mean, or of a quantile."""
+    if window == "boxcar" and oversampling == 1:
+        return float(len(offsets))
+    return _equivalent(shape, offsets.tobytes(), window, oversampling, quantile)
+
+
+@lru_cache(maxsize=16)
+def _equivalent(
+    shape: tuple[int, ...], packed: bytes, window: str, oversampling: int, quantile: float
+) -> float:
+    offsets = np.frombuffer(packed, dtype=np.intp).reshape(-1, 2)
+    rho = [correlation(taper(window, n // oversampling), oversampling) for n in shape]
+    lags = offsets[:, None] - offsets
+    alike = rho[0][lags[..., 0] % shape[0]] * rho[1][lags[..., 1] % shape[1]]
+    if quantile == 0:
+        return float(len(offsets) ** 2 / alike.sum())
+    # Correlation of two indicators x < q: Laguerre polynomials expand the joint distribution,
+    # each order weighted by that power of the cells' squared correlation.
+    from scipy.special import eval_laguerre
+
+    q = -np.log1p(-quantile)
+    indicator = np.zeros_like(alike)
+    for order in range(1, 60):
+        part = np.exp(-q) * (eval_laguerre(order, q) - eval_laguerre(order - 1, q))
+        indicator += part**2 / (quantile * (1 - quantile)) * alike**order
+    np.fill_diagonal(indicator, 1.0)
+    return float(len(offsets) ** 2 / indicator.sum())

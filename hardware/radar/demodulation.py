@@ -1,0 +1,56 @@
+"""From counts to the channel: transform and division by the sent symbols.
+
+A record holds one symbol per slot: the front end has cut the cyclic prefix off and averaged the
+repeats. One oscillator serves transmitter and receiver: there is no carrier offset, and an
+estimator of one would take away Doppler.
+"""
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.waveform import OfdmWaveform
+
+if TYPE_CHECKING:
+    from hardware.records.radar import RadarRecord
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+#: Of the transforms. ``single`` rounds a cell of the map by up to 1e-6 of the strongest echo.
+Precision = Literal["double", "single"]
+
+
+def channel(
+    record: "RadarRecord",
+    *,
+    burst: int = 0,
+    step: int = 0,
+    receiver: int = 0,
+    precision: Precision = "double",
+) -> Complex:
+    """Channel times root transmit power, in root watts, ``(n_subcarriers, n_slots)``.
+
+    One subcarrier carries 1/N of the power; the division by the sent symbols scales it back to the
+    whole, so that an echo of power P has the modulus sqrt(P) everywhere.
+    """
+    counts = record.iq[burst, step, :, receiver]
+    return demodulated(counts, record.waveform, record.root_watt_per_count, precision).T
+
+
+def demodulated(
+    counts: NDArray[np.int16],
+    waveform: OfdmWaveform,
+    root_watt_per_count: float,
+    precision: Precision = "double",
+) -> Complex:
+    """As `channel`, for counts (..., n_subcarriers, 2); subcarriers ascend along the last axis."""
+    from scipy.fft import fft, fftshift
+
+    real = np.float64 if precision == "double" else np.float32
+    samples = counts.astype(real, order="C").view(np.result_type(real, np.complex64))[..., 0]
+    scale = root_watt_per_count / np.sqrt(waveform.n_subcarriers)
+    # The sent symbols have modulus 1: dividing is multiplying with the conjugate.
+    factor = (scale * waveform.sent().conj()).astype(samples.dtype)
+    spectrum = fftshift(fft(samples, axis=-1, overwrite_x=True, workers=-1), axes=-1)
+    spectrum *= factor
+    return np.asarray(spectrum)

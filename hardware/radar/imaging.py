@@ -1,0 +1,210 @@
+"""Back-projection of bursts along a track into an image of down-range and cross-range.
+
+Every cell sums what each burst and antenna pair received, each frequency turned by the delay to the
+cell. The frequencies of one burst are first compressed to a range profile, and cells look their
+delay up in it: N log N + cells instead of N cells.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.burst import Burst, demodulate
+from hardware.radar.waveform import C_M_PER_S
+
+if TYPE_CHECKING:
+    from hardware.records.radar import RadarRecord
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A plane slab across the view, ``distance_m`` ahead of the image's origin.
+
+    ``permittivity`` is relative and real; what the slab takes away in power is not put back.
+    """
+
+    distance_m: float
+    thickness_m: float
+    permittivity: float
+
+    def __post_init__(self) -> None:
+        if not (self.thickness_m >= 0 and self.permittivity >= 1):
+            raise ValueError(
+                f"wall: thickness {self.thickness_m} m and permittivity {self.permittivity}, "
+                "expected at least 0 and 1"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class RadarImage:
+    """Complex image: a point echo of power P that all bursts see shows sqrt(P) at its place.
+
+    ``value`` (n_down, n_cross) at ``down_range_m`` ahead of and ``cross_range_m`` left of the
+    antenna's pose in the middle of the track, level with it. Resolution by Eq. 6 and 7 of the
+    paper, at the image's middle.
+    """
+
+    value: Complex
+    down_range_m: Array
+    cross_range_m: Array
+    down_resolution_m: float
+    cross_resolution_m: float
+    n_bursts: int
+    warnings: tuple[str, ...]
+
+
+def image(
+    record: "RadarRecord",
+    down_range_m: Array,
+    cross_range_m: Array,
+    *,
+    wall: Wall | None = None,
+    tolerance: float = 1e-3,
+    leakage: bool = True,
+) -> RadarImage:
+    """Focus a record on a grid.
+
+    Parameters
+    ----------
+    record
+        Bursts at their poses; up to the first that a gap or an overflow cuts short.
+    down_range_m, cross_range_m
+        Cells, ahead and to the left of the pose in the middle of the track.
+    wall
+        Focus through it.
+    tolerance
+        Bounds the error of looking profiles up between their samples, relative to an echo.
+    leakage
+        Take the record's leakage away, where its delay is known.
+
+    Raises ValueError when the first burst is already broken.
+    """
+    bursts, warnings = _whole_bursts(record, leakage)
+    cells, places, turned = _in_middle_frame(record, len(bursts), down_range_m, cross_range_m)
+    value = np.zeros((len(down_range_m), len(cross_range_m)), dtype=np.complex128)
+    for burst, place, turn in zip(bursts, places, turned, strict=True):
+        legs: dict[bytes, Array] = {}
+        for channel, sender, receiver in zip(
+            burst.channel, burst.transmitter_m, burst.receiver_m, strict=True
+        ):
+            delay = np.zeros_like(value, dtype=np.float64)
+            for antenna in (sender, receiver):
+                if (key := antenna.tobytes()) not in legs:
+                    legs[key] = one_way_m(place + turn @ antenna, cells, wall) / C_M_PER_S
+                delay += legs[key]
+            value += _looked_up(channel.mean(axis=-1), burst, delay, tolerance)
+    wave = bursts[0].waveform
+    distance = float(np.hypot(np.mean(down_range_m), np.mean(cross_range_m)))
+    return RadarImage(
+        value=value / sum(len(burst.channel) for burst in bursts),
+        down_range_m=np.asarray(down_range_m, dtype=np.float64),
+        cross_range_m=np.asarray(cross_range_m, dtype=np.float64),
+        down_resolution_m=wave.range_cell_m,
+        cross_resolution_m=cross_resolution_m(distance, wave.wavelength_m, places),
+        n_bursts=len(bursts),
+        warnings=warnings,
+    )
+
+
+def cross_resolution_m(distance_m: float, wavelength_m: float, places_m: Array) -> float:
+    """Eq. 6 of the paper: d lambda / (2 L); infinite for a single place."""
+    length = float(np.ptp(places_m[:, 1]))
+    return distance_m * wavelength_m / (2 * length) if length else float("inf")
+
+
+def one_way_m(antenna_m: Array, cells_m: Array, wall: Wall | None) -> Array:
+    """Optical path from an antenna (3,) to cells (..., 3), through the wall where it lies between.
+
+    The ray in the slab is bent by Snell's law: sin(theta) is the root of its lateral way.
+    """
+    way = cells_m - antenna_m
+    straight = np.linalg.norm(way, axis=-1)
+    if wall is None or wall.thickness_m == 0:
+        return straight
+    behind = cells_m[..., 0] >= wall.distance_m + wall.thickness_m
+    through = behind & (antenna_m[0] <= wall.distance_m)
+    depth = way[through, 0]
+    across = np.hypot(way[through, 1], way[through, 2])
+    d, n2 = wall.thickness_m, wall.permittivity
+    air = depth - d
+    sine = across / straight[through]
+    for _ in range(6):  # quadratic convergence from the straight ray
+        cos_air, cos_wall = np.sqrt(1 - sine**2), np.sqrt(n2 - sine**2)
+        excess = sine * (air / cos_air + d / cos_wall) - across
+        slope = air / cos_air**3 + d * n2 / cos_wall**3
+        sine = np.clip(sine - excess / slope, 0, 1 - 1e-12)
+    bent = air / np.sqrt(1 - sine**2) + d * n2 / np.sqrt(n2 - sine**2)
+    path = straight.copy()
+    path[through] = bent
+    return path
+
+
+def _whole_bursts(record: "RadarRecord", leakage: bool) -> tuple[list[Burst], tuple[str, ...]]:
+    bursts: list[Burst] = []
+    warnings: list[str] = []
+    for number in range(len(record.iq)):
+        try:
+            burst = demodulate(record, number, leakage=leakage)
+        except ValueError:
+            if not bursts:
+                raise
+            warnings.append(f"burst {number} cannot be used")
+            break
+        warnings += burst.warnings
+        if not burst.whole:
+            if not bursts:
+                raise ValueError(burst.warnings[0])
+            break
+        bursts.append(burst)
+    if len(bursts) < len(record.iq):
+        warnings.append(f"the image is of the {len(bursts)} of {len(record.iq)} bursts before it")
+    return bursts, tuple(warnings)
+
+
+def _in_middle_frame(
+    record: "RadarRecord", n_bursts: int, down_range_m: Array, cross_range_m: Array
+) -> tuple[Array, Array, Array]:
+    """Cells (n_down, n_cross, 3), antenna places (n_bursts, 3) and axes (n_bursts, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    poses = record.pose[:n_bursts]
+    middle = n_bursts // 2
+    axes = Rotation.from_quat(poses[:, [4, 5, 6, 3]])
+    home = axes[middle].inv()
+    places = home.apply(poses[:, :3] - poses[middle, :3])
+    # Cross-range counts from the middle of the track, between two poses of an even number.
+    origin = places.mean(axis=0)
+    down, cross = np.meshgrid(down_range_m, cross_range_m, indexing="ij")
+    cells = np.stack([down, cross, np.zeros_like(down)], axis=-1)
+    return cells, places - origin, np.asarray((home * axes).as_matrix())
+
+
+def _looked_up(spectrum: Complex, burst: Burst, delay_s: Array, tolerance: float) -> Complex:
+    """Sum over frequencies (n,) turned by each delay, over n.
+
+    The profile about the middle frequency is band-limited to half a turn per cell; linear
+    interpolation between k samples per cell is off by at most (pi / k)^2 / 8.
+    """
+    from scipy.fft import ifft, next_fast_len
+
+    wave = burst.waveform
+    n = wave.n_subcarriers
+    length = next_fast_len(int(np.ceil(n * np.pi / np.sqrt(8 * tolerance))))
+    padded = np.zeros(length, dtype=np.complex128)
+    padded[: n - n // 2] = spectrum[n // 2 :]
+    padded[length - n // 2 :] = spectrum[: n // 2]
+    profile = ifft(padded) * (length / n)
+    at = delay_s * (wave.subcarrier_spacing_hz * length)
+    index = np.floor(at).astype(np.intp)
+    share = at - index
+    index %= length
+    low = profile[index]
+    low += share * (profile[(index + 1) % length] - low)
+    cycles = wave.carrier_hz * delay_s
+    low *= np.exp(2j * np.pi * (cycles - np.floor(cycles)))
+    return low

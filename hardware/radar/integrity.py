@@ -1,0 +1,83 @@
+"""What of a burst can be trusted: gaps and overflows end it, silence and clipping are told."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.records.container import Flag
+
+if TYPE_CHECKING:
+    from hardware.records.radar import RadarRecord
+
+_RAIL = 32767
+_CLOCK = 0.01  # of a slot, by which its start may be off
+
+
+@dataclass(frozen=True)
+class Usable:
+    """The part of a burst before anything was lost, and what is wrong with it.
+
+    Either all slots of the first ``n_steps`` steps, or the first ``n_slots`` of the first step.
+    """
+
+    n_steps: int
+    n_slots: int
+    whole: bool
+    warnings: tuple[str, ...]
+
+
+def usable(record: "RadarRecord", burst: int = 0) -> Usable:
+    """What of a burst can be processed together: all up to the first gap or overflow.
+
+    Raises ValueError where nothing comes before it, and for a burst that the record lacks.
+    """
+    if not 0 <= burst < len(record.iq):
+        raise ValueError(f"burst: {burst}, the record holds {len(record.iq)}")
+    n_steps, n_slots = record.flags[burst].shape
+    lost = _lost(record, burst)
+    warnings = _levels(record, burst)
+    if not lost.any():
+        return Usable(n_steps, n_slots, True, tuple(warnings))
+    step, slot = (int(i) for i in np.unravel_index(np.argmax(lost), lost.shape))
+    why = "flagged as overrun or reset" if _flagged(record, burst)[step, slot] else "after a gap"
+    n_steps, n_slots = (step, n_slots) if step else (1, slot)
+    where = f"burst {burst}, step {step}, slot {slot}: {why}"
+    if n_slots < 2 * len(record.transmitters_m):
+        raise ValueError(f"{where}; too little comes before it")
+    done = f"the {n_steps} steps before it" if step else f"the {n_slots} slots before it"
+    return Usable(n_steps, n_slots, False, (f"{where}; processed are {done}", *warnings))
+
+
+def _flagged(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
+    return np.asarray((record.flags[burst] & (Flag.OVERRUN | Flag.RESET)) != 0)
+
+
+def _lost(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
+    """Slots (n_steps, n_slots) that did not come at their time, or are flagged."""
+    times = record.device_time_ns[burst]
+    slot_ns = 1e9 * record.waveform.slot_period_s
+    lost = _flagged(record, burst)
+    lost[:, 1:] |= np.abs(np.diff(times, axis=1) - slot_ns) > 1 + _CLOCK * slot_ns
+    # A retune takes as long as it takes, but no step begins before the last one has ended.
+    lost[1:, 0] |= times[1:, 0] - times[:-1, -1] < slot_ns * (1 - _CLOCK) - 1
+    return lost
+
+
+def _levels(record: "RadarRecord", burst: int) -> list[str]:
+    iq = record.iq[burst]
+    if not iq.any():
+        return [f"burst {burst}: IQ is all zero"]
+    warnings = []
+    silent = int(np.sum(~iq.any(axis=(2, 3, 4))))
+    if silent:
+        warnings.append(f"burst {burst}: IQ of {silent} slots is all zero")
+    clipped = int(np.count_nonzero(iq >= _RAIL) + np.count_nonzero(iq <= -_RAIL))
+    flagged = int(np.count_nonzero(record.flags[burst] & Flag.SATURATED))
+    if clipped or flagged:
+        warnings.append(
+            f"burst {burst}: {clipped} of {iq.size} samples stand at the converter's rail, "
+            f"{flagged} slots are flagged as saturated"
+        )
+    return warnings

@@ -1,0 +1,62 @@
+"""Maps and images as grey PNG files in decibels, and detections as CSV."""
+
+import csv
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.detection import Detection
+from hardware.radar.imaging import RadarImage
+
+
+def write_png(path: Path, power: NDArray[np.floating[Any]], span_db: float = 50.0) -> None:
+    """White at the peak, black ``span_db`` below; row 0 on top, columns as they come.
+
+    Raises ValueError where Pillow (the extra ``png``) is not installed.
+    """
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise ValueError(f"{path}: PNG needs Pillow: pip install 'ugv-twin[png]'") from error
+    peak = float(power.max(initial=0.0)) or 1.0
+    with np.errstate(divide="ignore"):
+        level = 1 + 10 * np.log10(power / peak) / span_db
+    Image.fromarray((255 * np.clip(level, 0, 1)).round().astype(np.uint8)).save(path)
+
+
+def write_detections(path: Path, found: Iterable[tuple[int, Detection]]) -> None:
+    """One row per detection, after the number of its burst."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["burst", *(f.name for f in fields(Detection))])
+        writer.writerows([burst, *astuple(detection)] for burst, detection in found)
+
+
+def write_image(path: Path, image: RadarImage) -> None:
+    """Power in dB over its peak: cross-range along the first row, down-range first in each."""
+    power = np.abs(image.value) ** 2
+    with np.errstate(divide="ignore"):
+        level = 10 * np.log10(power / (power.max() or 1.0))
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["down_range_m", *map("{:.6g}".format, image.cross_range_m)])
+        for down, row in zip(image.down_range_m, level, strict=True):
+            writer.writerow([f"{down:.6g}", *map("{:.2f}".format, row)])
+
+
+def rows_of(found: Sequence[Detection], most: int = 20) -> Iterable[str]:
+    """Detections as a table for a terminal."""
+    yield "   range, m    +/-   rate, m/s    +/-   azimuth, deg   SNR, dB   RCS, m^2"
+    for d in found[:most]:
+        azimuth = f"{np.degrees(d.azimuth_rad):+.2f}" if np.isfinite(d.azimuth_rad) else "-"
+        rcs = f"{d.rcs_m2:.3g}" if np.isfinite(d.rcs_m2) else "-"
+        yield (
+            f"{d.range_m:11.4f} {d.range_error_m:6.4f} {d.range_rate_m_per_s:+11.3f} "
+            f"{d.range_rate_error_m_per_s:6.3f} {azimuth:>14} {d.snr_db:9.1f} {rcs:>11}"
+        )
+    if len(found) > most:
+        yield f"  ... and {len(found) - most} more"

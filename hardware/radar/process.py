@@ -1,0 +1,165 @@
+"""From a burst of a record to a point cloud: range, rate, direction, cross-section, and the map."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.angles import compensated, direction, extents, virtual_places
+from hardware.radar.burst import Burst, demodulate
+from hardware.radar.cfar import Cfar
+from hardware.radar.clutter import without_static
+from hardware.radar.demodulation import Precision
+from hardware.radar.detection import Detection, detected, distinct, with_cross_section
+from hardware.radar.music import music
+from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
+from hardware.radar.superresolution import resolve
+from hardware.radar.waveform import OfdmWaveform
+
+if TYPE_CHECKING:
+    from hardware.records.radar import RadarRecord
+
+Found = tuple[Detection, NDArray[np.complex128]]
+
+
+@dataclass(frozen=True)
+class Processing:
+    """What is done with a burst.
+
+    Parameters
+    ----------
+    window, oversampling
+        See `range_doppler`.
+    cfar, at_most
+        How detections are told from noise, and how many are kept, strongest first.
+    precision
+        Of demodulation and map: ``single`` takes half the time, see `Precision`. Ranges, rates
+        and phases are found in double precision either way.
+    leakage
+        Take the record's leakage away, where its delay is known.
+    moving_only
+        Take everything away that stands still.
+    resolve
+        Split detections into targets nearer than a cell, see `resolve`.
+    per_cell
+        Targets of one range and rate that `music` tells apart by angle; 1 is plain beamforming.
+    reference_delay_s, range_rate_m_per_s
+        For carrier steps, see `stitch`.
+    """
+
+    window: str = "blackmanharris"
+    oversampling: int = 1
+    cfar: Cfar = field(default_factory=Cfar)
+    at_most: int = 64
+    precision: Precision = "single"
+    leakage: bool = True
+    moving_only: bool = False
+    resolve: bool = False
+    per_cell: int = 1
+    reference_delay_s: float | None = None
+    range_rate_m_per_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What one burst showed: detections, strongest first, the map, and what was wrong with it."""
+
+    burst: int
+    detections: tuple[Detection, ...]
+    image: RangeDopplerMap
+    waveform: OfdmWaveform
+    whole: bool
+    warnings: tuple[str, ...]
+
+
+def process(
+    record: "RadarRecord",
+    burst: int = 0,
+    how: Processing | None = None,
+    *,
+    waveform: OfdmWaveform | None = None,
+) -> Frame:
+    """Detect the targets of one burst.
+
+    ``waveform``: what the caller believes was sent; refused when it is not the record's.
+    """
+    how = how or Processing()
+    taken = demodulate(
+        record,
+        burst,
+        waveform=waveform,
+        precision=how.precision,
+        leakage=how.leakage,
+        reference_delay_s=how.reference_delay_s,
+        range_rate_m_per_s=how.range_rate_m_per_s,
+    )
+    channel = without_static(taken.channel) if how.moving_only else taken.channel
+    image = range_doppler(channel, taken.waveform, how.window, oversampling=how.oversampling)
+    found = detected(channel, taken.waveform, image, how.cfar, how.window, how.at_most)
+    if how.resolve:
+        plain = range_doppler(channel, taken.waveform, "boxcar").noise_w
+        parts = [
+            part
+            for detection, _ in found
+            for part in resolve(
+                channel, taken.waveform, detection, plain, false_alarm=how.cfar.false_alarm
+            )
+        ]
+        found = distinct(parts, taken.waveform)
+    points = [point for pair in found for point in _points(pair, taken, how.per_cell)]
+    return Frame(
+        burst=burst,
+        detections=tuple(
+            with_cross_section(
+                point,
+                taken.waveform,
+                record.transmit_power_w,
+                record.antenna_gain_dbi,
+                record.losses_db,
+            )
+            for point in points
+        ),
+        image=image,
+        waveform=taken.waveform,
+        whole=taken.whole,
+        warnings=taken.warnings,
+    )
+
+
+def frames(
+    record: "RadarRecord",
+    how: Processing | None = None,
+    *,
+    waveform: OfdmWaveform | None = None,
+) -> Iterator[Frame]:
+    """Every burst in turn, up to and with the first that a gap or an overflow cuts short."""
+    for burst in range(len(record.iq)):
+        frame = process(record, burst, how, waveform=waveform)
+        left = len(record.iq) - burst - 1
+        if not frame.whole and left:
+            told = f"the {left} bursts after it are left out"
+            yield replace(frame, warnings=(*frame.warnings, told))
+            return
+        yield frame
+
+
+def _points(pair: Found, taken: Burst, per_cell: int) -> list[Detection]:
+    """A detection with its direction, or several from `music`."""
+    found, amplitude = pair
+    if not np.any(extents(virtual_places(taken))[1:] > 0):
+        return [found]
+    way = direction(amplitude, taken, found.range_rate_m_per_s, 10 ** (found.snr_db / 10))
+    point = replace(
+        found,
+        range_rate_m_per_s=way.range_rate_m_per_s,
+        azimuth_rad=way.azimuth_rad,
+        azimuth_error_rad=way.azimuth_error_rad,
+        elevation_rad=way.elevation_rad,
+        elevation_error_rad=way.elevation_error_rad,
+    )
+    if per_cell == 1:
+        return [point]
+    still = compensated(amplitude, taken, way.range_rate_m_per_s)
+    return [replace(point, azimuth_rad=float(a)) for a in music(still, taken, per_cell)]

@@ -1,0 +1,184 @@
+"""One wide channel from carrier steps: timing and phase of every retune taken out.
+
+A retune leaves a random phase and may leave the receiver some samples late. Both are read off a
+path whose delay is known: the leakage from transmitter to receiver, or a reference target. Within
+one step other echoes lie in the same delay cell as that path; a phase taken from their sum would
+halve every echo and mirror it about the path. So the wide channel is modelled as the path and
+echoes that come after it, and phases and model are found in turn.
+
+Stepped-carrier OFDM: Schweizer et al., IEEE Trans. Microw. Theory Techn. 66, 2018
+(doi 10.1109/TMTT.2017.2751463).
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Stitched:
+    """A wide channel (n_channels, n_steps n_subcarriers, n_slots) and the waveform it belongs to.
+
+    ``motion`` (n_steps n_subcarriers,) takes a moving echo to the burst's middle when multiplied;
+    the reference does not move, so take that away first. ``phase_rad`` and ``late_samples``
+    (n_steps,), in the order of time: what was taken out.
+    """
+
+    channel: Complex
+    waveform: OfdmWaveform
+    motion: Complex
+    phase_rad: Array
+    late_samples: NDArray[np.int64]
+
+
+def stitch(
+    steps: Complex,
+    waveform: OfdmWaveform,
+    carriers_hz: Array,
+    reference_delay_s: float,
+    *,
+    step_times_s: Array | None = None,
+    range_rate_m_per_s: float = 0.0,
+    iterations: int = 200,
+) -> Stitched:
+    """Join carrier steps.
+
+    Parameters
+    ----------
+    steps : (n_channels, n_steps, n_subcarriers, n_slots)
+        Demodulated, each relative to its own carrier, in the order of time. All channels share
+        the oscillator: one phase per step.
+    waveform, carriers_hz
+        Of one step, and what the radio was tuned to, (n_steps,); sorted, the steps must touch.
+    reference_delay_s
+        Of the leakage or reference path. It is the first to arrive; what comes less than one cell
+        of the wide band later cannot be told from it.
+    step_times_s : (n_steps,)
+        Start of each step, for Doppler between them; only used with a range rate.
+    range_rate_m_per_s
+        Of the echoes, for their motion between steps. In one burst of ascending steps rate and
+        range cannot be told apart: rate r looks like a range off by r fc / (df/dt); so the rate
+        must be known, from a track or the vehicle's own motion.
+    iterations
+        Bounds what echoes leave in the phases; they converge by a factor of about 2 each.
+
+    Raises ValueError for steps that leave gaps or overlap, or an unknown reference delay.
+    """
+    order = np.argsort(carriers_hz)
+    wide = _wide(waveform, carriers_hz[order])
+    if not np.isfinite(reference_delay_s):
+        raise ValueError(
+            "leakage_delay_s: unknown; carrier steps cannot be joined without the delay of the "
+            "leakage or of a reference target"
+        )
+    n = waveform.n_subcarriers
+    f = waveform.frequency_offsets_hz
+    still = steps.mean(axis=-1)
+    late = np.array([_late(still[:, s], waveform, reference_delay_s) for s in range(len(order))])
+    timing = np.exp(2j * np.pi * np.outer(late, f) / waveform.bandwidth_hz)
+    centre = float(wide.carrier_hz)
+    absolute = carriers_hz[:, None] + f
+    motion = np.ones_like(absolute, dtype=np.complex128)
+    if range_rate_m_per_s and step_times_s is not None:
+        moved = 2 * range_rate_m_per_s / C_M_PER_S * (step_times_s - step_times_s.mean())
+        motion = np.exp(2j * np.pi * absolute * moved[:, None])
+    path = np.exp(-2j * np.pi * (absolute - centre) * reference_delay_s)
+    phase = _phases(
+        (still * timing)[:, order], path[order], motion[order], wide, reference_delay_s, iterations
+    )
+    unsorted = np.empty_like(phase)
+    unsorted[order] = phase
+    turn = timing * np.exp(-1j * unsorted)[:, None]
+    joined = (steps * turn[..., None])[:, order]
+    shape = (len(steps), len(order) * n, steps.shape[-1])
+    return Stitched(joined.reshape(shape), wide, motion[order].ravel(), unsorted, late)
+
+
+def _wide(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:
+    """The waveform of all steps together, the carrier at its own subcarrier N // 2."""
+    gaps = np.diff(carriers) / waveform.bandwidth_hz
+    if np.any(np.abs(gaps - 1) > 1e-6):
+        at = int(np.argmax(np.abs(gaps - 1)))
+        raise ValueError(
+            f"carriers_hz: {carriers[at]:.9g} and {carriers[at + 1]:.9g} are not one step of "
+            f"{waveform.bandwidth_hz:g} Hz apart"
+        )
+    n = len(carriers) * waveform.n_subcarriers
+    lowest = carriers[0] + waveform.frequency_offsets_hz[0]
+    carrier = float(lowest + n // 2 * waveform.subcarrier_spacing_hz)
+    return replace(waveform, carrier_hz=carrier, n_subcarriers=n)
+
+
+def _late(still: Complex, waveform: OfdmWaveform, delay_s: float) -> int:
+    """Whole samples by which a step (n_channels, n_subcarriers) lags the known path."""
+    ahead = np.exp(2j * np.pi * waveform.frequency_offsets_hz * delay_s)
+    profile = np.sum(np.abs(np.fft.ifft(still * ahead, axis=-1)) ** 2, axis=0)
+    peak = int(np.argmax(profile))
+    return peak if peak <= len(profile) // 2 else peak - len(profile)
+
+
+def _phases(
+    still: Complex,
+    path: Complex,
+    motion: Complex,
+    wide: OfdmWaveform,
+    delay_s: float,
+    iterations: int,
+) -> Array:
+    """Phase of every step (n_steps,), ascending carriers; the arrays are (..., n_steps, n).
+
+    The path does not move, the echoes do: theirs is ``motion``.
+    """
+    phase = np.asarray(np.angle(np.einsum("csn,sn->cs", still, path.conj())[0]))
+    if len(phase) == 1:
+        return np.zeros(1)
+    last = max(wide.prefix_s, delay_s + 4 / wide.bandwidth_hz)
+    merged = _merged(still.shape[-1], wide.subcarrier_spacing_hz * last)
+    f = wide.frequency_offsets_hz.reshape(-1, merged)
+    echoes = _later_echoes(f.tobytes(), merged, delay_s, last, wide.bandwidth_hz)
+    still, path, motion = (
+        a.reshape(*a.shape[:-1], -1, merged).mean(axis=-1) for a in (still, path, motion)
+    )
+    power = np.vdot(path, path).real
+    for _ in range(iterations):
+        flat = still * np.exp(-1j * phase)[:, None]
+        leak = np.einsum("csn,sn->c", flat, path.conj())[:, None, None] / power * path
+        rest = ((flat - leak) * motion).reshape(len(still), -1)
+        # Their projection on what delays after the path can make.
+        rest = (rest @ echoes.conj()) @ echoes.T
+        model = leak + rest.reshape(still.shape) * motion.conj()
+        change = np.angle(np.einsum("csn,csn->s", flat, model.conj()))
+        phase = phase + change
+        if np.abs(change).max() < 1e-9:
+            break
+    return phase
+
+
+def _merged(n: int, turns: float) -> int:
+    """How many neighbouring subcarriers can be summed: no delay turns by half a cycle in them."""
+    return max(m for m in range(1, n + 1) if n % m == 0 and (m == 1 or m * turns <= 0.5))
+
+
+@lru_cache(maxsize=4)
+def _later_echoes(
+    frequencies: bytes, merged: int, delay_s: float, last_s: float, bandwidth_hz: float
+) -> Complex:
+    """Orthonormal basis (n_frequencies, rank) of delays from one cell after the path to the last.
+
+    Echoes from beyond the prefix fall out of step and are none of this model's.
+    """
+    f = np.frombuffer(frequencies).reshape(-1, merged)
+    delays = np.arange(delay_s + 1 / bandwidth_hz, last_s, 0.5 / bandwidth_hz)
+    atoms = np.zeros((len(f), len(delays)), dtype=np.complex128)
+    for column in f.T:
+        atoms += np.exp(-2j * np.pi * np.outer(column, delays)) / merged
+    # Delays half a cell apart overlap: directions that noise would dominate are left out.
+    left, values, _ = np.linalg.svd(atoms, full_matrices=False)
+    return np.asarray(left[:, values > 1e-2 * values[0]])
