@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hardware import radar_commands
+from hardware import cli_log, radar_commands
 
 if TYPE_CHECKING:
     from hardware.reconstruction import Mixing, RangeImage
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ugv",
-    help="Images and detections from the records of a single-pixel camera and a radar.",
+    help="Records from sensors, images and detections from records.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
-
+cli_log.register(app)
 radar_commands.register(app)
 
 
 @app.callback()
 def _ugv() -> None:
-    """Images and detections from the records of a single-pixel camera and a radar."""
+    """Records from sensors, images and detections from records."""
 
 
 @app.command()
