@@ -58,10 +58,6 @@ def capture(
                 n += 1
         except KeyboardInterrupt:
             print("stopped")
-        except Exception:
-            if not n:
-                out.unlink()  # nothing but a header in it
-            raise
     print(f"{out}: {n} records in {time.monotonic() - begun:.1f} s")
 
 

@@ -50,7 +50,7 @@ class Log:
         self._file = self.path.open("xb")
         self._writer = Writer(self._file, _CHUNK_BYTES, CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="ugv")
-        self._flush_s = flush_s
+        self._flush_s, self._flushed_s = flush_s, time.monotonic()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
@@ -70,6 +70,8 @@ class Log:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+        if error is not None and self._sequence.keys() <= {"/tf_static"}:
+            self.path.unlink()  # failed before anything came
 
     def record(
         self,
