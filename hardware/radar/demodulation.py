@@ -44,13 +44,17 @@ def demodulated(
     precision: Precision = "double",
 ) -> Complex:
     """As `channel`, for counts (..., n_subcarriers, 2); subcarriers ascend along the last axis."""
-    from scipy.fft import fft, fftshift
+    from scipy.fft import fft
 
     real = np.float64 if precision == "double" else np.float32
     samples = counts.astype(real, order="C").view(np.result_type(real, np.complex64))[..., 0]
     scale = root_watt_per_count / np.sqrt(waveform.n_subcarriers)
     # The sent symbols have modulus 1: dividing is multiplying with the conjugate.
     factor = (scale * waveform.sent().conj()).astype(samples.dtype)
-    spectrum = fftshift(fft(samples, axis=-1, overwrite_x=True, workers=-1), axes=-1)
-    spectrum *= factor
-    return np.asarray(spectrum)
+    spectrum = fft(samples, axis=-1, overwrite_x=True, workers=-1)
+    # Ascending frequencies, in the same pass.
+    shifted = np.empty_like(spectrum)
+    n, middle = waveform.n_subcarriers, waveform.n_subcarriers // 2
+    np.multiply(spectrum[..., n - middle :], factor[:middle], out=shifted[..., :middle])
+    np.multiply(spectrum[..., : n - middle], factor[middle:], out=shifted[..., middle:])
+    return shifted

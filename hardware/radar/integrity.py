@@ -67,13 +67,16 @@ def _lost(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
 
 def _levels(record: "RadarRecord", burst: int) -> list[str]:
     iq = record.iq[burst]
-    if not iq.any():
+    highest, lowest = iq.max(initial=0), iq.min(initial=0)
+    if highest == lowest == 0:
         return [f"burst {burst}: IQ is all zero"]
     warnings = []
     silent = int(np.sum(~iq.any(axis=(2, 3, 4))))
     if silent:
         warnings.append(f"burst {burst}: IQ of {silent} slots is all zero")
-    clipped = int(np.count_nonzero(iq >= _RAIL) + np.count_nonzero(iq <= -_RAIL))
+    clipped = 0
+    if highest >= _RAIL or lowest <= -_RAIL:
+        clipped = int(np.count_nonzero(iq >= _RAIL) + np.count_nonzero(iq <= -_RAIL))
     flagged = int(np.count_nonzero(record.flags[burst] & Flag.SATURATED))
     if clipped or flagged:
         warnings.append(

@@ -101,9 +101,15 @@ def _power(part: Complex, by_range: Power, by_slot: Power, across: int, along: i
     slots *= by_slot[:, None]
     profiles = ifft(slots, across, axis=1, overwrite_x=True, workers=-1)
     image = ifft(profiles, along, axis=0, norm="forward", overwrite_x=True, workers=-1)
-    power = image.real**2
-    power += image.imag**2
-    return np.roll(power, (along - 1) // 2, axis=0).T
+    power = np.empty(image.shape, dtype=image.real.dtype)
+    negative = (along - 1) // 2  # rates below 0 come last
+    for into, half in (
+        (power[negative:], image[: along - negative]),
+        (power[:negative], image[along - negative :]),
+    ):
+        np.multiply(half.real, half.real, out=into)
+        into += half.imag**2
+    return power.T
 
 
 def _noise(power: Power, n_channels: int) -> float:

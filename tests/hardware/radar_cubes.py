@@ -3,16 +3,33 @@ step, slot, pair of antennas and subcarrier.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 from scipy.spatial.transform import Rotation
 
-from hardware.radar import OfdmWaveform
+from hardware.radar import Cfar, OfdmWaveform, range_doppler
+from hardware.radar.detection import detected
+from hardware.radar.superresolution import resolve
 from hardware.records import RadarRecord
 
 C = 299_792_458.0
 HERE = np.zeros((1, 3))
+
+WIDE = OfdmWaveform(79e9, 256, 15e6, 64, 39.0625e-6, 37, 0.06e-6)
+#: One step of the prototype: 64 x 312.5 kHz, 16 symbols; 25 of them make 500 MHz.
+STEP = OfdmWaveform(2.26e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6)
+CARRIERS = 2.26e9 + 20e6 * np.arange(25)
+#: Two transmitters, four receivers: eight places half a wavelength apart.
+HALF = WIDE.wavelength_m / 2
+MIMO = {
+    "transmitter": (0, 1),
+    "transmitters_m": np.array([[0, 0, 0], [0, 4 * HALF, 0]]),
+    "receivers_m": np.array([[0, i * HALF, 0] for i in range(4)]),
+}
+#: 500 MHz at once, in coarse subcarriers; a burst of one slot.
+BAND = OfdmWaveform(2.5e9, 100, 5e6, 1, 1e-3, 1, 0.1e-6)
 
 
 @dataclass(frozen=True)
@@ -100,3 +117,77 @@ def cube(
         device="test",
         pose=poses,
     )
+
+
+def two_targets(rng: np.random.Generator, wave: OfdmWaveform, snr_db: float, cells: float):
+    """Channel of two equal targets ``cells`` apart with random phases, and their ranges."""
+    first = rng.uniform(0.2, 0.8) * wave.max_range_m
+    ranges = first + np.array([0, cells]) * wave.range_cell_m
+    rate = rng.uniform(-0.8, 0.8) * wave.max_velocity_m_per_s
+    f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
+    amplitude = np.sqrt(10 ** (snr_db / 10) / (wave.n_subcarriers * wave.n_slots))
+    channel = rng.normal(size=(wave.n_subcarriers, wave.n_slots, 2)).view(np.complex128)[..., 0]
+    channel /= np.sqrt(2)
+    for r in ranges:
+        delay = 2 / C * (r + rate * t)
+        cycles = rng.uniform() + wave.carrier_hz * (delay - 2 / C * r) + f * delay
+        channel += amplitude * np.exp(-2j * np.pi * cycles)
+    return channel, ranges
+
+
+def resolved(channel: np.ndarray, wave: OfdmWaveform, ranges: np.ndarray) -> bool:
+    """Whether there are two detections, each within half a cell of its target."""
+    image = range_doppler(channel, wave, "boxcar", oversampling=2)
+    found = detected(channel, wave, image, Cfar(1e-6, guard=(8, 4)), "boxcar", 1)
+    if not found:
+        return False
+    parts = resolve(channel, wave, found[0][0], image.noise_w)
+    off = [abs(p.range_m - r) for (p, _), r in zip(parts, ranges, strict=False)]
+    return len(parts) == 2 and max(off) < wave.range_cell_m / 2
+
+
+def track(n: int, length_m: float, origin=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """Poses along y, looking along x."""
+    poses = np.tile([*origin, 1.0, 0, 0, 0], (n, 1))
+    poses[:, 1] += np.linspace(-length_m / 2, length_m / 2, n)
+    return poses
+
+
+def peaks(found, count: int) -> np.ndarray:
+    """Places (count, 2) of the highest local peaks, to a tenth of a cell or so."""
+    from scipy.ndimage import maximum_filter
+
+    power = np.abs(found.value)
+    rows, columns = np.nonzero((maximum_filter(power, 7) == power) & (power > 0.2 * power.max()))
+    best = np.argsort(-power[rows, columns])[:count]
+    return np.stack([found.down_range_m[rows[best]], found.cross_range_m[columns[best]]], axis=-1)
+
+
+def cylinder_echo(frequency_hz: np.ndarray, radius_m: float) -> np.ndarray:
+    """Far field of a conducting cylinder, E along its axis, phase from the axis.
+
+    The series sum e_n (-1)^n J_n(ka) / H_n(ka) (Harrington, Time-Harmonic Electromagnetic Fields,
+    5.9), with exp(-j 2 pi f t) delays.
+    """
+    ka = 2 * np.pi * frequency_hz / C * radius_m
+    n = np.arange(40)[:, None]
+    term = special.jv(n, ka) / special.hankel2(n, ka) * (-1.0) ** n
+    return -(2 * term.sum(axis=0) - term[0]) * np.exp(-1j * np.pi / 4)
+
+
+def two_cylinders(centre_hz: float, n_bursts: int = 65, noise: float = 0.0) -> RadarRecord:
+    """A record of the track, 100 frequencies over 500 MHz, axes at +/- 7.5 cm and 0.9 m."""
+    wave = replace(BAND, carrier_hz=centre_hz)
+    poses = track(n_bursts, 0.96)
+    record = cube(wave, [], pose=poses)
+    f = wave.carrier_hz + wave.frequency_offsets_hz
+    spectrum = np.zeros((n_bursts, 100), dtype=complex)
+    for side in (-0.075, 0.075):
+        way = np.hypot(0.9, side - poses[:, 1])[:, None]
+        spectrum += cylinder_echo(f, 0.04) / way * np.exp(-4j * np.pi * f * way / C)
+    time = np.fft.ifft(np.fft.ifftshift(spectrum * wave.sent(), axes=1), axis=1)
+    rng = np.random.default_rng(0)
+    time = time + noise * np.abs(time).max() * rng.normal(size=(n_bursts, 100, 2)) @ [1, 1j]
+    iq = np.stack([time.real, time.imag], axis=-1)
+    counts = np.rint(8000 * iq / np.abs(iq).max()).astype(np.int16)
+    return replace(record, iq=counts[:, None, None, None])

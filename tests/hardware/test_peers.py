@@ -111,3 +111,26 @@ def test_fista_is_that_of_pylops() -> None:
 
     assert objective(ours) == pytest.approx(objective(theirs), rel=1e-6)
     np.testing.assert_allclose(ours, theirs, atol=1e-3 * np.ptp(ours))
+
+
+def test_the_same_cells_as_hermespys_cfar() -> None:
+    """Cell averaging on the same map of noise and echoes, away from edges, where ours wraps."""
+    pytest.importorskip("hermespy")
+    from hermespy.radar import CFARDetector, RadarCube
+
+    from hardware.radar import Cfar, cfar_threshold
+
+    rng = np.random.default_rng(0)
+    power = rng.exponential(size=(128, 64))
+    power[rng.integers(20, 108, 12), rng.integers(20, 44, 12)] *= 60
+    # Theirs counts slots first, and needs axes only to name its points.
+    slots, ranges = np.arange(64.0), np.arange(128.0)
+    cube = RadarCube(power.T[None], np.zeros((1, 2)), slots, ranges, 1e9)
+    theirs = CFARDetector((5, 8), (2, 3), 1e-3).detect(cube)
+    ours = power > cfar_threshold(power, Cfar(1e-3, "ca", (3, 2), (8, 5)))
+    inside = np.zeros_like(ours)
+    inside[11:-11, 7:-7] = True
+    expected = sorted(power[ours & inside])
+    assert len(expected) > 10
+    found = {point.power for point in theirs.points}
+    np.testing.assert_allclose(sorted(found & set(power[inside])), expected)

@@ -6,33 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from radar_cubes import C, Echo, cube
-from scipy import special
+from radar_cubes import BAND, C, Echo, cube, peaks, track, two_cylinders
 
 from hardware.radar import OfdmWaveform
 from hardware.radar.imaging import Wall, cross_resolution_m, image, one_way_m
-from hardware.records import Flag, RadarRecord, write_radar_record
+from hardware.records import Flag, write_radar_record
 
-#: 500 MHz at once, in coarse subcarriers; a burst of one slot.
-BAND = OfdmWaveform(2.5e9, 100, 5e6, 1, 1e-3, 1, 0.1e-6)
 DOWN, CROSS = np.linspace(0.5, 1.5, 101), np.linspace(-0.5, 0.5, 101)
-
-
-def track(n: int, length_m: float, origin=(0.0, 0.0, 0.0)) -> np.ndarray:
-    """Poses along y, looking along x."""
-    poses = np.tile([*origin, 1.0, 0, 0, 0], (n, 1))
-    poses[:, 1] += np.linspace(-length_m / 2, length_m / 2, n)
-    return poses
-
-
-def peaks(found, count: int) -> np.ndarray:
-    """Places (count, 2) of the highest local peaks, to a tenth of a cell or so."""
-    from scipy.ndimage import maximum_filter
-
-    power = np.abs(found.value)
-    rows, columns = np.nonzero((maximum_filter(power, 7) == power) & (power > 0.2 * power.max()))
-    best = np.argsort(-power[rows, columns])[:count]
-    return np.stack([found.down_range_m[rows[best]], found.cross_range_m[columns[best]]], axis=-1)
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (4e3, -7e3, 20.0)])
@@ -153,36 +133,6 @@ def test_the_image_stops_at_the_first_broken_burst() -> None:
 
 
 # The paper's figure 3 b: two conducting cylinders of radius 40 mm, 15 cm apart, at 0.9 m.
-
-
-def cylinder_echo(frequency_hz: np.ndarray, radius_m: float) -> np.ndarray:
-    """Far field of a conducting cylinder, E along its axis, phase from the axis.
-
-    The series sum e_n (-1)^n J_n(ka) / H_n(ka) (Harrington, Time-Harmonic Electromagnetic Fields,
-    5.9), with exp(-j 2 pi f t) delays.
-    """
-    ka = 2 * np.pi * frequency_hz / C * radius_m
-    n = np.arange(40)[:, None]
-    term = special.jv(n, ka) / special.hankel2(n, ka) * (-1.0) ** n
-    return -(2 * term.sum(axis=0) - term[0]) * np.exp(-1j * np.pi / 4)
-
-
-def two_cylinders(centre_hz: float, n_bursts: int = 65, noise: float = 0.0) -> RadarRecord:
-    """A record of the track, 100 frequencies over 500 MHz, axes at +/- 7.5 cm and 0.9 m."""
-    wave = replace(BAND, carrier_hz=centre_hz)
-    poses = track(n_bursts, 0.96)
-    record = cube(wave, [], pose=poses)
-    f = wave.carrier_hz + wave.frequency_offsets_hz
-    spectrum = np.zeros((n_bursts, 100), dtype=complex)
-    for side in (-0.075, 0.075):
-        way = np.hypot(0.9, side - poses[:, 1])[:, None]
-        spectrum += cylinder_echo(f, 0.04) / way * np.exp(-4j * np.pi * f * way / C)
-    time = np.fft.ifft(np.fft.ifftshift(spectrum * wave.sent(), axes=1), axis=1)
-    rng = np.random.default_rng(0)
-    time = time + noise * np.abs(time).max() * rng.normal(size=(n_bursts, 100, 2)) @ [1, 1j]
-    iq = np.stack([time.real, time.imag], axis=-1)
-    counts = np.rint(8000 * iq / np.abs(iq).max()).astype(np.int16)
-    return replace(record, iq=counts[:, None, None, None])
 
 
 @pytest.mark.parametrize("centre_ghz", [2.25, 2.5, 2.8])
