@@ -8,7 +8,7 @@ from hardware.radar.waveform import C_M_PER_S
 from twin.fidelity import Fidelity
 from twin.radar.design import RadarDesign
 from twin.radar.environment import PointEchoes, mirror_echoes
-from twin.radar.optics import Stage, antenna_gain, contributions_of, scattered, set_stage
+from twin.radar.optics import Stage, antenna_gain, contributions_of, scattered, set_stage, speckle
 from twin.radar.paths import Heard, Path, Propagation
 from twin.radar.roles import Assignment, Role, assign_roles
 from twin.radar.shooting import Rays
@@ -23,14 +23,19 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     """
     roles = assign_roles(scene, radar.ofdm.wavelength_m, fidelity.radar)
     declared = _declared(scene, roles)
-    stage = set_stage(scene, radar, roles, fidelity.radar_images)
+    is_rough = fidelity.radar == "rough"
+    stage = set_stage(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
     rays = scattered(stage, fidelity)
+    remarks: list[str] = []
+    if is_rough:
+        more, remarks = speckle(scene, stage, fidelity, seed)
+        rays = Rays.joined([rays, more])
     paths = [*_mirrors(scene, radar, roles, stage, fidelity), *_points(stage, radar, declared)]
     dense = contributions_of(rays, stage, radar)
     return Propagation(
         paths=tuple(sorted((p for p in paths if p.amplitude), key=lambda p: p.delay_s)),
         roles=tuple(roles),
-        assumptions=stage.assumptions,
+        assumptions=(*stage.assumptions, *remarks),
         echoes=dense,
         heard=_heard(rays, dense, stage, radar),
     )
@@ -48,7 +53,9 @@ def _mirrors(
     """The radar's own images: as many reflections as out and back together."""
     if fidelity.radar_images == 0 or len(stage.flats) == 0:
         return []
-    further = set_stage(scene, radar, roles, 2 * fidelity.radar_images)
+    further = set_stage(
+        scene, radar, roles, 2 * fidelity.radar_images, is_rough=fidelity.radar == "rough"
+    )
     number, amplitude, length, rate, departure, arrival = mirror_echoes(further.station)
     return [
         _path(

@@ -19,7 +19,8 @@ from twin.radar.images import Image, Sight, images
 from twin.radar.legs import Station, station
 from twin.radar.materials import radio_properties
 from twin.radar.roles import LARGE_BESIDE_OPTICS, Assignment, Role
-from twin.radar.scattering.surface import PEC, Layer, Surface, table
+from twin.radar.rough import Rough, coherent, rough_echoes
+from twin.radar.scattering.surface import PEC, TABLE_STEPS, Layer, Surface, table
 from twin.radar.shape import shape_of
 from twin.radar.shooting import Rays, bodies, shoot
 from twin.radar.synthesis import Contributions
@@ -59,11 +60,18 @@ class Stage:
         return tuple(self.items[self.flats[p].object].name for p in patches)
 
 
-def set_stage(scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], order: int) -> Stage:
+def set_stage(
+    scene: Scene,
+    radar: RadarDesign,
+    roles: Sequence[Assignment],
+    order: int,
+    *,
+    is_rough: bool = False,
+) -> Stage:
     """Set a scene up for a radar at its pose.
 
-    ``order``: reflections at large surfaces on a leg, at most. Raises InputError where a material
-    has no data at the carrier.
+    ``order``: reflections at large surfaces on a leg, at most; ``is_rough``: they lose what
+    roughness scatters. Raises InputError where a material has no data at the carrier.
     """
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
     axes, anchor = scene.rig.device("radar")[1], anchor_of(place_m)
@@ -73,7 +81,9 @@ def set_stage(scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], ord
     slabs = _slabs(scene, kept, role_of, radar)
     solid = [item for item in kept if item.name not in slabs]
     clear = [item for item in kept if item.name in slabs]
-    surfaces, surface_of_object, assumed = _surfaces(scene, [*solid, *clear], role_of, carrier)
+    surfaces, surface_of_object, assumed = _surfaces(
+        scene, [*solid, *clear], role_of, carrier, is_rough
+    )
     mi, world, place = mitsuba(), mesher(solid, anchor), place_m - anchor
     wavelength = radar.ofdm.wavelength_m
     mirrors, patch_of_face = flats(world, _zones(world, role_of, place, wavelength))
@@ -134,6 +144,35 @@ def scattered(stage: Stage, fidelity: Fidelity) -> Rays:
     )
 
 
+def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[Rays, list[str]]:
+    """Contributions of rough surfaces, and which ones have no gamma or one that is assumed."""
+    found, remarks = [], []
+    for number, (item, role) in enumerate(zip(stage.items, stage.roles, strict=True)):
+        if role is not Role.SURFACE:
+            continue
+        relief = scene.materials[item.material].surface
+        gamma = relief.backscatter_gamma if relief else None
+        if gamma is None:
+            remarks.append(f"{item.name}: {item.material} has no gamma, it does not scatter")
+        elif gamma.value:
+            found.append(Rough(item, number, gamma.value))
+            if gamma.assumed:
+                remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
+    if not found:
+        return Rays.joined([]), remarks
+    rays = rough_echoes(
+        stage.station.mi,
+        stage.world,
+        found,
+        stage.place,
+        stage.axes[0],
+        stage.wavelength_m,
+        fidelity.radar_scatterers,
+        seed,
+    )
+    return rays, list(dict.fromkeys(remarks))
+
+
 def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributions:
     """Rays with the antenna's gains and the front end's losses, as the synthesis takes them."""
     departure, arrival = rays.departure @ stage.axes.T, rays.arrival @ stage.axes.T
@@ -166,30 +205,41 @@ def surface_of(item: SceneObject, scene: Scene, carrier_hz: float) -> tuple[Surf
 
 
 def _surfaces(
-    scene: Scene, items: Sequence[SceneObject], role_of: dict[str, Role], carrier_hz: float
-) -> tuple[tuple[Surface, ...], NDArray[np.uint32], tuple[str, ...]]:
-    """Different surfaces of all objects that answer, which one each has, and what is assumed."""
-    known: dict[Surface, int] = {PEC: 0}
+    scene: Scene,
+    items: Sequence[SceneObject],
+    role_of: dict[str, Role],
+    carrier_hz: float,
+    is_rough: bool,
+) -> tuple[tuple[tuple[Surface, float], ...], NDArray[np.uint32], tuple[str, ...]]:
+    """Different surfaces with their roughness, which one each object has, and what is assumed."""
+    known: dict[tuple[Surface, float], int] = {(PEC, 0.0): 0}
     assumed: dict[str, None] = {}
     numbers = np.zeros(len(items), dtype=np.uint32)
     for i, item in enumerate(items):
         if role_of[item.name] is Role.OBSTACLE:
             continue
         surface, why = surface_of(item, scene, carrier_hz)
-        numbers[i] = known.setdefault(surface, len(known))
+        relief = scene.materials[item.material].surface
+        height = 0.0
+        if is_rough and relief is not None and role_of[item.name] is Role.SURFACE:
+            height = relief.rms_height_m.value
+        numbers[i] = known.setdefault((surface, height), len(known))
         if why:
             assumed[f"radio properties of {item.material}: {why}"] = None
     return tuple(known), numbers, tuple(assumed)
 
 
 @lru_cache(maxsize=64)
-def _rows(surface: Surface, carrier_hz: float) -> Array:
-    rows: Array = table((surface,), carrier_hz).ravel()
+def _rows(surface: Surface, rms_height_m: float, carrier_hz: float) -> Array:
+    """Coefficients of reflection, less what a rough surface scatters elsewhere."""
+    cosine = np.linspace(0, 1, TABLE_STEPS + 1)
+    left = coherent(rms_height_m, cosine, speed_of_light / carrier_hz)
+    rows: Array = (table((surface,), carrier_hz)[0] * left[:, None]).ravel()
     return rows
 
 
-def _table(surfaces: Sequence[Surface], carrier_hz: float) -> Array:
-    return np.concatenate([_rows(surface, carrier_hz) for surface in surfaces])
+def _table(surfaces: Sequence[tuple[Surface, float]], carrier_hz: float) -> Array:
+    return np.concatenate([_rows(surface, rms, carrier_hz) for surface, rms in surfaces])
 
 
 def _slabs(

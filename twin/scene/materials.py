@@ -37,9 +37,10 @@ class Radio(Strict):
 
 
 class Surface(Strict):
-    """Roughness."""
+    """Roughness, and gamma of the radar's backscatter: sigma_0 = gamma cos(angle of incidence)."""
 
     rms_height_m: Sourced[NonNegative]
+    backscatter_gamma: Sourced[Annotated[NonNegative, Field(le=10)]] | None = None
 
 
 class Material(Strict):
