@@ -36,6 +36,8 @@ PATCHES = {"patch_20": (2.0, 6.5), "patch_50": (4.5, 0.0), "patch_80": (10.0, -6
 PATCH_DEG = 5.0
 BACKDROP_X, BACKDROP_SIDE = 14.0, 8.0
 
+RAIL_Z = 1.0  # figure 3: height of the rail and of the cylinders' middle
+
 
 # ---------------------------------------------------------------- building blocks
 
@@ -392,6 +394,20 @@ def table1():
     return meshes
 
 
+# ---------------------------------------------------------------- figure 3 of the paper
+
+
+def cylinders(*sideways):
+    """Upright, 0.9 m ahead; caption: radius 40 mm, height 114 mm."""
+    radius, height = 0.040, 0.114
+    low, high = RAIL_Z - height / 2, RAIL_Z + height / 2
+    names = ("cylinder",) if len(sideways) == 1 else ("cylinder_left", "cylinder_right")
+    return {
+        name: cylinder((0.9, y), radius, low, high, around=96)
+        for name, y in zip(names, sideways, strict=True)
+    }
+
+
 # ---------------------------------------------------------------- files
 
 
@@ -431,7 +447,13 @@ def write_png(path, image):
 
 
 def main():
-    for scene, meshes in (("yard", yard()), ("table1", table1())):
+    scenes = {
+        "yard": yard(),
+        "table1": table1(),
+        "fig3a": cylinders(0.0),
+        "fig3b": cylinders(0.075, -0.075),
+    }
+    for scene, meshes in scenes.items():
         folder = HERE / scene / "meshes"
         folder.mkdir(parents=True, exist_ok=True)
         for name, mesh in meshes.items():
