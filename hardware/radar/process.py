@@ -100,13 +100,16 @@ def process(
     found = detected(channel, taken.waveform, image, how.cfar, how.window, how.at_most)
     if how.resolve:
         plain = range_doppler(channel, taken.waveform, "boxcar").noise_w
-        parts = [
-            part
-            for detection, _ in found
-            for part in resolve(
-                channel, taken.waveform, detection, plain, false_alarm=how.cfar.false_alarm
+        parts = []
+        for i, (detection, _) in enumerate(found):
+            parts += resolve(
+                channel,
+                taken.waveform,
+                detection,
+                plain,
+                false_alarm=how.cfar.false_alarm,
+                others=[other for other, _ in found[:i] + found[i + 1 :]],
             )
-        ]
         found = distinct(parts, taken.waveform)
     points = [point for pair in found for point in _points(pair, taken, how.per_cell)]
     return Frame(
