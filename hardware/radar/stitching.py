@@ -146,19 +146,31 @@ def _phases(
     still, path, motion = (
         a.reshape(*a.shape[:-1], -1, merged).mean(axis=-1) for a in (still, path, motion)
     )
-    power = np.vdot(path, path).real
+    turn = np.exp(-1j * phase)
+    model = _model(still, path, motion, echoes.reshape(*path.shape, -1))
     for _ in range(iterations):
-        flat = still * np.exp(-1j * phase)[:, None]
-        leak = np.einsum("csn,sn->c", flat, path.conj())[:, None, None] / power * path
-        rest = ((flat - leak) * motion).reshape(len(still), -1)
-        # Their projection on what delays after the path can make.
-        rest = (rest @ echoes.conj()) @ echoes.T
-        model = leak + rest.reshape(still.shape) * motion.conj()
-        change = np.angle(np.einsum("csn,csn->s", flat, model.conj()))
-        phase = phase + change
-        if np.abs(change).max() < 1e-9:
+        before, turn = turn, np.exp(1j * np.angle(model @ turn))
+        if np.abs(turn - before).max() < 1e-9:
             break
-    return phase
+    return np.asarray(-np.angle(turn))
+
+
+def _model(still: Complex, path: Complex, motion: Complex, echoes: Complex) -> Complex:
+    """What the model makes of steps turned by unit numbers v, compared step by step: the matrix M
+    (n_steps, n_steps) whose (M v)_s has the phase by which step s should be turned.
+
+    With the turned steps the path is fitted, and ``echoes`` (n_steps, n, rank) to the rest: all of
+    it linear in v, so that phases are found among n_steps numbers instead of all subcarriers.
+    """
+    power = np.vdot(path, path).real
+    by_path = np.einsum("snr,sn->r", echoes.conj(), motion * path)
+    found = np.zeros((len(path), len(path)), dtype=np.complex128)
+    for channel in still:
+        leak = np.einsum("sn,sn->s", path.conj(), channel) / power
+        by_step = np.einsum("snr,sn->rs", echoes.conj(), motion * channel)
+        found += power * np.outer(leak.conj(), leak)
+        found += by_step.conj().T @ (by_step - np.outer(by_path, leak))
+    return found
 
 
 def _merged(n: int, turns: float) -> int:

@@ -189,7 +189,7 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
 
 def antenna_gain(radar: RadarDesign, directions: Array) -> Array:
     """Power gain in directions (n, 3) of the antenna's frame."""
-    return radar.antenna.gain(directions[:, 0])
+    return radar.antenna.gain(directions)
 
 
 def surface_of(item: SceneObject, scene: Scene, carrier_hz: float) -> tuple[Surface, str | None]:
