@@ -10,10 +10,30 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import commands, optical, radar, rcs, reconstruction, regression, sweep, weather
+from benchmarks import (
+    commands,
+    optical,
+    radar,
+    radar_signal,
+    rcs,
+    reconstruction,
+    regression,
+    sweep,
+    weather,
+)
 from benchmarks.timing import Timing, fft_workload
 
-_ROOMS = (reconstruction, optical, weather, radar, rcs, regression, sweep, commands)
+_ROOMS = (
+    reconstruction,
+    optical,
+    weather,
+    radar,
+    radar_signal,
+    rcs,
+    regression,
+    sweep,
+    commands,
+)
 
 
 def main() -> None:
