@@ -67,7 +67,7 @@ def evaluate_chunk(study: Study, start: int, stop: int) -> Chunk:
         try:
             outcome = outcome_of(study, index)
             for name in study.metrics:
-                value = metric(name, study.folder).measure(outcome)
+                value = metric(name, study.folder)(outcome)
                 chunk.values[name][index - start] = float(value)
         except Exception as error:  # any user's function may fail in any way
             chunk.errors[index] = f"{type(error).__name__}: {error}"

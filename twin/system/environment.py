@@ -1,0 +1,61 @@
+"""Sun and air."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from twin.toml import Finite, NonNegative, Positive, Sourced, Strict
+
+#: Above the atmosphere the sun gives some 1.3e5 lx.
+_Illuminance = Annotated[NonNegative, Field(le=1e7)]
+
+
+class Sky(Strict):
+    """The sun a system is meant for; takes precedence over the scene's.
+
+    Either ``illuminance_lx`` on the plane normal to the sun, with the spectrum of ASTM G-173, or
+    ``sun_elevation_deg`` in a clear sky, which gives both illuminance and spectrum.
+    """
+
+    illuminance_lx: Sourced[_Illuminance] | None = None
+    sun_elevation_deg: Sourced[Annotated[Finite, Field(ge=-90, le=90)]] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> "Sky":
+        if (self.illuminance_lx is None) == (self.sun_elevation_deg is None):
+            raise ValueError("needs either illuminance_lx or sun_elevation_deg")
+        return self
+
+
+class Weather(Strict):
+    """The air between the devices and what they look at, the same everywhere.
+
+    Extinction comes from what is named: fog, haze and clear air by ``visibility_m`` (2 % contrast
+    at 550 nm) and ``visibility_model``; rain and snow by their rates (melted, for snow); smoke by
+    its mass per volume. They add up.
+
+    ``single_scattering_albedo``, ``asymmetry`` (mean cosine) and ``lidar_ratio_sr`` (extinction
+    over backscatter) belong to the particles together; without a lidar ratio the phase function
+    is that of Henyey and Greenstein. Temperature, pressure and water vapour are the radar's.
+    """
+
+    visibility_m: Sourced[Annotated[Positive, Field(ge=1)]] | None = None
+    visibility_model: Sourced[Literal["kim", "kruse"]] | None = None
+    rain_mm_per_h: Sourced[Annotated[NonNegative, Field(le=1000)]] | None = None
+    snow_mm_per_h: Sourced[Annotated[NonNegative, Field(le=1000)]] | None = None
+    snow_kind: Sourced[Literal["dry", "wet"]] | None = None
+    smoke_kg_per_m3: Sourced[Annotated[NonNegative, Field(le=1)]] | None = None
+    single_scattering_albedo: Sourced[Annotated[NonNegative, Field(le=1)]]
+    asymmetry: Sourced[Annotated[Finite, Field(gt=-1, lt=1)]]
+    lidar_ratio_sr: Sourced[Positive] | None = None
+    temperature_k: Sourced[Annotated[Positive, Field(ge=150, le=350)]] | None = None
+    pressure_pa: Sourced[Annotated[Positive, Field(ge=1e3, le=2e5)]] | None = None
+    water_vapour_kg_per_m3: Sourced[Annotated[NonNegative, Field(le=0.1)]] | None = None
+
+    @model_validator(mode="after")
+    def _says_what_is_needed(self) -> "Weather":
+        if (self.snow_mm_per_h is None) != (self.snow_kind is None):
+            raise ValueError("snow needs both snow_mm_per_h and snow_kind")
+        if self.visibility_model is not None and self.visibility_m is None:
+            raise ValueError("visibility_model needs visibility_m")
+        return self

@@ -1,0 +1,58 @@
+"""Filter and lens."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from twin.system.emitter import FieldAngle
+from twin.toml import Fraction, NonNegative, Positive, Sourced, Strict
+
+#: Range of the solar spectrum's table (ASTM G-173).
+_SUN_BAND_M = (280e-9, 4000e-9)
+
+
+class Filter(Strict):
+    """Band-pass filter, flat inside its width.
+
+    ``transmission_csv``: a vendor's curve, wavelength and transmission, in place of the flat top;
+    ``transmission`` is then a factor beside it. ``effective_index``: of the interference stack,
+    which moves the band to shorter wavelengths with angle. ``place``: ``before lens`` (default),
+    light meets it at the angle of the field; ``behind lens``, in the cone of the f-number.
+    """
+
+    center_wavelength_m: Sourced[Positive]
+    width_m: Sourced[Positive]
+    transmission: Sourced[Fraction]
+    transmission_csv: Sourced[str] | None = None
+    effective_index: Sourced[Annotated[Positive, Field(gt=1)]] | None = None
+    place: Sourced[Literal["before lens", "behind lens"]] | None = None
+
+    @model_validator(mode="after")
+    def _in_the_table(self) -> "Filter":
+        center, half = self.center_wavelength_m.value, self.width_m.value / 2
+        if not _SUN_BAND_M[0] <= center - half <= center + half <= _SUN_BAND_M[1]:
+            raise ValueError(
+                f"band {center - half:g} to {center + half:g} m is outside the solar spectrum, "
+                f"{_SUN_BAND_M[0]:g} to {_SUN_BAND_M[1]:g} m"
+            )
+        return self
+
+
+class Optics(Strict):
+    """Lens before the detector.
+
+    ``field_stop``: ``matched``, the detector's area is spread over a square field;
+    ``detector``, the detector's own outline behind the lens is what is seen.
+    ``edge_illumination``: vignetting beyond cos^4, what is left at the middle of the field's edge.
+    ``blur_rms_deg``: standard deviation of the lens's Gaussian blur, some 0.1 deg for a Fresnel
+    lens. ``focus_m``: the pupil has its true size and is focused there; default: a pinhole in
+    position, in focus everywhere.
+    """
+
+    f_number: Sourced[Positive]
+    transmission: Sourced[Fraction]
+    field_of_view_deg: Sourced[FieldAngle]
+    field_stop: Sourced[Literal["matched", "detector"]]
+    edge_illumination: Sourced[Fraction] | None = None
+    blur_rms_deg: Sourced[Annotated[NonNegative, Field(lt=45)]] | None = None
+    focus_m: Sourced[Positive] | None = None

@@ -1,0 +1,54 @@
+"""Parts to build systems from."""
+
+from pathlib import Path
+
+from pydantic import model_validator
+
+from twin.files import catalog_folder
+from twin.system.detector import Detector, Readout
+from twin.system.emitter import Emitter
+from twin.system.environment import Sky, Weather
+from twin.system.optics import Filter, Optics
+from twin.toml import Entry, bundled, load_entry
+
+PARTS = catalog_folder() / "parts"
+_SECTIONS = ("emitter", "filter", "optics", "detector", "readout", "sky", "weather")
+
+
+class Part(Entry):
+    """A part one can buy, or one the paper describes: one section of a system."""
+
+    emitter: Emitter | None = None
+    filter: Filter | None = None
+    optics: Optics | None = None
+    detector: Detector | None = None
+    readout: Readout | None = None
+    sky: Sky | None = None
+    weather: Weather | None = None
+
+    @model_validator(mode="after")
+    def _is_one_thing(self) -> "Part":
+        if len(self._sections()) != 1:
+            raise ValueError(f"needs exactly one section of {', '.join(_SECTIONS)}")
+        return self
+
+    @property
+    def kind(self) -> str:
+        """Name of its section."""
+        return self._sections()[0]
+
+    def _sections(self) -> list[str]:
+        return [name for name in _SECTIONS if getattr(self, name) is not None]
+
+
+def load_part(name: "str | Path | Part") -> Part:
+    """A bundled part by name, or a user's own TOML file.
+
+    Raises InputError naming the file, the field, the value and what was expected.
+    """
+    return load_entry(Part, name, "part", PARTS)
+
+
+def part_names() -> list[str]:
+    """Names of the bundled parts."""
+    return bundled(PARTS)

@@ -1,0 +1,115 @@
+"""One complete optical system: its sections, and what must fit between them."""
+
+from pathlib import Path
+
+from pydantic import model_validator
+
+from hardware.patterns import PatternSet
+from twin.files import catalog_folder
+from twin.system.acquisition import Acquisition, TimeOfFlight
+from twin.system.detector import Detector, Readout
+from twin.system.emitter import Emitter
+from twin.system.environment import Sky, Weather
+from twin.system.optics import Filter, Optics
+from twin.system.part import PARTS
+from twin.toml import Entry, bundled, load_entry
+
+
+class System(Entry):
+    """One complete optical system."""
+
+    emitter: Emitter
+    filter: Filter
+    optics: Optics
+    detector: Detector
+    readout: Readout
+    acquisition: Acquisition
+    sky: Sky | None = None
+    time_of_flight: TimeOfFlight | None = None
+    weather: Weather | None = None
+
+    @model_validator(mode="after")
+    def _patterns_exist(self) -> "System":
+        try:
+            _ = self.patterns
+        except ValueError as error:
+            field, rest = str(error).split(":", 1)
+            places = {"count": "n_patterns", "subset": "order", "mode": "mode"}
+            place = f"acquisition.{places[field]}" if field in places else f"emitter.{field}"
+            raise ValueError(f"{place}:{rest}") from None
+        if self.patterns.n_arms > 1:
+            raise ValueError("acquisition.mode: 'complementary' needs two detectors, has one")
+        return self
+
+    @property
+    def patterns(self) -> PatternSet:
+        """The pattern set that is shown."""
+        return PatternSet(
+            rows=self.emitter.rows.value,
+            columns=self.emitter.columns.value,
+            count=self.acquisition.n_patterns.value,
+            order=self.acquisition.order.value,
+            mode=self.acquisition.mode.value,
+        )
+
+    @model_validator(mode="after")
+    def _line_sensor_fits(self) -> "System":
+        if self.detector.pixels is None or self.detector.pixels.value == 1:
+            return self
+        if self.detector.pixels.value % self.n_detectors:
+            raise ValueError(
+                f"acquisition.columns: {self.n_detectors} does not divide "
+                f"detector.pixels, {self.detector.pixels.value}"
+            )
+        if self.emitter.columns.value != 1 or self.optics.field_stop.value != "matched":
+            raise ValueError(
+                "a line sensor takes its columns itself: emitter.columns must be 1 (it is "
+                f"{self.emitter.columns.value}) and optics.field_stop matched"
+            )
+        if not self.emitter.has_lens or self.time_of_flight:
+            raise ValueError(
+                "a line sensor needs emitter.projection lens, and no time_of_flight section"
+            )
+        return self
+
+    @property
+    def n_detectors(self) -> int:
+        """Numbers per exposure: 1, or the columns of a line sensor."""
+        if self.detector.pixels is None or self.detector.pixels.value == 1:
+            return 1
+        columns = self.acquisition.columns
+        return columns.value if columns else self.detector.pixels.value
+
+    @property
+    def picture_shape(self) -> tuple[int, int]:
+        """Rows and columns of the virtual image, detectors side by side."""
+        return self.emitter.rows.value, self.emitter.columns.value * self.n_detectors
+
+    @property
+    def pixels_per_detector(self) -> int:
+        """Pixels whose charge is added to one number."""
+        return (self.detector.pixels.value if self.detector.pixels else 1) // self.n_detectors
+
+    @property
+    def frame_time_s(self) -> float:
+        """Time to show all patterns once."""
+        return self.n_exposures * self.acquisition.pattern_period_s.value
+
+    @property
+    def n_exposures(self) -> int:
+        """Exposures of one frame: every pattern with every shutter."""
+        shutters = self.time_of_flight.n_shutters if self.time_of_flight else 1
+        return self.patterns.n_exposures * shutters
+
+
+def load_system(name: "str | Path | System") -> System:
+    """A bundled system by name, or a user's own TOML file; a system is returned as it is.
+
+    Raises InputError naming the file, the field, the value and what was expected.
+    """
+    return load_entry(System, name, "system", catalog_folder() / "systems", PARTS)
+
+
+def system_names() -> list[str]:
+    """Names of the bundled systems."""
+    return bundled(catalog_folder() / "systems")
