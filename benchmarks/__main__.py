@@ -15,6 +15,7 @@ from benchmarks import (
     optical,
     radar,
     radar_processing,
+    radar_signal,
     rcs,
     reconstruction,
     regression,
@@ -34,6 +35,7 @@ _ROOMS = (
     regression,
     sweep,
     vehicle,
+    radar_signal,
     commands,
 )
 

@@ -10,11 +10,12 @@ from scipy.constants import c as light_speed
 from hardware.radar import channel
 from hardware.records import read_radar_record, write_radar_record
 from twin.fidelity import Fidelity
-from twin.files import InputError
+from twin.files import InputError, scenes_folder
 from twin.radar import load_radar, radar_capture
 from twin.radar.design import RadarDesign
 from twin.radar.evaluation import evaluate_radar
-from twin.scene import Pose, Rig, Scene, Sun, Target, Track, parse_track
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target, Track, parse_track
+from twin.scene.materials import load_materials
 from twin.system import load_part
 
 QUIET = Fidelity(radar="targets", noise="none", nufft_tolerance=1e-9)
@@ -207,6 +208,39 @@ def test_a_fast_target_wraps_where_the_array_wraps() -> None:
     assert taken.truth[0].seen_at[1] == pytest.approx(10.0 - 2 * 8.0957, abs=1e-3)
 
 
+# Traced, and reported.
+
+
+@pytest.mark.parametrize("name", ["prototype", "hybrid-79-mimo"])
+def test_a_traced_scene_is_measured_and_reported(name: str) -> None:
+    """A concrete wall behind a target, from three stops: every burst finds both."""
+    from twin.report.radar_figures import radar_cuts, radar_map
+    from twin.report.radar_summary import radar_summary
+
+    wall = np.array([[20.0, -8, -8], [20, 8, -8], [20, 8, 8], [20, -8, 8]])
+    faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
+    table = load_materials(scenes_folder() / "materials.toml")
+    scene = replace(
+        world(target((12.0, 2.0, 0)), track=Track((0.0, 0.1, 0.0), 3)),
+        objects=(SceneObject("wall", wall, faces, None, "concrete", 0.5),),
+        materials={"concrete": table["concrete"]},
+    )
+    radar = load_radar(name)
+    content = radar.model_dump()
+    content["waveform"]["n_subcarriers"] = min(512, radar.ofdm.n_subcarriers)
+    radar = RadarDesign.model_validate(content)
+    taken = radar_capture(scene, radar, seed=1)
+    for burst in taken.bursts:
+        assert {path.via for path in burst.paths} >= {("wall",), ("t",)}
+    evaluation = evaluate_radar(radar, taken)
+    rows = dict(radar_summary(evaluation)["waveform"])
+    assert rows["bursts"].startswith("3 along 200 mm")
+    assert ("carrier steps" in rows) == (name == "prototype")
+    assert ("transmitters x receivers" in rows) == (name == "hybrid-79-mimo")
+    assert radar_map(evaluation).axes
+    assert radar_cuts(evaluation).axes
+
+
 # Extremes.
 
 
@@ -260,7 +294,6 @@ def test_scenes_with_tracks_keep_them(tmp_path: Path) -> None:
     """``[track]`` of a scene.toml, and a malformed one."""
     import shutil
 
-    from twin.files import scenes_folder
     from twin.scene import load_scene
 
     shutil.copytree(scenes_folder() / "table1", tmp_path / "mine")

@@ -25,6 +25,7 @@ Complex = NDArray[np.complex128]
 _SERIES_RAD = 0.35  # coupled phase left to the series, at most
 _MOST_BODIES = 6  # beyond that the exact way is faster
 _FEW = 4  # terms up to which transforms along frequency alone are cheaper than one along both
+_MANY_POINTS = 200_000  # from which several threads are used
 _BLOCK = 64  # subcarriers whose migration shares its coarse steps
 
 
@@ -175,7 +176,7 @@ def _grids(part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance
     x = 2 * np.pi * _wrapped(waveform.subcarrier_spacing_hz * part.delay_s)
     y = 2 * np.pi * _wrapped(carrier * rate * waveform.slot_period_s)
     shape = (waveform.n_subcarriers, waveform.n_slots)
-    grids = finufft.nufft2d1(x, y, strengths * powers, shape, isign=-1, **_accuracy(tolerance))
+    grids = finufft.nufft2d1(x, y, strengths * powers, shape, **_options(tolerance, len(x)))
     return np.reshape(grids, (len(powers), *shape))
 
 
@@ -188,7 +189,7 @@ def _columns(
     strengths = part.amplitude * _turned(-_wrapped(waveform.carrier_hz * part.delay_s))
     x = 2 * np.pi * _wrapped(waveform.subcarrier_spacing_hz * part.delay_s)
     n = waveform.n_subcarriers
-    columns = finufft.nufft1d1(x, strengths * powers, n, isign=-1, **_accuracy(tolerance))
+    columns = finufft.nufft1d1(x, strengths * powers, n, **_options(tolerance, len(x)))
     return np.reshape(columns, (len(powers), n, 1))
 
 
@@ -210,12 +211,16 @@ def _migration(rate: float, waveform: OfdmWaveform) -> Complex:
     return (coarse[:, None] * fine).reshape(-1, waveform.n_slots)[:n]
 
 
-def _accuracy(tolerance: float) -> dict[str, Any]:
-    """Tolerance for finufft, with room for the largest error of a bin, and its finer grid.
-
-    The small grid reaches 1e-9.
+def _options(tolerance: float, points: int) -> dict[str, Any]:
+    """Of finufft: its tolerance, with room for the largest error of a bin; a finer grid below what
+    the small one reaches (1e-9); threads where they pay, for they wait on each other.
     """
-    return {"eps": tolerance / 20, "upsampfac": 1.25 if tolerance >= 2e-7 else 2.0, "nthreads": 0}
+    return {
+        "eps": tolerance / 20,
+        "upsampfac": 1.25 if tolerance >= 2e-7 else 2.0,
+        "nthreads": 0 if points > _MANY_POINTS else 1,
+        "isign": -1,
+    }
 
 
 def _wrapped(cycles: Array) -> Array:
