@@ -15,6 +15,7 @@ from benchmarks import (
     optical,
     radar,
     radar_processing,
+    radar_scene,
     radar_signal,
     rcs,
     reconstruction,
@@ -30,12 +31,13 @@ _ROOMS = (
     optical,
     weather,
     radar,
+    radar_scene,
+    radar_signal,
     radar_processing,
     rcs,
     regression,
     sweep,
     vehicle,
-    radar_signal,
     commands,
 )
 

@@ -408,6 +408,55 @@ def cylinders(*sideways):
     }
 
 
+# ---------------------------------------------------------------- street
+
+# scene.toml repeats the positions a radar should find.
+STREET_WALL = ([25.0, -0.3, 0.0], [25.3, 9.7, 3.5])  # its near end just right of the radar
+STREET_CAR = (38.0, -1.5)  # middle of its rear
+STREET_PERSON = (18.0, -2.5)
+STREET_TRIHEDRAL, STREET_RCS = np.array([140.0, -12.0, 1.0]), 100.0
+
+
+def moved(mesh, shift):
+    return mesh.copy().apply_translation(shift)
+
+
+def street():
+    """Road, wall, car, person and a trihedral far off; finer than the yard's by subdivision."""
+    shift = np.array([STREET_CAR[0] - CAR_REAR[0], STREET_CAR[1] - CAR_REAR[1], 0.0])
+    turn = trimesh.transformations.rotation_matrix(
+        np.radians(-CAR_YAW_DEG), [0, 0, 1], [*STREET_CAR, 0]
+    )
+    parts = {k: moved(v, shift).apply_transform(turn) for k, v in car().items()}
+    parts["car"] = parts["car"].subdivide()
+    body = {
+        k: moved(v, [STREET_PERSON[0] - PERSON_XY[0], STREET_PERSON[1] - PERSON_XY[1], 0])
+        for k, v in person().items()
+    }
+    leg = (3 * (C / CARRIER_HZ) ** 2 * STREET_RCS / (4 * np.pi)) ** 0.25
+    bore = (RADAR - STREET_TRIHEDRAL) / np.linalg.norm(RADAR - STREET_TRIHEDRAL)
+    left = np.cross([0, 0, 1], bore)
+    left /= np.linalg.norm(left)
+    up = np.cross(bore, left)
+    angle = np.radians([90, 210, 330])
+    tips = leg * (
+        bore / np.sqrt(3)
+        + np.sqrt(2 / 3) * (np.cos(angle)[:, None] * left + np.sin(angle)[:, None] * up)
+    )
+    corner = trimesh.Trimesh(
+        np.vstack([[0, 0, 0], tips]) + STREET_TRIHEDRAL,
+        [[0, 1, 2], [0, 2, 3], [0, 3, 1]],
+        process=False,
+    )
+    return {
+        "ground": ground((-10.0, -80.0), 160.0, 92),
+        "wall": box(*STREET_WALL),
+        **parts,
+        **body,
+        "trihedral": corner,
+    }
+
+
 # ---------------------------------------------------------------- files
 
 
@@ -450,6 +499,7 @@ def main():
     scenes = {
         "yard": yard(),
         "table1": table1(),
+        "street": street(),
         "fig3a": cylinders(0.0),
         "fig3b": cylinders(0.075, -0.075),
     }

@@ -13,6 +13,8 @@ Indices = NDArray[np.int64]
 
 _SMOOTH_RAD = np.radians(30)  # a sharper edge ends a surface, a blunter one bends it
 _FLAT_RAD = 1e-4
+_WELDED = 1e-7  # of the mesh's size: corners closer than this are one
+_MOST_HULL = 20_000  # vertices: finding the hull of more takes longer than it saves
 _KEPT = 512  # meshes; each costs its indices
 _known: "OrderedDict[int, tuple[NDArray[np.integer], Shape]]" = OrderedDict()
 
@@ -63,35 +65,72 @@ def _size(points: Array) -> float:
 
 
 def _measure(item: SceneObject) -> Shape:
-    import trimesh
-
     used = np.unique(item.faces)
-    middle = item.vertices_m[used].mean(axis=0)
-    mesh = trimesh.Trimesh(item.vertices_m - middle, item.faces, process=False)
-    mesh.merge_vertices()
-    n = len(item.faces)
-    label = np.arange(n)
-    for facet in mesh.facets:
-        label[facet] = facet.min()
-    area: Array = np.bincount(label, weights=mesh.area_faces, minlength=n).astype(np.float64)
+    points = item.vertices_m - item.vertices_m[used].mean(axis=0)
+    faces = _welded(points, item.faces)
+    a, b, c = (points[item.faces[:, i]] for i in range(3))
+    across = np.cross(b - a, c - a)
+    double = np.linalg.norm(across, axis=1)
+    normals = across / np.maximum(double, 1e-300)[:, None]
+    pairs = _neighbours(faces[double > 0])
+    pairs = np.flatnonzero(double > 0)[pairs]
+    turn = _turn(normals[pairs[:, 0]], normals[pairs[:, 1]])
+    label = _connected(pairs[turn < _FLAT_RAD], len(faces))
+    area: Array = np.bincount(label, weights=double / 2).astype(np.float64)
     order = np.argsort(-area, kind="stable")
-    order = order[area[order] > 0]
-    rank = np.full(n, -1)
+    rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
-    hull = _hull(item.vertices_m - middle, used)
+    patch = rank[label]
+    hull = _hull(points, used)
     return Shape(
-        patch_of_face=rank[label],
-        patch_area_m2=area[order] if len(order) else np.zeros(1),
+        patch_of_face=patch,
+        patch_area_m2=area[order],
         hull=hull,
         size_m=_size(item.vertices_m[hull]),
-        bend_radius_m=_bend(mesh, rank[label], area[order]),
+        bend_radius_m=_bend(patch[pairs], turn, float(area[order[0]])),
     )
+
+
+def _welded(points: Array, faces: NDArray[np.integer]) -> Indices:
+    """Faces with corners at the same place made one."""
+    size = max(float(np.abs(points[faces]).max()), 1e-300)
+    cells = np.round(points / (_WELDED * size)).astype(np.int64)
+    _, index = np.unique(cells.view([("", np.int64)] * 3).ravel(), return_inverse=True)
+    welded: Indices = index.reshape(-1)[faces]
+    return welded
+
+
+def _neighbours(faces: Indices) -> Indices:
+    """Pairs of faces on either side of an edge, (n, 2); edges of one or more than two have none."""
+    ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    keys = ends[:, 0] * (int(faces.max(initial=0)) + 1) + ends[:, 1]
+    order = np.argsort(keys, kind="stable")
+    _, start, count = np.unique(keys[order], return_index=True, return_counts=True)
+    start = start[count == 2]
+    pairs: Indices = np.stack([order[start], order[start + 1]], axis=1) // 3
+    return pairs
+
+
+def _turn(a: Array, b: Array) -> Array:
+    """Angle between planes, whichever way their normals point; precise for small ones."""
+    sine = np.linalg.norm(np.cross(a, b), axis=1)
+    turn: Array = np.arctan2(sine, np.abs(np.sum(a * b, axis=1)))
+    return turn
+
+
+def _connected(pairs: Indices, count: int) -> Indices:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    labels: Indices = connected_components(links, directed=False)[1]
+    return labels
 
 
 def _hull(points: Array, used: Indices) -> Indices:
     from scipy.spatial import ConvexHull, QhullError
 
-    if len(used) < 32:
+    if not 32 <= len(used) <= _MOST_HULL:
         return used
     try:
         return used[ConvexHull(points[used]).vertices]
@@ -99,10 +138,7 @@ def _hull(points: Array, used: Indices) -> Indices:
         return used
 
 
-def _bend(mesh: object, patch: Indices, area: Array) -> float:
+def _bend(patches: Indices, turn: Array, area_m2: float) -> float:
     """Side of the largest patch over the angle by which it turns into a smooth neighbour."""
-    pairs, angles = np.asarray(mesh.face_adjacency), np.asarray(mesh.face_adjacency_angles)  # type: ignore[attr-defined]
-    border = (patch[pairs] == 0).any(axis=1) & (angles > _FLAT_RAD) & (angles < _SMOOTH_RAD)
-    if not border.any():
-        return float("inf")
-    return float(np.sqrt(area[0]) / angles[border].max())
+    border = (patches == 0).any(axis=1) & (turn > _FLAT_RAD) & (turn < _SMOOTH_RAD)
+    return float(np.sqrt(area_m2) / turn[border].max()) if border.any() else float("inf")
