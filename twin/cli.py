@@ -162,6 +162,52 @@ def trade(
 
 
 @app.command()
+def serve(
+    scene: SceneArgument,
+    radar: Annotated[str, typer.Option(help="Where the radar's radio listens: tcp:HOST:PORT.")],
+    design: Annotated[str, typer.Option(help="Bundled radar or TOML file.")] = "hybrid-79",
+    pace: Annotated[
+        str, typer.Option(help="real: device time is the host's; fast: it never waits.")
+    ] = "real",
+    pose: PoseOption = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first sweep; each has its own.")] = 0,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=CHANCE per burst: overflow, late, stall, ...; repeatable."),
+    ] = None,
+    setup: Annotated[
+        Path | None, typer.Option(help="JSON file to write: schedule and front end for a driver.")
+    ] = None,
+) -> None:
+    """Virtual devices: the twin behind the devices' own protocols, until interrupted."""
+    from typing import get_args
+
+    from twin.files import InputError
+    from twin.scene import parse_pose
+    from twin.serve.clock import Pace
+    from twin.serve.serving import parse_address, serve_radar
+
+    if pace not in get_args(Pace):
+        raise InputError(f"pace: {pace!r}, expected {' or '.join(get_args(Pace))}")
+    address = parse_address(radar)
+    if not address.loopback:
+        print(f"warning: {address.host}: whoever reaches it can use it", file=sys.stderr)
+    serve_radar(
+        scene,
+        address,
+        radar=design,
+        pose=parse_pose(pose) if pose is not None else None,
+        pace="real" if pace == "real" else "fast",
+        faults=fault or (),
+        seed=seed,
+        setup=setup,
+        listening=lambda radio: print(
+            f"{radio.device}: zmq://{address.host}:{address.port}", flush=True
+        ),
+    )
+
+
+@app.command()
 def budget(
     system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "paper",
     whole_line: Annotated[

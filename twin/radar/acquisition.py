@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.drivers.radio.samples import highest_level, spectrum, symbol
 from hardware.radar.waveform import OfdmWaveform
 from hardware.records import Flag, RadarRecord
 from twin import __version__
@@ -70,6 +71,64 @@ class RadarCapture:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class RadarEcho:
+    """One interval before anything is sent: what the scene and the noise will make of it.
+
+    ``channel`` (n_subcarriers, n_slots) belongs to the sent wave; ``noise_seed`` is of the one
+    realisation of the noise, or None for none.
+    """
+
+    scene: Scene
+    radar: RadarDesign
+    propagation: Propagation
+    channel: NDArray[np.complex128]
+    noise_seed: np.random.SeedSequence | None
+
+    def record(self, sent: NDArray[np.complex128] | None = None) -> RadarRecord:
+        """What the radar records.
+
+        Parameters
+        ----------
+        sent : (n_steps, n_slots, n_subcarriers)
+            Sent subcarriers in place of the waveform's own. What a step records depends on its
+            own part only.
+        """
+        iq, flags, scale = digitize(
+            self.channel,
+            self.radar,
+            rng=np.random.default_rng(self.noise_seed),
+            noisy=self.noise_seed is not None,
+            sent=None if sent is None else sent[0],
+        )
+        return _record(self.scene, self.radar, iq, flags, scale)
+
+
+def radar_echo(
+    scene: Scene,
+    radar: RadarDesign,
+    *,
+    seed: int = 0,
+    fidelity: Fidelity | None = None,
+    stage: Stage = lambda name: nullcontext(),
+) -> RadarEcho:
+    """The interval that `radar_capture` records; same parameters, same errors."""
+    _check_targets(scene)
+    ray_seed, noise_seed = np.random.SeedSequence([seed, 79]).spawn(2)
+    fidelity = fidelity or Fidelity()
+    with stage("radar paths"):
+        if fidelity.radar == "targets":
+            found = straight_paths(scene, radar)
+        else:
+            found = trace(scene, radar, seed=int(ray_seed.generate_state(1)[0]) >> 1)
+    with stage("radar signal"):
+        channel = synthesize(
+            contributions(found.paths, radar.ofdm), radar.ofdm, fidelity.nufft_tolerance
+        )
+    noisy = fidelity.noise != "none"
+    return RadarEcho(scene, radar, found, channel, noise_seed if noisy else None)
+
+
 def radar_capture(
     scene: Scene,
     radar: RadarDesign,
@@ -93,28 +152,18 @@ def radar_capture(
 
     Raises InputError where a material has no data at the carrier.
     """
-    _check_targets(scene)
-    ray_seed, noise_seed = np.random.SeedSequence([seed, 79]).spawn(2)
-    fidelity = fidelity or Fidelity()
-    with stage("radar paths"):
-        if fidelity.radar == "targets":
-            found = straight_paths(scene, radar)
-        else:
-            found = trace(scene, radar, seed=int(ray_seed.generate_state(1)[0]) >> 1)
+    echo = radar_echo(scene, radar, seed=seed, fidelity=fidelity, stage=stage)
     with stage("radar signal"):
-        channel = synthesize(
-            contributions(found.paths, radar.ofdm), radar.ofdm, fidelity.nufft_tolerance
-        )
-        rng = np.random.default_rng(noise_seed)
-        iq, flags, scale = digitize(channel, radar, rng=rng, noisy=fidelity.noise != "none")
+        record = echo.record()
+    found = echo.propagation
     truth = tuple(_true(t, scene, radar, found.paths) for t in scene.targets)
     return RadarCapture(
-        record=_record(scene, radar, iq, flags, scale),
+        record=record,
         truth=truth,
         propagation=found,
         sample_noise_w=radar.sample_noise_w,
         assumptions=(*MODEL_ASSUMPTIONS, *found.assumptions, *_assumed(scene, radar)),
-        warnings=tuple(_warnings(scene, radar, found, truth, flags)),
+        warnings=tuple(_warnings(scene, radar, found, truth, record.flags)),
     )
 
 
@@ -150,16 +199,21 @@ def digitize(
     *,
     rng: np.random.Generator,
     noisy: bool = True,
+    sent: NDArray[np.complex128] | None = None,
 ) -> tuple[NDArray[np.int16], NDArray[np.uint8], float]:
     """Counts (1, n_slots, n_subcarriers, 2), flags (1, n_slots), and root watts per count.
 
     The sent power is shared by the subcarriers; each slot becomes one symbol in time, with thermal
-    noise, clipped to 16 bits.
+    noise, clipped to 16 bits. ``sent`` (n_slots, n_subcarriers) stands in for the waveform's own
+    subcarriers as a radio sends them, rounded to complex64 samples.
     """
     wave = radar.ofdm
     power = radar.front_end.transmit_power_w.value
-    sent = wave.sent() * np.sqrt(power / wave.n_subcarriers)
-    received = np.fft.ifft(np.fft.ifftshift(channel.T * sent, axes=1), axis=1)
+    if sent is None:
+        level = highest_level(wave)
+        sent = spectrum(symbol(wave, level), level)
+    amplitude = sent * np.sqrt(power / wave.n_subcarriers)
+    received = np.fft.ifft(np.fft.ifftshift(channel.T * amplitude, axes=1), axis=1)
     received *= wave.n_subcarriers
     noise = 0.0
     if noisy:
