@@ -40,9 +40,11 @@ class StreamRadio(Radio):
     Parameters
     ----------
     transmit
-        Where our samples are to be had, such as ``tcp://127.0.0.1:2001``: we listen.
+        Where our samples are to be had, such as ``tcp://127.0.0.1:2001``.
     receive
         Whom we ask for theirs, such as ``tcp://127.0.0.1:2000``.
+    listen
+        Whether we listen at ``transmit``, as is the convention; else the other side does.
     carrier_hz, sample_rate_hz
         What it is set to.
     timeout_s
@@ -54,6 +56,7 @@ class StreamRadio(Radio):
         transmit: str,
         receive: str,
         *,
+        listen: bool = True,
         carrier_hz: float,
         sample_rate_hz: float,
         timeout_s: float = 5.0,
@@ -73,7 +76,7 @@ class StreamRadio(Radio):
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.MAXMSGSIZE, most)
         try:
-            self._transmit.bind(transmit)
+            (self._transmit.bind if listen else self._transmit.connect)(transmit)
             self._receive.connect(receive)
         except zmq.ZMQError as error:
             self.close()
