@@ -18,7 +18,7 @@ PYTHONS = (sys.executable, "/usr/bin/python3")
 @pytest.fixture(scope="module")
 def said() -> dict:
     """What uhd_checks.py prints under the first Python that has UHD."""
-    needs = "import uhd, numpy, scipy, h5py; uhd.types.TimeSpec"
+    needs = "import uhd, numpy, scipy; uhd.types.TimeSpec"
     for python in PYTHONS:
         if not Path(python).exists():
             continue

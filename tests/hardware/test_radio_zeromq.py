@@ -217,17 +217,14 @@ def test_plain_virtual_radio(style: str) -> None:
                 out, waiting = waiting[: min(most, 300)], waiting[min(most, 300) :]
                 receive.send((0.5 * out).astype("<c8").tobytes())
 
-    ours = context.socket(zmq.REP)
-    own = ours.bind_to_random_port("tcp://127.0.0.1")
-    ours.unbind(f"tcp://127.0.0.1:{own}")
-    transmit.connect(f"tcp://127.0.0.1:{own}")
     thread = threading.Thread(target=peer)
     with StreamRadio(
-        f"tcp://127.0.0.1:{own}",
+        "tcp://127.0.0.1:*",
         f"tcp://127.0.0.1:{port}",
         carrier_hz=2.5e9,
         sample_rate_hz=20e6,
     ) as radio:
+        transmit.connect(radio.transmit)
         thread.start()
         sent = np.exp(1j * np.arange(N)).astype(np.complex64)
         for k in range(3):

@@ -40,7 +40,8 @@ class StreamRadio(Radio):
     Parameters
     ----------
     transmit
-        Where our samples are to be had, such as ``tcp://127.0.0.1:2001``.
+        Where our samples are to be had, such as ``tcp://127.0.0.1:2001``; with ``*`` for a port,
+        any that is free. The attribute ``transmit`` says which.
     receive
         Whom we ask for theirs, such as ``tcp://127.0.0.1:2000``.
     listen
@@ -77,6 +78,7 @@ class StreamRadio(Radio):
             socket.setsockopt(zmq.MAXMSGSIZE, most)
         try:
             (self._transmit.bind if listen else self._transmit.connect)(transmit)
+            self.transmit = self._transmit.getsockopt_string(zmq.LAST_ENDPOINT)
             self._receive.connect(receive)
         except zmq.ZMQError as error:
             self.close()
