@@ -10,10 +10,20 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import commands, optical, radar, rcs, reconstruction, regression, sweep, weather
+from benchmarks import (
+    commands,
+    optical,
+    radar,
+    rcs,
+    reconstruction,
+    regression,
+    sweep,
+    vehicle,
+    weather,
+)
 from benchmarks.timing import Timing, fft_workload
 
-_ROOMS = (reconstruction, optical, weather, radar, rcs, regression, sweep, commands)
+_ROOMS = (reconstruction, optical, weather, radar, rcs, regression, sweep, vehicle, commands)
 
 
 def main() -> None:

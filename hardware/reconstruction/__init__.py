@@ -74,15 +74,18 @@ def reconstruct(
     mixing
         Calibrated map from image cells to emitter elements, where these are no clean grid.
 
-    Raises ValueError for an unknown method, a mixing that does not fit, or patterns whose
-    matrices would not fit into memory.
+    Patterns that were lost on their way are left out, as if they had not been asked for.
+
+    Raises ValueError for an unknown method, a mixing that does not fit, patterns whose matrices
+    would not fit into memory, or a record in which too much is lost.
     """
     if method not in METHODS:
         load_plugins()
     if method not in METHODS:
         raise ValueError(f"method: {method!r} is none of {', '.join(METHODS)}")
-    solve, sensing = METHODS[method], Sensing(record.patterns, mixing)
-    measured = measurements(record)
+    received = record.received
+    solve, sensing = METHODS[method], Sensing(received.patterns, mixing)
+    measured = measurements(received)
     values, variance = measured.values, measured.noise_variance
     if solve.joint:
         cells, error = solve(values, variance, sensing)

@@ -12,11 +12,14 @@ from numpy.typing import DTypeLike
 
 
 class Flag(IntFlag):
-    """What may be wrong with one exposure or slot."""
+    """What may be wrong with one exposure or slot; one that is lost never arrived, and its counts
+    are none.
+    """
 
     SATURATED = 1
     OVERRUN = 2
     RESET = 4
+    LOST = 8
 
 
 @dataclass(frozen=True)

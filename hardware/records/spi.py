@@ -1,6 +1,6 @@
 """One acquisition of the single-pixel camera: counts per pattern and detector."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet
 from hardware.records import container
+from hardware.records.container import Flag
+
+_BY_EXPOSURE = ("counts", "device_time_ns", "sequence", "flags")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +86,32 @@ class SpiRecord:
             raise ValueError(f"pose: {self.pose} holds what is not a number")
 
     @property
+    def received(self) -> "SpiRecord":
+        """The record of the patterns that arrived whole: itself, where nothing is lost.
+
+        A pattern goes with its complement and with all its shutters. Raises ValueError where one
+        is lost that the others need (the references), or all are.
+        """
+        if not (self.flags & Flag.LOST).any():
+            return self
+        patterns, n_shutters = self.patterns, len(self.shutters)
+        here = ((self.flags & Flag.LOST) == 0).reshape(-1, n_shutters).all(axis=1)
+        head = 2 if patterns.mode == "reference" else 0
+        each = 2 if patterns.mode == "differential" else 1
+        kept = here[head:].reshape(patterns.count, each).all(axis=1)
+        if not (here[:head].all() and kept.any()):
+            raise ValueError("flags: exposures are lost without which nothing can be measured")
+        exposures = np.concatenate([here[:head], np.repeat(kept, each)])
+        rows = np.repeat(exposures, n_shutters)
+        return replace(
+            self,
+            patterns=PatternSet.of(
+                patterns.rows, patterns.columns, patterns.indices[kept], patterns.mode
+            ),
+            **{name: getattr(self, name)[rows] for name in _BY_EXPOSURE},
+        )
+
+    @property
     def electrons(self) -> NDArray[np.float64]:
         """Photo-electrons of each pattern, all its shutters together, ``(n_patterns shown,
         n_detectors)``.
@@ -104,7 +133,7 @@ LAYOUT = container.Layout(
         "counts": (np.int32, "ADC counts, (n_exposures, n_detectors)"),
         "device_time_ns": (np.int64, "device clock at the start of each exposure, ns"),
         "sequence": (np.uint32, "exposure number given by the device"),
-        "flags": (np.uint8, "1 saturated, 2 overrun, 4 reset"),
+        "flags": (np.uint8, "1 saturated, 2 overrun, 4 reset, 8 lost"),
         "pose": (np.float64, "rig in the world: x y z (m), quaternion w x y z"),
         "shutters": (np.float64, "per shutter: modulation Hz, phase rad, gate delay s, width s"),
     },

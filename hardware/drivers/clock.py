@@ -1,0 +1,78 @@
+"""Device clock against host clock: offset and drift from exchanged times.
+
+Each exchange (host sends t0, device receives t1 and sends t2, host receives t3) gives the offset
+((t1 - t0) + (t2 - t3)) / 2, wrong by half the asymmetry of the ways, so by less than half the
+round trip (Cristian, Distributed Computing 3, 1989; RFC 5905). Exchanges with short round trips
+are the good ones: a line through the best half tells offset and drift.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+_KEPT = 64
+
+
+@dataclass(frozen=True)
+class ClockModel:
+    """``device = host + offset + drift (host - reference)``, all ns of the host's clock.
+
+    ``error_ns`` bounds the offset: half the shortest round trip. ``drift`` is a pure number: 1e-6
+    is a device clock that gains a microsecond a second.
+    """
+
+    reference_ns: int
+    offset_ns: int
+    drift: float
+    error_ns: float
+
+    def host_ns(self, device_ns: int) -> int:
+        """Host time of a device time."""
+        since = (device_ns - self.offset_ns - self.reference_ns) / (1 + self.drift)
+        return self.reference_ns + round(since)
+
+    def device_ns(self, host_ns: int) -> int:
+        """Device time of a host time."""
+        return host_ns + self.offset_ns + round(self.drift * (host_ns - self.reference_ns))
+
+
+class ClockFilter:
+    """The newest exchanges, and the model that they give."""
+
+    def __init__(self) -> None:
+        self._exchanges: deque[tuple[int, int, int]] = deque(maxlen=_KEPT)
+
+    def add(self, sent_ns: int, received_ns: int, replied_ns: int, returned_ns: int) -> None:
+        """Take one exchange: t0, t1, t2, t3.
+
+        Raises ValueError for a reply that came before the request, on either clock.
+        """
+        trip = (returned_ns - sent_ns) - (replied_ns - received_ns)
+        if returned_ns < sent_ns or replied_ns < received_ns or trip < 0:
+            raise ValueError(
+                f"time exchange: {sent_ns}, {received_ns}, {replied_ns}, {returned_ns} ns run back"
+            )
+        offset = (received_ns - sent_ns + replied_ns - returned_ns) // 2
+        self._exchanges.append((sent_ns + (returned_ns - sent_ns) // 2, offset, trip))
+
+    @property
+    def model(self) -> ClockModel | None:
+        """None before the first exchange.
+
+        The drift is 0 until the exchanges span 100 of their own errors.
+        """
+        if not self._exchanges:
+            return None
+        times, offsets, trips = zip(*self._exchanges, strict=True)
+        reference, base = times[-1], offsets[-1]
+        trip = np.array(trips, np.float64)
+        good = trip <= np.median(trip)
+        t = np.array([float(time - reference) for time in times])[good]
+        y = np.array([float(offset - base) for offset in offsets])[good]
+        error = float(trip.min()) / 2
+        drift = 0.0
+        if len(t) > 2 and np.ptp(t) > 100 * max(error, 1.0):
+            drift = float(np.polyfit(t - t.mean(), y, 1)[0])
+        offset = base + round(float(np.mean(y - drift * t)))
+        return ClockModel(reference, offset, drift, error)

@@ -1,0 +1,371 @@
+#include "device.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    IDENTIFY = 0x01,
+    CONFIGURE = 0x02,
+    UPLOAD = 0x03,
+    ARM = 0x04,
+    START = 0x05,
+    STOP = 0x06,
+    QUERY = 0x07,
+    TIME = 0x08,
+    IDENTITY = 0x81,
+    CONFIGURED = 0x82,
+    STATUS = 0x87,
+    TIME_REPLY = 0x88,
+    MEASUREMENT = 0xc1,
+    REFUSED = 0xff
+};
+enum { UNKNOWN = 1, MALFORMED, STATE, UNSUPPORTED, TABLE };
+enum { HEAD = 2, MEASUREMENT_HEAD = 28, WIDE = 1, FLAGGED = 2 };
+
+/* Little-endian numbers, whatever the machine's own order. */
+
+static uint8_t *put(uint8_t *to, uint64_t value, int bytes)
+{
+    for (int i = 0; i < bytes; i++)
+        *to++ = (uint8_t)(value >> (8 * i));
+    return to;
+}
+
+static uint8_t *put_f64(uint8_t *to, double value)
+{
+    uint64_t bits;
+    memcpy(&bits, &value, 8);
+    return put(to, bits, 8);
+}
+
+static uint64_t get(const uint8_t *from, int bytes)
+{
+    uint64_t value = 0;
+    for (int i = 0; i < bytes; i++)
+        value |= (uint64_t)from[i] << (8 * i);
+    return value;
+}
+
+static double get_f64(const uint8_t *from)
+{
+    uint64_t bits = get(from, 8);
+    double value;
+    memcpy(&value, &bits, 8);
+    return value;
+}
+
+/* Close a frame whose body ends at end, and send it. */
+static bool send(struct device *d, uint8_t *body, uint8_t *end)
+{
+    static uint8_t wire[FRAME_ENCODED_MOST + 1];
+    uint32_t crc = crc32_update(0, body, (size_t)(end - body));
+    end = put(end, crc, 4);
+    return d->platform->send(wire, cobs_encode(body, (size_t)(end - body), wire));
+}
+
+static void refuse(struct device *d, uint8_t tag, uint8_t code, const char *why)
+{
+    uint8_t body[160] = {REFUSED, tag, code};
+    size_t length = strlen(why) < 150 ? strlen(why) : 150;
+    memcpy(body + 3, why, length);
+    send(d, body, body + 3 + length);
+}
+
+static void send_status(struct device *d, uint8_t tag)
+{
+    uint8_t body[64] = {STATUS, tag, d->state, d->booted, 0, 0};
+    uint8_t *to = put(body + 6, d->run, 4);
+    to = put(to, d->frames, 8);
+    to = put(to, d->dropped, 8);
+    to = put(to, (uint64_t)d->platform->now_ns(), 8);
+    to = put(to, d->patterns.loaded, 4);
+    send(d, body, put(to, d->table_crc, 4));
+}
+
+static void identify(struct device *d, uint8_t tag)
+{
+    const struct platform *p = d->platform;
+    uint8_t body[160] = {IDENTITY, tag};
+    uint8_t *to = put(body + HEAD, 1, 2);
+    *to++ = p->adc_bits;
+    *to++ = p->detectors;
+    to = put(to, MOST_CELLS, 4);
+    to = put(to, MOST_TABLE_BYTES, 4);
+    to = put(to, KNOWN_ORDERS, 2);
+    to = put(to, (1u << MODES) - 1, 2);
+    *to++ = p->gains;
+    *to++ = 0;
+    to = put_f64(to, p->min_integration_time_s);
+    to = put_f64(to, p->max_integration_time_s);
+    size_t length = strlen(p->name) < 100 ? strlen(p->name) : 100;
+    memcpy(to, p->name, length);
+    send(d, body, to + length);
+}
+
+static void configure(struct device *d, uint8_t tag, const uint8_t *in, size_t size)
+{
+    const struct platform *p = d->platform;
+    uint8_t n = size >= 30 ? in[11] : 0;
+    if (size < 30 || n < 1 || n > MOST_SHUTTERS || size != 30 + 32u * n) {
+        refuse(d, tag, MALFORMED, "Configure: its length does not fit");
+        return;
+    }
+    double integration = get_f64(in + 14), period = get_f64(in + 22);
+    uint16_t asked = (uint16_t)get(in + 12, 2);
+    uint16_t most =
+        (uint16_t)((FRAME_MOST - HEAD - 4 - MEASUREMENT_HEAD) / (4u * p->detectors + 1u));
+    const char *why = 0;
+    if (d->state == STATE_RUNNING) {
+        refuse(d, tag, STATE, "Configure: a run is on");
+        return;
+    }
+    if (in[10] >= p->gains)
+        why = "gain: no such step";
+    else if (!(integration >= p->min_integration_time_s && integration <= p->max_integration_time_s))
+        why = "integration_time_s: outside what I can do";
+    else if (!(period == 0 || (period >= integration + p->readout_time_s && period <= 1e3)))
+        why = "pattern_period_s: shorter than integration and read-out, or no number";
+    else
+        why = patterns_set(&d->patterns, (uint32_t)get(in, 2), (uint32_t)get(in + 2, 2),
+                           (uint32_t)get(in + 4, 4), in[8], in[9]);
+    if (why) {
+        refuse(d, tag, UNSUPPORTED, why);
+        return;
+    }
+    for (uint8_t i = 0; i < n; i++) {
+        const uint8_t *at = in + 30 + 32 * i;
+        d->shutters[i] = (struct shutter){get_f64(at), get_f64(at + 8), get_f64(at + 16),
+                                          get_f64(at + 24)};
+    }
+    d->n_shutters = n;
+    d->gain = in[10];
+    d->integration_time_s = integration;
+    d->period_s = period > 0 ? period : integration + p->readout_time_s;
+    d->exposures = d->patterns.exposures * n;
+    d->per_frame = asked == 0 ? 64 : asked;
+    if (d->per_frame > most)
+        d->per_frame = most;
+    d->table_crc = patterns_crc(&d->patterns);
+    d->state = STATE_CONFIGURED;
+    uint8_t body[80] = {CONFIGURED, tag};
+    uint8_t *to = put(body + HEAD, d->exposures, 4);
+    to = put(to, d->per_frame, 2);
+    *to++ = p->detectors;
+    *to++ = 0;
+    to = put(to, d->patterns.size, 4);
+    to = put(to, d->table_crc, 4);
+    to = put_f64(to, d->integration_time_s);
+    to = put_f64(to, d->period_s);
+    to = put_f64(to, p->electrons_per_count(d->gain));
+    send(d, body, put_f64(to, p->offset_counts(d->gain)));
+}
+
+static void upload(struct device *d, uint8_t tag, const uint8_t *in, size_t size)
+{
+    struct patterns *p = &d->patterns;
+    uint32_t offset = size >= 4 ? (uint32_t)get(in, 4) : 0, length = (uint32_t)size - 4;
+    if (size < 5) {
+        refuse(d, tag, MALFORMED, "Upload: no bytes");
+        return;
+    }
+    if (d->state != STATE_CONFIGURED || p->order != ORDER_UPLOADED) {
+        refuse(d, tag, STATE, "Upload: configure for it first");
+        return;
+    }
+    if (offset > p->loaded || length > p->size || offset > p->size - length) {
+        refuse(d, tag, TABLE, "Upload: beyond what is here, or beyond the table");
+        return;
+    }
+    memcpy(p->bits + offset, in + 4, length);
+    p->loaded = offset + length;
+    if (p->loaded == p->size)
+        d->table_crc = patterns_crc(p);
+    send_status(d, tag);
+}
+
+static void arm(struct device *d, uint8_t tag, const uint8_t *in, size_t size)
+{
+    if (size != 4)
+        refuse(d, tag, MALFORMED, "Arm: its length does not fit");
+    else if (d->state != STATE_CONFIGURED && d->state != STATE_ARMED)
+        refuse(d, tag, STATE, "Arm: configure first");
+    else if (d->patterns.loaded != d->patterns.size || get(in, 4) != d->table_crc)
+        refuse(d, tag, TABLE, "Arm: this is not the table that I hold");
+    else {
+        d->state = STATE_ARMED;
+        send_status(d, tag);
+    }
+}
+
+static void start(struct device *d, uint8_t tag, const uint8_t *in, size_t size)
+{
+    if (size != 12) {
+        refuse(d, tag, MALFORMED, "Start: its length does not fit");
+        return;
+    }
+    uint32_t run = (uint32_t)get(in, 4);
+    bool again = d->run == run && !d->booted; /* asked twice, because our reply was lost */
+    if (!again && d->state != STATE_ARMED) {
+        refuse(d, tag, STATE, "Start: arm first");
+        return;
+    }
+    if (!again) {
+        d->run = run;
+        d->sets = get(in + 4, 8);
+        d->set = d->frames = d->dropped = 0;
+        d->exposure = d->in_frame = 0;
+        d->overrun = false;
+        d->start_ns = d->platform->now_ns();
+        d->state = STATE_RUNNING;
+    }
+    send_status(d, tag);
+    if (!again && d->booted) {
+        d->booted = 0;
+        d->flags[0] = FLAG_RESET; /* taken up by the first exposure */
+    } else if (!again)
+        d->flags[0] = 0;
+}
+
+static void answer(struct device *d, const uint8_t *frame, size_t size)
+{
+    uint8_t type = frame[0], tag = frame[1];
+    const uint8_t *in = frame + HEAD;
+    size_t length = size - HEAD - 4;
+    if ((type == IDENTIFY || type == STOP || type == QUERY) && length != 0) {
+        refuse(d, tag, MALFORMED, "a payload where there is none");
+        return;
+    }
+    switch (type) {
+    case IDENTIFY:
+        identify(d, tag);
+        break;
+    case CONFIGURE:
+        configure(d, tag, in, length);
+        break;
+    case UPLOAD:
+        upload(d, tag, in, length);
+        break;
+    case ARM:
+        arm(d, tag, in, length);
+        break;
+    case START:
+        start(d, tag, in, length);
+        break;
+    case STOP:
+        if (d->state == STATE_RUNNING)
+            d->state = STATE_ARMED;
+        send_status(d, tag);
+        break;
+    case QUERY:
+        send_status(d, tag);
+        break;
+    case TIME: {
+        uint8_t body[40] = {TIME_REPLY, tag};
+        int64_t received = d->platform->now_ns();
+        if (length != 8) {
+            refuse(d, tag, MALFORMED, "Time: its length does not fit");
+            break;
+        }
+        memcpy(body + HEAD, in, 8);
+        uint8_t *to = put(body + HEAD + 8, (uint64_t)received, 8);
+        send(d, body, put(to, (uint64_t)d->platform->now_ns(), 8));
+        break;
+    }
+    default:
+        refuse(d, tag, UNKNOWN, "no request of the protocol");
+    }
+}
+
+void device_start(struct device *d, const struct platform *platform)
+{
+    memset(d, 0, sizeof *d);
+    d->platform = platform;
+    d->booted = 1;
+    send_status(d, 0);
+}
+
+void device_receive(struct device *d, const uint8_t *data, size_t size)
+{
+    for (size_t i = 0; i < size; i++) {
+        if (data[i] != 0) {
+            if (d->input_size < sizeof d->input)
+                d->input[d->input_size++] = data[i];
+            else
+                d->input_skip = true;
+            continue;
+        }
+        size_t length = d->input_skip ? 0 : cobs_decode(d->input, d->input_size, d->input);
+        d->input_size = 0;
+        d->input_skip = false;
+        if (length < HEAD + 4 || length > FRAME_MOST)
+            continue;
+        if (crc32_update(0, d->input, length - 4) == get(d->input + length - 4, 4))
+            answer(d, d->input, length);
+    }
+}
+
+static void send_measurement(struct device *d)
+{
+    uint32_t n = d->in_frame, first = d->exposure - n, values = n * d->platform->detectors;
+    double since_s = ((double)d->set * d->exposures + first) * d->period_s;
+    bool wide = false, flagged = false;
+    for (uint32_t i = 0; i < values; i++)
+        wide |= d->counts[i] > 0xffff;
+    for (uint32_t i = 0; i < n; i++)
+        flagged |= d->flags[i] != 0;
+    uint8_t body[FRAME_MOST] = {MEASUREMENT, 0};
+    uint8_t *to = put(body + HEAD, d->run, 4);
+    to = put(to, d->frames, 8);
+    to = put(to, (uint64_t)(d->start_ns + llround(since_s * 1e9)), 8);
+    to = put(to, first, 4);
+    to = put(to, n, 2);
+    *to++ = d->platform->detectors;
+    *to++ = (uint8_t)((wide ? WIDE : 0) | (flagged ? FLAGGED : 0));
+    for (uint32_t i = 0; i < values; i++)
+        to = put(to, (uint32_t)d->counts[i], wide ? 4 : 2);
+    for (uint32_t i = 0; flagged && i < n; i++)
+        *to++ = d->flags[i];
+    d->frames++;
+    d->in_frame = 0;
+    d->flags[0] = 0;
+    if (!send(d, body, to)) {
+        d->dropped++;
+        d->flags[0] = FLAG_OVERRUN; /* taken up by the next exposure */
+    }
+}
+
+static void expose_next(struct device *d)
+{
+    uint32_t pattern = d->exposure / d->n_shutters, shutter = d->exposure % d->n_shutters;
+    uint8_t flags = d->platform->expose(&d->patterns, pattern, &d->shutters[shutter], d->gain,
+                                        d->integration_time_s,
+                                        d->counts + d->in_frame * d->platform->detectors);
+    if (d->in_frame == 0)
+        d->flags[0] |= flags;
+    else
+        d->flags[d->in_frame] = flags;
+    d->in_frame++;
+    d->exposure++;
+    if (d->in_frame == d->per_frame || d->exposure == d->exposures)
+        send_measurement(d);
+    if (d->exposure == d->exposures) {
+        d->exposure = 0;
+        d->set++;
+        if (d->set == d->sets) {
+            d->state = STATE_ARMED;
+            send_status(d, 0);
+        }
+    }
+}
+
+int64_t device_poll(struct device *d)
+{
+    while (d->state == STATE_RUNNING) {
+        double since_s = ((double)d->set * d->exposures + d->exposure) * d->period_s;
+        int64_t due = d->start_ns + llround((since_s + d->integration_time_s) * 1e9);
+        if (due > d->platform->now_ns())
+            return due;
+        expose_next(d);
+    }
+    return -1;
+}

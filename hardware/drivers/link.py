@@ -1,0 +1,79 @@
+"""The bytes' way to a device: any pyserial URL, opened, read without waiting too long, written."""
+
+import select
+import time
+from typing import Any
+
+#: Bytes taken at once; also what a read may return at most.
+_CHUNK = 65536
+#: Pause between looks at a port that cannot be waited on (rfc2217://).
+_POLL_S = 1e-3
+
+
+class LinkError(ConnectionError):
+    """The line is gone: unplugged, closed by the other side, or it takes no more bytes."""
+
+
+class Link:
+    """A connection to a device.
+
+    Parameters
+    ----------
+    url
+        As pyserial takes it: ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``,
+        ``rfc2217://host:port``.
+    baud
+        Where the line has one.
+    write_timeout_s
+        How long the other side may refuse to take bytes.
+
+    Raises LinkError where the URL cannot be opened, ValueError where it is none.
+    """
+
+    def __init__(self, url: str, *, baud: int = 115_200, write_timeout_s: float = 1.0) -> None:
+        import serial
+
+        self.url = url
+        try:
+            self._port: Any = serial.serial_for_url(
+                url, baudrate=baud, timeout=0, write_timeout=write_timeout_s
+            )
+        except OSError as error:
+            raise LinkError(f"{url}: {error}") from error
+        try:
+            self._handle: int | None = self._port.fileno()
+        except (AttributeError, OSError):  # UnsupportedOperation is an OSError
+            self._handle = None
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come, or comes within the time; empty where nothing does.
+
+        Raises LinkError.
+        """
+        try:
+            if self._handle is not None:
+                select.select([self._handle], [], [], timeout_s)
+                return self._port.read(_CHUNK)
+            return self._poll(timeout_s)
+        except (OSError, ValueError, TypeError) as error:  # pyserial's own is an OSError
+            raise LinkError(f"{self.url}: {error}") from error
+
+    def write(self, data: bytes) -> None:
+        """Send everything. Raises LinkError."""
+        try:
+            self._port.write(data)
+        except OSError as error:
+            raise LinkError(f"{self.url}: {error}") from error
+
+    def close(self) -> None:
+        """Close; any number of times."""
+        inner = getattr(self._port, "_socket", None)
+        self._port.close()
+        if inner is not None:  # pyserial forgets it open where the other side hung up first
+            inner.close()
+
+    def _poll(self, timeout_s: float) -> bytes:
+        deadline = time.monotonic() + timeout_s
+        while not (data := self._port.read(_CHUNK)) and time.monotonic() < deadline:
+            time.sleep(_POLL_S)
+        return data

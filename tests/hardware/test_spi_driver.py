@@ -1,0 +1,357 @@
+"""The camera's driver against the reference firmware: another implementation, on a real line."""
+
+import os
+import selectors
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hardware import PatternSet, SpiRecord, reconstruct
+from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSettings
+from hardware.drivers.framing import Deframer, encode
+from hardware.drivers.messages import MODE_CODES, Refusal, Refused, to_frame
+from hardware.records import Flag
+
+QUICK = Patience(reply_s=0.4, attempts=3, reconnect_s=5.0, between_attempts_s=0.05)
+PATTERNS = PatternSet(8, 8, 64)
+SETTINGS = SpiSettings(PATTERNS, 10e-6)
+
+
+class Bridge:
+    """A TCP port in front of a terminal, which can cut the line or spoil what passes."""
+
+    def __init__(self, terminal: str) -> None:
+        self.spoil: Callable[[bytes], bytes] = lambda data: data
+        self.cut = threading.Event()
+        self._terminal = os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._over = False
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        return f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def close(self) -> None:
+        self._over = True
+        socket.create_connection(self._server.getsockname()).close()
+        self._thread.join(5)
+        self._server.close()
+        os.close(self._terminal)
+
+    def _serve(self) -> None:
+        while not self._over:
+            host, _ = self._server.accept()
+            with host, selectors.DefaultSelector() as ready:
+                ready.register(host, selectors.EVENT_READ)
+                ready.register(self._terminal, selectors.EVENT_READ)
+                while not self._over and self._pass(host, ready):
+                    pass
+
+    def _pass(self, host: socket.socket, ready: selectors.BaseSelector) -> bool:
+        for key, _ in ready.select(0.05):
+            try:
+                if key.fileobj is host:
+                    data = host.recv(4096)
+                    os.write(self._terminal, data)
+                    if not data:
+                        return False
+                else:
+                    host.sendall(self.spoil(os.read(self._terminal, 4096)))
+            except OSError:
+                return False
+        if self.cut.is_set():
+            self.cut.clear()
+            return False
+        return True
+
+
+@contextmanager
+def bridged(terminal: str) -> Iterator[Bridge]:
+    bridge = Bridge(terminal)
+    try:
+        yield bridge
+    finally:
+        bridge.close()
+
+
+def test_records_are_what_the_device_measured(firmware: Any) -> None:
+    pose = (1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0)
+    settings = replace(SETTINGS, gain=1, pattern_period_s=25e-6, pose=pose)
+    with firmware.running("--fast") as path, SpiCamera(path, settings, patience=QUICK) as camera:
+        records = list(camera.records(sets=20))
+        assert camera.clock is not None
+        assert vars(camera.tally) == {**dict.fromkeys(vars(camera.tally), 0), "frames": 40}
+    assert len(records) == 20
+    for number, record in enumerate(records):
+        np.testing.assert_array_equal(record.counts, firmware.counts(PATTERNS, gain=1))
+        np.testing.assert_array_equal(record.sequence, np.arange(128) + 128 * number)
+        np.testing.assert_array_equal(np.diff(record.device_time_ns), 25_000)
+        flags = np.zeros(128, np.uint8)
+        flags[0] = Flag.RESET if number == 0 else 0
+        np.testing.assert_array_equal(record.flags, flags)
+        assert (record.electrons_per_count, record.offset_counts) == (0.5, 100.0)
+        assert (record.integration_time_s, record.adc_bits) == (10e-6, 16)
+        assert tuple(record.pose) == pose
+    assert records[1].device_time_ns[0] - records[0].device_time_ns[0] == 128 * 25_000
+
+
+@pytest.mark.parametrize("mode", MODE_CODES)
+@pytest.mark.parametrize("order", ["natural", "sequency", "walsh", "zigzag", "custom"])
+def test_patterns_by_name_or_uploaded_are_the_same(firmware: Any, order: str, mode: Any) -> None:
+    """Three that the firmware computes itself, with checksums that agree; two that it is sent."""
+    patterns = (
+        PatternSet.of(4, 8, [0, 31, 7, 12, 1], mode)
+        if order == "custom"
+        else PatternSet(4, 8, 20, order, mode)  # type: ignore[arg-type]
+    )
+    shutters = ((1e7, 0.0, 0.0, 0.0), (1e7, 1.0, 0.0, 0.0))
+    settings = SpiSettings(patterns, 10e-6, shutters=shutters, exposures_per_frame=7)
+    with firmware.running("--fast") as path:
+        with SpiCamera(path, settings, patience=QUICK) as camera:
+            named = camera.acquire()
+        with SpiCamera(path, replace(settings, upload=True), patience=QUICK) as camera:
+            uploaded = camera.acquire()
+    expected = np.repeat(firmware.counts(patterns), 2, axis=0)
+    np.testing.assert_array_equal(named.counts, expected)
+    np.testing.assert_array_equal(uploaded.counts, expected)
+
+
+def test_a_table_of_many_portions_is_uploaded(firmware: Any) -> None:
+    patterns = PatternSet(16, 32, 200, "total-variation")
+    with firmware.running("--fast") as path:
+        with SpiCamera(path, SpiSettings(patterns, 1e-5), patience=QUICK) as camera:
+            record = camera.acquire()
+        expected = np.minimum(firmware.counts(patterns), 2**16 - 1)
+        np.testing.assert_array_equal(record.counts, expected)
+
+
+def test_saturation_is_flagged(firmware: Any) -> None:
+    patterns = PatternSet(64, 64, 8, "natural", "plain")
+    with (
+        firmware.running("--fast") as path,
+        SpiCamera(path, SpiSettings(patterns, 1e-5), patience=QUICK) as camera,
+    ):
+        record = camera.acquire()
+    over = firmware.counts(patterns) > 2**16 - 1
+    assert over.any()
+    np.testing.assert_array_equal(record.flags & Flag.SATURATED > 0, over.any(axis=1))
+    assert record.counts.max() == 2**16 - 1
+
+
+def test_the_image_comes_out(firmware: Any) -> None:
+    with firmware.running("--fast") as path, SpiCamera(path, SETTINGS, patience=QUICK) as camera:
+        image = reconstruct(camera.acquire(), "zero-fill").image
+    np.testing.assert_allclose(image[0].ravel(), (37 * np.arange(64)) % 97, atol=1e-9)
+
+
+def test_a_reset_device_is_set_up_and_started_again(firmware: Any) -> None:
+    """Sets before the reset and after it are whole; the first after it says that there was one."""
+    with (
+        firmware.running("--fast", "--reset-after", "33") as path,
+        SpiCamera(path, SETTINGS, patience=QUICK) as camera,
+    ):
+        records = list(camera.records(sets=40))
+        assert camera.tally.restarts == 1
+    resets = [number for number, r in enumerate(records) if (r.flags & Flag.RESET).any()]
+    assert resets == [0, 16]
+    assert len(records) == 40
+    for record in records:
+        np.testing.assert_array_equal(record.counts, firmware.counts(PATTERNS))
+
+
+def test_a_device_that_falls_silent_is_started_again(firmware: Any) -> None:
+    with (
+        firmware.running("--fast", "--stall-after", "10") as path,
+        SpiCamera(path, SETTINGS, patience=QUICK) as camera,
+    ):
+        records = list(camera.records(sets=8))
+        assert camera.tally.restarts >= 1
+    assert len(records) == 8
+
+
+def test_a_broken_line_is_opened_again_and_the_run_goes_on(firmware: Any) -> None:
+    """What got lost between is named and marked; all else is as measured."""
+    lost: list[range] = []
+    with (
+        firmware.running("--fast") as path,
+        bridged(path) as bridge,
+        SpiCamera(bridge.url, SETTINGS, on_loss=lost.append, patience=QUICK) as camera,
+    ):
+        records = []
+        for record in camera.records(sets=400):
+            records.append(record)
+            if len(records) in (50, 150):
+                bridge.cut.set()
+        assert camera.tally.reconnects >= 1
+        assert camera.tally.restarts == 0
+        n_lost = camera.tally.lost
+    missing = {number for numbers in lost for number in numbers}
+    assert n_lost == len(missing)
+    check_against(firmware, records, missing)
+    whole = {record.sequence[0] // 128 for record in records}
+    assert whole == {n // 2 for n in range(800)} - {
+        n for n in range(400) if {2 * n, 2 * n + 1} <= missing
+    }
+
+
+def check_against(firmware: Any, records: list[SpiRecord], missing: set[int]) -> None:
+    expected = firmware.counts(PATTERNS)
+    for record in records:
+        number = int(record.sequence[0]) // 128
+        for place in (0, 1):
+            part = slice(64 * place, 64 * place + 64)
+            if 2 * number + place in missing:
+                assert (record.flags[part] == Flag.LOST).all()
+            else:
+                assert not (record.flags[part] & Flag.LOST).any()
+                np.testing.assert_array_equal(record.counts[part], expected[part])
+
+
+def test_spoiled_bytes_are_lost_frames_and_nothing_else(firmware: Any) -> None:
+    rng = np.random.default_rng(0)
+
+    def spoil(data: bytes) -> bytes:
+        spoiled = bytearray(data)
+        if rng.random() < 0.3 and spoiled:
+            at = int(rng.integers(len(spoiled)))
+            spoiled[at] ^= 1 << int(rng.integers(8))
+        return bytes(spoiled)
+
+    lost: list[range] = []
+    with firmware.running("--fast") as path, bridged(path) as bridge:
+        stubborn = replace(QUICK, reply_s=0.2, attempts=20)
+        with SpiCamera(bridge.url, SETTINGS, on_loss=lost.append, patience=stubborn) as camera:
+            bridge.spoil = spoil
+            records = list(camera.records(sets=300))
+            assert camera.tally.rejected > 0
+    missing = {number for numbers in lost for number in numbers}
+    assert missing
+    check_against(firmware, records, missing)
+
+
+def test_a_slow_consumer_makes_the_device_drop_whole_frames(firmware: Any) -> None:
+    """In real time: the line fills up, the device says what it did not send."""
+    lost: list[range] = []
+    settings = replace(SETTINGS, pattern_period_s=20e-6)
+    with (
+        firmware.running() as path,
+        SpiCamera(path, settings, on_loss=lost.append, patience=QUICK) as camera,
+    ):
+        records = []
+        for record in camera.records():
+            records.append(record)
+            if len(records) == 2:
+                time.sleep(1.0)
+            if any((r.flags & Flag.OVERRUN).any() for r in records):
+                break
+    missing = {number for numbers in lost for number in numbers}
+    assert missing
+    check_against(firmware, records, missing)
+
+
+def test_lost_patterns_are_left_out_of_the_image() -> None:
+    """The image is that of the patterns that arrived, as if the others had not been asked for."""
+    cells = np.random.default_rng(0).integers(0, 500, (64, 1))
+    n = PATTERNS.n_exposures
+    record = SpiRecord(
+        counts=PATTERNS.signal(cells).astype(np.int32),
+        device_time_ns=np.arange(n, dtype=np.int64),
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=np.zeros(n, np.uint8),
+        patterns=PATTERNS,
+        integration_time_s=1e-4,
+        electrons_per_count=1.0,
+        offset_counts=0.0,
+        adc_bits=24,
+        device="test",
+        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+    )
+    assert record.received is record
+    flags, counts = record.flags.copy(), record.counts.copy()
+    flags[[5, 40, 41]], counts[[5, 40, 41]] = Flag.LOST, 0
+    gappy = replace(record, flags=flags, counts=counts)
+    kept = [k for k in range(64) if k not in (2, 20)]
+    expected = PatternSet.of(8, 8, PATTERNS.indices[kept])
+    assert gappy.received.patterns == expected
+    found = reconstruct(gappy, "zero-fill")
+    assert found.warnings == ("3 of 128 exposures are marked lost",)
+    H = np.array([[(-1) ** int(i & j).bit_count() for j in range(64)] for i in expected.indices])
+    np.testing.assert_allclose(found.image[0].ravel(), H.T @ (H @ cells[:, 0]) / 64)
+    with pytest.raises(ValueError, match="flags: exposures are lost"):
+        reconstruct(replace(record, flags=np.full(n, Flag.LOST, np.uint8)))
+
+
+# What goes wrong before anything is measured.
+
+
+def test_no_line_and_no_answer_are_told_apart(firmware: Any) -> None:
+    brief = Patience(reply_s=0.05, attempts=2, reconnect_s=0.1)
+    with pytest.raises(LinkError, match="/dev/no-such-line"):
+        SpiCamera("/dev/no-such-line", SETTINGS, patience=brief)
+    with pytest.raises(ValueError, match="no-scheme"):
+        SpiCamera("no-scheme://x", SETTINGS, patience=brief)
+    with pytest.raises(TimeoutError, match="no answer to Identify after 2 attempts"):
+        SpiCamera("loop://", SETTINGS, patience=brief)
+
+
+def test_a_busy_device_says_so() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def refuse() -> None:
+            host, _ = server.accept()
+            with host:
+                (request,) = Deframer().feed(host.recv(100))
+                refused = Refused(Refusal.BUSY, "another host is connected")
+                host.sendall(encode(to_frame(refused, request.tag)))
+
+        thread = threading.Thread(target=refuse)
+        thread.start()
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(DeviceError, match="another host is connected"):
+            SpiCamera(url, SETTINGS, patience=QUICK)
+        thread.join()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gain": 7}, "gain: no such step"),
+        ({"integration_time_s": 5.0}, "integration_time_s: outside"),
+        ({"pattern_period_s": 1e-6}, "pattern_period_s: shorter"),
+        ({"patterns": PatternSet(128, 64, 4)}, "8192 cells"),
+    ],
+)
+def test_what_the_device_cannot_do_is_refused(
+    firmware: Any, change: dict[str, Any], message: str
+) -> None:
+    with (
+        firmware.running("--fast") as path,
+        SpiCamera(path, replace(SETTINGS, **change), patience=QUICK) as camera,
+        pytest.raises(DeviceError, match=message),
+    ):
+        camera.acquire()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"integration_time_s": 0.0},
+        {"integration_time_s": float("nan")},
+        {"pattern_period_s": -1.0},
+        {"gain": 256},
+        {"exposures_per_frame": -1},
+        {"shutters": ()},
+    ],
+)
+def test_settings_that_no_device_takes(change: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"^{next(iter(change))}: "):
+        replace(SETTINGS, **change)
