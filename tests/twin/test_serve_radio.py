@@ -380,7 +380,7 @@ def test_addresses() -> None:
 
 
 def test_faults_that_are_none() -> None:
-    assert parse_faults(["overflow=0.1", "out-of-sequence=1"]) == RadioFaults(
+    assert parse_faults(["overflow=0.1", "out-of-sequence=1"], RadioFaults) == RadioFaults(
         overflow=0.1, out_of_sequence=1.0
     )
     for text, says in (
@@ -390,7 +390,7 @@ def test_faults_that_are_none() -> None:
         ("late=nan", "fault late: nan, expected 0 to 1"),
     ):
         with pytest.raises(InputError, match=says):
-            parse_faults([text])
+            parse_faults([text], RadioFaults)
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -403,7 +403,7 @@ def test_the_command(tmp_path: Path) -> None:
     setup = tmp_path / "setup.json"
     port = int(np.random.default_rng().integers(20000, 60000))
     command = [sys.executable, "-m", "twin", "serve", "yard", "--radar", f"tcp:{port}"]
-    command += ["--design", str(design), "--pace", "fast", "--setup", str(setup)]
+    command += ["--design", str(design), "--pace", "fast", "--radar-setup", str(setup)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
         line = process.stdout.readline()

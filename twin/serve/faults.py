@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 from twin.files import InputError
 
@@ -23,15 +24,48 @@ class RadioFaults:
     drop: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in (field.name for field in fields(self)):
-            value, most = getattr(self, name), 3600.0 if name == "stall_s" else 1.0
-            if not (math.isfinite(value) and 0 <= value <= most):
-                raise InputError(f"fault {name}: {value}, expected 0 to {most:g}")
+        _check(self)
 
 
-def parse_faults(texts: Sequence[str]) -> RadioFaults:
+@dataclass(frozen=True)
+class CameraFaults:
+    """Chances per frame sent, 0 to 1, and the drift of the camera's clock.
+
+    ``drop``, ``duplicate``, ``reorder`` (with the next frame), ``flip`` (one bit of it), ``split``
+    (it goes out in pieces), ``stall`` (the line is silent for ``stall_s``), ``reset`` (the camera
+    starts up anew), ``overrun`` (the ADC misses the frame's exposures), ``hang_up`` (the line is
+    cut, where there is one to cut).
+    """
+
+    drop: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    flip: float = 0.0
+    split: float = 0.0
+    stall: float = 0.0
+    stall_s: float = 0.1
+    reset: float = 0.0
+    overrun: float = 0.0
+    hang_up: float = 0.0
+    drift: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+def _check(faults: "RadioFaults | CameraFaults") -> None:
+    for name in (field.name for field in fields(faults)):
+        value, most = getattr(faults, name), 3600.0 if name == "stall_s" else 1.0
+        if not (math.isfinite(value) and 0 <= value <= most):
+            raise InputError(f"fault {name}: {value}, expected 0 to {most:g}")
+
+
+_Faults = TypeVar("_Faults", RadioFaults, CameraFaults)
+
+
+def parse_faults(texts: Sequence[str], kind: type[_Faults]) -> _Faults:
     """Faults from ``NAME=CHANCE`` each. Raises InputError for what is none."""
-    known = {field.name for field in fields(RadioFaults)}
+    known = {field.name for field in fields(kind)}
     found: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -42,4 +76,4 @@ def parse_faults(texts: Sequence[str]) -> RadioFaults:
             found[name] = float(value)
         except ValueError as error:
             raise InputError(f"fault {name}: {value!r}, expected a number") from error
-    return RadioFaults(**found)
+    return kind(**found)

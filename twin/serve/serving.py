@@ -1,19 +1,25 @@
 """What ``twin serve`` runs: the devices of one scene, each behind its protocol."""
 
 import ipaddress
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hardware.drivers.radio.setup import write_setup
+from twin.camera.stream import still_light, stills
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import RadarDesign, RadarEcho, load_radar, radar_echo
-from twin.scene import Pose, Scene, load_scene
+from twin.scene import Scene
+from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock, Pace
-from twin.serve.faults import parse_faults
+from twin.serve.faults import CameraFaults, RadioFaults, parse_faults
+from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.radio import VirtualRadio
+from twin.serve.serial import CameraServer
 from twin.serve.zeromq import RadioServer
+from twin.system import System, load_system
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,7 @@ class Address:
     @property
     def loopback(self) -> bool:
         """Whether only this machine reaches it."""
-        return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+        return ipaddress.ip_address(self.host).is_loopback
 
 
 def parse_address(text: str) -> Address:
@@ -44,36 +50,48 @@ def parse_address(text: str) -> Address:
     return address
 
 
-def echoes(
-    scene: Scene, radar: RadarDesign, seed: int, fidelity: Fidelity | None = None
-) -> Callable[[int], RadarEcho]:
-    """The scene's answer to each sweep: sweep k is what a run with ``seed + k`` records."""
-    return lambda sweep: radar_echo(scene, radar, seed=seed + sweep, fidelity=fidelity)
+@dataclass(frozen=True)
+class Served:
+    """A device that can be reached at a URL; ``run`` serves it until ``stop``."""
+
+    name: str
+    url: str
+    run: Callable[[], None]
+    stop: Callable[[], None]
 
 
 def serve_radar(
-    scene: str | Path,
+    scene: Scene,
+    radar: str | Path | RadarDesign,
     address: Address,
     *,
-    radar: str | Path | RadarDesign = "hybrid-79",
-    pose: Pose | None = None,
     pace: Pace = "real",
     faults: Sequence[str] = (),
     seed: int = 0,
     fidelity: Fidelity | None = None,
     setup: Path | None = None,
-    listening: Callable[[VirtualRadio], None] = lambda radio: None,
-) -> None:
-    """Serve the radar of a scene until interrupted.
+) -> Served:
+    """The radar behind its radio.
 
-    ``setup`` names a file for what the driver must know; ``listening`` is called once the radio can
-    be reached. The rest as `twin.job.run`. Raises InputError.
+    Parameters
+    ----------
+    scene, radar, fidelity
+        As `radar_capture` takes them, the design by name or file.
+    address
+        Where the radio listens, and at the two ports above.
+    pace, faults
+        Of the clock; ``NAME=CHANCE`` of `RadioFaults`.
+    seed
+        Of the first sweep; sweep k has ``seed + k``.
+    setup
+        File to write: what the driver must know.
+
+    Raises InputError.
     """
-    found = parse_faults(faults)
-    design, loaded = load_radar(radar), load_scene(scene, pose)
+    found, design = parse_faults(faults, RadioFaults), load_radar(radar)
     virtual = VirtualRadio(
         design,
-        echoes(loaded, design, seed, fidelity),
+        echoes(scene, design, seed, fidelity),
         clock=DeviceClock(pace),
         faults=found,
         seed=seed,
@@ -83,5 +101,61 @@ def serve_radar(
     )
     if setup is not None:
         write_setup(virtual.schedule, virtual.front_end, setup)
-    listening(virtual)
-    server.run()
+    url = f"zmq://{address.host}:{address.port}"
+    return Served(virtual.device, url, server.run, server.stop)
+
+
+def echoes(
+    scene: Scene, radar: RadarDesign, seed: int, fidelity: Fidelity | None = None
+) -> Callable[[int], RadarEcho]:
+    """The scene's answer to each sweep: sweep k is what a run with ``seed + k`` records."""
+    return lambda sweep: radar_echo(scene, radar, seed=seed + sweep, fidelity=fidelity)
+
+
+def serve_camera(
+    scene: Scene,
+    system: str | Path | System,
+    address: Address | None,
+    *,
+    pace: Pace = "real",
+    faults: Sequence[str] = (),
+    seed: int = 0,
+    fidelity: Fidelity | None = None,
+) -> Served:
+    """The single-pixel camera behind its protocol, at an address or on a pseudo-terminal (None).
+
+    Each run gives the records of `stills` with ``seed``, from the first on; the rest as
+    `serve_radar`. Raises InputError.
+    """
+    found, design = parse_faults(faults, CameraFaults), load_system(system)
+    light = still_light(scene, design, seed=seed, fidelity=fidelity)
+    clock = DeviceClock(pace, found.drift)
+    line: Line = Terminal() if address is None else TcpPort(address.host, address.port)
+    server = CameraServer(
+        lambda send, overrun: VirtualCamera(
+            design,
+            scene.sun,
+            lambda asked: stills(scene, asked, seed=seed, fidelity=fidelity, rendered=light),
+            clock=clock,
+            send=send,
+            overrun=overrun,
+        ),
+        line,
+        clock=clock,
+        faults=found,
+        seed=seed,
+    )
+    return Served(f"twin: {design.name}", line.url, server.run, server.stop)
+
+
+def run(devices: Sequence[Served]) -> None:
+    """Serve all until interrupted."""
+    threads = [threading.Thread(target=device.run, daemon=True) for device in devices]
+    for thread in threads:
+        thread.start()
+    try:
+        for thread in threads:
+            thread.join()
+    finally:
+        for device in devices:
+            device.stop()
