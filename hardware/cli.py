@@ -6,21 +6,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware import cli_log
+
 if TYPE_CHECKING:
     from hardware.reconstruction import Mixing
 
 app = typer.Typer(
     name="ugv",
-    help="Images from the records of a single-pixel camera.",
+    help="Records from sensors, images and detections from records.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
+cli_log.register(app)
+
 
 @app.callback()
 def _ugv() -> None:
-    """Images from the records of a single-pixel camera."""
+    """Records from sensors, images and detections from records."""
 
 
 @app.command()

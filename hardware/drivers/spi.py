@@ -260,13 +260,14 @@ class SpiCamera:
         """Go on, end or begin anew, by what the device says of itself."""
         run = self._run
         assert run is not None
+        waiting = any(isinstance(message, Measurement) for message in self._inbox)
         if status.run == run.number and status.state == State.RUNNING:
-            if status.frames != run.frames_at_silence or self._inbox:
+            if status.frames != run.frames_at_silence or waiting:
                 run.frames_at_silence = status.frames
                 return []
             _log.warning("%s: the device measures nothing; starting anew", self.url)
         elif status.run == run.number and not status.booted:
-            if self._inbox:  # what it sent before it ended
+            if waiting:  # what it sent before it ended
                 self._inbox.append(status)
                 return []
             self._run = None

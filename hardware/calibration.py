@@ -1,0 +1,182 @@
+"""Calibration against a reference target at a known distance: stored, dated, applied.
+
+Camera: flat-field correction. A dark record (lens covered, emitter running) shows what is no light,
+a flat one the target filling the view; between them lies the target's reflectance. Radar: the
+strongest echo near the target's distance tells the delay of the cables, and what power a square
+metre sends back from a metre away.
+"""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar import Detection
+from hardware.reconstruction import reconstruct
+from hardware.records import SpiRecord, container
+
+Array = NDArray[np.float64]
+
+#: The target's echo is looked for within this distance of where it stands.
+_NEAR_M = 1.0
+
+
+@dataclass(frozen=True)
+class Target:
+    """Reference: ``size`` is a Lambertian reflectance for the camera, a radar cross section in
+    square metres for the radar.
+    """
+
+    distance_m: float
+    size: float
+
+    def __post_init__(self) -> None:
+        container.check_positive(self, "distance_m", "size")
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """Images of the dark and of the target.
+
+    Parameters
+    ----------
+    device, made_ns
+        Which camera, and when (Unix time).
+    dark, flat : (n_detectors, rows, columns)
+        Photo-electrons per second of exposure.
+    target
+    """
+
+    device: str
+    made_ns: int
+    dark: Array
+    flat: Array
+    target: Target
+
+    @classmethod
+    def of(cls, dark: SpiRecord, flat: SpiRecord, target: Target) -> Self:
+        """From two records.
+
+        Raises ValueError for records of two cameras, or a cell no brighter than in the dark.
+        """
+        if dark.device != flat.device:
+            raise ValueError(f"device: the dark is of {dark.device!r}, the flat of {flat.device!r}")
+        unlit, lit = (
+            reconstruct(r, "zero-fill").image / r.integration_time_s for r in (dark, flat)
+        )
+        if unlit.shape != lit.shape or not (lit > unlit).all():
+            raise ValueError("flat: a cell is no brighter than in the dark, or is missing there")
+        return cls(flat.device, time.time_ns(), unlit, lit, target)
+
+    def reflectance(self, image: Array, record: SpiRecord, distance_m: float) -> Array:
+        """Lambertian reflectance of a surface at a distance, from an image in electrons.
+
+        A cell's beam lights more surface farther away, with the same power in all; what comes back
+        into the lens falls with one square of the distance.
+
+        Raises ValueError for another camera or other cells.
+        """
+        _check_device(self.device, record.device)
+        if image.shape != self.flat.shape:
+            raise ValueError(f"image: shape {image.shape}, calibrated {self.flat.shape}")
+        light = image / record.integration_time_s - self.dark
+        scale = self.target.size * (distance_m / self.target.distance_m) ** 2
+        return np.asarray(light / (self.flat - self.dark) * scale)
+
+
+@dataclass(frozen=True, eq=False)
+class RadarCalibration:
+    """What the radar made of the target.
+
+    ``range_offset_m`` is measured minus true range, ``constant_w_m2`` the received power of one
+    square metre times the fourth power of its range: P = constant sigma / R^4.
+    """
+
+    device: str
+    made_ns: int
+    range_offset_m: float
+    constant_w_m2: float
+    target: Target
+
+    @classmethod
+    def of(cls, device: str, detections: Sequence[Detection], target: Target) -> Self:
+        """From the strongest detection near the target. Raises ValueError where there is none."""
+        away = target.distance_m
+        near = [found for found in detections if abs(found.range_m - away) < _NEAR_M]
+        if not near:
+            raise ValueError(f"detections: none within {_NEAR_M:g} m of the target at {away:g} m")
+        best = max(near, key=lambda found: found.power_w)
+        constant = best.power_w * away**4 / target.size
+        return cls(device, time.time_ns(), best.range_m - away, constant, target)
+
+    def corrected(self, detection: Detection) -> Detection:
+        """Detection with its true range."""
+        return replace(detection, range_m=detection.range_m - self.range_offset_m)
+
+    def cross_section_m2(self, detection: Detection) -> float:
+        """Radar cross section of a detection as measured."""
+        return detection.power_w * self.corrected(detection).range_m ** 4 / self.constant_w_m2
+
+
+Calibration = CameraCalibration | RadarCalibration
+
+_TARGET = ("distance_m", "size")
+_LAYOUTS = {
+    CameraCalibration: container.Layout(
+        format="ugv-camera-calibration",
+        version=1,
+        settings=("device", "made_ns"),
+        arrays={
+            "dark": (np.float64, "electrons per second, (n_detectors, rows, columns)"),
+            "flat": (np.float64, "electrons per second, (n_detectors, rows, columns)"),
+        },
+        group="target",
+        parameters=_TARGET,
+    ),
+    RadarCalibration: container.Layout(
+        format="ugv-radar-calibration",
+        version=1,
+        settings=("device", "made_ns", "range_offset_m", "constant_w_m2"),
+        arrays={},
+        group="target",
+        parameters=_TARGET,
+    ),
+}
+
+
+def write_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write to one HDF5 file, whole or not at all."""
+    container.write(_LAYOUTS[type(calibration)], calibration, path)
+
+
+def read_calibration(path: str | Path, *, max_age_s: float = math.inf) -> Calibration:
+    """Read a file of either kind.
+
+    Raises FileNotFoundError; ValueError for a file that is none, of another version, or older than
+    ``max_age_s``.
+    """
+    faults = []
+    for kind, layout in _LAYOUTS.items():
+        try:
+            fields, target = container.read(layout, path)
+        except ValueError as error:
+            faults.append(str(error))
+            continue
+        found: Calibration = kind(**fields, target=Target(**target))
+        age_s = (time.time_ns() - found.made_ns) * 1e-9
+        if age_s > max_age_s:
+            raise ValueError(
+                f"{path}: {age_s / 86400:.3g} days old, at most {max_age_s / 86400:.3g} are allowed"
+            )
+        return found
+    raise ValueError("; ".join(faults))
+
+
+def _check_device(calibrated: str, measured: str) -> None:
+    if calibrated != measured:
+        raise ValueError(f"device: calibrated {calibrated!r}, measured {measured!r}")

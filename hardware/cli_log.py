@@ -1,0 +1,238 @@
+"""Commands of ``ugv`` around the log: from `capture` to `calibrate`."""
+
+import itertools
+import math
+import time
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from hardware.calibration import Calibration
+    from hardware.drivers import SpiSettings
+    from hardware.recording import Received
+
+_Kind = TypeVar("_Kind")
+_Settings = Annotated[
+    Path | None, typer.Option("--settings", help="TOML file: patterns and times of a camera.")
+]
+_Calibrations = Annotated[
+    list[Path], typer.Option("--calibration", help="From `ugv calibrate`; one a sensor.")
+]
+_MaxAge = Annotated[float, typer.Option(help="Days after which a calibration is refused.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to an application."""
+    for command in (capture, process, replay, info, recover, export):
+        app.command()(command)
+    calibrate = typer.Typer(help="Calibrate against a reference target at a known distance.")
+    calibrate.command("camera")(calibrate_camera)
+    calibrate.command("radar")(calibrate_radar)
+    app.add_typer(calibrate, name="calibrate")
+
+
+def capture(
+    urls: Annotated[list[str], typer.Argument(help="/dev/ttyACM0, socket://HOST:PORT, replay:...")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="New log (MCAP).")],
+    settings: _Settings = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="TOML file: NAME = [x, y, z, qw, qx, qy, qz] of a sensor.")
+    ] = None,
+    duration: Annotated[float, typer.Option(help="Seconds; default: until Ctrl-C.")] = math.inf,
+    records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
+) -> None:
+    """Record what sensors send."""
+    from hardware.capture import capture as run
+    from hardware.recording import Log
+
+    loaded, n, begun = _settings(settings), 0, time.monotonic()
+    extrinsics = tomllib.loads(rig.read_text(encoding="utf-8")) if rig else {}
+    with Log(out, extrinsics=extrinsics) as log:
+        try:
+            for _ in run(urls, log, loaded, duration_s=duration, records=records):
+                n += 1
+        except KeyboardInterrupt:
+            print("stopped")
+    print(f"{out}: {n} records in {time.monotonic() - begun:.1f} s")
+
+
+def process(
+    source: Annotated[str, typer.Argument(help="A log, or the URL of a sensor.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="New log; default SOURCE-processed.mcap.")
+    ] = None,
+    method: Annotated[str, typer.Option(help="See `ugv methods`.")] = "lmmse",
+    settings: _Settings = None,
+    calibration: _Calibrations = [],  # noqa: B006 (typer copies it)
+    max_age: _MaxAge = 30.0,
+    records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
+) -> None:
+    """Turn records into images and detections."""
+    from hardware.calibration import CameraCalibration, RadarCalibration
+    from hardware.processing import process as run
+    from hardware.recording import Log
+
+    found = [_calibration(path, max_age) for path in calibration]
+    camera = next((one for one in found if isinstance(one, CameraCalibration)), None)
+    radar = next((one for one in found if isinstance(one, RadarCalibration)), None)
+    incoming = _records(source, settings)
+    stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
+    target = out or Path(f"{stem}-processed.mcap")
+    with Log(target) as log:
+        for received in itertools.islice(incoming, records or None):
+            said = run(received, log, method=method, camera=camera, radar=radar)
+            print(f"{received.topic}: {said}")
+    print(f"written: {target}")
+
+
+def replay(
+    path: Annotated[Path, typer.Argument(help="A log.")],
+    speed: Annotated[float, typer.Option(help="Times the recorded pace.")] = 1.0,
+) -> None:
+    """Play a log at its own pace: a line for each record as it comes."""
+    from hardware.sources import replay as play
+
+    first_ns = None
+    for received in play(path, speed=speed):
+        first_ns = received.host_ns if first_ns is None else first_ns
+        since_s = (received.host_ns - first_ns) * 1e-9
+        print(f"{since_s:10.3f} s  {received.topic}  {_flags(received)}", flush=True)
+
+
+def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
+    """Say what is in a log."""
+    from hardware.recording.kinds import BY_NAME
+    from hardware.recording.reading import Ending, read_messages
+
+    ending, counts, types = Ending(), Counter[str](), dict[str, str]()
+    flags, devices, times = Counter[str](), set[str](), [math.inf, -math.inf]
+    for found in read_messages(path, ending):
+        counts[found.topic] += 1
+        types[found.topic] = found.schema.name
+        times = [min(times[0], found.message.log_time), max(times[1], found.message.log_time)]
+        if kind := BY_NAME.get(found.schema.name):
+            record, _ = kind.unpack(found.message.data)
+            flags.update(_flag_counts(record.flags))
+            devices.add(record.device)
+    length_s = max(times[1] - times[0], 0) * 1e-9 if counts else 0.0
+    print(f"{path}: {sum(counts.values())} messages over {length_s:.3f} s")
+    for topic, n in sorted(counts.items()):
+        print(f"  {topic}: {n} x {types[topic]}")
+    for device in sorted(devices):
+        print(f"  device: {device}")
+    print("  flags: " + (", ".join(f"{n} {name}" for name, n in flags.items()) or "none"))
+    if ending.fault:
+        print(f"  not finished: {ending.fault}; `ugv recover {path}` finishes it")
+
+
+def recover(
+    path: Annotated[Path, typer.Argument(help="A log that was cut short.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Instead of in its own place.")
+    ] = None,
+) -> None:
+    """Finish a log whose writer was killed."""
+    from hardware.recording import recover as run
+
+    kept, fault = run(path, out)
+    print(f"{out or path}: {kept} messages; {fault or 'nothing was wrong'}")
+
+
+def export(
+    path: Annotated[Path, typer.Argument(help="A log.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the SigMF recordings.")],
+) -> None:
+    """Write the radar records of a log as SigMF."""
+    from hardware.records import RadarRecord
+    from hardware.records.sigmf import export_sigmf
+
+    out.mkdir(parents=True, exist_ok=True)
+    n = 0
+    for received in _records(str(path), None):
+        if isinstance(received.record, RadarRecord):
+            export_sigmf(received.record, out / f"radar-{n:06d}")
+            n += 1
+    print(f"{out}: {n} recordings")
+
+
+def calibrate_camera(
+    dark: Annotated[str, typer.Argument(help="Log or URL: the lens covered.")],
+    flat: Annotated[str, typer.Argument(help="Log or URL: the target fills the view.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
+    distance: Annotated[float, typer.Option(help="Of the target, m.")],
+    reflectance: Annotated[float, typer.Option(help="Of the target, Lambertian.")] = 1.0,
+    settings: _Settings = None,
+) -> None:
+    """Dark and flat of a camera."""
+    from hardware.calibration import CameraCalibration, Target, write_calibration
+    from hardware.records import SpiRecord
+
+    target = Target(distance, reflectance)
+    pair = [_first(source, settings, SpiRecord) for source in (dark, flat)]
+    write_calibration(CameraCalibration.of(pair[0], pair[1], target), out)
+    print(f"written: {out}")
+
+
+def calibrate_radar(
+    source: Annotated[str, typer.Argument(help="Log or URL: the target in view.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
+    distance: Annotated[float, typer.Option(help="Of the target, m.")],
+    cross_section: Annotated[float, typer.Option(help="Of the target, m^2.")],
+) -> None:
+    """Range offset and power of a radar."""
+    from hardware.calibration import RadarCalibration, Target, write_calibration
+    from hardware.processing import detections
+    from hardware.records import RadarRecord
+
+    target = Target(distance, cross_section)
+    record = _first(source, None, RadarRecord)
+    made = RadarCalibration.of(record.device, detections(record), target)
+    write_calibration(made, out)
+    print(f"range offset {1e3 * made.range_offset_m:.2f} mm; written: {out}")
+
+
+def _records(source: str, settings: Path | None) -> "Iterator[Received]":
+    from hardware.recording import read_records
+    from hardware.sources import open_source
+
+    if ":" not in source and source.endswith(".mcap"):
+        return read_records(source)
+    return open_source(source, _settings(settings))
+
+
+def _first(source: str, settings: Path | None, kind: type[_Kind]) -> _Kind:
+    for received in _records(source, settings):
+        if isinstance(received.record, kind):
+            return received.record
+    raise ValueError(f"{source}: no {kind.__name__} in it")
+
+
+def _settings(path: Path | None) -> "SpiSettings | None":
+    from hardware.drivers.settings import read_settings
+
+    return read_settings(path) if path else None
+
+
+def _calibration(path: Path, max_age_days: float) -> "Calibration":
+    from hardware.calibration import read_calibration
+
+    return read_calibration(path, max_age_s=86400 * max_age_days)
+
+
+def _flags(received: "Received") -> str:
+    found = _flag_counts(received.record.flags)
+    return ", ".join(f"{n} {name}" for name, n in found.items())
+
+
+def _flag_counts(flags: object) -> dict[str, int]:
+    import numpy as np
+
+    from hardware.records import Flag
+
+    counts = {str(f.name).lower(): int(np.count_nonzero(np.bitwise_and(flags, f))) for f in Flag}  # type: ignore[call-overload]
+    return {name: n for name, n in counts.items() if n}

@@ -1,0 +1,150 @@
+"""The log: one MCAP file that only ever grows, and can be read up to its last moments.
+
+MCAP: mcap.dev/spec. Chunks are closed every half second, so that whatever ends the program takes
+no more than that away.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from hardware.drivers.clock import ClockModel
+from hardware.recording import ros
+from hardware.recording.kinds import Record, kind_of
+from hardware.recording.ros import Definition
+
+_CHUNK_BYTES = 1 << 20
+
+
+class Log:
+    """A file being written.
+
+    Parameters
+    ----------
+    path
+        New file. Raises FileExistsError rather than write over a log.
+    flush_s
+        Longest time that a message waits in memory, as long as messages or `tick` keep coming.
+    extrinsics
+        Poses of sensors on the rig, by frame: x y z (m), quaternion w x y z. Such a sensor stands
+        under the rig in the tree of transforms; one without, by its own poses, under the world.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        flush_s: float = 0.5,
+        extrinsics: Mapping[str, Sequence[float]] | None = None,
+    ) -> None:
+        self._extrinsics = {
+            name: _pose(name, values) for name, values in (extrinsics or {}).items()
+        }
+        self.path = Path(path)
+        self._file = self.path.open("xb")
+        self._writer = Writer(self._file, _CHUNK_BYTES, CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library="ugv")
+        self._flush_s, self._flushed_s = flush_s, time.monotonic()
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequence: dict[str, int] = {}
+        now_ns = time.time_ns()
+        for name, pose in self._extrinsics.items():
+            fixed = ros.transform(pose, now_ns, "rig", name)
+            self.message("/tf_static", ros.TRANSFORMS, fixed, now_ns, now_ns)
+        self.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+        if error is not None and self._sequence.keys() <= {"/tf_static"}:
+            self.path.unlink()  # failed before anything came
+
+    def record(
+        self,
+        topic: str,
+        record: Record,
+        *,
+        host_ns: int | None = None,
+        clock: ClockModel | None = None,
+        frame: str | None = None,
+    ) -> None:
+        """Append a record and the pose in it.
+
+        Its publish time is the device's time on the host's clock where ``clock`` is known.
+        """
+        host_ns = time.time_ns() if host_ns is None else host_ns
+        frame = frame or topic.strip("/").split("/")[0]
+        begun = record.device_time_ns.reshape(-1)
+        stamp = clock.host_ns(int(begun[0])) if clock and begun.size else host_ns
+        kind = kind_of(record)
+        message = kind.pack(record, stamp, frame, clock)
+        self.message(topic, kind.definition, message, host_ns, stamp)
+        child = kind.pose_of or frame
+        if child in self._extrinsics:  # the rig's pose says it all
+            return
+        for pose in np.atleast_2d(record.pose):
+            moved = ros.transform(pose, stamp, "world", child)
+            self.message("/tf", ros.TRANSFORMS, moved, host_ns, stamp)
+
+    def message(
+        self, topic: str, definition: Definition, message: bytes, log_ns: int, publish_ns: int
+    ) -> None:
+        """Append a message."""
+        if topic not in self._channels:
+            self._channels[topic] = self._writer.register_channel(
+                topic, "cdr", self._schema(definition)
+            )
+            self._sequence[topic] = 0
+        self._writer.add_message(
+            self._channels[topic],
+            log_ns,
+            message,
+            max(publish_ns, 0),
+            self._sequence[topic] % 2**32,
+        )
+        self._sequence[topic] += 1
+        self.tick()
+
+    def tick(self) -> None:
+        """Write out what has waited too long; call it now and then where nothing comes."""
+        if time.monotonic() - self._flushed_s >= self._flush_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Close the chunk and give it to the system."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._flushed_s = time.monotonic()
+
+    def close(self) -> None:
+        """Finish the file; any number of times."""
+        if not self._file.closed:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+
+    def _schema(self, definition: Definition) -> int:
+        if definition.name not in self._schemas:
+            self._schemas[definition.name] = self._writer.register_schema(
+                definition.name, "ros2msg", definition.text.encode()
+            )
+        return self._schemas[definition.name]
+
+
+def _pose(name: str, values: Sequence[float]) -> NDArray[np.float64]:
+    pose = np.asarray(values, np.float64)
+    if pose.shape != (7,) or not np.isfinite(pose).all() or not pose[3:].any():
+        raise ValueError(f"extrinsics: {name}: {values}, expected x y z, quaternion w x y z")
+    return pose

@@ -1,0 +1,230 @@
+"""The commands around the log, as a user runs them; calibration; and what the vehicle installs."""
+
+import json
+import subprocess
+import sys
+import time
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hardware import PatternSet, SpiRecord, reconstruct
+from hardware.calibration import (
+    CameraCalibration,
+    RadarCalibration,
+    Target,
+    read_calibration,
+    write_calibration,
+)
+from hardware.drivers.settings import read_settings
+from hardware.radar import Detection
+from hardware.recording import Log, read_messages, read_records
+
+SETTINGS = """
+integration_time_s = 1e-5
+pattern_period_s = 1e-4
+[patterns]
+rows = 8
+columns = 8
+count = 64
+"""
+
+
+def ugv(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hardware", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+def record(cells: np.ndarray, device: str = "camera") -> SpiRecord:  # type: ignore[type-arg]
+    patterns = PatternSet(8, 8, 64)
+    n = patterns.n_exposures
+    return SpiRecord(
+        counts=np.rint(patterns.signal(cells.reshape(64, 1)) + 50).astype(np.int32),
+        device_time_ns=np.arange(n, dtype=np.int64),
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=np.zeros(n, np.uint8),
+        patterns=patterns,
+        integration_time_s=1e-4,
+        electrons_per_count=2.0,
+        offset_counts=50.0,
+        adc_bits=24,
+        device=device,
+        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+    )
+
+
+def test_capture_process_info_recover_replay(firmware: Any, tmp_path: Path) -> None:
+    settings, run = tmp_path / "camera.toml", tmp_path / "run.mcap"
+    settings.write_text(SETTINGS)
+    with firmware.running() as path:
+        done = ugv("capture", path, "-o", run, "--settings", settings, "--records", "5")
+    assert done.returncode == 0, done.stderr
+    records = list(read_records(run))
+    assert len(records) == 5
+    expected = firmware.counts(PatternSet(8, 8, 64))
+    for received in records:
+        np.testing.assert_array_equal(received.record.counts, expected)  # type: ignore[union-attr]
+        assert received.clock is not None
+    out = tmp_path / "images.mcap"
+    done = ugv("process", run, "-o", out, "--method", "zero-fill")
+    assert done.returncode == 0, done.stderr
+    images = [found for found in read_messages(out) if found.topic == "/spi/image"]
+    assert len(images) == 5
+    pixels = np.frombuffer(images[0].message.data[-4 * 128 :], "<f4").reshape(8, 16)
+    picture = reconstruct(records[0].record, "zero-fill").picture  # type: ignore[arg-type]
+    np.testing.assert_allclose(pixels, picture, rtol=1e-6, atol=1e-4)
+    again = ugv("process", f"replay:{run}", "-o", tmp_path / "again.mcap", "--method", "zero-fill")
+    assert again.returncode == 0, again.stderr
+    assert len(list(read_messages(tmp_path / "again.mcap"))) == 5
+
+    run.write_bytes(run.read_bytes()[:-50])
+    assert "not finished" in ugv("info", run).stdout
+    assert "10 messages" in ugv("recover", run).stdout
+    said = ugv("info", run).stdout
+    assert "not finished" not in said
+    assert "/spi/record: 5 x ugv_msgs/msg/SpiRecord" in said
+    assert ugv("replay", run, "--speed", "100").stdout.count("/spi/record") == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["capture", "/dev/none", "-o", "new.mcap"], "/dev/none: a camera needs settings"),
+        (["info", "missing.mcap"], "missing.mcap"),
+        (["recover", "missing.mcap"], "missing.mcap"),
+        (["process", "missing.mcap", "-o", "new.mcap"], "missing.mcap"),
+        (["capture", "replay:missing.mcap", "-o", "new.mcap"], "missing.mcap"),
+    ],
+)
+def test_errors_are_one_line_and_leave_no_log(
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    root = Path(__file__).parents[2]
+    monkeypatch.setenv("PYTHONPATH", str(root))
+    done = ugv(*arguments)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert message in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_export_writes_one_capture_a_step(tmp_path: Path) -> None:
+    pytest.importorskip("sigmf")
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location(
+        "recording_tests", Path(__file__).parent / "test_recording.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    tests = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tests)
+    made = tests.radar_record()
+    with Log(tmp_path / "run.mcap") as log:
+        log.record("/../radar/record", made)
+    done = ugv("export", tmp_path / "run.mcap", "-o", tmp_path / "iq")
+    assert done.returncode == 0, done.stderr
+    names = sorted(path.name for path in (tmp_path / "iq").iterdir())
+    assert names == ["radar-000000.sigmf-data", "radar-000000.sigmf-meta"]
+    assert (tmp_path / "iq" / names[0]).read_bytes() == made.iq.astype("<i2").tobytes()
+    assert len(json.loads((tmp_path / "iq" / names[1]).read_text())["captures"]) == 6
+
+
+def test_settings_name_what_is_wrong(tmp_path: Path) -> None:
+    path = tmp_path / "camera.toml"
+    path.write_text(SETTINGS)
+    assert read_settings(path).patterns == PatternSet(8, 8, 64)
+    for broken, message in (
+        (SETTINGS.replace("1e-5", "-1"), "integration_time_s: -1"),
+        (SETTINGS.replace("rows = 8", "rows = 7"), "rows: 7"),
+        ("colour = 1\n" + SETTINGS, "colour"),
+        ("x", "camera.toml"),
+    ):
+        path.write_text(broken)
+        with pytest.raises(ValueError, match=message):
+            read_settings(path)
+
+
+# Calibration.
+
+
+def test_reflectance_comes_out_of_any_light_and_any_dark(tmp_path: Path) -> None:
+    """Unequal cells, a dark image that is not zero; a surface twice as far away sends a quarter."""
+    rng = np.random.default_rng(0)
+    light, dark = rng.uniform(2000, 9000, 64), rng.uniform(0, 300, 64)
+    albedo = rng.uniform(0.05, 0.9, 64)
+    seen = [record(dark), record(dark + 0.5 * light), record(dark + albedo * light / 4)]
+    made = CameraCalibration.of(seen[0], seen[1], Target(distance_m=3.0, size=0.5))
+    write_calibration(made, tmp_path / "camera.h5")
+    loaded = read_calibration(tmp_path / "camera.h5", max_age_s=60)
+    assert isinstance(loaded, CameraCalibration)
+    image = reconstruct(seen[2], "zero-fill").image
+    found = loaded.reflectance(image, seen[2], 6.0)
+    np.testing.assert_allclose(found.ravel(), albedo, atol=0.01)  # counts are whole numbers
+    with pytest.raises(ValueError, match="device: calibrated 'camera', measured 'other'"):
+        loaded.reflectance(image, record(dark, "other"), 6.0)
+    with pytest.raises(ValueError, match="no brighter"):
+        CameraCalibration.of(seen[1], seen[0], Target(3.0, 0.5))
+
+
+def test_radar_range_and_cross_section(tmp_path: Path) -> None:
+    def echo(range_m: float, power_w: float) -> Detection:
+        return Detection(range_m, 0.0, power_w, 40.0, 1e-3, 1e-2)
+
+    constant, offset = 3e-12, 0.12
+    heard = [echo(2.0, 1e-9), echo(10 + offset, constant * 5 / 10**4), echo(30, 1e-16)]
+    write_calibration(RadarCalibration.of("radar", heard, Target(10.0, 5.0)), tmp_path / "r.h5")
+    made = read_calibration(tmp_path / "r.h5")
+    assert isinstance(made, RadarCalibration)
+    other = echo(25 + offset, constant * 0.7 / 25**4)
+    assert made.corrected(other).range_m == pytest.approx(25)
+    assert made.cross_section_m2(other) == pytest.approx(0.7)
+    with pytest.raises(ValueError, match="none within 1 m of the target at 20 m"):
+        RadarCalibration.of("radar", heard, Target(20.0, 5.0))
+
+
+def test_an_old_calibration_is_refused(tmp_path: Path) -> None:
+    made = CameraCalibration.of(record(np.zeros(64)), record(np.full(64, 1e3)), Target(1.0, 1.0))
+    old = replace(made, made_ns=time.time_ns() - 40 * 86400 * 10**9)
+    write_calibration(old, tmp_path / "old.h5")
+    with pytest.raises(ValueError, match=r"old\.h5: 40 days old, at most 30 are allowed"):
+        read_calibration(tmp_path / "old.h5", max_age_s=30 * 86400)
+    with pytest.raises(ValueError, match=r"distance_m: 0\.0"):
+        Target(0.0, 1.0)
+    (tmp_path / "none.h5").write_bytes(b"none")
+    with pytest.raises(ValueError, match=r"none\.h5"):
+        read_calibration(tmp_path / "none.h5")
+
+
+# What the vehicle installs.
+
+LOCK = Path(__file__).parents[2] / "requirements.lock"
+
+
+def test_every_dependency_runs_on_aarch64(tmp_path: Path) -> None:
+    """A wheel for 64-bit ARM, or pure Python, for each, and all they need: pip resolves them."""
+    if not LOCK.is_file():
+        pytest.skip("no lock file beside the tests")
+    project = tomllib.loads((LOCK.parent / "pyproject.toml").read_text())["project"]
+    platforms = [f"manylinux_2_{n}_aarch64" for n in (17, 24, 26, 27, 28, 31, 34)]
+    command = [sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check",
+               "--only-binary", ":all:", "--python-version", "3.11", "-c", str(LOCK),
+               "-d", str(tmp_path)]  # fmt: skip
+    for platform in ("manylinux2014_aarch64", *platforms):
+        command += ["--platform", platform]
+    done = subprocess.run(
+        [*command, *project["dependencies"]], capture_output=True, text=True, timeout=600
+    )
+    unreachable = ("NewConnectionError", "Temporary failure", "ConnectTimeout", "No route")
+    if done.returncode and any(word in done.stderr for word in unreachable):
+        pytest.skip("the registry cannot be reached")
+    assert done.returncode == 0, done.stderr
+    wheels = [path.name for path in tmp_path.iterdir()]
+    assert wheels
+    for name in wheels:
+        assert name.endswith(("-none-any.whl", "aarch64.whl")), name

@@ -1,0 +1,359 @@
+"""The log: the same records bit for bit, opened by tools of others, whole up to the kill."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import SeekingReader
+
+from hardware import PatternSet, SpiRecord
+from hardware.drivers.clock import ClockModel
+from hardware.radar.waveform import OfdmWaveform
+from hardware.recording import Log, read_messages, read_records, recover, ros
+from hardware.recording.kinds import KINDS, kind_of
+from hardware.records import RadarRecord
+from hardware.sources import open_source, replay
+
+
+def camera_record(seed: int = 0, patterns: PatternSet | None = None) -> SpiRecord:
+    patterns = patterns or PatternSet(8, 8, 64)
+    rng = np.random.default_rng(seed)
+    n = patterns.n_exposures
+    return SpiRecord(
+        counts=rng.integers(0, 2**16, (n, 2), np.int32),
+        device_time_ns=10**9 + 100_000 * np.arange(n, dtype=np.int64),
+        sequence=np.arange(n, dtype=np.uint32) + np.uint32(seed * n),
+        flags=rng.integers(0, 16, n, np.uint8),
+        patterns=patterns,
+        integration_time_s=1 / 3e4,
+        electrons_per_count=780.5,
+        offset_counts=320.25,
+        adc_bits=16,
+        device="täst",
+        pose=rng.normal(size=7),
+    )
+
+
+def radar_record(seed: int = 0) -> RadarRecord:
+    rng = np.random.default_rng(seed)
+    waveform = OfdmWaveform(79e9, 16, 1e6, 8, 4e-6, 3, 0.0)
+    return RadarRecord(
+        iq=rng.integers(-(2**15), 2**15, (2, 3, 8, 4, 16, 2), np.int16),
+        device_time_ns=rng.integers(0, 2**60, (2, 3, 8)),
+        flags=rng.integers(0, 8, (2, 3, 8), np.uint8),
+        carriers_hz=79e9 + 16e6 * np.arange(3),
+        transmitter=np.zeros(8, np.uint8),
+        transmitters_m=np.zeros((1, 3)),
+        receivers_m=rng.normal(size=(4, 3)),
+        waveform=waveform,
+        root_watt_per_count=1e-9,
+        transmit_power_w=0.01,
+        antenna_gain_dbi=float("nan"),
+        losses_db=1.5,
+        leakage_delay_s=float("nan"),
+        device="radar",
+        pose=rng.normal(size=(2, 7)),
+    )
+
+
+def assert_same(found: Any, expected: Any) -> None:
+    """Every field of a record, to the bit and the type."""
+    layout = kind_of(expected).layout
+    for name, (dtype, _) in layout.arrays.items():
+        assert getattr(found, name).dtype == np.dtype(dtype)
+        assert getattr(found, name).shape == getattr(expected, name).shape
+        assert getattr(found, name).tobytes() == getattr(expected, name).astype(dtype).tobytes()
+    assert getattr(found, layout.group) == getattr(expected, layout.group)
+    for name in layout.settings:
+        np.testing.assert_equal(getattr(found, name), getattr(expected, name))
+
+
+RECORDS = [
+    camera_record(),
+    camera_record(1, PatternSet.of(4, 8, [0, 3, 7])),
+    camera_record(2, PatternSet(1, 1, 1)),
+    radar_record(),
+]
+
+
+@pytest.mark.parametrize("record", RECORDS, ids=["camera", "custom order", "one cell", "radar"])
+def test_records_come_back_bit_for_bit(tmp_path: Path, record: Any) -> None:
+    clock = ClockModel(1_700_000_000_000_000_001, -(2**40), 1e-5, 12.5)
+    with Log(tmp_path / "run.mcap") as log:
+        log.record("/sensor/record", record, host_ns=1_700_000_000_000_000_123, clock=clock)
+        log.record("/sensor/record", record)
+    first, second = read_records(tmp_path / "run.mcap")
+    assert_same(first.record, record)
+    assert_same(second.record, record)
+    assert (first.topic, first.host_ns, first.clock) == (
+        "/sensor/record",
+        1_700_000_000_000_000_123,
+        clock,
+    )
+    assert second.clock is None
+
+
+def test_device_time_stands_on_the_hosts_clock(tmp_path: Path) -> None:
+    clock = ClockModel(0, 5 * 10**9, 0.0, 1.0)
+    record = replace(camera_record(), device_time_ns=7 * 10**9 + np.arange(128, dtype=np.int64))
+    with Log(tmp_path / "run.mcap") as log:
+        log.record("/spi/record", record, host_ns=3 * 10**9, clock=clock)
+    message = next(read_messages(tmp_path / "run.mcap")).message
+    assert (message.log_time, message.publish_time) == (3 * 10**9, 2 * 10**9)
+
+
+def written(path: Path) -> Path:
+    """A log with every type of message."""
+    with Log(path) as log:
+        log.record("/spi/record", RECORDS[0], host_ns=1_000)
+        log.record("/radar/record", RECORDS[3], host_ns=2_000)
+        pixels = np.arange(12.0).reshape(3, 4)
+        log.message("/spi/image", ros.IMAGE, ros.image(pixels, 5, "spi"), 3_000, 5)
+        columns = {"x": np.array([1.0, 2.0]), "y": np.zeros(2), "z": np.ones(2), "snr": np.ones(2)}
+        cloud = ros.points(columns, 5, "radar")
+        log.message("/radar/detections", ros.POINTS, cloud, 4_000, 5)
+    return path
+
+
+def test_ros_tools_read_every_message(tmp_path: Path) -> None:
+    """`mcap` with its ROS 2 decoder, which parses the definitions in the file."""
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    path = written(tmp_path / "run.mcap")
+    with path.open("rb") as file:
+        reader = SeekingReader(file, decoder_factories=[decoder.DecoderFactory()])
+        found = {c.topic: m for _, c, _, m in reader.iter_decoded_messages()}
+        summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics.message_count == 7  # two records with one and two poses
+    camera = found["/spi/record"]
+    assert camera.counts == RECORDS[0].counts.ravel().tolist()
+    assert camera.counts_shape == [128, 2]
+    assert camera.device_time_ns == RECORDS[0].device_time_ns.tolist()
+    assert camera.integration_time_s == RECORDS[0].integration_time_s
+    assert (camera.patterns_rows, camera.patterns_order) == (8, "sequency")
+    assert (camera.device, camera.schema_version) == ("täst", 2)
+    assert found["/radar/record"].iq == RECORDS[3].iq.ravel().tolist()
+    image = found["/spi/image"]
+    assert (image.height, image.width, image.encoding, image.step) == (3, 4, "32FC1", 16)
+    assert np.frombuffer(image.data, "<f4").tolist() == list(range(12))
+    cloud = found["/radar/detections"]
+    assert [field.name for field in cloud.fields] == ["x", "y", "z", "snr"]
+    table = np.frombuffer(cloud.data, "<f4").reshape(2, 4)
+    assert table.tolist() == [[1, 0, 1, 1], [2, 0, 1, 1]]
+    (moved,) = found["/tf"].transforms
+    pose = RECORDS[3].pose[1]
+    assert moved.child_frame_id == "radar"
+    assert (moved.transform.translation.x, moved.transform.rotation.w) == (pose[0], pose[3])
+
+
+def test_sensors_stand_on_the_rig_where_their_place_is_known(tmp_path: Path) -> None:
+    """Every frame has one parent: world -> rig from the camera's records, rig -> sensors fixed."""
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    extrinsics = {"spi": (0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0), "radar": (0, 0, 0, 0, 0, 0, 1)}
+    path = tmp_path / "run.mcap"
+    with Log(path, extrinsics=extrinsics) as log:
+        log.record("/spi/record", RECORDS[0])
+        log.record("/radar/record", RECORDS[3])
+    tree = {}
+    with path.open("rb") as file:
+        reader = SeekingReader(file, decoder_factories=[decoder.DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages(["/tf", "/tf_static"]):
+            for moved in message.transforms:
+                assert moved.child_frame_id not in tree
+                tree[moved.child_frame_id] = (moved.header.frame_id, channel.topic)
+    assert tree == {
+        "rig": ("world", "/tf"),
+        "spi": ("rig", "/tf_static"),
+        "radar": ("rig", "/tf_static"),
+    }
+    with pytest.raises(ValueError, match="extrinsics: spi"):
+        Log(tmp_path / "bad.mcap", extrinsics={"spi": (0, 0, 0)})
+    assert not (tmp_path / "bad.mcap").exists()
+
+
+def check_by_rosbags(path: Path) -> int:
+    """Messages that `rosbags` decodes, by the definitions in the file."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    n = 0
+    with AnyReader([path], default_typestore=get_typestore(Stores.EMPTY)) as reader:
+        for connection, _, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            if connection.topic == "/spi/record":
+                assert message.counts.size == np.prod(message.counts_shape)
+            n += 1
+    return n
+
+
+def test_rosbags_reads_every_message(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    assert check_by_rosbags(written(tmp_path / "run.mcap")) == 7
+
+
+def test_schema_versions_stand_in_the_file(tmp_path: Path) -> None:
+    """Another version is refused in words."""
+    kind = KINDS[0]
+    message = bytearray(kind.pack(RECORDS[0], 0, "spi", None))
+    at = message.index(b"ugv-spi-record\0") + 16
+    assert message[at] == 2
+    message[at] = 99
+    with pytest.raises(ValueError, match="ugv-spi-record of schema version 99"):
+        kind.unpack(bytes(message))
+    with pytest.raises(ValueError, match="too early"):
+        kind.unpack(kind.pack(RECORDS[0], 0, "spi", None)[:-1])
+
+
+def test_a_log_is_never_written_over(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.mcap")
+    with pytest.raises(FileExistsError):
+        Log(path)
+
+
+# Cut short.
+
+
+def test_every_cut_leaves_what_was_flushed_before_it(tmp_path: Path) -> None:
+    """At any byte: the messages of whole chunks, then a file that others open."""
+    path = tmp_path / "run.mcap"
+    ends = []
+    with Log(path, flush_s=1e9) as log:
+        for seed in range(6):
+            log.record("/spi/record", camera_record(seed), host_ns=seed)
+            log.flush()
+            ends.append(path.stat().st_size)
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for size in {8, 9, 30, *ends, *(end - 1 for end in ends), *rng.integers(8, len(data), 30)}:
+        cut = tmp_path / f"cut-{size}.mcap"
+        cut.write_bytes(data[:size])
+        n = sum(end <= size for end in ends)
+        found = list(read_records(cut))
+        assert n <= len(found) <= n + 1  # the chunk's index comes after its messages
+        for seed, received in enumerate(found):
+            assert_same(received.record, camera_record(seed))
+        kept, fault = recover(cut)
+        assert (kept, fault is None) == (2 * len(found), False)
+        with cut.open("rb") as file:
+            assert SeekingReader(file).get_summary().statistics.message_count == kept  # type: ignore[union-attr]
+        assert recover(cut) == (kept, None)
+
+
+def test_spoiled_bytes_end_the_log_with_a_reason(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.mcap")
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for at in rng.integers(8, len(data), 200):
+        spoiled = bytearray(data)
+        spoiled[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(spoiled)
+        messages = list(read_messages(path))
+        assert len(messages) <= 7
+
+
+def test_no_log_is_told_in_words(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"no log")
+    with pytest.raises(ValueError, match=r"x\.mcap: no MCAP file"):
+        list(read_records(tmp_path / "x.mcap"))
+    with pytest.raises(FileNotFoundError):
+        list(read_records(tmp_path / "missing.mcap"))
+
+
+WRITER = """
+import sys, time, itertools
+sys.path.insert(0, {tests!r})
+from test_recording import camera_record, Log
+record = camera_record()
+log = Log({path!r})
+for n in itertools.count():
+    log.record("/spi/record", record, host_ns=n)
+    print(n, time.monotonic(), flush=True)
+    time.sleep(0.002)
+"""
+
+
+def kill_once(folder: Path, wait_s: float) -> None:
+    """Kill -9 while recording: what was logged a second before is there, and opens elsewhere."""
+    path = folder / "run.mcap"
+    program = WRITER.format(tests=str(Path(__file__).parent), path=str(path))
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        time.sleep(wait_s)
+        process.send_signal(signal.SIGKILL)
+        killed_s = time.monotonic()
+        lines = [first, *process.stdout]
+    due = [int(line.split()[0]) for line in lines
+           if line.endswith(b"\n") and float(line.split()[1]) < killed_s - 1]  # fmt: skip
+    kept = [received.host_ns for received in read_records(path)]
+    assert kept == list(range(len(kept)))
+    assert len(kept) > max(due, default=-1)
+    if kept:
+        n, fault = recover(path)
+        assert fault is not None
+        with path.open("rb") as file:
+            assert sum(1 for _ in SeekingReader(file).iter_messages()) == n
+        assert check_by_rosbags(path) == n
+    path.unlink()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX")
+@pytest.mark.parametrize("times", [5, pytest.param(200, marks=pytest.mark.slow)])
+def test_a_kill_takes_no_more_than_a_second(tmp_path: Path, times: int) -> None:
+    pytest.importorskip("rosbags")
+    rng = np.random.default_rng(0)
+    for _ in range(times):
+        kill_once(tmp_path, float(rng.uniform(0, 2.5)))
+
+
+@pytest.mark.slow
+def test_memory_is_flat_over_many_frames(tmp_path: Path) -> None:
+    """1e5 frames: what is held grows by less than 10 bytes a frame (indices of chunks)."""
+    record = camera_record(patterns=PatternSet(2, 2, 4))
+    tracemalloc.start()
+    with Log(tmp_path / "run.mcap") as log:
+        for n in range(100_000):
+            log.record("/spi/record", record, host_ns=n)
+            if n == 10_000:
+                log.flush()
+                before = tracemalloc.get_traced_memory()[0]
+        log.flush()
+        grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 10 * 90_000
+
+
+# Replay.
+
+
+def test_replay_keeps_the_pace_and_the_records(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with Log(path) as log:
+        for n in range(4):
+            log.record("/spi/record", camera_record(n), host_ns=n * 10**8)
+    begun = time.monotonic()
+    for n, received in enumerate(open_source(f"replay:{path}")):
+        assert time.monotonic() - begun >= 0.1 * n
+        assert_same(received.record, camera_record(n))
+    assert 0.3 <= time.monotonic() - begun < 3
+    begun = time.monotonic()
+    assert len(list(open_source(f"replay:{path}?pace=fast"))) == 4
+    assert len(list(replay(path, speed=1e6))) == 4
+    assert time.monotonic() - begun < 0.3
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [("replay:x.mcap?pace=slow", "pace=slow"), ("/dev/ttyACM9", "a camera needs settings")],
+)
+def test_sources_that_are_none(url: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        open_source(url)
