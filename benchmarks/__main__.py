@@ -14,6 +14,7 @@ from benchmarks import (
     commands,
     optical,
     radar,
+    radar_signal,
     rcs,
     reconstruction,
     regression,
@@ -23,7 +24,18 @@ from benchmarks import (
 )
 from benchmarks.timing import Timing, fft_workload
 
-_ROOMS = (reconstruction, optical, weather, radar, rcs, regression, sweep, vehicle, commands)
+_ROOMS = (
+    reconstruction,
+    optical,
+    weather,
+    radar,
+    radar_signal,
+    rcs,
+    regression,
+    sweep,
+    vehicle,
+    commands,
+)
 
 
 def main() -> None:

@@ -42,6 +42,10 @@ def run(
     ] = "paper",
     radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
     pose: PoseOption = None,
+    track: Annotated[
+        str | None,
+        typer.Option(help="Radar bursts along dx,dy,dz,count[,interval_s] (rig's frame, m, s)."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write; default runs/SCENE-SYSTEM.")
@@ -53,7 +57,7 @@ def run(
     import numpy as np
 
     from twin.job import run as run_job
-    from twin.scene import parse_pose
+    from twin.scene import parse_pose, parse_track
 
     result = run_job(
         scene,
@@ -61,6 +65,7 @@ def run(
         compare=None if compare == "none" else compare,
         radar=None if radar == "none" else radar,
         pose=parse_pose(pose) if pose is not None else None,
+        track=parse_track(track) if track is not None else None,
         seed=seed,
         out=out,
         paths=paths,
@@ -171,7 +176,7 @@ def serve(
         str | None, typer.Option(help="Where the radar's radio listens: tcp:HOST:PORT.")
     ] = None,
     system: Annotated[str, typer.Option(help="The camera: bundled system or TOML.")] = "workable",
-    design: Annotated[str, typer.Option(help="Bundled radar or TOML file.")] = "hybrid-79",
+    design: Annotated[str, typer.Option(help="Bundled radar or TOML file.")] = "prototype",
     pace: Annotated[
         str, typer.Option(help="real: device time is the host's; fast: it never waits.")
     ] = "real",

@@ -1,7 +1,7 @@
 """The main job: a scene and its sensors in, a folder with report, truth and records out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hardware.records import write_radar_record, write_record
@@ -23,9 +23,9 @@ from twin.radar.evaluation import (
     write_truth_table,
 )
 from twin.report import write_report
-from twin.scene import Pose, Scene, load_scene
+from twin.scene import Pose, Scene, Track, load_scene
 from twin.scene.mitsuba import mitsuba_scene
-from twin.system import System, load_system
+from twin.system import System, Weather, load_system
 
 _STAGES_PER_SYSTEM = 6
 _STAGES_OF_RADAR = 3
@@ -50,6 +50,7 @@ def run(
     compare: str | Path | System | None = "paper",
     radar: str | Path | RadarDesign | None = "hybrid-79",
     pose: Pose | None = None,
+    track: Track | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     fidelity: Fidelity | None = None,
@@ -68,6 +69,8 @@ def run(
         Bundled radar or TOML file (None: no radar).
     pose
         Of the rig, in place of the scene's own.
+    track
+        Stops of the rig at which the radar takes a burst each, in place of the scene's own.
     seed
         Of every random draw.
     out
@@ -90,13 +93,15 @@ def run(
     with Stages(expected) as stages:
         with stages.stage("load"):
             world = load_scene(scene, pose)
+            world = replace(world, track=track) if track else world
         folder = folder or Path("runs") / f"{world.name}-{systems[0].name}"
         with whole_folder(folder) as partial:
             view, evaluations = _compute(world, systems, seed, fidelity, stages)
             first = evaluations[0].capture
             write_truth(first.truth, partial / "truth.exr")
             write_record(first.record, partial / "record.h5")
-            echoes = _radar(world, design, seed, fidelity, stages) if design else None
+            weather = systems[0].weather
+            echoes = _radar(world, design, weather, seed, fidelity, stages) if design else None
             if echoes:
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
             write_report(world, view, evaluations, echoes, seed, stages, partial)
@@ -131,9 +136,16 @@ def _compute(
 
 
 def _radar(
-    scene: Scene, design: RadarDesign, seed: int, fidelity: Fidelity | None, stages: Stages
+    scene: Scene,
+    design: RadarDesign,
+    weather: Weather | None,
+    seed: int,
+    fidelity: Fidelity | None,
+    stages: Stages,
 ) -> RadarEvaluation:
-    taken = radar_capture(scene, design, seed=seed, fidelity=fidelity, stage=stages.stage)
+    taken = radar_capture(
+        scene, design, seed=seed, fidelity=fidelity, weather=weather, stage=stages.stage
+    )
     with stages.stage("radar processing"):
         return evaluate_radar(design, taken)
 

@@ -99,7 +99,7 @@ def load_entry(
 
     ``base = "NAME"`` in a file takes everything that it leaves out from another entry, or from a
     file beside it; ``part = "NAME"`` in a section everything that the section leaves out from an
-    entry of ``parts``. Names of CSV files are relative to the file that gives them.
+    entry of ``parts``. Names of data files are relative to the file that gives them.
 
     Raises InputError, one line that begins with the file, or with ``kind`` where there is none.
     """
@@ -164,13 +164,13 @@ def _with_part(section: str, value: Any, path: Path, parts: Path) -> Any:
 
 
 def _place_files(section: Any, folder: Path) -> None:
-    """Make the names of CSV and part files in a section absolute."""
+    """Make the names of data and part files in a section absolute."""
     if isinstance(section, dict):
         part = section.get("part")
         if isinstance(part, str) and (folder / part).is_file():
             section["part"] = str((folder / part).resolve())
         for key, entry in section.items():
-            if key.endswith("_csv") and isinstance(entry, dict) and "value" in entry:
+            if key.endswith(("_csv", "_file")) and isinstance(entry, dict) and "value" in entry:
                 entry["value"] = str((folder / str(entry["value"])).resolve())
 
 

@@ -12,6 +12,7 @@ from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import contributions
+from twin.radar.atmosphere import Air
 from twin.radar.design import RadarDesign
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.materials import radio_properties
@@ -67,9 +68,10 @@ def test_antenna_pattern_radiates_what_it_is_fed() -> None:
     """The gain integrates to 4 pi over the sphere, by quadrature."""
     antenna = load_radar("hybrid-79").antenna
     cos = (np.arange(200_000) + 0.5) / 200_000
-    assert antenna.gain(cos).mean() * 2 * np.pi == pytest.approx(4 * np.pi, rel=1e-4)
-    assert antenna.gain(np.array([1.0]))[0] == pytest.approx(100.0)
-    assert antenna.gain(np.array([-0.5]))[0] == 0.0
+    towards = np.column_stack([cos, np.sqrt(1 - cos**2), 0 * cos])
+    assert antenna.gain(towards).mean() * 2 * np.pi == pytest.approx(4 * np.pi, rel=1e-4)
+    assert antenna.gain(np.array([1.0, 0, 0])) == pytest.approx(100.0)
+    assert antenna.gain(np.array([-0.6, 0.8, 0])) == 0.0
 
 
 def test_designs_say_where_they_contradict_themselves() -> None:
@@ -218,8 +220,8 @@ def test_a_slowly_approaching_targets_phase_is_a_line() -> None:
     places = 140.0 - 20e-6 * np.arange(6)
     phases = []
     for place in places:
-        paths = trace(world(targets=(target((place, 0, 0)),)), radar, max_depth=1).paths
-        echoes = contributions(paths, radar.ofdm)
+        found = trace(world(targets=(target((place, 0, 0)),)), radar, max_depth=1)
+        echoes = radar.burst.seen(contributions(found, radar, Air()))
         cycles = radar.ofdm.carrier_hz * echoes.delay_s[0] % 1.0
         phases.append(np.angle(echoes.amplitude[0] * np.exp(-2j * np.pi * cycles)))
     line = np.unwrap(phases)

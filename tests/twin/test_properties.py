@@ -24,9 +24,9 @@ from twin.optics.devices import Device, Grid
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import Quality
 from twin.radar import load_radar
-from twin.radar.acquisition import contributions
+from twin.radar.acquisition import channel as received
+from twin.radar.atmosphere import Air
 from twin.radar.free_space import straight_paths
-from twin.radar.synthesis import synthesize
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
@@ -230,8 +230,7 @@ def test_echoes_add(rate: float, other: float, range_m: float) -> None:
 
     def channel(*chosen: Target) -> np.ndarray:
         scene = replace(world(), targets=chosen)
-        found = straight_paths(scene, radar).paths
-        return synthesize(contributions(found, radar.ofdm), radar.ofdm)
+        return received(straight_paths(scene, radar), radar, Air())
 
     both, one, two = channel(*targets), channel(targets[0]), channel(targets[1])
     rms = math.sqrt(np.mean(np.abs(both) ** 2))

@@ -305,7 +305,9 @@ def test_a_reset_begins_anew(world) -> None:
 def test_a_line_that_is_cut_is_opened_again(world) -> None:
     lost: list[int] = []
     with (
-        served(world, TcpPort("127.0.0.1", 0), faults=CameraFaults(hang_up=0.2), seed=2) as server,
+        served(
+            world, TcpPort("127.0.0.1", 0), faults=CameraFaults(hang_up=0.05), seed=11
+        ) as server,
         SpiCamera(server.line.url, SETTINGS, patience=PATIENCE, on_loss=lost.extend) as camera,
     ):
         records = list(camera.records(sets=30))

@@ -1,6 +1,10 @@
 """Attenuation of the radar's wave by rain (ITU-R P.838) and gases (ITU-R P.676)."""
 
+from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from twin.system import Weather
 
@@ -12,20 +16,46 @@ STANDARD_PRESSURE_PA = 101325.0
 STANDARD_WATER_VAPOUR_KG_PER_M3 = 7.5e-3
 
 
-def two_way_attenuation_db_per_m(
-    weather: Weather, carrier_hz: float, polarization: Polarization = "vertical"
-) -> float:
-    """Loss of an echo per metre of range, there and back, dB/m, on a level path.
+@dataclass(frozen=True)
+class Air:
+    """The air of some weather, the same everywhere, on level paths; None: it does not attenuate.
 
     Fog and snow are left out: fog of 0.1 g/m^3 costs some 0.3 dB/km one way at 79 GHz (P.840),
     dry snow less; wet snow may cost as much as rain. The backscatter of rain is left out too.
-    Raises ValueError outside 1 to 350 GHz, where P.676 line by line and P.838 both hold.
     """
-    if not 1e9 <= carrier_hz <= 350e9:
-        raise ValueError(f"carrier_hz: {carrier_hz:g} is not between 1e9 and 350e9")
-    one_way_db_per_km = rain_db_per_km(weather, carrier_hz, polarization)
-    one_way_db_per_km += gas_db_per_km(weather, carrier_hz)
-    return 2 * one_way_db_per_km / 1e3
+
+    weather: Weather | None = None
+    polarization: Polarization = "vertical"
+
+    def db_per_m(self, carrier_hz: float) -> float:
+        """Attenuation of power per metre of way.
+
+        Raises ValueError outside 1 to 350 GHz, where P.676 line by line and P.838 both hold.
+        """
+        if self.weather is None:
+            return 0.0
+        if not 1e9 <= carrier_hz <= 350e9:
+            raise ValueError(
+                f"carrier_hz: {carrier_hz:g} is not between 1e9 and 350e9, where the attenuation "
+                "of air and rain is known"
+            )
+        rain = rain_db_per_km(self.weather, carrier_hz, self.polarization)
+        return (rain + gas_db_per_km(self.weather, carrier_hz)) / 1e3
+
+    def amplitude(self, length_m: NDArray[np.float64], carrier_hz: float) -> NDArray[np.float64]:
+        """What is left of a wave's amplitude after a way, there and back for an echo."""
+        return np.asarray(10 ** (-self.db_per_m(carrier_hz) * length_m / 20), dtype=np.float64)
+
+    def describe(self, carrier_hz: float) -> str:
+        """What the air does, in words."""
+        if self.weather is None:
+            return "air is clear and does not attenuate"
+        rate = self.weather.rain_mm_per_h
+        rain = f"rain of {rate.value:g} mm/h (ITU-R P.838) and " if rate and rate.value else ""
+        return (
+            f"{rain}gases (ITU-R P.676) attenuate by {1e3 * self.db_per_m(carrier_hz):.3g} dB/km "
+            "one way; fog, snow and the rain's own echo are left out"
+        )
 
 
 def rain_db_per_km(weather: Weather, carrier_hz: float, polarization: Polarization) -> float:

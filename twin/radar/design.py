@@ -1,6 +1,7 @@
 """The radar under study, as data, and what contradicts itself in it."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -10,9 +11,12 @@ from scipy import constants
 
 from hardware.radar.waveform import C_M_PER_S, OfdmWaveform, Symbols
 from twin.files import catalog_folder
+from twin.radar.antenna import Antenna
+from twin.radar.burst import Burst
 from twin.toml import (
     Count,
     Entry,
+    Finite,
     NonNegative,
     Positive,
     Sourced,
@@ -21,12 +25,17 @@ from twin.toml import (
     load_entry,
 )
 
-_MOST_CELLS = 2**25  # of one interval: half a gigabyte in complex numbers
+_MOST_CELLS = 2**25  # of one burst: half a gigabyte in complex numbers
+_MOST_SYMBOLS = 2**24  # of one step, over which the oscillator wanders
 _REFERENCE_K = 290.0  # of noise figures, by definition
+_MOST_FED = 1.05  # gain of a pattern over the sphere, integrated, from which it is warned of
+
+Place = tuple[Finite, Finite, Finite]
+Places = Annotated[tuple[Place, ...], Field(min_length=1, max_length=256)]
 
 
 class Waveform(Strict):
-    """See `OfdmWaveform`."""
+    """See `OfdmWaveform`. Of a radar that steps its carrier, this is the first step's."""
 
     carrier_hz: Sourced[Annotated[Positive, Field(le=1e13)]]
     n_subcarriers: Sourced[Count]
@@ -39,26 +48,89 @@ class Waveform(Strict):
 
 
 class FrontEnd(Strict):
-    """Power, noise figure, losses (two-way, all told), and the converter's gain.
+    """Power, noise figure, losses (two-way, all told), mixer and converter.
 
-    ``noise_counts``: root mean square of one averaged sample's noise, in counts of 16 bits.
+    noise_counts
+        Root mean square of one averaged sample's noise, in counts of 16 bits: the gain. Full scale
+        is +/- 2^15 counts.
+    adc_bits
+        Of the converter, whose full scale is the record's. It takes every repeat by itself, noise
+        included, before they are averaged; default: nothing but the record's own 16 bits.
+    iq_gain_db, iq_phase_deg
+        Of the receiver's quadrature branch against the in-phase one; default 0.
     """
 
     transmit_power_w: Sourced[Positive]
     noise_figure_db: Sourced[Annotated[NonNegative, Field(le=100)]]
     losses_db: Sourced[Annotated[NonNegative, Field(le=300)]]
     noise_counts: Sourced[Positive]
+    adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=16)]] | None = None
+    iq_gain_db: Sourced[Annotated[Finite, Field(ge=-20, le=20)]] | None = None
+    iq_phase_deg: Sourced[Annotated[Finite, Field(gt=-90, lt=90)]] | None = None
 
 
-class Antenna(Strict):
-    """One pattern for transmitting and receiving: G0 cos^q, zero behind, G0 = 2 (q + 1)."""
+class Leakage(Strict):
+    """What goes straight from transmitter to receiver: received over sent power, at the ports, and
+    its delay. The same for every pair of antennas.
+    """
 
-    gain_dbi: Sourced[Annotated[Positive, Field(ge=3.0103, le=60)]]
+    level_db: Sourced[Annotated[Finite, Field(ge=-300, le=0)]]
+    delay_s: Sourced[Annotated[NonNegative, Field(le=1.0)]]
 
-    def gain(self, cos_boresight: np.ndarray) -> np.ndarray:
-        """Power gain at the cosine of the angle to the boresight; integrates to 4 pi."""
-        peak = 10 ** (self.gain_dbi.value / 10)
-        return peak * np.maximum(cos_boresight, 0.0) ** (peak / 2 - 1)
+
+class Oscillator(Strict):
+    """Phase noise of the carrier: single sideband over offset, straight between points where both
+    are logarithms, constant beyond the first and the last.
+
+    shared
+        One oscillator mixes up and down: what has not changed within an echo's delay cancels.
+        Otherwise each way has its own, of the same kind.
+    """
+
+    offset_hz: Sourced[Annotated[tuple[Positive, ...], Field(min_length=1)]]
+    phase_noise_dbc_per_hz: Sourced[tuple[Annotated[Finite, Field(ge=-400, le=0)], ...]]
+    shared: Sourced[bool]
+
+    @model_validator(mode="after")
+    def _is_a_curve(self) -> "Oscillator":
+        offsets, levels = self.offset_hz.value, self.phase_noise_dbc_per_hz.value
+        if len(offsets) != len(levels):
+            raise ValueError(
+                f"offset_hz has {len(offsets)} points, phase_noise_dbc_per_hz {len(levels)}"
+            )
+        if any(a >= b for a, b in pairwise(offsets)):
+            raise ValueError("offset_hz does not ascend")
+        return self
+
+    def level(self, offset_hz: np.ndarray) -> np.ndarray:
+        """Single-sideband noise at offsets, 1/Hz (not dB)."""
+        known, decibel = self.offset_hz.value, self.phase_noise_dbc_per_hz.value
+        return np.asarray(10 ** (np.interp(np.log(offset_hz), np.log(known), decibel) / 10))
+
+
+class Steps(Strict):
+    """A carrier that steps upwards from the waveform's.
+
+    settling_s
+        From the end of one step's slots to the next one's.
+    random_phase
+        Whether the carrier comes back from each retune with a phase of its own.
+    timing_rms_s
+        Of the delay between sending and sampling, drawn anew at each step.
+    """
+
+    count: Sourced[Annotated[int, Field(strict=True, ge=1, le=4096)]]
+    spacing_hz: Sourced[Positive]
+    settling_s: Sourced[Annotated[NonNegative, Field(le=1e3)]]
+    random_phase: Sourced[bool]
+    timing_rms_s: Sourced[Annotated[NonNegative, Field(le=1.0)]]
+
+
+class Elements(Strict):
+    """Phase centres of the antennas: x ahead, y left, z up; transmitters take turns by slot."""
+
+    transmitters_m: Sourced[Places]
+    receivers_m: Sourced[Places]
 
 
 class Band(Strict):
@@ -75,27 +147,77 @@ class Band(Strict):
 
 
 class RadarDesign(Entry):
-    """One radar with one transmit and one receive antenna at the same place."""
+    """One radar; without `elements` it has one transmitter and one receiver at the same place."""
 
     waveform: Waveform
     front_end: FrontEnd
     antenna: Antenna
     band: Band
+    elements: Elements | None = None
+    steps: Steps | None = None
+    leakage: Leakage | None = None
+    oscillator: Oscillator | None = None
 
     @model_validator(mode="after")
     def _waveform_is_possible(self) -> "RadarDesign":
-        cells = self.ofdm.n_subcarriers * self.ofdm.n_slots
+        wave, burst = self.ofdm, self.burst
+        steps, receivers = len(burst.carriers_hz), len(burst.receivers_m)
+        cells = wave.n_subcarriers * wave.n_slots * steps * receivers
         if cells > _MOST_CELLS:
             raise ValueError(
-                f"waveform: n_subcarriers x n_slots = {cells}, expected at most {_MOST_CELLS}"
+                "waveform: n_subcarriers x n_slots"
+                + (f" x {steps} steps" if steps > 1 else "")
+                + (f" x {receivers} receivers" if receivers > 1 else "")
+                + f" = {cells}, expected at most {_MOST_CELLS}"
+            )
+        if len(burst.transmitters_m) > wave.n_slots:
+            raise ValueError(
+                f"elements.transmitters_m: {len(burst.transmitters_m)} take turns in "
+                f"{wave.n_slots} slots"
+            )
+        symbols = wave.n_slots * wave.slot_period_s / wave.symbol_s
+        if self.oscillator and symbols > _MOST_SYMBOLS:
+            raise ValueError(
+                f"oscillator: {symbols:.3g} symbols in a step, expected at most {_MOST_SYMBOLS}"
             )
         return self
 
     @property
     def ofdm(self) -> OfdmWaveform:
-        """The waveform that is sent."""
+        """The waveform that is sent; the first step's."""
         fields = {name: getattr(self.waveform, name).value for name in Waveform.model_fields}
         return OfdmWaveform(**fields)
+
+    @property
+    def burst(self) -> Burst:
+        """Steps, transmitters and receivers."""
+        wave, count, spacing, pause = self.ofdm, 1, 0.0, 0.0
+        if self.steps:
+            count, spacing = self.steps.count.value, self.steps.spacing_hz.value
+            pause = self.steps.settling_s.value
+        number = np.arange(count, dtype=np.float64)
+        period = wave.n_slots * wave.slot_period_s + pause
+        one = ((0.0, 0.0, 0.0),)
+        return Burst(
+            waveform=wave,
+            carriers_hz=wave.carrier_hz + spacing * number,
+            step_times_s=period * (number - (count - 1) / 2),
+            transmitters_m=np.array(self.elements.transmitters_m.value if self.elements else one),
+            receivers_m=np.array(self.elements.receivers_m.value if self.elements else one),
+        )
+
+    @property
+    def burst_s(self) -> float:
+        """From the first slot of a burst to where the next burst may begin."""
+        steps = self.burst.step_times_s
+        pause = self.steps.settling_s.value if self.steps else 0.0
+        duration = self.ofdm.n_slots * self.ofdm.slot_period_s + pause
+        return float(steps[-1] - steps[0]) + duration
+
+    @property
+    def channel_waveform(self) -> OfdmWaveform:
+        """What the first transmitter sends in the first step."""
+        return self.burst.waveform_of(0, 0)
 
     @property
     def sample_noise_w(self) -> float:
@@ -104,17 +226,24 @@ class RadarDesign(Entry):
         power = constants.k * _REFERENCE_K * factor * self.ofdm.bandwidth_hz
         return float(power / self.ofdm.repeats)
 
-    def received_power_w(self, range_m: float, rcs_m2: float, cos_boresight: float = 1.0) -> float:
-        """Radar equation in free space: Pt G^2 lambda^2 sigma / ((4 pi)^3 R^4) less the losses."""
-        gain = float(self.antenna.gain(np.array(cos_boresight)))
+    def received_power_w(
+        self, range_m: float, rcs_m2: float, direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    ) -> float:
+        """Radar equation in free space: Pt G^2 lambda^2 sigma / ((4 pi)^3 R^4) less the losses.
+
+        ``direction``: unit vector in the antenna's frame.
+        """
+        gain = float(self.antenna.gain(np.array(direction)))
         loss = 10 ** (self.front_end.losses_db.value / 10)
         spread = (4 * math.pi) ** 3 * range_m**4 * loss
         power = self.front_end.transmit_power_w.value
         return power * gain**2 * self.ofdm.wavelength_m**2 * rcs_m2 / spread
 
     def image_snr(self, received_w: float) -> float:
-        """SNR of a lone target after all processing, rectangular window."""
-        cells = self.ofdm.n_subcarriers * self.ofdm.n_slots
+        """SNR of a lone target after processing one step, transmitter and receiver, rectangular
+        window.
+        """
+        cells = self.channel_waveform.n_subcarriers * self.channel_waveform.n_slots
         return received_w * cells / self.sample_noise_w
 
     def warnings(self, farthest_m: float = 0.0, fastest_m_per_s: float = 0.0) -> list[str]:
@@ -125,13 +254,30 @@ class RadarDesign(Entry):
         farthest_m, fastest_m_per_s
             What the scene holds.
         """
-        wave, found = self.ofdm, []
-        low, high = (wave.carrier_hz + s * wave.bandwidth_hz / 2 for s in (-1, 1))
+        return [
+            *self._band_warnings(),
+            *self._range_warnings(farthest_m),
+            *self._rate_warnings(fastest_m_per_s),
+            *self._antenna_warnings(),
+        ]
+
+    def _band_warnings(self) -> list[str]:
+        wave, carriers, found = self.ofdm, self.burst.carriers_hz, []
+        low, high = carriers[0] - wave.bandwidth_hz / 2, carriers[-1] + wave.bandwidth_hz / 2
         if low < self.band.low_hz.value or high > self.band.high_hz.value:
             found.append(
                 f"band: {low / 1e9:.2f}-{high / 1e9:.2f} GHz leaves "
                 f"{self.band.low_hz.value / 1e9:g}-{self.band.high_hz.value / 1e9:g} GHz"
             )
+        if self.steps and self.steps.spacing_hz.value > wave.bandwidth_hz * (1 + 1e-9):
+            found.append(
+                f"steps: {self.steps.spacing_hz.value / 1e6:g} MHz apart leave gaps between bands "
+                f"of {wave.bandwidth_hz / 1e6:g} MHz"
+            )
+        return found
+
+    def _range_warnings(self, farthest_m: float) -> list[str]:
+        wave, found = self.ofdm, []
         if farthest_m > wave.max_range_m:
             found.append(
                 f"range: {farthest_m:.1f} m is beyond the unambiguous {wave.max_range_m:.1f} m "
@@ -143,10 +289,15 @@ class RadarDesign(Entry):
             found.append(
                 f"prefix: {wave.prefix_s * 1e6:.3g} us protects {protected:.1f} m of {reach:.1f} m"
             )
-        if fastest_m_per_s > wave.max_velocity_m_per_s:
+        return found
+
+    def _rate_warnings(self, fastest_m_per_s: float) -> list[str]:
+        wave, found = self.ofdm, []
+        unambiguous = self.channel_waveform.max_velocity_m_per_s
+        if fastest_m_per_s > unambiguous:
             found.append(
                 f"velocity: {fastest_m_per_s:.2f} m/s is beyond the unambiguous "
-                f"+/- {wave.max_velocity_m_per_s:.2f} m/s"
+                f"+/- {unambiguous:.2f} m/s"
             )
         edge = 20 * math.log10(abs(float(wave.slot_gain(np.array(0.5 / wave.slot_period_s)))))
         speed = min(fastest_m_per_s, wave.max_velocity_m_per_s)
@@ -158,6 +309,12 @@ class RadarDesign(Entry):
                 f"{speed:.1f} m/s ({-edge:.1f} dB at the edge)"
             )
         return found
+
+    def _antenna_warnings(self) -> list[str]:
+        pattern = self.antenna.pattern
+        if pattern is None or pattern.efficiency <= _MOST_FED:
+            return []
+        return [f"antenna: the pattern radiates {100 * pattern.efficiency:.0f} % of what it is fed"]
 
 
 def load_radar(name: "str | Path | RadarDesign") -> RadarDesign:

@@ -8,21 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from hardware.radar import Detection, RangeDopplerMap, channel, detect, range_doppler
-from twin.radar.acquisition import RadarCapture, TrueTarget
+from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap, channel, detect, range_doppler
+from twin.radar.acquisition import RadarCapture
 from twin.radar.design import RadarDesign
 from twin.radar.propagation import Path as RadioPath
+from twin.radar.truth import TrueTarget
 
 
 @dataclass(frozen=True, eq=False)
 class RadarEvaluation:
-    """One radar's capture, its map, its detections, and which true target each one is.
+    """One radar's capture, a map, its detections, and which true target each one is.
 
-    ``matches`` has a true target or None for every detection.
+    Map and detections are those of the first burst, carrier step, transmitter and receiver, whose
+    waveform is ``waveform``. ``matches`` has a true target or None for every detection.
     """
 
     radar: RadarDesign
     capture: RadarCapture
+    waveform: OfdmWaveform
     image: RangeDopplerMap
     detections: tuple[Detection, ...]
     matches: tuple[TrueTarget | None, ...]
@@ -37,14 +40,15 @@ def evaluate_radar(
     window: str = "blackmanharris",
     false_alarm: float = 1e-8,
 ) -> RadarEvaluation:
-    """Process a record as the vehicle does, and match detections with the truth."""
-    received = channel(capture.record)
-    waveform = capture.record.waveform
+    """Process one channel of a record as the vehicle does, and match detections with the truth."""
+    waveform = radar.channel_waveform
+    received = channel(capture.record)[:, capture.record.transmitter == 0]
     image = range_doppler(received, waveform, window)
     found = detect(received, waveform, image, window=window, false_alarm=false_alarm)
     return RadarEvaluation(
         radar=radar,
         capture=capture,
+        waveform=waveform,
         image=image,
         detections=tuple(found),
         matches=match_detections(found, capture.truth, radar),
@@ -57,7 +61,7 @@ def match_detections(
     detections: Sequence[Detection], truth: tuple[TrueTarget, ...], radar: RadarDesign
 ) -> tuple[TrueTarget | None, ...]:
     """Nearest true target within two cells in range and rate; each target goes to one detection."""
-    wave, free = radar.ofdm, list(truth)
+    wave, free = radar.channel_waveform, list(truth)
     matches: list[TrueTarget | None] = []
     for found in detections:
         best, nearest = None, 2.0

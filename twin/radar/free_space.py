@@ -9,7 +9,7 @@ from twin.scene import Scene
 
 
 def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
-    """One path to each target in front of the radar, by the radar equation.
+    """One path to each target that the antenna looks at, by the radar equation.
 
     What is left out: multipath, clutter, shadows.
     """
@@ -20,9 +20,9 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
         towards = np.asarray(target.position_m) - scene.rig.position_m - offset
         distance = float(np.linalg.norm(towards))
         ahead, left, up = (float(x) for x in axes @ towards / distance)
-        if ahead <= 0:
+        received = radar.received_power_w(distance, target.rcs_m2, (ahead, left, up))
+        if received == 0:
             continue
-        received = radar.received_power_w(distance, target.rcs_m2, ahead)
         rate = float(np.asarray(target.velocity_m_per_s) @ towards) / distance
         paths.append(
             Path(

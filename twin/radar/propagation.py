@@ -248,7 +248,7 @@ class _RadioWorld:
             )
         velocities = np.array([m.velocity_m_per_s for m in met])
         departure, arrival = self._direction(vertices[0]), self._direction(vertices[-1])
-        gain = self.radar.antenna.gain(np.array([departure[0], arrival[0]]))
+        gain = self.radar.antenna.gain(np.array([departure, arrival]))
         return Path(
             via=tuple(m.name for m in met),
             target=None if at is None else met[at].name,

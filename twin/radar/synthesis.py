@@ -5,10 +5,13 @@ H[n, m] = sum_i a_i exp(-j 2 pi (fc + f_n) (tau_i + rate_i t_m))
 The carrier's phase is taken in float64 before anything else. What couples n and m, f_n rate_i t_m,
 is the migration through range cells (5 of them for 20 m/s in 10 ms at 4 GHz): it is taken out in
 bulk for contributions of nearly the same rate, and the rest is a short Taylor series. Where rates
-differ too much for that, one one-dimensional transform per slot is exact.
+are all but equal, in a world at rest above all, the Doppler shift goes the same way, and one
+transform along frequency serves all slots. Where they differ too much for any of this, one
+transform per slot is exact.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +23,21 @@ Complex = NDArray[np.complex128]
 
 _SERIES_RAD = 0.35  # coupled phase left to the series, at most
 _MOST_BODIES = 6  # beyond that the exact way is faster
+_FEW = 4  # terms up to which transforms along frequency alone are cheaper than one along both
+_MANY_POINTS = 200_000  # from which several threads are used
+_BLOCK = 64  # subcarriers whose migration shares its coarse steps
 
 
 @dataclass(frozen=True, eq=False)
 class Contributions:
     """Echoes, each (n,): amplitude, delay in s, and its rate in s/s (positive: receding).
 
-    The amplitude is that of the wave relative to the sent one, without the phase of the delay.
+    The amplitude is that of the wave relative to the sent one, without the phase of the delay; of a
+    radar that steps its carrier it may be (n_steps, n).
     Delays belong to the middle of the interval and to the antenna's origin. ``departure`` and
     ``arrival`` (n, 3) are unit vectors from the antenna towards where a path begins and whence it
-    comes back, in its own frame: x ahead, y left, z up.
+    comes back, in its own frame: x ahead, y left, z up; zero where the way does not depend on where
+    the antennas stand.
     """
 
     amplitude: Complex
@@ -88,15 +96,21 @@ def direct_sum(
     return channel
 
 
-def _bodies(contributions: Contributions, waveform: OfdmWaveform) -> list[NDArray[np.intp]]:
+def _bodies(
+    contributions: Contributions, waveform: OfdmWaveform
+) -> "list[NDArray[np.intp] | slice]":
     """Groups of contributions whose rates are so close that the series converges at once."""
+    rates = contributions.delay_rate
+    if not rates.size:
+        return []
     half_band = waveform.bandwidth_hz / 2
     half_time = waveform.n_slots * waveform.slot_period_s / 2
     width = 2 * _SERIES_RAD / (2 * np.pi * half_band * half_time)
-    order = np.argsort(contributions.delay_rate, kind="stable")
-    groups: list[NDArray[np.intp]] = []
-    start = 0
-    rates = contributions.delay_rate[order]
+    if np.ptp(rates) <= width:
+        return [slice(None)]
+    order = np.argsort(rates, kind="stable")
+    groups: list[NDArray[np.intp] | slice] = []
+    start, rates = 0, rates[order]
     while start < len(order) and len(groups) <= _MOST_BODIES:
         stop = int(np.searchsorted(rates, rates[start] + width, side="right"))
         groups.append(order[start:stop])
@@ -105,58 +119,111 @@ def _bodies(contributions: Contributions, waveform: OfdmWaveform) -> list[NDArra
 
 
 def _body(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Complex:
-    """One group: bulk migration in closed form, the spread around it as a series."""
-    import finufft
+    """One group: bulk motion in closed form, the spread around it as a series.
 
+    exp(-j 2 pi g t d) = sum_k (-j 2 pi g t)^k d^k / k! with d a rate's distance from the bulk. Of
+    the frequency g, the offset f always goes this way, the carrier only where that takes few terms.
+    """
     f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
     bulk = (part.delay_rate.max() + part.delay_rate.min()) / 2
     spread = part.delay_rate - bulk
-    coupled = 2 * np.pi * np.abs(f).max() * np.abs(t).max() * np.abs(spread).max()
-    terms = _terms(float(coupled), tolerance)
-    strengths, x, y = _points(part, waveform)
-    # exp(-j 2 pi f t d) = sum_k (-j 2 pi f t)^k d^k / k!; d in units that keep powers near 1.
-    unit = max(float(np.abs(spread).max()), np.finfo(float).tiny)
-    stacked = np.stack([strengths * (spread / unit) ** k for k in range(terms)])
-    shape = (waveform.n_subcarriers, waveform.n_slots)
-    grids = finufft.nufft2d1(x, y, stacked, shape, eps=tolerance / 10, isign=-1, nthreads=0)
-    grids = grids.reshape(terms, *shape)
-    coupling = -2j * np.pi * unit * f[:, None] * t
+    widest = float(np.abs(spread).max())
+    per_hz = 2 * np.pi * float(np.abs(t).max()) * widest
+    highest = float(np.abs(f).max())
+    terms = _terms(per_hz * (waveform.carrier_hz + highest), tolerance)
+    along_both = terms > _FEW
+    if along_both:
+        terms = _terms(per_hz * highest, tolerance)
+    unit = max(widest, np.finfo(float).tiny)  # keeps powers of d near 1
+    powers = np.stack([(spread / unit) ** k for k in range(terms)])
+    if along_both:
+        grids, turning = _grids(part, powers, waveform, tolerance), f
+    else:
+        grids, turning = _columns(part, powers, waveform, tolerance), waveform.carrier_hz + f
     channel = grids[-1]
-    for k in range(terms - 1, 0, -1):  # Horner
-        channel = grids[k - 1] + channel * coupling / k
+    if terms > 1:
+        coupling = -2j * np.pi * unit * turning[:, None] * t
+        for k in range(terms - 1, 0, -1):  # Horner
+            channel = grids[k - 1] + channel * coupling / k
+    if not along_both:
+        channel = channel * _turned(-waveform.carrier_hz * bulk * t)
     if bulk:
-        channel = channel * np.exp(-2j * np.pi * bulk * f[:, None] * t)
+        channel = channel * _migration(bulk, waveform)
     return channel
 
 
-def _slot_by_slot(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Complex:
-    """Exact in the coupling: one transform along frequency per slot."""
-    import finufft
-
-    channel = np.empty((waveform.n_subcarriers, waveform.n_slots), dtype=np.complex128)
-    for slot, time in enumerate(waveform.slot_times_s):
-        delay = part.delay_s + part.delay_rate * time
-        strengths = part.amplitude * np.exp(-2j * np.pi * (waveform.carrier_hz * delay % 1.0))
-        x = 2 * np.pi * (waveform.subcarrier_spacing_hz * delay % 1.0)
-        channel[:, slot] = finufft.nufft1d1(
-            x, strengths, waveform.n_subcarriers, eps=tolerance / 10, isign=-1
-        )
-    return channel
-
-
-def _points(part: Contributions, waveform: OfdmWaveform) -> tuple[Complex, Array, Array]:
-    """Strengths with the carrier's phase, and the two angles per subcarrier and slot.
+def _grids(part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float) -> Complex:
+    """Transforms along frequency and Doppler, ``(n_powers, n_subcarriers, n_slots)``.
 
     finufft's slots run from -M // 2, ours are centred on (M - 1) / 2: the half slot between them
     goes into the strengths.
     """
-    carrier = waveform.carrier_hz
+    import finufft
+
     first = waveform.slot_times_s[waveform.n_slots // 2]  # time of finufft's slot 0
-    cycles = carrier * part.delay_s % 1.0 + carrier * part.delay_rate * first
-    strengths = part.amplitude * np.exp(-2j * np.pi * cycles)
-    x = 2 * np.pi * (waveform.subcarrier_spacing_hz * part.delay_s % 1.0)
-    y = 2 * np.pi * (carrier * part.delay_rate * waveform.slot_period_s % 1.0)
-    return strengths, x, y
+    carrier, rate = waveform.carrier_hz, part.delay_rate
+    strengths = part.amplitude * _turned(-_wrapped(carrier * part.delay_s) - carrier * rate * first)
+    x = 2 * np.pi * _wrapped(waveform.subcarrier_spacing_hz * part.delay_s)
+    y = 2 * np.pi * _wrapped(carrier * rate * waveform.slot_period_s)
+    shape = (waveform.n_subcarriers, waveform.n_slots)
+    grids = finufft.nufft2d1(x, y, strengths * powers, shape, **_options(tolerance, len(x)))
+    return np.reshape(grids, (len(powers), *shape))
+
+
+def _columns(
+    part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float
+) -> Complex:
+    """Transforms along frequency at the interval's middle, ``(n_powers, n_subcarriers, 1)``."""
+    import finufft
+
+    strengths = part.amplitude * _turned(-_wrapped(waveform.carrier_hz * part.delay_s))
+    x = 2 * np.pi * _wrapped(waveform.subcarrier_spacing_hz * part.delay_s)
+    n = waveform.n_subcarriers
+    columns = finufft.nufft1d1(x, strengths * powers, n, **_options(tolerance, len(x)))
+    return np.reshape(columns, (len(powers), n, 1))
+
+
+def _slot_by_slot(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Complex:
+    """Exact in the coupling: one transform along frequency per slot."""
+    channel = np.empty((waveform.n_subcarriers, waveform.n_slots), dtype=np.complex128)
+    alone = np.ones((1, len(part.delay_s)))
+    for slot, time in enumerate(waveform.slot_times_s):
+        there = replace(part, delay_s=part.delay_s + part.delay_rate * time)
+        channel[:, slot] = _columns(there, alone, waveform, tolerance)[0, :, 0]
+    return channel
+
+
+def _migration(rate: float, waveform: OfdmWaveform) -> Complex:
+    """exp(-j 2 pi f rate t): coarse steps between blocks of subcarriers, fine ones within."""
+    n, step = waveform.n_subcarriers, -rate * waveform.subcarrier_spacing_hz * waveform.slot_times_s
+    coarse = _turned((np.arange(0, n, _BLOCK) - n // 2)[:, None] * step)
+    fine = _turned(np.arange(_BLOCK)[:, None] * step)
+    return (coarse[:, None] * fine).reshape(-1, waveform.n_slots)[:n]
+
+
+def _options(tolerance: float, points: int) -> dict[str, Any]:
+    """Of finufft: its tolerance, with room for the largest error of a bin; a finer grid below what
+    the small one reaches (1e-9); threads where they pay, for they wait on each other.
+    """
+    return {
+        "eps": tolerance / 20,
+        "upsampfac": 1.25 if tolerance >= 2e-7 else 2.0,
+        "nthreads": 0 if points > _MANY_POINTS else 1,
+        "isign": -1,
+    }
+
+
+def _wrapped(cycles: Array) -> Array:
+    """Without whole turns."""
+    return cycles - np.floor(cycles)
+
+
+def _turned(cycles: Array) -> Complex:
+    """exp(j 2 pi cycles)."""
+    phasor = np.empty(np.shape(cycles), dtype=np.complex128)
+    np.cos(2 * np.pi * cycles, out=phasor.real)
+    np.sin(2 * np.pi * cycles, out=phasor.imag)
+    return phasor
 
 
 def _terms(phase_rad: float, tolerance: float) -> int:

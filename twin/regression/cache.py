@@ -116,11 +116,12 @@ def _pieces(value: Any) -> Iterator[bytes]:
 
 
 def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
-    told = {name: content[name] for name in sorted(content) if name not in _WORDS}
+    # What is not there does not count: a new optional part leaves what was made before valid.
+    told = {n: content[n] for n in sorted(content) if n not in _WORDS and content[n] is not None}
     yield f"{kind}{len(told)}".encode()
     for name, value in told.items():
         yield f"{name}=".encode()
-        if name.endswith("_csv") and value is not None:
+        if name.endswith(("_csv", "_file")):
             yield hashlib.sha256(Path(value.value).read_bytes()).digest()
         else:
             yield from _pieces(value)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.radar import Detection
 from twin.camera.evaluation import score
-from twin.radar.acquisition import TrueTarget
+from twin.radar.truth import TrueTarget
 
 Image = NDArray[np.float64]
 

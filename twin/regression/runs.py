@@ -17,9 +17,9 @@ from twin.camera.light import Rendered
 from twin.fidelity import Noise
 from twin.files import InputError
 from twin.radar import RadarCapture, RadarDesign
-from twin.radar.acquisition import contributions, digitize
+from twin.radar.acquisition import channel as received
 from twin.radar.evaluation import match_detections
-from twin.radar.synthesis import synthesize
+from twin.radar.front_end import digitize
 from twin.regression.metrics import Echo, Metric
 from twin.scene import Scene
 from twin.system import System
@@ -95,16 +95,17 @@ def run_radar(
     nufft_tolerance: float,
 ) -> Outcome:
     """A detector over noise seeds, judged by the targets that have a direct path."""
-    wave = radar.ofdm
     truth = tuple(target for target in capture.truth if target.visible)
-    quiet = synthesize(contributions(capture.propagation.paths, wave), wave, nufft_tolerance)
+    quiet = [received(burst, radar, capture.air, nufft_tolerance) for burst in capture.bursts]
     found = []
     for seed in seeds:
-        iq, flags, scale = digitize(quiet, radar, rng=np.random.default_rng(seed))
-        record = replace(capture.record, iq=iq, flags=flags, root_watt_per_count=scale)
+        rng = np.random.default_rng(seed)
+        taken = [digitize(burst, radar, rng=rng) for burst in quiet]
+        iq, flags = (np.stack([burst[i] for burst in taken]) for i in (0, 1))
+        record = replace(capture.record, iq=iq, flags=flags)
         detections = tuple(detector(record))
         matches = match_detections(detections, truth, radar)
-        found.append(Echo(detections, matches, wave.range_cell_m))
+        found.append(Echo(detections, matches, radar.ofdm.range_cell_m))
     return Outcome(_figures(metrics, truth, found), truth, found)
 
 

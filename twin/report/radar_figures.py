@@ -88,7 +88,7 @@ def _shown_ranges(evaluation: RadarEvaluation) -> slice:
 
 def _mover_row(evaluation: RadarEvaluation) -> int:
     """Row of the strongest moving detection, else of the strongest cell."""
-    cell = evaluation.radar.ofdm.velocity_cell_m_per_s
+    cell = evaluation.waveform.velocity_cell_m_per_s
     movers = [d for d in evaluation.detections if abs(d.range_rate_m_per_s) > cell]
     if movers:
         return int(np.argmin(np.abs(evaluation.image.range_m - movers[0].range_m)))

@@ -30,13 +30,14 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
 
 
 def _waveform(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
-    wave = evaluation.radar.ofdm
+    wave, seen = evaluation.radar.ofdm, evaluation.waveform
     return [
         (
             "band",
             f"{wave.carrier_hz / 1e9:g} GHz, {si(wave.bandwidth_hz, 'Hz')} in "
             f"{wave.n_subcarriers} subcarriers of {si(wave.subcarrier_spacing_hz, 'Hz')}",
         ),
+        *_parts(evaluation),
         ("range", f"cell {si(wave.range_cell_m, 'm')}, unambiguous to {wave.max_range_m:.1f} m"),
         (
             "interval",
@@ -45,23 +46,42 @@ def _waveform(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
         ),
         (
             "range rate",
-            f"cell {wave.velocity_cell_m_per_s:.3f} m/s, "
-            f"unambiguous to ± {wave.max_velocity_m_per_s:.2f} m/s",
+            f"cell {seen.velocity_cell_m_per_s:.3f} m/s, "
+            f"unambiguous to ± {seen.max_velocity_m_per_s:.2f} m/s",
         ),
     ]
+
+
+def _parts(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
+    """Bursts, carrier steps and antennas where there are several; the first of each is shown."""
+    record, radar = evaluation.capture.record, evaluation.radar
+    n_bursts, n_steps, _, n_receivers = record.iq.shape[:4]
+    n_transmitters = len(record.transmitters_m)
+    found = []
+    if n_bursts > 1:
+        length = float(np.linalg.norm(record.pose[-1, :3] - record.pose[0, :3]))
+        found.append(("bursts", f"{n_bursts} along {si(length, 'm')}; shown: the first"))
+    if n_steps > 1:
+        last = record.carriers_hz[-1] / 1e9
+        text = f"{n_steps}, to {last:g} GHz in {si(radar.burst_s, 's')}; shown: the first"
+        found.append(("carrier steps", text))
+    if n_transmitters * n_receivers > 1:
+        text = f"{n_transmitters} x {n_receivers}, by turns; shown: the first of each"
+        found.append(("transmitters x receivers", text))
+    return found
 
 
 def _budget(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
     """The link budget line by line, for 10 m^2 at 150 m or as far as the radar is unambiguous."""
     radar = evaluation.radar
-    wave, end = radar.ofdm, radar.front_end
+    wave, end = evaluation.waveform, radar.front_end
     far = min(150.0, wave.max_range_m)
     received = radar.received_power_w(far, 10.0)
     noise = constants.k * 290.0 * wave.bandwidth_hz
     cells = wave.n_subcarriers * wave.n_slots
     return [
         ("transmit power", f"{_db(end.transmit_power_w.value * 1e3):.1f} dBm"),
-        ("antenna gain, twice", f"2 x {radar.antenna.gain_dbi.value:g} dBi"),
+        ("antenna gain, twice", f"2 x {radar.antenna.ahead_dbi:.3g} dBi"),
         ("losses", f"{end.losses_db.value:g} dB"),
         (f"received from 10 m² at {far:.0f} m", f"{_db(received * 1e3):.1f} dBm"),
         ("thermal noise in the band, k T0 B", f"{_db(noise * 1e3):.1f} dBm"),
@@ -81,7 +101,7 @@ def _window_loss(evaluation: RadarEvaluation) -> float:
     """Noise that the windows add: product of their mean squares at mean 1."""
     from hardware.radar.range_doppler import taper
 
-    sizes = evaluation.radar.ofdm.n_subcarriers, evaluation.radar.ofdm.n_slots
+    sizes = evaluation.waveform.n_subcarriers, evaluation.waveform.n_slots
     return float(np.prod([np.mean(taper(evaluation.window, n) ** 2) for n in sizes]))
 
 

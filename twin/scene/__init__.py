@@ -6,7 +6,17 @@ renderer crashes, and on other faults it silently returns wrong light.
 """
 
 from twin.scene.load import load_scene
-from twin.scene.model import Pose, Rig, Scene, SceneObject, Sun, Target, parse_pose
+from twin.scene.model import (
+    Pose,
+    Rig,
+    Scene,
+    SceneObject,
+    Sun,
+    Target,
+    Track,
+    parse_pose,
+    parse_track,
+)
 
 __all__ = [
     "Pose",
@@ -15,6 +25,8 @@ __all__ = [
     "SceneObject",
     "Sun",
     "Target",
+    "Track",
     "load_scene",
     "parse_pose",
+    "parse_track",
 ]

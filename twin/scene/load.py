@@ -86,6 +86,7 @@ def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
         rig=rig,
         sun=settings.make_sun() if settings else sun,
         targets=settings.make_targets() if settings else (),
+        track=settings.make_track() if settings else None,
         materials={o.material: materials.table[o.material] for o in objects},
         assumptions=materials.assumptions(),
         warnings=(*warnings, *materials.warnings()),

@@ -100,6 +100,42 @@ class Rig:
 
 
 @dataclass(frozen=True)
+class Track:
+    """A straight drive with stops, at each of which the radar takes one burst.
+
+    The first stop is the rig's own pose. ``step_m`` is in the rig's frame; ``interval_s`` from the
+    start of one burst to the next, by default as long as a burst takes.
+    """
+
+    step_m: tuple[float, float, float]
+    count: int
+    interval_s: float | None = None
+
+    def poses(self, start: Pose) -> tuple[Pose, ...]:
+        """Poses of the rig at all stops."""
+        step = start.rotation.apply(np.asarray(self.step_m))
+        places = np.asarray(start.position_m) + np.arange(self.count)[:, None] * step
+        return tuple(replace(start, position_m=(x, y, z)) for x, y, z in places.tolist())
+
+
+def parse_track(text: str) -> Track:
+    """Track from ``dx,dy,dz,count[,interval_s]``."""
+    try:
+        words = text.replace(",", " ").split()
+        numbers = [float(word) for word in (*words[:3], *words[4:])]
+        count = int(words[3])
+        if not (3 <= len(numbers) <= 4 and all(map(math.isfinite, numbers)) and count > 0):
+            raise ValueError
+        if len(numbers) == 4 and numbers[3] <= 0:
+            raise ValueError
+    except (ValueError, IndexError):
+        raise InputError(
+            f"track: {text!r}: expected dx,dy,dz,count[,interval_s] in metres and seconds"
+        ) from None
+    return Track((numbers[0], numbers[1], numbers[2]), count, *numbers[3:])
+
+
+@dataclass(frozen=True)
 class Sun:
     """Direction to the sun in world axes, and illuminance on a plane normal to it."""
 
@@ -129,6 +165,12 @@ class Target:
     origin: str
     object: str | None = None
 
+    def after(self, seconds: float) -> "Target":
+        """The same target later."""
+        place = np.asarray(self.position_m) + seconds * np.asarray(self.velocity_m_per_s)
+        x, y, z = place.tolist()
+        return replace(self, position_m=(x, y, z))
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -145,6 +187,7 @@ class Scene:
     rig: Rig
     sun: Sun
     targets: tuple[Target, ...] = ()
+    track: Track | None = None
     materials: Mapping[str, Material] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -152,6 +195,19 @@ class Scene:
     def at(self, pose: Pose) -> "Scene":
         """The same scene seen from another pose."""
         return replace(self, rig=replace(self.rig, pose=pose))
+
+    def after(self, seconds: float) -> "Scene":
+        """The same scene later: everything that moves has moved, the rig stands where it stood."""
+        if seconds == 0:
+            return self
+        return replace(
+            self,
+            objects=tuple(
+                replace(o, vertices_m=o.vertices_m + seconds * np.asarray(o.velocity_m_per_s))
+                for o in self.objects
+            ),
+            targets=tuple(t.after(seconds) for t in self.targets),
+        )
 
     @property
     def triangles(self) -> int:

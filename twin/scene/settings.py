@@ -1,4 +1,6 @@
-"""``scene.toml``: what Mitsuba's XML has no place for. The rig, the sun, motion, true targets."""
+"""``scene.toml``: what Mitsuba's XML has no place for: the rig and its track, the sun, motion, true
+targets.
+"""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,8 +8,8 @@ from typing import Annotated
 from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
-from twin.scene.model import Pose, Rig, Sun, Target
-from twin.toml import Finite, NonNegative, Positive, Strict, describe, read_toml
+from twin.scene.model import Pose, Rig, Sun, Target, Track
+from twin.toml import Count, Finite, NonNegative, Positive, Strict, describe, read_toml
 
 Vector = tuple[Finite, Finite, Finite]
 
@@ -46,6 +48,12 @@ class _Object(Strict):
     velocity_m_per_s: tuple[_Speed, _Speed, _Speed] = (0.0, 0.0, 0.0)
 
 
+class _Track(Strict):
+    step_m: Vector
+    count: Count
+    interval_s: Positive | None = None
+
+
 class _Target(Strict):
     name: str
     object: str | None = None
@@ -66,6 +74,7 @@ class SceneSettings(Strict):
 
     description: str = ""
     rig: _Rig
+    track: _Track | None = None
     sun: _Sun
     objects: dict[str, _Object] = {}
     targets: tuple[_Target, ...] = ()
@@ -75,6 +84,11 @@ class SceneSettings(Strict):
         at = self.rig
         pose = Pose(at.position_m, at.yaw_deg, at.pitch_deg, at.roll_deg)
         return Rig(pose, at.emitter.pose(), at.detector.pose(), at.radar.pose())
+
+    def make_track(self) -> Track | None:
+        """Where the radar stops, if it does not stand still."""
+        at = self.track
+        return None if at is None else Track(at.step_m, at.count, at.interval_s)
 
     def make_sun(self) -> Sun:
         """The sun."""

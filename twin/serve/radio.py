@@ -16,6 +16,7 @@ from hardware.drivers.radio.samples import SlotGrid, highest_level, spectrum, sy
 from hardware.drivers.radio.schedule import FrontEnd, Schedule
 from hardware.records import RadarRecord
 from twin import __version__
+from twin.files import InputError
 from twin.radar import RadarDesign, RadarEcho
 from twin.serve.clock import DeviceClock
 from twin.serve.faults import RadioFaults
@@ -66,6 +67,8 @@ class VirtualRadio(Radio):
         self._played: set[int] = set()
         self._step = 0
         self._begin(0)
+        if (n := len(self._record.transmitters_m)) > 1:
+            raise InputError(f"radar {radar.name}: {n} transmitters, expected 1 for a radio")
         self.carriers_hz = self._record.carriers_hz
         self.n_receivers = len(self._record.receivers_m)
 

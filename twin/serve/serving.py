@@ -108,8 +108,19 @@ def serve_radar(
 def echoes(
     scene: Scene, radar: RadarDesign, seed: int, fidelity: Fidelity | None = None
 ) -> Callable[[int], RadarEcho]:
-    """The scene's answer to each sweep: sweep k is what a run with ``seed + k`` records."""
-    return lambda sweep: radar_echo(scene, radar, seed=seed + sweep, fidelity=fidelity)
+    """The scene's answer to each sweep, with ``seed`` plus its number.
+
+    From one to the next everything moves on by a burst's time, and the rig to the next stop of the
+    scene's track, where it has one.
+    """
+    stops = scene.track.poses(scene.rig.pose) if scene.track else [scene.rig.pose]
+
+    def echo(sweep: int) -> RadarEcho:
+        world = scene.after(sweep * radar.burst_s)
+        stop = stops[min(sweep, len(stops) - 1)]
+        return radar_echo(world, radar, seed=seed + sweep, fidelity=fidelity, poses=[stop])
+
+    return echo
 
 
 def serve_camera(

@@ -67,7 +67,7 @@ def evaluate_chunk(study: Study, start: int, stop: int) -> Chunk:
         try:
             outcome = outcome_of(study, index)
             for name in study.metrics:
-                value = metric(name, study.folder).measure(outcome)
+                value = metric(name, study.folder)(outcome)
                 chunk.values[name][index - start] = float(value)
         except Exception as error:  # any user's function may fail in any way
             chunk.errors[index] = f"{type(error).__name__}: {error}"
@@ -105,11 +105,14 @@ def outcome_of(study: Study, index: int) -> Outcome:
 
     def evaluated() -> RadarEvaluation:
         assert made.radar is not None  # a study with radar metrics has one
-        key = (study.scene, study.folder, made.scene_key(), made.radar, made.fidelity, study.seed)
-        radar = made.radar
+        radar, weather = made.radar, made.system.weather
+        where = (study.scene, study.folder, made.scene_key())
+        key = (*where, radar, weather, made.fidelity, study.seed)
 
         def work() -> RadarEvaluation:
-            taken = radar_capture(made.scene, radar, seed=study.seed, fidelity=made.fidelity)
+            taken = radar_capture(
+                made.scene, radar, seed=study.seed, fidelity=made.fidelity, weather=weather
+            )
             return evaluate_radar(radar, taken)
 
         return _RADAR.get(key, work)

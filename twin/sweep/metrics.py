@@ -1,10 +1,9 @@
-"""What a study may measure of a point: metrics by name, with unit and meaning."""
+"""What a study may measure of a point: metrics by name."""
 
 import importlib
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from hardware.reconstruction import Reconstruction, reconstruct
 from twin.camera.acquisition import Capture
 from twin.camera.evaluation import Score, score
 from twin.radar.evaluation import RadarEvaluation
+from twin.sweep.names import CLOSED_FORM, RENDERED
 from twin.sweep.setup import Setup
 
 
@@ -48,16 +48,6 @@ class Outcome:
     def radar(self) -> RadarEvaluation:
         """Detections and what they should have been."""
         return self._radar()
-
-
-@dataclass(frozen=True)
-class Metric:
-    """A number per point, its unit and what it is."""
-
-    unit: str
-    meaning: str
-    measure: Callable[[Outcome], float]
-    of_radar: bool = False
 
 
 def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
@@ -127,73 +117,46 @@ def _detected(outcome: Outcome) -> float:
     return float(len({true.name for true in outcome.radar.matches if true is not None}))
 
 
-RENDERED: dict[str, Metric] = {
-    "snr_median": Metric(
-        "1", "signal over noise per pixel, median", lambda o: float(np.median(o.capture.snr))
-    ),
-    "snr_above_1": Metric(
-        "1", "share of pixels above their noise", lambda o: float(np.mean(o.capture.snr >= 1))
-    ),
-    "signal_e": Metric("e", "signal of one average exposure", lambda o: o.capture.noise.signal_e),
-    "background_e": Metric("e", "sun in one exposure", lambda o: o.capture.noise.background_e),
-    "noise_e": Metric("e", "noise of one exposure", lambda o: o.capture.noise.total_noise_e),
-    "saturated": Metric(
-        "1",
-        "share of exposures marked saturated",
-        lambda o: float(np.mean(o.capture.record.flags != 0)),
-    ),
-    "in_band": Metric(
-        "1", "share of the emitter's line inside the filter", lambda o: o.capture.in_band_fraction
-    ),
-    "psnr_db": Metric("dB", "peak signal-to-noise ratio of the image", lambda o: o.score.psnr_db),
-    "ssim": Metric("1", "structural similarity of the image", lambda o: o.score.ssim),
-    "minimum_time_s": Metric("s", "integration for SNR 1 in the median pixel", minimum_time_s),
-    "maximum_distance_m": Metric("m", "distance for SNR 1 in the median pixel", maximum_distance_m),
-    "frame_rate_hz": Metric(
-        "Hz", "frames per second, acquisition alone", lambda o: 1 / o.setup.system.frame_time_s
-    ),
-    "range_error_m": Metric(
-        "m", "largest range error of a detected target", _range_error, of_radar=True
-    ),
-    "detections": Metric(
-        "1",
-        "true targets that are detected",
-        _detected,
-        of_radar=True,
-    ),
-}
-#: Of the closed form; unit and meaning.
-CLOSED_FORM: dict[str, tuple[str, str]] = {
-    "signal_e_per_s": ("e/s", "photo-electrons of the emitter, all cells lit"),
-    "background_e_per_s": ("e/s", "photo-electrons of the sun, and dark current"),
-    "snr": ("1", "signal over noise of one exposure with all cells lit"),
-    "minimum_time_s": ("s", "integration for SNR 1"),
-    "maximum_distance_m": ("m", "distance for SNR 1"),
+_MEASURES: dict[str, Callable[[Outcome], float]] = {
+    "snr_median": lambda o: float(np.median(o.capture.snr)),
+    "snr_above_1": lambda o: float(np.mean(o.capture.snr >= 1)),
+    "signal_e": lambda o: o.capture.noise.signal_e,
+    "background_e": lambda o: o.capture.noise.background_e,
+    "noise_e": lambda o: o.capture.noise.total_noise_e,
+    "saturated": lambda o: float(np.mean(o.capture.record.flags != 0)),
+    "in_band": lambda o: o.capture.in_band_fraction,
+    "psnr_db": lambda o: o.score.psnr_db,
+    "ssim": lambda o: o.score.ssim,
+    "minimum_time_s": minimum_time_s,
+    "maximum_distance_m": maximum_distance_m,
+    "frame_rate_hz": lambda o: 1 / o.setup.system.frame_time_s,
+    "range_error_m": _range_error,
+    "detections": _detected,
 }
 
 
-def metric(name: str, folder: Path) -> Metric:
+def metric(name: str, folder: Path) -> Callable[[Outcome], float]:
     """A metric by name, or a user's own function, ``MODULE:FUNCTION`` of an `Outcome`, from a
     module that can be imported or lies beside the study.
 
     Raises ValueError for one that can't be found.
     """
-    if name in RENDERED:
-        return RENDERED[name]
+    if name in _MEASURES:
+        return _MEASURES[name]
     module, _, function = name.partition(":")
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
     try:
-        found = getattr(importlib.import_module(module), function)
+        own: Callable[[Outcome], float] = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:
         raise ValueError(f"metrics: {name!r}: {error}") from error
-    summary = (found.__doc__ or name).strip().splitlines()[0]
-    return Metric(getattr(found, "unit", "1"), summary, found)
+    return own
 
 
 def described(name: str, folder: Path, *, closed_form: bool) -> tuple[str, str]:
-    """Unit and meaning of a metric."""
-    if closed_form:
-        return CLOSED_FORM[name]
-    known = metric(name, folder)
-    return known.unit, known.meaning
+    """Unit and meaning of a metric; of a user's own, its ``unit`` and its docstring."""
+    known = CLOSED_FORM if closed_form else RENDERED
+    if name in known:
+        return known[name].unit, known[name].meaning
+    own = metric(name, folder)
+    return getattr(own, "unit", "1"), (own.__doc__ or name).strip().splitlines()[0]

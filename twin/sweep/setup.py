@@ -12,6 +12,7 @@ from twin.fidelity import Fidelity, preset
 from twin.files import InputError
 from twin.radar.design import RadarDesign, load_radar
 from twin.scene import Pose, Scene, SceneObject, load_scene
+from twin.sweep.names import RENDERED
 from twin.sweep.study import Study, Value
 from twin.system import System, load_part, load_system
 from twin.toml import Entry, describe
@@ -67,8 +68,6 @@ def setup(study: Study, values: Values) -> Setup:
 
 def needs_radar(study: Study) -> bool:
     """Whether a metric looks at the radar."""
-    from twin.sweep.metrics import RENDERED
-
     return any(name in RENDERED and RENDERED[name].of_radar for name in study.metrics)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
+from twin.sweep.names import CLOSED_FORM, RENDERED
 from twin.sweep.parameters import check_value, is_optical
 from twin.toml import Finite, Name, Strict, describe, read_toml
 
@@ -154,8 +155,6 @@ def load_study(path: str | Path) -> Study:
 
 
 def _check_metrics(study: Study) -> None:
-    from twin.sweep.metrics import CLOSED_FORM, RENDERED
-
     known = RENDERED if study.model == "rendered" else CLOSED_FORM
     for name in study.metrics:
         if ":" in name and study.model == "rendered":

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from twin.fidelity import PRESETS, Fidelity, RadarRung
 from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
+from twin.radar.atmosphere import Air
 from twin.radar.free_space import straight_paths
 from twin.radar.propagation import Propagation, trace
-from twin.radar.synthesis import direct_sum, synthesize
+from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
 from twin.trade.measurement import Cost, Measurement
 from twin.trade.meter import metered
@@ -65,13 +66,13 @@ def measure_radar(scene: Scene, radar: RadarDesign, seed: int, stage: Stage) -> 
 
 
 def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
-    wave = radar.ofdm
+    wave = radar.channel_waveform
     rng = np.random.default_rng([seed, 6])
     rows, columns = (
         np.unique([0, n - 1, *rng.choice(n, min(n, most), replace=False)])
         for n, most in ((wave.n_subcarriers, _ROWS), (wave.n_slots, _COLUMNS))
     )
-    echoes = contributions(trace(scene, radar, seed=seed).paths, wave)
+    echoes = _echoes(trace(scene, radar, seed=seed), radar)
     f, t = wave.frequency_offsets_hz[rows], wave.slot_times_s[columns]
     return _Bins(rows, columns, direct_sum(echoes, f, t, wave.carrier_hz))
 
@@ -79,8 +80,8 @@ def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
 def _rung(
     radar: RadarDesign, rung: Fidelity, finding: Cost, found: Propagation, bins: _Bins
 ) -> Measurement:
-    wave = radar.ofdm
-    echoes = contributions(found.paths, wave)
+    wave = radar.channel_waveform
+    echoes = _echoes(found, radar)
     tolerance = rung.nufft_tolerance
     cost, channels = metered(lambda run: synthesize(echoes, wave, tolerance)[_sampled(bins)])
     off = np.abs(channels[0] - bins.channel)
@@ -104,12 +105,17 @@ def _rung(
     )
 
 
+def _echoes(found: Propagation, radar: RadarDesign) -> Contributions:
+    """Of the first step, transmitter and receiver, which stand for the others."""
+    return radar.burst.seen(contributions(found, radar, Air()))
+
+
 def _noise(radar: RadarDesign) -> float:
     """Channel error, rms over bins, whose energy in one cell of the map equals the noise there.
 
     A bin's noise is the sample's over the sent power; the transform gains by all bins.
     """
-    wave = radar.ofdm
+    wave = radar.channel_waveform
     per_bin = radar.sample_noise_w / radar.front_end.transmit_power_w.value
     return float(np.sqrt(per_bin / (wave.n_subcarriers * wave.n_slots)))
 

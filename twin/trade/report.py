@@ -19,7 +19,7 @@ from twin import __version__
 from twin.fidelity import Fidelity
 from twin.report.style import BLUE, GREY, ORANGE, new_figure, si
 from twin.trade.measurement import Ladder, Measurement, front
-from twin.trade.walk import Trade
+from twin.trade.result import Trade
 
 _LADDERS: dict[Ladder, str] = {
     "light": "light: paths per cell, bounces",

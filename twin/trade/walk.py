@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,6 +18,7 @@ from twin.trade.camera import View, light_rungs, measure_light, measure_noise
 from twin.trade.measurement import Choice, Ladder, Measurement, cheapest
 from twin.trade.meter import metered
 from twin.trade.radar import measure_radar
+from twin.trade.result import Trade
 
 Stage = Callable[[str], AbstractContextManager[Any]]
 
@@ -26,39 +26,6 @@ Stage = Callable[[str], AbstractContextManager[Any]]
 TOLERANCE = 0.2
 _STAGES_BESIDE_LIGHT = 1 + 1 + 1 + 3  # load, reference, brute force, noise
 _STAGES_OF_RADAR = 9
-
-
-@dataclass(frozen=True, eq=False)
-class Trade:
-    """Every rung's cost and error, and the choice by ladder.
-
-    ``pixel_noise_e``: the sensor's noise of a pixel, median over the detectors, electrons.
-    ``fft_s``: one complex FFT of 2^20 points in NumPy on this machine, to compare machines by.
-    """
-
-    scene: str
-    system: str
-    radar: str | None
-    tolerance: float
-    seed: int
-    measurements: tuple[Measurement, ...]
-    choices: dict[Ladder, Choice]
-    agreement: Agreement | None
-    pixel_noise_e: float
-    fft_s: float
-    warnings: tuple[str, ...]
-
-    @property
-    def fidelity(self) -> Fidelity:
-        """The choices of all ladders in one."""
-        knobs: dict[str, Any] = {}
-        for choice in self.choices.values():
-            knobs |= choice.taken.knobs
-        return Fidelity(**knobs)
-
-    def of(self, ladder: Ladder) -> list[Measurement]:
-        """Measurements of one ladder."""
-        return [m for m in self.measurements if m.ladder == ladder]
 
 
 def trade(

@@ -1,0 +1,91 @@
+"""One burst: carrier steps in time, transmitters by turns, receivers side by side.
+
+Each step, transmitter and receiver by itself is a radar with one antenna: what its place and its
+time change about an echo's delay goes into the delay, so into the carrier's phase and the envelope
+alike. Wavefronts are plane over the antennas.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
+from twin.radar.synthesis import Array, Complex, Contributions, synthesize
+
+
+@dataclass(frozen=True, eq=False)
+class Burst:
+    """What is sent and where it is received; times count from the burst's middle.
+
+    ``waveform`` is that of the first step, ``carriers_hz`` and ``step_times_s`` (n_steps,) say
+    where and when (its middle) each step lies; slot m is sent by transmitter m modulo their number.
+    Antennas (n, 3) in metres: x ahead, y left, z up.
+    """
+
+    waveform: OfdmWaveform
+    carriers_hz: Array
+    step_times_s: Array
+    transmitters_m: Array
+    receivers_m: Array
+
+    @property
+    def transmitter(self) -> NDArray[np.uint8]:
+        """Who sends in each slot, (n_slots,)."""
+        slots = np.arange(self.waveform.n_slots)
+        return (slots % len(self.transmitters_m)).astype(np.uint8)
+
+    def slots(self, transmitter: int) -> slice:
+        """Slots of one transmitter."""
+        return slice(transmitter, None, len(self.transmitters_m))
+
+    def waveform_of(self, step: int, transmitter: int) -> OfdmWaveform:
+        """What one transmitter sends in one step."""
+        turns = len(self.transmitters_m)
+        return replace(
+            self.waveform,
+            carrier_hz=float(self.carriers_hz[step]),
+            n_slots=len(range(self.waveform.n_slots)[self.slots(transmitter)]),
+            slot_period_s=self.waveform.slot_period_s * turns,
+        )
+
+    def seen(
+        self, echoes: Contributions, step: int = 0, transmitter: int = 0, receiver: int = 0
+    ) -> Contributions:
+        """Echoes as a radar would have them that has this one transmitter and receiver, both in its
+        origin, and `waveform_of` them.
+        """
+        middle = self.step_times_s[step]
+        middle += self.waveform.slot_times_s[self.slots(transmitter)].mean()
+        nearer_m = echoes.departure @ self.transmitters_m[transmitter]
+        nearer_m += echoes.arrival @ self.receivers_m[receiver]
+        amplitude = echoes.amplitude if echoes.amplitude.ndim == 1 else echoes.amplitude[step]
+        return replace(
+            echoes,
+            amplitude=amplitude,
+            delay_s=echoes.delay_s + echoes.delay_rate * middle - nearer_m / C_M_PER_S,
+        )
+
+
+def burst_channel(echoes: Contributions, burst: Burst, tolerance: float = 1e-6) -> Complex:
+    """Channel of all echoes, ``(n_steps, n_slots, n_receivers, n_subcarriers)``.
+
+    Parameters
+    ----------
+    echoes
+        Amplitudes (n,), or (n_steps, n) where they depend on the carrier.
+    burst
+        When, where and at which frequencies it is sampled.
+    tolerance
+        As of `synthesize`.
+    """
+    wave = burst.waveform
+    shape = (len(burst.carriers_hz), wave.n_slots, len(burst.receivers_m), wave.n_subcarriers)
+    channel = np.empty(shape, dtype=np.complex128)
+    for step in range(shape[0]):
+        for transmitter in range(len(burst.transmitters_m)):
+            there, sent = burst.slots(transmitter), burst.waveform_of(step, transmitter)
+            for receiver in range(shape[2]):
+                seen = burst.seen(echoes, step, transmitter, receiver)
+                channel[step, there, receiver] = synthesize(seen, sent, tolerance).T
+    return channel

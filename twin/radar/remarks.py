@@ -1,0 +1,206 @@
+"""What a capture takes for granted, and what its figures contradict."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.waveform import C_M_PER_S
+from twin.radar.atmosphere import Air
+from twin.radar.design import RadarDesign
+from twin.radar.front_end import full_scale_w, image_rejection_db
+from twin.radar.oscillator import residual_rad
+from twin.radar.propagation import Propagation
+from twin.radar.roles import Role
+from twin.radar.truth import TrueTarget
+from twin.scene import Scene, SceneObject
+from twin.scene.enclosure import encloses
+from twin.scene.meshes import Mesh, divided
+from twin.scene.model import Target
+
+Array = NDArray[np.float64]
+
+_BENT_RAD = 0.02  # phase of a bent path or wavefront from which it is warned of
+_NOISY_RAD = 0.3  # phase noise of an echo from which its square matters
+
+#: Holds for every capture; printed with it.
+MODEL_ASSUMPTIONS = (
+    "targets answer with a declared, constant cross-section from one point",
+    "surfaces are smooth and large against the Fresnel zone where they reflect; "
+    "nothing goes through them; objects that are neither only cast shadows",
+    "velocities are constant within a burst, positions those of its middle, delays linear in "
+    f"time to first order in v / c (bends beyond {_BENT_RAD} rad are warned of)",
+)
+
+
+def assumptions(scene: Scene, radar: RadarDesign, found: Propagation, air: Air) -> tuple[str, ...]:
+    """Everything that a capture takes for granted, the design's assumed values included."""
+    values = [
+        f"{name} = {value.value}: {value.assumed}"
+        for name, value in radar.values()
+        if value.assumed
+    ]
+    targets = [
+        f"cross-section of {t.name} = {t.rcs_m2:g} m^2: {t.origin.removeprefix('assumed: ')}"
+        for t in scene.targets
+        if t.origin.startswith("assumed: ")
+    ]
+    return (
+        *MODEL_ASSUMPTIONS,
+        _antennas(radar),
+        *_steps(radar),
+        *_front_end(radar),
+        air.describe(radar.ofdm.carrier_hz),
+        *found.assumptions,
+        *values,
+        *targets,
+    )
+
+
+def warnings(
+    scene: Scene,
+    radar: RadarDesign,
+    bursts: Sequence[Propagation],
+    truth: tuple[TrueTarget, ...],
+    flags: NDArray[np.uint8],
+) -> tuple[str, ...]:
+    """What contradicts itself; the scene is that of the first burst."""
+    farthest = max((t.range_m for t in truth), default=0.0)
+    fastest = max((abs(t.range_rate_m_per_s) for t in truth), default=0.0)
+    found = radar.warnings(farthest, fastest)
+    place = scene.rig.position_m + scene.rig.device("radar")[0]
+    inside = [item.name for item in scene.objects if encloses(item, place)]
+    if inside:
+        found.append(f"the radar stands inside {', '.join(inside)}")
+    hidden = [t.name for t in truth if not t.visible]
+    if hidden:
+        found.append(f"no direct path to {', '.join(hidden)}")
+    surfaces = {a.name for a in bursts[0].roles if a.role is Role.SURFACE}
+    coarse = [o.name for o in scene.objects if o.name in surfaces and _too_large(o, place)]
+    if coarse:
+        found.append(
+            f"triangles of {', '.join(coarse)} are so large that float32 rays may lose their echo "
+            "or count it again (off by up to 300 % in what was tried): divide them"
+        )
+    found += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
+    found += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
+    found += _noise(radar, farthest)
+    if not any(burst.paths for burst in bursts):
+        what = "noise and leakage" if radar.leakage else "noise"
+        found.append(f"no echo at all: the record holds {what} only")
+    if flags.any():
+        found.append(
+            f"{np.count_nonzero(flags)} of {flags.size} slots clip: lower front_end.noise_counts"
+        )
+    return tuple(found)
+
+
+def _antennas(radar: RadarDesign) -> str:
+    common = f"vertical polarisation alone, {radar.antenna.describe()}"
+    if radar.elements is None:
+        return f"one transmit and one receive antenna at one place, {common}"
+    burst = radar.burst
+    alone, turns = radar.ofdm.max_velocity_m_per_s, radar.channel_waveform.max_velocity_m_per_s
+    return (
+        f"{len(burst.transmitters_m)} transmitters take turns by slot, so range rates are "
+        f"unambiguous to +/- {turns:.3g} m/s (one alone: {alone:.3g}); "
+        f"{len(burst.receivers_m)} receivers; {common}; wavefronts plane over the antennas, their "
+        "coupling left out"
+    )
+
+
+def _steps(radar: RadarDesign) -> list[str]:
+    if radar.steps is None:
+        return []
+    return [
+        f"{radar.steps.count.value} carrier steps: materials as at the first, mirrors and "
+        "cross-sections answer in proportion to the wavelength"
+    ]
+
+
+def _front_end(radar: RadarDesign) -> list[str]:
+    """What is modelled of the faults, and what is not."""
+    off = [
+        name
+        for name, there in (
+            ("no leakage between antennas", radar.leakage),
+            ("no phase noise", radar.oscillator),
+            ("branches of the mixer alike", np.isfinite(image_rejection_db(radar))),
+            ("a converter of 16 bits after averaging", radar.front_end.adc_bits),
+        )
+        if not there
+    ]
+    found = ["; ".join(off)] if off else []
+    found.append(
+        f"full scale {_dbm(full_scale_w(radar)):.1f} dBm at the receivers' ports"
+        + (
+            f", mirror images {image_rejection_db(radar):.1f} dB down"
+            if np.isfinite(image_rejection_db(radar))
+            else ""
+        )
+    )
+    if radar.oscillator:
+        found.append(
+            "phase noise beyond half the band is left out, of the rest its square; within a symbol "
+            "it repeats with it"
+        )
+    return found
+
+
+def _noise(radar: RadarDesign, farthest_m: float) -> list[str]:
+    if radar.oscillator is None:
+        return []
+    delay = 2 * min(farthest_m or np.inf, radar.ofdm.max_range_m) / C_M_PER_S
+    left = residual_rad(radar.oscillator, radar.ofdm, delay) * np.sqrt(radar.ofdm.repeats)
+    if left < _NOISY_RAD:
+        return []
+    return [
+        f"oscillator: {left:.2g} rad of phase noise are left on an echo, too much for a model to "
+        f"first order: {100 * (1 - np.exp(-(left**2) / 2)):.0f} % of its amplitude should be lost"
+    ]
+
+
+def _curvature_rad(radar: RadarDesign, range_m: float) -> float:
+    """Phase by which a wavefront bends over the antennas, there and back."""
+    burst = radar.burst
+    widest = sum(
+        float(np.max(np.sum(places**2, axis=1)))
+        for places in (burst.transmitters_m, burst.receivers_m)
+    )
+    return float(np.pi * widest / (radar.ofdm.wavelength_m * range_m))
+
+
+def _curved(radar: RadarDesign, target: TrueTarget) -> str:
+    return (
+        f"{target.name} is so near that wavefronts bend by "
+        f"{_curvature_rad(radar, target.range_m):.2g} rad over the antennas, which is left out"
+    )
+
+
+def _too_large(item: SceneObject, place: Array) -> bool:
+    """Whether a renderer's rays would need the object divided; the radar's are not."""
+    mesh = Mesh(item.vertices_m - place, item.faces)
+    return len(divided(mesh).faces) > len(mesh.faces)
+
+
+def _bend(target: Target, place: Array, radar: RadarDesign) -> str | None:
+    """Warning where a target crosses so fast that its range is no straight line in time.
+
+    Across the line of sight v moves it by (v t)^2 / (2 R), which a path's one rate leaves out.
+    """
+    towards = np.asarray(target.position_m) - place
+    distance = float(np.linalg.norm(towards))
+    velocity = np.asarray(target.velocity_m_per_s)
+    across2 = float(velocity @ velocity - (velocity @ towards / distance) ** 2)
+    bend = across2 * (radar.burst_s / 2) ** 2 / (2 * distance)
+    phase = 4 * np.pi * bend / radar.ofdm.wavelength_m
+    if phase < _BENT_RAD:
+        return None
+    return (
+        f"{target.name} crosses so fast that its range bends by {bend:.2g} m within the interval, "
+        f"which is left out: its echo is off by up to {100 * min(phase, 2.0):.3g} % of itself"
+    )
+
+
+def _dbm(power_w: float) -> float:
+    return float(10 * np.log10(power_w * 1e3))

@@ -1,0 +1,37 @@
+"""Names of what a study may measure, with unit and meaning."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Named:
+    """A number's unit and what it is; ``of_radar``: the radar must run for it."""
+
+    unit: str
+    meaning: str
+    of_radar: bool = False
+
+
+RENDERED = {
+    "snr_median": Named("1", "signal over noise per pixel, median"),
+    "snr_above_1": Named("1", "share of pixels above their noise"),
+    "signal_e": Named("e", "signal of one average exposure"),
+    "background_e": Named("e", "sun in one exposure"),
+    "noise_e": Named("e", "noise of one exposure"),
+    "saturated": Named("1", "share of exposures marked saturated"),
+    "in_band": Named("1", "share of the emitter's line inside the filter"),
+    "psnr_db": Named("dB", "peak signal-to-noise ratio of the image"),
+    "ssim": Named("1", "structural similarity of the image"),
+    "minimum_time_s": Named("s", "integration for SNR 1 in the median pixel"),
+    "maximum_distance_m": Named("m", "distance for SNR 1 in the median pixel"),
+    "frame_rate_hz": Named("Hz", "frames per second, acquisition alone"),
+    "range_error_m": Named("m", "largest range error of a detected target", of_radar=True),
+    "detections": Named("1", "true targets that are detected", of_radar=True),
+}
+CLOSED_FORM = {
+    "signal_e_per_s": Named("e/s", "photo-electrons of the emitter, all cells lit"),
+    "background_e_per_s": Named("e/s", "photo-electrons of the sun, and dark current"),
+    "snr": Named("1", "signal over noise of one exposure with all cells lit"),
+    "minimum_time_s": Named("s", "integration for SNR 1"),
+    "maximum_distance_m": Named("m", "distance for SNR 1"),
+}
