@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain
-from twin.camera.light import render_light
+from twin.camera.light import Rendered, render, render_light
 from twin.camera.mounting import devices
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Fidelity
@@ -67,3 +67,39 @@ def frames(
         rng = np.random.default_rng(noise_seed)
         _, counts, flags = chain.take(chain.powers(rendered), rng=rng, noise=fidelity.noise)
         yield chain.record(pose, counts, flags)
+
+
+def stills(
+    scene: Scene,
+    system: System,
+    *,
+    seed: int = 0,
+    fidelity: Fidelity | None = None,
+    rendered: Rendered | None = None,
+) -> Iterator[SpiRecord]:
+    """Records of a rig that stands still, without end: light is rendered once, noise drawn anew.
+
+    Parameters
+    ----------
+    scene, system, fidelity
+        As `twin.camera.acquisition.capture` takes them.
+    seed
+        The first record is the one that `capture` makes of it.
+    rendered
+        `still_light` of the same scene and seed, when it is at hand already.
+    """
+    fidelity = fidelity or Fidelity()
+    _, noise_seed = np.random.SeedSequence(seed).spawn(2)
+    chain, rng = Chain.of(system, scene.sun), np.random.default_rng(noise_seed)
+    power = chain.powers(rendered or still_light(scene, system, seed=seed, fidelity=fidelity))
+    while True:
+        _, counts, flags = chain.take(power, rng=rng, noise=fidelity.noise)
+        yield chain.record(scene.rig.pose, counts, flags)
+
+
+def still_light(
+    scene: Scene, system: System, *, seed: int = 0, fidelity: Fidelity | None = None
+) -> Rendered:
+    """Light of `stills`: that of every system with the same emitter, optics and detector."""
+    light_seed, _ = np.random.SeedSequence(seed).spawn(2)
+    return render(scene, system, fidelity=fidelity or Fidelity(), seed=light_seed)

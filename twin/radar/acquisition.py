@@ -53,6 +53,76 @@ class RadarCapture:
         return self.bursts[0]
 
 
+@dataclass(frozen=True, eq=False)
+class RadarEcho:
+    """Bursts before anything is sent: what the scene and the noise will make of it.
+
+    ``worlds`` are the scene at each burst, ``interval_s`` apart, ``bursts`` what was found there.
+    """
+
+    worlds: tuple[Scene, ...]
+    radar: RadarDesign
+    bursts: tuple[Propagation, ...]
+    air: Air
+    interval_s: float
+    noise_seed: np.random.SeedSequence
+    fidelity: Fidelity
+
+    def record(self, sent: Complex | None = None) -> RadarRecord:
+        """What the radar records.
+
+        Parameters
+        ----------
+        sent : (n_steps, n_slots, n_subcarriers)
+            Subcarriers that really go out in each burst, in place of the waveform's own. What a
+            step records depends on its own part only.
+        """
+        # Spawning leaves its mark on a seed: the second record is drawn from the same one.
+        seed = np.random.SeedSequence(self.noise_seed.entropy, spawn_key=self.noise_seed.spawn_key)
+        rng = np.random.default_rng(seed)
+        taken = [
+            digitize(
+                channel(found, self.radar, self.air, self.fidelity.nufft_tolerance),
+                self.radar,
+                rng=rng,
+                noisy=self.fidelity.noise != "none",
+                sent=sent,
+            )
+            for found in self.bursts
+        ]
+        iq, flags = (np.stack([burst[k] for burst in taken]) for k in (0, 1))
+        return _record(self.worlds, self.radar, self.interval_s, iq, flags, taken[0][2])
+
+
+def radar_echo(
+    scene: Scene,
+    radar: RadarDesign,
+    *,
+    seed: int = 0,
+    fidelity: Fidelity | None = None,
+    weather: Weather | None = None,
+    poses: Sequence[Pose] | None = None,
+    interval_s: float | None = None,
+    stage: Stage = lambda name: nullcontext(),
+) -> RadarEcho:
+    """The bursts that `radar_capture` records; same parameters, same errors."""
+    worlds = _worlds(scene, radar, poses, interval_s)
+    for world in worlds:
+        _check_targets(world)
+    fidelity, air = fidelity or Fidelity(), _air(weather, radar)
+    ray_seed, noise_seed = np.random.SeedSequence([seed, 79]).spawn(2)
+    with stage("radar paths"):
+        rays = int(ray_seed.generate_state(1)[0]) >> 1
+        bursts = tuple(
+            straight_paths(world, radar)
+            if fidelity.radar == "targets"
+            else trace(world, radar, fidelity=fidelity, seed=rays)
+            for world in worlds
+        )
+    interval_s = interval_s or _interval(scene, radar)
+    return RadarEcho(tuple(worlds), radar, bursts, air, interval_s, noise_seed, fidelity)
+
+
 def radar_capture(
     scene: Scene,
     radar: RadarDesign,
@@ -85,37 +155,28 @@ def radar_capture(
     Raises InputError where a material has no data at the carrier, a target stands at the radar, a
     record would not fit in memory, or bursts overlap.
     """
-    worlds = _worlds(scene, radar, poses, interval_s)
-    for world in worlds:
-        _check_targets(world)
-    fidelity, air = fidelity or Fidelity(), _air(weather, radar)
-    ray_seed, noise_seed = np.random.SeedSequence([seed, 79]).spawn(2)
-    with stage("radar paths"):
-        rays = int(ray_seed.generate_state(1)[0]) >> 1
-        bursts = tuple(
-            straight_paths(world, radar)
-            if fidelity.radar == "targets"
-            else trace(world, radar, fidelity=fidelity, seed=rays)
-            for world in worlds
-        )
+    echo = radar_echo(
+        scene,
+        radar,
+        seed=seed,
+        fidelity=fidelity,
+        weather=weather,
+        poses=poses,
+        interval_s=interval_s,
+        stage=stage,
+    )
     with stage("radar signal"):
-        iq, flags, scale = measure(
-            bursts,
-            radar,
-            air,
-            rng=np.random.default_rng(noise_seed),
-            noisy=fidelity.noise != "none",
-            tolerance=fidelity.nufft_tolerance,
-        )
-    truth = true_targets(worlds[0], radar, bursts[0], air)
+        record = echo.record()
+    first, bursts, air = echo.worlds[0], echo.bursts, echo.air
+    truth = true_targets(first, radar, bursts[0], air)
     return RadarCapture(
-        record=_record(worlds, radar, interval_s or _interval(scene, radar), iq, flags, scale),
+        record=record,
         truth=truth,
         bursts=bursts,
         air=air,
         sample_noise_w=radar.sample_noise_w,
-        assumptions=assumptions(worlds[0], radar, bursts[0], air),
-        warnings=warnings(worlds[0], radar, bursts, truth, flags),
+        assumptions=assumptions(first, radar, bursts[0], air),
+        warnings=warnings(first, radar, bursts, truth, record.flags),
     )
 
 
@@ -137,23 +198,6 @@ def contributions(found: Propagation, radar: RadarDesign, air: Air) -> Contribut
 def channel(found: Propagation, radar: RadarDesign, air: Air, tolerance: float = 1e-6) -> Complex:
     """Received over sent wave of one burst, (n_steps, n_slots, n_receivers, n_subcarriers)."""
     return burst_channel(contributions(found, radar, air), radar.burst, tolerance)
-
-
-def measure(
-    bursts: Sequence[Propagation],
-    radar: RadarDesign,
-    air: Air,
-    *,
-    rng: np.random.Generator,
-    noisy: bool = True,
-    tolerance: float = 1e-6,
-) -> tuple[NDArray[np.int16], NDArray[np.uint8], float]:
-    """Counts and flags of a record, and root watts per count: `digitize`, burst by burst."""
-    taken = [
-        digitize(channel(found, radar, air, tolerance), radar, rng=rng, noisy=noisy)
-        for found in bursts
-    ]
-    return np.stack([iq for iq, _, _ in taken]), np.stack([f for _, f, _ in taken]), taken[0][2]
 
 
 def _of_paths(found: Propagation) -> Contributions:

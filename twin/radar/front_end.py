@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.drivers.radio.samples import highest_level, spectrum, symbol
 from hardware.records import Flag
 from twin.radar.design import RadarDesign
 from twin.radar.oscillator import apply, draw
@@ -16,7 +17,12 @@ _SIGMAS = 7.0  # of noise that must fit below a converter's rails
 
 
 def digitize(
-    channel: Complex, radar: RadarDesign, *, rng: np.random.Generator, noisy: bool = True
+    channel: Complex,
+    radar: RadarDesign,
+    *,
+    rng: np.random.Generator,
+    noisy: bool = True,
+    sent: Complex | None = None,
 ) -> tuple[NDArray[np.int16], NDArray[np.uint8], float]:
     """One burst's counts, with its flags and the root watts of one count.
 
@@ -31,6 +37,9 @@ def digitize(
         not change the noise.
     noisy
         Without it there is neither thermal nor phase noise; retunes keep their random phases.
+    sent : (n_steps, n_slots, n_subcarriers)
+        Subcarriers that really go out; default: the waveform's, as a radio sends them, rounded to
+        complex64 samples.
 
     Returns
     -------
@@ -38,7 +47,7 @@ def digitize(
     flags : (n_steps, n_slots) uint8
     scale : float
     """
-    received = arriving(channel, radar, rng=rng.spawn(1)[0], noisy=noisy)
+    received = arriving(channel, radar, rng=rng.spawn(1)[0], noisy=noisy, sent=sent)
     scale = float(np.sqrt(radar.sample_noise_w) / radar.front_end.noise_counts.value)
     if radar.front_end.adc_bits is None:
         exact = _mixed(_noisy(received, radar.sample_noise_w, rng, noisy) / scale, radar)
@@ -50,18 +59,27 @@ def digitize(
 
 
 def arriving(
-    channel: Complex, radar: RadarDesign, *, rng: np.random.Generator, noisy: bool = True
+    channel: Complex,
+    radar: RadarDesign,
+    *,
+    rng: np.random.Generator,
+    noisy: bool = True,
+    sent: Complex | None = None,
 ) -> Complex:
     """The wave at the receivers' ports in time, in root watts, of the channel's shape.
 
     The sent power is shared by the subcarriers; each slot becomes one symbol.
     """
     wave = radar.ofdm
-    sent = wave.sent() * np.sqrt(radar.front_end.transmit_power_w.value / wave.n_subcarriers)
+    if sent is None:
+        level = highest_level(wave)
+        sent = spectrum(symbol(wave, level), level)
+    share = np.sqrt(radar.front_end.transmit_power_w.value / wave.n_subcarriers)
+    sent = np.broadcast_to(sent * share, (*channel.shape[:2], wave.n_subcarriers))
     if radar.steps:
         channel = channel * _retuned(radar, rng)[:, None, None]
     if not (radar.oscillator and noisy):
-        received = np.fft.ifft(np.fft.ifftshift(channel * sent, axes=-1), axis=-1)
+        received = np.fft.ifft(np.fft.ifftshift(channel * sent[:, :, None], axes=-1), axis=-1)
         received *= wave.n_subcarriers
         return received
     received = np.empty_like(channel)
@@ -69,7 +87,7 @@ def arriving(
         sending = draw(radar.oscillator, wave, rng)
         shared = radar.oscillator.shared.value
         receiving = sending if shared else draw(radar.oscillator, wave, rng)
-        received[step] = apply(there, sent, wave, sending, receiving)
+        received[step] = apply(there, sent[step], wave, sending, receiving)
     return received
 
 

@@ -1,0 +1,20 @@
+"""The radar's radio: one narrow interface, over UHD or ZeroMQ, and the schedule that uses it."""
+
+from hardware.drivers.radio.calibration import Calibration, calibrate
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+from hardware.drivers.radio.opening import open_radio
+from hardware.drivers.radio.schedule import FrontEnd, Schedule, acquire, carriers
+
+__all__ = [
+    "Calibration",
+    "Fault",
+    "FrontEnd",
+    "Radio",
+    "RadioError",
+    "Reception",
+    "Schedule",
+    "acquire",
+    "calibrate",
+    "carriers",
+    "open_radio",
+]

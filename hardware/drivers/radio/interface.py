@@ -1,0 +1,100 @@
+"""What the radar needs of a radio: tune, send a burst at a time, hear what comes back."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import IntFlag
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Counts of a sample at full scale: 16 bits on the wire, 1.0 in complex64.
+FULL_SCALE_COUNTS = 32767
+
+
+class Fault(IntFlag):
+    """What may go wrong with one burst."""
+
+    OVERFLOW = 1  # the host fetched samples too slowly: some are lost
+    LATE = 2  # the command came after its time: nothing was sent
+    OUT_OF_SEQUENCE = 4  # packets were lost or came in another order
+    UNDERFLOW = 8  # the host sent samples too slowly: the burst has holes
+    TIMEOUT = 16  # samples did not come in time
+
+
+class RadioError(OSError):
+    """The radio cannot be found, refuses, or no longer answers. One line, says which radio."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reception:
+    """What came back of one burst.
+
+    Parameters
+    ----------
+    samples : (n_receivers, n_samples) complex64
+        As many as were sent, each at its place; 1 is full scale, lost ones are 0.
+    there : (n_samples,) bool
+        False where a sample was lost.
+    start_ns
+        Device clock at the first sample.
+    faults
+        Bits of `Fault`.
+    """
+
+    samples: NDArray[np.complex64]
+    there: NDArray[np.bool_]
+    start_ns: int
+    faults: Fault
+
+    @staticmethod
+    def nothing(n_receivers: int, n_samples: int, start_ns: int, faults: Fault) -> "Reception":
+        """A burst of which no sample came back."""
+        samples = np.zeros((n_receivers, n_samples), dtype=np.complex64)
+        return Reception(samples, np.zeros(n_samples, dtype=np.bool_), start_ns, faults)
+
+
+class Radio(ABC):
+    """One transmitter and one or more receivers that share a clock and an oscillator.
+
+    ``device`` identifies it; samples run at ``sample_rate_hz`` both ways.
+    """
+
+    device: str
+    n_receivers: int
+    sample_rate_hz: float
+
+    @abstractmethod
+    def tune(self, carrier_hz: float) -> float:
+        """Tune both ways, wait until the oscillator has locked; what it is tuned to, Hz.
+
+        The phase after it is another one each time. Raises RadioError.
+        """
+
+    @abstractmethod
+    def now_ns(self) -> int:
+        """Device clock. Raises RadioError."""
+
+    @abstractmethod
+    def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
+        """Send (n_samples,), at most 1 in modulus, from ``start_ns`` on; receive meanwhile.
+
+        What goes wrong on the air stands in the reception. Raises RadioError where the radio no
+        longer answers.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the device."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,37 @@
+"""Which radio a URL means; what it needs is imported only then."""
+
+from urllib.parse import urlsplit
+
+from hardware.drivers.radio.interface import Radio
+
+
+def open_radio(url: str, *, sample_rate_hz: float | None = None) -> Radio:
+    """Open a radio.
+
+    Parameters
+    ----------
+    url
+        ``uhd:ARGS`` with UHD's device arguments, such as ``uhd:type=b200``, or
+        ``zmq://HOST:PORT``.
+    sample_rate_hz
+        Of a UHD radio; a radio behind ZeroMQ says its own.
+
+    Raises ValueError for another URL, RadioError (an OSError) where the radio cannot be had.
+    """
+    expected = f"radio: {url!r}, expected uhd:ARGS or zmq://HOST:PORT"
+    if url.startswith("uhd:"):
+        from hardware.drivers.radio.usrp import UhdRadio
+
+        if sample_rate_hz is None:
+            raise ValueError(f"radio: {url}: sample_rate_hz is missing")
+        return UhdRadio(url.removeprefix("uhd:"), sample_rate_hz=sample_rate_hz)
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError as error:
+        raise ValueError(expected) from error
+    if parts.scheme != "zmq" or not parts.hostname or port is None or parts.path.strip("/"):
+        raise ValueError(expected)
+    from hardware.drivers.radio.zeromq import ZeroMqRadio
+
+    return ZeroMqRadio(parts.hostname, port)

@@ -1,0 +1,190 @@
+"""The stepped-carrier schedule: tune, settle, one burst per step at its time; a record of it."""
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hardware.drivers.radio import samples
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+from hardware.radar.waveform import OfdmWaveform
+from hardware.records.radar import RadarRecord
+
+Order = Literal["ascending", "descending", "shuffled"]
+
+_MOST_OFF_HZ = 1e3  # of the carrier: 0.004 rad of phase at 100 m
+
+
+@dataclass(frozen=True)
+class FrontEnd:
+    """What calibration and the mounting say about the radio; fields as in `RadarRecord`.
+
+    ``transmit_power_w`` belongs to samples at ``level`` (root mean square, of full scale).
+    """
+
+    root_watt_per_count: float
+    transmit_power_w: float
+    level: float = 0.5
+    antenna_gain_dbi: float = float("nan")
+    losses_db: float = float("nan")
+    leakage_delay_s: float = float("nan")
+    transmitters_m: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
+    receivers_m: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When each carrier is sent.
+
+    Parameters
+    ----------
+    waveform
+        Of every step; its carrier is that of the first.
+    carriers_hz
+        In the order of time.
+    step_period_s
+        From the start of one burst to the start of the next: slots, retuning and settling.
+    settling_s
+        Between the report that the oscillator has locked and the burst.
+    lead_s
+        Between the command and the first burst, for the way to the device.
+    """
+
+    waveform: OfdmWaveform
+    carriers_hz: tuple[float, ...]
+    step_period_s: float
+    settling_s: float = 1e-3
+    lead_s: float = 10e-3
+
+    def __post_init__(self) -> None:
+        if not self.carriers_hz or self.carriers_hz[0] != self.waveform.carrier_hz:
+            raise ValueError(f"carriers_hz: {self.carriers_hz} does not begin at the waveform's")
+        for name in ("settling_s", "lead_s"):
+            if not 0 <= getattr(self, name) < 3600:
+                raise ValueError(f"{name}: {getattr(self, name)} is not between 0 and 3600 s")
+        least = self.burst_s + self.settling_s
+        if not least <= self.step_period_s < 3600:
+            raise ValueError(
+                f"step_period_s: {self.step_period_s:g} s is shorter than burst and settling "
+                f"({least:g} s)"
+            )
+
+    @property
+    def burst_s(self) -> float:
+        """Length of one burst."""
+        return self.waveform.n_slots * self.waveform.slot_period_s
+
+    @property
+    def sweep_s(self) -> float:
+        """From one burst of a record to the next, every carrier once."""
+        return len(self.carriers_hz) * self.step_period_s
+
+    def starts_ns(self, first_ns: int) -> list[int]:
+        """Start of each step."""
+        return [
+            first_ns + round(1e9 * k * self.step_period_s) for k in range(len(self.carriers_hz))
+        ]
+
+
+def carriers(
+    center_hz: float, spacing_hz: float, n_steps: int, order: Order = "ascending", *, seed: int = 0
+) -> tuple[float, ...]:
+    """Carriers ``spacing_hz`` apart around a centre, in the order of time.
+
+    ``shuffled``: range and Doppler do not couple along a sweep as they do on a ramp.
+    """
+    if order not in get_args(Order):
+        raise ValueError(f"order: {order!r} is none of {', '.join(get_args(Order))}")
+    steps = center_hz + (np.arange(n_steps) - (n_steps - 1) / 2) * spacing_hz
+    if order == "descending":
+        steps = steps[::-1]
+    elif order == "shuffled":
+        steps = np.random.default_rng(seed).permutation(steps)
+    return tuple(steps.tolist())
+
+
+def acquire(
+    radio: Radio,
+    schedule: Schedule,
+    front_end: FrontEnd,
+    *,
+    bursts: int = 1,
+    pose: ArrayLike = (0, 0, 0, 1, 0, 0, 0),
+) -> RadarRecord:
+    """Run the schedule ``bursts`` times.
+
+    Parameters
+    ----------
+    radio, schedule, front_end
+        Who sends what when.
+    bursts
+        Sweeps over all carriers.
+    pose : (7,) or (bursts, 7)
+        As in `RadarRecord`.
+
+    What is lost stands in the record as zeros under `Flag.OVERRUN`: a sample, a late burst, a
+    burst of which nothing came. Raises RadioError where the radio no longer answers or tunes
+    elsewhere, ValueError where schedule, front end and radio do not fit.
+    """
+    wave = schedule.waveform
+    _check(radio, schedule, front_end)
+    sent = samples.burst(wave, front_end.level)
+    shape = (bursts, len(schedule.carriers_hz), wave.n_slots)
+    iq = np.empty((*shape, radio.n_receivers, wave.n_subcarriers, 2), dtype=np.int16)
+    times = np.empty(shape, dtype=np.int64)
+    flags = np.empty(shape, dtype=np.uint8)
+    slots = np.rint(np.arange(wave.n_slots) * wave.slot_period_s * 1e9).astype(np.int64)
+    tuned = np.empty(shape[:2])
+    for burst in range(bursts):
+        starts: list[int] = []
+        for step, carrier in enumerate(schedule.carriers_hz):
+            tuned[burst, step] = _tune(radio, carrier)
+            settled = radio.now_ns() + round(1e9 * schedule.settling_s)
+            starts = starts or schedule.starts_ns(settled + round(1e9 * schedule.lead_s))
+            if settled <= starts[step]:
+                heard = radio.burst(sent, starts[step])
+            else:  # sent later, it would break the rhythm of the sweep
+                n = radio.n_receivers
+                heard = Reception.nothing(n, len(sent), starts[step], Fault.LATE)
+            iq[burst, step], flags[burst, step] = samples.counts(heard, wave)
+            times[burst, step] = heard.start_ns + slots
+    return RadarRecord(
+        iq=iq,
+        device_time_ns=times,
+        flags=flags,
+        carriers_hz=tuned[0],
+        transmitter=np.zeros(wave.n_slots, dtype=np.uint8),
+        transmitters_m=np.array(front_end.transmitters_m),
+        receivers_m=np.array(front_end.receivers_m),
+        waveform=replace(wave, carrier_hz=float(tuned[0, 0])),
+        root_watt_per_count=front_end.root_watt_per_count,
+        transmit_power_w=front_end.transmit_power_w,
+        antenna_gain_dbi=front_end.antenna_gain_dbi,
+        losses_db=front_end.losses_db,
+        leakage_delay_s=front_end.leakage_delay_s,
+        device=radio.device,
+        pose=np.array(np.broadcast_to(pose, (bursts, 7)), dtype=np.float64),
+    )
+
+
+def _tune(radio: Radio, carrier_hz: float) -> float:
+    tuned = radio.tune(carrier_hz)
+    if not abs(tuned - carrier_hz) <= _MOST_OFF_HZ:
+        raise RadioError(f"{radio.device}: tuned to {tuned:.0f} Hz, asked for {carrier_hz:.0f} Hz")
+    return tuned
+
+
+def _check(radio: Radio, schedule: Schedule, front_end: FrontEnd) -> None:
+    bandwidth = schedule.waveform.bandwidth_hz
+    if abs(radio.sample_rate_hz - bandwidth) > 1e-6 * bandwidth:
+        raise ValueError(
+            f"{radio.device}: {radio.sample_rate_hz:g} samples/s, expected the waveform's "
+            f"{bandwidth:g}"
+        )
+    if len(front_end.transmitters_m) != 1:
+        raise ValueError(f"transmitters_m: {len(front_end.transmitters_m)}, the radio has 1")
+    if len(front_end.receivers_m) != radio.n_receivers:
+        raise ValueError(
+            f"receivers_m: {len(front_end.receivers_m)}, the radio has {radio.n_receivers}"
+        )

@@ -1,0 +1,64 @@
+"""Schedule and front end as a JSON file: what a driver must know that no radio tells."""
+
+import json
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from hardware.drivers.radio.schedule import FrontEnd, Schedule
+from hardware.radar.waveform import OfdmWaveform
+
+FORMAT, VERSION = "ugv-radio-setup", 1
+
+_NESTED = ("waveform", "carriers_hz")
+_PLACES = ("transmitters_m", "receivers_m")
+
+
+def write_setup(schedule: Schedule, front_end: FrontEnd, path: str | Path) -> None:
+    """Write both to one file, whole or not at all; what is unknown (NaN) is null in it."""
+    path = Path(path)
+    known = {k: None if v != v else v for k, v in asdict(front_end).items()}
+    content = {"format": FORMAT, "version": VERSION, "schedule": asdict(schedule)}
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_text(json.dumps({**content, "front_end": known}, indent=1) + "\n")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_setup(path: str | Path) -> tuple[Schedule, FrontEnd]:
+    """Read what `write_setup` wrote.
+
+    Raises FileNotFoundError; ValueError for a file that is none, of another version, or with a
+    field that is missing, unknown or wrong.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such setup")
+    try:
+        content = json.loads(path.read_text())
+        found = (content.get("format"), content.get("version"))
+        if found != (FORMAT, VERSION):
+            raise ValueError(f"format and version {found}, expected {(FORMAT, VERSION)}")
+        schedule, front_end = content["schedule"], content["front_end"]
+        schedule = {k: v if k in _NESTED else _number(k, v) for k, v in schedule.items()}
+        schedule["waveform"] = OfdmWaveform(**schedule["waveform"])
+        schedule["carriers_hz"] = tuple(float(hz) for hz in schedule["carriers_hz"])
+        front_end = {
+            k: tuple(map(tuple, v)) if k in _PLACES else _number(k, v) for k, v in front_end.items()
+        }
+        return Schedule(**schedule), FrontEnd(**front_end)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        text = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"{path}: {text}") from error
+
+
+def _number(name: str, value: Any) -> float:
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{name}: {value!r} is not a number")
+    return float(value)

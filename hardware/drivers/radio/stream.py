@@ -1,0 +1,139 @@
+"""Plain virtual radios, by the convention of GNU Radio and srsRAN: samples in, samples out.
+
+Who has samples answers requests for them (REP), who wants samples asks (REQ); an answer is raw
+complex64 without any header. A request is GNU Radio's (a 32-bit integer: at most so many samples)
+or srsRAN's (one byte: whatever there is). Needs the package `pyzmq`.
+"""
+
+import struct
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+from hardware.drivers.radio.zeromq import to_samples
+
+#: Samples that one answer brings, at most.
+MOST_SAMPLES = 2**16
+
+_MOST_BYTES = 2**25  # of an answer: srsRAN's radios send what they have, whatever was asked for
+
+
+def request(n_samples: int) -> bytes:
+    """Request for at most so many samples."""
+    return struct.pack("<i", min(n_samples, MOST_SAMPLES))
+
+
+def requested(message: bytes) -> int:
+    """How many samples a request asks for, at most."""
+    if len(message) == 4:
+        return max(0, min(int(struct.unpack("<i", message)[0]), MOST_SAMPLES))
+    return MOST_SAMPLES
+
+
+class StreamRadio(Radio):
+    """A virtual radio that stands at one carrier and has no clock but its samples.
+
+    A burst starts when it is its turn, and its reception says when that was.
+
+    Parameters
+    ----------
+    transmit
+        Where our samples are to be had, such as ``tcp://127.0.0.1:2001``; with ``*`` for a port,
+        any that is free. The attribute ``transmit`` says which.
+    receive
+        Whom we ask for theirs, such as ``tcp://127.0.0.1:2000``.
+    listen
+        Whether we listen at ``transmit``, as is the convention; else the other side does.
+    carrier_hz, sample_rate_hz
+        What it is set to.
+    timeout_s
+        How long it may be silent.
+    """
+
+    def __init__(
+        self,
+        transmit: str,
+        receive: str,
+        *,
+        listen: bool = True,
+        carrier_hz: float,
+        sample_rate_hz: float,
+        timeout_s: float = 5.0,
+    ) -> None:
+        import zmq
+
+        self.device = f"virtual radio {receive}"
+        self.n_receivers = 1
+        self.sample_rate_hz = sample_rate_hz
+        self.timeout_s = timeout_s
+        self._carrier_hz = carrier_hz
+        self._n_samples = 0
+        self._asked = False  # a request is under way
+        self._context = zmq.Context()
+        self._transmit, self._receive = (self._context.socket(k) for k in (zmq.REP, zmq.REQ))
+        for socket, most in ((self._transmit, 64), (self._receive, _MOST_BYTES)):
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.setsockopt(zmq.MAXMSGSIZE, most)
+        try:
+            (self._transmit.bind if listen else self._transmit.connect)(transmit)
+            self.transmit = self._transmit.getsockopt_string(zmq.LAST_ENDPOINT)
+            self._receive.connect(receive)
+        except zmq.ZMQError as error:
+            self.close()
+            raise RadioError(f"{transmit}, {receive}: {error}") from error
+
+    def tune(self, carrier_hz: float) -> float:
+        """See `Radio.tune`; refuses another carrier than its own."""
+        if carrier_hz != self._carrier_hz:
+            raise RadioError(
+                f"{self.device}: stands at {self._carrier_hz:.0f} Hz, asked for {carrier_hz:.0f} Hz"
+            )
+        return carrier_hz
+
+    def now_ns(self) -> int:
+        """See `Radio.now_ns`: the samples so far."""
+        return round(1e9 * self._n_samples / self.sample_rate_hz)
+
+    def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
+        """See `Radio.burst`."""
+        import zmq
+
+        started, left = self.now_ns(), np.asarray(samples, dtype="<c8")
+        heard = np.empty(len(left), dtype=np.complex64)
+        there, until = 0, time.monotonic() + self.timeout_s
+        while there < len(heard):
+            if not self._asked:
+                self._receive.send(request(len(heard) - there))
+                self._asked = True
+            sockets = [self._receive, *([self._transmit] if len(left) else [])]
+            ready = zmq.select(sockets, [], [], max(0.0, until - time.monotonic()))[0]
+            if not ready:
+                raise RadioError(f"{self.device}: no samples within {self.timeout_s:g} s")
+            if self._transmit in ready:
+                n = requested(self._transmit.recv())
+                self._transmit.send(left[:n].tobytes())
+                left = left[n:]
+            if self._receive in ready:
+                part = self._taken(len(heard) - there)
+                heard[there : there + len(part)] = part
+                there += len(part)
+                if len(part):
+                    until = time.monotonic() + self.timeout_s
+        self._n_samples += len(heard)
+        return Reception(heard[None], np.ones(len(heard), dtype=np.bool_), started, Fault(0))
+
+    def close(self) -> None:
+        """See `Radio.close`."""
+        self._context.destroy(linger=0)
+
+    def _taken(self, most: int) -> NDArray[np.complex64]:
+        self._asked = False
+        try:
+            part = to_samples(self._receive.recv())
+        except ValueError as error:
+            raise RadioError(f"{self.device}: {error}") from error
+        if len(part) > most:
+            raise RadioError(f"{self.device}: more samples came back than were sent")
+        return part

@@ -1,0 +1,155 @@
+"""A radio behind ZeroMQ that can be tuned and told the time: commands and samples on one socket.
+
+A command is a frame of JSON, with the samples to send behind it; so is an answer, with the samples
+received. RADIO.md describes both. Needs the package `pyzmq`.
+"""
+
+import json
+import uuid
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+
+PROTOCOL_VERSION = 1
+#: Bytes of the JSON of one message, at most.
+MOST_JSON = 2**16
+
+_OPEN_S = 5.0  # until somebody answers at all
+_MOST_BYTES = 2**30  # of one frame: more is not taken from anybody
+
+
+def to_samples(frame: bytes) -> NDArray[np.complex64]:
+    """Samples of a frame. Raises ValueError unless it holds whole, finite ones."""
+    if len(frame) % 8:
+        raise ValueError(f"{len(frame)} bytes, expected complex samples of 8")
+    samples = np.frombuffer(frame, dtype="<c8")
+    if not np.isfinite(samples).all():
+        raise ValueError("a sample is not a number")
+    return samples
+
+
+class ZeroMqRadio(Radio):
+    """A radio that listens at a host and port.
+
+    Parameters
+    ----------
+    host, port
+        Where it listens.
+    timeout_s
+        How long it may be silent, beyond the time that a burst is asked to wait and to last; by
+        default what it asks for itself.
+
+    Raises RadioError where nobody answers, or another client has it.
+    """
+
+    def __init__(self, host: str, port: int, *, timeout_s: float | None = None) -> None:
+        import zmq
+
+        self.device = f"zmq://{host}:{port}"
+        self.timeout_s = timeout_s or _OPEN_S
+        self._number = 0
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.DEALER)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_BYTES)
+        self._socket.setsockopt(zmq.ROUTING_ID, uuid.uuid4().bytes)
+        try:
+            self._socket.connect(f"tcp://{host}:{port}")
+            answer, _ = self._command("open", version=PROTOCOL_VERSION)
+            self.n_receivers = int(self._number_in(answer, "receivers"))
+            self.sample_rate_hz = self._number_in(answer, "sample_rate_hz")
+            self.timeout_s = timeout_s or self._number_in(answer, "patience_s")
+            self.device = f"{answer.get('device')} at {self.device}"
+        except (RadioError, zmq.ZMQError) as error:
+            self._context.destroy(linger=0)
+            raise RadioError(str(error)) from error
+
+    def tune(self, carrier_hz: float) -> float:
+        """See `Radio.tune`."""
+        answer, _ = self._command("tune", carrier_hz=carrier_hz)
+        return self._number_in(answer, "carrier_hz")
+
+    def now_ns(self) -> int:
+        """See `Radio.now_ns`."""
+        answer, _ = self._command("time")
+        return int(self._number_in(answer, "time_ns"))
+
+    def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
+        """See `Radio.burst`."""
+        n = len(samples)
+        ends_s = (start_ns - self.now_ns()) / 1e9 + n / self.sample_rate_hz
+        frame = np.ascontiguousarray(samples, dtype="<c8").tobytes()
+        answer, frames = self._command(
+            "burst", frame, wait_s=self.timeout_s + max(0.0, ends_s), start_ns=int(start_ns)
+        )
+        started = int(self._number_in(answer, "start_ns"))
+        there = np.ones(n, dtype=np.bool_)
+        try:
+            faults = Fault(0)
+            for name in answer["faults"]:
+                faults |= Fault[name.upper()]
+            for first, stop in answer["gaps"]:
+                there[first:stop] = False
+            heard = to_samples(frames[0]) if frames else np.zeros(0, dtype=np.complex64)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise RadioError(f"{self.device}: burst: {error!r} in the answer {answer}") from error
+        if not heard.size:
+            return Reception.nothing(self.n_receivers, n, started, faults)
+        if heard.size != self.n_receivers * n:
+            raise RadioError(
+                f"{self.device}: burst: {heard.size} samples came back, "
+                f"expected {self.n_receivers} x {n}"
+            )
+        return Reception(heard.reshape(self.n_receivers, n), there, started, faults)
+
+    def close(self) -> None:
+        """See `Radio.close`."""
+        if self._context.closed:
+            return
+        try:
+            self._command("close")
+        except OSError:
+            pass  # it lets go by itself of a client that is silent
+        finally:
+            self._context.destroy(linger=0)
+
+    def _command(
+        self, name: str, *frames: bytes, wait_s: float | None = None, **fields: Any
+    ) -> tuple[dict[str, Any], list[bytes]]:
+        """Send a command, wait for its answer: the JSON, and the frames behind it."""
+        import zmq
+
+        self._number += 1
+        message = json.dumps({"do": name, "number": self._number, **fields}).encode()
+        self._socket.send_multipart([b"", message, *frames])
+        wait_s = self.timeout_s if wait_s is None else wait_s
+        while True:
+            if not self._socket.poll(round(1e3 * wait_s), zmq.POLLIN):
+                raise RadioError(f"{self.device}: {name}: no answer within {wait_s:.3g} s")
+            _, *parts = self._socket.recv_multipart()
+            answer = self._parsed(parts[0] if parts else b"")
+            if answer.get("number") != self._number:
+                continue  # of a command that was given up
+            if "error" in answer:
+                raise RadioError(f"{self.device}: {answer['error']}")
+            return answer, parts[1:]
+
+    def _parsed(self, message: bytes) -> dict[str, Any]:
+        try:
+            if len(message) > MOST_JSON:
+                raise ValueError(f"{len(message)} bytes")
+            answer = json.loads(message)
+        except (ValueError, RecursionError) as error:
+            raise RadioError(f"{self.device}: answer is no JSON: {error}") from error
+        if not isinstance(answer, dict):
+            raise RadioError(f"{self.device}: answer {answer!r:.100}")
+        return answer
+
+    def _number_in(self, answer: dict[str, Any], name: str) -> float:
+        value = answer.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise RadioError(f"{self.device}: {name}: {value!r} in the answer, expected a number")
+        return value

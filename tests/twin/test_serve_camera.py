@@ -1,0 +1,399 @@
+"""The virtual camera: behind the protocol's bytes the twin is the twin; its faults show or mend."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hardware import PatternSet
+from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSettings
+from hardware.drivers.framing import Deframer, Frame, encode
+from hardware.drivers.messages import (
+    Configure,
+    Refusal,
+    Refused,
+    Start,
+    Status,
+    Upload,
+    from_frame,
+    to_frame,
+)
+from hardware.records import Flag
+from twin.camera.acquisition import capture
+from twin.camera.stream import still_light, stills
+from twin.fidelity import Fidelity
+from twin.files import InputError
+from twin.scene import load_scene
+from twin.serve.camera import VirtualCamera
+from twin.serve.clock import DeviceClock
+from twin.serve.faults import CameraFaults, parse_faults
+from twin.serve.line import TcpPort, Terminal
+from twin.serve.serial import CameraServer
+from twin.system import System, load_system
+
+SEED = 6
+QUICK = Fidelity(samples=4, max_depth=1)
+PATIENCE = Patience(reply_s=0.4, attempts=5, reconnect_s=10.0, between_attempts_s=0.05)
+SETTINGS = SpiSettings(PatternSet(16, 16, 32), 80e-6, 100e-6)
+
+
+@pytest.fixture(scope="module")
+def world():
+    """Scene, a camera of 16 x 16 cells, its light."""
+    scene = load_scene("yard")
+    content = load_system("workable").model_dump()
+    content["emitter"] |= {name: {"value": 16, "assumed": "quick"} for name in ("rows", "columns")}
+    content["acquisition"]["n_patterns"] = {"value": 256, "assumed": "quick"}
+    system = System.model_validate(content)
+    return scene, system, still_light(scene, system, seed=SEED, fidelity=QUICK)
+
+
+def asked(system: System, wanted: SpiSettings) -> System:
+    """The system that measures what the settings ask for."""
+    content = system.model_dump()
+    for name, value in {
+        "n_patterns": wanted.patterns.count,
+        "order": wanted.patterns.order,
+        "mode": wanted.patterns.mode,
+        "integration_time_s": wanted.integration_time_s,
+        "pattern_period_s": wanted.pattern_period_s,
+    }.items():
+        content["acquisition"][name] = {"value": value, "assumed": "asked"}
+    return System.model_validate(content)
+
+
+def direct(world, wanted: SpiSettings, sets: int):
+    scene, system, light = world
+    records = stills(scene, asked(system, wanted), seed=SEED, fidelity=QUICK, rendered=light)
+    return list(islice(records, sets))
+
+
+@contextmanager
+def served(world, line=None, *, pace="fast", faults=None, seed=0):
+    """The camera on a line; yields the server."""
+    scene, system, light = world
+    faults = faults or CameraFaults()
+    clock = DeviceClock(pace, faults.drift)
+    server = CameraServer(
+        lambda send, overrun: VirtualCamera(
+            system,
+            scene.sun,
+            lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, rendered=light),
+            clock=clock,
+            send=send,
+            overrun=overrun,
+        ),
+        line or Terminal(),
+        clock=clock,
+        faults=faults,
+        seed=seed,
+    )
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.stop()
+        thread.join()
+
+
+@pytest.mark.parametrize("line", [Terminal, lambda: TcpPort("127.0.0.1", 0)], ids=["pty", "tcp"])
+def test_camera_and_twin_give_the_same_counts(world, line) -> None:
+    """100 sets through protocol and driver: counts bit for bit those of the twin directly."""
+    with served(world, line()) as server, SpiCamera(server.line.url, SETTINGS) as camera:
+        records = list(camera.records(sets=100))
+        tally = camera.tally
+    assert (tally.lost, tally.rejected, tally.refused, tally.restarts) == (0, 0, 0, 0)
+    expected = direct(world, SETTINGS, 100)
+    assert len(records) == 100
+    for number, (got, wanted) in enumerate(zip(records, expected, strict=True)):
+        assert np.array_equal(got.counts, wanted.counts)
+        flags = wanted.flags.copy()
+        flags[0] |= Flag.RESET if number == 0 else 0
+        assert np.array_equal(got.flags, flags)
+        within = got.device_time_ns - got.device_time_ns[0]
+        assert np.array_equal(within, wanted.device_time_ns)
+        for name in ("electrons_per_count", "offset_counts", "adc_bits", "integration_time_s"):
+            assert getattr(got, name) == getattr(wanted, name)
+        assert got.device == wanted.device
+    assert len({got.counts.tobytes() for got in records}) == 100
+
+
+def test_its_own_setting_gives_the_record_of_a_run(world) -> None:
+    """Nothing changed by the host: the first record is `capture`'s."""
+    scene, system, _ = world
+    shown = system.acquisition
+    own = SpiSettings(system.patterns, shown.integration_time_s.value, shown.pattern_period_s.value)
+    with served(world) as server, SpiCamera(server.line.url, own) as camera:
+        record = camera.acquire()
+    taken = capture(scene, system, seed=SEED, fidelity=QUICK).record
+    assert np.array_equal(record.counts, taken.counts)
+
+
+@pytest.mark.parametrize(
+    ("patterns", "integration_s"),
+    [
+        (PatternSet(16, 16, 256, "walsh"), 40e-6),
+        (PatternSet(16, 16, 10, "zigzag", "reference"), 80e-6),
+        (PatternSet(16, 16, 17, "total-variation", "s-matrix"), 20e-6),
+    ],
+)
+def test_what_the_host_asks_for(world, patterns: PatternSet, integration_s: float) -> None:
+    wanted = replace(SETTINGS, patterns=patterns, integration_time_s=integration_s)
+    with served(world) as server, SpiCamera(server.line.url, wanted) as camera:
+        records = list(camera.records(sets=2))
+    for got, expected in zip(records, direct(world, wanted, 2), strict=True):
+        assert np.array_equal(got.counts, expected.counts)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"patterns": PatternSet(8, 8, 64)}, "rows, columns: the emitter has 16 x 16 cells"),
+        ({"patterns": PatternSet(16, 16, 2, mode="complementary")}, "complementary"),
+        ({"gain": 1}, "gain: no such step"),
+        ({"integration_time_s": 1e-8}, "integration_time_s: outside"),
+        ({"pattern_period_s": 81e-6}, "pattern_period_s: shorter"),
+        ({"shutters": ((1e7, 0.0, 0.0, 0.0),)}, "shutters: this camera has"),
+        ({"upload": True}, "order: this camera knows its orders by name"),
+    ],
+)
+def test_what_the_camera_cannot_do_is_refused(world, change, says: str) -> None:
+    with (
+        served(world) as server,
+        SpiCamera(server.line.url, replace(SETTINGS, **change)) as camera,
+        pytest.raises(DeviceError, match=says),
+    ):
+        camera.acquire()
+
+
+def talk(world):
+    """A camera without a line: what it answers to frames."""
+    scene, system, light = world
+    sent = bytearray()
+    clock = DeviceClock("fast")
+    camera = VirtualCamera(
+        system,
+        scene.sun,
+        lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, rendered=light),
+        clock=clock,
+        send=lambda data: sent.extend(data) is None,
+    )
+
+    def ask(frame: Frame):
+        sent.clear()
+        camera.receive(encode(frame))
+        (answer,) = Deframer().feed(bytes(sent))
+        assert answer.tag == frame.tag
+        return from_frame(answer)
+
+    ask.camera = camera
+    return ask
+
+
+def test_requests_out_of_place(world) -> None:
+    ask = talk(world)
+    configure = Configure(16, 16, 4, 1, 0, 0, 0, 80e-6, 100e-6)
+    for request, code in (
+        (Frame(0x7F, 3, b""), Refusal.UNKNOWN),
+        (Frame(0x02, 3, b"short"), Refusal.MALFORMED),
+        (Frame(0x01, 3, b"x"), Refusal.MALFORMED),
+        (to_frame(Upload(0, b"x"), 3), Refusal.STATE),
+        (Frame(0x04, 3, bytes(4)), Refusal.STATE),
+        (to_frame(Start(1, 1), 3), Refusal.STATE),
+        (Frame(0x81, 3, bytes(64)), Refusal.UNKNOWN),
+    ):
+        answer = ask(request)
+        assert isinstance(answer, Refused)
+        assert answer.code == code
+    made = ask(to_frame(configure, 4))
+    assert ask(Frame(0x04, 5, bytes(4))).code == Refusal.TABLE
+    for _ in range(2):
+        status = ask(Frame(0x04, 5, made.table_crc.to_bytes(4, "little")))
+        assert isinstance(status, Status)
+    started = ask(to_frame(Start(7, 1), 6))
+    assert (started.run, started.state, started.booted) == (7, 3, 0)
+    assert ask(to_frame(Start(7, 1), 6)).run == 7
+    assert ask(to_frame(configure, 4)).code == Refusal.STATE
+
+
+def test_bytes_from_anyone(world) -> None:
+    """Whatever comes in, frames of anything among it, the camera answers the next request."""
+    ask = talk(world)
+
+    @given(data=st.binary(max_size=300), typed=st.integers(0, 255))
+    @settings(max_examples=500, deadline=None)
+    def send(data: bytes, typed: int) -> None:
+        ask(Frame(typed, 9, data))
+        ask.camera.receive(data + b"\0")
+        assert isinstance(ask(Frame(0x07, 2, b"")), Status)
+
+    send()
+
+
+FAULTS = {
+    "drop": CameraFaults(drop=0.05),
+    "duplicate": CameraFaults(duplicate=0.3),
+    "reorder": CameraFaults(reorder=0.1),
+    "flip": CameraFaults(flip=0.05),
+    "split": CameraFaults(split=0.5),
+    "stall": CameraFaults(stall=0.02, stall_s=0.05),
+    "overrun": CameraFaults(overrun=0.1),
+    "all": CameraFaults(
+        drop=0.01, duplicate=0.02, reorder=0.01, flip=0.01, split=0.1, overrun=0.02
+    ),
+}
+
+
+@pytest.mark.parametrize("name", list(FAULTS))
+def test_what_arrives_is_right_and_what_does_not_is_named(world, name: str) -> None:
+    """40 sets of 4 frames on a bad line: every exposure is either the twin's or marked as lost, and
+    every lost frame was told by its number.
+    """
+    lost: list[int] = []
+    wanted = replace(SETTINGS, exposures_per_frame=16)
+    with (
+        served(world, faults=FAULTS[name], seed=1) as server,
+        SpiCamera(server.line.url, wanted, patience=PATIENCE, on_loss=lost.extend) as camera,
+    ):
+        records = list(camera.records(sets=40))
+        tally = camera.tally
+    assert tally.restarts == 0
+    expected = {int(k): r for k, r in enumerate(direct(world, wanted, 40))}
+    gone = set(range(160))
+    for record in records:
+        number = int(record.sequence[0]) // 64
+        here = (record.flags & Flag.LOST) == 0
+        assert np.array_equal(record.counts[here], expected[number].counts[here])
+        frames = here.reshape(4, 16)
+        assert (frames.all(axis=1) | ~frames.any(axis=1)).all()
+        gone -= {4 * number + int(k) for k in np.flatnonzero(frames.all(axis=1))}
+    assert gone == set(lost)
+    assert bool(lost) == (name in ("drop", "reorder", "flip", "overrun", "all"))
+
+
+def test_a_reset_begins_anew(world) -> None:
+    """Counts after a reset are the run's from its start, flagged as the first of a start-up."""
+    with (
+        served(world, faults=CameraFaults(reset=0.05), seed=4) as server,
+        SpiCamera(server.line.url, SETTINGS, patience=PATIENCE) as camera,
+    ):
+        records = list(islice(camera.records(), 60))
+        tally = camera.tally
+    assert tally.restarts >= 1
+    starts = [k for k, r in enumerate(records) if r.flags[0] & Flag.RESET]
+    assert len(starts) >= 2
+    first = direct(world, SETTINGS, 1)[0]
+    for k in starts:
+        here = (records[k].flags & Flag.LOST) == 0
+        assert np.array_equal(records[k].counts[here], first.counts[here])
+
+
+def test_a_line_that_is_cut_is_opened_again(world) -> None:
+    lost: list[int] = []
+    with (
+        served(
+            world, TcpPort("127.0.0.1", 0), faults=CameraFaults(hang_up=0.05), seed=11
+        ) as server,
+        SpiCamera(server.line.url, SETTINGS, patience=PATIENCE, on_loss=lost.extend) as camera,
+    ):
+        records = list(camera.records(sets=30))
+        assert camera.tally.reconnects >= 1
+    expected = direct(world, SETTINGS, 30)
+    for record in records:
+        here = (record.flags & Flag.LOST) == 0
+        number = int(record.sequence[0]) // 64
+        assert np.array_equal(record.counts[here], expected[number].counts[here])
+
+
+def test_the_clock_drifts(world) -> None:
+    """A clock that gains a tenth: 0.5 s of the host are 0.55 s of the device, to the 10 ms that a
+    busy machine may take to answer.
+    """
+    with (
+        served(world, pace="real", faults=CameraFaults(drift=0.1)) as server,
+        SpiCamera(server.line.url, SETTINGS, patience=PATIENCE) as camera,
+    ):
+        first, start = camera.status().time_ns, time.monotonic_ns()
+        time.sleep(0.5)
+        second, stop = camera.status().time_ns, time.monotonic_ns()
+    assert (second - first) / (stop - start) == pytest.approx(1.1, abs=0.03)
+
+
+def test_a_second_host_is_refused(world) -> None:
+    with served(world, TcpPort("127.0.0.1", 0)) as server:
+        with SpiCamera(server.line.url, SETTINGS, patience=PATIENCE) as camera:
+            with pytest.raises(DeviceError, match="another host is connected"):
+                SpiCamera(server.line.url, SETTINGS, patience=PATIENCE)
+            assert camera.acquire().counts.shape == (64, 1)
+        with SpiCamera(server.line.url, SETTINGS, patience=PATIENCE) as again:
+            assert again.acquire().counts.shape == (64, 1)
+
+
+def test_while_nobody_listens_frames_are_dropped_and_counted(world) -> None:
+    """In real time a run outlives its line: what nobody took is flagged as overrun."""
+    with served(world, Terminal(), pace="real") as server:
+        wanted = replace(SETTINGS, exposures_per_frame=64)
+        with SpiCamera(server.line.url, wanted, patience=PATIENCE) as camera:
+            records = camera.records()
+            next(records)
+            time.sleep(6.0)  # 6.4 ms a frame of 160 bytes: the terminal's and our own 64 KiB fill
+            later = list(islice(records, 600))
+            assert camera.status().dropped > 0
+            records.close()
+    flags = np.concatenate([record.flags for record in later])
+    assert (flags & Flag.OVERRUN).any()
+
+
+@pytest.mark.parametrize("text", ["fire=1", "flip=2", "drift=x"])
+def test_faults_that_are_none(text: str) -> None:
+    with pytest.raises(InputError, match="fault"):
+        parse_faults([text], CameraFaults)
+
+
+def test_a_port_that_is_taken(world) -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(InputError, match=rf"spi: tcp:127\.0\.0\.1:{port}: "):
+            TcpPort("127.0.0.1", port)
+
+
+def test_the_command() -> None:
+    command = [sys.executable, "-m", "twin", "serve", "yard"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    options = ["--spi", "pty", "--pace", "fast", "--system", "led-16x16"]
+    with subprocess.Popen(
+        [*command, *options], stdout=subprocess.PIPE, env=environment, text=True
+    ) as process:
+        line = process.stdout.readline()
+        found = re.search(r"led-16x16: (/dev/\S+)", line)
+        assert found, line
+        shown = load_system("led-16x16")
+        own = SpiSettings(shown.patterns, shown.acquisition.integration_time_s.value)
+        with SpiCamera(found[1], own, patience=PATIENCE) as camera:
+            assert camera.acquire().counts.any()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 130
+    nothing = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert nothing.returncode == 2
+    assert nothing.stderr == (
+        "twin: error: serve: nothing to serve, expected --spi or --radar or both\n"
+    )
+
+
+def test_nobody_there() -> None:
+    with pytest.raises(LinkError):
+        SpiCamera("socket://127.0.0.1:9", SETTINGS, patience=Patience(reconnect_s=0.1))

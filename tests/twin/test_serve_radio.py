@@ -1,0 +1,431 @@
+"""The virtual radio: behind a radio's bytes the twin is the twin, to the bit; its faults show."""
+
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+zmq = pytest.importorskip("zmq")
+
+from hardware.drivers.radio import Fault, RadioError, acquire, open_radio, samples  # noqa: E402
+from hardware.drivers.radio.setup import read_setup  # noqa: E402
+from hardware.drivers.radio.stream import StreamRadio  # noqa: E402
+from hardware.drivers.radio.zeromq import ZeroMqRadio  # noqa: E402
+from hardware.radar import channel  # noqa: E402
+from hardware.records import Flag, RadarRecord  # noqa: E402
+from twin.fidelity import Fidelity  # noqa: E402
+from twin.files import InputError  # noqa: E402
+from twin.radar import load_radar, radar_capture  # noqa: E402
+from twin.radar.design import RadarDesign  # noqa: E402
+from twin.scene import load_scene  # noqa: E402
+from twin.serve.clock import DeviceClock  # noqa: E402
+from twin.serve.faults import RadioFaults, parse_faults  # noqa: E402
+from twin.serve.radio import VirtualRadio  # noqa: E402
+from twin.serve.serving import echoes, parse_address  # noqa: E402
+from twin.serve.zeromq import RadioServer  # noqa: E402
+
+SEED = 11
+QUICK = Fidelity(radar="targets")
+
+
+def small(**changes: float) -> RadarDesign:
+    """A radar whose burst is 16 slots of 72 samples."""
+    content = load_radar("hybrid-79").model_dump()
+    values = {
+        "n_subcarriers": 64,
+        "subcarrier_spacing_hz": 312.5e3,
+        "n_slots": 16,
+        "slot_period_s": 3.6e-6,
+        "repeats": 1,
+        "prefix_s": 0.4e-6,
+        **changes,
+    }
+    for name, value in values.items():
+        content["waveform"][name] = {"value": value, "assumed": "short bursts"}
+    return RadarDesign.model_validate(content)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("yard")
+
+
+def direct(scene, design: RadarDesign, sweep: int) -> RadarRecord:
+    """What the twin records of a sweep by itself: everything has moved on by so many bursts."""
+    world = scene.after(sweep * design.burst_s)
+    return radar_capture(world, design, seed=SEED + sweep, fidelity=QUICK).record
+
+
+def virtual(scene, design: RadarDesign, **options) -> VirtualRadio:
+    options = {"clock": DeviceClock("fast"), **options}
+    return VirtualRadio(design, echoes(scene, design, SEED, QUICK), **options)
+
+
+@contextmanager
+def served(radio: VirtualRadio, **options):
+    """The radio behind three free ports; yields the first."""
+    for _ in range(20):
+        port = int(np.random.default_rng().integers(20000, 60000))
+        try:
+            server = RadioServer(radio, "127.0.0.1", port, n_samples=radio.n_samples, **options)
+            break
+        except InputError:
+            continue
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield port
+    finally:
+        server.stop()
+        thread.join()
+
+
+@pytest.mark.parametrize(
+    ("design", "sweeps"),
+    [
+        (load_radar("prototype"), 100),
+        (small(), 20),
+        (small(repeats=3, slot_period_s=12e-6), 10),
+    ],
+    ids=["prototype", "one-step", "repeats"],
+)
+def test_radio_and_twin_give_the_same_counts(scene, design: RadarDesign, sweeps: int) -> None:
+    """100 sweeps through schedule, driver and ZeroMQ: IQ bit for bit that of the twin directly."""
+    radio = virtual(scene, design)
+    with served(radio) as port, open_radio(f"zmq://127.0.0.1:{port}") as driver:
+        record = acquire(driver, radio.schedule, radio.front_end, bursts=sweeps)
+    assert record.iq.any()
+    for sweep in range(sweeps):
+        expected = direct(scene, design, sweep)
+        assert np.array_equal(record.iq[sweep], expected.iq[0])
+        assert np.array_equal(record.flags[sweep], expected.flags[0])
+        within = record.device_time_ns[sweep] - record.device_time_ns[sweep, 0, 0]
+        assert np.array_equal(within, expected.device_time_ns[0])
+    assert np.array_equal(record.carriers_hz, expected.carriers_hz)
+    for name in ("root_watt_per_count", "transmit_power_w", "antenna_gain_dbi", "losses_db"):
+        assert getattr(record, name) == getattr(expected, name)
+    assert len(np.unique(record.iq.reshape(sweeps, -1), axis=0)) == sweeps
+
+
+def test_what_is_really_sent_is_what_comes_back(scene) -> None:
+    """Half the level: a quarter of the echo. Other symbols: the same channel, once demodulated.
+    Silence: noise alone.
+    """
+    design = small()
+    wave = design.ofdm
+    loud = replace(wave, symbols="flat")
+    quiet = replace(QUICK, noise="none")
+    radio = VirtualRadio(design, echoes(scene, design, SEED, quiet), clock=DeviceClock("fast"))
+    schedule, front_end = radio.schedule, radio.front_end
+    full, half = (
+        channel(acquire(radio, schedule, replace(front_end, level=level))) for level in (0.5, 0.25)
+    )
+    rounding = front_end.root_watt_per_count
+    assert np.abs(full).max() > 100 * rounding
+    assert np.abs(full - 2 * half).max() < 10 * rounding
+    flat = replace(schedule, waveform=loud)
+    other = channel(acquire(radio, flat, replace(front_end, level=0.125)))
+    assert np.abs(full - 4 * other).max() < 20 * rounding
+    radio.tune(wave.carrier_hz)
+    silent = radio.burst(np.zeros(radio.n_samples, dtype=np.complex64), radio.now_ns())
+    assert not silent.samples.any()
+
+
+def test_a_plain_reader_and_writer(scene) -> None:
+    """Nobody at the commands: whoever answers for samples and asks for samples has a plain virtual
+    radio, as GNU Radio's and srsRAN's are. The bytes are those of the twin directly.
+    """
+    design = small()
+    radio = virtual(scene, design)
+    sent = samples.burst(design.ofdm, radio.level).tobytes()
+    context = zmq.Context()
+    transmit, receive = context.socket(zmq.REP), context.socket(zmq.REQ)
+    with served(radio) as port:
+        transmit.connect(f"tcp://127.0.0.1:{port + 2}")
+        receive.connect(f"tcp://127.0.0.1:{port + 1}")
+        receive.send(b"\xff")
+        heard = b""
+        while len(heard) < 2 * len(sent):
+            if transmit.poll(10):
+                (asked,) = struct.unpack("<i", transmit.recv())
+                transmit.send(sent[: 8 * asked])
+            if receive.poll(10):
+                heard += receive.recv()
+                receive.send(struct.pack("<i", 700))
+        context.destroy(linger=0)
+    for sweep in range(2):
+        expected = direct(scene, design, sweep)
+        burst = np.frombuffer(heard, "<c8")[sweep * radio.n_samples :][: radio.n_samples]
+        symbols = burst.reshape(16, 72)[:, 8:] * 32767
+        counts = np.stack([symbols.real, symbols.imag], axis=-1)
+        assert np.array_equal(np.rint(counts), expected.iq[0, 0, :, 0])
+        assert np.array_equal(burst.reshape(16, 72)[:, :8], burst.reshape(16, 72)[:, -8:])
+
+
+def test_our_own_plain_driver(scene) -> None:
+    design = small()
+    radio = virtual(scene, design)
+    with (
+        served(radio) as port,
+        StreamRadio(
+            f"tcp://127.0.0.1:{port + 2}",
+            f"tcp://127.0.0.1:{port + 1}",
+            listen=False,
+            carrier_hz=design.ofdm.carrier_hz,
+            sample_rate_hz=radio.sample_rate_hz,
+        ) as driver,
+    ):
+        record = acquire(driver, radio.schedule, radio.front_end, bursts=3)
+    for sweep in range(3):
+        expected = direct(scene, design, sweep)
+        assert np.array_equal(record.iq[sweep], expected.iq[0])
+
+
+def test_what_a_client_hears_can_be_watched(scene) -> None:
+    radio = virtual(scene, small())
+    context = zmq.Context()
+    with served(radio) as port, ZeroMqRadio("127.0.0.1", port) as driver:
+        driver.tune(radio.carriers_hz[0])
+        heard = driver.burst(samples.burst(radio.waveform, radio.level), driver.now_ns())
+        watch = context.socket(zmq.REQ)
+        watch.connect(f"tcp://127.0.0.1:{port + 1}")
+        watch.send(b"\xff")
+        assert watch.recv() == heard.samples.tobytes()
+        context.destroy(linger=0)
+
+
+def test_a_second_client_is_refused_until_the_first_has_gone(scene) -> None:
+    with served(virtual(scene, small())) as port:
+        with (
+            ZeroMqRadio("127.0.0.1", port),
+            pytest.raises(RadioError, match="busy: another client has the radio"),
+        ):
+            ZeroMqRadio("127.0.0.1", port)
+        with ZeroMqRadio("127.0.0.1", port) as again:
+            assert again.now_ns() == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("overflow", Fault.OVERFLOW),
+        ("out_of_sequence", Fault.OUT_OF_SEQUENCE),
+        ("late", Fault.LATE),
+        ("underflow", Fault.UNDERFLOW),
+    ],
+)
+def test_faults_stand_in_the_record_and_nowhere_else(scene, name: str, fault: Fault) -> None:
+    """Half of 40 bursts go wrong. What is not flagged is to the bit what it is without faults; a
+    late burst is not played, so the next one is in its place.
+    """
+    design = small()
+    clean = virtual(scene, design)
+    bad = virtual(scene, design, faults=RadioFaults(**{name: 0.5}), seed=3)
+    with served(bad) as port, ZeroMqRadio("127.0.0.1", port) as driver:
+        record = acquire(driver, bad.schedule, bad.front_end, bursts=40)
+    played = 40
+    lost = record.flags[:, 0] == Flag.OVERRUN
+    if name == "late":
+        gone = lost.all(axis=1)
+        assert np.array_equal(gone, lost.any(axis=1))
+        played -= gone.sum()
+        record = replace(
+            record,
+            **{n: getattr(record, n)[~gone] for n in ("iq", "flags", "device_time_ns", "pose")},
+        )
+        lost = lost[~gone]
+        assert 8 <= gone.sum() <= 32  # beyond 4 sigma of 20: one run in 1e4, of a fixed seed
+    else:
+        assert 8 <= lost.any(axis=1).sum() <= 32
+    reference = acquire(clean, clean.schedule, clean.front_end, bursts=played)
+    assert np.array_equal(record.iq[:, 0][~lost], reference.iq[:, 0][~lost])
+    assert not record.iq[:, 0][lost].any()
+
+
+def test_a_stall_is_waited_for_and_a_dropped_connection_is_an_error(scene) -> None:
+    design = small()
+    stalls = RadioFaults(stall=1.0, stall_s=0.3)
+    with served(virtual(scene, design), faults=stalls) as port:
+        with ZeroMqRadio("127.0.0.1", port) as driver:
+            record = acquire(driver, *_setup(scene, design))
+        assert not record.flags.any()
+        with (
+            ZeroMqRadio("127.0.0.1", port, timeout_s=0.1) as driver,
+            pytest.raises(RadioError, match="burst: no answer within"),
+        ):
+            acquire(driver, *_setup(scene, design))
+    with served(virtual(scene, design), faults=RadioFaults(drop=1.0)) as port:
+        driver = ZeroMqRadio("127.0.0.1", port, timeout_s=0.2)
+        with pytest.raises(RadioError, match="burst: no answer within"):
+            acquire(driver, *_setup(scene, design))
+        with pytest.raises(RadioError, match="open the radio first"):
+            driver.now_ns()
+        with ZeroMqRadio("127.0.0.1", port) as again:
+            assert again.tune(design.ofdm.carrier_hz) == design.ofdm.carrier_hz
+        driver.close()
+
+
+def _setup(scene, design):
+    radio = virtual(scene, design)
+    return radio.schedule, radio.front_end
+
+
+def test_device_time(scene) -> None:
+    """Fast, the clock is where the last burst ended; real, it runs as the host's."""
+    design = small()
+    fast = virtual(scene, design)
+    sent = samples.burst(design.ofdm, fast.level)
+    assert fast.burst(sent, 5_000_000).faults == Fault(0)
+    assert fast.now_ns() == 5_000_000 + 57_600
+    assert fast.burst(sent, 5_000_000).faults == Fault.LATE
+    real = virtual(scene, design, clock=DeviceClock("real"))
+    start = real.now_ns() + 30_000_000
+    assert real.burst(sent, start).start_ns == start
+    assert real.now_ns() >= start + 57_600
+    assert real.burst(sent, start).faults == Fault.LATE
+
+
+@pytest.mark.parametrize(
+    ("do", "says"),
+    [
+        (lambda r: r.tune(1e9), "1000000000 Hz is none of its 1 carriers"),
+        (lambda r: r.tune(float("nan")), "is none of its 1 carriers"),
+        (
+            lambda r: r.burst(np.zeros(3, dtype=np.complex64), 0),
+            "burst of 3 samples, expected",
+        ),
+        (lambda r: r.burst(np.zeros(1152, dtype=np.complex64), 10**15), "burst starts 1000000 s"),
+    ],
+)
+def test_what_the_radio_cannot_do_is_refused(scene, do, says: str) -> None:
+    radio = virtual(scene, small())
+    with pytest.raises(RadioError, match=says):
+        do(radio)
+    with (
+        served(radio) as port,
+        ZeroMqRadio("127.0.0.1", port) as driver,
+        pytest.raises(RadioError, match=says),
+    ):
+        do(driver)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner),
+    max_leaves=5,
+)
+commands = st.fixed_dictionaries(
+    {"do": st.sampled_from(["open", "tune", "time", "burst", "close"]) | json_values},
+    optional=dict.fromkeys(("number", "version", "carrier_hz", "start_ns"), json_values),
+)
+messages = st.lists(
+    st.binary(max_size=64) | st.builds(lambda c: json.dumps(c).encode(), commands), max_size=4
+)
+
+
+def test_bytes_from_anyone(scene) -> None:
+    """Whatever comes in, the radio answers with one line or not at all, and goes on serving."""
+    context = zmq.Context()
+    with served(virtual(scene, small())) as port:
+        sockets = [context.socket(kind) for kind in (zmq.DEALER, zmq.DEALER, zmq.ROUTER)]
+        for k, socket in enumerate(sockets):
+            socket.connect(f"tcp://127.0.0.1:{port + k}")
+
+        @given(frames=messages, framed=st.booleans(), which=st.sampled_from([0, 0, 0, 1]))
+        @settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
+        def send(frames, framed: bool, which: int) -> None:
+            sockets[which].send_multipart([b"", *frames] if framed or not frames else frames)
+            while sockets[0].poll(0):
+                _, *answer = sockets[0].recv_multipart()
+                assert "number" in json.loads(answer[0])
+
+        send()
+        for socket in sockets:
+            socket.close(linger=0)
+        last = context.socket(zmq.DEALER)
+        last.connect(f"tcp://127.0.0.1:{port}")
+        last.send_multipart([b"", b'{"do": "time", "number": 9}'])
+        assert last.poll(5000)
+        assert json.loads(last.recv_multipart()[1])["number"] == 9
+    context.destroy(linger=0)
+
+
+def test_longer_than_a_burst_is_not_received(scene) -> None:
+    radio = virtual(scene, small())
+    context = zmq.Context()
+    with served(radio) as port:
+        flood = context.socket(zmq.DEALER)
+        flood.connect(f"tcp://127.0.0.1:{port}")
+        flood.send_multipart([b"", b'{"do": "open"}', bytes(8 * radio.n_samples + 2**16 + 1)])
+        assert not flood.poll(300)
+        context.destroy(linger=0)
+        with ZeroMqRadio("127.0.0.1", port) as driver:
+            assert driver.now_ns() == 0
+
+
+@pytest.mark.parametrize(
+    "text", ["", "tcp", "tcp:", "tcp:0", "tcp:70000", "udp:1.2.3.4:5", "tcp:host:1", "tcp:1.2:x"]
+)
+def test_addresses_that_are_none(text: str) -> None:
+    with pytest.raises(InputError, match="expected tcp:HOST:PORT"):
+        parse_address(text)
+
+
+def test_addresses() -> None:
+    assert parse_address("tcp:5555").host == "127.0.0.1"
+    assert parse_address("tcp:5555").loopback
+    assert not parse_address("tcp:0.0.0.0:5555").loopback
+    assert parse_address("tcp:[::1]:5555").loopback
+
+
+def test_faults_that_are_none() -> None:
+    assert parse_faults(["overflow=0.1", "out-of-sequence=1"], RadioFaults) == RadioFaults(
+        overflow=0.1, out_of_sequence=1.0
+    )
+    for text, says in (
+        ("fire=1", "fault 'fire': expected drop, late"),
+        ("late", "fault late: '', expected a number"),
+        ("late=2", "fault late: 2.0, expected 0 to 1"),
+        ("late=nan", "fault late: nan, expected 0 to 1"),
+    ):
+        with pytest.raises(InputError, match=says):
+            parse_faults([text], RadioFaults)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    """`twin serve` says where it listens, writes what a driver needs, and ends on ctrl-C."""
+    design = tmp_path / "small.toml"
+    values = {"n_subcarriers": 64, "subcarrier_spacing_hz": 312.5e3, "n_slots": 16}
+    values |= {"slot_period_s": 3.6e-6, "repeats": 1, "prefix_s": 0.4e-6}
+    lines = [f'{k} = {{ value = {v!r}, assumed = "short" }}' for k, v in values.items()]
+    design.write_text("\n".join(['base = "hybrid-79"', 'name = "small"', "[waveform]", *lines]))
+    setup = tmp_path / "setup.json"
+    port = int(np.random.default_rng().integers(20000, 60000))
+    command = [sys.executable, "-m", "twin", "serve", "yard", "--radar", f"tcp:{port}"]
+    command += ["--design", str(design), "--pace", "fast", "--radar-setup", str(setup)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
+        line = process.stdout.readline()
+        assert f"zmq://127.0.0.1:{port}" in line
+        with open_radio(f"zmq://127.0.0.1:{port}") as driver:
+            record = acquire(driver, *read_setup(setup))
+        assert record.iq.any()
+        assert not record.flags.any()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 130
+    again = subprocess.run(
+        [*command, "--pace", "slow"], env=environment, capture_output=True, text=True, check=False
+    )
+    assert again.returncode == 2
+    assert again.stderr == "twin: error: pace: 'slow', expected real or fast\n"

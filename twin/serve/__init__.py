@@ -1,0 +1,1 @@
+"""Virtual devices: the twin behind the devices' own protocols, in device time."""

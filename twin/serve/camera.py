@@ -1,0 +1,312 @@
+"""The virtual camera: the twin behind hardware/drivers/PROTOCOL.md, without a line."""
+
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hardware.drivers.framing import Deframer, Frame, encode
+from hardware.drivers.messages import (
+    MODE_CODES,
+    ORDER_CODES,
+    PROTOCOL_VERSION,
+    Arm,
+    Configure,
+    Configured,
+    Identify,
+    Identity,
+    Measurement,
+    Message,
+    Query,
+    Refusal,
+    Refused,
+    Start,
+    State,
+    Status,
+    Stop,
+    Time,
+    TimeReply,
+    Upload,
+    from_frame,
+    to_frame,
+)
+from hardware.drivers.table import table_bytes
+from hardware.records import Flag, SpiRecord
+from twin import __version__
+from twin.camera.chain import Chain
+from twin.files import InputError
+from twin.scene import Sun
+from twin.serve.clock import DeviceClock
+from twin.system import System
+
+_FRAME_EXPOSURES = 64
+_RANGE_S = (1e-7, 1.0)  # of integration times
+#: All but complementary, which takes a second detector behind a mirror.
+_MODES = sum(1 << code for code, mode in enumerate(MODE_CODES) if mode != "complementary")
+
+
+class _RefusedError(Exception):
+    """A request that gets a refusal: its code, and why."""
+
+
+@dataclass
+class _Run:
+    number: int
+    sets: int
+    start_ns: int
+    records: Iterator[SpiRecord]
+    record: SpiRecord | None = None
+    set: int = 0
+    exposure: int = 0
+    frames: int = 0
+    dropped: int = 0
+
+
+class VirtualCamera:
+    """A camera with the emitter, optics and detector of a system, in a scene.
+
+    What the host configures beyond them (patterns of the emitter's cells, integration time,
+    period) makes another system of it; gain and shutters are those of the system.
+
+    Parameters
+    ----------
+    system, sun
+        The camera, and what shines on the scene.
+    records
+        What a system measures, set after set, from the first one on.
+    clock
+        Device time.
+    send
+        Takes a frame's bytes; False where the line takes no more.
+    overrun
+        Asked for every frame: whether the ADC misses it.
+
+    Raises InputError for a system whose frames the protocol cannot carry.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        sun: Sun,
+        records: Callable[[System], Iterator[SpiRecord]],
+        *,
+        clock: DeviceClock,
+        send: Callable[[bytes], bool],
+        overrun: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.system, self.clock, self.send = system, clock, send
+        self._sun, self._records, self._overrun = sun, records, overrun
+        chain = Chain.of(system, sun)
+        self._adc_bits = chain.front_end.adc_bits
+        self._shutters = tuple(
+            (t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s) for t in chain.taps
+        )
+        if system.n_detectors > 255:
+            raise InputError(
+                f"{system.name}: {system.n_detectors} detectors, the protocol carries up to 255"
+            )
+        shown = system.acquisition
+        self._readout_s = shown.pattern_period_s.value - shown.integration_time_s.value
+        self.start_up()
+
+    def start_up(self) -> None:
+        """Switch on, or be reset: everything is forgotten but the time."""
+        self._deframer = Deframer()
+        self._state, self._booted = State.IDLE, True
+        self._made: Configured | None = None
+        self._configured = self.system
+        self._run: _Run | None = None
+        self._mark = Flag.RESET  # on the next exposure
+        self._say(self._status())
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the host; answers go out at once."""
+        for frame in self._deframer.feed(data):
+            self._say(self._answer(frame), frame.tag)
+
+    def poll(self) -> float | None:
+        """Send one frame if it is due. Seconds until the next one is; None where none will be."""
+        run, made = self._run, self._made
+        if self._state != State.RUNNING or run is None or made is None:
+            return None
+        stop = min(run.exposure + made.exposures_per_frame, made.exposures)
+        due = run.start_ns + self._since(run.set * made.exposures + stop)
+        if (left := self.clock.left_s(due)) > 0:
+            return left
+        if run.record is None:
+            run.record = next(run.records)
+        self._send_frame(run, made, stop)
+        self.clock.wait_until(due)
+        if stop == made.exposures:
+            run.set, run.exposure, run.record = run.set + 1, 0, None
+            if run.set == run.sets:
+                self._state = State.ARMED
+                self._say(self._status())
+                return None
+        else:
+            run.exposure = stop
+        return 0.0
+
+    def _send_frame(self, run: _Run, made: Configured, stop: int) -> None:
+        assert run.record is not None
+        part = slice(run.exposure, stop)
+        flags = run.record.flags[part].copy()
+        flags[0] |= self._mark
+        frame = Measurement(
+            run=run.number,
+            sequence=run.frames,
+            time_ns=run.start_ns + self._since(run.set * made.exposures + run.exposure),
+            first=run.exposure,
+            counts=run.record.counts[part],
+            flags=flags,
+        )
+        run.frames += 1
+        self._mark = Flag(0)
+        if self._overrun() or not self._say(frame):
+            run.dropped += 1
+            self._mark = Flag.OVERRUN
+
+    def _since(self, exposures: int) -> int:
+        assert self._made is not None
+        return round(exposures * self._made.pattern_period_s * 1e9)
+
+    def _say(self, message: Message, tag: int = 0) -> bool:
+        return self.send(encode(to_frame(message, tag)))
+
+    def _answer(self, frame: Frame) -> Message:
+        received_ns = self.clock.now_ns()
+        try:
+            match from_frame(frame):
+                case Identify():
+                    return self._identity()
+                case Configure() as request:
+                    return self._configure(request)
+                case Upload():
+                    raise _RefusedError(Refusal.STATE, "Upload: configure for it first")
+                case Arm(crc):
+                    return self._arm(crc)
+                case Start(run, sets):
+                    return self._start(run, sets)
+                case Stop():
+                    return self._stop()
+                case Query():
+                    return self._status()
+                case Time(host_ns):
+                    return TimeReply(host_ns, received_ns, self.clock.now_ns())
+                case _:
+                    raise _RefusedError(Refusal.UNKNOWN, "no request of the protocol")
+        except _RefusedError as error:
+            return Refused(*error.args)
+        except ValueError as error:
+            unknown = str(error).startswith("type ")
+            return Refused(Refusal.UNKNOWN if unknown else Refusal.MALFORMED, str(error)[:150])
+
+    def _identity(self) -> Identity:
+        cells = self.system.patterns.n_cells
+        return Identity(
+            version=PROTOCOL_VERSION,
+            adc_bits=self._adc_bits,
+            detectors=self.system.n_detectors,
+            max_cells=cells,
+            max_table_bytes=2 * (cells + 1) * -(-cells // 8),
+            orders=(1 << len(ORDER_CODES)) - 1,
+            modes=_MODES,
+            gains=1,
+            min_integration_time_s=_RANGE_S[0],
+            max_integration_time_s=_RANGE_S[1],
+            device=f"twin {__version__}: {self.system.name}",
+        )
+
+    def _configure(self, request: Configure) -> Configured:
+        if self._state == State.RUNNING:
+            raise _RefusedError(Refusal.STATE, "Configure: a run is on")
+        system = self._built(request)
+        table = table_bytes(system.patterns)
+        shown, front_end = system.acquisition, Chain.of(system, self._sun).front_end
+        most = Measurement.most_exposures(self.system.n_detectors)
+        self._configured, self._state = system, State.CONFIGURED
+        self._made = Configured(
+            exposures=system.patterns.n_exposures * len(self._shutters),
+            exposures_per_frame=min(request.exposures_per_frame or _FRAME_EXPOSURES, most),
+            detectors=self.system.n_detectors,
+            table_bytes=len(table),
+            table_crc=zlib.crc32(table),
+            integration_time_s=shown.integration_time_s.value,
+            pattern_period_s=shown.pattern_period_s.value,
+            electrons_per_count=front_end.electrons_per_count,
+            offset_counts=front_end.offset_counts,
+        )
+        return self._made
+
+    def _built(self, request: Configure) -> System:
+        """The system that does what is asked for."""
+
+        def refuse(why: str) -> None:
+            raise _RefusedError(Refusal.UNSUPPORTED, why)
+
+        own, integration = self.system.patterns, request.integration_time_s
+        if (request.rows, request.columns) != (own.rows, own.columns):
+            refuse(f"rows, columns: the emitter has {own.rows} x {own.columns} cells")
+        if request.order >= len(ORDER_CODES):
+            refuse("order: this camera knows its orders by name")
+        if request.mode >= len(MODE_CODES) or not _MODES >> request.mode & 1:
+            refuse("mode: this camera does not know it")
+        if request.gain:
+            refuse("gain: no such step")
+        if np.shape(request.shutters) != np.shape(self._shutters) or not np.allclose(
+            request.shutters, self._shutters, rtol=1e-12, atol=0
+        ):
+            refuse(f"shutters: this camera has {self._shutters}"[:150])
+        if not _RANGE_S[0] <= integration <= _RANGE_S[1]:
+            refuse("integration_time_s: outside what I can do")
+        period = request.pattern_period_s or integration + self._readout_s
+        if not integration + self._readout_s * (1 - 1e-9) <= period <= 1e3:
+            refuse("pattern_period_s: shorter than integration and read-out, or no number")
+        content = self.system.model_dump()
+        for name, value in {
+            "n_patterns": request.count,
+            "order": ORDER_CODES[request.order],
+            "mode": MODE_CODES[request.mode],
+            "integration_time_s": integration,
+            "pattern_period_s": period,
+        }.items():
+            content["acquisition"][name] = {"value": value, "assumed": "as the host asked"}
+        try:
+            return System.model_validate(content)
+        except ValueError as error:
+            raise _RefusedError(Refusal.UNSUPPORTED, " ".join(str(error).split())[:150]) from error
+
+    def _arm(self, crc: int) -> Status:
+        if self._state not in (State.CONFIGURED, State.ARMED) or self._made is None:
+            raise _RefusedError(Refusal.STATE, "Arm: configure first")
+        if crc != self._made.table_crc:
+            raise _RefusedError(Refusal.TABLE, "Arm: this is not the table that I hold")
+        self._state = State.ARMED
+        return self._status()
+
+    def _start(self, number: int, sets: int) -> Status:
+        if self._run is None or number != self._run.number:
+            if self._state != State.ARMED:
+                raise _RefusedError(Refusal.STATE, "Start: arm first")
+            self._run = _Run(number, sets, self.clock.now_ns(), self._records(self._configured))
+            self._state, self._booted = State.RUNNING, False
+        return self._status()
+
+    def _stop(self) -> Status:
+        if self._state == State.RUNNING:
+            self._state = State.ARMED
+        return self._status()
+
+    def _status(self) -> Status:
+        run, made = self._run, self._made
+        return Status(
+            state=self._state,
+            booted=int(self._booted),
+            run=run.number if run else 0,
+            frames=run.frames if run else 0,
+            dropped=run.dropped if run else 0,
+            time_ns=self.clock.now_ns(),
+            table_bytes=made.table_bytes if made else 0,
+            table_crc=made.table_crc if made else 0,
+        )

@@ -1,0 +1,148 @@
+"""Lines on which a virtual camera sits: a pseudo-terminal, or a TCP port for one host at a time."""
+
+import os
+import selectors
+import socket
+import tty
+from contextlib import suppress
+
+from hardware.drivers.framing import Deframer, encode
+from hardware.drivers.messages import Refusal, Refused, to_frame
+from twin.files import InputError
+
+_CHUNK = 65536
+_MOST_REFUSED = 8  # second hosts that are being told
+
+
+class Terminal:
+    """A pseudo-terminal; ``url`` is its path. It outlives whoever opens it."""
+
+    def __init__(self) -> None:
+        self._ours, self._theirs = os.openpty()  # theirs stays open: the line never hangs up
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        self.url = os.ttyname(self._theirs)
+
+    def register(self, ready: selectors.BaseSelector) -> None:
+        """Have reading waited for."""
+        ready.register(self._ours, selectors.EVENT_READ)
+
+    def read(self) -> bytes:
+        """What has come; nothing where nothing has."""
+        try:
+            return os.read(self._ours, _CHUNK)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> int:
+        """Bytes that the line takes now."""
+        try:
+            return os.write(self._ours, data)
+        except BlockingIOError:
+            return 0
+
+    def hang_up(self) -> None:
+        """A terminal has nobody to hang up on."""
+
+    def close(self) -> None:
+        """Close both ends."""
+        os.close(self._ours)
+        os.close(self._theirs)
+
+
+class TcpPort:
+    """A TCP port; what a second host asks is refused.
+
+    Raises InputError where it cannot listen.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        try:
+            self._server = socket.create_server((host, port), family=family)
+        except OSError as error:
+            raise InputError(f"spi: tcp:{host}:{port}: {error.strerror or error}") from error
+        self._server.setblocking(False)
+        self.url = f"socket://{host}:{self._server.getsockname()[1]}"
+        self._host: socket.socket | None = None
+        self._others: dict[socket.socket, Deframer] = {}
+
+    def register(self, ready: selectors.BaseSelector) -> None:
+        """Have reading waited for."""
+        for known in (self._server, self._host, *self._others):
+            if known is not None:
+                ready.register(known, selectors.EVENT_READ)
+
+    def read(self) -> bytes:
+        """What has come; nothing where nothing has."""
+        self._accept()
+        for other in list(self._others):
+            self._refuse(other)
+        if self._host is None:
+            return b""
+        try:
+            if data := self._host.recv(_CHUNK):
+                return data
+        except BlockingIOError:
+            return b""
+        except OSError:
+            pass
+        self.hang_up()
+        return b""
+
+    def write(self, data: bytes) -> int:
+        """Bytes that the line takes now; all are lost where nobody listens."""
+        if self._host is None:
+            return len(data)
+        try:
+            return self._host.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self.hang_up()
+            return len(data)
+
+    def hang_up(self) -> None:
+        """Cut the line to the host."""
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+    def close(self) -> None:
+        """Cut all lines, and listen no more."""
+        self.hang_up()
+        for other in self._others:
+            other.close()
+        self._server.close()
+
+    def _accept(self) -> None:
+        with suppress(BlockingIOError):
+            found, _ = self._server.accept()
+            found.setblocking(False)
+            if self._host is None:
+                found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._host = found
+            elif len(self._others) < _MOST_REFUSED:
+                self._others[found] = Deframer()
+            else:
+                found.close()
+
+    def _refuse(self, other: socket.socket) -> None:
+        """Answer what a second host asks; it is let go once it has asked, or gone."""
+        try:
+            data = other.recv(_CHUNK)
+            frames = self._others[other].feed(data)
+            for frame in frames:
+                refused = Refused(Refusal.BUSY, "another host is connected")
+                other.send(encode(to_frame(refused, frame.tag)))
+            if data and not frames:
+                return
+        except BlockingIOError:
+            return
+        except OSError:
+            pass
+        del self._others[other]
+        other.close()
+
+
+Line = Terminal | TcpPort

@@ -1,0 +1,187 @@
+"""The virtual radio: a radio whose antennas stand in the scene."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.drivers.radio.interface import (
+    FULL_SCALE_COUNTS,
+    Fault,
+    Radio,
+    RadioError,
+    Reception,
+)
+from hardware.drivers.radio.samples import SlotGrid, highest_level, spectrum, symbol
+from hardware.drivers.radio.schedule import FrontEnd, Schedule
+from hardware.records import RadarRecord
+from twin import __version__
+from twin.files import InputError
+from twin.radar import RadarDesign, RadarEcho
+from twin.serve.clock import DeviceClock
+from twin.serve.faults import RadioFaults
+
+_PAUSE_S = 2e-3  # between the bursts of a radar that does not step its carrier
+_FAR_NS = 60_000_000_000  # nobody means to wait longer for a burst
+
+
+class VirtualRadio(Radio):
+    """The twin as a radio.
+
+    The twin's own counts come back, as samples: a record made through it is the one the twin makes
+    directly, bit for bit. What is really sent arrives at the scene: the channel multiplies the
+    subcarriers of each symbol, so an echo stays within its symbol (as a prefix longer than the
+    echo's delay makes it). The repeats of a slot come back alike, each with the noise of their
+    mean; between slots there is nothing. The oscillator locks at once.
+
+    Parameters
+    ----------
+    radar
+        The design.
+    echo
+        The scene's answer to the sweep over all carriers of this number.
+    clock
+        Device time.
+    faults, seed
+        What goes wrong, and of which draw.
+    """
+
+    def __init__(
+        self,
+        radar: RadarDesign,
+        echo: Callable[[int], RadarEcho],
+        *,
+        clock: DeviceClock,
+        faults: RadioFaults | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.radar, self.clock = radar, clock
+        self.waveform = radar.ofdm
+        self.level = highest_level(self.waveform)
+        self.grid = SlotGrid.of(self.waveform)
+        self.sample_rate_hz = self.waveform.bandwidth_hz
+        self.device = f"twin {__version__}: {radar.name}"
+        self._echo_of, self._faults = echo, faults or RadioFaults()
+        self._rng = np.random.default_rng(seed)
+        self._sweep = 0
+        self._played: set[int] = set()
+        self._step = 0
+        self._begin(0)
+        if (n := len(self._record.transmitters_m)) > 1:
+            raise InputError(f"radar {radar.name}: {n} transmitters, expected 1 for a radio")
+        self.carriers_hz = self._record.carriers_hz
+        self.n_receivers = len(self._record.receivers_m)
+
+    @property
+    def n_samples(self) -> int:
+        """Of one burst."""
+        return self.waveform.n_slots * self.grid.slot
+
+    @property
+    def front_end(self) -> FrontEnd:
+        """What a calibration of this radio would find."""
+        record = self._record
+        return FrontEnd(
+            root_watt_per_count=record.root_watt_per_count,
+            transmit_power_w=record.transmit_power_w,
+            level=self.level,
+            antenna_gain_dbi=record.antenna_gain_dbi,
+            losses_db=record.losses_db,
+            leakage_delay_s=record.leakage_delay_s,
+            transmitters_m=tuple(tuple(p) for p in record.transmitters_m.tolist()),
+            receivers_m=tuple(tuple(p) for p in record.receivers_m.tolist()),
+        )
+
+    @property
+    def schedule(self) -> Schedule:
+        """The design's own rhythm, by which the scene moves."""
+        burst_s = self.waveform.n_slots * self.waveform.slot_period_s
+        starts = self._record.device_time_ns[0, :, 0]
+        period = float(starts[1] - starts[0]) / 1e9 if len(starts) > 1 else burst_s + _PAUSE_S
+        return Schedule(
+            self.waveform,
+            tuple(self.carriers_hz.tolist()),
+            step_period_s=period,
+            settling_s=(period - burst_s) / 2,
+        )
+
+    def tune(self, carrier_hz: float) -> float:
+        """See `Radio.tune`; refuses what is none of the design's carriers."""
+        steps = np.flatnonzero(np.abs(self.carriers_hz - carrier_hz) < 0.5)
+        if not steps.size:
+            raise RadioError(
+                f"{self.device}: {carrier_hz:.0f} Hz is none of its {len(self.carriers_hz)} "
+                f"carriers, {self.carriers_hz.min():.0f} to {self.carriers_hz.max():.0f} Hz"
+            )
+        self._step = int(steps[0])
+        return float(self.carriers_hz[self._step])
+
+    def now_ns(self) -> int:
+        """See `Radio.now_ns`."""
+        return self.clock.now_ns()
+
+    def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
+        """See `Radio.burst`; a burst is as long as the design's."""
+        expected = self.n_samples
+        if len(samples) != expected:
+            raise RadioError(f"{self.device}: burst of {len(samples)} samples, expected {expected}")
+        now = self.clock.now_ns()
+        if start_ns > now + _FAR_NS:
+            raise RadioError(f"{self.device}: burst starts {(start_ns - now) / 1e9:.0f} s ahead")
+        if start_ns < now or self._happens(self._faults.late):
+            return Reception.nothing(self.n_receivers, expected, start_ns, Fault.LATE)
+        heard = Reception(
+            self._heard(samples), np.ones(expected, dtype=np.bool_), start_ns, Fault(0)
+        )
+        self.clock.wait_until(start_ns + round(1e9 * expected / self.sample_rate_hz))
+        return self._spoilt(heard)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def _begin(self, sweep: int) -> None:
+        self._sweep, self._played = sweep, set()
+        self._echo = self._echo_of(sweep)
+        self._record: RadarRecord = self._echo.record()
+        n_steps = len(self._record.carriers_hz)
+        sent = spectrum(symbol(self.waveform, self.level), self.level)
+        shape = (n_steps, self.waveform.n_slots, len(sent))
+        self._sent = np.array(np.broadcast_to(sent, shape))
+
+    def _heard(self, samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """Samples (n_receivers, n_samples) that this step's burst brings back."""
+        if self._step in self._played:
+            self._begin(self._sweep + 1)
+        self._played.add(self._step)
+        n_slots, grid = self.waveform.n_slots, self.grid
+        repeats = samples.reshape(n_slots, grid.slot)[:, grid.useful]
+        repeats = repeats.reshape(n_slots, grid.repeats, grid.symbol)
+        symbols = repeats.astype(np.complex128).mean(axis=1).astype(np.complex64)
+        sent = spectrum(symbols, self.level)
+        if not np.array_equal(sent, self._sent[self._step]):
+            self._sent[self._step] = sent
+            self._record = self._echo.record(self._sent)
+        counts = self._record.iq[0, self._step].astype(np.float64) / FULL_SCALE_COUNTS
+        received = (counts[..., 0] + 1j * counts[..., 1]).astype(np.complex64)
+        heard = np.zeros((self.n_receivers, n_slots, grid.slot), dtype=np.complex64)
+        places = np.arange(-grid.prefix, grid.repeats * grid.symbol) % grid.symbol
+        heard[..., : len(places)] = received.transpose(1, 0, 2)[..., places]
+        return heard.reshape(self.n_receivers, -1)
+
+    def _spoilt(self, heard: Reception) -> Reception:
+        faults = Fault(0)
+        for fault, chance in (
+            (Fault.OVERFLOW, self._faults.overflow),
+            (Fault.OUT_OF_SEQUENCE, self._faults.out_of_sequence),
+        ):
+            if self._happens(chance):
+                faults |= fault
+                start, stop = np.sort(self._rng.integers(0, len(heard.there), 2))
+                heard.there[start : stop + 1] = False
+        if self._happens(self._faults.underflow):
+            faults |= Fault.UNDERFLOW
+        heard.samples[:, ~heard.there] = 0
+        return Reception(heard.samples, heard.there, heard.start_ns, faults)
+
+    def _happens(self, chance: float) -> bool:
+        return chance > 0 and bool(self._rng.random() < chance)

@@ -1,0 +1,120 @@
+"""Runs a virtual camera on a line, and spoils its bytes on request."""
+
+import selectors
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from twin.serve.camera import VirtualCamera
+from twin.serve.clock import DeviceClock
+from twin.serve.faults import CameraFaults
+from twin.serve.line import Line
+
+_MOST_WAITING = 65536  # bytes that the line has not taken; beyond, frames are dropped
+_POLL_S = 0.05
+
+
+class CameraServer:
+    """Serves a camera until it is stopped.
+
+    Parameters
+    ----------
+    camera
+        Makes the camera, with where it sends and what it asks about overruns.
+    line, clock
+        Where it sits, and its time.
+    faults, seed
+        What goes wrong, and of which draw.
+    """
+
+    def __init__(
+        self,
+        camera: Callable[[Callable[[bytes], bool], Callable[[], bool]], VirtualCamera],
+        line: Line,
+        *,
+        clock: DeviceClock,
+        faults: CameraFaults | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.line, self._clock = line, clock
+        self._faults, self._rng = faults or CameraFaults(), np.random.default_rng([seed, 5])
+        self._waiting: deque[bytes] = deque()
+        self._held: bytes | None = None  # goes out after the next frame
+        self._silent_until = 0.0
+        self._reset = self._stopped = False
+        self.camera = camera(self._send, lambda: self._happens(self._faults.overrun))
+
+    def run(self) -> None:
+        """Serve until `stop`."""
+        try:
+            while not self._stopped:
+                due = self._work()
+                with selectors.DefaultSelector() as ready:
+                    self.line.register(ready)
+                    ready.select(_POLL_S if due is None else min(due, _POLL_S))
+        finally:
+            self.line.close()
+
+    def stop(self) -> None:
+        """End `run` soon; from any thread."""
+        self._stopped = True
+
+    def _work(self) -> float | None:
+        """Whatever can be done now; seconds until there may be more, None: unknown."""
+        if data := self.line.read():
+            self.camera.receive(data)
+        self._flush()
+        if self._reset:
+            self._reset = False
+            self._waiting.clear()
+            self.camera.start_up()
+        waiting = sum(map(len, self._waiting))
+        if waiting and self._clock.pace == "fast":
+            return 1e-3  # a fast clock waits for the line
+        due = self.camera.poll()
+        self._flush()
+        return 1e-3 if self._waiting else due
+
+    def _flush(self) -> None:
+        while self._waiting and time.monotonic() >= self._silent_until:
+            piece = self._waiting.popleft()
+            if (taken := self.line.write(piece)) < len(piece):
+                self._waiting.appendleft(piece[taken:])
+                return
+
+    def _send(self, frame: bytes) -> bool:
+        """Put a frame on its way, with its faults; False where the line is full."""
+        if sum(map(len, self._waiting)) > _MOST_WAITING:
+            return False
+        faults = self._faults
+        if self._happens(faults.reset):
+            self._reset = True
+        if self._happens(faults.hang_up):
+            self.line.hang_up()
+        if self._happens(faults.stall):
+            self._silent_until = time.monotonic() + faults.stall_s
+        if self._happens(faults.drop):
+            return True
+        if self._happens(faults.flip):
+            at = int(self._rng.integers(len(frame)))
+            bit = 1 << int(self._rng.integers(8))
+            frame = frame[:at] + bytes([frame[at] ^ bit]) + frame[at + 1 :]
+        if self._held is not None:
+            frame, self._held = frame + self._held, None
+        elif self._happens(faults.reorder):
+            self._held = frame
+            return True
+        if self._happens(faults.duplicate):
+            frame += frame
+        if self._happens(faults.split):
+            cuts = np.sort(self._rng.integers(0, len(frame), 4))
+            ends = zip([0, *cuts], [*cuts, len(frame)], strict=True)
+            self._waiting.extend(frame[start:stop] for start, stop in ends if stop > start)
+        else:
+            self._waiting.append(frame)
+        return True
+
+    def _happens(self, chance: float) -> bool:
+        return chance > 0 and bool(self._rng.random() < chance)

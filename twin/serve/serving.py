@@ -1,0 +1,172 @@
+"""What ``twin serve`` runs: the devices of one scene, each behind its protocol."""
+
+import ipaddress
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hardware.drivers.radio.setup import write_setup
+from twin.camera.stream import still_light, stills
+from twin.fidelity import Fidelity
+from twin.files import InputError
+from twin.radar import RadarDesign, RadarEcho, load_radar, radar_echo
+from twin.scene import Scene
+from twin.serve.camera import VirtualCamera
+from twin.serve.clock import DeviceClock, Pace
+from twin.serve.faults import CameraFaults, RadioFaults, parse_faults
+from twin.serve.line import Line, TcpPort, Terminal
+from twin.serve.radio import VirtualRadio
+from twin.serve.serial import CameraServer
+from twin.serve.zeromq import RadioServer
+from twin.system import System, load_system
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a device listens."""
+
+    host: str
+    port: int
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine reaches it."""
+        return ipaddress.ip_address(self.host).is_loopback
+
+
+def parse_address(text: str) -> Address:
+    """``tcp:HOST:PORT``, or ``tcp:PORT`` on loopback. Raises InputError for anything else."""
+    kind, _, rest = text.partition(":")
+    host, _, port = rest.rpartition(":")
+    host = host.strip("[]") or "127.0.0.1"
+    try:
+        if kind != "tcp" or not 1 <= int(port) <= 65533:
+            raise ValueError
+        address = Address(host, int(port))
+        _ = address.loopback
+    except ValueError:
+        raise InputError(f"{text!r}: expected tcp:HOST:PORT, HOST an IP address") from None
+    return address
+
+
+@dataclass(frozen=True)
+class Served:
+    """A device that can be reached at a URL; ``run`` serves it until ``stop``."""
+
+    name: str
+    url: str
+    run: Callable[[], None]
+    stop: Callable[[], None]
+
+
+def serve_radar(
+    scene: Scene,
+    radar: str | Path | RadarDesign,
+    address: Address,
+    *,
+    pace: Pace = "real",
+    faults: Sequence[str] = (),
+    seed: int = 0,
+    fidelity: Fidelity | None = None,
+    setup: Path | None = None,
+) -> Served:
+    """The radar behind its radio.
+
+    Parameters
+    ----------
+    scene, radar, fidelity
+        As `radar_capture` takes them, the design by name or file.
+    address
+        Where the radio listens, and at the two ports above.
+    pace, faults
+        Of the clock; ``NAME=CHANCE`` of `RadioFaults`.
+    seed
+        Of the first sweep; sweep k has ``seed + k``.
+    setup
+        File to write: what the driver must know.
+
+    Raises InputError.
+    """
+    found, design = parse_faults(faults, RadioFaults), load_radar(radar)
+    virtual = VirtualRadio(
+        design,
+        echoes(scene, design, seed, fidelity),
+        clock=DeviceClock(pace),
+        faults=found,
+        seed=seed,
+    )
+    server = RadioServer(
+        virtual, address.host, address.port, n_samples=virtual.n_samples, faults=found, seed=seed
+    )
+    if setup is not None:
+        write_setup(virtual.schedule, virtual.front_end, setup)
+    url = f"zmq://{address.host}:{address.port}"
+    return Served(virtual.device, url, server.run, server.stop)
+
+
+def echoes(
+    scene: Scene, radar: RadarDesign, seed: int, fidelity: Fidelity | None = None
+) -> Callable[[int], RadarEcho]:
+    """The scene's answer to each sweep, with ``seed`` plus its number.
+
+    From one to the next everything moves on by a burst's time, and the rig to the next stop of the
+    scene's track, where it has one.
+    """
+    stops = scene.track.poses(scene.rig.pose) if scene.track else [scene.rig.pose]
+
+    def echo(sweep: int) -> RadarEcho:
+        world = scene.after(sweep * radar.burst_s)
+        stop = stops[min(sweep, len(stops) - 1)]
+        return radar_echo(world, radar, seed=seed + sweep, fidelity=fidelity, poses=[stop])
+
+    return echo
+
+
+def serve_camera(
+    scene: Scene,
+    system: str | Path | System,
+    address: Address | None,
+    *,
+    pace: Pace = "real",
+    faults: Sequence[str] = (),
+    seed: int = 0,
+    fidelity: Fidelity | None = None,
+) -> Served:
+    """The single-pixel camera behind its protocol, at an address or on a pseudo-terminal (None).
+
+    Each run gives the records of `stills` with ``seed``, from the first on; the rest as
+    `serve_radar`. Raises InputError.
+    """
+    found, design = parse_faults(faults, CameraFaults), load_system(system)
+    light = still_light(scene, design, seed=seed, fidelity=fidelity)
+    clock = DeviceClock(pace, found.drift)
+    line: Line = Terminal() if address is None else TcpPort(address.host, address.port)
+    server = CameraServer(
+        lambda send, overrun: VirtualCamera(
+            design,
+            scene.sun,
+            lambda asked: stills(scene, asked, seed=seed, fidelity=fidelity, rendered=light),
+            clock=clock,
+            send=send,
+            overrun=overrun,
+        ),
+        line,
+        clock=clock,
+        faults=found,
+        seed=seed,
+    )
+    return Served(f"twin: {design.name}", line.url, server.run, server.stop)
+
+
+def run(devices: Sequence[Served]) -> None:
+    """Serve all until interrupted."""
+    threads = [threading.Thread(target=device.run, daemon=True) for device in devices]
+    for thread in threads:
+        thread.start()
+    try:
+        for thread in threads:
+            thread.join()
+    finally:
+        for device in devices:
+            device.stop()
