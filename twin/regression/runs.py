@@ -101,7 +101,9 @@ def run_radar(
     found = []
     for seed in seeds:
         iq, flags, scale = digitize(quiet, radar, rng=np.random.default_rng(seed))
-        record = replace(capture.record, iq=iq, flags=flags, root_watt_per_count=scale)
+        record = replace(
+            capture.record, iq=iq[None, :, :, None], flags=flags[None], root_watt_per_count=scale
+        )
         detections = tuple(detector(record))
         matches = match_detections(detections, truth, radar)
         found.append(Echo(detections, matches, wave.range_cell_m))
