@@ -89,6 +89,13 @@ def run(
             f"{result.radar.radar.name}: {hit} of {len(result.radar.capture.truth)} targets "
             f"among {len(result.radar.detections)} detections"
         )
+        if result.radar.picture:
+            for seen in result.radar.picture.seen:
+                print(
+                    f"{seen.name}: seen {seen.down_range_m:.3f} m ahead, "
+                    f"{seen.cross_range_m:+.3f} m to the left; cross-section {seen.rcs_m2:.3g} m^2, "
+                    f"declared {seen.declared_rcs_m2:.3g}"
+                )
     print(f"report: {result.out / 'report.html'}")
 
 

@@ -139,9 +139,9 @@ def _explained(
     atoms: NDArray[np.complex128], sums: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Least squares: amplitudes (n_targets, n_channels), and their sum (n_channels, n_f, n_t)."""
-    flat = atoms.reshape(len(atoms), -1).T
+    flat = atoms.reshape(len(atoms), sums[0].size).T
     amplitudes = np.linalg.lstsq(flat, sums.reshape(len(sums), -1).T, rcond=None)[0]
-    return amplitudes, (flat @ amplitudes).T.reshape(sums.shape)
+    return np.asarray(amplitudes), np.asarray((flat @ amplitudes).T).reshape(sums.shape)
 
 
 def _fitted(start: Array, blocks: Blocks, known: NDArray[np.complex128]) -> Array:

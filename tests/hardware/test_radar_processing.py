@@ -511,3 +511,12 @@ def test_the_quick_way_finds_the_same_cells(method, false_alarm: float, shape) -
     chosen = np.zeros(shape, dtype=bool)
     chosen[at] = True
     assert chosen[power > threshold].all()
+
+
+def test_a_strong_target_is_not_split_into_coincident_ones() -> None:
+    """80 dB, beside another 30 dB weaker: what single precision leaves is no target."""
+    echoes = [from_above(5.0, 0.0, 2.0, power_w=1e-9), from_above(6.4, 0.0, power_w=1e-12)]
+    record = cube(replace(WIDE, n_slots=32), echoes, noise_w=1e-13)
+    found = process(record, 0, Processing(resolve=True, cfar=Cfar(1e-6))).detections
+    assert 10 * np.log10(found[0].power_w / 1e-9) == pytest.approx(0, abs=0.3)
+    assert sum(d.power_w > 1e-13 for d in found) == 2

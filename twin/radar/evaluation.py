@@ -8,67 +8,72 @@ from typing import Any
 
 import numpy as np
 
-from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap, channel, detect, range_doppler
+from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
+from hardware.radar.process import Frame, Processing, process
 from twin.radar.acquisition import RadarCapture
 from twin.radar.design import RadarDesign
 from twin.radar.paths import Path as RadioPath
+from twin.radar.picture import TrackPicture, track_picture
 from twin.radar.truth import TrueTarget
 
 
 @dataclass(frozen=True, eq=False)
 class RadarEvaluation:
-    """One radar's capture, a map, its detections, and which true target each one is.
-
-    Map and detections are those of the first burst, carrier step, transmitter and receiver, whose
-    waveform is ``waveform``. ``matches`` has a true target or None for every detection.
+    """One radar's capture, what the vehicle makes of its first burst, which true target each
+    detection is (or None), and what a track sees over all bursts.
     """
 
     radar: RadarDesign
     capture: RadarCapture
-    waveform: OfdmWaveform
-    image: RangeDopplerMap
-    detections: tuple[Detection, ...]
+    frame: Frame
     matches: tuple[TrueTarget | None, ...]
-    window: str
-    false_alarm: float
+    how: Processing
+    picture: TrackPicture | None
+
+    @property
+    def waveform(self) -> OfdmWaveform:
+        """What the map is made of: all carrier steps together, one transmitter's slots."""
+        return self.frame.waveform
+
+    @property
+    def image(self) -> RangeDopplerMap:
+        """The map of the first burst."""
+        return self.frame.image
+
+    @property
+    def detections(self) -> tuple[Detection, ...]:
+        """Of the first burst, strongest first."""
+        return self.frame.detections
 
 
 def evaluate_radar(
-    radar: RadarDesign,
-    capture: RadarCapture,
-    *,
-    window: str = "blackmanharris",
-    false_alarm: float = 1e-8,
+    radar: RadarDesign, capture: RadarCapture, how: Processing | None = None
 ) -> RadarEvaluation:
-    """Process one channel of a record as the vehicle does, and match detections with the truth."""
-    waveform = radar.channel_waveform
-    received = channel(capture.record)[:, capture.record.transmitter == 0]
-    image = range_doppler(received, waveform, window)
-    found = detect(received, waveform, image, window=window, false_alarm=false_alarm)
+    """Process a record as the vehicle does, and match detections with the truth."""
+    how = how or Processing()
+    frame = process(capture.record, 0, how)
     return RadarEvaluation(
         radar=radar,
         capture=capture,
-        waveform=waveform,
-        image=image,
-        detections=tuple(found),
-        matches=match_detections(found, capture.truth, radar),
-        window=window,
-        false_alarm=false_alarm,
+        frame=frame,
+        matches=match_detections(frame.detections, capture.truth, frame.waveform),
+        how=how,
+        picture=track_picture(radar, capture),
     )
 
 
 def match_detections(
-    detections: Sequence[Detection], truth: tuple[TrueTarget, ...], radar: RadarDesign
+    detections: Sequence[Detection], truth: tuple[TrueTarget, ...], waveform: OfdmWaveform
 ) -> tuple[TrueTarget | None, ...]:
     """Nearest true target within two cells in range and rate; each target goes to one detection."""
-    wave, free = radar.channel_waveform, list(truth)
+    free = list(truth)
     matches: list[TrueTarget | None] = []
     for found in detections:
         best, nearest = None, 2.0
         for target in free:
-            off_range = abs(found.range_m - target.seen_at[0]) / wave.range_cell_m
+            off_range = abs(found.range_m - target.seen_at[0]) / waveform.range_cell_m
             off_rate = abs(found.range_rate_m_per_s - target.seen_at[1])
-            off = max(off_range, off_rate / wave.velocity_cell_m_per_s)
+            off = max(off_range, off_rate / waveform.velocity_cell_m_per_s)
             if off <= nearest:
                 best, nearest = target, off
         if best is not None:

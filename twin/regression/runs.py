@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware import SpiRecord, reconstruct
-from hardware.radar import Detection, channel, detect, range_doppler
+from hardware.radar import Detection
+from hardware.radar.process import process
 from hardware.reconstruction import METHODS
 from hardware.records import RadarRecord
 from twin.camera.acquisition import measure
@@ -104,15 +105,14 @@ def run_radar(
         iq, flags = (np.stack([burst[i] for burst in taken]) for i in (0, 1))
         record = replace(capture.record, iq=iq, flags=flags)
         detections = tuple(detector(record))
-        matches = match_detections(detections, truth, radar)
+        matches = match_detections(detections, truth, radar.channel_waveform)
         found.append(Echo(detections, matches, radar.ofdm.range_cell_m))
     return Outcome(_figures(metrics, truth, found), truth, found)
 
 
 def vehicle_detector(record: RadarRecord) -> list[Detection]:
     """What rides on the vehicle, with its own settings."""
-    received = channel(record)
-    return detect(received, record.waveform, range_doppler(received, record.waveform))
+    return list(process(record).detections)
 
 
 def _figures(metrics: Sequence[Metric], truth: Any, results: Sequence[Any]) -> dict[str, Array]:

@@ -49,6 +49,8 @@ def write_report(
         if radar:
             drawn["range_doppler"] = radar_figures.radar_map(radar)
             drawn["radar_cuts"] = radar_figures.radar_cuts(radar)
+            if radar.picture:
+                drawn["radar_image"] = radar_figures.track_image(radar.picture)
         pictures = {name: _png(figure) for name, figure in drawn.items()}
     for name, data in pictures.items():
         (folder / f"{name}.png").write_bytes(data)

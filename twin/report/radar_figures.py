@@ -6,7 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twin.radar.evaluation import RadarEvaluation
+from twin.radar.picture import TrackPicture
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
+
+_DEPTH_DB = 20.0  # shown of a track's image
 
 
 def radar_map(evaluation: RadarEvaluation) -> Figure:
@@ -55,6 +58,38 @@ def radar_cuts(evaluation: RadarEvaluation) -> Figure:
         axis.axhline(float(_dbm(np.array(image.noise_w))), color=GREY, lw=0.8, ls="--")
         axis.set_ylabel("received power (dBm per cell)")
         axis.margins(x=0)
+    return figure
+
+
+def track_image(picture: TrackPicture) -> Figure:
+    """Back-projection over the track from above, with true outlines and what was taken for them."""
+    image = picture.image
+    with np.errstate(divide="ignore"):
+        decibel = 20 * np.log10(np.abs(image.value))
+    figure = new_figure((6.4, 5.4))
+    axis = figure.subplots()
+    drawn = axis.pcolormesh(
+        image.cross_range_m,
+        image.down_range_m,
+        decibel - decibel.max(),
+        cmap="cividis",
+        vmin=-_DEPTH_DB,
+        vmax=0,
+        shading="nearest",
+        rasterized=True,
+    )
+    figure.colorbar(drawn, ax=axis, label="power (dB over the peak)")
+    for outline in picture.outlines.values():
+        axis.fill(outline[:, 1], outline[:, 0], fill=False, ec=ORANGE, lw=1.2)
+    seen = picture.seen
+    places = [s.cross_range_m for s in seen], [s.down_range_m for s in seen]
+    axis.plot(*places, "o", mfc="none", mec="white", ms=10)
+    axis.invert_xaxis()  # left is left
+    axis.set_aspect("equal")
+    axis.set_xlabel("cross-range (m), positive to the left")
+    axis.set_ylabel("down-range (m)")
+    down, cross = 100 * image.down_resolution_m, 100 * image.cross_resolution_m
+    axis.set_title(f"resolution {down:.0f} cm down-range, {cross:.1f} cm across")
     return figure
 
 

@@ -23,8 +23,9 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
             for a in evaluation.capture.propagation.roles
         ],
         "assumptions": evaluation.capture.assumptions,
-        "window": evaluation.window,
-        "false_alarm": evaluation.false_alarm,
+        "window": evaluation.how.window,
+        "false_alarm": evaluation.how.cfar.false_alarm,
+        "picture": _picture(evaluation),
         "n_paths": len(evaluation.capture.propagation.paths),
     }
 
@@ -38,7 +39,7 @@ def _waveform(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
             f"{wave.n_subcarriers} subcarriers of {si(wave.subcarrier_spacing_hz, 'Hz')}",
         ),
         *_parts(evaluation),
-        ("range", f"cell {si(wave.range_cell_m, 'm')}, unambiguous to {wave.max_range_m:.1f} m"),
+        ("range", f"cell {si(seen.range_cell_m, 'm')}, unambiguous to {wave.max_range_m:.1f} m"),
         (
             "interval",
             f"{wave.n_slots} slots of {si(wave.slot_period_s, 's')}, "
@@ -53,22 +54,38 @@ def _waveform(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
 
 
 def _parts(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
-    """Bursts, carrier steps and antennas where there are several; the first of each is shown."""
+    """Bursts, carrier steps and antennas where there are several."""
     record, radar = evaluation.capture.record, evaluation.radar
     n_bursts, n_steps, _, n_receivers = record.iq.shape[:4]
     n_transmitters = len(record.transmitters_m)
     found = []
     if n_bursts > 1:
         length = float(np.linalg.norm(record.pose[-1, :3] - record.pose[0, :3]))
-        found.append(("bursts", f"{n_bursts} along {si(length, 'm')}; shown: the first"))
+        found.append(("bursts", f"{n_bursts} along {si(length, 'm')}; map: the first"))
     if n_steps > 1:
         last = record.carriers_hz[-1] / 1e9
-        text = f"{n_steps}, to {last:g} GHz in {si(radar.burst_s, 's')}; shown: the first"
-        found.append(("carrier steps", text))
+        found.append(("carrier steps", f"{n_steps}, to {last:g} GHz in {si(radar.burst_s, 's')}"))
     if n_transmitters * n_receivers > 1:
-        text = f"{n_transmitters} x {n_receivers}, by turns; shown: the first of each"
-        found.append(("transmitters x receivers", text))
+        found.append(
+            ("transmitters x receivers", f"{n_transmitters} x {n_receivers}, transmitting by turns")
+        )
     return found
+
+
+def _picture(evaluation: RadarEvaluation) -> list[dict[str, str]]:
+    """Targets in the picture of a track."""
+    if evaluation.picture is None:
+        return []
+    return [
+        {
+            "name": seen.name,
+            "place": f"{seen.down_range_m:.3f} m ahead, {seen.cross_range_m:+.3f} m to the left",
+            "off": si(seen.off_m, "m"),
+            "rcs": f"{seen.rcs_m2:.3g} m²",
+            "declared": f"{seen.declared_rcs_m2:.3g} m²",
+        }
+        for seen in evaluation.picture.seen
+    ]
 
 
 def _budget(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
@@ -102,7 +119,7 @@ def _window_loss(evaluation: RadarEvaluation) -> float:
     from hardware.radar.windows import taper
 
     sizes = evaluation.waveform.n_subcarriers, evaluation.waveform.n_slots
-    return float(np.prod([np.mean(taper(evaluation.window, n) ** 2) for n in sizes]))
+    return float(np.prod([np.mean(taper(evaluation.how.window, n) ** 2) for n in sizes]))
 
 
 def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
