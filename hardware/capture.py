@@ -4,11 +4,12 @@ import queue
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 
 from hardware.drivers import SpiSettings
 from hardware.recording import Log, Received
-from hardware.sources import open_source
+from hardware.sources import Records, open_source
 
 #: Records that may wait for the disk; then the sources wait.
 _WAITING = 64
@@ -64,7 +65,7 @@ def _prefix(n: int) -> str:
 
 
 def _feed(
-    source: Iterator[Received],
+    source: Records,
     prefix: str,
     waiting: "queue.Queue[Received | Exception | None]",
     over: threading.Event,
@@ -78,10 +79,11 @@ def _feed(
                 continue
 
     try:
-        for received in source:  # a generator that is left alone closes itself
-            put(replace(received, topic=prefix + received.topic))
-            if over.is_set():
-                break
+        with closing(source):
+            for received in source:
+                put(replace(received, topic=prefix + received.topic))
+                if over.is_set():
+                    break
         put(None)
     except Exception as error:
         put(error)

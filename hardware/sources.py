@@ -7,15 +7,18 @@ settings that gives the records.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Generator
 from pathlib import Path
+from typing import TypeAlias
 
 from hardware.drivers import SpiCamera, SpiSettings
 from hardware.recording.reading import Received, read_records
 
+Records: TypeAlias = Generator[Received, None, None]
 
-def open_source(url: str, settings: SpiSettings | None = None) -> Iterator[Received]:
-    """Records of a source, as they come; close the iterator to end it.
+
+def open_source(url: str, settings: SpiSettings | None = None) -> Records:
+    """Records of a source, as they come; close the generator to end it.
 
     Raises ValueError for a URL of no known kind, or a camera without settings; what a driver
     raises.
@@ -33,7 +36,7 @@ def open_source(url: str, settings: SpiSettings | None = None) -> Iterator[Recei
     return _camera(url, settings)
 
 
-def replay(path: str | Path, *, speed: float = 1.0) -> Iterator[Received]:
+def replay(path: str | Path, *, speed: float = 1.0) -> Records:
     """Records of a log at the pace at which they came, times ``speed``."""
     if not speed > 0:
         raise ValueError(f"speed: {speed} is not positive")
@@ -45,13 +48,13 @@ def replay(path: str | Path, *, speed: float = 1.0) -> Iterator[Received]:
         yield received
 
 
-def _camera(url: str, settings: SpiSettings) -> Iterator[Received]:
+def _camera(url: str, settings: SpiSettings) -> Records:
     with SpiCamera(url, settings) as camera:
         for record in camera.records():
             yield Received("/spi/record", record, time.time_ns(), camera.clock)
 
 
-def _installed(scheme: str):  # type: ignore[no-untyped-def]
+def _installed(scheme: str) -> Callable[[str, SpiSettings | None], Records] | None:
     from importlib.metadata import entry_points
 
     for point in entry_points(group="ugv.sources", name=scheme):

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hardware
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.calibration import (
     CameraCalibration,
@@ -20,6 +22,9 @@ from hardware.calibration import (
     read_calibration,
     write_calibration,
 )
+from hardware.capture import capture
+from hardware.drivers import SpiCamera
+from hardware.drivers.messages import State
 from hardware.drivers.settings import read_settings
 from hardware.radar import Detection
 from hardware.recording import Log, read_messages, read_records
@@ -90,6 +95,25 @@ def test_capture_process_info_recover_replay(firmware: Any, tmp_path: Path) -> N
     assert ugv("replay", run, "--speed", "100").stdout.count("/spi/record") == 5
 
 
+def test_sources_at_once_keep_their_topics_and_their_records(firmware: Any, tmp_path: Path) -> None:
+    """Two cameras and a log, all to the end of what was asked for; each camera is stopped."""
+    (tmp_path / "camera.toml").write_text(SETTINGS)
+    settings = read_settings(tmp_path / "camera.toml")
+    with Log(tmp_path / "old.mcap") as log:
+        log.record("/spi/record", record(np.full(64, 9.0)), host_ns=0)
+    with firmware.running() as one, firmware.running() as two:
+        with Log(tmp_path / "run.mcap") as log:
+            urls = [one, two, f"replay:{tmp_path / 'old.mcap'}"]
+            assert sum(1 for _ in capture(urls, log, settings, records=30)) == 30
+        for path in (one, two):
+            with SpiCamera(path, settings) as camera:
+                assert camera.status().state == State.ARMED
+    found = list(read_records(tmp_path / "run.mcap"))
+    topics = Counter(received.topic for received in found)
+    assert set(topics) == {"/spi/record", "/source2/spi/record", "/source3/spi/record"}
+    assert topics["/source3/spi/record"] == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -104,8 +128,7 @@ def test_errors_are_one_line_and_leave_no_log(
     arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    root = Path(__file__).parents[2]
-    monkeypatch.setenv("PYTHONPATH", str(root))
+    monkeypatch.setenv("PYTHONPATH", str(Path(hardware.__file__).parents[1]))
     done = ugv(*arguments)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
