@@ -111,7 +111,8 @@ def _slow_hz(wave: OfdmWaveform) -> Array:
 
 def _raster_hz(wave: OfdmWaveform) -> Array:
     """Offsets from one subcarrier to just below half the band."""
-    return wave.subcarrier_spacing_hz * np.arange(1, (wave.n_subcarriers + 1) // 2)
+    raster = wave.subcarrier_spacing_hz * np.arange(1, (wave.n_subcarriers + 1) // 2)
+    return np.asarray(raster, dtype=np.float64)
 
 
 def _lines(
