@@ -93,8 +93,8 @@ def run(
             for seen in result.radar.picture.seen:
                 print(
                     f"{seen.name}: seen {seen.down_range_m:.3f} m ahead, "
-                    f"{seen.cross_range_m:+.3f} m to the left; cross-section {seen.rcs_m2:.3g} m^2, "
-                    f"declared {seen.declared_rcs_m2:.3g}"
+                    f"{seen.cross_range_m:+.3f} m to the left; cross-section {seen.rcs_m2:.3g}, "
+                    f"declared {seen.declared_rcs_m2:.3g} m^2"
                 )
     print(f"report: {result.out / 'report.html'}")
 

@@ -261,24 +261,26 @@ def _worlds(
     scene: Scene, radar: RadarDesign, poses: Sequence[Pose] | None, interval_s: float | None
 ) -> list[Scene]:
     """The scene at each burst, from where the rig stands then."""
-    if poses is None:
-        poses = scene.track.poses(scene.rig.pose) if scene.track else [scene.rig.pose]
+    track = scene.track if poses is None else None
+    count = track.count if track else 1 if poses is None else len(poses)
     interval = interval_s or _interval(scene, radar)
-    if not poses:
+    if count == 0:
         raise InputError("poses: none, expected at least one")
-    if len(poses) > 1 and interval < radar.burst_s * (1 - 1e-9):
+    if count > 1 and interval < radar.burst_s * (1 - 1e-9):
         raise InputError(
             f"track: interval_s = {interval:g} is shorter than a burst of {radar.name}, "
             f"{radar.burst_s:g} s"
         )
     burst = radar.burst
-    cells = len(poses) * len(burst.carriers_hz) * len(burst.receivers_m)
+    cells = count * len(burst.carriers_hz) * len(burst.receivers_m)
     cells *= burst.waveform.n_slots * burst.waveform.n_subcarriers
     if cells > _MOST_CELLS:
         raise InputError(
-            f"track: {len(poses)} bursts of {radar.name} are {cells} cells, expected at most "
+            f"track: {count} bursts of {radar.name} are {cells} cells, expected at most "
             f"{_MOST_CELLS}"
         )
+    if poses is None:
+        poses = track.poses(scene.rig.pose) if track else [scene.rig.pose]
     return [scene.after(i * interval).at(pose) for i, pose in enumerate(poses)]
 
 
