@@ -23,7 +23,9 @@ from hardware.drivers.radio.setup import read_setup  # noqa: E402
 from hardware.drivers.radio.stream import StreamRadio  # noqa: E402
 from hardware.drivers.radio.zeromq import ZeroMqRadio  # noqa: E402
 from hardware.radar import channel  # noqa: E402
+from hardware.recording import Log  # noqa: E402
 from hardware.records import Flag, RadarRecord  # noqa: E402
+from hardware.sources import open_source  # noqa: E402
 from twin.fidelity import Fidelity  # noqa: E402
 from twin.files import InputError  # noqa: E402
 from twin.radar import load_radar, radar_capture  # noqa: E402
@@ -100,8 +102,12 @@ def served(radio: VirtualRadio, **options):
     ],
     ids=["prototype", "one-step", "repeats"],
 )
-def test_radio_and_twin_give_the_same_counts(scene, design: RadarDesign, sweeps: int) -> None:
-    """100 sweeps through schedule, driver and ZeroMQ: IQ bit for bit that of the twin directly."""
+def test_radio_and_twin_give_the_same_counts(
+    scene, design: RadarDesign, sweeps: int, tmp_path: Path
+) -> None:
+    """100 sweeps through schedule, driver and ZeroMQ: IQ bit for bit that of the twin directly; and
+    so is that of their log, replayed.
+    """
     radio = virtual(scene, design)
     with served(radio) as port, open_radio(f"zmq://127.0.0.1:{port}") as driver:
         record = acquire(driver, radio.schedule, radio.front_end, bursts=sweeps)
@@ -116,6 +122,11 @@ def test_radio_and_twin_give_the_same_counts(scene, design: RadarDesign, sweeps:
     for name in ("root_watt_per_count", "transmit_power_w", "antenna_gain_dbi", "losses_db"):
         assert getattr(record, name) == getattr(expected, name)
     assert len(np.unique(record.iq.reshape(sweeps, -1), axis=0)) == sweeps
+    with Log(tmp_path / "run.mcap") as log:
+        log.record("/radar/record", record)
+    (again,) = (r.record for r in open_source(f"replay:{tmp_path / 'run.mcap'}?pace=fast"))
+    for name in ("iq", "flags", "device_time_ns"):
+        assert np.array_equal(getattr(again, name), getattr(record, name))
 
 
 def test_what_is_really_sent_is_what_comes_back(scene) -> None:
@@ -126,20 +137,24 @@ def test_what_is_really_sent_is_what_comes_back(scene) -> None:
     wave = design.ofdm
     loud = replace(wave, symbols="flat")
     quiet = replace(QUICK, noise="none")
-    radio = VirtualRadio(design, echoes(scene, design, SEED, quiet), clock=DeviceClock("fast"))
-    schedule, front_end = radio.schedule, radio.front_end
-    full, half = (
-        channel(acquire(radio, schedule, replace(front_end, level=level))) for level in (0.5, 0.25)
-    )
-    rounding = front_end.root_watt_per_count
+
+    def heard(level: float, waveform=wave):
+        """Of the first sweep, so that nothing has moved."""
+        radio = VirtualRadio(design, echoes(scene, design, SEED, quiet), clock=DeviceClock("fast"))
+        schedule = replace(radio.schedule, waveform=waveform)
+        return channel(acquire(radio, schedule, replace(radio.front_end, level=level)))
+
+    full = heard(0.5)
+    radio = virtual(scene, design)
+    rounding = radio.front_end.root_watt_per_count
     assert np.abs(full).max() > 100 * rounding
-    assert np.abs(full - 2 * half).max() < 10 * rounding
-    flat = replace(schedule, waveform=loud)
-    other = channel(acquire(radio, flat, replace(front_end, level=0.125)))
-    assert np.abs(full - 4 * other).max() < 20 * rounding
+    assert np.abs(full - 2 * heard(0.25)).max() < 10 * rounding
+    assert np.abs(full - 4 * heard(0.125, loud)).max() < 20 * rounding
     radio.tune(wave.carrier_hz)
-    silent = radio.burst(np.zeros(radio.n_samples, dtype=np.complex64), radio.now_ns())
-    assert not silent.samples.any()
+    silent = radio.burst(np.zeros(radio.n_samples, dtype=np.complex64), 0)
+    noise = silent.samples.reshape(16, 72)[:, 8:] * 32767
+    # 8 counts rms in all: 4 sigma of the mean power of 1024 samples are 12.5 %.
+    assert np.mean(np.abs(noise) ** 2) == pytest.approx(64, rel=0.125)
 
 
 def test_a_plain_reader_and_writer(scene) -> None:
