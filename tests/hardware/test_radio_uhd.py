@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cobs
 import pytest
 
 from hardware.drivers.radio import Fault, RadioError, open_radio
@@ -16,13 +17,16 @@ PYTHONS = (sys.executable, "/usr/bin/python3")
 
 
 @pytest.fixture(scope="module")
-def said() -> dict:
+def said(tmp_path_factory: pytest.TempPathFactory) -> dict:
     """What uhd_checks.py prints under the first Python that has UHD."""
+    # What the camera's driver beside the radio's needs, and another Python may lack.
+    beside = tmp_path_factory.mktemp("beside")
+    (beside / "cobs").symlink_to(Path(cobs.__file__).parent)
     needs = "import uhd, numpy, scipy; uhd.types.TimeSpec"
     for python in PYTHONS:
         if not Path(python).exists():
             continue
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{beside}"}
         there = subprocess.run([python, "-c", needs], capture_output=True, check=False)
         if there.returncode == 0:
             script = str(ROOT / "tests" / "hardware" / "uhd_checks.py")
