@@ -59,11 +59,11 @@ def apply(
 ) -> Complex:
     """What arrives, in time, ``(n_slots, n_receivers, n_subcarriers)``.
 
-    ``channel`` has the same shape, along subcarriers; ``sent`` (n_subcarriers,) are the symbols.
-    The sent symbol is turned, goes through the channel, and is turned back by the receiver; a slope
-    of the phase turns each echo in proportion to its delay.
+    ``channel`` has the same shape, along subcarriers; ``sent`` (n_slots, n_subcarriers) are the
+    symbols. The sent symbol is turned, goes through the channel, and is turned back by the
+    receiver; a slope of the phase turns each echo in proportion to its delay.
     """
-    clean = np.fft.ifft(np.fft.ifftshift(sent))
+    clean = np.fft.ifft(np.fft.ifftshift(sent, axes=-1), axis=-1)
     turned = np.fft.fft(clean * np.exp(1j * sending.within_rad), axis=-1)
     taps = np.fft.ifft(np.fft.ifftshift(channel, axes=-1), axis=-1)
     delays = np.arange(wave.n_subcarriers) / wave.bandwidth_hz
@@ -111,8 +111,8 @@ def _slow_hz(wave: OfdmWaveform) -> Array:
 
 def _raster_hz(wave: OfdmWaveform) -> Array:
     """Offsets from one subcarrier to just below half the band."""
-    raster = wave.subcarrier_spacing_hz * np.arange(1, (wave.n_subcarriers + 1) // 2)
-    return np.asarray(raster, dtype=np.float64)
+    offset = wave.subcarrier_spacing_hz * np.arange(1, (wave.n_subcarriers + 1) // 2)
+    return np.asarray(offset, dtype=np.float64)
 
 
 def _lines(
