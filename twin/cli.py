@@ -52,6 +52,10 @@ def run(
     ] = None,
     paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
     sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
+    fidelity: Annotated[str, typer.Option(help="draft, standard or reference.")] = "standard",
+    radar_model: Annotated[
+        str | None, typer.Option(help="targets, paths, optics or rough, in place of fidelity's.")
+    ] = None,
 ) -> None:
     """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
     import numpy as np
@@ -68,6 +72,7 @@ def run(
         track=parse_track(track) if track is not None else None,
         seed=seed,
         out=out,
+        fidelity=_fidelity(fidelity, radar_model),
         paths=paths,
         sigmf=sigmf,
     )

@@ -108,7 +108,9 @@ class Fidelity:
 #: A look at a design; most cells far below the sensor's own noise, though on the yard the rms over
 #: cells is half of it (`twin trade` measures that); comparison.
 PRESETS = {
-    "draft": Fidelity(samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar="paths"),
+    "draft": Fidelity(
+        samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar="paths"
+    ),
     "standard": Fidelity(),
     "reference": Fidelity(samples=1024, max_depth=8, nufft_tolerance=1e-10, radar="rough"),
 }

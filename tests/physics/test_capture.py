@@ -229,7 +229,7 @@ def test_a_traced_scene_is_measured_and_reported(name: str) -> None:
     content = radar.model_dump()
     content["waveform"]["n_subcarriers"] = min(512, radar.ofdm.n_subcarriers)
     radar = RadarDesign.model_validate(content)
-    taken = radar_capture(scene, radar, seed=1)
+    taken = radar_capture(scene, radar, seed=1, fidelity=Fidelity(radar="paths"))
     for burst in taken.bursts:
         assert {path.via for path in burst.paths} >= {("wall",), ("t",)}
     evaluation = evaluate_radar(radar, taken)

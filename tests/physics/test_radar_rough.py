@@ -59,7 +59,8 @@ def expected_power(n: int = 2000) -> float:
     x = 8 + 12 * (np.arange(n) + 0.5) / n
     y = -4 + 8 * (np.arange(n) + 0.5) / n
     r = np.sqrt(x[:, None] ** 2 + y**2 + 1)
-    gain = RADAR.antenna.gain(x[:, None] / r)
+    cos = x[:, None] / r
+    gain = RADAR.antenna.gain(np.stack([cos, np.sqrt(1 - cos**2), 0 * cos], axis=-1))
     loss = 10 ** (-RADAR.front_end.losses_db.value / 10)
     density = GAMMA / r * gain**2 * WAVELENGTH_M**2 / ((4 * np.pi) ** 3 * r**4) * loss
     return float(density.sum() * 96 / n**2)

@@ -106,7 +106,8 @@ def _integral(corners: np.ndarray, n: int = 1500) -> complex:
     z = z0 + (np.arange(n) + 0.5) / n * (z1 - z0)
     r = np.sqrt(corners[0, 0] ** 2 + y[:, None] ** 2 + z**2)
     cos = corners[0, 0] / r
-    gain = RADAR.antenna.gain(cos) * GAIN / 100
+    gain = RADAR.antenna.gain(np.stack([cos, np.sqrt(1 - cos**2), 0 * cos], axis=-1))
+    gain = gain * GAIN / 100
     cell = (y1 - y0) * (z1 - z0) / n**2
     return complex(np.sum(-1j / (4 * np.pi) * gain * cos / r**2 * np.exp(-2j * K * r)) * cell)
 
@@ -209,7 +210,7 @@ def ball_over_ground(center: np.ndarray, radius: float, z: float, material: str)
     stations = (np.zeros(3), np.array([0, 0, 2 * z]))
     distance = [float(np.linalg.norm(center - s)) for s in stations]
     direction = [(center - s) / r for s, r in zip(stations, distance, strict=True)]
-    gain = [float(RADAR.antenna.gain(np.array([d[0]]))[0]) for d in direction]
+    gain = [float(RADAR.antenna.gain(d)) for d in direction]
     weight = [1.0, fresnel(material, direction[1][2])]
     total = 0j
     for i in range(2):

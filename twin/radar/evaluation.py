@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
 from hardware.radar.process import Frame, Processing, process
+from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
 from twin.radar.design import RadarDesign
 from twin.radar.paths import Path as RadioPath
@@ -49,17 +50,28 @@ class RadarEvaluation:
 def evaluate_radar(
     radar: RadarDesign, capture: RadarCapture, how: Processing | None = None
 ) -> RadarEvaluation:
-    """Process a record as the vehicle does, and match detections with the truth."""
-    how = how or Processing()
-    frame = process(capture.record, 0, how)
+    """Process a record as the vehicle does, and match detections with the truth.
+
+    Carrier steps without leakage cannot be joined: then the first one stands for all.
+    """
+    how, record = how or Processing(), _joinable(capture.record)
+    frame = process(record, 0, how)
     return RadarEvaluation(
         radar=radar,
         capture=capture,
         frame=frame,
         matches=match_detections(frame.detections, capture.truth, frame.waveform),
         how=how,
-        picture=track_picture(radar, capture),
+        picture=track_picture(radar, replace(capture, record=record)),
     )
+
+
+def _joinable(record: RadarRecord) -> RadarRecord:
+    """The record; of one whose carrier steps nothing joins, the first step alone."""
+    if len(record.carriers_hz) == 1 or np.isfinite(record.leakage_delay_s):
+        return record
+    first = {name: getattr(record, name)[:, :1] for name in ("iq", "device_time_ns", "flags")}
+    return replace(record, carriers_hz=record.carriers_hz[:1], **first)
 
 
 def match_detections(
