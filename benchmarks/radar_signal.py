@@ -7,11 +7,11 @@ import numpy as np
 from scipy.constants import c as light_speed
 
 from benchmarks.timing import Figure, Timing, timed
-from hardware.radar.waveform import OfdmWaveform
+from hardware.waveform import OfdmWaveform
 from twin.engine import sionna
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
-from twin.radar.burst import burst_channel
+from twin.radar.device.burst import burst_channel
 from twin.radar.synthesis import Contributions, synthesize
 from twin.scene import Pose, Rig, Scene, Sun, Target
 

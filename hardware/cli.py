@@ -1,16 +1,10 @@
 """The command ``ugv``: what the vehicle does with its records. Errors are one line, exit code 2."""
 
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hardware import cli_log, radar_commands
-
-if TYPE_CHECKING:
-    from hardware.reconstruction import Mixing, RangeImage
-    from hardware.records import SpiRecord
+from hardware.commands import images, log, radar
 
 app = typer.Typer(
     name="ugv",
@@ -19,115 +13,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
-cli_log.register(app)
-radar_commands.register(app)
+for room in (images, radar, log):
+    room.register(app)
 
 
 @app.callback()
 def _ugv() -> None:
     """Records from sensors, images and detections from records."""
-
-
-@app.command()
-def reconstruct(
-    record: Annotated[Path, typer.Argument(help="Record of a single-pixel camera (HDF5).")],
-    method: Annotated[str, typer.Option(help="See `ugv methods`.")] = "lmmse",
-    mixing: Annotated[
-        Path | None,
-        typer.Option(help="NumPy file (n_emitters, rows, columns): what each emitter lights."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="NumPy archive to write; default RECORD-METHOD.npz.")
-    ] = None,
-) -> None:
-    """Reconstruct the image of a record, and distances where it has lock-in taps or gates."""
-    import time
-
-    import numpy as np
-
-    from hardware import read_record
-    from hardware import reconstruct as to_image
-    from hardware.reconstruction import range_image
-
-    loaded = read_record(record)
-    start = time.perf_counter()
-    calibrated = _mixing(mixing) if mixing else None
-    found = to_image(loaded, method, mixing=calibrated)
-    ranged = range_image(loaded, method, mixing=calibrated) if loaded.shutters.any() else None
-    elapsed = time.perf_counter() - start
-    for warning in found.warnings:
-        print(f"warning: {record}: {warning}", file=sys.stderr)
-    detectors, rows, columns = found.image.shape
-    patterns = loaded.patterns
-    print(
-        f"{record}: {patterns.count} of {patterns.n_cells} patterns ({patterns.order}, "
-        f"{patterns.mode}), {detectors} image{'s' if detectors > 1 else ''} of "
-        f"{rows} x {columns}"
-    )
-    print(
-        f"{method}: {1e3 * elapsed:.3g} ms; cells {found.image.min():.3g} to "
-        f"{found.image.max():.3g} e-"
-    )
-    print(f"noise of one measurement: {float(np.median(found.noise_electrons)):.3g} e- (median)")
-    arrays = {"image": found.image, "noise_electrons": found.noise_electrons}
-    if found.standard_error is not None:
-        print(f"standard error of a cell: {float(np.median(found.standard_error)):.3g} e- (median)")
-        arrays["standard_error"] = found.standard_error
-    if ranged:
-        print(_distances(loaded, ranged))
-        arrays |= {
-            "amplitude": ranged.amplitude,
-            "distance_m": ranged.distance_m,
-            "distance_standard_error_m": ranged.standard_error_m,
-            "distance_confidence": ranged.confidence,
-        }
-    target = out or record.with_name(f"{record.stem}-{method}.npz")
-    with target.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-    print(f"written: {target}")
-
-
-@app.command()
-def methods() -> None:
-    """List the reconstruction methods."""
-    from hardware.reconstruction import METHODS, load_plugins
-
-    load_plugins()
-    for name, found in sorted(METHODS.items()):
-        print(f"{name}: {found.summary}")
-
-
-def _distances(record: "SpiRecord", found: "RangeImage") -> str:
-    """One line: how distance was measured, and what came out where it is sure."""
-    import numpy as np
-
-    hz = np.unique(record.shutters[:, 0])
-    how = f"taps at {', '.join(f'{f / 1e6:g}' for f in hz)} MHz" if hz.any() else "gates"
-    head = f"{len(record.shutters)} {how}, distances up to {found.longest_m:.4g} m"
-    sure = found.confidence > 0.95
-    if not sure.any():
-        return f"{head}: none surer than 95 %"
-    low, high = np.percentile(found.distance_m[sure], [5, 95])
-    return (
-        f"{head}: {low:.4g} to {high:.4g} m (5 to 95 % of the {np.count_nonzero(sure)} of "
-        f"{sure.size} cells surer than 95 %), amplitude {np.median(found.amplitude[sure]):.3g} e- "
-        "(median)"
-    )
-
-
-def _mixing(path: Path) -> "Mixing":
-    import numpy as np
-
-    from hardware.reconstruction import Mixing
-
-    try:
-        matrix = np.load(path)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    if matrix.ndim != 3:
-        raise ValueError(f"{path}: shape {matrix.shape}, expected (n_emitters, rows, columns)")
-    return Mixing(matrix.reshape(len(matrix), -1).astype(np.float64), *matrix.shape[1:])
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from hardware.radar.demodulation import channel
 from hardware.radar.detection import Detection, detect
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.stitching import stitch
-from hardware.radar.waveform import OfdmWaveform
+from hardware.waveform import OfdmWaveform
 
 __all__ = [
     "Cfar",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.burst import Burst
-from hardware.radar.waveform import C_M_PER_S
+from hardware.waveform import C_M_PER_S
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -10,7 +10,7 @@ from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import Complex, Precision, demodulated
 from hardware.radar.integrity import usable
 from hardware.radar.stitching import stitch
-from hardware.radar.waveform import OfdmWaveform
+from hardware.waveform import OfdmWaveform
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord

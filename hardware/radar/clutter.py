@@ -3,7 +3,7 @@
 import numpy as np
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.waveform import OfdmWaveform
+from hardware.waveform import OfdmWaveform
 
 
 def without_leakage(channel: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:

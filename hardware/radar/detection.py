@@ -11,8 +11,8 @@ from hardware.radar.cfar import Cfar, cfar_threshold, possible
 from hardware.radar.demodulation import Complex
 from hardware.radar.range_doppler import RangeDopplerMap, check_channel
 from hardware.radar.refinement import Blocks, amplitudes, blocks_about, highest
-from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
 from hardware.radar.windows import frequency_variance, taper
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 

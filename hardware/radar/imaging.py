@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.burst import Burst, demodulate
-from hardware.radar.waveform import C_M_PER_S
+from hardware.waveform import C_M_PER_S
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord

@@ -16,7 +16,7 @@ from hardware.radar.detection import Detection, detected, distinct, with_cross_s
 from hardware.radar.music import music
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.superresolution import resolve
-from hardware.radar.waveform import OfdmWaveform
+from hardware.waveform import OfdmWaveform
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.waveform import OfdmWaveform
 from hardware.radar.windows import taper
+from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 Power = NDArray[np.floating[Any]]

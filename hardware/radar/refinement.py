@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
 from hardware.radar.windows import taper
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 

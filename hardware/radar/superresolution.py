@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hardware.radar.demodulation import Complex
 from hardware.radar.detection import Detection, measurement
 from hardware.radar.refinement import Blocks, blocks_about
-from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 

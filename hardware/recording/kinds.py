@@ -9,11 +9,11 @@ import numpy as np
 
 from hardware.drivers.clock import ClockModel
 from hardware.patterns import PatternSet
-from hardware.radar.waveform import OfdmWaveform
 from hardware.recording.cdr import Reader, Writer
 from hardware.recording.ros import HEADER_PARTS, Definition, put_header
 from hardware.records import radar, spi
 from hardware.records.container import Layout
+from hardware.waveform import OfdmWaveform
 
 Record = spi.SpiRecord | radar.RadarRecord
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.waveform import OfdmWaveform
 from hardware.records import container
+from hardware.waveform import OfdmWaveform
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ from tests.extremes.worlds import square
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import channel as received
-from twin.radar.atmosphere import Air
-from twin.radar.design import RadarDesign
-from twin.radar.free_space import straight_paths
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.free_space import straight_paths
 from twin.scene import Pose, Rig, Scene, Sun, Target
 from twin.scene.settings import SceneSettings
 

@@ -16,11 +16,11 @@ from mcap.reader import SeekingReader
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers.clock import ClockModel
-from hardware.radar.waveform import OfdmWaveform
 from hardware.recording import Log, read_messages, read_records, recover, ros
 from hardware.recording.kinds import KINDS, kind_of
 from hardware.records import RadarRecord
 from hardware.sources import open_source, replay
+from hardware.waveform import OfdmWaveform
 
 
 def camera_record(seed: int = 0, patterns: PatternSet | None = None) -> SpiRecord:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.constants import c as light_speed
 
-from hardware.radar.waveform import OfdmWaveform
-from twin.radar.burst import Burst, burst_channel
+from hardware.waveform import OfdmWaveform
+from twin.radar.device.burst import Burst, burst_channel
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 
 WIDE = OfdmWaveform(79e9, 256, 15.625e6, 24, 39.0625e-6, 20, 1e-6)

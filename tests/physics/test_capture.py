@@ -12,7 +12,7 @@ from hardware.records import read_radar_record, write_radar_record
 from twin.fidelity import Fidelity
 from twin.files import InputError, scenes_folder
 from twin.radar import load_radar, radar_capture
-from twin.radar.design import RadarDesign
+from twin.radar.device.design import RadarDesign
 from twin.radar.evaluation import evaluate_radar
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target, Track, parse_track
 from twin.scene.materials import load_materials

@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.radar.waveform import OfdmWaveform
 from hardware.records import Flag
+from hardware.waveform import OfdmWaveform
 from twin.files import InputError
 from twin.radar import load_radar
 from twin.radar.acquisition import channel
-from twin.radar.atmosphere import Air
-from twin.radar.design import Oscillator, RadarDesign
-from twin.radar.front_end import arriving, digitize, full_scale_w, image_rejection_db
-from twin.radar.oscillator import apply, draw, residual_rad
-from twin.radar.paths import Propagation
+from twin.radar.device.design import Oscillator, RadarDesign
+from twin.radar.device.front_end import arriving, digitize, full_scale_w, image_rejection_db
+from twin.radar.device.oscillator import apply, draw, residual_rad
+from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.paths import Propagation
 
 NOTHING = Propagation(paths=(), roles=(), assumptions=())
 

@@ -12,12 +12,12 @@ from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import contributions
-from twin.radar.atmosphere import Air
-from twin.radar.design import RadarDesign
+from twin.radar.device.design import RadarDesign
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.materials import radio_properties
-from twin.radar.propagation import trace
-from twin.radar.roles import Role, assign_roles
+from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.materials import radio_properties
+from twin.radar.propagation.roles import Role, assign_roles
+from twin.radar.propagation.sionna_paths import trace
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target, load_scene
 from twin.scene.materials import load_materials
 

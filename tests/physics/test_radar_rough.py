@@ -17,8 +17,8 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.fidelity import Fidelity
-from twin.radar.propagation import trace
-from twin.radar.rough import coherent
+from twin.radar.propagation.rough import coherent
+from twin.radar.propagation.sionna_paths import trace
 from twin.scene import Pose, Rig, Scene, SceneObject
 
 K = 2 * np.pi / WAVELENGTH_M
@@ -145,7 +145,7 @@ def test_hidden_scatterers_are_silent() -> None:
 @pytest.mark.parametrize("carrier", [2.2e9, 2.8e9, 76.5e9, 80.5e9])
 def test_every_material_answers_in_both_bands(carrier: float) -> None:
     """With a permittivity of at least 1 and a loss, each from a source or assumed."""
-    from twin.radar.materials import radio_properties
+    from twin.radar.propagation.materials import radio_properties
 
     for name, row in MATERIALS.items():
         permittivity, conductivity, _ = radio_properties(name, row, carrier)

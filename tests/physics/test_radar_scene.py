@@ -25,9 +25,9 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.files import InputError
-from twin.radar.materials import radio_properties
-from twin.radar.propagation import trace
-from twin.radar.roles import Role, assign_roles
+from twin.radar.propagation.materials import radio_properties
+from twin.radar.propagation.roles import Role, assign_roles
+from twin.radar.propagation.sionna_paths import trace
 from twin.radar.scattering import Radar
 from twin.radar.scattering.reference import image_integral
 from twin.scene import Pose, Rig, Scene, Target

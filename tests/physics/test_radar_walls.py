@@ -17,9 +17,9 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
-from twin.radar.materials import radio_properties
-from twin.radar.optics import surface_of
-from twin.radar.propagation import trace
+from twin.radar.propagation.materials import radio_properties
+from twin.radar.propagation.optics import surface_of
+from twin.radar.propagation.sionna_paths import trace
 from twin.scene import SceneObject, Target
 
 C = constants.c

@@ -25,8 +25,8 @@ from twin.optics.matrix import transport_matrix
 from twin.optics.paths import Quality
 from twin.radar import load_radar
 from twin.radar.acquisition import channel as received
-from twin.radar.atmosphere import Air
-from twin.radar.free_space import straight_paths
+from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.free_space import straight_paths
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system

@@ -29,7 +29,7 @@ from hardware.sources import open_source  # noqa: E402
 from twin.fidelity import Fidelity  # noqa: E402
 from twin.files import InputError  # noqa: E402
 from twin.radar import load_radar, radar_capture  # noqa: E402
-from twin.radar.design import RadarDesign  # noqa: E402
+from twin.radar.device.design import RadarDesign  # noqa: E402
 from twin.scene import load_scene  # noqa: E402
 from twin.serve.clock import DeviceClock  # noqa: E402
 from twin.serve.faults import RadioFaults, parse_faults  # noqa: E402

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.waveform import C_M_PER_S
 from hardware.records import RadarRecord
+from hardware.waveform import C_M_PER_S
 from twin import __version__
 from twin.fidelity import Fidelity
 from twin.files import InputError
-from twin.radar.atmosphere import Air
-from twin.radar.burst import burst_channel
-from twin.radar.design import RadarDesign
-from twin.radar.free_space import straight_paths
-from twin.radar.front_end import digitize
-from twin.radar.paths import Propagation
-from twin.radar.propagation import trace
+from twin.radar.device.burst import burst_channel
+from twin.radar.device.design import RadarDesign
+from twin.radar.device.front_end import digitize
+from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.free_space import straight_paths
+from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.sionna_paths import trace
 from twin.radar.remarks import assumptions, warnings
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
@@ -177,7 +177,7 @@ def radar_capture(
         bursts=bursts,
         air=air,
         sample_noise_w=radar.sample_noise_w,
-        assumptions=assumptions(first, radar, bursts[0], air),
+        assumptions=assumptions(first, radar, bursts[0], air, echo.fidelity.radar),
         warnings=warnings(first, radar, bursts, truth, record.flags),
     )
 

@@ -12,9 +12,9 @@ from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
 from hardware.radar.process import Frame, Processing, process
 from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
-from twin.radar.design import RadarDesign
-from twin.radar.paths import Path as RadioPath
+from twin.radar.device.design import RadarDesign
 from twin.radar.picture import TrackPicture, track_picture
+from twin.radar.propagation.paths import Path as RadioPath
 from twin.radar.truth import TrueTarget
 
 

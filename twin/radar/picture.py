@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from hardware.radar.imaging import RadarImage, image
 from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
-from twin.radar.design import RadarDesign
+from twin.radar.device.design import RadarDesign
 from twin.scene import Target
 
 Array = NDArray[np.float64]

@@ -5,13 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.waveform import C_M_PER_S
-from twin.radar.atmosphere import Air
-from twin.radar.design import RadarDesign
-from twin.radar.front_end import full_scale_w, image_rejection_db
-from twin.radar.oscillator import residual_rad
-from twin.radar.paths import Propagation
-from twin.radar.roles import Role
+from hardware.waveform import C_M_PER_S
+from twin.fidelity import RadarRung
+from twin.radar.device.design import RadarDesign
+from twin.radar.device.front_end import full_scale_w, image_rejection_db
+from twin.radar.device.oscillator import residual_rad
+from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.roles import Role
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import encloses
@@ -23,17 +24,36 @@ Array = NDArray[np.float64]
 _BENT_RAD = 0.02  # phase of a bent path or wavefront from which it is warned of
 _NOISY_RAD = 0.3  # phase noise of an echo from which its square matters
 
-#: Holds for every capture; printed with it.
-MODEL_ASSUMPTIONS = (
-    "targets answer with a declared, constant cross-section from one point",
-    "surfaces are smooth and large against the Fresnel zone where they reflect; "
-    "nothing goes through them; objects that are neither only cast shadows",
+#: Holds for every capture.
+_ALWAYS = (
     "velocities are constant within a burst, positions those of its middle, delays linear in "
     f"time to first order in v / c (bends beyond {_BENT_RAD} rad are warned of)",
 )
+_POINTS = "declared targets answer with a constant cross-section from one point"
+_SMOOTH = "surfaces are smooth and large against the Fresnel zone where they reflect"
+_MESHES = (
+    "meshes scatter by physical optics: no diffraction by edges, no creeping waves, so echoes of "
+    "what is smaller than some wavelengths or met at grazing are off"
+)
+#: What the radar's rungs take for granted.
+_OF_RUNG: dict[RadarRung, tuple[str, ...]] = {
+    "targets": (_POINTS,),
+    "paths": (
+        _POINTS,
+        f"{_SMOOTH}; nothing goes through them; objects that are neither only cast shadows",
+    ),
+    "optics": (_POINTS, _MESHES, _SMOOTH),
+    "rough": (
+        _POINTS,
+        _MESHES,
+        "rough surfaces scatter from fixed points of random phase, reached by straight ways alone",
+    ),
+}
 
 
-def assumptions(scene: Scene, radar: RadarDesign, found: Propagation, air: Air) -> tuple[str, ...]:
+def assumptions(
+    scene: Scene, radar: RadarDesign, found: Propagation, air: Air, rung: RadarRung
+) -> tuple[str, ...]:
     """Everything that a capture takes for granted, the design's assumed values included."""
     values = [
         f"{name} = {value.value}: {value.assumed}"
@@ -46,7 +66,8 @@ def assumptions(scene: Scene, radar: RadarDesign, found: Propagation, air: Air) 
         if t.origin.startswith("assumed: ")
     ]
     return (
-        *MODEL_ASSUMPTIONS,
+        *_OF_RUNG[rung],
+        *_ALWAYS,
         _antennas(radar),
         *_steps(radar),
         *_front_end(radar),

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.radar.atmosphere import Air
-from twin.radar.design import RadarDesign
-from twin.radar.paths import Propagation
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.paths import Propagation
 from twin.scene import Scene, Target
 
 

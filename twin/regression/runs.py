@@ -19,8 +19,8 @@ from twin.fidelity import Noise
 from twin.files import InputError
 from twin.radar import RadarCapture, RadarDesign
 from twin.radar.acquisition import channel as received
+from twin.radar.device.front_end import digitize
 from twin.radar.evaluation import match_detections
-from twin.radar.front_end import digitize
 from twin.regression.metrics import Echo, Metric
 from twin.scene import Scene
 from twin.system import System

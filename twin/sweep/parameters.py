@@ -18,7 +18,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from twin.fidelity import Fidelity
-from twin.radar.design import RadarDesign
+from twin.radar.device.design import RadarDesign
 from twin.system import System
 from twin.toml import Strict
 

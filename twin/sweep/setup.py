@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from twin.fidelity import Fidelity, preset
 from twin.files import InputError
-from twin.radar.design import RadarDesign, load_radar
+from twin.radar.device.design import RadarDesign, load_radar
 from twin.scene import Pose, Scene, SceneObject, load_scene
 from twin.sweep.names import RENDERED
 from twin.sweep.study import Study, Value

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.drivers.radio.interface import FULL_SCALE_COUNTS, Reception
-from hardware.radar.waveform import OfdmWaveform
 from hardware.records.container import Flag
+from hardware.waveform import OfdmWaveform
 
 _GRID = 1e-6  # of a sample, by which prefix and slot may miss the sampling grid
 

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 
 from hardware.drivers.radio import samples
 from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
-from hardware.radar.waveform import OfdmWaveform
 from hardware.records.radar import RadarRecord
+from hardware.waveform import OfdmWaveform
 
 Order = Literal["ascending", "descending", "shuffled"]
 

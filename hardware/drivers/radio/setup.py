@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hardware.drivers.radio.schedule import FrontEnd, Schedule
-from hardware.radar.waveform import OfdmWaveform
+from hardware.waveform import OfdmWaveform
 
 FORMAT, VERSION = "ugv-radio-setup", 1
 

@@ -13,19 +13,19 @@ from scipy.constants import epsilon_0, speed_of_light
 
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
-from twin.radar.design import RadarDesign
-from twin.radar.grids import grids, launch
-from twin.radar.images import Image, Sight, images
-from twin.radar.legs import Station, station
-from twin.radar.materials import radio_properties
-from twin.radar.roles import LARGE_BESIDE_OPTICS, Assignment, Role
-from twin.radar.rough import Rough, coherent, rough_echoes
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.grids import grids, launch
+from twin.radar.propagation.images import Image, Sight, images
+from twin.radar.propagation.legs import Station, station
+from twin.radar.propagation.materials import radio_properties
+from twin.radar.propagation.roles import LARGE_BESIDE_OPTICS, Assignment, Role
+from twin.radar.propagation.rough import Rough, coherent, rough_echoes
+from twin.radar.propagation.shape import shape_of
+from twin.radar.propagation.shooting import Rays, bodies, shoot
+from twin.radar.propagation.walls import lets_through, thickness_of, walls
+from twin.radar.propagation.world import Flat, Mesher, anchor_of, flats, mesher
 from twin.radar.scattering.surface import PEC, TABLE_STEPS, Layer, Surface, table
-from twin.radar.shape import shape_of
-from twin.radar.shooting import Rays, bodies, shoot
 from twin.radar.synthesis import Contributions
-from twin.radar.walls import lets_through, thickness_of, walls
-from twin.radar.world import Flat, Mesher, anchor_of, flats, mesher
 from twin.scene import Scene, SceneObject
 
 Array = NDArray[np.float64]

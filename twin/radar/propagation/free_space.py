@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from hardware.radar.waveform import C_M_PER_S
-from twin.radar.design import RadarDesign
-from twin.radar.paths import Path, Propagation
+from hardware.waveform import C_M_PER_S
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.paths import Path, Propagation
 from twin.scene import Scene
 
 

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from hardware.radar.waveform import C_M_PER_S
-from twin.radar.roles import Assignment
+from hardware.waveform import C_M_PER_S
+from twin.radar.propagation.roles import Assignment
 from twin.radar.synthesis import Contributions
 
 

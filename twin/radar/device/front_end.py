@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from hardware.drivers.radio.samples import highest_level, spectrum, symbol
 from hardware.records import Flag
-from twin.radar.design import RadarDesign
-from twin.radar.oscillator import apply, draw
+from twin.radar.device.design import RadarDesign
+from twin.radar.device.oscillator import apply, draw
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -14,9 +14,9 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.legs import OFF_SURFACE
-from twin.radar.shooting import Rays
-from twin.radar.world import Mesher
+from twin.radar.propagation.legs import OFF_SURFACE
+from twin.radar.propagation.shooting import Rays
+from twin.radar.propagation.world import Mesher
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.images import Image
+from twin.radar.propagation.images import Image
 
 Array = NDArray[np.float64]
 

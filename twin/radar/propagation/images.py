@@ -12,8 +12,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.walls import Walls
-from twin.radar.world import Flat, Mesher
+from twin.radar.propagation.walls import Walls
+from twin.radar.propagation.world import Flat, Mesher
 
 Array = NDArray[np.float64]
 

@@ -2,8 +2,8 @@
 
 As `twin.radar.scattering.rays` does for one mesh, here for all at their true places: a ray counts
 for the body that it first hits, so nothing is counted twice, and what stands in between hides. Out
-and back, directly or by an image, are legs (`twin.radar.legs`). Every ray is a contribution of its
-own, with its own delay: right over the whole band.
+and back, directly or by an image, are legs (`twin.radar.propagation.legs`). Every ray is a
+contribution of its own, with its own delay: right over the whole band.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,10 +14,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.grids import Launch
-from twin.radar.legs import Leg, Station, leg, offset
+from twin.radar.propagation.grids import Launch
+from twin.radar.propagation.legs import Leg, Station, leg, offset
+from twin.radar.propagation.walls import Passage, no_passage
 from twin.radar.scattering.kernel import coefficients_at, followed, plane, radiating, reflected
-from twin.radar.walls import Passage, no_passage
 
 Array = NDArray[np.float64]
 

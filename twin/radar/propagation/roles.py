@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.fidelity import RadarRung
-from twin.radar.shape import Shape, shape_of
+from twin.radar.propagation.shape import Shape, shape_of
 from twin.scene import Scene, SceneObject
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.waveform import C_M_PER_S, OfdmWaveform
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.radar.synthesis import Array, Complex, Contributions, synthesize
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.radar.shape import shape_of
+from twin.radar.propagation.shape import shape_of
 from twin.scene import SceneObject
 from twin.scene.meshes import Mesh, divided
 

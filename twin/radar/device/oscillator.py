@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.waveform import OfdmWaveform
-from twin.radar.design import Oscillator
+from hardware.waveform import OfdmWaveform
+from twin.radar.device.design import Oscillator
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

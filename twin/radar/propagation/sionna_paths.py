@@ -5,7 +5,7 @@ Sionna computes in float32, where 80 GHz times the delay of 150 m is off by 1.4 
 digit: so from its paths only the sequence of surfaces and the amplitude are taken, and lengths are
 measured anew on the scene's own planes in float64.
 
-Higher rungs leave Sionna aside: `twin.radar.echoes`.
+Higher rungs leave Sionna aside: `twin.radar.propagation.echoes`.
 """
 
 from dataclasses import dataclass, replace
@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.waveform import C_M_PER_S
+from hardware.waveform import C_M_PER_S
 from twin.engine import sionna
 from twin.fidelity import Fidelity
-from twin.radar.design import RadarDesign
-from twin.radar.echoes import echoes
-from twin.radar.materials import radio_properties
-from twin.radar.paths import Path, Propagation
-from twin.radar.roles import Role, assign_roles
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.echoes import echoes
+from twin.radar.propagation.materials import radio_properties
+from twin.radar.propagation.paths import Path, Propagation
+from twin.radar.propagation.roles import Role, assign_roles
 from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def trace(
         What is looked at, and with what.
     fidelity
         Its ``radar`` rung decides: up to ``paths``, Sionna RT finds images and ways to declared
-        targets; from ``optics`` on, see `twin.radar.optics`.
+        targets; from ``optics`` on, see `twin.radar.propagation.optics`.
     max_depth
         Interactions of one of Sionna's paths at most, the target's included.
     seed

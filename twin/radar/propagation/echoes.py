@@ -4,14 +4,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hardware.radar.waveform import C_M_PER_S
+from hardware.waveform import C_M_PER_S
 from twin.fidelity import Fidelity
-from twin.radar.design import RadarDesign
-from twin.radar.environment import PointEchoes, mirror_echoes
-from twin.radar.optics import Stage, antenna_gain, contributions_of, scattered, set_stage, speckle
-from twin.radar.paths import Heard, Path, Propagation
-from twin.radar.roles import Assignment, Role, assign_roles
-from twin.radar.shooting import Rays
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.environment import PointEchoes, mirror_echoes
+from twin.radar.propagation.optics import (
+    Stage,
+    antenna_gain,
+    contributions_of,
+    scattered,
+    set_stage,
+    speckle,
+)
+from twin.radar.propagation.paths import Heard, Path, Propagation
+from twin.radar.propagation.roles import Assignment, Role, assign_roles
+from twin.radar.propagation.shooting import Rays
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
 

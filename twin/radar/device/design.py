@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy import constants
 
-from hardware.radar.waveform import C_M_PER_S, OfdmWaveform, Symbols
+from hardware.waveform import C_M_PER_S, OfdmWaveform, Symbols
 from twin.files import catalog_folder
-from twin.radar.antenna import Antenna
-from twin.radar.burst import Burst
+from twin.radar.device.antenna import Antenna
+from twin.radar.device.burst import Burst
 from twin.toml import (
     Count,
     Entry,

@@ -2,7 +2,7 @@
 directions, since the way out is the way back.
 
 Everything is an array on the device, one element per ray; ``source`` numbers the images of
-`twin.radar.images`. Re and Im are apart.
+`twin.radar.propagation.images`. Re and Im are apart.
 """
 
 from collections.abc import Sequence
@@ -13,10 +13,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.images import Image
+from twin.radar.propagation.images import Image
+from twin.radar.propagation.walls import Passage, Walls, cross, no_passage
+from twin.radar.propagation.world import Flat, Mesher
 from twin.radar.scattering.kernel import coefficients_at, reflected, turned
-from twin.radar.walls import Passage, Walls, cross, no_passage
-from twin.radar.world import Flat, Mesher
 
 Array = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.shape import Shape
+from twin.radar.propagation.world import Mesher
 from twin.radar.scattering.kernel import coefficients_at, plane
 from twin.radar.scattering.surface import TABLE_STEPS, Surface
-from twin.radar.shape import Shape
-from twin.radar.world import Mesher
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]

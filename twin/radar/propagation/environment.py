@@ -11,8 +11,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.waveform import C_M_PER_S
-from twin.radar.legs import Leg, Station, leg
+from hardware.waveform import C_M_PER_S
+from twin.radar.propagation.legs import Leg, Station, leg
 from twin.radar.scattering.kernel import turned
 from twin.scene import Target
 

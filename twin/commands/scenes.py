@@ -1,0 +1,132 @@
+"""`twin run`, `check`, `import`: a scene, and everything the sensors make of it."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from twin.commands.arguments import PoseOption, SceneArgument
+
+if TYPE_CHECKING:
+    from twin.fidelity import Fidelity
+
+
+def run(
+    scene: SceneArgument,
+    system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
+    compare: Annotated[
+        str, typer.Option(help="System shown beside it; `none` for nothing.")
+    ] = "paper",
+    radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
+    pose: PoseOption = None,
+    track: Annotated[
+        str | None,
+        typer.Option(help="Radar bursts along dx,dy,dz,count[,interval_s] (rig's frame, m, s)."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; default runs/SCENE-SYSTEM.")
+    ] = None,
+    paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
+    sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
+    fidelity: Annotated[str, typer.Option(help="draft, standard or reference.")] = "standard",
+    radar_model: Annotated[
+        str | None, typer.Option(help="targets, paths, optics or rough, in place of fidelity's.")
+    ] = None,
+) -> None:
+    """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
+    import numpy as np
+
+    from twin.job import run as run_job
+    from twin.scene import parse_pose, parse_track
+
+    result = run_job(
+        scene,
+        system,
+        compare=None if compare == "none" else compare,
+        radar=None if radar == "none" else radar,
+        pose=parse_pose(pose) if pose is not None else None,
+        track=parse_track(track) if track is not None else None,
+        seed=seed,
+        out=out,
+        fidelity=_fidelity(fidelity, radar_model),
+        paths=paths,
+        sigmf=sigmf,
+    )
+    for warning in result.scene.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    for evaluation in result.evaluations:
+        for warning in evaluation.capture.warnings:
+            print(f"warning: {evaluation.system.name}: {warning}", file=sys.stderr)
+        best, score = evaluation.reconstructions[0], evaluation.scores[0]
+        print(
+            f"{evaluation.system.name}: SNR per pixel {np.median(evaluation.capture.snr):.2g} "
+            f"(median), {best.method}: {score}"
+        )
+    if result.radar:
+        for warning in result.radar.capture.warnings:
+            print(f"warning: {result.radar.radar.name}: {warning}", file=sys.stderr)
+        hit = sum(target is not None for target in result.radar.matches)
+        print(
+            f"{result.radar.radar.name}: {hit} of {len(result.radar.capture.truth)} targets "
+            f"among {len(result.radar.detections)} detections"
+        )
+        if result.radar.picture:
+            for seen in result.radar.picture.seen:
+                print(
+                    f"{seen.name}: seen {seen.down_range_m:.3f} m ahead, "
+                    f"{seen.cross_range_m:+.3f} m to the left; cross-section {seen.rcs_m2:.3g}, "
+                    f"declared {seen.declared_rcs_m2:.3g} m^2"
+                )
+    print(f"report: {result.out / 'report.html'}")
+
+
+def check(scene: SceneArgument, pose: PoseOption = None) -> None:
+    """Validate a scene and list what it holds."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from twin.scene import load_scene, parse_pose
+    from twin.scene.checking import check_scene
+
+    loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
+    columns = ("object", "triangles", "size (m)", "nearest (m)", "material", "reflectance", "")
+    table = Table(*columns, title=f"{loaded.name}: {loaded.triangles} triangles", box=None)
+    for row in check_scene(loaded):
+        size = " x ".join(f"{s:.3g}" for s in row.size_m)
+        cells = (row.name, str(row.triangles), size, f"{row.nearest_m:.3g}")
+        table.add_row(*cells, row.material, row.reflectance, "; ".join(row.remarks))
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    print(f"rig: {loaded.rig.pose}")
+    print(f"sun: {loaded.sun}")
+    for warning in loaded.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+
+
+def import_(
+    model: Annotated[Path, typer.Argument(help="glTF, OBJ, STL or PLY file.")],
+    folder: Annotated[Path, typer.Argument(help="Scene folder to write, e.g. scenes/NAME.")],
+    scale: Annotated[float, typer.Option(help="Metres per unit of the model.")] = 1.0,
+    up: Annotated[
+        str | None, typer.Option(help="The model's up axis, y or z; default y for glTF, z else.")
+    ] = None,
+    material: Annotated[str, typer.Option(help="Row of materials.toml for all parts.")] = "generic",
+) -> None:
+    """Turn a model file into a scene folder."""
+    from twin.scene.importing import import_model
+
+    for note in import_model(model, folder, scale=scale, up=up, material=material):
+        print(f"note: {note}")
+    print(f"scene: {folder}")
+
+
+def _fidelity(name: str, radar_model: str | None) -> "Fidelity":
+    from twin.fidelity import preset
+    from twin.files import InputError
+
+    try:
+        chosen = preset(name)
+        return chosen.with_(radar=radar_model) if radar_model else chosen
+    except ValueError as error:
+        raise InputError(str(error)) from error

@@ -1,0 +1,77 @@
+"""`twin serve`: the twin behind the protocols of the devices."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.commands.arguments import PoseOption, SceneArgument
+
+
+def serve(
+    scene: SceneArgument,
+    spi: Annotated[
+        str | None, typer.Option(help="Where the camera sits: pty, or tcp:HOST:PORT.")
+    ] = None,
+    radar: Annotated[
+        str | None, typer.Option(help="Where the radar's radio listens: tcp:HOST:PORT.")
+    ] = None,
+    system: Annotated[str, typer.Option(help="The camera: bundled system or TOML.")] = "workable",
+    design: Annotated[str, typer.Option(help="Bundled radar or TOML file.")] = "prototype",
+    pace: Annotated[
+        str, typer.Option(help="real: device time is the host's; fast: it never waits.")
+    ] = "real",
+    pose: PoseOption = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    spi_fault: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=CHANCE per frame: drop, flip, stall, reset ...; repeatable."),
+    ] = None,
+    radar_fault: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=CHANCE per burst: overflow, late, stall ...; repeatable."),
+    ] = None,
+    radar_setup: Annotated[
+        Path | None, typer.Option(help="JSON to write: schedule and front end for a driver.")
+    ] = None,
+) -> None:
+    """Virtual devices: the twin behind the devices' own protocols, until interrupted."""
+    from typing import get_args
+
+    from twin.files import InputError
+    from twin.scene import load_scene, parse_pose
+    from twin.serve.clock import Pace
+    from twin.serve.serving import parse_address, run, serve_camera, serve_radar
+
+    if pace not in get_args(Pace):
+        raise InputError(f"pace: {pace!r}, expected {' or '.join(get_args(Pace))}")
+    if spi is None and radar is None:
+        raise InputError("serve: nothing to serve, expected --spi or --radar or both")
+    how: Pace = "real" if pace == "real" else "fast"
+    spi_at = parse_address(spi) if spi not in (None, "pty") else None
+    radar_at = parse_address(radar) if radar is not None else None
+    for address in (spi_at, radar_at):
+        if address is not None and not address.loopback:
+            print(f"warning: {address.host}: whoever reaches it can use it", file=sys.stderr)
+    loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
+    devices = []
+    if spi is not None:
+        devices.append(
+            serve_camera(loaded, system, spi_at, pace=how, faults=spi_fault or (), seed=seed)
+        )
+    if radar_at is not None:
+        devices.append(
+            serve_radar(
+                loaded,
+                design,
+                radar_at,
+                pace=how,
+                faults=radar_fault or (),
+                seed=seed,
+                setup=radar_setup,
+            )
+        )
+    for device in devices:
+        print(f"{device.name}: {device.url}", flush=True)
+    run(devices)

@@ -1,0 +1,83 @@
+"""`twin sweep`, `show`, `trade`: design spaces, and speed against accuracy."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.commands.arguments import SceneArgument
+
+
+def sweep(
+    study: Annotated[Path, typer.Argument(help="TOML file: what is varied, what is measured.")],
+    out: Annotated[Path | None, typer.Option(help="Folder; default runs/NAME.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="A running Dask scheduler, tcp://HOST:PORT.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; default one a core.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Agree to more than 1e7 points.")] = False,
+) -> None:
+    """Sweep a design space; the same command resumes what was interrupted."""
+    from twin.sweep import sweep as run_sweep
+
+    done = run_sweep(study, out=out, scheduler=scheduler, workers=workers, yes=yes)
+    failed = f", {done.n_failed} failed" if done.n_failed else ""
+    print(f"{done.n_points} points{failed}, {done.renders} renders: {done.out / 'results.zarr'}")
+
+
+def show(
+    sweep: Annotated[Path, typer.Argument(help="Folder of a sweep.")],
+    metric: Annotated[str | None, typer.Option(help="What is drawn; default the first.")] = None,
+    x: Annotated[str | None, typer.Option(help="Parameter to the right.")] = None,
+    y: Annotated[str | None, typer.Option(help="Parameter upwards; none: a line.")] = None,
+    front: Annotated[str | None, typer.Option(help="Second metric: a Pareto front.")] = None,
+    out: Annotated[Path | None, typer.Option(help="PNG file; default in the folder.")] = None,
+) -> None:
+    """Draw a sweep: a metric over parameters, a Pareto front, or what moves the metric most."""
+    from twin.sweep import open_sweep
+    from twin.sweep.show import plot_front, plot_plane, plot_sensitivities
+
+    data = open_sweep(sweep)
+    metric = metric or next(str(name) for name in data.data_vars if name != "error")
+    if front is not None:
+        figure = plot_front(data, metric, front)
+    elif x is not None:
+        figure = plot_plane(data, metric, x, y)
+    else:
+        figure = plot_sensitivities(data, metric)
+    out = out or sweep / f"{metric.replace(':', '.')}.png"
+    figure.savefig(out, dpi=150)
+    print(f"written: {out}")
+
+
+def trade(
+    scene: SceneArgument,
+    system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
+    radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
+    tolerance: Annotated[
+        float, typer.Option(help="Error that counts as unseen, over the sensor's own noise.")
+    ] = 0.2,
+    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; default runs/trade-SCENE-SYSTEM.")
+    ] = None,
+) -> None:
+    """Measure time, memory and error of every rung on a scene, and say which one to take."""
+    from rich.console import Console
+
+    from twin.trade import trade as run_trade
+    from twin.trade.report import print_trade
+
+    found, folder = run_trade(
+        scene,
+        system,
+        radar=None if radar == "none" else radar,
+        tolerance=tolerance,
+        seed=seed,
+        out=out,
+    )
+    for warning in found.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print_trade(found, Console(width=None if sys.stdout.isatty() else 150))
+    print(f"written: {folder / 'trade.md'}")

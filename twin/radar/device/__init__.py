@@ -1,0 +1,1 @@
+"""The radar as a device: its design, antennas, oscillator, front end."""

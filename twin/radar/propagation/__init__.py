@@ -1,0 +1,1 @@
+"""Every way from the radar through the scene and back."""
