@@ -147,7 +147,7 @@ def _radar(
         scene, design, seed=seed, fidelity=fidelity, weather=weather, stage=stages.stage
     )
     with stages.stage("radar processing"):
-        return evaluate_radar(design, taken)
+        return evaluate_radar(design, taken, scene=scene)
 
 
 def _write_radar(radar: RadarEvaluation, folder: Path, *, paths: bool, sigmf: bool) -> None:

@@ -395,4 +395,4 @@ def test_radar_metrics_come_along(study, tmp_path: Path) -> None:
     data = open_sweep(tmp_path / "out")
     assert data["detections"][0] == 5
     assert data["detections"][1] < 5
-    assert data["range_error_m"][0] < 0.05
+    assert data["range_error_m"][0] < 0.1  # a body answers with its front

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hardware import read_record, reconstruct
-from hardware.radar import channel, detect, range_doppler
+from hardware.radar.process import process
 from hardware.records import read_radar_record
 from twin import cli
 from twin.camera.acquisition import capture, measure
@@ -100,10 +100,7 @@ def test_truth_has_named_channels_in_metres(finished: Path) -> None:
 
 def test_the_radar_record_alone_gives_the_detections(finished: Path) -> None:
     """The vehicle's software on the file gives what stands in ``detections.csv``."""
-    record = read_radar_record(finished / "radar.h5")
-    received = channel(record)
-    image = range_doppler(received, record.waveform)
-    found = detect(received, record.waveform, image)
+    found = process(read_radar_record(finished / "radar.h5")).detections
     with (finished / "detections.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["range_m"]) for row in rows] == [d.range_m for d in found]

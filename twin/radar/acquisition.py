@@ -36,10 +36,9 @@ Stage = Callable[[str], AbstractContextManager[Any]]
 class RadarCapture:
     """A record with everything the twin knows about it. Only ``record`` exists on the vehicle.
 
-    ``scene`` and ``truth`` are those of the first burst, ``bursts`` what was found at each.
+    ``truth`` is that of the first burst, ``bursts`` what was found at each.
     """
 
-    scene: Scene
     record: RadarRecord
     truth: tuple[TrueTarget, ...]
     bursts: tuple[Propagation, ...]
@@ -171,7 +170,6 @@ def radar_capture(
     first, bursts, air = echo.worlds[0], echo.bursts, echo.air
     truth = true_targets(first, radar, bursts[0], air)
     return RadarCapture(
-        scene=first,
         record=record,
         truth=truth,
         bursts=bursts,

@@ -16,6 +16,7 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.picture import TrackPicture, track_picture
 from twin.radar.propagation.paths import Path as RadioPath
 from twin.radar.truth import TrueTarget
+from twin.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +49,17 @@ class RadarEvaluation:
 
 
 def evaluate_radar(
-    radar: RadarDesign, capture: RadarCapture, how: Processing | None = None
+    radar: RadarDesign,
+    capture: RadarCapture,
+    how: Processing | None = None,
+    *,
+    scene: Scene | None = None,
 ) -> RadarEvaluation:
     """Process a record as the vehicle does, and match detections with the truth.
 
-    Carrier steps without leakage cannot be joined: then the first one stands for all.
+    Carrier steps without leakage cannot be joined: then the first one stands for all. ``scene``, as
+    it is at the first burst, is what the picture of a track is compared with; without it there is
+    none.
     """
     how, record = how or Processing(), _joinable(capture.record)
     frame = process(record, 0, how)
@@ -62,7 +69,7 @@ def evaluate_radar(
         frame=frame,
         matches=match_detections(frame.detections, capture.truth, frame.waveform),
         how=how,
-        picture=track_picture(radar, replace(capture, record=record)),
+        picture=track_picture(scene, radar, record) if scene else None,
     )
 
 

@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from hardware.radar.imaging import RadarImage, image
 from hardware.records import RadarRecord
-from twin.radar.acquisition import RadarCapture
 from twin.radar.device.design import RadarDesign
-from twin.scene import Target
+from twin.scene import Scene, Target
 
 Array = NDArray[np.float64]
 
@@ -47,9 +46,8 @@ class TrackPicture:
     seen: tuple[Seen, ...]
 
 
-def track_picture(radar: RadarDesign, capture: RadarCapture) -> TrackPicture | None:
+def track_picture(scene: Scene, radar: RadarDesign, record: RadarRecord) -> TrackPicture | None:
     """Picture of the true targets' surroundings; None without a track or targets."""
-    scene, record = capture.scene, capture.record
     if len(record.iq) == 1 or not scene.targets:
         return None
     origin, axes = _middle(record.pose)
