@@ -32,11 +32,10 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     declared = _declared(scene, roles)
     is_rough = fidelity.radar == "rough"
     stage = set_stage(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
-    rays = scattered(stage, fidelity)
-    remarks: list[str] = []
+    rays, remarks = scattered(stage, fidelity)
     if is_rough:
-        more, remarks = speckle(scene, stage, fidelity, seed)
-        rays = Rays.joined([rays, more])
+        more, further = speckle(scene, stage, fidelity, seed)
+        rays, remarks = Rays.joined([rays, more]), [*remarks, *further]
     paths = [*_mirrors(scene, radar, roles, stage, fidelity), *_points(stage, radar, declared)]
     dense = contributions_of(rays, stage, radar)
     return Propagation(

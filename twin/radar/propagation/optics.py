@@ -128,20 +128,27 @@ def set_stage(
     )
 
 
-def scattered(stage: Stage, fidelity: Fidelity) -> Rays:
-    """Contributions of every object that scatters by physical optics."""
+def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
+    """Contributions of every object that scatters by physical optics; what too few rays cost."""
     body, hulls = _bodies(stage)
     if not hulls:
-        return Rays.joined([])
+        return Rays.joined([]), []
     launched = launch(grids(stage.images, hulls), stage.wavelength_m, fidelity.radar_rays)
     velocities = np.array([item.velocity_m_per_s for item in stage.items])
-    return shoot(
+    rays = shoot(
         stage.station,
         bodies(stage.station.mi, body, stage.surface_of_object, velocities),
         launched,
         stage.wavelength_m,
         fidelity.radar_bounces,
     )
+    widest = float(launched.thinned.max())
+    if widest <= 1:
+        return rays, []
+    return rays, [
+        f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
+        "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
+    ]
 
 
 def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[Rays, list[str]]:
