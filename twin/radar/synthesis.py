@@ -26,6 +26,7 @@ _SERIES_RAD = 0.35  # coupled phase left to the series, at most
 _MOST_BODIES = 6  # beyond that the exact way is faster
 _FEW = 4  # terms up to which transforms along frequency alone are cheaper than one along both
 _MANY_POINTS = 200_000  # from which several threads are used
+_HANDFUL = 64  # echoes times terms up to which their sum is a matrix product
 _BLOCK = 64  # subcarriers whose migration shares its coarse steps
 
 
@@ -146,7 +147,9 @@ def _body(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Comp
         terms = _terms(per_hz * highest, tolerance)
     unit = max(widest, np.finfo(float).tiny)  # keeps powers of d near 1
     powers = np.stack([(spread / unit) ** k for k in range(terms)])
-    if along_both:
+    if along_both and powers.size <= _HANDFUL:
+        grids, turning = _products(part, powers, waveform), f
+    elif along_both:
         grids, turning = _grids(part, powers, waveform, tolerance), f
     else:
         grids, turning = _columns(part, powers, waveform, tolerance), waveform.carrier_hz + f
@@ -178,6 +181,15 @@ def _grids(part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance
     shape = (waveform.n_subcarriers, waveform.n_slots)
     grids = finufft.nufft2d1(x, y, strengths * powers, shape, **_options(tolerance, len(x)))
     return np.reshape(grids, (len(powers), *shape))
+
+
+def _products(part: Contributions, powers: Array, waveform: OfdmWaveform) -> Complex:
+    """The same by its definition: for a handful of echoes a matrix product is faster."""
+    carrier, f, t = waveform.carrier_hz, waveform.frequency_offsets_hz, waveform.slot_times_s
+    along_f = _turned(-f[:, None] * part.delay_s)
+    doppler = carrier * part.delay_rate[:, None] * t
+    along_t = _turned(-_wrapped(carrier * part.delay_s)[:, None] - doppler)
+    return np.stack([along_f @ ((part.amplitude * p)[:, None] * along_t) for p in powers])
 
 
 def _columns(

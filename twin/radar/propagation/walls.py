@@ -76,7 +76,7 @@ def thickness_of(item: SceneObject, shape: Shape) -> float | None:
 def lets_through(permittivity: complex, thickness_m: float, wavelength_m: float) -> bool:
     """Whether a wall is worth following rays through it."""
     loss = -2 * np.pi / wavelength_m * thickness_m * float(np.sqrt(permittivity).imag)
-    return bool(20 * np.log10(np.e) * loss < OPAQUE_DB)
+    return bool(20 / np.log(10) * loss < OPAQUE_DB)
 
 
 @lru_cache(maxsize=64)
