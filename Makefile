@@ -20,7 +20,7 @@ test-vehicle: $(VEHICLE)/.installed
 
 # Long statistics.
 test-slow: install
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -m slow --timeout 3600
 
 lint: install
 	$(BIN)/ruff check .
@@ -49,7 +49,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 $(VEHICLE)/.installed: requirements.lock pyproject.toml $(VENV)/.installed
 	$(PYTHON) -m venv $(VEHICLE)
-	$(VEHICLE)/bin/pip install $(PIP_FLAGS) -c requirements.lock pytest hypothesis hatchling
+	$(VEHICLE)/bin/pip install $(PIP_FLAGS) -c requirements.lock pytest pytest-timeout hypothesis hatchling
 	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-build-isolation -c requirements.lock .
 	@touch $@
 

@@ -183,8 +183,17 @@ class RadioServer:
             if len(samples) > most:
                 self._waiting.appendleft(samples[most:])
         if self._readers and self._client is None and not self._asked:
-            self._transmit.send_multipart([b"", request(self.n_samples - len(self._to_send))])
-            self._asked = True
+            self._asked = self._asks_for(self.n_samples - len(self._to_send))
+
+    def _asks_for(self, n_samples: int) -> bool:
+        """Ask whoever wants to send; False when nobody is there, for whom a socket would wait."""
+        import zmq
+
+        try:
+            self._transmit.send_multipart([b"", request(n_samples)], flags=zmq.NOBLOCK)
+        except zmq.Again:
+            return False
+        return True
 
     def _happens(self, chance: float) -> bool:
         return chance > 0 and bool(self._rng.random() < chance)
