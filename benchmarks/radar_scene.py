@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.timing import Figure, timed
-from hardware.radar import channel, detect, range_doppler
+from hardware.radar.process import process
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.propagation.sionna_paths import trace
@@ -29,10 +29,7 @@ def _frame(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
     step = iter(range(1, 1000))
 
     def frame(now: Scene) -> int:
-        record = radar_capture(now, radar, fidelity=_OPTICS).record
-        received = channel(record)
-        image = range_doppler(received, record.waveform, "blackmanharris")
-        return len(detect(received, record.waveform, image))
+        return len(process(radar_capture(now, radar, fidelity=_OPTICS).record).detections)
 
     slots = f"{radar.ofdm.n_slots} slots"
     frame(scene), frame(_driven(scene, 0.001))  # warm
@@ -60,9 +57,7 @@ def _errors(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
     found = trace(scene, radar, fidelity=_OPTICS)
     yield "street: contributions", float(len(found.echoes.delay_s)), ""
     taken = radar_capture(scene, radar, fidelity=_OPTICS)
-    received = channel(taken.record)
-    image = range_doppler(received, radar.ofdm, "blackmanharris")
-    ranges = np.array([d.range_m for d in detect(received, radar.ofdm, image)])
+    ranges = np.array([d.range_m for d in process(taken.record).detections])
     for truth in taken.truth:
         off = ranges - truth.range_m
         nearest = float(off[np.abs(off).argmin()]) if len(off) else float("nan")

@@ -12,6 +12,7 @@ transform per slot is exact.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from math import factorial
 from typing import Any
 
 import numpy as np
@@ -146,22 +147,24 @@ def _body(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Comp
     if along_both:
         terms = _terms(per_hz * highest, tolerance)
     unit = max(widest, np.finfo(float).tiny)  # keeps powers of d near 1
-    powers = np.stack([(spread / unit) ** k for k in range(terms)])
+    powers = np.stack([(spread / unit) ** k / factorial(k) for k in range(terms)])
     if along_both and powers.size <= _HANDFUL:
         grids, turning = _products(part, powers, waveform), f
     elif along_both:
         grids, turning = _grids(part, powers, waveform, tolerance), f
     else:
         grids, turning = _columns(part, powers, waveform, tolerance), waveform.carrier_hz + f
-    channel = grids[-1]
+    channel = np.empty((len(f), len(t)), dtype=np.complex128)
+    channel[:] = grids[-1]
     if terms > 1:
-        coupling = -2j * np.pi * unit * turning[:, None] * t
-        for k in range(terms - 1, 0, -1):  # Horner
-            channel = grids[k - 1] + channel * coupling / k
+        coupling = (-2j * np.pi * unit * turning)[:, None] * t
+        for grid in grids[-2::-1]:  # Horner
+            channel *= coupling
+            channel += grid
     if not along_both:
-        channel = channel * _turned(-waveform.carrier_hz * bulk * t)
+        channel *= _turned(-waveform.carrier_hz * bulk * t)
     if bulk:
-        channel = channel * _migration(bulk, waveform)
+        channel *= _migration(bulk, waveform)
     return channel
 
 
