@@ -6,9 +6,8 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from virtual_camera import PATIENCE, QUICK, SEED, SETTINGS, direct, served
 
 from hardware import PatternSet
 from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSettings
@@ -35,81 +35,13 @@ from hardware.recording import Log
 from hardware.records import Flag
 from hardware.sources import open_source
 from twin.camera.acquisition import capture
-from twin.camera.stream import still_light, stills
-from twin.fidelity import Fidelity
+from twin.camera.stream import stills
 from twin.files import InputError
-from twin.scene import load_scene
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock
 from twin.serve.faults import CameraFaults, parse_faults
 from twin.serve.line import TcpPort, Terminal
-from twin.serve.serial import CameraServer
-from twin.system import System, load_system
-
-SEED = 6
-QUICK = Fidelity(samples=4, max_depth=1)
-PATIENCE = Patience(reply_s=0.4, attempts=5, reconnect_s=10.0, between_attempts_s=0.05)
-SETTINGS = SpiSettings(PatternSet(16, 16, 32), 80e-6, 100e-6)
-
-
-@pytest.fixture(scope="module")
-def world():
-    """Scene, a camera of 16 x 16 cells, its light."""
-    scene = load_scene("yard")
-    content = load_system("workable").model_dump()
-    content["emitter"] |= {name: {"value": 16, "assumed": "quick"} for name in ("rows", "columns")}
-    content["acquisition"]["n_patterns"] = {"value": 256, "assumed": "quick"}
-    system = System.model_validate(content)
-    return scene, system, still_light(scene, system, seed=SEED, fidelity=QUICK)
-
-
-def asked(system: System, wanted: SpiSettings) -> System:
-    """The system that measures what the settings ask for."""
-    content = system.model_dump()
-    for name, value in {
-        "n_patterns": wanted.patterns.count,
-        "order": wanted.patterns.order,
-        "mode": wanted.patterns.mode,
-        "integration_time_s": wanted.integration_time_s,
-        "pattern_period_s": wanted.pattern_period_s,
-    }.items():
-        content["acquisition"][name] = {"value": value, "assumed": "asked"}
-    return System.model_validate(content)
-
-
-def direct(world, wanted: SpiSettings, sets: int):
-    scene, system, light = world
-    records = stills(scene, asked(system, wanted), seed=SEED, fidelity=QUICK, rendered=light)
-    return list(islice(records, sets))
-
-
-@contextmanager
-def served(world, line=None, *, pace="fast", faults=None, seed=0):
-    """The camera on a line; yields the server."""
-    scene, system, light = world
-    faults = faults or CameraFaults()
-    clock = DeviceClock(pace, faults.drift)
-    server = CameraServer(
-        lambda send, overrun: VirtualCamera(
-            system,
-            scene.sun,
-            lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, rendered=light),
-            clock=clock,
-            send=send,
-            overrun=overrun,
-        ),
-        line or Terminal(),
-        clock=clock,
-        faults=faults,
-        seed=seed,
-    )
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.stop()
-        thread.join()
+from twin.system import load_system
 
 
 @pytest.mark.parametrize("line", [Terminal, lambda: TcpPort("127.0.0.1", 0)], ids=["pty", "tcp"])
@@ -128,8 +60,9 @@ def test_camera_and_twin_give_the_same_counts(world, line, tmp_path: Path) -> No
         flags = wanted.flags.copy()
         flags[0] |= Flag.RESET if number == 0 else 0
         assert np.array_equal(got.flags, flags)
-        within = got.device_time_ns - got.device_time_ns[0]
+        within = got.device_time_ns - records[0].device_time_ns[0]
         assert np.array_equal(within, wanted.device_time_ns)
+        assert np.array_equal(got.sequence, wanted.sequence)
         for name in ("electrons_per_count", "offset_counts", "adc_bits", "integration_time_s"):
             assert getattr(got, name) == getattr(wanted, name)
         assert got.device == wanted.device

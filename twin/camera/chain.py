@@ -105,15 +105,18 @@ class Chain:
         relative = fluctuation.value if fluctuation else 0.0
         return noise_budget(signal_w, sun_w, self.front_end, relative)
 
-    def record(self, pose: Pose, counts: NDArray[np.int32], flags: NDArray[np.uint8]) -> SpiRecord:
-        """What the vehicle gets of it."""
+    def record(
+        self, pose: Pose, counts: NDArray[np.int32], flags: NDArray[np.uint8], number: int = 0
+    ) -> SpiRecord:
+        """What the vehicle gets of it: record ``number`` of those that follow without a pause."""
         n, system = len(counts), self.system
         period_ns = system.acquisition.pattern_period_s.value * 1e9
+        exposures = np.arange(number * n, (number + 1) * n)
         x, y, z, w = pose.rotation.as_quat()
         return SpiRecord(
             counts=counts,
-            device_time_ns=np.rint(np.arange(n) * period_ns).astype(np.int64),
-            sequence=np.arange(n, dtype=np.uint32),
+            device_time_ns=np.rint(exposures * period_ns).astype(np.int64),
+            sequence=(exposures % 2**32).astype(np.uint32),
             flags=flags,
             patterns=system.patterns,
             shutters=np.array(

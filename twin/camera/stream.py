@@ -3,6 +3,7 @@
 Moving the rig costs nothing; moving geometry would rebuild the renderer's acceleration structure.
 """
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
@@ -66,7 +67,7 @@ def frames(
         )
         rng = np.random.default_rng(noise_seed)
         _, counts, flags = chain.take(chain.powers(rendered), rng=rng, noise=fidelity.noise)
-        yield chain.record(pose, counts, flags)
+        yield chain.record(pose, counts, flags, index)
 
 
 def stills(
@@ -92,9 +93,9 @@ def stills(
     _, noise_seed = np.random.SeedSequence(seed).spawn(2)
     chain, rng = Chain.of(system, scene.sun), np.random.default_rng(noise_seed)
     power = chain.powers(rendered or still_light(scene, system, seed=seed, fidelity=fidelity))
-    while True:
+    for number in itertools.count():
         _, counts, flags = chain.take(power, rng=rng, noise=fidelity.noise)
-        yield chain.record(scene.rig.pose, counts, flags)
+        yield chain.record(scene.rig.pose, counts, flags, number)
 
 
 def still_light(

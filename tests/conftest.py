@@ -1,0 +1,65 @@
+"""The reference firmware of the camera, compiled for this machine and run behind a terminal."""
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hardware
+from hardware import PatternSet
+
+_SOURCES = Path(hardware.__file__).parent / "drivers" / "firmware"
+_STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """The compiled program."""
+
+    program: Path
+
+    @contextmanager
+    def running(self, *arguments: str) -> Iterator[str]:
+        """Path of the terminal behind which it runs."""
+        device = subprocess.Popen(
+            [self.program, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert device.stdin is not None
+        assert device.stdout is not None
+        try:
+            yield device.stdout.readline().strip()
+        finally:
+            device.stdin.close()
+            device.wait(10)
+            device.stdout.close()
+
+    def translate(self, direction: str, lines: list[str]) -> list[str]:
+        """Hex lines as on the wire of hex lines of type, tag, payload; or the other way."""
+        command = [self.program, f"--{direction}"]
+        text = "\n".join(lines) + "\n"
+        done = subprocess.run(command, input=text, capture_output=True, text=True, check=True)
+        return done.stdout.split("\n")[:-1]
+
+    def counts(self, patterns: PatternSet, gain: int = 0) -> NDArray[np.int64]:
+        """What its two detectors count in one set, (n_exposures, 2)."""
+        cells = np.arange(patterns.n_cells)[:, None]
+        picture = (37 * cells + 11 * np.arange(2 // patterns.n_arms)) % 97
+        return np.rint(patterns.signal(picture)).astype(np.int64) * 2**gain + 100
+
+
+@pytest.fixture(scope="session")
+def firmware(tmp_path_factory: pytest.TempPathFactory) -> Firmware:
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("no C compiler: the reference firmware cannot be built")
+    program = tmp_path_factory.mktemp("firmware") / "device"
+    sources = sorted(map(str, _SOURCES.glob("*.c")))
+    assert sources
+    subprocess.run([compiler, *_STRICT, "-o", str(program), *sources, "-lm"], check=True)
+    return Firmware(program)

@@ -1,0 +1,81 @@
+"""A virtual camera on a line, and what the twin gives of the same settings directly."""
+
+import threading
+from contextlib import contextmanager
+from itertools import islice
+
+from hardware import PatternSet
+from hardware.drivers import Patience, SpiSettings
+from twin.camera.stream import still_light, stills
+from twin.fidelity import Fidelity
+from twin.scene import load_scene
+from twin.serve.camera import VirtualCamera
+from twin.serve.clock import DeviceClock
+from twin.serve.faults import CameraFaults
+from twin.serve.line import Terminal
+from twin.serve.serial import CameraServer
+from twin.system import System, load_system
+
+SEED = 6
+QUICK = Fidelity(samples=4, max_depth=1)
+PATIENCE = Patience(reply_s=0.4, attempts=5, reconnect_s=10.0, between_attempts_s=0.05)
+SETTINGS = SpiSettings(PatternSet(16, 16, 32), 80e-6, 100e-6)
+
+
+def quick_world():
+    """Scene, a camera of 16 x 16 cells, its light."""
+    scene = load_scene("yard")
+    content = load_system("workable").model_dump()
+    content["emitter"] |= {name: {"value": 16, "assumed": "quick"} for name in ("rows", "columns")}
+    content["acquisition"]["n_patterns"] = {"value": 256, "assumed": "quick"}
+    system = System.model_validate(content)
+    return scene, system, still_light(scene, system, seed=SEED, fidelity=QUICK)
+
+
+def asked(system: System, wanted: SpiSettings) -> System:
+    """The system that measures what the settings ask for."""
+    content = system.model_dump()
+    for name, value in {
+        "n_patterns": wanted.patterns.count,
+        "order": wanted.patterns.order,
+        "mode": wanted.patterns.mode,
+        "integration_time_s": wanted.integration_time_s,
+        "pattern_period_s": wanted.pattern_period_s,
+    }.items():
+        content["acquisition"][name] = {"value": value, "assumed": "asked"}
+    return System.model_validate(content)
+
+
+def direct(world, wanted: SpiSettings, sets: int):
+    scene, system, light = world
+    records = stills(scene, asked(system, wanted), seed=SEED, fidelity=QUICK, rendered=light)
+    return list(islice(records, sets))
+
+
+@contextmanager
+def served(world, line=None, *, pace="fast", faults=None, seed=0):
+    """The camera on a line; yields the server."""
+    scene, system, light = world
+    faults = faults or CameraFaults()
+    clock = DeviceClock(pace, faults.drift)
+    server = CameraServer(
+        lambda send, overrun: VirtualCamera(
+            system,
+            scene.sun,
+            lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, rendered=light),
+            clock=clock,
+            send=send,
+            overrun=overrun,
+        ),
+        line or Terminal(),
+        clock=clock,
+        faults=faults,
+        seed=seed,
+    )
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.stop()
+        thread.join()
