@@ -6,10 +6,14 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from hardware.drivers import SpiSettings
 from hardware.recording import Log, Received
 from hardware.sources import Records, open_source
+
+if TYPE_CHECKING:
+    from hardware.drivers import SpiSettings
+    from hardware.drivers.radio import FrontEnd, Schedule
 
 #: Records that may wait for the disk; then the sources wait.
 _WAITING = 64
@@ -18,19 +22,21 @@ _WAITING = 64
 def capture(
     urls: Sequence[str],
     log: Log,
-    settings: SpiSettings | None = None,
+    settings: "SpiSettings | None" = None,
+    setup: "tuple[Schedule, FrontEnd] | None" = None,
     *,
     duration_s: float = float("inf"),
     records: int = 0,
 ) -> Iterator[Received]:
     """Write what sources send to a log, and pass it on.
 
-    Ends with the sources, after ``duration_s``, or after so many ``records`` (0: no limit). An
-    error of a source is raised, after what came before it is written.
+    ``settings`` and ``setup`` as `open_source` takes them, for all cameras and all radios. Ends
+    with the sources, after ``duration_s``, or after so many ``records`` (0: no limit). An error of
+    a source is raised, after what came before it is written.
     """
     waiting: queue.Queue[Received | Exception | None] = queue.Queue(_WAITING)
     over = threading.Event()
-    sources = [open_source(url, settings) for url in urls]
+    sources = [open_source(url, settings, setup) for url in urls]
     threads = [
         threading.Thread(target=_feed, args=(source, _prefix(n), waiting, over))
         for n, source in enumerate(sources)

@@ -1,27 +1,47 @@
 """Where records come from, by URL: a device, a log, or whatever else an installed package offers.
 
 ``replay:run.mcap`` plays a log at its own pace, ``replay:run.mcap?pace=fast`` as fast as it is
-read. ``/dev/ttyACM0``, ``socket://host:port``, ``rfc2217://host:port``: a camera. Other schemes
-(``twin:``, radios) are found under the entry-point group ``ugv.sources``: a function of URL and
-settings that gives the records.
+read. ``zmq://HOST:PORT``, ``uhd:type=b200``: a radar's radio, a record a sweep. ``/dev/ttyACM0``,
+``socket://host:port``, ``rfc2217://host:port``: a camera. Other schemes (``twin:``) are found under
+the entry-point group ``ugv.sources``: a function of URL and settings that gives the records.
 """
 
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-from hardware.drivers import SpiCamera, SpiSettings
+from hardware.drivers.clock import ClockFilter
 from hardware.recording.reading import Received, read_records
+
+if TYPE_CHECKING:
+    from hardware.drivers import SpiSettings
+    from hardware.drivers.radio import FrontEnd, Radio, Schedule
 
 Records: TypeAlias = Generator[Received, None, None]
 
+#: Exchanges of time with a radio before its first record; then one a record.
+_FIRST_EXCHANGES = 8
 
-def open_source(url: str, settings: SpiSettings | None = None) -> Records:
+
+def open_source(
+    url: str,
+    settings: "SpiSettings | None" = None,
+    setup: "tuple[Schedule, FrontEnd] | None" = None,
+) -> Records:
     """Records of a source, as they come; close the generator to end it.
 
-    Raises ValueError for a URL of no known kind, or a camera without settings; what a driver
-    raises.
+    Parameters
+    ----------
+    url
+        See above.
+    settings
+        Of a camera.
+    setup
+        Of a radio, as `hardware.drivers.radio.setup.read_setup` reads it.
+
+    Raises ValueError for a URL of no known kind, a camera without settings, a radio without a
+    setup; what a driver raises.
     """
     scheme, _, rest = url.partition(":")
     if scheme == "replay":
@@ -29,6 +49,10 @@ def open_source(url: str, settings: SpiSettings | None = None) -> Records:
         if query not in ("", "pace=fast", "pace=real"):
             raise ValueError(f"{url}: {query!r} is neither 'pace=fast' nor 'pace=real'")
         return replay(path, speed=float("inf") if query == "pace=fast" else 1.0)
+    if scheme in ("uhd", "zmq"):
+        if setup is None:
+            raise ValueError(f"{url}: a radio needs a setup")
+        return _radio(url, *setup)
     if rest and (found := _installed(scheme)):
         return found(url, settings)
     if settings is None:
@@ -48,13 +72,35 @@ def replay(path: str | Path, *, speed: float = 1.0) -> Records:
         yield received
 
 
-def _camera(url: str, settings: SpiSettings) -> Records:
+def _camera(url: str, settings: "SpiSettings") -> Records:
+    from hardware.drivers import SpiCamera
+
     with SpiCamera(url, settings) as camera:
         for record in camera.records():
             yield Received("/spi/record", record, time.time_ns(), camera.clock)
 
 
-def _installed(scheme: str) -> Callable[[str, SpiSettings | None], Records] | None:
+def _radio(url: str, schedule: "Schedule", front_end: "FrontEnd") -> Records:
+    from hardware.drivers.radio import acquire, open_radio
+
+    clock = ClockFilter()
+    with open_radio(url, sample_rate_hz=schedule.waveform.bandwidth_hz) as radio:
+        for _ in range(_FIRST_EXCHANGES):
+            _exchange(radio, clock)
+        while True:
+            record = acquire(radio, schedule, front_end)
+            host_ns = time.time_ns()
+            _exchange(radio, clock)
+            yield Received("/radar/record", record, host_ns, clock.model)
+
+
+def _exchange(radio: "Radio", clock: ClockFilter) -> None:
+    sent_ns, device_ns, returned_ns = time.time_ns(), radio.now_ns(), time.time_ns()
+    if returned_ns >= sent_ns:  # unless the host's clock was set back meanwhile
+        clock.add(sent_ns, device_ns, device_ns, returned_ns)
+
+
+def _installed(scheme: str) -> "Callable[[str, SpiSettings | None], Records] | None":
     from importlib.metadata import entry_points
 
     for point in entry_points(group="ugv.sources", name=scheme):

@@ -14,11 +14,15 @@ import typer
 if TYPE_CHECKING:
     from hardware.calibration import Calibration
     from hardware.drivers import SpiSettings
+    from hardware.drivers.radio import FrontEnd, Schedule
     from hardware.recording import Received
 
 _Kind = TypeVar("_Kind")
 _Settings = Annotated[
     Path | None, typer.Option("--settings", help="TOML file: patterns and times of a camera.")
+]
+_RadarSetup = Annotated[
+    Path | None, typer.Option("--radar-setup", help="JSON file: schedule and front end of a radio.")
 ]
 _Calibrations = Annotated[
     list[Path], typer.Option("--calibration", help="From `ugv calibrate`; one a sensor.")
@@ -37,9 +41,13 @@ def register(app: typer.Typer) -> None:
 
 
 def capture(
-    urls: Annotated[list[str], typer.Argument(help="/dev/ttyACM0, socket://HOST:PORT, replay:...")],
+    urls: Annotated[
+        list[str],
+        typer.Argument(help="/dev/ttyACM0, socket:// or zmq://HOST:PORT, uhd:ARGS, replay:FILE"),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="New log (MCAP).")],
     settings: _Settings = None,
+    radar_setup: _RadarSetup = None,
     rig: Annotated[
         Path | None, typer.Option(help="TOML file: NAME = [x, y, z, qw, qx, qy, qz] of a sensor.")
     ] = None,
@@ -50,11 +58,11 @@ def capture(
     from hardware.capture import capture as run
     from hardware.recording import Log
 
-    loaded, n, begun = _settings(settings), 0, time.monotonic()
+    loaded, setup, n, begun = _settings(settings), _setup(radar_setup), 0, time.monotonic()
     extrinsics = tomllib.loads(rig.read_text(encoding="utf-8")) if rig else {}
     with Log(out, extrinsics=extrinsics) as log:
         try:
-            for _ in run(urls, log, loaded, duration_s=duration, records=records):
+            for _ in run(urls, log, loaded, setup, duration_s=duration, records=records):
                 n += 1
         except KeyboardInterrupt:
             print("stopped")
@@ -68,6 +76,7 @@ def process(
     ] = None,
     method: Annotated[str, typer.Option(help="See `ugv methods`.")] = "lmmse",
     settings: _Settings = None,
+    radar_setup: _RadarSetup = None,
     calibration: _Calibrations = [],  # noqa: B006 (typer copies it)
     max_age: _MaxAge = 30.0,
     records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
@@ -80,7 +89,7 @@ def process(
     found = [_calibration(path, max_age) for path in calibration]
     camera = next((one for one in found if isinstance(one, CameraCalibration)), None)
     radar = next((one for one in found if isinstance(one, RadarCalibration)), None)
-    incoming = _records(source, settings)
+    incoming = _records(source, settings, radar_setup)
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
     with Log(target) as log:
@@ -173,7 +182,7 @@ def calibrate_camera(
     from hardware.records import SpiRecord
 
     target = Target(distance, reflectance)
-    pair = [_first(source, settings, SpiRecord) for source in (dark, flat)]
+    pair = [_first(_records(source, settings), source, SpiRecord) for source in (dark, flat)]
     write_calibration(CameraCalibration.of(pair[0], pair[1], target), out)
     print(f"written: {out}")
 
@@ -183,6 +192,7 @@ def calibrate_radar(
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
     distance: Annotated[float, typer.Option(help="Of the target, m.")],
     cross_section: Annotated[float, typer.Option(help="Of the target, m^2.")],
+    radar_setup: _RadarSetup = None,
 ) -> None:
     """Range offset and power of a radar."""
     from hardware.calibration import RadarCalibration, Target, write_calibration
@@ -190,23 +200,25 @@ def calibrate_radar(
     from hardware.records import RadarRecord
 
     target = Target(distance, cross_section)
-    record = _first(source, None, RadarRecord)
+    record = _first(_records(source, None, radar_setup), source, RadarRecord)
     made = RadarCalibration.of(record.device, detections(record), target)
     write_calibration(made, out)
     print(f"range offset {1e3 * made.range_offset_m:.2f} mm; written: {out}")
 
 
-def _records(source: str, settings: Path | None) -> "Iterator[Received]":
+def _records(
+    source: str, settings: Path | None, radar_setup: Path | None = None
+) -> "Iterator[Received]":
     from hardware.recording import read_records
     from hardware.sources import open_source
 
     if ":" not in source and source.endswith(".mcap"):
         return read_records(source)
-    return open_source(source, _settings(settings))
+    return open_source(source, _settings(settings), _setup(radar_setup))
 
 
-def _first(source: str, settings: Path | None, kind: type[_Kind]) -> _Kind:
-    for received in _records(source, settings):
+def _first(incoming: "Iterator[Received]", source: str, kind: type[_Kind]) -> _Kind:
+    for received in incoming:
         if isinstance(received.record, kind):
             return received.record
     raise ValueError(f"{source}: no {kind.__name__} in it")
@@ -216,6 +228,12 @@ def _settings(path: Path | None) -> "SpiSettings | None":
     from hardware.drivers.settings import read_settings
 
     return read_settings(path) if path else None
+
+
+def _setup(path: Path | None) -> "tuple[Schedule, FrontEnd] | None":
+    from hardware.drivers.radio.setup import read_setup
+
+    return read_setup(path) if path else None
 
 
 def _calibration(path: Path, max_age_days: float) -> "Calibration":

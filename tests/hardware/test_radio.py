@@ -1,6 +1,8 @@
 """The radio's driver and schedule, against closed forms and a cable in memory; no simulator."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +26,7 @@ from hardware.drivers.radio import (
 from hardware.drivers.radio.setup import read_setup, write_setup
 from hardware.radar import OfdmWaveform, channel
 from hardware.records import Flag
+from hardware.sources import open_source
 
 PROTOTYPE = OfdmWaveform(2.26e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6)
 CARRIERS = carriers(2.5e9, 20e6, 25)
@@ -280,3 +283,24 @@ def test_broken_setup_is_refused(tmp_path, change, says: str) -> None:
     path.write_text("[]")
     with pytest.raises(ValueError, match=r"setup\.json"):
         read_setup(path)
+
+
+def test_the_radio_needs_neither_the_cameras_framing_nor_its_line() -> None:
+    """Where `cobs` and `pyserial` are not installed: radio, log and sources are there."""
+    program = (
+        "import sys; sys.modules.update(cobs=None, serial=None)\n"
+        "import hardware.capture, hardware.sources, hardware.drivers.radio.opening\n"
+        "from hardware.drivers import ClockModel\n"
+        "from hardware.drivers.radio import acquire, open_radio\n"
+        "try: from hardware.drivers import SpiCamera\n"
+        "except ModuleNotFoundError as error: print(error.name)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "cobs\n"
+
+
+def test_a_radio_needs_a_setup() -> None:
+    for url in ("uhd:type=b200", "zmq://127.0.0.1:5555"):
+        with pytest.raises(ValueError, match="a radio needs a setup"):
+            open_source(url)

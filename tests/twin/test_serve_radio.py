@@ -19,11 +19,11 @@ from hypothesis import strategies as st
 zmq = pytest.importorskip("zmq")
 
 from hardware.drivers.radio import Fault, RadioError, acquire, open_radio, samples  # noqa: E402
-from hardware.drivers.radio.setup import read_setup  # noqa: E402
+from hardware.drivers.radio.setup import read_setup, write_setup  # noqa: E402
 from hardware.drivers.radio.stream import StreamRadio  # noqa: E402
 from hardware.drivers.radio.zeromq import ZeroMqRadio  # noqa: E402
 from hardware.radar import channel  # noqa: E402
-from hardware.recording import Log  # noqa: E402
+from hardware.recording import Log, read_records  # noqa: E402
 from hardware.records import Flag, RadarRecord  # noqa: E402
 from hardware.sources import open_source  # noqa: E402
 from twin.fidelity import Fidelity  # noqa: E402
@@ -418,6 +418,42 @@ def test_faults_that_are_none() -> None:
             parse_faults([text], RadioFaults)
 
 
+def ugv(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hardware", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+
+
+def test_ugv_captures_and_processes_a_radio(scene, tmp_path: Path) -> None:
+    """By its URL alone: a record a sweep, bit for bit the twin's, with the radio's clock."""
+    design = small()
+    radio = virtual(scene, design, clock=DeviceClock("real"))
+    setup, run, found = (tmp_path / name for name in ("radar.json", "run.mcap", "found.mcap"))
+    write_setup(radio.schedule, radio.front_end, setup)
+    with served(radio) as port:
+        url = f"zmq://127.0.0.1:{port}"
+        done = ugv("capture", url, "-o", run, "--radar-setup", setup, "--records", 3)
+        assert done.returncode == 0, done.stderr
+        live = ugv("process", url, "-o", found, "--radar-setup", setup, "--records", 2)
+        assert live.returncode == 0, live.stderr
+        assert live.stdout.count("/radar/record") == 2
+        without = ugv("capture", url, "-o", tmp_path / "none.mcap")
+    assert (without.returncode, without.stderr) == (
+        2,
+        f"ugv: error: {url}: a radio needs a setup\n",
+    )
+    assert not (tmp_path / "none.mcap").exists()
+    for sweep, received in enumerate(read_records(run)):
+        assert received.topic == "/radar/record"
+        assert np.array_equal(received.record.iq[0], direct(scene, design, sweep).iq[0])
+        assert not received.record.flags.any()
+        assert received.clock is not None
+        begun_ns = received.clock.host_ns(int(received.record.device_time_ns[0, 0, 0]))
+        assert 0 < received.host_ns - begun_ns < 5e9
+    assert sweep == 2
+    assert "ugv_msgs/msg/RadarRecord" in ugv("info", run).stdout
+
+
 def test_the_command(tmp_path: Path) -> None:
     """`twin serve` says where it listens, writes what a driver needs, and ends on ctrl-C."""
     design = tmp_path / "small.toml"
@@ -437,6 +473,10 @@ def test_the_command(tmp_path: Path) -> None:
             record = acquire(driver, *read_setup(setup))
         assert record.iq.any()
         assert not record.flags.any()
+        options = ["--radar-setup", setup, "--records", 2]
+        done = ugv("capture", f"zmq://127.0.0.1:{port}", "-o", tmp_path / "run.mcap", *options)
+        assert done.returncode == 0, done.stderr
+        assert all(received.record.iq.any() for received in read_records(tmp_path / "run.mcap"))
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 130
     again = subprocess.run(
