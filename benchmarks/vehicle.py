@@ -1,24 +1,43 @@
-"""The vehicle's input and output: the camera's stream, from bytes on a line to an image."""
+"""The vehicle's input and output: the camera's stream, from bytes on a line to an image; the radio's
+sweeps.
+"""
 
+import os
 import shutil
+import socket
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import hardware
-from benchmarks.timing import Figure, timed
+from benchmarks.timing import Figure, Timing, timed
 from hardware import PatternSet, reconstruct
 from hardware.drivers import SpiCamera, SpiSettings
+from hardware.drivers.radio import acquire, open_radio
+from twin.camera.stream import still_light, stills
+from twin.fidelity import Fidelity
+from twin.radar import load_radar, radar_echo
+from twin.scene import load_scene
+from twin.serve.camera import VirtualCamera
+from twin.serve.clock import DeviceClock
+from twin.serve.line import Terminal
+from twin.serve.radio import VirtualRadio
+from twin.serve.serial import CameraServer
+from twin.serve.zeromq import RadioServer
+from twin.system import System, load_system
 
 _SETTINGS = SpiSettings(PatternSet(8, 8, 64), 10e-6)
 _SETS = 2000
 
 
 def figures() -> Iterator[Figure]:
-    """Name, value and unit; needs a C compiler for the reference firmware."""
+    """Name, value and unit; the camera's own need a C compiler for the reference firmware."""
+    yield from _virtual_camera()
+    yield from _radio()
     compiler = shutil.which("cc")
     if compiler is None:
         return
@@ -53,6 +72,73 @@ def _latency(program: Path) -> Iterator[Figure]:
         timing = timed(lambda: reconstruct(next(records)), runs=99, warm_up=9)
         records.close()  # type: ignore[attr-defined]
     yield "camera at 33 fps: driver and reconstruction add to a frame (LMMSE)", timing, ""
+
+
+def _virtual_camera() -> Iterator[Figure]:
+    """The twin behind a terminal, host and device together on one core."""
+    scene, content = load_scene("yard"), load_system("workable").model_dump()
+    content["emitter"] |= {name: {"value": 8, "assumed": "64"} for name in ("rows", "columns")}
+    content["acquisition"]["n_patterns"] = {"value": 64, "assumed": "64"}
+    system, quick = System.model_validate(content), Fidelity(samples=4, max_depth=1)
+    light, clock = still_light(scene, system, fidelity=quick), DeviceClock("fast")
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})  # of this thread, and of those it starts
+    try:
+        server = CameraServer(
+            lambda send, overrun: VirtualCamera(
+                system,
+                scene.sun,
+                lambda asked: stills(scene, asked, fidelity=quick, rendered=light),
+                clock=clock,
+                send=send,
+            ),
+            Terminal(),
+            clock=clock,
+        )
+        wanted = SpiSettings(PatternSet(8, 8, 64), 80e-6)
+        with _served(server), SpiCamera(server.line.url, wanted) as camera:
+            wall, busy = time.perf_counter(), time.process_time()
+            n = sum(1 for _ in camera.records(sets=_SETS))
+            wall, busy = time.perf_counter() - wall, time.process_time() - busy
+    finally:
+        os.sched_setaffinity(0, cores)
+    assert n == _SETS
+    yield "virtual camera, 64 patterns, terminal: twin and driver on one core", n / wall, "frames/s"
+    yield "virtual camera: if the core did nothing else", n / busy, "frames/s"
+
+
+def _radio() -> Iterator[Figure]:
+    """The prototype's 25 carriers; the scene's answer is at hand, so that nothing is simulated but
+    the receiver.
+    """
+    design = load_radar("prototype")
+    echo = radar_echo(load_scene("yard"), design, fidelity=Fidelity(radar="targets"))
+    radio = VirtualRadio(design, lambda sweep: echo, clock=DeviceClock("fast"))
+    what = f"radio, a sweep of {len(radio.carriers_hz)} carriers (prototype)"
+    yield f"{what}: through ZeroMQ", _sweeps(radio, remote=True), ""
+    yield f"{what}: the virtual radio itself", _sweeps(radio, remote=False), ""
+
+
+def _sweeps(radio: VirtualRadio, *, remote: bool) -> Timing:
+    schedule, front_end = radio.schedule, radio.front_end
+    if not remote:
+        return timed(lambda: acquire(radio, schedule, front_end), runs=19, warm_up=2)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    server = RadioServer(radio, "127.0.0.1", port, n_samples=radio.n_samples)
+    with _served(server), open_radio(f"zmq://127.0.0.1:{port}") as driver:
+        return timed(lambda: acquire(driver, schedule, front_end), runs=19, warm_up=2)
+
+
+@contextmanager
+def _served(server: CameraServer | RadioServer) -> Iterator[None]:
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield
+    finally:
+        server.stop()
+        thread.join()
 
 
 @contextmanager
