@@ -1,6 +1,4 @@
-"""The vehicle's input and output: the camera's stream, from bytes on a line to an image; the radio's
-sweeps.
-"""
+"""The vehicle's input and output: the camera's stream up to an image, the radio's sweeps."""
 
 import os
 import shutil
