@@ -2,7 +2,7 @@
 
 Arguments are libFuzzer's; an empty CORPUS begins with `write_seeds`. Needs the package `atheris`.
 The checksum would keep a fuzzer out, so the first byte of an input says how the rest becomes bytes
-on the line: as they are, as one payload in a good frame, or as a series of frames.
+on the line: as they are, after a long run of others, as one payload in a good frame, or as a series of frames.
 """
 
 import json
@@ -46,9 +46,11 @@ _TYPES = sorted(messages._BY_TYPE)
 
 def on_the_line(data: bytes) -> bytes:
     """Bytes on the line of a fuzzer's input."""
-    how, rest = data[0] % 3, data[1:]
+    how, rest = data[0] % 4, data[1:]
     if how == 0:
         return rest
+    if how == 3:  # longer than any frame
+        return b"\x55" * (40 * rest[0]) + rest[1:] if rest else b""
     if how == 1:
         return framing.encode(Frame(rest[0], 0, rest[1:][:MAX_PAYLOAD])) if rest else b""
     # A series: a byte for the type, one for the length of the payload, the payload.
