@@ -2,7 +2,8 @@
 
 Arguments are libFuzzer's; an empty CORPUS begins with `write_seeds`. Needs the package `atheris`.
 The checksum would keep a fuzzer out, so the first byte of an input says how the rest becomes bytes
-on the line: as they are, after a long run of others, as one payload in a good frame, or as a series of frames.
+on the line: as they are, after a long run of others, as one payload in a good frame, or as a
+series of frames.
 """
 
 import json
