@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from hardware.waveform import C_M_PER_S
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.picture import TrackPicture
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
@@ -31,6 +32,7 @@ def radar_map(evaluation: RadarEvaluation) -> Figure:
     )
     figure.colorbar(drawn, ax=axis, label="received power (dBm per cell)")
     _mark(axis, evaluation)
+    axis.set_ylim(0, image.range_m[shown][-1])
     hit = sum(match is not None for match in evaluation.matches)
     axis.set_title(
         f"{evaluation.radar.name}: {hit} of {len(evaluation.capture.truth)} targets detected"
@@ -114,9 +116,11 @@ def _mark(axis: Any, evaluation: RadarEvaluation) -> None:
 
 
 def _shown_ranges(evaluation: RadarEvaluation) -> slice:
-    """From 0 to a third beyond the farthest target or path."""
+    """From 0 to a third beyond the farthest target or echo."""
+    found = evaluation.capture.propagation
     far = [t.seen_at[0] for t in evaluation.capture.truth]
-    far += [p.range_m for p in evaluation.capture.propagation.paths]
+    far += [p.range_m for p in found.paths]
+    far += [float(found.echoes.delay_s.max()) * C_M_PER_S / 2] if found.echoes.delay_s.size else []
     top = 1.33 * max(far, default=evaluation.image.range_m[-1])
     return slice(0, max(8, int(np.searchsorted(evaluation.image.range_m, top))))
 
