@@ -12,11 +12,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+import serial
 
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSettings
 from hardware.drivers.framing import Deframer, encode
-from hardware.drivers.messages import MODE_CODES, Refusal, Refused, to_frame
+from hardware.drivers.messages import (
+    MODE_CODES,
+    UPLOADED,
+    Configure,
+    Refusal,
+    Refused,
+    Status,
+    Upload,
+    from_frame,
+    to_frame,
+)
+from hardware.drivers.table import table_bytes
 from hardware.records import Flag
 
 QUICK = Patience(reply_s=0.4, attempts=3, reconnect_s=5.0, between_attempts_s=0.05)
@@ -123,6 +135,31 @@ def test_patterns_by_name_or_uploaded_are_the_same(firmware: Any, order: str, mo
     expected = np.repeat(firmware.counts(patterns), 2, axis=0)
     np.testing.assert_array_equal(named.counts, expected)
     np.testing.assert_array_equal(uploaded.counts, expected)
+
+
+def test_an_earlier_portion_again_takes_nothing_away(firmware: Any) -> None:
+    """PROTOCOL.md: a repeated portion does no harm, however late it comes."""
+    patterns = PatternSet(4, 8, 8, "natural", "plain")
+    table = table_bytes(patterns)
+    configure = Configure(4, 8, 8, UPLOADED, MODE_CODES.index("plain"), 0, 0, 10e-6, 0.0)
+    with firmware.running("--fast") as path, serial.Serial(path, timeout=2) as line:
+        frames = Deframer()
+
+        def held(message: Any, tag: int) -> int:
+            """Bytes of the table that the device says it has."""
+            line.write(encode(to_frame(message, tag)))
+            while True:
+                data = line.read(max(1, line.in_waiting))
+                assert data, "no answer"
+                for frame in frames.feed(data):
+                    if frame.tag == tag:
+                        answer = from_frame(frame)
+                        return answer.table_bytes if isinstance(answer, Status) else -1
+
+        held(configure, 1)
+        portions = [(0, 10), (10, 10), (0, 10), (20, len(table) - 20)]
+        told = [held(Upload(a, table[a : a + n]), 2 + i) for i, (a, n) in enumerate(portions)]
+    assert told == [10, 20, 20, len(table)]
 
 
 def test_a_table_of_many_portions_is_uploaded(firmware: Any) -> None:

@@ -177,7 +177,8 @@ static void upload(struct device *d, uint8_t tag, const uint8_t *in, size_t size
         return;
     }
     memcpy(p->bits + offset, in + 4, length);
-    p->loaded = offset + length;
+    if (offset + length > p->loaded)
+        p->loaded = offset + length; /* an earlier portion again takes nothing away */
     if (p->loaded == p->size)
         d->table_crc = patterns_crc(p);
     send_status(d, tag);
