@@ -32,6 +32,12 @@ from tests.hardware.radar_cubes import (
 )
 from twin.radar import load_radar
 
+#: Of the error statistics.
+WAVEFORMS = {
+    "79 GHz": replace(WIDE, n_slots=32),
+    "prototype, 500 MHz": OfdmWaveform(2.5e9, 400, 1.25e6, 16, 1e-3, 1, 0.4e-6),
+}
+
 
 def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
@@ -81,21 +87,17 @@ def _errors() -> Iterator[Figure]:
     79 GHz with 4 GHz in 256 subcarriers and 32 slots: the statistics of a map do not hang on its
     size but for the number of cells among which noise can win (8192 here, a million in full).
     """
-    cases = {
-        "79 GHz": replace(WIDE, n_slots=32),
-        "prototype, 500 MHz": OfdmWaveform(2.5e9, 400, 1.25e6, 16, 1e-3, 1, 0.4e-6),
-    }
-    for name, wave in cases.items():
+    for name, wave in WAVEFORMS.items():
         for snr_db in (8, 10, 12, 14, 17, 20, 30, 40):
             what = f"{name}, {snr_db} dB"
-            ratios, outliers = _rmse(wave, snr_db, 400, np.random.default_rng(snr_db))
+            ratios, outliers = rmse(wave, snr_db, 400, np.random.default_rng(snr_db))
             if snr_db >= 17:
                 yield f"{what}: range RMSE over bound (400 runs, 95 %: +/- 7 %)", ratios[0], ""
                 yield f"{what}: rate RMSE over bound (400 runs, 95 %: +/- 7 %)", ratios[1], ""
             yield f"{what}: outliers", outliers, ""
 
 
-def _rmse(
+def rmse(
     wave: OfdmWaveform, snr_db: float, runs: int, rng: np.random.Generator
 ) -> tuple[tuple[float, float], float]:
     """RMSE of range and rate over their bounds, of all but outliers, and the outliers' share."""
