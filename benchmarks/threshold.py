@@ -25,7 +25,7 @@ def main() -> None:
         for snr, (ratios, outliers) in zip(_SNR_DB, found, strict=True):
             print(f"{name}, {snr} dB: range {ratios[0]:.3f} of the bound, outliers {outliers:.2%}")
     left.axhline(1, color="grey", lw=0.8, ls="--")
-    left.set_ylabel("range RMSE over its bound, outliers left out")
+    left.set_ylabel("range RMSE over its bound")
     right.set_ylabel("outliers: more than two cells off (%)")
     for axis in (left, right):
         axis.set_xlabel("SNR after processing (dB)")
