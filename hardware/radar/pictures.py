@@ -29,11 +29,16 @@ def write_png(path: Path, power: NDArray[np.floating[Any]], span_db: float = 50.
 
 
 def write_detections(path: Path, found: Iterable[tuple[int, Detection]]) -> None:
-    """One row per detection, after the number of its burst."""
+    """One row per detection, after the number of its burst; empty is what nothing tells."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["burst", *(f.name for f in fields(Detection))])
-        writer.writerows([burst, *astuple(detection)] for burst, detection in found)
+        writer.writerows([burst, *map(cell, astuple(detection))] for burst, detection in found)
+
+
+def cell(value: float) -> float | str:
+    """A number as a table has it: empty where it is none."""
+    return "" if np.isnan(value) else value
 
 
 def write_image(path: Path, image: RadarImage) -> None:

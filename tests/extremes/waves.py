@@ -199,8 +199,8 @@ def cases() -> list[Case]:
             for text, half, expected, says in (
                 ("20 m at 25 m", 10.0, "within", ""),
                 ("4 km at 25 m", 2e3, "within", ""),
-                ("10 km at 25 m, off its middle", 5e3, "warning", "float32 rays may lose"),
-                ("100 km at 25 m", 5e4, "warning", "float32 rays may lose"),
+                ("10 km at 25 m, off its middle", 5e3, "within", ""),
+                ("100 km at 25 m", 5e4, "within", ""),
             )
         ],
         *velocities,

@@ -104,6 +104,8 @@ def test_the_radar_record_alone_gives_the_detections(finished: Path) -> None:
     with (finished / "detections.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["range_m"]) for row in rows] == [d.range_m for d in found]
+    # One antenna tells no angle: the cell is empty, not a word.
+    assert {row["azimuth_rad"] for row in rows} == {""}
     with (finished / "truth.csv").open() as file:
         truth = {row["name"] for row in csv.DictReader(file)}
     assert truth == {row["target"] for row in rows} - {""}

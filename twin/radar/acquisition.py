@@ -176,7 +176,7 @@ def radar_capture(
         air=air,
         sample_noise_w=radar.sample_noise_w,
         assumptions=assumptions(first, radar, bursts[0], air, echo.fidelity.radar),
-        warnings=warnings(first, radar, bursts, truth, record.flags),
+        warnings=warnings(first, radar, bursts, truth, record.flags, echo.fidelity.radar),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
+from hardware.radar.pictures import cell
 from hardware.radar.process import Frame, Processing, process
 from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
@@ -102,9 +103,14 @@ def match_detections(
 
 
 def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
-    """``detections.csv``: one row per detection, strongest first, with the target it is."""
+    """``detections.csv``: one row per detection, strongest first, with the target it is; empty is
+    what array or antenna do not tell.
+    """
     rows = (
-        {**asdict(found), "target": target.name if target else ""}
+        {
+            **{name: cell(value) for name, value in asdict(found).items()},
+            "target": target.name if target else "",
+        }
         for found, target in zip(evaluation.detections, evaluation.matches, strict=True)
     )
     _write(path, [*(f.name for f in fields(Detection)), "target"], rows)

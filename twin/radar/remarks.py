@@ -84,6 +84,7 @@ def warnings(
     bursts: Sequence[Propagation],
     truth: tuple[TrueTarget, ...],
     flags: NDArray[np.uint8],
+    rung: RadarRung,
 ) -> tuple[str, ...]:
     """What contradicts itself; the scene is that of the first burst."""
     farthest = max((t.range_m for t in truth), default=0.0)
@@ -98,7 +99,7 @@ def warnings(
         found.append(f"no direct path to {', '.join(hidden)}")
     surfaces = {a.name for a in bursts[0].roles if a.role is Role.SURFACE}
     coarse = [o.name for o in scene.objects if o.name in surfaces and _too_large(o, place)]
-    if coarse:
+    if coarse and rung == "paths":  # our own images are found in float64
         found.append(
             f"triangles of {', '.join(coarse)} are so large that float32 rays may lose their echo "
             "or count it again (off by up to 300 % in what was tried): divide them"
