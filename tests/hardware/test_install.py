@@ -45,7 +45,8 @@ def test_the_vehicle_needs_no_simulator_and_little_room() -> None:
 
 def test_importing_it_imports_nothing_heavy() -> None:
     """Import time itself is a figure of `make bench`; here: what would make it long."""
-    code = "import sys, hardware; print([m for m in ('scipy', 'h5py', 'typer') if m in sys.modules])"
+    heavy = ("scipy", "h5py", "typer")
+    code = f"import sys, hardware; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
