@@ -6,8 +6,9 @@ from a few wavelengths on, flat or curved, but needs rays in proportion to (size
 So where objects scatter by physical optics, images are left to what is flat and very large.
 
 On the rung `paths`, what has no declared cross-section and is no mirror answers from a table of its
-far field where that holds, from 2 D^2 / lambda on, and where the table is quickly filled. The
-scene may ask for a table anywhere; what that costs is warned of.
+far field where that holds, from 2 D^2 / lambda on, where the table is quickly filled, and where it
+is no part of something declared. The scene may ask for a table anywhere; where it can't be right is
+warned of.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.fidelity import RadarRung
-from twin.radar.propagation.shape import Shape, shape_of
+from twin.radar.propagation.shape import Shape, shape_of, together
 from twin.scene import Scene, SceneObject
 
 Array = NDArray[np.float64]
@@ -86,7 +87,10 @@ def assign_roles(scene: Scene, wavelength_m: float, rung: RadarRung = "paths") -
         elif ratio >= LARGE:
             role = Role.SURFACE
         else:
-            role = Role.TABLE if _has_table(shape, distance, wavelength_m) else Role.OBSTACLE
+            whole = _has_table(shape, distance, wavelength_m) and not any(
+                together(item, other) for other in scene.objects if other.name in declared
+            )
+            role = Role.TABLE if whole else Role.OBSTACLE
         found.append(Assignment(item.name, role, ratio, wanted is role))
     return found
 

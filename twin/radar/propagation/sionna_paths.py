@@ -29,9 +29,10 @@ from twin.radar.propagation.tabulated import (
     Leg,
     Tabulated,
     answers,
+    assumptions,
     leg,
-    remarks,
     tabulated,
+    warning,
 )
 from twin.scene import Scene, SceneObject, Target
 
@@ -153,14 +154,8 @@ class _RadioWorld:
         for thing in found:
             item = self.objects[thing.point.name]
             distance = float(np.linalg.norm(np.asarray(thing.point.position_m) - self.origin))
-            self.warnings += remarks(thing, distance, self.radar)
-            if thing.assumed:
-                self.assumptions.append(f"radio properties of {item.material}: {thing.assumed}")
-        if found:
-            names = ", ".join(thing.point.name for thing in found)
-            self.assumptions.append(
-                f"{names}: far-field tables of physical optics, each object alone and one point"
-            )
+            self.warnings += filter(None, [warning(thing, distance)])
+            self.assumptions += assumptions(thing, item.material, self.radar)
         return found
 
     def _add_meshes(self, scene: Scene) -> dict[str, Any]:

@@ -45,9 +45,10 @@ class Tabulated:
 class Leg:
     """From the radar, over planes, to a point, seen from there: unit vector (3,) to the radar's
     image and distance; ``field`` (3,) is what a wave of amplitude 1 has become, without its
-    spreading and phase.
+    spreading and phase, after so many ``reflections``.
     """
 
+    reflections: int
     back: Array
     length_m: float
     field: Complex
@@ -101,7 +102,7 @@ def leg(
     for (_, normal), surface in zip(planes, surfaces, strict=True):
         field = _reflected(field, direction, normal, surface, carrier_hz)
         direction = direction - 2 * (direction @ normal) * normal
-    return Leg(-arriving, length, field)
+    return Leg(len(planes), -arriving, length, field)
 
 
 def answers(
@@ -110,7 +111,11 @@ def answers(
     """Of ways there and back: amplitude without the antenna's gains, delay beyond that of the
     middle; both (n,).
     """
-    there, back = zip(*ways, strict=True)
+    # As on the rung of physical optics, which is not reciprocal: a way and its reverse are both
+    # what comes in by the simpler leg.
+    there, back = zip(
+        *(sorted(way, key=lambda leg: (leg.reflections, leg.length_m)) for way in ways), strict=True
+    )
     s, delay = thing.table.answers(
         *(np.array([leg.back for leg in legs]) for legs in (there, back)),
         *(np.array([leg.field for leg in legs]) for legs in (there, back)),
@@ -122,28 +127,32 @@ def answers(
     return amplitude, delay
 
 
-def remarks(thing: Tabulated, distance_m: float, radar: RadarDesign) -> list[str]:
-    """What is outside a table's reach."""
+def warning(thing: Tabulated, distance_m: float) -> str | None:
+    """What stands within its far field's beginning."""
+    table = thing.table
+    if distance_m >= table.far_m:
+        return None
+    bend = np.pi / 4 * table.far_m / distance_m
+    return (
+        f"{thing.point.name} answers from a table of its far field, which begins at "
+        f"2 D^2 / lambda = {table.far_m:.3g} m: {distance_m:.3g} m away phases at its rim are off "
+        f"by {bend:.2g} rad there and back (the radar model optics has no such limit)"
+    )
+
+
+def assumptions(thing: Tabulated, material: str, radar: RadarDesign) -> list[str]:
+    """What a table takes for granted."""
     name, table = thing.point.name, thing.table
-    found = []
-    if distance_m < table.far_m:
-        bend = np.pi / 4 * table.far_m / distance_m
-        found.append(
-            f"{name} answers from a table of its far field, which begins at 2 D^2 / lambda = "
-            f"{table.far_m:.3g} m: {distance_m:.3g} m away phases at its rim are off by "
-            f"{bend:.2g} rad there and back (radar model optics has no such limit)"
-        )
+    found = [f"{name} answers from a table of physical optics, alone and from one point"]
     if table.extent_m > _range_cell(radar):
+        found[0] += f": it measures {table.extent_m / _range_cell(radar):.3g} range cells"
+    if table.thinned > 1:
         found.append(
-            f"{name} measures {table.extent_m:.3g} m, more than a range cell of "
-            f"{_range_cell(radar):.3g} m, but answers from one range"
-        )
-    thinned = table.thinned
-    if thinned > 1:
-        found.append(
-            f"{name}: the rays of its table are {thinned:.2g} times wider apart than a fourth of a "
+            f"rays of the table of {name} {table.thinned:.2g} times wider apart than a fourth of a "
             "wavelength: echoes of edges met obliquely fade"
         )
+    if thing.assumed:
+        found.append(f"radio properties of {material}: {thing.assumed}")
     return found
 
 
