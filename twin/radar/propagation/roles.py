@@ -33,7 +33,7 @@ LARGE_BESIDE_OPTICS = 10.0
 _MOSTLY = 0.5  # share of an object's area in such patches, else the rest of it would be silent
 _BENT = 10.0  # radius of curvature over distance: at 10 an image is off by 1 + d / R, 0.8 dB
 _SMALLEST = 3.0  # wavelengths from which physical optics is more than an order of magnitude
-#: Wavelengths up to which a table begins by itself: 24 000 rays a direction, 0.2 s a way.
+#: Wavelengths up to which a table begins by itself: 20 000 rays a direction, 0.2 s a way at most.
 _LARGEST_TABLE = 40.0
 
 
