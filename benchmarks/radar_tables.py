@@ -10,7 +10,8 @@ from benchmarks.timing import Figure, timed
 from twin.fidelity import Fidelity
 from twin.radar import load_radar
 from twin.radar.propagation.sionna_paths import trace
-from twin.radar.scattering.table import Table
+from twin.radar.scattering.bistatic import scattering_dyadics
+from twin.radar.scattering.table import QUALITY, Table
 from twin.radar.scattering.target import Target
 from twin.scene import Scene, load_scene
 
@@ -19,12 +20,31 @@ _NODES = Fidelity().radar_table_nodes
 
 def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
+    yield from _interpolation()
     street = load_scene("street")
     for carrier_hz in (79e9, 2.5e9):
         for name, leg_m in (("car", None), ("person", None), ("trihedral of 0.2 m", 0.2)):
             target = _trihedral(leg_m) if leg_m else _of(street, name)
             yield from _table(f"table of {name}, {carrier_hz / 1e9:g} GHz", target, carrier_hz)
     yield from _frames(street)
+
+
+def _interpolation() -> Iterator[Figure]:
+    """Of a plate of 10 wavelengths, between 200 ways around its mirror's direction."""
+    carrier_hz, half = 79e9, 5 * speed_of_light / 79e9
+    corners = half * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1.0]])
+    plate = Target(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    rng = np.random.default_rng(0)
+    ways = np.array([-1.0, 0, 0]) + 0.02 * rng.normal(size=(2, 200, 3))
+    source, receiver = ways / np.linalg.norm(ways, axis=2, keepdims=True)
+    carriers = np.full(len(source), carrier_hz)
+    direct = scattering_dyadics(plate, source, receiver, carriers, QUALITY)
+    peak = (2 * half) ** 2 * carrier_hz / speed_of_light
+    for nodes in (2, 4, 8):
+        found = Table(plate, carrier_hz, nodes).dyadics(source, receiver)[:, 0]
+        error = np.abs(found - direct)[:, 1:, 1:]
+        rms = float(np.sqrt(np.mean(np.sum(error**2, axis=(1, 2)) / 2)))
+        yield f"table, {nodes} nodes a lobe: rms error of a plate", 100 * rms / peak, "% of peak"
 
 
 def _of(scene: Scene, name: str) -> Target:

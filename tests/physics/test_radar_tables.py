@@ -209,6 +209,17 @@ def test_a_table_is_filled_once_in_memory_and_on_disk(tmp_path, monkeypatch) -> 
         np.testing.assert_array_equal(fresh().dyadics(*ways), first)
 
 
+def test_what_was_asked_before_does_not_matter() -> None:
+    """Alone, in company or in another order a way has the same bits."""
+    target = body(trihedral("t", (0, 0, 0), 0.1))
+    source, receiver = around([-1, 0, 0], 0.3, 12, 6), around([-1, 0, 0], 0.3, 12, 7)
+    together = Table(target, CARRIER_HZ, 4).dyadics(source, receiver)
+    alone = Table(target, CARRIER_HZ, 4)
+    for i in reversed(range(12)):
+        found = alone.dyadics(source[i : i + 1], receiver[i : i + 1])
+        np.testing.assert_array_equal(found[0], together[i])
+
+
 # In the scene.
 
 

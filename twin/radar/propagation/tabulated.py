@@ -7,7 +7,9 @@ cross-polarisation matrix of its own `ScatteringModel` would be float32, looked 
 compiled loop, and know nothing of where within the object the echo comes from.
 
 An object counts as one point, seen or hidden as a whole, and alone: what touches it neither shadows
-it nor reflects from it. Echoes of it over its own distance's 2 D^2 / lambda, see `far_m`.
+it nor reflects from it. Between the way out and the way back there may be any angle: the table is
+bistatic. Monostatic S at the bisector (Kell, Proc. IEEE 53, 1965) would not do: of a trihedral of
+40 wavelengths, 3.8 deg between the direct way and the one over the ground, it is 20 dB too strong.
 """
 
 from collections.abc import Sequence
@@ -63,11 +65,9 @@ def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -
     surface, assumed = surface_of(item, scene, carrier)
     place = f"objects.{item.name}"
     body = Body.from_mesh(Mesh(item.vertices_m, item.faces), surface, place)
-    middle = body.sphere[0]
-    x, y, z = middle.tolist()
-    around = Body(body.vertices_m - middle, body.faces, body.surfaces)
+    x, y, z = body.sphere[0].tolist()
     try:
-        table = table_of(around, carrier, nodes)
+        table = table_of(body, carrier, nodes)
     except ValueError as error:
         raise InputError(f"{place}: radar = 'table': measures {error}") from error
     point = Target(item.name, (x, y, z), item.velocity_m_per_s, 1.0, "its table", item.name)

@@ -204,8 +204,8 @@ class Table:
 
 def _key(target: Target, carrier_hz: float, nodes: int, quality: Quality) -> str:
     """Digest of all that a table depends on, this package's own source included."""
-    # To a nanometre: where the object stands leaves rounding errors in its shape.
-    shape = np.round(target.vertices_m - target.sphere[0], 9) + 0.0
+    # To 0.1 um: where the object stands leaves rounding errors in its shape.
+    shape = np.round(target.vertices_m - target.sphere[0], 7) + 0.0
     found = hashlib.sha256(shape.tobytes() + np.asarray(target.faces, np.int64).tobytes())
     if target.surface_of_face is not None:
         found.update(np.asarray(target.surface_of_face, np.int64).tobytes())
