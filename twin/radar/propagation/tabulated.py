@@ -69,7 +69,7 @@ def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -
     try:
         table = table_of(body, carrier, nodes)
     except ValueError as error:
-        raise InputError(f"{place}: radar = 'table': measures {error}") from error
+        raise InputError(f"{place}: radar = 'table': {error}") from error
     point = Target(item.name, (x, y, z), item.velocity_m_per_s, 1.0, "its table", item.name)
     return Tabulated(point, table, assumed)
 
