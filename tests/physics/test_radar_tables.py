@@ -105,9 +105,7 @@ def test_what_stands_before_the_receiver_hides() -> None:
     source, receiver = towards((0, 0), (60, 0))[:, None]
     cos, sin = np.cos(np.radians(30)), np.sin(np.radians(30))
     h = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]) * HALF_M
-    mirror = h @ np.array(
-        [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
-    )
+    mirror = h @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
     screen = 2 * h[:, [1, 0, 2]] + 0.1 * receiver[0]
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     carrier = np.array([CARRIER_HZ])
