@@ -9,7 +9,7 @@ Higher rungs leave Sionna aside: `twin.radar.propagation.echoes`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -25,6 +25,7 @@ from twin.radar.propagation.materials import radio_properties
 from twin.radar.propagation.optics import surface_of
 from twin.radar.propagation.paths import Heard, Path, Propagation, contributions_of_paths
 from twin.radar.propagation.roles import Role, assign_roles
+from twin.radar.propagation.sionna_raw import TARGET, RawPath
 from twin.radar.propagation.tabulated import (
     Leg,
     Tabulated,
@@ -38,7 +39,6 @@ from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
 
-_TARGET = 16  # Sionna's interaction type of a scattering point
 _AIR = "opaque air"
 _SAMPLES = 100_000  # rays that look for surfaces; the image method then is exact
 _BUFFER = 10_000
@@ -239,7 +239,7 @@ class _RadioWorld:
             refraction=False,
             seed=seed,
         )
-        return [path for raw in _Raw.unpack(solved) if (path := self._refined(raw))]
+        return [path for raw in RawPath.unpack(solved) if (path := self._refined(raw))]
 
     def targets(self, max_depth: int, seed: int) -> tuple[list[Path], list[Path]]:
         """Ways to every target and back, directly and over surfaces: to declared ones, and to
@@ -256,12 +256,12 @@ class _RadioWorld:
             seed=seed,
         )
         points: list[Path] = []
-        ways: list[list[tuple[_Raw, Path]]] = [[] for _ in self.tables]
-        for raw in _Raw.unpack(solved):
+        ways: list[list[tuple[RawPath, Path]]] = [[] for _ in self.tables]
+        for raw in RawPath.unpack(solved):
             path = self._refined(raw)
             if path is None:
                 continue
-            number = raw.objects[raw.kinds.index(_TARGET)] - self.n_declared
+            number = raw.objects[raw.kinds.index(TARGET)] - self.n_declared
             if number < 0:
                 points.append(path)
             else:
@@ -271,11 +271,11 @@ class _RadioWorld:
             echo for thing, found in pairs if found for echo in self._told(thing, found)
         ]
 
-    def _told(self, thing: Tabulated, ways: "list[tuple[_Raw, Path]]") -> list[Path]:
+    def _told(self, thing: Tabulated, ways: list[tuple[RawPath, Path]]) -> list[Path]:
         """Ways to one target with what its table answers, in place of the 1 m^2 it stood for."""
         legs = []
         for raw, _ in ways:
-            at = raw.kinds.index(_TARGET)
+            at = raw.kinds.index(TARGET)
             there = zip(raw.objects[:at], raw.primitives[:at], strict=True)
             back = zip(raw.objects[:at:-1], raw.primitives[:at:-1], strict=True)
             legs.append((self._leg(thing, list(there)), self._leg(thing, list(back))))
@@ -306,11 +306,11 @@ class _RadioWorld:
         """Of the antenna's amplitude, there and back."""
         return float(np.sqrt(np.prod(self.radar.antenna.gain(np.array(directions)))))
 
-    def _refined(self, raw: "_Raw") -> Path | None:
+    def _refined(self, raw: RawPath) -> Path | None:
         """The same path with its length in float64; None for one over an obstacle."""
         # Sionna counts sensing targets by themselves. Both kinds have a name and a velocity.
         met: list[SceneObject | Target] = [
-            self.targets_met[i] if kind == _TARGET else self.meshes_met[i]
+            self.targets_met[i] if kind == TARGET else self.meshes_met[i]
             for i, kind in zip(raw.objects, raw.kinds, strict=True)
         ]
         if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in met):
@@ -351,43 +351,6 @@ class _RadioWorld:
         a, b, c = item.vertices_m[item.faces[primitive]] - self.origin
         normal = np.cross(b - a, c - a)
         return a, normal / np.linalg.norm(normal)
-
-
-@dataclass(frozen=True)
-class _Raw:
-    """One path as Sionna gives it."""
-
-    kinds: tuple[int, ...]
-    objects: tuple[int, ...]
-    primitives: tuple[int, ...]
-    vertices: Array
-    amplitude: complex
-
-    @staticmethod
-    def unpack(solved: Any) -> "list[_Raw]":
-        real, imaginary = (np.array(part).ravel() for part in solved.a)
-        n = real.size
-        if n == 0:
-            return []
-        kinds, objects, primitives = (
-            np.array(x).reshape(-1, n)
-            for x in (solved.interactions, solved.objects, solved.primitives)
-        )
-        vertices = np.array(solved.vertices, dtype=np.float64).reshape(len(kinds), n, 3)
-        valid = np.array(solved.valid).ravel()
-        found = []
-        for i in np.flatnonzero(valid):
-            used = int(np.count_nonzero(kinds[:, i]))
-            found.append(
-                _Raw(
-                    kinds=tuple(int(k) for k in kinds[:used, i]),
-                    objects=tuple(int(o) for o in objects[:used, i]),
-                    primitives=tuple(int(p) for p in primitives[:used, i]),
-                    vertices=vertices[:used, i],
-                    amplitude=complex(real[i], imaginary[i]),
-                )
-            )
-        return found
 
 
 def _lengthening(vertices: Array, velocities: Array) -> float:
