@@ -18,10 +18,11 @@ from twin.radar.propagation.grids import grids, launch
 from twin.radar.propagation.images import Image, Sight, images
 from twin.radar.propagation.legs import Station, station
 from twin.radar.propagation.materials import radio_properties
+from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import LARGE_BESIDE_OPTICS, Assignment, Role
 from twin.radar.propagation.rough import Rough, coherent, rough_echoes
 from twin.radar.propagation.shape import shape_of
-from twin.radar.propagation.shooting import Rays, bodies, shoot
+from twin.radar.propagation.shooting import bodies, shoot
 from twin.radar.propagation.walls import lets_through, thickness_of, walls
 from twin.radar.propagation.world import Flat, Mesher, anchor_of, flats, mesher
 from twin.radar.scattering.surface import PEC, TABLE_STEPS, Layer, Surface, table
@@ -184,7 +185,7 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
     """Rays with the antenna's gains and the front end's losses, as the synthesis takes them."""
     departure, arrival = rays.departure @ stage.axes.T, rays.arrival @ stage.axes.T
     loss = 10 ** (-radar.front_end.losses_db.value / 20)
-    gain = np.sqrt(antenna_gain(radar, departure) * antenna_gain(radar, arrival))
+    gain = np.sqrt(radar.antenna.gain(departure) * radar.antenna.gain(arrival))
     return Contributions(
         amplitude=rays.amplitude * gain * loss,
         delay_s=rays.length_m / speed_of_light,
@@ -192,11 +193,6 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
         departure=departure,
         arrival=arrival,
     )
-
-
-def antenna_gain(radar: RadarDesign, directions: Array) -> Array:
-    """Power gain in directions (n, 3) of the antenna's frame."""
-    return radar.antenna.gain(directions)
 
 
 def surface_of(item: SceneObject, scene: Scene, carrier_hz: float) -> tuple[Surface, str | None]:

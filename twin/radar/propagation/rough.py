@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.legs import OFF_SURFACE
-from twin.radar.propagation.shooting import Rays
+from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.world import Mesher
 from twin.scene import SceneObject
 

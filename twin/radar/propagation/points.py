@@ -1,0 +1,92 @@
+"""Echoes of points: legs between them and every image of the radar, brought to the host."""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.legs import Station, leg
+from twin.radar.propagation.rays import Rays, Ring, ring, ringing
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PointLegs:
+    """Legs from one image to points, (n,) or (n, 3), in the world's axes; see `legs.Leg`.
+
+    ``length`` is that of the straight way, which spreading follows; ``extra`` what walls add.
+    """
+
+    source: int
+    back: Array
+    length: Array
+    extra: Array
+    departure: Array
+    field: NDArray[np.complex128]
+    rate: Array
+    clear: NDArray[np.bool_]
+    ring: Ring
+
+    def chosen(self, which: Any) -> "PointLegs":
+        """Only some of them, by index or mask."""
+        ring = Ring(self.ring.rho[which], self.ring.lag_m[which])
+        own = (getattr(self, f.name)[which] for f in fields(self)[1:-1])
+        return PointLegs(self.source, *own, ring)
+
+
+def point_legs(s: Station, source: int, places: Array, off: Array) -> PointLegs:
+    """Legs from an image to points (n, 3), from which rays start at a distance ``off`` (n, 3)."""
+    mi, n = s.mi, len(places)
+    place, aside = (mi.Vector3d(*(mi.Float64(v[:, i]) for i in range(3))) for v in (places, off))
+    way = leg(s, mi.UInt32(np.full(n, source)), place, aside, mi.Bool(True))
+    p = way.passage
+    dr.eval(*(v for v in vars(way).values() if v is not p), *vars(p).values())
+
+    def host(value: Any) -> Any:
+        flat = np.array(value)
+        return np.broadcast_to(flat, (*flat.shape[:-1], n)).T
+
+    return PointLegs(
+        source=source,
+        back=host(way.back),
+        length=host(way.length),
+        extra=host(p.extra),
+        departure=host(way.departure),
+        field=host(way.field) + 1j * host(way.field_im),
+        rate=host(way.rate),
+        clear=host(way.clear),
+        ring=ring(p, host, n),
+    )
+
+
+def between(
+    out: PointLegs,
+    home: PointLegs,
+    amplitude: NDArray[np.complex128],
+    velocity: Array,
+    number: NDArray[np.integer],
+) -> Rays:
+    """Echoes out by one leg and home by another, walls' internal echoes included.
+
+    Parameters
+    ----------
+    amplitude
+        Of each point (n,), but for the spreading, 1 over both lengths.
+    velocity, number
+        Of the points, (n, 3) or (3,), and of the objects that they belong to, (n,).
+    """
+    n = len(out.length)
+    once = Rays(
+        amplitude=amplitude / (out.length * home.length),
+        length_m=out.length + out.extra + home.length + home.extra,
+        rate_m_per_s=out.rate + home.rate - np.sum(velocity * (out.back + home.back), axis=1),
+        departure=out.departure,
+        arrival=home.departure,
+        object=np.asarray(number, dtype=np.uint32),
+        source=np.full(n, out.source, dtype=np.uint32),
+        receiver=np.full(n, home.source, dtype=np.uint32),
+    )
+    return ringing(once, out.ring, home.ring, np.full(n, out.source == home.source))
