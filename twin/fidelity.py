@@ -42,6 +42,10 @@ class Fidelity:
         trihedral needs 3.
     radar_images
         Reflections at large surfaces on the way to an object, and as many back.
+    radar_edges
+        Pieces of sharp edges that diffract, all objects and images together; 0: none, and what
+        has edges is wrong away from its mirror directions (a plate by 10 dB, mean over angles).
+        Where they are longer than an eighth of a wavelength, the band's edges suffer first.
     radar_scatterers
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
     """
@@ -56,6 +60,7 @@ class Fidelity:
     radar_rays: int = 200_000
     radar_bounces: int = 3
     radar_images: int = 1
+    radar_edges: int = 0
     radar_scatterers: int = 50_000
 
     def __post_init__(self) -> None:
@@ -68,6 +73,7 @@ class Fidelity:
             ("radar_rays", 1),
             ("radar_bounces", 1),
             ("radar_images", 0),
+            ("radar_edges", 0),
             ("radar_scatterers", 1),
         ):
             if getattr(self, name) < least:
@@ -93,6 +99,7 @@ class Fidelity:
             radar_rays=max(self.radar_rays, other.radar_rays),
             radar_bounces=max(self.radar_bounces, other.radar_bounces),
             radar_images=max(self.radar_images, other.radar_images),
+            radar_edges=max(self.radar_edges, other.radar_edges),
             radar_scatterers=max(self.radar_scatterers, other.radar_scatterers),
             nufft_tolerance=min(self.nufft_tolerance, other.nufft_tolerance),
         )
@@ -112,7 +119,9 @@ PRESETS = {
         samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar="paths"
     ),
     "standard": Fidelity(),
-    "reference": Fidelity(samples=1024, max_depth=8, nufft_tolerance=1e-10, radar="rough"),
+    "reference": Fidelity(
+        samples=1024, max_depth=8, nufft_tolerance=1e-10, radar="rough", radar_edges=2_000_000
+    ),
 }
 
 

@@ -14,6 +14,7 @@ from scipy.constants import epsilon_0, speed_of_light
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.edges import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.grids import grids, launch
 from twin.radar.propagation.images import Image, Sight, images
 from twin.radar.propagation.legs import Station, station
@@ -39,7 +40,8 @@ _NEAR = 0.02  # of a body's size: bodies closer than this are one
 class Stage:
     """The scene set up for one pose: objects the rays meet, mirrors, and what all legs share.
 
-    Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world.
+    Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
+    the objects as the scene has them, their large triangles undivided.
     """
 
     anchor_m: Array
@@ -47,6 +49,7 @@ class Stage:
     place: Array
     wavelength_m: float
     items: tuple[SceneObject, ...]
+    originals: tuple[SceneObject, ...]
     roles: tuple[Role, ...]
     world: Mesher
     flats: tuple[Flat, ...]
@@ -105,6 +108,7 @@ def set_stage(
         place=place,
         wavelength_m=wavelength,
         items=tuple(items),
+        originals=(*solid, *clear),
         roles=tuple(role_of[item.name] for item in items),
         world=world,
         flats=tuple(mirrors),
@@ -143,13 +147,48 @@ def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
         stage.wavelength_m,
         fidelity.radar_bounces,
     )
-    widest = float(launched.thinned.max())
-    if widest <= 1:
-        return rays, []
-    return rays, [
-        f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
-        "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
-    ]
+    widest, remarks = float(launched.thinned.max()), []
+    if widest > 1:
+        remarks.append(
+            f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
+            "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
+        )
+    if not fidelity.radar_edges:
+        return rays, remarks
+    more, further = _diffracted(stage, body, fidelity.radar_edges)
+    return Rays.joined([rays, more]), [*remarks, *further]
+
+
+def _diffracted(stage: Stage, body: NDArray[np.int32], most: int) -> tuple[Rays, list[str]]:
+    """Contributions of the bodies' sharp edges, and what about them is assumed or lost."""
+    rows = np.array(stage.station.table).reshape(-1, TABLE_STEPS + 1, 4)
+    reflection = -(rows[:, -1, 0] + 1j * rows[:, -1, 1])[stage.surface_of_object]
+    sharp = []
+    for number in range(body.max() + 1):
+        members = np.flatnonzero(body == number)
+        items = tuple(stage.originals[i] for i in members)
+        edges, owner = edges_of(items, tuple(stage.anchor_m.tolist()))
+        owner = members[owner]
+        velocity = np.array(items[0].velocity_m_per_s)
+        sharp.append(Sharp(edges, owner.astype(np.uint32), reflection[owner], velocity))
+    rays, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, most)
+    remarks = []
+    if longer > 1:
+        remarks.append(
+            f"pieces of sharp edges {longer:.2g} times longer than an eighth of a wavelength: "
+            "right in phase at the carrier only, truncated at their middle (fidelity.radar_edges)"
+        )
+    met = np.unique(np.concatenate([body.object for body in sharp]))
+    partly = {stage.items[i].material for i in met if abs(reflection[i] - 1) > 1e-6}
+    if partly:
+        remarks.append(
+            f"edges of {', '.join(sorted(partly))} diffract as a conductor's, times what the "
+            "surface reflects at normal incidence"
+        )
+    crowded = sum(body.edges.crowded for body in sharp)
+    if crowded:
+        remarks.append(f"{crowded} edges of more than two faces diffract nothing")
+    return rays, remarks
 
 
 def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[Rays, list[str]]:

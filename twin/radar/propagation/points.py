@@ -1,6 +1,6 @@
 """Echoes of points: legs between them and every image of the radar, brought to the host."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import drjit as dr
@@ -32,9 +32,8 @@ class PointLegs:
 
     def chosen(self, which: Any) -> "PointLegs":
         """Only some of them, by index or mask."""
-        ring = Ring(self.ring.rho[which], self.ring.lag_m[which])
-        own = (getattr(self, f.name)[which] for f in fields(self)[1:-1])
-        return PointLegs(self.source, *own, ring)
+        own = {f.name: getattr(self, f.name)[which] for f in fields(self)[1:-1]}
+        return replace(self, ring=Ring(self.ring.rho[which], self.ring.lag_m[which]), **own)
 
 
 def point_legs(s: Station, source: int, places: Array, off: Array) -> PointLegs:

@@ -19,6 +19,7 @@ from twin.radar.scattering.target import Target
 from twin.radar.scattering.wave import Polarization, Radar
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def edge_diffraction(
     carrier_hz: float,
     polarization: Polarization = "V",
     quality: EdgeQuality | None = None,
-) -> NDArray[np.complex128]:
+) -> Complex:
     """Scattered amplitude of all edges for reception in V and H, (2,) in metres.
 
     Conducting faces; for others it is an upper bound.
@@ -108,16 +109,20 @@ def outside(edges: Edges) -> Array:
 
 
 def fringe_moment(
-    edges: Edges, cut: Pieces, direction: Array, field: Array, towards: Array, wavenumber: float
-) -> NDArray[np.complex128]:
+    edges: Edges,
+    cut: Pieces,
+    direction: Array,
+    field: Array | Complex,
+    towards: Array,
+    wavenumber: float,
+) -> Complex:
     """Moment of the fringe currents on both faces, (m, 3) per length of edge; 0 in a corner.
 
-    ``direction`` of travel and ``field`` (may be complex) of the wave at the pieces, ``towards``
+    ``direction`` of travel and ``field`` of the wave at the pieces, ``towards``
     the observer, all (m, 3).
     """
-    return _face(edges, cut, 0, direction, field, towards, wavenumber) + _face(
-        edges, cut, 1, direction, field, towards, wavenumber
-    )
+    one, other = (_face(edges, cut, side, direction, field, towards, wavenumber) for side in (0, 1))
+    return one + other
 
 
 def _visible(target: Target, radar: Radar, points: Array, outside: Array) -> NDArray[np.bool_]:
@@ -136,8 +141,14 @@ def _visible(target: Target, radar: Radar, points: Array, outside: Array) -> NDA
 
 
 def _face(
-    edges: Edges, cut: Pieces, side: int, direction: Array, field: Array, towards: Array, k: float
-) -> NDArray[np.complex128]:
+    edges: Edges,
+    cut: Pieces,
+    side: int,
+    direction: Array,
+    field: Array | Complex,
+    towards: Array,
+    k: float,
+) -> Complex:
     x, y = edges.inwards[cut.edge, side], edges.upwards[cut.edge, side]
     z = np.cross(x, y)
     phi0 = np.arctan2(-np.sum(direction * y, axis=1), -np.sum(direction * x, axis=1)) % (2 * np.pi)

@@ -61,7 +61,7 @@ class Patches:
         found = np.empty(len(patch))
         order = np.argsort(patch, kind="stable")
         starts = np.flatnonzero(np.diff(patch[order], prepend=-1))
-        for rows in np.split(order, starts[1:]):
+        for rows in np.split(order, starts)[1:]:
             which = patch[rows[0]]
             box = _through_box(self.low[which], self.high[which], origin_m[rows], direction[rows])
             found[rows] = box

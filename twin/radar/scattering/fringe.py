@@ -52,7 +52,9 @@ def observed(
     return Incidence(n, phi0, cos_beta0, mu, end_m)
 
 
-def moment(at: Incidence, e_z: Array, h_z: Array, wavenumber: float) -> tuple[Complex, Complex]:
+def moment(
+    at: Incidence, e_z: Array | Complex, h_z: Array | Complex, wavenumber: float
+) -> tuple[Complex, Complex]:
     """Components x and z of the fringe current's moment per length of edge, in metres.
 
     ``e_z`` and ``h_z`` are the incident fields along the edge, (n,).
