@@ -202,21 +202,13 @@ def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[
         if gamma is None:
             remarks.append(f"{item.name}: {item.material} has no gamma, it does not scatter")
         elif gamma.value:
-            found.append(Rough(item, number, gamma.value))
+            is_slab = number >= len(stage.world.items) and item.thickness_m is None
+            found.append(Rough(item, number, gamma.value, is_slab))
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
     if not found:
         return Rays.joined([]), remarks
-    rays = rough_echoes(
-        stage.station.mi,
-        stage.world,
-        found,
-        stage.place,
-        stage.axes[0],
-        stage.wavelength_m,
-        fidelity.radar_scatterers,
-        seed,
-    )
+    rays = rough_echoes(stage.station, stage.anchor_m, found, fidelity.radar_scatterers, seed)
     return rays, list(dict.fromkeys(remarks))
 
 
