@@ -80,7 +80,7 @@ class Sight:
         length = np.linalg.norm(way, axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             direction = np.nan_to_num(way / length[:, None])
-        start = begin + direction * 4e-6 * (np.abs(begin).max() + 1)
+        start = begin + direction * 4e-6 * (np.abs(begin).max(axis=1, keepdims=True) + 1)
         reach = mi.Float((length * (1 - 1e-4)).astype(np.float32))
         point, vector = (x.T.astype(np.float32) for x in (start, direction))
         clear = ~self.world.scene.ray_test(
