@@ -43,9 +43,10 @@ class Fidelity:
     radar_images
         Reflections at large surfaces on the way to an object, and as many back.
     radar_edges
-        Pieces of sharp edges that diffract, all objects and images together; 0: none, and what
-        has edges is wrong away from its mirror directions (a plate by 10 dB, mean over angles).
-        Where they are longer than an eighth of a wavelength, the band's edges suffer first.
+        Pieces of sharp edges that diffract, all objects and images together; 0: none. Without them
+        small bodies with edges are off by 10 dB, mean over all angles (the Austin plates). Where
+        pieces are longer than an eighth of a wavelength, the band's edges suffer first. On the
+        street 250 000 more contributions, and 1.5 s instead of 0.17 s to find them.
     radar_scatterers
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
     """

@@ -118,8 +118,8 @@ def fringe_moment(
 ) -> Complex:
     """Moment of the fringe currents on both faces, (m, 3) per length of edge; 0 in a corner.
 
-    ``direction`` of travel and ``field`` of the wave at the pieces, ``towards``
-    the observer, all (m, 3).
+    ``direction`` of travel and ``field`` of the wave at the pieces, ``towards`` the observer, all
+    (m, 3).
     """
     one, other = (_face(edges, cut, side, direction, field, towards, wavenumber) for side in (0, 1))
     return one + other
