@@ -18,7 +18,7 @@ from tests.physics.radar_worlds import (
 from twin.radar.propagation.optics import scattered, set_stage
 from twin.radar.propagation.roles import assign_roles
 from twin.radar.propagation.sionna_paths import trace
-from twin.scene import SceneObject, Target
+from twin.scene import Pose, Rig, SceneObject, Target
 
 TWICE = OPTICS.with_(radar_images=2)
 K = 2 * np.pi / WAVELENGTH_M
@@ -96,6 +96,31 @@ def test_a_point_between_two_mirrors(mirrors: tuple[SceneObject, ...], target) -
             rate = np.array(velocity) @ (onto + off) / speed_of_light
             assert path.delay_rate == pytest.approx(rate, rel=1e-9)
             np.testing.assert_allclose([path.departure, path.arrival], [away, heard], atol=1e-12)
+
+
+@pytest.mark.parametrize("mirrors", [(AHEAD, SIDE), (LEVEL, AHEAD)])
+def test_the_radar_sees_itself_in_a_corner(mirrors: tuple[SceneObject, ...]) -> None:
+    """As an endless dihedral: both orders together are one image, G lambda / (4 pi 2 R); the
+    polarisation is that of a half turn. Sums over a few places: rounding does not decide.
+    """
+    names = {m.name for m in mirrors}
+    for shift in np.linspace(0, 1, 5):
+        place = np.array([shift, 0.3 * shift, 0.2 * shift])
+        rig = Rig(Pose(tuple(place)), radar=Pose((0.0, 0.0, 0.0)))
+        found = trace(world(*mirrors, rig=rig), RADAR, fidelity=OPTICS).paths
+        twice = [p for p in found if set(p.via) == names]
+        assert {p.via for p in twice} == {tuple(names), tuple(names)[::-1]}
+        way = place.copy()
+        for name in names:
+            way = mirrored(way, name)
+        way -= place
+        length = np.linalg.norm(way)
+        up = field(way / length, ()) @ field(way / length, tuple(names))
+        gain = RADAR.antenna.gain((way / length)[None])[0] * GAIN / 100
+        expected = gain * WAVELENGTH_M / (4 * np.pi * length) * up
+        assert sum(p.amplitude for p in twice) == pytest.approx(expected, rel=1e-6)
+        for path in twice:
+            assert path.delay_s == pytest.approx(length / speed_of_light, rel=1e-12)
 
 
 def test_rays_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:

@@ -6,11 +6,10 @@ against.
 
 from collections.abc import Sequence
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.legs import Station, leg
+from twin.radar.propagation.legs import Station
 from twin.radar.propagation.points import between, point_legs
 from twin.radar.propagation.rays import Rays
 from twin.radar.scattering.kernel import turned
@@ -18,34 +17,43 @@ from twin.scene import Target
 
 Array = NDArray[np.float64]
 
+_ASIDE = 1e-4  # of an image's distance: far beyond float32's step, far below a Fresnel zone
+_OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
+
 
 def mirror_echoes(s: Station) -> Rays:
     """Images in which the radar sees itself: amplitude per wavelength, no object.
 
-    Over the images of even and odd order alike: wall, wall and ground, and so on.
+    Over the images of even and odd order alike: wall, wall and ground, and so on. The image in a
+    right-angled corner stands exactly behind the corner, where one order of its mirrors takes over
+    from the other: each counts half, as does what stands at any border of sight.
     """
-    if s.n_sources < 2:
+    count = s.n_sources - 1
+    if count == 0:
         return Rays.joined([])
-    mi = s.mi
-    source = dr.arange(mi.UInt32, 1, s.n_sources)
-    place = s.place + dr.zeros(mi.Vector3d, s.n_sources - 1)
-    way = leg(s, source, place, dr.zeros(mi.Vector3d, 1), mi.Bool(True), traced=False)
-    heard = turned(s.vertical, -s.boresight, way.back)
-    wavelength_free = 1 / (4 * np.pi * np.array(way.length))
-    amplitude = wavelength_free * (
-        np.array(dr.dot(way.field, heard)) + 1j * np.array(dr.dot(way.field_im, heard))
+    here, source = np.array(s.place).ravel(), 1 + np.arange(count)
+    way = here - np.array(s.positions).reshape(-1, 3)[source]
+    aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(way, _OBLIQUE)).reshape(-1, 3)
+    legs = point_legs(s, np.tile(source, 3), here + aside, np.zeros_like(aside))
+    clear = legs.clear.reshape(3, count)
+    share = clear[1:].mean(axis=0)
+    # Where the middle is hidden its field is not followed through walls: one beside it is.
+    exact, nearest = legs.chosen(source - 1), legs.chosen(clear.argmax(axis=0) * count + source - 1)
+    heard = turned(s.vertical, -s.boresight, s.mi.Vector3d(*exact.back.T))
+    amplitude = (
+        share / (4 * np.pi * exact.length) * np.sum(nearest.field * np.array(heard).T, axis=1)
     )
-    none = np.zeros(s.n_sources - 1, dtype=np.uint32)
+    none = np.zeros(count, dtype=np.uint32)
     return Rays(
         amplitude=amplitude,
-        length_m=np.array(way.length + way.passage.extra),
-        rate_m_per_s=np.array(way.rate),
-        departure=np.array(way.departure).T,
-        arrival=np.array(way.back).T,
+        length_m=exact.length + nearest.extra,
+        rate_m_per_s=nearest.rate,
+        departure=exact.departure,
+        arrival=exact.back,
         object=none,
-        source=np.array(source),
+        source=exact.source,
         receiver=none,
-    ).chosen(np.flatnonzero(np.array(way.clear)))
+    ).chosen(np.flatnonzero(share))
 
 
 def point_echoes(s: Station, targets: Sequence[Target], anchor_m: Array) -> Rays:

@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PointLegs:
-    """Legs from one image to points, (n,) or (n, 3), in the world's axes; see `legs.Leg`.
+    """Legs from images to points, (n,) or (n, 3), in the world's axes; see `legs.Leg`.
 
     ``length`` is that of the straight way, which spreading follows; ``extra`` what walls add.
     """
 
-    source: int
+    source: NDArray[np.uint32]
     back: Array
     length: Array
     extra: Array
@@ -32,15 +32,20 @@ class PointLegs:
 
     def chosen(self, which: Any) -> "PointLegs":
         """Only some of them, by index or mask."""
-        own = {f.name: getattr(self, f.name)[which] for f in fields(self)[1:-1]}
+        own = {f.name: getattr(self, f.name)[which] for f in fields(self)[:-1]}
         return replace(self, ring=Ring(self.ring.rho[which], self.ring.lag_m[which]), **own)
 
 
-def point_legs(s: Station, source: int, places: Array, off: Array) -> PointLegs:
-    """Legs from an image to points (n, 3), from which rays start at a distance ``off`` (n, 3)."""
+def point_legs(
+    s: Station, source: int | NDArray[np.integer], places: Array, off: Array
+) -> PointLegs:
+    """Legs from one image, or one for each, to points (n, 3), from which rays start at a distance
+    ``off`` (n, 3).
+    """
     mi, n = s.mi, len(places)
+    sources = np.full(n, source, dtype=np.uint32)
     place, aside = (mi.Vector3d(*(mi.Float64(v[:, i]) for i in range(3))) for v in (places, off))
-    way = leg(s, mi.UInt32(np.full(n, source)), place, aside, mi.Bool(True))
+    way = leg(s, mi.UInt32(sources), place, aside, mi.Bool(True))
     p = way.passage
     dr.eval(*(v for v in vars(way).values() if v is not p), *vars(p).values())
 
@@ -49,7 +54,7 @@ def point_legs(s: Station, source: int, places: Array, off: Array) -> PointLegs:
         return np.broadcast_to(flat, (*flat.shape[:-1], n)).T
 
     return PointLegs(
-        source=source,
+        source=sources,
         back=host(way.back),
         length=host(way.length),
         extra=host(p.extra),
@@ -77,7 +82,6 @@ def between(
     velocity, number
         Of the points, (n, 3) or (3,), and of the objects that they belong to, (n,).
     """
-    n = len(out.length)
     once = Rays(
         amplitude=amplitude / (out.length * home.length),
         length_m=out.length + out.extra + home.length + home.extra,
@@ -85,7 +89,7 @@ def between(
         departure=out.departure,
         arrival=home.departure,
         object=np.asarray(number, dtype=np.uint32),
-        source=np.full(n, out.source, dtype=np.uint32),
-        receiver=np.full(n, home.source, dtype=np.uint32),
+        source=out.source,
+        receiver=home.source,
     )
-    return ringing(once, out.ring, home.ring, np.full(n, out.source == home.source))
+    return ringing(once, out.ring, home.ring, out.source == home.source)
