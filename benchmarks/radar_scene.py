@@ -35,11 +35,8 @@ def _frame(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
     slots = f"{radar.ofdm.n_slots} slots"
     frame(scene), frame(_driven(scene, 0.001))  # warm
     yield f"street, {slots}: rays", timed(lambda: trace(scene, radar, fidelity=_OPTICS)), ""
-    yield (
-        f"street, {slots}: rays and edges",
-        timed(lambda: trace(scene, radar, fidelity=_EDGES)),
-        "",
-    )
+    edges = timed(lambda: trace(scene, radar, fidelity=_EDGES))
+    yield f"street, {slots}: rays and edges", edges, ""
     yield f"street, {slots}: whole frame", timed(lambda: frame(scene)), ""
     moving = timed(lambda: frame(_driven(scene, 0.01 * next(step))))
     yield f"street, {slots}: whole frame, car moved", moving, ""

@@ -16,13 +16,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.legs import OFF_SURFACE, Station
 from twin.radar.propagation.points import PointLegs, between, point_legs
 from twin.radar.propagation.rays import Rays, and_reversed
-from twin.radar.scattering.diffraction import (
-    EdgeQuality,
-    Pieces,
-    fringe_moment,
-    outside,
-    pieces,
-)
+from twin.radar.scattering.diffraction import EdgeQuality, Pieces, fringe_moment, outside, pieces
 from twin.radar.scattering.edges import Edges, sharp_edges
 from twin.radar.scattering.target import Target
 from twin.scene import SceneObject
@@ -93,7 +87,9 @@ def _diffracted(s: Station, body: Sharp, cut: Pieces, wavelength_m: float) -> li
     found = []
     for i, out in enumerate(legs):
         for home in legs[i:]:
-            at = np.flatnonzero(out.clear & home.clear)
+            # A piece nearer than it is long is no point; one at the radar itself, nothing.
+            apart = np.minimum(out.length, home.length) > cut.length_m
+            at = np.flatnonzero(out.clear & home.clear & apart)
             ways = out.chosen(at), home.chosen(at)
             amplitude = _amplitude(body, cut.chosen(at), *ways, wavelength_m)
             echo = between(*ways, amplitude, body.velocity, body.object[cut.edge[at]])

@@ -155,31 +155,40 @@ def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
         )
     if not fidelity.radar_edges:
         return rays, remarks
-    more, further = _diffracted(stage, body, fidelity.radar_edges)
-    return Rays.joined([rays, more]), [*remarks, *further]
+    sharp = _sharp(stage, body)
+    more, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
+    return Rays.joined([rays, more]), [*remarks, *_on_edges(stage, sharp, longer)]
 
 
-def _diffracted(stage: Stage, body: NDArray[np.int32], most: int) -> tuple[Rays, list[str]]:
-    """Contributions of the bodies' sharp edges, and what about them is assumed or lost."""
+def _sharp(stage: Stage, body: NDArray[np.int32]) -> list[Sharp]:
+    """The sharp edges of every body."""
     rows = np.array(stage.station.table).reshape(-1, TABLE_STEPS + 1, 4)
+    # At normal incidence; a conductor's TE is -1.
     reflection = -(rows[:, -1, 0] + 1j * rows[:, -1, 1])[stage.surface_of_object]
-    sharp = []
+    found = []
     for number in range(body.max() + 1):
         members = np.flatnonzero(body == number)
         items = tuple(stage.originals[i] for i in members)
         edges, owner = edges_of(items, tuple(stage.anchor_m.tolist()))
-        owner = members[owner]
+        whose: NDArray[np.uint32] = members[owner].astype(np.uint32)
         velocity = np.array(items[0].velocity_m_per_s)
-        sharp.append(Sharp(edges, owner.astype(np.uint32), reflection[owner], velocity))
-    rays, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, most)
+        found.append(Sharp(edges, whose, reflection[whose], velocity))
+    return found
+
+
+def _on_edges(stage: Stage, sharp: Sequence[Sharp], longer: float) -> list[str]:
+    """What about edges is assumed or lost."""
     remarks = []
     if longer > 1:
         remarks.append(
             f"pieces of sharp edges {longer:.2g} times longer than an eighth of a wavelength: "
             "right in phase at the carrier only, truncated at their middle (fidelity.radar_edges)"
         )
-    met = np.unique(np.concatenate([body.object for body in sharp]))
-    partly = {stage.items[i].material for i in met if abs(reflection[i] - 1) > 1e-6}
+    partly = {
+        stage.items[i].material
+        for body in sharp
+        for i in np.unique(body.object[np.abs(body.reflection - 1) > 1e-6])
+    }
     if partly:
         remarks.append(
             f"edges of {', '.join(sorted(partly))} diffract as a conductor's, times what the "
@@ -188,7 +197,7 @@ def _diffracted(stage: Stage, body: NDArray[np.int32], most: int) -> tuple[Rays,
     crowded = sum(body.edges.crowded for body in sharp)
     if crowded:
         remarks.append(f"{crowded} edges of more than two faces diffract nothing")
-    return rays, remarks
+    return remarks
 
 
 def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[Rays, list[str]]:
