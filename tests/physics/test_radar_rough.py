@@ -196,6 +196,19 @@ def test_the_far_face_of_a_wall_lies_behind_it() -> None:
     assert 10 * np.log10(ratio / factor) == pytest.approx(0, abs=0.2)
 
 
+@pytest.mark.parametrize("material", ["wood", "asphalt"])
+def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
+    """A rough wall, seen through or solid, and its image: no way from its points over itself."""
+    panel = box("panel", (3.0, -15, -15), (3.0125, 15, 15), material)
+    s = replace(scene(panel), materials=rough(material))
+    stage = set_stage(s, RADAR, assign_roles(s, WAVELENGTH_M, "rough"), 1)
+    assert ("panel",) in {stage.via(n) for n in range(len(stage.images))}
+    rays = speckle(s, stage, Fidelity(radar="rough"), 0)[0]
+    assert len(rays.source) > 1000
+    assert not rays.source.any()
+    assert not rays.receiver.any()
+
+
 def chosen(found: Contributions, which: np.ndarray) -> Contributions:
     return Contributions(*(getattr(found, f.name)[which] for f in fields(Contributions)))
 

@@ -196,6 +196,10 @@ def _ways(s: Station, rough: Rough, points: _Points, source: int) -> tuple[Point
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     cosine = np.sum(towards * points.normal, axis=1)
     step = OFF_SURFACE * (np.linalg.norm(points.place, axis=1, keepdims=True) + 1e-3)
+    if order := int(np.array(s.orders)[source]):
+        mirror = np.array(s.levels).reshape(s.n_sources, s.order, 12)[source, order - 1]
+        height = np.abs((points.place - mirror[3:6]) @ mirror[6:9])
+        cosine[height < 2 * _BEYOND * step[:, 0]] = 0  # the mirror's own points: no way over it
     off = 2 * step * points.normal * np.sign(cosine)[:, None]
     # The way to the far face of a slab ends beyond it, else it would end within.
     at = points.place - (_BEYOND * step * towards if rough.is_slab else 0)
