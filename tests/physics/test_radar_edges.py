@@ -212,6 +212,16 @@ def test_edges_over_the_ground_are_those_of_a_mirrored_world() -> None:
     np.testing.assert_array_equal(out.departure, back.arrival)
 
 
+def test_an_edge_on_the_ground_is_none() -> None:
+    """A plate that stands on it: its lower edge is silent directly and by the image, no other."""
+    item = quad("p", [[4, -0.1, -1], [4.1, 0.1, -1], [4.1, 0.1, -0.8], [4, -0.1, -0.8]])
+    free, over = edges_of(world(item)), edges_of(world(item, ground(-1.0)))
+    low = np.abs(free.length_m / 2 * free.departure[:, 2] + 1.0) < 1e-4
+    assert low.sum() > 400
+    for out, home in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        assert np.sum((over.source == out) & (over.receiver == home)) == np.sum(~low)
+
+
 # Over the band, in motion, by the knob.
 
 
