@@ -13,6 +13,7 @@ from twin.radar.propagation.sionna_paths import trace
 from twin.scene import Scene, load_scene
 
 _OPTICS = Fidelity(radar="optics", nufft_tolerance=1e-5)
+_EDGES = _OPTICS.with_(radar_edges=2_000_000)
 
 
 def figures() -> Iterator[Figure]:
@@ -34,6 +35,8 @@ def _frame(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
     slots = f"{radar.ofdm.n_slots} slots"
     frame(scene), frame(_driven(scene, 0.001))  # warm
     yield f"street, {slots}: rays", timed(lambda: trace(scene, radar, fidelity=_OPTICS)), ""
+    edges = timed(lambda: trace(scene, radar, fidelity=_EDGES))
+    yield f"street, {slots}: rays and edges", edges, ""
     yield f"street, {slots}: whole frame", timed(lambda: frame(scene)), ""
     moving = timed(lambda: frame(_driven(scene, 0.01 * next(step))))
     yield f"street, {slots}: whole frame, car moved", moving, ""
@@ -56,6 +59,8 @@ def _errors(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
     """What a frame finds, against the truth."""
     found = trace(scene, radar, fidelity=_OPTICS)
     yield "street: contributions", float(len(found.echoes.delay_s)), ""
+    edges = trace(scene, radar, fidelity=_EDGES)
+    yield "street: contributions with edges", float(len(edges.echoes.delay_s)), ""
     taken = radar_capture(scene, radar, fidelity=_OPTICS)
     ranges = np.array([d.range_m for d in process(taken.record).detections])
     for truth in taken.truth:

@@ -42,6 +42,11 @@ class Fidelity:
         trihedral needs 3.
     radar_images
         Reflections at large surfaces on the way to an object, and as many back.
+    radar_edges
+        Pieces of sharp edges that diffract, all objects and images together; 0: none. Without them
+        small bodies with edges are off by 10 dB, mean over all angles (the Austin plates). Where
+        pieces are longer than an eighth of a wavelength, the band's edges suffer first. On the
+        street 250 000 more contributions, and 1.5 s instead of 0.17 s to find them.
     radar_table_nodes
         Of a table of physical optics on the rung ``paths``, per lobe lambda / (2 D) of a target of
         extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms
@@ -60,6 +65,7 @@ class Fidelity:
     radar_rays: int = 200_000
     radar_bounces: int = 3
     radar_images: int = 1
+    radar_edges: int = 0
     radar_table_nodes: int = 4
     radar_scatterers: int = 50_000
 
@@ -73,6 +79,7 @@ class Fidelity:
             ("radar_rays", 1),
             ("radar_bounces", 1),
             ("radar_images", 0),
+            ("radar_edges", 0),
             ("radar_table_nodes", 1),
             ("radar_scatterers", 1),
         ):
@@ -99,6 +106,7 @@ class Fidelity:
             radar_rays=max(self.radar_rays, other.radar_rays),
             radar_bounces=max(self.radar_bounces, other.radar_bounces),
             radar_images=max(self.radar_images, other.radar_images),
+            radar_edges=max(self.radar_edges, other.radar_edges),
             radar_table_nodes=max(self.radar_table_nodes, other.radar_table_nodes),
             radar_scatterers=max(self.radar_scatterers, other.radar_scatterers),
             nufft_tolerance=min(self.nufft_tolerance, other.nufft_tolerance),
@@ -119,7 +127,9 @@ PRESETS = {
         samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar="paths"
     ),
     "standard": Fidelity(),
-    "reference": Fidelity(samples=1024, max_depth=8, nufft_tolerance=1e-10, radar="rough"),
+    "reference": Fidelity(
+        samples=1024, max_depth=8, nufft_tolerance=1e-10, radar="rough", radar_edges=2_000_000
+    ),
 }
 
 

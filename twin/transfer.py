@@ -5,8 +5,10 @@ NumPy is aligned, and how long a vector is that is turned into a matrix. Either 
 compile for tens of milliseconds what an older one already had.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +31,11 @@ def vector(mi: Any, values: NDArray[np.float64], kind: str) -> Any:
     return getattr(mi, kind)(*(number(aligned(values[:, i].astype(narrow))) for i in range(3)))
 
 
-def rows(value: Any) -> NDArray[Any]:
-    """A vector of the engine as rows (n, 3)."""
-    return np.stack([np.array(part) for part in value], axis=1)
+def host(values: Sequence[Any], count: int) -> list[NDArray[Any]]:
+    """Numbers, each (count,), and vectors, each (count, 3), all computed at once."""
+    dr.eval(*values)
+    found = []
+    for value in values:
+        one = np.array(value) if dr.depth_v(value) == 1 else np.stack([*map(np.array, value)], 1)
+        found.append(np.broadcast_to(one, (count, *one.shape[1:])))
+    return found

@@ -1,6 +1,6 @@
 """Rough surfaces: mean power, speckle, decorrelation with motion, what is left of the mirror."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -16,9 +16,13 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
+from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import Fidelity
+from twin.radar.propagation.optics import set_stage, speckle
+from twin.radar.propagation.roles import assign_roles
 from twin.radar.propagation.rough import coherent
 from twin.radar.propagation.sionna_paths import trace
+from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject
 
 K = 2 * np.pi / WAVELENGTH_M
@@ -140,6 +144,96 @@ def test_hidden_scatterers_are_silent() -> None:
     across = np.abs(hidden.departure[:, 1] / hidden.departure[:, 0])
     down = -hidden.departure[:, 2] / hidden.departure[:, 0]
     assert not np.any((across < 0.099) & (down < 0.199))
+
+
+# Not straight through the air.
+
+
+def per_scatterer(found, count: int) -> np.ndarray:
+    """Sums at the carrier of what comes from each, its walls' internal echoes included."""
+    turns = CARRIER_HZ * found.delay_s % 1.0
+    return (found.amplitude * np.exp(-2j * np.pi * turns)).reshape(-1, count).sum(axis=0)
+
+
+@pytest.mark.parametrize(("material", "depth"), [("wood", 0.0125), ("reference_20", 0.1)])
+def test_a_rough_patch_behind_a_wall(material: str, depth: float) -> None:
+    """Mean power by the slab's transmission there and back, and by the spreading that a slab takes
+    off, within 0.1 dB; the delay by its optical thickness, within 1 mm of range.
+    """
+    patch = replace(plate("patch", (6.0, 0, 0), 0.3, "asphalt"), radar="surface")
+    panel = box("panel", (3.0, -15, -15), (3.0 + depth, 15, 15), material)
+    alone, through = (echoes(scene(*objects), 2000) for objects in ((patch,), (patch, panel)))
+    count = len(alone.delay_s)
+    index = np.sqrt(permittivity(material))
+    factor = slab(permittivity(material), depth, 0.0, CARRIER_HZ)[0] ** 2
+    factor *= (6 / (6 - depth * (1 - 1 / index.real))) ** 2
+    powers = [np.mean(np.abs(per_scatterer(found, count)) ** 2) for found in (through, alone)]
+    ratio = powers[0] / powers[1]
+    assert 10 * np.log10(ratio / abs(factor) ** 2) == pytest.approx(0, abs=0.1)
+    later = (through.delay_s[:count] - alone.delay_s) * speed_of_light / 2
+    np.testing.assert_allclose(later, depth * (index.real - 1), atol=1e-3)
+
+
+def test_the_far_face_of_a_wall_lies_behind_it() -> None:
+    """Both faces of 12.5 mm of wood that is rough itself: the far one answers through the slab."""
+    panel = replace(box("w", (5.0, -0.5, -0.5), (5.0125, 0.5, 0.5), "wood"), radar="surface")
+    s = replace(scene(panel), materials=rough("wood"))
+    found = echoes(s, 4000)
+    across = np.abs(found.departure[:, 1:] / found.departure[:, :1]).max(axis=1)
+    found = chosen(found, across < 0.095)  # without the slab's narrow sides
+    x = found.delay_s * speed_of_light / 2 * found.departure[:, 0]
+    near = np.abs(x - 5.0) < 2e-3
+    later = np.real(np.sqrt(permittivity("wood"))) * 0.0125
+    far = np.abs(x - 5.0 - later) < 2e-3
+    assert near.sum() > 100
+    assert far.sum() > 100
+    rest = ~near & ~far
+    trips = np.count_nonzero(rest) / far.sum()
+    assert trips == round(trips)  # each within the slab, once more to and fro
+    sums = per_scatterer(chosen(found, ~near), int(far.sum()))
+    ratio = np.mean(np.abs(sums) ** 2) / np.mean(np.abs(found.amplitude[near]) ** 2)
+    factor = abs(slab(permittivity("wood"), 0.0125, 0.0, CARRIER_HZ)[0]) ** 4
+    assert 10 * np.log10(ratio / factor) == pytest.approx(0, abs=0.2)
+
+
+@pytest.mark.parametrize("material", ["wood", "asphalt"])
+def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
+    """A rough wall, seen through or solid, and its image: no way from its points over itself."""
+    panel = box("panel", (3.0, -15, -15), (3.0125, 15, 15), material)
+    s = replace(scene(panel), materials=rough(material))
+    stage = set_stage(s, RADAR, assign_roles(s, WAVELENGTH_M, "rough"), 1)
+    assert ("panel",) in {stage.via(n) for n in range(len(stage.images))}
+    rays = speckle(s, stage, Fidelity(radar="rough"), 0)[0]
+    assert len(rays.source) > 1000
+    assert not rays.source.any()
+    assert not rays.receiver.any()
+
+
+def chosen(found: Contributions, which: np.ndarray) -> Contributions:
+    return Contributions(*(getattr(found, f.name)[which] for f in fields(Contributions)))
+
+
+def test_the_floor_behind_a_mirror() -> None:
+    """A metal wall at 22 m: the floor before it answers over it too. Power by way of the mirror
+    both ways is that of the mirrored floor, out one way and home the other that of bistatic
+    scattering between the two angles; each against its integral, within 0.1 dB.
+    """
+    mirror = plate("mirror", (22.0, 0, 0), 60.0)
+    s = scene(floor(), mirror)
+    roles = assign_roles(s, WAVELENGTH_M, "rough")
+    rays = speckle(s, set_stage(s, RADAR, roles, 1), Fidelity(radar="rough"), 0)[0]
+    (number,) = {int(n) for n in rays.source if n}
+    n = 1000
+    x = 8 + 12 * (np.arange(n) + 0.5) / n
+    y = -4 + 8 * (np.arange(n) + 0.5) / n
+    distance = [np.sqrt(d[:, None] ** 2 + y**2 + 1) for d in (x, 44 - x)]
+    for out, home in ((0, 0), (0, number), (number, 0), (number, number)):
+        which = (rays.source == out) & (rays.receiver == home)
+        one, other = distance[bool(out)], distance[bool(home)]
+        density = GAMMA * WAVELENGTH_M**2 / (4 * np.pi) ** 3 / (one * other) ** 2.5
+        expected = density.sum() * 96 / n**2
+        found = np.sum(np.abs(rays.amplitude[which]) ** 2)
+        assert 10 * np.log10(found / expected) == pytest.approx(0, abs=0.1)
 
 
 @pytest.mark.parametrize("carrier", [2.2e9, 2.8e9, 76.5e9, 80.5e9])

@@ -55,19 +55,22 @@ def test_a_target_at_a_kilometre() -> None:
 
 
 def test_a_radar_that_touches_a_mesh_hears_finite_numbers() -> None:
-    """On a plate, in its plane, on a vertex of a ball, and inside one."""
+    """On a plate, in its plane, on a vertex of a ball, and inside one; with edges."""
     on_edge = quad("e", [[0, 0, 0], [3, 0, 0], [3, 0, 2], [0, 0, 2]])
     for scene in (
         world(plate("p", (0.0, 0, 0), 2.0)),
         world(on_edge),
+        world(quad("e", [[1e-5, 0, -1], [1e-5, 0, 1], [2, 0, 1], [2, 0, -1]], radar="optics")),
         world(replace(on_edge, radar="surface")),
         world(ball("b", (0.15, 0, 0), level=3)),
         world(ball("b", (0, 0, 0), level=3)),
         world(ground(0.0)),
     ):
-        found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_rays=20_000))
+        knobs = OPTICS.with_(radar_rays=20_000, radar_edges=20_000)
+        found = trace(scene, RADAR, fidelity=knobs)
         for values in (found.echoes.amplitude, found.echoes.delay_s, found.echoes.delay_rate):
             assert np.isfinite(values).all()
+        assert np.abs(found.echoes.amplitude).max(initial=0.0) < 10.0
         assert all(np.isfinite(p.amplitude) and p.delay_s > 0 for p in found.paths)
 
 

@@ -17,10 +17,12 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
+from twin.radar import RadarDesign, load_radar
 from twin.radar.propagation.materials import radio_properties
 from twin.radar.propagation.optics import surface_of
+from twin.radar.propagation.rays import Rays, Ring, ringing
 from twin.radar.propagation.sionna_paths import trace
-from twin.scene import SceneObject, Target
+from twin.scene import Scene, SceneObject, Target
 
 C = constants.c
 K = 2 * np.pi * CARRIER_HZ / C
@@ -34,9 +36,11 @@ def box(name: str, low, high, material: str) -> SceneObject:
     return thing(name, corners, faces, material)
 
 
-def permittivity(material: str, frequency_hz: float = CARRIER_HZ) -> complex:
+def permittivity(
+    material: str, frequency_hz: float = CARRIER_HZ, carrier_hz: float = CARRIER_HZ
+) -> complex:
     """With the carrier's conductivity at any frequency."""
-    real, conductivity, _ = radio_properties(material, world().materials[material], CARRIER_HZ)
+    real, conductivity, _ = radio_properties(material, world().materials[material], carrier_hz)
     return real - 1j * conductivity / (2 * np.pi * frequency_hz * constants.epsilon_0)
 
 
@@ -44,7 +48,7 @@ def slab(epsilon: complex, depth: float, sine: float, frequency_hz: float) -> tu
     """Transmission TE and TM over free space: the closed form of Airy, float64."""
     k, cosine = 2 * np.pi * frequency_hz / C, np.sqrt(1 - sine**2)
     q = np.sqrt(epsilon - sine**2 + 0j)
-    q = -q if q.imag > 0 else q
+    q = np.where(q.imag > 0, -q, q)
     found = []
     for r in ((cosine - q) / (cosine + q), (epsilon * cosine - q) / (epsilon * cosine + q)):
         through = (1 - r**2) * np.exp(-1j * k * depth * q)
@@ -72,6 +76,54 @@ def test_a_plate_behind_a_wall_over_the_whole_band(depth: float) -> None:
         assert abs(np.angle(found / expected)) < 0.06
 
 
+def paths_wave(scene: Scene, radar: RadarDesign, frequency_hz) -> np.ndarray:
+    """Sum of all ways to the point t and back by no other object, at some frequencies."""
+    found = [p for p in trace(scene, radar, fidelity=OPTICS).paths if p.via == ("t",)]
+    turns = np.multiply.outer(frequency_hz, [p.delay_s for p in found]) % 1.0
+    return np.exp(-2j * np.pi * turns) @ [p.amplitude for p in found]
+
+
+@pytest.mark.parametrize(
+    ("design", "material", "depth"),
+    [("hybrid-79", "wood", 0.0125), ("hybrid-79", "glass", 0.004), ("prototype", "concrete", 0.15)],
+)
+def test_a_point_behind_a_wall_at_every_subcarrier(
+    design: str, material: str, depth: float
+) -> None:
+    """4 GHz at 79 GHz, 500 MHz at 2.5 GHz: within 0.1 dB of the slab squared, and of the spreading
+    that a slab takes off. With all ringing at the carrier it is off by 0.12, 1.2 and 0.39 dB.
+    """
+    radar = load_radar(design)
+    carriers, offsets = radar.burst.carriers_hz, radar.ofdm.frequency_offsets_hz
+    frequencies = np.add.outer(carriers, offsets).ravel()
+    aim = Target("t", (6.0, 0.0, 0.0), (0.0, 0.0, 0.0), 10.0, "declared")
+    panel = box("panel", (3.0, -30, -30), (3.0 + depth, 30, 30), material)
+    through, alone = (
+        paths_wave(s, radar, frequencies)
+        for s in (world(panel, targets=(aim,)), world(targets=(aim,)))
+    )
+    medium = permittivity(material, frequencies, radar.ofdm.carrier_hz)
+    nearer = depth * (1 - 1 / np.sqrt(medium.real.mean()))
+    expected = slab(medium, depth, 0.0, frequencies)[0] ** 2 * (6 / (6 - nearer)) ** 2
+    ratio = through / alone / expected
+    assert np.abs(20 * np.log10(np.abs(ratio))).max() < 0.1
+    assert np.abs(np.angle(ratio)).max() < 0.06
+
+
+def test_ringing_over_two_different_ways() -> None:
+    """Out and home through walls that ring otherwise: both geometric series, multiplied out."""
+    one = Rays(*(np.ones(shape) for shape in (1, 1, 1, (1, 3), (1, 3), 1, 1, 1)))
+    first, second = 0.3 * np.exp(1j), 0.2 + 0j
+    rings = [
+        Ring(np.array([rho]), np.array([lag])) for rho, lag in ((first, 0.011), (second, 0.007))
+    ]
+    found = ringing(one, *rings, np.array([False]))
+    for k in (100.0, 1000.0):
+        total = np.sum(found.amplitude * np.exp(-1j * k * (found.length_m - 1)))
+        series = [1 / (1 - r.rho[0] * np.exp(-1j * k * r.lag_m[0])) for r in rings]
+        assert total == pytest.approx(series[0] * series[1], rel=4e-3)
+
+
 @pytest.mark.parametrize("azimuth", [0.0, 30.0, 50.0])
 def test_the_delay_through_a_wall_is_fermats(azimuth: float) -> None:
     """To a point by way of 0.2 m of PTFE, obliquely: within 1 mm of the
@@ -81,16 +133,18 @@ def test_the_delay_through_a_wall_is_fermats(azimuth: float) -> None:
     place = distance * np.array([np.cos(turn), np.sin(turn), 0.0])
     panel = box("panel", (2.0, -20, -20), (2.0 + depth, 20, 20), "reference_20")
     aim = Target("t", tuple(place), (0.0, 0.0, 0.0), 10.0, "declared")
-    found = [
+    path, *echoes_within = [
         p
         for p in trace(world(panel, targets=(aim,)), RADAR, fidelity=OPTICS).paths
         if p.via == ("t",)
     ]
-    (path,) = found
     index = float(np.sqrt(permittivity("reference_20")).real)
     shortest = fermat(index, depth, place[0], place[1])
     assert path.range_m == pytest.approx(shortest, abs=1e-3)
     assert shortest - distance > 0.04
+    # Once to and fro within the wall: 2 d sqrt(n^2 - sin^2) more on one of both ways.
+    later = depth * np.sqrt(index**2 - np.sin(turn) ** 2)
+    assert echoes_within[0].range_m - path.range_m == pytest.approx(later, rel=1e-6)
     # The straight line through the slab would be off by more than that.
     straight = distance + depth / np.cos(turn) * (index - 1)
     if azimuth:
@@ -116,7 +170,7 @@ def test_level_through_a_wall_obliquely() -> None:
     aim = Target("t", tuple(place), (0.0, 0.0, 0.0), 10.0, "declared")
     panel = box("panel", (2.0, -20, -20), (2.0 + depth, 20, 20), "wood")
     level = [
-        next(p.amplitude for p in trace(s, RADAR, fidelity=OPTICS).paths if p.via == ("t",))
+        paths_wave(s, RADAR, CARRIER_HZ)
         for s in (world(panel, targets=(aim,)), world(targets=(aim,)))
     ]
     te, _ = slab(permittivity("wood"), depth, np.sin(turn), CARRIER_HZ)

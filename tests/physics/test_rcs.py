@@ -34,7 +34,7 @@ from twin.radar.scattering import (
     sharp_edges,
     sweep,
 )
-from twin.radar.scattering.fringe import Incidence, backscatter, moment
+from twin.radar.scattering.fringe import Incidence, moment, observed
 from twin.radar.scattering.reference import image_integral, mie_coefficients, mie_cross_section
 
 CARRIER = 79e9
@@ -344,6 +344,46 @@ def test_fringe_currents_are_sommerfelds(n: float, phi0: float, mu: float, toler
     assert z == pytest.approx(expected, rel=tolerance, abs=tolerance * 0.3)
 
 
+class Endless:
+    """Faces without an end."""
+
+    def reach(self, patch, origin_m, direction) -> np.ndarray:
+        return np.full(len(patch), np.inf)
+
+
+@pytest.mark.parametrize("beta", [np.pi / 2, 1.0, 2.3])
+@pytest.mark.parametrize("phi0", [0.7, 2.2])
+def test_fringe_and_physical_optics_make_kellers_coefficient(phi0: float, beta: float) -> None:
+    """A half-plane, observers all around on the cone of diffracted rays: what both currents radiate
+    is D = -exp(-j pi/4) / (2 sqrt(2 pi k)) (sec((phi - phi0)/2) -+ sec((phi + phi0)/2)).
+
+    Keller, J. Opt. Soc. Am. 52, 1962, eq. 15; k is its part across the edge.
+    """
+    k, sine, cosine = 7.0, np.sin(beta), np.cos(beta)
+    across = k * sine
+    strip = sharp_edges(as_target(polygons([[0, 0, -1], [3, 0, -1], [3, 0, 1], [0, 0, 1]])), 25)
+    rim = int(np.argmin(strip.start_m[:, 0] + 9 * np.abs(strip.along[:, 0])))
+    strip = replace(strip, patches=Endless())
+    phi = np.array([0.4, 1.3, 2.0, 3.0, 4.4, 5.5])
+    one = diffraction.Pieces(np.full(6, rim), np.zeros((6, 3)), np.ones(6))
+    direction = np.tile([-sine * np.cos(phi0), -sine * np.sin(phi0), cosine], (6, 1))
+    towards = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.full(6, cosine)], axis=1)
+    for angle in (0.0, 0.9, np.pi / 2):
+        first = np.cross(direction, [0, 0, 1.0]) / sine
+        field = np.cos(angle) * first + np.sin(angle) * np.cross(direction, first)
+        magnetic = np.cross(direction, field)
+        fringe = diffraction.fringe_moment(strip, one, direction, field, towards, k)
+        optics = 2j / (across * (np.cos(phi0) + np.cos(phi)))
+        x, z = fringe[:, 0] + optics * magnetic[:, 2], fringe[:, 2] - optics * magnetic[:, 0]
+        line = -0.25j * np.sqrt(2 / (np.pi * across)) * np.exp(0.25j * np.pi)
+        e_z = -1j * k * line * (sine**2 * z - cosine * sine * np.cos(phi) * x)
+        h_z = 1j * across * np.sin(phi) * line * x
+        scale = -np.exp(-0.25j * np.pi) / (2 * np.sqrt(2 * np.pi * across))
+        direct, mirrored = 1 / np.cos((phi - phi0) / 2), 1 / np.cos((phi + phi0) / 2)
+        np.testing.assert_allclose(e_z, scale * (direct - mirrored) * field[:, 2], atol=1e-9)
+        np.testing.assert_allclose(h_z, scale * (direct + mirrored) * magnetic[:, 2], atol=1e-9)
+
+
 def test_fringe_currents_pass_their_poles_and_grazing_smoothly() -> None:
     """Where two poles cancel, at normal incidence on a face, and edge on, nothing jumps."""
     one = np.ones(3)
@@ -351,9 +391,8 @@ def test_fringe_currents_pass_their_poles_and_grazing_smoothly() -> None:
         for n in (2.0, 1.5):
             at = phi0 + np.array([-1e-5, 0, 1e-5])
             at = np.maximum(at, 0)
-            found = np.array(
-                moment(backscatter(n * one, at, 0 * one, 3 * one), one, one, 2 * np.pi)
-            )
+            back = observed(n * one, at, 0 * one, np.cos(at), 0 * one, 3 * one)
+            found = np.array(moment(back, one, one, 2 * np.pi))
             assert np.isfinite(found).all()
             if phi0 != np.pi:  # the lit share of the face ends there: both parts jump
                 np.testing.assert_allclose(found[:, 0], found[:, 2], rtol=1e-2, atol=1e-3)
@@ -664,6 +703,13 @@ def test_ten_centimetres_and_a_kilometre(distance_m: float) -> None:
     face, radar = rectangle(0.05, 0.05), Radar.at(0.4, 0.3, distance_m)
     found = physical_optics(as_target(polygons(face)), radar, CARRIER).amplitude[0]
     assert dbsm(found) == pytest.approx(dbsm(image_integral([face], radar, WAVELENGTH, 0)), abs=0.1)
+
+
+def test_edges_that_are_all_hidden_send_nothing_back() -> None:
+    """Those of a closed box, from within it."""
+    walls = as_target(trimesh.creation.box((2.0, 3.0, 4.0)))
+    found = edge_diffraction(walls, sharp_edges(walls, 25), Radar.at(10.0, 5.0, 0.1), 2.5e9)
+    assert not found.any()
 
 
 def test_a_radar_in_a_closed_box_and_one_that_touches_a_mesh_get_numbers() -> None:

@@ -3,24 +3,25 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hardware.waveform import C_M_PER_S
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.environment import PointEchoes, mirror_echoes
+from twin.radar.propagation.environment import mirror_echoes, point_echoes
 from twin.radar.propagation.optics import (
     Stage,
-    antenna_gain,
     contributions_of,
     scattered,
     set_stage,
     speckle,
 )
 from twin.radar.propagation.paths import Heard, Path, Propagation
+from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import Assignment, Role, assign_roles
-from twin.radar.propagation.shooting import Rays
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
+
+Array = NDArray[np.float64]
 
 
 def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> Propagation:
@@ -62,67 +63,39 @@ def _mirrors(
     further = set_stage(
         scene, radar, roles, 2 * fidelity.radar_images, is_rough=fidelity.radar == "rough"
     )
-    number, amplitude, length, rate, departure, arrival = mirror_echoes(further.station)
-    return [
-        _path(
-            further,
-            radar,
-            further.via(int(number[k])),
-            None,
-            complex(amplitude[k]),
-            length[k] / C_M_PER_S,
-            rate[k] / C_M_PER_S,
-            departure[k],
-            arrival[k],
-        )
-        for k in range(len(number))
-    ]
+    return _paths(further, radar, mirror_echoes(further.station), None)
 
 
 def _points(stage: Stage, radar: RadarDesign, declared: Sequence[Target]) -> list[Path]:
     if not declared:
         return []
-    legs = PointEchoes(stage.station, declared, stage.anchor_m)
-    count = len(stage.images)
+    rays = point_echoes(stage.station, declared, stage.anchor_m)
+    return _paths(stage, radar, rays, [target.name for target in declared])
+
+
+def _paths(
+    stage: Stage, radar: RadarDesign, rays: Rays, targets: Sequence[str] | None
+) -> list[Path]:
+    """Rays by name, with gains, losses and wavelength; ``targets`` by the rays' object."""
+    found = contributions_of(rays, stage, radar)
+    names = [targets[k] if targets else None for k in rays.object]
     return [
-        _path(
-            stage,
-            radar,
-            (*stage.via(i), target.name, *stage.via(j)[::-1]),
-            target.name,
-            *found,
+        Path(
+            via=(*stage.via(out), *((name,) if name else ()), *stage.via(home)[::-1]),
+            target=name,
+            amplitude=complex(found.amplitude[k]) * stage.wavelength_m,
+            delay_s=float(found.delay_s[k]),
+            delay_rate=float(found.delay_rate[k]),
+            departure=_triple(found.departure[k]),
+            arrival=_triple(found.arrival[k]),
         )
-        for number, target in enumerate(declared)
-        for i in range(count)
-        for j in range(count)
-        if (found := legs.echo(i, j, number, target)) is not None
+        for k, (name, out, home) in enumerate(zip(names, rays.source, rays.receiver, strict=True))
     ]
 
 
-def _path(
-    stage: Stage,
-    radar: RadarDesign,
-    via: tuple[str, ...],
-    target: str | None,
-    amplitude: complex,
-    delay_s: float,
-    delay_rate: float,
-    departure: np.ndarray,
-    arrival: np.ndarray,
-) -> Path:
-    ways = np.stack([departure, arrival]) @ stage.axes.T
-    loss = 10 ** (-radar.front_end.losses_db.value / 20)
-    gain = float(np.sqrt(np.prod(antenna_gain(radar, ways))))
-    out, back = ((float(x), float(y), float(z)) for x, y, z in ways)
-    return Path(
-        via=via,
-        target=target,
-        amplitude=amplitude * stage.wavelength_m * gain * loss,
-        delay_s=float(delay_s),
-        delay_rate=float(delay_rate),
-        departure=out,
-        arrival=back,
-    )
+def _triple(vector: Array) -> tuple[float, float, float]:
+    x, y, z = vector
+    return float(x), float(y), float(z)
 
 
 def _heard(rays: Rays, dense: Contributions, stage: Stage, radar: RadarDesign) -> tuple[Heard, ...]:

@@ -5,104 +5,69 @@ against.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.waveform import C_M_PER_S
-from twin.radar.propagation.legs import Leg, Station, leg
+from twin.radar.propagation.legs import Station
+from twin.radar.propagation.points import between, point_legs
+from twin.radar.propagation.rays import Rays
 from twin.radar.scattering.kernel import turned
 from twin.scene import Target
+from twin.transfer import host, vector
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+
+_ASIDE = 1e-4  # of an image's distance: far beyond float32's step, far below a Fresnel zone
+_OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
 
 
-def mirror_echoes(s: Station) -> tuple[NDArray[np.intp], Complex, Array, Array, Array, Array]:
-    """Images in which the radar sees itself, with amplitude (n,) without gains, length and its
-    rate, departure and arrival (n, 3) in the world's axes.
+def mirror_echoes(s: Station) -> Rays:
+    """Images in which the radar sees itself: amplitude per wavelength, no object.
 
-    Over the images of even and odd order alike: wall, wall and ground, and so on.
+    Over the images of even and odd order alike: wall, wall and ground, and so on. The image in a
+    right-angled corner stands exactly behind the corner, where one order of its mirrors takes over
+    from the other: each counts half, as does what stands at any border of sight.
     """
-    mi = s.mi
-    if s.n_sources < 2:
-        empty = np.zeros(0)
-        none = np.zeros((0, 3))
-        return np.zeros(0, dtype=np.intp), empty.astype(complex), empty, empty, none, none
-    source = dr.arange(mi.UInt32, 1, s.n_sources)
-    place = s.place + dr.zeros(mi.Vector3d, s.n_sources - 1)
-    way = leg(s, source, place, dr.zeros(mi.Vector3d, 1), mi.Bool(True), traced=False)
-    heard = turned(s.vertical, -s.boresight, way.back)
-    wavelength_free = 1 / (4 * np.pi * np.array(way.length))
-    amplitude = wavelength_free * (
-        np.array(dr.dot(way.field, heard)) + 1j * np.array(dr.dot(way.field_im, heard))
-    )
-    seen = np.flatnonzero(np.array(way.clear))
-    return (
-        seen + 1,
-        amplitude[seen],
-        np.array(way.length + way.passage.extra)[seen],
-        np.array(way.rate)[seen],
-        np.array(way.departure).T[seen],
-        np.array(way.back).T[seen],
-    )
+    count = s.n_sources - 1
+    if count == 0:
+        return Rays.joined([])
+    here, source = np.array(s.place).ravel(), 1 + np.arange(count)
+    way = here - np.array(s.positions).reshape(-1, 3)[source]
+    aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(way, _OBLIQUE)).reshape(-1, 3)
+    legs = point_legs(s, np.tile(source, 3), here + aside, np.zeros_like(aside))
+    clear = legs.clear.reshape(3, count)
+    share = clear[1:].mean(axis=0)
+    # Where the middle is hidden its field is not followed through walls: one beside it is.
+    exact, nearest = legs.chosen(source - 1), legs.chosen(clear.argmax(axis=0) * count + source - 1)
+    (heard,) = host([turned(s.vertical, -s.boresight, vector(s.mi, exact.back, "Vector3d"))], count)
+    amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * heard, axis=1)
+    none = np.zeros(count, dtype=np.uint32)
+    return Rays(
+        amplitude=amplitude,
+        length_m=exact.length + nearest.extra,
+        rate_m_per_s=nearest.rate,
+        departure=exact.departure,
+        arrival=exact.back,
+        object=none,
+        source=exact.source,
+        receiver=none,
+    ).chosen(np.flatnonzero(share))
 
 
-class PointEchoes:
-    """Legs from every image to every declared point, found at once."""
-
-    def __init__(self, s: Station, targets: Sequence[Target], anchor_m: Array) -> None:
-        mi, n = s.mi, len(targets)
-        places = np.array([t.position_m for t in targets]).reshape(-1, 3) - anchor_m
-        self.shape = (s.n_sources, n)
-        source = mi.UInt32(np.repeat(np.arange(s.n_sources, dtype=np.uint32), n))
-        place = mi.Vector3d(*(mi.Float64(np.tile(places[:, i], s.n_sources)) for i in range(3)))
-        way: Leg = leg(s, source, place, dr.zeros(mi.Vector3d, 1), mi.Bool(True))
-        self.clear = self._table(way.clear)
-        self.length = self._table(way.length)
-        self.extra = self._table(way.passage.extra)
-        self.ring = 1 / (1 - self._ringing(way, s))
-        self.rate = self._table(way.rate)
-        self.back, self.departure = self._vectors(way.back), self._vectors(way.departure)
-        self.field = self._vectors(way.field) + 1j * self._vectors(way.field_im)
-
-    def _table(self, value: Any) -> Any:
-        return np.broadcast_to(np.array(value), self.shape[0] * self.shape[1]).reshape(self.shape)
-
-    def _ringing(self, way: Leg, s: Station) -> Any:
-        """The internal echo of a wall over the one before it, at the carrier."""
-        p = way.passage
-        turn = 2 * np.pi * (self._table(p.lag) / float(s.wavelength[0]) % 1.0)
-        rho = self._table(p.rho_re) + 1j * self._table(p.rho_im)
-        return rho * np.exp(-1j * turn)
-
-    def _vectors(self, value: Any) -> Any:
-        flat = np.array(value)
-        flat = np.broadcast_to(flat, (3, self.shape[0] * self.shape[1]))
-        return flat.T.reshape(*self.shape, 3)
-
-    def echo(
-        self, i: int, j: int, number: int, target: Target
-    ) -> tuple[complex, float, float, Array, Array] | None:
-        """From image i over a point to image j: amplitude per wavelength without gains, delay,
-        its rate, departure, arrival.
-        """
-        if not (self.clear[i, number] and self.clear[j, number]):
-            return None
-        length = sum(self.length[n, number] + self.extra[n, number] for n in (i, j))
-        spread = (4 * np.pi) ** 1.5 * self.length[i, number] * self.length[j, number]
-        amplitude = np.sqrt(target.rcs_m2) / spread
-        amplitude = amplitude * (self.field[i, number] @ self.field[j, number])
-        amplitude = amplitude * self.ring[i, number] * self.ring[j, number]
-        across = self.back[i, number] + self.back[j, number]
-        moving = -np.asarray(target.velocity_m_per_s) @ across
-        rate = self.rate[i, number] + self.rate[j, number] + moving
-        return (
-            complex(amplitude),
-            float(length / C_M_PER_S),
-            float(rate / C_M_PER_S),
-            self.departure[i, number],
-            self.departure[j, number],
-        )
+def point_echoes(s: Station, targets: Sequence[Target], anchor_m: Array) -> Rays:
+    """Declared points over every pair of images: amplitude per wavelength; ``object`` counts the
+    targets.
+    """
+    places = np.array([t.position_m for t in targets]).reshape(-1, 3) - anchor_m
+    velocity = np.array([t.velocity_m_per_s for t in targets]).reshape(-1, 3)
+    strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
+    legs = [point_legs(s, i, places, np.zeros_like(places)) for i in range(s.n_sources)]
+    found = []
+    for out in legs:
+        for home in legs:
+            at = np.flatnonzero(out.clear & home.clear)
+            one, other = out.chosen(at), home.chosen(at)
+            amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
+            found.append(between(one, other, amplitude, velocity[at], at))
+    return Rays.joined(found)

@@ -81,7 +81,7 @@ class Sight:
         length = np.linalg.norm(way, axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             direction = np.nan_to_num(way / length[:, None])
-        start = begin + direction * 4e-6 * (np.abs(begin).max() + 1)
+        start = begin + direction * 4e-6 * (np.abs(begin).max(axis=1, keepdims=True) + 1)
         reach = mi.Float(aligned((length * (1 - 1e-4)).astype(np.float32)))
         ray = mi.Ray3f(vector(mi, start, "Point3f"), vector(mi, direction, "Vector3f"))
         up_to = mi.Ray3f(ray.o, ray.d, reach, 0.0, [])

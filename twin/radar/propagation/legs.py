@@ -17,6 +17,7 @@ from twin.radar.propagation.images import Image
 from twin.radar.propagation.walls import Passage, Walls, cross, no_passage
 from twin.radar.propagation.world import Flat, Mesher
 from twin.radar.scattering.kernel import coefficients_at, reflected, turned
+from twin.transfer import aligned
 
 Array = NDArray[np.float64]
 
@@ -86,10 +87,10 @@ def station(
         vertical=_vector(mi, vertical),
         patch_of_face=patch_of_face,
         table=table,
-        orders=mi.UInt32(np.array([len(i.patches) for i in images], dtype=np.uint32)),
-        positions=mi.Float64(np.concatenate([i.place for i in images])),
-        levels=mi.Float64(levels.ravel() if levels.size else np.zeros(1)),
-        marks=mi.UInt32(marks.ravel() if marks.size else np.zeros(1, dtype=np.uint32)),
+        orders=mi.UInt32(aligned(np.array([len(i.patches) for i in images], dtype=np.uint32))),
+        positions=mi.Float64(aligned(np.concatenate([i.place for i in images]))),
+        levels=mi.Float64(aligned(levels if levels.size else np.zeros(1))),
+        marks=mi.UInt32(aligned(marks if marks.size else np.zeros(1, dtype=np.uint32))),
         wavelength=dr.opaque(mi.Float64, wavelength_m),
         walls=walls,
     )

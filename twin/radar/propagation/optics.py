@@ -14,14 +14,16 @@ from scipy.constants import epsilon_0, speed_of_light
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.edges import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.grids import grids, launch
 from twin.radar.propagation.images import Image, Sight, images
 from twin.radar.propagation.legs import Station, station
 from twin.radar.propagation.materials import radio_properties
+from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import LARGE_BESIDE_OPTICS, Assignment, Role
 from twin.radar.propagation.rough import Rough, coherent, rough_echoes
 from twin.radar.propagation.shape import shape_of, together
-from twin.radar.propagation.shooting import Rays, bodies, shoot
+from twin.radar.propagation.shooting import bodies, shoot
 from twin.radar.propagation.walls import lets_through, thickness_of, walls
 from twin.radar.propagation.world import Flat, Mesher, anchor_of, flats, mesher
 from twin.radar.scattering.surface import PEC, TABLE_STEPS, Layer, Surface, table
@@ -37,7 +39,8 @@ _CONDUCTOR = 1e5  # S/m: from here on a metal reflects all
 class Stage:
     """The scene set up for one pose: objects the rays meet, mirrors, and what all legs share.
 
-    Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world.
+    Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
+    the objects as the scene has them, their large triangles undivided.
     """
 
     anchor_m: Array
@@ -45,6 +48,7 @@ class Stage:
     place: Array
     wavelength_m: float
     items: tuple[SceneObject, ...]
+    originals: tuple[SceneObject, ...]
     roles: tuple[Role, ...]
     world: Mesher
     flats: tuple[Flat, ...]
@@ -103,6 +107,7 @@ def set_stage(
         place=place,
         wavelength_m=wavelength,
         items=tuple(items),
+        originals=(*solid, *clear),
         roles=tuple(role_of[item.name] for item in items),
         world=world,
         flats=tuple(mirrors),
@@ -141,13 +146,57 @@ def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
         stage.wavelength_m,
         fidelity.radar_bounces,
     )
-    widest = float(launched.thinned.max())
-    if widest <= 1:
-        return rays, []
-    return rays, [
-        f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
-        "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
-    ]
+    widest, remarks = float(launched.thinned.max()), []
+    if widest > 1:
+        remarks.append(
+            f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
+            "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
+        )
+    if not fidelity.radar_edges:
+        return rays, remarks
+    sharp = _sharp(stage, body)
+    more, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
+    return Rays.joined([rays, more]), [*remarks, *_on_edges(stage, sharp, longer)]
+
+
+def _sharp(stage: Stage, body: NDArray[np.int32]) -> list[Sharp]:
+    """The sharp edges of every body."""
+    rows = np.array(stage.station.table).reshape(-1, TABLE_STEPS + 1, 4)
+    # At normal incidence; a conductor's TE is -1.
+    reflection = -(rows[:, -1, 0] + 1j * rows[:, -1, 1])[stage.surface_of_object]
+    found = []
+    for number in range(body.max() + 1):
+        members = np.flatnonzero(body == number)
+        items = tuple(stage.originals[i] for i in members)
+        edges, owner = edges_of(items, tuple(stage.anchor_m.tolist()))
+        whose: NDArray[np.uint32] = members[owner].astype(np.uint32)
+        velocity = np.array(items[0].velocity_m_per_s)
+        found.append(Sharp(edges, whose, reflection[whose], velocity))
+    return found
+
+
+def _on_edges(stage: Stage, sharp: Sequence[Sharp], longer: float) -> list[str]:
+    """What about edges is assumed or lost."""
+    remarks = []
+    if longer > 1:
+        remarks.append(
+            f"pieces of sharp edges {longer:.2g} times longer than an eighth of a wavelength: "
+            "right in phase at the carrier only, truncated at their middle (fidelity.radar_edges)"
+        )
+    partly = {
+        stage.items[i].material
+        for body in sharp
+        for i in np.unique(body.object[np.abs(body.reflection - 1) > 1e-6])
+    }
+    if partly:
+        remarks.append(
+            f"edges of {', '.join(sorted(partly))} diffract as a conductor's, times what the "
+            "surface reflects at normal incidence"
+        )
+    crowded = sum(body.edges.crowded for body in sharp)
+    if crowded:
+        remarks.append(f"{crowded} edges of more than two faces diffract nothing")
+    return remarks
 
 
 def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[Rays, list[str]]:
@@ -161,21 +210,13 @@ def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[
         if gamma is None:
             remarks.append(f"{item.name}: {item.material} has no gamma, it does not scatter")
         elif gamma.value:
-            found.append(Rough(item, number, gamma.value))
+            is_slab = number >= len(stage.world.items) and item.thickness_m is None
+            found.append(Rough(item, number, gamma.value, is_slab))
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
     if not found:
         return Rays.joined([]), remarks
-    rays = rough_echoes(
-        stage.station.mi,
-        stage.world,
-        found,
-        stage.place,
-        stage.axes[0],
-        stage.wavelength_m,
-        fidelity.radar_scatterers,
-        seed,
-    )
+    rays = rough_echoes(stage.station, stage.anchor_m, found, fidelity.radar_scatterers, seed)
     return rays, list(dict.fromkeys(remarks))
 
 
@@ -183,7 +224,7 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
     """Rays with the antenna's gains and the front end's losses, as the synthesis takes them."""
     departure, arrival = rays.departure @ stage.axes.T, rays.arrival @ stage.axes.T
     loss = 10 ** (-radar.front_end.losses_db.value / 20)
-    gain = np.sqrt(antenna_gain(radar, departure) * antenna_gain(radar, arrival))
+    gain = np.sqrt(radar.antenna.gain(departure) * radar.antenna.gain(arrival))
     return Contributions(
         amplitude=rays.amplitude * gain * loss,
         delay_s=rays.length_m / speed_of_light,
@@ -191,11 +232,6 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
         departure=departure,
         arrival=arrival,
     )
-
-
-def antenna_gain(radar: RadarDesign, directions: Array) -> Array:
-    """Power gain in directions (n, 3) of the antenna's frame."""
-    return radar.antenna.gain(directions)
 
 
 def surface_of(item: SceneObject, scene: Scene, carrier_hz: float) -> tuple[Surface, str | None]:

@@ -4,19 +4,22 @@ Each stands for an area A of its face and answers with gamma cos(theta) A (the c
 Long, Radar Reflectivity of Land and Sea, 3rd edition, section 2.5), at a random phase of its own.
 They are many; near the radar all count, farther off each is kept by a number of its own with a
 probability p, and stands for A / p: so a moving radar hears the same points again.
+
+Points ahead of the radar are heard over its images, too; those behind it, which a mirror may show,
+are left out. Out one way and home another, cos(theta) is the geometric mean of both: an assumption.
 """
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.legs import OFF_SURFACE
-from twin.radar.propagation.shooting import Rays
-from twin.radar.propagation.world import Mesher
+from twin.radar.propagation.legs import OFF_SURFACE, Station
+from twin.radar.propagation.points import PointLegs, between, point_legs
+from twin.radar.propagation.rays import Rays, and_reversed
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
@@ -24,16 +27,21 @@ Array = NDArray[np.float64]
 _MOST_POINTS = 2**20  # of all surfaces together, 70 MB
 _PER_SCATTERER = 16.0  # points to choose from for each that is kept
 _KEPT = 4
+_AT_ONCE = 2**17  # points, 100 MB while they are under way
+_BEYOND = 12.0  # steps: a ray through walls ends up to 8 before its end
 _known: "OrderedDict[tuple[int, int, int, int], Field]" = OrderedDict()
 
 
 @dataclass(frozen=True, eq=False)
 class Rough:
-    """A rough surface: the object with its number in the world, and gamma."""
+    """A rough surface: the object with its number in the world, gamma, and whether it is a closed
+    wall that the radar sees through.
+    """
 
     item: SceneObject
     number: int
     gamma: float
+    is_slab: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,53 +95,57 @@ def _areas(item: SceneObject) -> Array:
 
 
 def rough_echoes(
-    mi: Any,
-    world: Mesher,
+    s: Station,
+    anchor_m: Array,
     surfaces: list[Rough],
-    place: Array,
-    boresight: Array,
-    wavelength_m: float,
     wanted: int,
     seed: int,
 ) -> Rays:
-    """Contributions of all rough surfaces, without gains.
+    """Contributions of all rough surfaces, without gains; what lies behind the radar is silent.
 
     Parameters
     ----------
-    place, boresight
-        The radar, relative to the world's anchor; what lies behind it is silent.
     wanted
         Scatterers that are kept, about, all surfaces together.
     seed
         Of places and phases.
     """
     areas = [float(_areas(r.item).sum()) for r in surfaces]
+    place, boresight = (np.array(vector).ravel() for vector in (s.place, s.boresight))
     parts = []
     points = min(_MOST_POINTS, int(_PER_SCATTERER * wanted))
     for rough, area in zip(surfaces, areas, strict=True):
         count = max(int(points * area / sum(areas)), 1)
         field = field_of(rough.item, count, seed)
-        here = _sampled(rough.item, field, world.anchor_m, place, boresight)
+        seen = _ahead(rough.item, field, anchor_m, place, boresight)
         share = max(wanted * area / sum(areas), 1.0)
-        parts.append(_kept(mi, world, rough, field, here, place, wavelength_m, share))
+        kept = _kept(field, seen, share)
+        for first in range(0, len(kept.index), _AT_ONCE):
+            parts += _echoes(s, rough, kept.chosen(slice(first, first + _AT_ONCE)))
     return Rays.joined(parts)
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """Points ahead of the radar: which, where, how far, cosine of incidence, facing normal."""
+class _Points:
+    """Points ahead of the radar: their number in the field, place and normal (n, 3), distance,
+    phase, and the area that each stands for.
+    """
 
     index: NDArray[np.intp]
     place: Array
-    distance: Array
-    direction: Array
-    cosine: Array
     normal: Array
+    distance: Array
+    phase: Array
+    area: Array
+
+    def chosen(self, which: Any) -> "_Points":
+        """Only some of them, by index or mask."""
+        return _Points(*(getattr(self, f.name)[which] for f in fields(_Points)))
 
 
-def _sampled(
+def _ahead(
     item: SceneObject, field: Field, anchor: Array, place: Array, boresight: Array
-) -> _Seen:
+) -> _Points:
     corners = item.vertices_m - anchor
     a, b, c = (corners[item.faces[:, i]] for i in range(3))
     across = np.cross(b - a, c - a)
@@ -141,60 +153,57 @@ def _sampled(
     w, face = field.weights, field.face
     at = w[:, :1] * a[face] + w[:, 1:2] * b[face] + w[:, 2:] * c[face]
     way = at - place
-    ahead = np.flatnonzero(way @ boresight > 0)
-    at, way, normal = at[ahead], way[ahead], unit[face[ahead]]
-    distance = np.linalg.norm(way, axis=1)
-    direction = way / distance[:, None]
-    slope = np.sum(direction * normal, axis=1)
-    facing = normal * -np.sign(slope)[:, None]
-    return _Seen(ahead, at, distance, direction, np.abs(slope), facing)
-
-
-def _kept(
-    mi: Any,
-    world: Mesher,
-    rough: Rough,
-    field: Field,
-    seen: _Seen,
-    place: Array,
-    wavelength_m: float,
-    share: float,
-) -> Rays:
-    """Those that are kept at their distance and that nothing hides."""
-    if not len(seen.index):
-        return Rays.joined([])
-    reach2 = _reach2(seen.distance, share)
-    keep = np.minimum(reach2 / seen.distance**2, 1.0)
-    chosen = np.flatnonzero(field.chance[seen.index] < keep)
-    off = seen.normal[chosen] * OFF_SURFACE * 2
-    at = seen.place[chosen]
-    start = at + off * (np.linalg.norm(at, axis=1, keepdims=True) + 1e-3)
-    way = (place - start).T.astype(np.float32)
-    length = np.linalg.norm(way, axis=0)
-    ray = mi.Ray3f(
-        mi.Point3f(start.T.astype(np.float32)),
-        mi.Vector3f(way / length),
-        mi.Float(length * (1 - 1e-5)),
-        0.0,
-        [],
+    index = np.flatnonzero(way @ boresight > 0)
+    return _Points(
+        index=index,
+        place=at[index],
+        normal=unit[face[index]],
+        distance=np.linalg.norm(way[index], axis=1),
+        phase=field.phase[index],
+        area=np.full(len(index), field.area_m2),
     )
-    chosen = chosen[~np.array(world.scene.ray_test(ray))]
-    distance, direction = seen.distance[chosen], seen.direction[chosen]
-    sigma = rough.gamma * seen.cosine[chosen] * field.area_m2 / keep[chosen]
-    amplitude = np.sqrt(sigma) * wavelength_m / ((4 * np.pi) ** 1.5 * distance**2)
+
+
+def _kept(field: Field, seen: _Points, share: float) -> _Points:
+    """Those that are kept at their distance, each for as many as are not."""
+    keep = np.minimum(_reach2(seen.distance, share) / seen.distance**2, 1.0)
+    weighted = replace(seen, area=seen.area / keep)
+    return weighted.chosen(np.flatnonzero(field.chance[seen.index] < keep))
+
+
+def _echoes(s: Station, rough: Rough, points: _Points) -> list[Rays]:
+    """From image i to image j with i before j, and the same ways reversed, as rays do."""
+    ways = [_ways(s, rough, points, source) for source in range(s.n_sources)]
+    scale = float(s.wavelength[0]) / (4 * np.pi) ** 1.5
     velocity = np.asarray(rough.item.velocity_m_per_s)
-    n = len(chosen)
-    zero = np.zeros(n, dtype=np.uint32)
-    return Rays(
-        amplitude=amplitude * np.exp(1j * field.phase[seen.index[chosen]]),
-        length_m=2 * distance,
-        rate_m_per_s=2 * direction @ velocity,
-        departure=direction,
-        arrival=direction,
-        object=np.full(n, rough.number, dtype=np.uint32),
-        source=zero,
-        receiver=zero,
-    )
+    found = []
+    for i, (out, falling) in enumerate(ways):
+        for home, rising in ways[i:]:
+            # Both on one side of the surface; of two different angles the geometric mean.
+            at = np.flatnonzero(out.clear & home.clear & (falling * rising > 0))
+            sigma = rough.gamma * np.sqrt(falling[at] * rising[at]) * points.area[at]
+            amplitude = scale * np.sqrt(sigma) * np.exp(1j * points.phase[at])
+            one, other = out.chosen(at), home.chosen(at)
+            amplitude *= np.sum(one.field * other.field, axis=1)
+            number = np.full(len(at), rough.number)
+            found.append(and_reversed(between(one, other, amplitude, velocity, number)))
+    return found
+
+
+def _ways(s: Station, rough: Rough, points: _Points, source: int) -> tuple[PointLegs, Array]:
+    """Legs to points from an image, and the cosines of incidence, negative from behind."""
+    towards = np.array(s.positions).reshape(-1, 3)[source] - points.place
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine = np.sum(towards * points.normal, axis=1)
+    step = OFF_SURFACE * (np.linalg.norm(points.place, axis=1, keepdims=True) + 1e-3)
+    if order := int(np.array(s.orders)[source]):
+        mirror = np.array(s.levels).reshape(s.n_sources, s.order, 12)[source, order - 1]
+        height = np.abs((points.place - mirror[3:6]) @ mirror[6:9])
+        cosine[height < 2 * _BEYOND * step[:, 0]] = 0  # the mirror's own points: no way over it
+    off = 2 * step * points.normal * np.sign(cosine)[:, None]
+    # The way to the far face of a slab ends beyond it, else it would end within.
+    at = points.place - (_BEYOND * step * towards if rough.is_slab else 0)
+    return point_legs(s, source, at, off), cosine
 
 
 def _reach2(distance: Array, share: float) -> float:

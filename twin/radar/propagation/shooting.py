@@ -6,8 +6,7 @@ and back, directly or by an image, are legs (`twin.radar.propagation.legs`). Eve
 contribution of its own, with its own delay: right over the whole band.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -16,54 +15,15 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.grids import Launch
 from twin.radar.propagation.legs import Leg, Station, leg, offset
+from twin.radar.propagation.rays import Rays, Ring, and_reversed, ringing
 from twin.radar.propagation.walls import Passage, no_passage
 from twin.radar.scattering.kernel import coefficients_at, followed, plane, radiating, reflected
-from twin.transfer import aligned, rows
+from twin.transfer import aligned, host
 
 Array = NDArray[np.float64]
 
 _RAYS_AT_ONCE = 2**18  # some 200 MB while they are under way
-_MOST_TRIPS = 8  # within a wall
-_FAINTEST = 3e-3  # of the first: 0.03 dB
 _SURELY = 2e-4  # of the distance: float32's error where a facet is not seen edge on
-
-
-@dataclass(frozen=True, eq=False)
-class Rays:
-    """Contributions of rays, each (n,), in order: amplitude without the antenna's gain, path length
-    and its rate in m and m/s; departure and arrival (n, 3) as seen from the radar, in the
-    world's axes; object that is hit last, and the images by which the wave goes out and back.
-    """
-
-    amplitude: NDArray[np.complex128]
-    length_m: Array
-    rate_m_per_s: Array
-    departure: Array
-    arrival: Array
-    object: NDArray[np.uint32]
-    source: NDArray[np.uint32]
-    receiver: NDArray[np.uint32]
-
-    def chosen(self, which: Any) -> "Rays":
-        """Only some of them, by index or mask."""
-        return Rays(*(getattr(self, f.name)[which] for f in fields(Rays)))
-
-    @staticmethod
-    def joined(parts: Sequence["Rays"]) -> "Rays":
-        """One after the other."""
-        return Rays(
-            amplitude=np.concatenate([np.zeros(0, complex), *(p.amplitude for p in parts)]),
-            length_m=np.concatenate([np.zeros(0), *(p.length_m for p in parts)]),
-            rate_m_per_s=np.concatenate([np.zeros(0), *(p.rate_m_per_s for p in parts)]),
-            departure=np.concatenate([np.zeros((0, 3)), *(p.departure for p in parts)]),
-            arrival=np.concatenate([np.zeros((0, 3)), *(p.arrival for p in parts)]),
-            **{
-                name: np.concatenate(
-                    [np.zeros(0, dtype=np.uint32), *(getattr(p, name) for p in parts)]
-                )
-                for name in ("object", "source", "receiver")
-            },
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,86 +309,15 @@ def _received(
     if n == 0:
         return Rays.joined([])
 
-    def host(value: Any) -> Any:
-        taken = _taken(value, chosen)
-        return np.array(taken) if dr.depth_v(taken) == 1 else rows(taken)
-
-    one = _once(s, front, hits, home, host, (a_re, a_im, length, rate), receiver, n)
+    values = [a_re, a_im, length, rate, front.departure, home.departure, hits.number, front.source]
+    for p in (front.passage, home.passage):
+        values += [p.rho_re, p.rho_im, p.lag]
+    re, im, length, rate, departure, arrival, number, source, *rings = host(
+        [_taken(value, chosen) for value in values], n
+    )
+    to = np.full(n, receiver, dtype=np.uint32)
+    one = Rays(re + 1j * im, length, rate, departure, arrival, number, source, to)
     if s.walls is not None:
-        one = ringing(one, *_rings(front.passage, home.passage, host, n))
-    return _and_reversed(one, receiver)
-
-
-def _once(
-    s: Station,
-    front: _Front,
-    hits: _Hits,
-    home: Leg,
-    host: Callable[[Any], Any],
-    values: tuple[Any, ...],
-    receiver: int,
-    n: int,
-) -> Rays:
-    a_re, a_im, length, rate = values
-    return Rays(
-        amplitude=host(a_re) + 1j * host(a_im),
-        length_m=host(length),
-        rate_m_per_s=host(rate),
-        departure=host(front.departure),
-        arrival=host(home.departure),
-        object=host(hits.number),
-        source=host(front.source),
-        receiver=np.full(n, receiver, dtype=np.uint32),
-    )
-
-
-def _rings(
-    out: Passage, home: Passage, host: Callable[[Any], Any], n: int
-) -> tuple[NDArray[np.complex128], Array, NDArray[np.int64]]:
-    """Internal echo over the one before, its lag, and how many legs have one, (n,)."""
-    parts = [(p.rho_re, p.rho_im, p.lag) for p in (out, home)]
-    re, im, lag = (
-        np.array([np.broadcast_to(host(part[i]), n) for part in parts]) for i in range(3)
-    )
-    legs = np.count_nonzero(lag > 0, axis=0)
-    share = np.maximum(legs, 1)
-    return (re + 1j * im).sum(axis=0) / share, lag.sum(axis=0) / share, legs
-
-
-def ringing(rays: Rays, rho: NDArray[np.complex128], lag_m: Array, legs: NDArray[np.int64]) -> Rays:
-    """Rays with the echoes that run to and fro within walls, each one a contribution of its own.
-
-    Over ``legs`` legs that ring alike, p round trips in all come C(legs + p - 1, p) times.
-    """
-    found = [rays]
-    strongest = float(np.abs(rho).max(initial=0.0))
-    for trips in range(1, _MOST_TRIPS + 1):
-        if (trips + 1) * strongest**trips < _FAINTEST:
-            break
-        chosen = np.flatnonzero(legs > 0)
-        times = np.where(legs[chosen] == 2, trips + 1, 1)
-        some = rays.chosen(chosen)
-        found.append(
-            replace(
-                some,
-                amplitude=some.amplitude * times * rho[chosen] ** trips,
-                length_m=some.length_m + trips * lag_m[chosen],
-            )
-        )
-    return Rays.joined(found)
-
-
-def _and_reversed(one: Rays, receiver: int) -> Rays:
-    """The same ways walked the other way round, too, unless they end where they began."""
-    back = one.source != receiver
-    if not back.any():
-        return one
-    some = one.chosen(back)
-    reverse = replace(
-        some,
-        departure=some.arrival,
-        arrival=some.departure,
-        source=some.receiver,
-        receiver=some.source,
-    )
-    return Rays.joined([one, reverse])
+        alike = (source == receiver) & (bounce == 0)
+        one = ringing(one, Ring.of(*rings[:3]), Ring.of(*rings[3:]), alike)
+    return and_reversed(one)

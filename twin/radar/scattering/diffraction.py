@@ -14,11 +14,12 @@ from scipy.constants import speed_of_light
 
 from twin.engine import mitsuba
 from twin.radar.scattering.edges import Edges
-from twin.radar.scattering.fringe import backscatter, moment
+from twin.radar.scattering.fringe import moment, observed
 from twin.radar.scattering.target import Target
-from twin.radar.scattering.wave import Polarization, Radar, Wave
+from twin.radar.scattering.wave import Polarization, Radar
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def edge_diffraction(
     carrier_hz: float,
     polarization: Polarization = "V",
     quality: EdgeQuality | None = None,
-) -> NDArray[np.complex128]:
+) -> Complex:
     """Scattered amplitude of all edges for reception in V and H, (2,) in metres.
 
     Conducting faces; for others it is an upper bound.
@@ -62,35 +63,66 @@ def edge_diffraction(
     quality = quality or EdgeQuality()
     wavelength = speed_of_light / carrier_hz
     k = 2 * np.pi / wavelength
-    edge, middle, length = _pieces(edges, wavelength / quality.pieces_per_wavelength)
-    outside = -edges.inwards.sum(axis=1)[edge]
-    outside /= np.maximum(np.linalg.norm(outside, axis=1, keepdims=True), 1e-300)
-    seen = _visible(target, radar, middle, outside)
-    edge, middle, length = edge[seen], middle[seen], length[seen]
-    wave = radar.wave_at(middle, polarization)
-    radiating = sum(_face(edges, edge, side, middle, wave, k) for side in (0, 1))
+    cut = pieces(edges, wavelength / quality.pieces_per_wavelength)
+    cut = cut.chosen(_visible(target, radar, cut.middle_m, outside(edges)[cut.edge]))
+    wave = radar.wave_at(cut.middle_m, polarization)
+    radiating = fringe_moment(edges, cut, wave.direction, wave.field, -wave.direction, k)
     # Back and forth along a piece: the sinc of its linear phase.
-    slope = np.sum(wave.direction * edges.along[edge], axis=1)
-    phase = np.exp(-2j * k * wave.detour_m) * np.sinc(k * length * slope / np.pi)
-    factor = -1j * k / (4 * np.pi) * length * phase / wave.scale**2
+    slope = np.sum(wave.direction * edges.along[cut.edge], axis=1)
+    phase = np.exp(-2j * k * wave.detour_m) * np.sinc(k * cut.length_m * slope / np.pi)
+    factor = -1j * k / (4 * np.pi) * cut.length_m * phase / wave.scale**2
     amplitude = [
-        np.sum(factor * np.sum(radar.wave_at(middle, p).field * radiating, axis=1))
+        np.sum(factor * np.sum(radar.wave_at(cut.middle_m, p).field * radiating, axis=1))
         for p in ("V", "H")
     ]
     return np.array(amplitude)
 
 
-def _pieces(edges: Edges, longest_m: float) -> tuple[NDArray[np.int64], Array, Array]:
-    """Edges cut into equal pieces: edge (m,), middle (m, 3), length (m,)."""
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Edges cut into short pieces: number of the edge (m,), middle (m, 3), length (m,)."""
+
+    edge: NDArray[np.int64]
+    middle_m: Array
+    length_m: Array
+
+    def chosen(self, which: Any) -> "Pieces":
+        """Only some of them, by index or mask."""
+        return Pieces(self.edge[which], self.middle_m[which], self.length_m[which])
+
+
+def pieces(edges: Edges, longest_m: float) -> Pieces:
+    """Each edge in equal pieces, none longer than asked for."""
     count = np.maximum(np.ceil(edges.length_m / longest_m), 1).astype(np.int64)
     edge = np.repeat(np.arange(len(count)), count)
     number = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
     at = (number + 0.5) / count[edge] * edges.length_m[edge]
-    return (
-        edge,
-        edges.start_m[edge] + at[:, None] * edges.along[edge],
-        (edges.length_m / count)[edge],
-    )
+    middle = edges.start_m[edge] + at[:, None] * edges.along[edge]
+    return Pieces(edge, middle, (edges.length_m / count)[edge])
+
+
+def outside(edges: Edges) -> Array:
+    """Unit vectors (n, 3) from each edge away from both of its faces."""
+    away = -edges.inwards.sum(axis=1)
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
+    return away
+
+
+def fringe_moment(
+    edges: Edges,
+    cut: Pieces,
+    direction: Array,
+    field: Array | Complex,
+    towards: Array,
+    wavenumber: float,
+) -> Complex:
+    """Moment of the fringe currents on both faces, (m, 3) per length of edge; 0 in a corner.
+
+    ``direction`` of travel and ``field`` of the wave at the pieces, ``towards`` the observer, all
+    (m, 3).
+    """
+    one, other = (_face(edges, cut, side, direction, field, towards, wavenumber) for side in (0, 1))
+    return one + other
 
 
 def _visible(target: Target, radar: Radar, points: Array, outside: Array) -> NDArray[np.bool_]:
@@ -109,25 +141,30 @@ def _visible(target: Target, radar: Radar, points: Array, outside: Array) -> NDA
 
 
 def _face(
-    edges: Edges, edge: NDArray[np.int64], side: int, middle: Array, wave: Wave, k: float
-) -> NDArray[np.complex128]:
-    """Moment of the fringe current on one face, (m, 3) per length of edge; 0 in a corner."""
-    x, y = edges.inwards[edge, side], edges.upwards[edge, side]
+    edges: Edges,
+    cut: Pieces,
+    side: int,
+    direction: Array,
+    field: Array | Complex,
+    towards: Array,
+    k: float,
+) -> Complex:
+    x, y = edges.inwards[cut.edge, side], edges.upwards[cut.edge, side]
     z = np.cross(x, y)
-    back = -wave.direction
-    phi0 = np.arctan2(np.sum(back * y, axis=1), np.sum(back * x, axis=1)) % (2 * np.pi)
-    n = edges.wedge[edge]
+    phi0 = np.arctan2(-np.sum(direction * y, axis=1), -np.sum(direction * x, axis=1)) % (2 * np.pi)
+    n = edges.wedge[cut.edge]
     phi0 = np.where(phi0 > 2 * np.pi - 1e-9, 0.0, phi0)
     around = phi0 <= n * np.pi + 1e-9
     phi0 = np.where(around, np.minimum(phi0, n * np.pi), 1.0)
-    cos_beta0 = np.sum(wave.direction * z, axis=1)
-    along = np.abs(cos_beta0) > 1 - 1e-8  # an edge seen end on radiates nothing back
+    cos_beta0 = np.sum(direction * z, axis=1)
+    along = np.abs(cos_beta0) > 1 - 1e-8  # an edge met end on radiates nothing
     cos_beta0 = np.where(along, 0.0, cos_beta0)
     grazing = np.sqrt(1 - cos_beta0**2)[:, None] * x + cos_beta0[:, None] * z
-    way = edges.patches.reach(edges.patch[edge, side], middle, grazing)
+    way = edges.patches.reach(edges.patch[cut.edge, side], cut.middle_m, grazing)
     end = way * np.sqrt(1 - cos_beta0**2)
-    e_z = np.sum(wave.field * z, axis=1)
-    h_z = np.sum(np.cross(wave.direction, wave.field) * z, axis=1)
-    m_x, m_z = moment(backscatter(n, phi0, cos_beta0, end), e_z, h_z, k)
+    seen_x, seen_z = np.sum(towards * x, axis=1), np.sum(towards * z, axis=1)
+    e_z = np.sum(field * z, axis=1)
+    h_z = np.sum(np.cross(direction, field) * z, axis=1)
+    m_x, m_z = moment(observed(n, phi0, cos_beta0, seen_x, seen_z, end), e_z, h_z, k)
     total = m_x[:, None] * x + m_z[:, None] * z
     return np.where((around & ~along)[:, None], total, 0)

@@ -22,9 +22,9 @@ class Edges:
     ``start_m`` and ``along`` (n, 3), ``length_m`` (n,); ``wedge`` (n,) is N, the angle of the space
     around the edge over pi: 2 for an open edge, 1.5 for a box. ``inwards`` and ``upwards`` (n, 2,
     3): on each face, across the edge into the face, and off the face away from the wedge. ``patch``
-    (n, 2) is the smooth surface that the face belongs to. ``crowded`` counts edges of more than
-    two faces, which are left out; ``sagitta_m`` is the farthest that facets lie off the smooth
-    surface that they stand for.
+    (n, 2) is the smooth surface that the face belongs to, ``face`` (n,) one of the faces as the
+    mesh numbers them. ``crowded`` counts edges of more than two faces, which are left out;
+    ``sagitta_m`` is the farthest that facets lie off the smooth surface that they stand for.
     """
 
     start_m: Array
@@ -34,6 +34,7 @@ class Edges:
     inwards: Array
     upwards: Array
     patch: Indices
+    face: Indices
     patches: "Patches"
     crowded: int
     sagitta_m: float
@@ -60,7 +61,7 @@ class Patches:
         found = np.empty(len(patch))
         order = np.argsort(patch, kind="stable")
         starts = np.flatnonzero(np.diff(patch[order], prepend=-1))
-        for rows in np.split(order, starts[1:]):
+        for rows in np.split(order, starts)[1:]:
             which = patch[rows[0]]
             box = _through_box(self.low[which], self.high[which], origin_m[rows], direction[rows])
             found[rows] = box
@@ -78,7 +79,7 @@ def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
 
     Orientation of the faces doesn't matter; faces that lie twice at the same place count once.
     """
-    corners, faces, normals = _welded(target)
+    corners, faces, normals, kept = _welded(target)
     ends, pairs, crowded = _adjacency(faces)
     is_open = pairs[:, 0] == pairs[:, 1]
     along = corners[ends[:, 1]] - corners[ends[:, 0]]
@@ -100,14 +101,15 @@ def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
         inwards=inwards,
         upwards=_upwards(inwards, along, is_open[sharp]),
         patch=patch[pairs[sharp]],
+        face=kept[pairs[sharp, 0]],
         patches=_patches(corners, faces, normals, patch, patch[pairs[sharp]], ends),
         crowded=crowded,
         sagitta_m=float(bend.max()) if len(bend) else 0.0,
     )
 
 
-def _welded(target: Target) -> tuple[Array, Indices, Array]:
-    """Corners, faces and normals with equal corners made one, each face once."""
+def _welded(target: Target) -> tuple[Array, Indices, Array, Indices]:
+    """Corners, faces and normals with equal corners made one, each face once, and its number."""
     _, radius = target.sphere
     cells = np.round(target.vertices_m / (_WELDED * radius)).astype(np.int64)
     # One number per cell: unique rows of three would sort ten times as long.
@@ -125,7 +127,7 @@ def _welded(target: Target) -> tuple[Array, Indices, Array]:
     solid = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
     _, kept = np.unique(corners[solid], axis=0, return_index=True)
     kept = np.flatnonzero(solid)[np.sort(kept)]
-    return target.vertices_m[first], faces[kept], target.normals[kept]
+    return target.vertices_m[first], faces[kept], target.normals[kept], kept
 
 
 def _adjacency(faces: Indices) -> tuple[Indices, Indices, int]:

@@ -32,8 +32,8 @@ class Incidence:
     """How a wave meets an edge and is looked at; all (n,).
 
     ``n`` is the wedge number N, ``phi0`` in rad, ``cos_beta0`` of the direction of travel, ``mu``
-    the phase that the observer adds along the face over that of a wave grazing it (1: they cancel;
-    looking back at the source: cos phi0 - 2 cot^2 beta0), ``end_m`` where the face ends.
+    the phase that the observer adds along the face over that of a wave grazing it (1: they cancel),
+    ``end_m`` where the face ends.
     """
 
     n: Array
@@ -43,13 +43,18 @@ class Incidence:
     end_m: Array
 
 
-def backscatter(n: Array, phi0: Array, cos_beta0: Array, end_m: Array) -> Incidence:
-    """The incidence for an observer at the source."""
-    cot2 = cos_beta0**2 / (1 - cos_beta0**2)
-    return Incidence(n, phi0, cos_beta0, np.cos(phi0) - 2 * cot2, end_m)
+def observed(
+    n: Array, phi0: Array, cos_beta0: Array, towards_x: Array, towards_z: Array, end_m: Array
+) -> Incidence:
+    """The incidence for an observer in a direction whose components along x and z are given."""
+    sine2 = 1 - cos_beta0**2
+    mu = (np.sqrt(sine2) * towards_x + cos_beta0 * (towards_z - cos_beta0)) / sine2
+    return Incidence(n, phi0, cos_beta0, mu, end_m)
 
 
-def moment(at: Incidence, e_z: Array, h_z: Array, wavenumber: float) -> tuple[Complex, Complex]:
+def moment(
+    at: Incidence, e_z: Array | Complex, h_z: Array | Complex, wavenumber: float
+) -> tuple[Complex, Complex]:
     """Components x and z of the fringe current's moment per length of edge, in metres.
 
     ``e_z`` and ``h_z`` are the incident fields along the edge, (n,).

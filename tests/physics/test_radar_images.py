@@ -1,0 +1,143 @@
+"""Two reflections on a leg: image theory gives every path between perpendicular mirrors exactly."""
+
+import numpy as np
+import pytest
+from scipy.constants import speed_of_light
+
+from tests.physics.radar_worlds import (
+    GAIN,
+    OPTICS,
+    RADAR,
+    WAVELENGTH_M,
+    ball,
+    ground,
+    plate,
+    quad,
+    world,
+)
+from twin.radar.propagation.optics import scattered, set_stage
+from twin.radar.propagation.roles import assign_roles
+from twin.radar.propagation.sionna_paths import trace
+from twin.scene import Pose, Rig, SceneObject, Target
+
+TWICE = OPTICS.with_(radar_images=2)
+K = 2 * np.pi / WAVELENGTH_M
+AHEAD = plate("ahead", (20.0, 0, 0), 40.0)
+SIDE = quad("side", [[-20, 7, -20], [20, 7, -20], [20, 7, 20], [-20, 7, 20]])
+LEVEL = ground(-1.0)
+#: A point of each mirror and its normal.
+PLANES = {"ahead": (20.0, 0), "side": (7.0, 1), "ground": (-1.0, 2)}
+
+
+def mirrored(point: np.ndarray, name: str) -> np.ndarray:
+    at, axis = PLANES[name]
+    image = point.copy()
+    image[axis] = 2 * at - point[axis]
+    return image
+
+
+def field(departure: np.ndarray, sequence: tuple[str, ...]) -> np.ndarray:
+    """V of Ludwig's third definition, reflected by conductors: E' = 2 (n.E) n - E each time."""
+    up, ahead = np.array([0, 0, 1.0]), np.array([1.0, 0, 0])
+    e = up - departure @ up / (1 + departure @ ahead) * (departure + ahead)
+    for name in sequence:
+        e = np.where(np.arange(3) == PLANES[name][1], e, -e)
+    return e
+
+
+def leg_by(target: np.ndarray, sequence: tuple[str, ...]) -> tuple[float, np.ndarray, np.ndarray]:
+    """Length from the radar at the origin, departure, and direction of arrival at the target."""
+    image = np.zeros(3)
+    for name in sequence:
+        image = mirrored(image, name)
+    way = target - image
+    length = float(np.linalg.norm(way))
+    back = target
+    for name in sequence[::-1]:
+        back = mirrored(back, name)
+    return length, back / length, way / length
+
+
+@pytest.mark.parametrize(
+    ("mirrors", "target"),
+    [
+        ((AHEAD, SIDE), (12.0, 3.0, 0.0)),
+        ((AHEAD, SIDE), (5.0, 5.5, 0.7)),
+        ((LEVEL, AHEAD), (11.0, 0.5, 0.4)),
+        ((LEVEL, SIDE), (9.0, 4.0, -0.3)),
+    ],
+)
+def test_a_point_between_two_mirrors(mirrors: tuple[SceneObject, ...], target) -> None:
+    """Sixteen paths over none, one, the other or both, out and home: amplitude, delay and its rate.
+
+    The image in both is one place, whichever mirror comes first; a path runs by one order only.
+    """
+    place, velocity = np.array(target), (3.0, -2.0, 1.0)
+    point = Target("t", target, velocity, 10.0, "declared")
+    found = {
+        p.via: p for p in trace(world(*mirrors, targets=(point,)), RADAR, fidelity=TWICE).paths
+    }
+    found = {via: p for via, p in found.items() if "t" in via}
+    first, second = (m.name for m in mirrors)
+    both = {via[:2] for via in found if via[2:3] == ("t",)}
+    assert len(both) == 1
+    assert both <= {(first, second), (second, first)}
+    legs = [(), (first,), (second,), *both]
+    assert set(found) == {(*out, "t", *home[::-1]) for out in legs for home in legs}
+    for out in legs:
+        for home in legs:
+            path = found[(*out, "t", *home[::-1])]
+            (there, away, onto), (back, heard, off) = leg_by(place, out), leg_by(place, home)
+            gains = RADAR.antenna.gain(np.array([away, heard]))
+            expected = np.sqrt(10.0 * gains.prod()) * GAIN / 100 * WAVELENGTH_M
+            expected *= field(away, out) @ field(heard, home) / ((4 * np.pi) ** 1.5 * there * back)
+            assert path.amplitude == pytest.approx(expected, rel=1e-9, abs=1e-15)
+            assert path.delay_s == pytest.approx((there + back) / speed_of_light, rel=1e-13)
+            rate = np.array(velocity) @ (onto + off) / speed_of_light
+            assert path.delay_rate == pytest.approx(rate, rel=1e-9)
+            np.testing.assert_allclose([path.departure, path.arrival], [away, heard], atol=1e-12)
+
+
+@pytest.mark.parametrize("mirrors", [(AHEAD, SIDE), (LEVEL, AHEAD)])
+def test_the_radar_sees_itself_in_a_corner(mirrors: tuple[SceneObject, ...]) -> None:
+    """As an endless dihedral: both orders together are one image, G lambda / (4 pi 2 R); the
+    polarisation is that of a half turn. Sums over a few places: rounding does not decide.
+    """
+    names = {m.name for m in mirrors}
+    for shift in np.linspace(0, 1, 5):
+        place = np.array([shift, 0.3 * shift, 0.2 * shift])
+        rig = Rig(Pose(tuple(place)), radar=Pose((0.0, 0.0, 0.0)))
+        found = trace(world(*mirrors, rig=rig), RADAR, fidelity=OPTICS).paths
+        twice = [p for p in found if set(p.via) == names]
+        assert {p.via for p in twice} == {tuple(names), tuple(names)[::-1]}
+        way = place.copy()
+        for name in names:
+            way = mirrored(way, name)
+        way -= place
+        length = np.linalg.norm(way)
+        up = field(way / length, ()) @ field(way / length, tuple(names))
+        gain = RADAR.antenna.gain((way / length)[None])[0] * GAIN / 100
+        expected = gain * WAVELENGTH_M / (4 * np.pi * length) * up
+        assert sum(p.amplitude for p in twice) == pytest.approx(expected, rel=1e-6)
+        for path in twice:
+            assert path.delay_s == pytest.approx(length / speed_of_light, rel=1e-12)
+
+
+def test_rays_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
+    """A ball, out and home over both: level and phase of the ball in its place behind both."""
+    knobs = TWICE.with_(radar_bounces=1)
+    here = np.array([12.0, 3.0, 0.0])
+    there = mirrored(mirrored(here, "ahead"), "side")
+    scene = world(AHEAD, SIDE, ball("b", here))
+    stage = set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), 2)
+    twice = [n for n in range(len(stage.images)) if len(stage.via(n)) == 2]
+    assert {stage.via(n) for n in twice} == {("ahead", "side"), ("side", "ahead")}
+    rays = scattered(stage, knobs)[0]
+    over = rays.chosen(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
+    alone = world(ball("b", there))
+    free = set_stage(alone, RADAR, assign_roles(alone, WAVELENGTH_M, "optics"), 0)
+    found, expected = (
+        np.sum(r.amplitude * np.exp(-1j * K * r.length_m))
+        for r in (over, scattered(free, knobs)[0])
+    )
+    assert found == pytest.approx(expected, rel=0.02)

@@ -1,0 +1,87 @@
+"""Echoes of points: legs between them and every image of the radar, brought to the host."""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.legs import Station, leg
+from twin.radar.propagation.rays import Rays, Ring, ringing
+from twin.transfer import aligned, host, vector
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PointLegs:
+    """Legs from images to points, (n,) or (n, 3), in the world's axes; see `legs.Leg`.
+
+    ``length`` is that of the straight way, which spreading follows; ``extra`` what walls add.
+    """
+
+    source: NDArray[np.uint32]
+    back: Array
+    length: Array
+    extra: Array
+    departure: Array
+    field: NDArray[np.complex128]
+    rate: Array
+    clear: NDArray[np.bool_]
+    ring: Ring
+
+    def chosen(self, which: Any) -> "PointLegs":
+        """Only some of them, by index or mask."""
+        own = {f.name: getattr(self, f.name)[which] for f in fields(self)[:-1]}
+        return replace(self, ring=Ring(self.ring.rho[which], self.ring.lag_m[which]), **own)
+
+
+def point_legs(
+    s: Station, source: int | NDArray[np.integer], places: Array, off: Array
+) -> PointLegs:
+    """Legs from one image, or one for each, to points (n, 3), from which rays start at a distance
+    ``off`` (n, 3).
+    """
+    mi, n = s.mi, len(places)
+    sources = np.full(n, source, dtype=np.uint32)
+    place, aside = (vector(mi, rows, "Vector3d") for rows in (places, off))
+    way = leg(s, mi.UInt32(aligned(sources)), place, aside, mi.Bool(True))
+    p = way.passage
+    back, length, extra, departure, re, im, rate, clear, *rings = host(
+        [way.back, way.length, p.extra, way.departure, way.field, way.field_im, way.rate, way.clear]
+        + [p.rho_re, p.rho_im, p.lag],
+        n,
+    )
+    field = re + 1j * im
+    return PointLegs(
+        sources, back, length, extra, departure, field, rate, clear, ring=Ring.of(*rings)
+    )
+
+
+def between(
+    out: PointLegs,
+    home: PointLegs,
+    amplitude: NDArray[np.complex128],
+    velocity: Array,
+    number: NDArray[np.integer],
+) -> Rays:
+    """Echoes out by one leg and home by another, walls' internal echoes included.
+
+    Parameters
+    ----------
+    amplitude
+        Of each point (n,), but for the spreading, 1 over both lengths.
+    velocity, number
+        Of the points, (n, 3) or (3,), and of the objects that they belong to, (n,).
+    """
+    once = Rays(
+        amplitude=amplitude / (out.length * home.length),
+        length_m=out.length + out.extra + home.length + home.extra,
+        rate_m_per_s=out.rate + home.rate - np.sum(velocity * (out.back + home.back), axis=1),
+        departure=out.departure,
+        arrival=home.departure,
+        object=np.asarray(number, dtype=np.uint32),
+        source=out.source,
+        receiver=home.source,
+    )
+    return ringing(once, out.ring, home.ring, out.source == home.source)
