@@ -29,9 +29,9 @@ class Fidelity:
         wrong in shape below some 100 electrons. ``full``: Poisson.
     radar
         ``targets``: declared targets straight ahead, without the scene: no multipath, no clutter,
-        no shadows. ``paths``: traced through the scene. ``optics``: meshes scatter by physical
-        optics instead of a declared cross-section, over the ground and large walls too. ``rough``:
-        surfaces scatter as well, and reflect the less.
+        no shadows. ``paths``: traced through the scene, where small far meshes answer from tables.
+        ``optics``: meshes scatter by physical optics instead of a declared cross-section, over the
+        ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less.
     nufft_tolerance
         Relative error of the radar's channel against the direct sum.
     radar_rays
@@ -47,6 +47,10 @@ class Fidelity:
         small bodies with edges are off by 10 dB, mean over all angles (the Austin plates). Where
         pieces are longer than an eighth of a wavelength, the band's edges suffer first. On the
         street 250 000 more contributions, and 1.5 s instead of 0.17 s to find them.
+    radar_table_nodes
+        Of a table of physical optics on the rung ``paths``, per lobe lambda / (2 D) of a target of
+        extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms
+        error is 0.7 % of its peak, 0.06 dB.
     radar_scatterers
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
     """
@@ -62,6 +66,7 @@ class Fidelity:
     radar_bounces: int = 3
     radar_images: int = 1
     radar_edges: int = 0
+    radar_table_nodes: int = 4
     radar_scatterers: int = 50_000
 
     def __post_init__(self) -> None:
@@ -75,6 +80,7 @@ class Fidelity:
             ("radar_bounces", 1),
             ("radar_images", 0),
             ("radar_edges", 0),
+            ("radar_table_nodes", 1),
             ("radar_scatterers", 1),
         ):
             if getattr(self, name) < least:
@@ -101,6 +107,7 @@ class Fidelity:
             radar_bounces=max(self.radar_bounces, other.radar_bounces),
             radar_images=max(self.radar_images, other.radar_images),
             radar_edges=max(self.radar_edges, other.radar_edges),
+            radar_table_nodes=max(self.radar_table_nodes, other.radar_table_nodes),
             radar_scatterers=max(self.radar_scatterers, other.radar_scatterers),
             nufft_tolerance=min(self.nufft_tolerance, other.nufft_tolerance),
         )

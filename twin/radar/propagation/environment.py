@@ -14,6 +14,7 @@ from twin.radar.propagation.points import between, point_legs
 from twin.radar.propagation.rays import Rays
 from twin.radar.scattering.kernel import turned
 from twin.scene import Target
+from twin.transfer import rows, vector
 
 Array = NDArray[np.float64]
 
@@ -39,10 +40,8 @@ def mirror_echoes(s: Station) -> Rays:
     share = clear[1:].mean(axis=0)
     # Where the middle is hidden its field is not followed through walls: one beside it is.
     exact, nearest = legs.chosen(source - 1), legs.chosen(clear.argmax(axis=0) * count + source - 1)
-    heard = turned(s.vertical, -s.boresight, s.mi.Vector3d(*exact.back.T))
-    amplitude = (
-        share / (4 * np.pi * exact.length) * np.sum(nearest.field * np.array(heard).T, axis=1)
-    )
+    heard = turned(s.vertical, -s.boresight, vector(s.mi, exact.back, "Vector3d"))
+    amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * rows(heard), axis=1)
     none = np.zeros(count, dtype=np.uint32)
     return Rays(
         amplitude=amplitude,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.legs import Station, leg
 from twin.radar.propagation.rays import Rays, Ring, ring, ringing
+from twin.transfer import aligned, rows, vector
 
 Array = NDArray[np.float64]
 
@@ -44,14 +45,15 @@ def point_legs(
     """
     mi, n = s.mi, len(places)
     sources = np.full(n, source, dtype=np.uint32)
-    place, aside = (mi.Vector3d(*(mi.Float64(v[:, i]) for i in range(3))) for v in (places, off))
-    way = leg(s, mi.UInt32(sources), place, aside, mi.Bool(True))
+    place, aside = (vector(mi, values, "Vector3d") for values in (places, off))
+    way = leg(s, mi.UInt32(aligned(sources)), place, aside, mi.Bool(True))
     p = way.passage
     dr.eval(*(v for v in vars(way).values() if v is not p), *vars(p).values())
 
     def host(value: Any) -> Any:
-        flat = np.array(value)
-        return np.broadcast_to(flat, (*flat.shape[:-1], n)).T
+        if dr.depth_v(value) == 1:
+            return np.broadcast_to(np.array(value), n)
+        return np.broadcast_to(rows(value), (n, 3))
 
     return PointLegs(
         source=sources,
