@@ -215,6 +215,12 @@ class Scene:
         )
 
     @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves but the rig."""
+        velocities = [o.velocity_m_per_s for o in self.objects]
+        return not np.any(velocities + [t.velocity_m_per_s for t in self.targets])
+
+    @property
     def triangles(self) -> int:
         """Triangles in all objects."""
         return sum(len(o.faces) for o in self.objects)
