@@ -39,7 +39,7 @@ class DeviceError(ValueError):
 
 @dataclass
 class Tally:
-    """What became of the frames, since the camera was opened."""
+    """What became of the frames, since the camera was opened; ``uploads``: tables sent to it."""
 
     frames: int = 0
     lost: int = 0
@@ -47,6 +47,7 @@ class Tally:
     refused: int = 0
     reconnects: int = 0
     restarts: int = 0
+    uploads: int = 0
 
 
 @dataclass(frozen=True)

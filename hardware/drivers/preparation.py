@@ -55,7 +55,7 @@ def prepare(device: Dialogue, identity: Identity, settings: SpiSettings) -> Conf
     if not _possible(made, identity, patterns.n_exposures * len(settings.shutters), len(table)):
         raise DeviceError(f"{device.url}: the device cannot mean {made}")
     if request.order == UPLOADED:
-        _upload(device, table)
+        _upload(device, table, crc)
     elif made.table_crc != crc:
         raise DeviceError(
             f"{device.url}: the device's patterns {patterns.order!r} have the CRC-32 "
@@ -101,6 +101,11 @@ def _possible(made: Configured, identity: Identity, exposures: int, size: int) -
     )
 
 
-def _upload(device: Dialogue, table: bytes) -> None:
+def _upload(device: Dialogue, table: bytes, crc: int) -> None:
+    """Bring the table, unless the device holds it still."""
+    held = device.status()
+    if (held.table_bytes, held.table_crc) == (len(table), crc):
+        return
+    device.tally.uploads += 1
     for at in range(0, len(table), Upload.MOST):
         device.ask(Upload(at, table[at : at + Upload.MOST]), Status)

@@ -113,7 +113,7 @@ def test_what_the_host_asks_for(world, patterns: PatternSet, integration_s: floa
         ({"integration_time_s": 1e-8}, "integration_time_s: outside"),
         ({"pattern_period_s": 81e-6}, "pattern_period_s: shorter"),
         ({"shutters": ((1e7, 0.0, 0.0, 0.0),)}, "shutters: this camera has"),
-        ({"upload": True}, "order: this camera knows its orders by name"),
+        ({"patterns": PatternSet.of(16, 16, [7, 200, 9])}, "the table of no order that I know"),
     ],
 )
 def test_what_the_camera_cannot_do_is_refused(world, change, says: str) -> None:
@@ -123,6 +123,19 @@ def test_what_the_camera_cannot_do_is_refused(world, change, says: str) -> None:
         pytest.raises(DeviceError, match=says),
     ):
         camera.acquire()
+
+
+def test_an_uploaded_table_is_shown_and_outlives_a_restart(world) -> None:
+    """Counts are those of the order by its name; PROTOCOL.md, section 5, says what is kept."""
+    patterns = PatternSet(16, 16, 32, "walsh", "s-matrix")
+    wanted = replace(SETTINGS, patterns=patterns, upload=True)
+    with served(world) as server, SpiCamera(server.line.url, wanted) as camera:
+        first, second = camera.acquire(), camera.acquire()
+        uploads = camera.tally.uploads
+    (expected,) = direct(world, wanted, 1)
+    for record in (first, second):
+        assert np.array_equal(record.counts, expected.counts)
+    assert uploads == 1
 
 
 def talk(world):
