@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import serial
 from asking import asking
+from rfc2217_port import behind_rfc2217
 
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSettings
@@ -244,6 +245,26 @@ def test_a_broken_line_is_opened_again_and_the_run_goes_on(firmware: Any) -> Non
     assert whole == {n // 2 for n in range(800)} - {
         n for n in range(400) if {2 * n, 2 * n + 1} <= missing
     }
+
+
+def test_a_port_behind_rfc2217_is_as_good_as_the_terminal_itself(firmware: Any) -> None:
+    """Through pyserial's own server, cut once: opened again, counts those of the device."""
+    lost: list[range] = []
+    cut = threading.Event()
+    with (
+        firmware.running("--fast") as path,
+        behind_rfc2217(path, cut) as url,
+        SpiCamera(url, SETTINGS, on_loss=lost.append, patience=QUICK) as camera,
+    ):
+        records = []
+        for record in camera.records(sets=200):
+            records.append(record)
+            if len(records) == 20:
+                cut.set()
+        assert camera.tally.reconnects >= 1
+        assert camera.tally.restarts == 0
+    check_against(firmware, records, {number for numbers in lost for number in numbers})
+    assert len(records) > 100
 
 
 def check_against(firmware: Any, records: list[SpiRecord], missing: set[int]) -> None:
