@@ -4,6 +4,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -48,7 +49,7 @@ class Pose:
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
 
-    @property
+    @cached_property
     def rotation(self) -> Rotation:
         """From the posed frame to its parent."""
         angles = (self.yaw_deg, self.pitch_deg, self.roll_deg)
