@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -573,8 +574,11 @@ def test_the_command(tmp_path: Path) -> None:
             expected = radar_capture(track, load_radar(design), seed=sweep, poses=[stops[sweep]])
             assert np.array_equal(iq, expected.record.iq)
         assert len(captured) == 2
+        helpers = psutil.Process(process.pid).children(recursive=True)
+        assert helpers
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 130
+        assert not psutil.wait_procs(helpers, timeout=10)[1]
         assert process.stderr.read() == "twin: interrupted, nothing half-written is left\n"
     again = subprocess.run(
         [*command, "--pace", "slow"], env=environment, capture_output=True, text=True, check=False

@@ -7,6 +7,7 @@ an interpreter shared with the simulation does not do.
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
@@ -66,12 +67,21 @@ class Ahead(Generic[_Made]):
 def _work(line: Connection, make: Callable[[int], Any]) -> None:
     """Make what is asked for until nobody is there to ask."""
     os.nice(_NICE)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         while True:
             number = line.recv()
             line.send(_made(make, number))
     except (EOFError, OSError):
         pass
+
+
+def _end_with_parent() -> None:
+    """At once, whatever is being made."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(0)
 
 
 def _made(make: Callable[[int], Any], number: int) -> tuple[Any, Exception | None]:
