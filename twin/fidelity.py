@@ -29,9 +29,9 @@ class Fidelity:
         wrong in shape below some 100 electrons. ``full``: Poisson.
     radar
         ``targets``: declared targets straight ahead, without the scene: no multipath, no clutter,
-        no shadows. ``paths``: traced through the scene. ``optics``: meshes scatter by physical
-        optics instead of a declared cross-section, over the ground and large walls too. ``rough``:
-        surfaces scatter as well, and reflect the less.
+        no shadows. ``paths``: traced through the scene, where small far meshes answer from tables.
+        ``optics``: meshes scatter by physical optics instead of a declared cross-section, over the
+        ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less.
     nufft_tolerance
         Relative error of the radar's channel against the direct sum.
     radar_rays
@@ -42,6 +42,10 @@ class Fidelity:
         trihedral needs 3.
     radar_images
         Reflections at large surfaces on the way to an object, and as many back.
+    radar_table_nodes
+        Of a table of physical optics on the rung ``paths``, per lobe lambda / (2 D) of a target of
+        extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms
+        error is 0.7 % of its peak, 0.06 dB.
     radar_scatterers
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
     """
@@ -56,6 +60,7 @@ class Fidelity:
     radar_rays: int = 200_000
     radar_bounces: int = 3
     radar_images: int = 1
+    radar_table_nodes: int = 4
     radar_scatterers: int = 50_000
 
     def __post_init__(self) -> None:
@@ -68,6 +73,7 @@ class Fidelity:
             ("radar_rays", 1),
             ("radar_bounces", 1),
             ("radar_images", 0),
+            ("radar_table_nodes", 1),
             ("radar_scatterers", 1),
         ):
             if getattr(self, name) < least:
@@ -93,6 +99,7 @@ class Fidelity:
             radar_rays=max(self.radar_rays, other.radar_rays),
             radar_bounces=max(self.radar_bounces, other.radar_bounces),
             radar_images=max(self.radar_images, other.radar_images),
+            radar_table_nodes=max(self.radar_table_nodes, other.radar_table_nodes),
             radar_scatterers=max(self.radar_scatterers, other.radar_scatterers),
             nufft_tolerance=min(self.nufft_tolerance, other.nufft_tolerance),
         )

@@ -39,6 +39,7 @@ def run(
     import numpy as np
 
     from twin.job import run as run_job
+    from twin.radar.propagation.roles import Role
     from twin.scene import parse_pose, parse_track
 
     result = run_job(
@@ -67,6 +68,9 @@ def run(
     if result.radar:
         for warning in result.radar.capture.warnings:
             print(f"warning: {result.radar.radar.name}: {warning}", file=sys.stderr)
+        tables = [a.name for a in result.radar.capture.propagation.roles if a.role is Role.TABLE]
+        if tables:
+            print(f"{result.radar.radar.name}: tables stand for {', '.join(tables)}")
         hit = sum(target is not None for target in result.radar.matches)
         print(
             f"{result.radar.radar.name}: {hit} of {len(result.radar.capture.truth)} targets "

@@ -6,6 +6,7 @@ emitter. *Scatter*: paths start at the detector's pixels. Both give the same mat
 less noisy depends on whose cells are finer: start from the side with more cells.
 """
 
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import drjit as dr
@@ -51,72 +52,66 @@ def transport_matrix(
         raise ValueError(f"role: {role!r} is none of dual, scatter")
     if role == "dual":
         light = DeviceLight(detector.device, "pupil")
-        return _pass(scene, emitter, detector, light, "emitter", quality, seed, extinction_per_m).T
+        there = _Pass(scene, emitter, detector, light, "emitter", quality, seed, extinction_per_m)
+        return there.matrix().T
     if emitter.device.pitch_m is not None:
         raise ValueError("role: scatter needs an emitter behind a lens; take dual")
     light = DeviceLight(emitter.device, "emitter")
-    return _pass(scene, detector, emitter, light, "pupil", quality, seed, extinction_per_m)
+    back = _Pass(scene, detector, emitter, light, "pupil", quality, seed, extinction_per_m)
+    return back.matrix()
 
 
-def _pass(
-    scene: Any,
-    start: Grid,
-    other: Grid,
-    light: DeviceLight,
-    role: Role,
-    quality: Quality,
-    seed: int,
-    extinction_per_m: float,
-) -> Array:
-    """Matrix (start.size, other.size) of paths that start at ``start``."""
-    per_block = max(1, RAYS_AT_ONCE // (start.columns * quality.samples))
-    matrix = np.zeros((start.size, other.size))
-    for top in range(0, start.rows, per_block):
-        block = (top, min(top + per_block, start.rows))
-        first, last = block[0] * start.columns, block[1] * start.columns
-        matrix[first:last] = _block(
-            scene, start, other, light, role, quality, seed, extinction_per_m, block
-        )
-    return matrix
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """Paths from the cells of one device to those of the other."""
 
+    scene: Any
+    start: Grid
+    other: Grid
+    light: DeviceLight
+    role: Role
+    quality: Quality
+    seed: int
+    extinction_per_m: float
 
-def _block(
-    scene: Any,
-    start: Grid,
-    other: Grid,
-    light: DeviceLight,
-    role: Role,
-    quality: Quality,
-    seed: int,
-    extinction_per_m: float,
-    block: tuple[int, int],
-) -> Array:
-    mi = mitsuba()
-    n_cells = (block[1] - block[0]) * start.columns
-    rng = random_numbers(n_cells * quality.samples, seed, block[0])
-    ray, throughput = started_rays(start, block, quality.samples, rng, role)
-    active = inside(start.device, *field_coordinates(start.device, ray.d))
-    connect = connector(light)
-    extinction = dr.opaque(mi.Float, extinction_per_m)
-    length = mi.Float(0)
-    samples = dr.opaque(mi.UInt32, quality.samples)
-    from_cell = dr.arange(mi.UInt32, n_cells * quality.samples) // samples
-    sums = np.zeros(n_cells * other.size)
-    for depth in range(quality.max_depth):
-        first = depth == 0
-        hit = meet(scene, ray, first, active)
-        active &= hit.is_valid()
-        length = length + dr.select(active, hit.t, 0)
-        value, link = next_event(scene, hit, ray, connect, rng, active, first)
-        value *= throughput * dr.exp(-extinction * (length + link.length))
-        cell, share = _cell(other, link.left, link.up)
-        value *= share
-        if depth + 1 < quality.max_depth:
-            throughput = throughput * albedo(hit, active)
-            ray = bounce(hit, ray, rng)
-        dr.eval(value, cell, throughput, ray, active, length, rng)
-        sums += _sums(value, from_cell * other.size + cell, sums.size)
-    return sums.reshape(n_cells, other.size) / quality.samples
+    def matrix(self) -> Array:
+        """From every cell to every cell, (start.size, other.size)."""
+        start, samples = self.start, self.quality.samples
+        per_block = max(1, RAYS_AT_ONCE // (start.columns * samples))
+        matrix = np.zeros((start.size, self.other.size))
+        for top in range(0, start.rows, per_block):
+            block = (top, min(top + per_block, start.rows))
+            matrix[block[0] * start.columns : block[1] * start.columns] = self._rows(block)
+        return matrix
+
+    def _rows(self, block: tuple[int, int]) -> Array:
+        """Of the start's cells in some rows."""
+        mi, start, quality = mitsuba(), self.start, self.quality
+        n_cells = (block[1] - block[0]) * start.columns
+        rng = random_numbers(n_cells * quality.samples, self.seed, block[0])
+        ray, throughput = started_rays(start, block, quality.samples, rng, self.role)
+        active = inside(start.device, *field_coordinates(start.device, ray.d))
+        connect = connector(self.light)
+        extinction = dr.opaque(mi.Float, self.extinction_per_m)
+        length = mi.Float(0)
+        samples = dr.opaque(mi.UInt32, quality.samples)
+        from_cell = dr.arange(mi.UInt32, n_cells * quality.samples) // samples
+        sums = np.zeros(n_cells * self.other.size)
+        for depth in range(quality.max_depth):
+            first = depth == 0
+            hit = meet(self.scene, ray, first, active)
+            active &= hit.is_valid()
+            length = length + dr.select(active, hit.t, 0)
+            value, link = next_event(self.scene, hit, ray, connect, rng, active, first)
+            value *= throughput * dr.exp(-extinction * (length + link.length))
+            cell, share = _cell(self.other, link.left, link.up)
+            value *= share
+            if depth + 1 < quality.max_depth:
+                throughput = throughput * albedo(hit, active)
+                ray = bounce(hit, ray, rng)
+            dr.eval(value, cell, throughput, ray, active, length, rng)
+            sums += _sums(value, from_cell * self.other.size + cell, sums.size)
+        return sums.reshape(n_cells, self.other.size) / quality.samples
 
 
 def _sums(value: Any, where: Any, size: int) -> Array:

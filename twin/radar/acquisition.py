@@ -18,7 +18,7 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
 from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.free_space import straight_paths
-from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.paths import Propagation, contributions_of_paths
 from twin.radar.propagation.sionna_paths import trace
 from twin.radar.remarks import assumptions, warnings
 from twin.radar.synthesis import Complex, Contributions
@@ -202,7 +202,7 @@ def contributions(found: Propagation, radar: RadarDesign, air: Air) -> Contribut
     return Contributions.joined(
         [
             # Mirrors and constant cross-sections answer with the wavelength, meshes without it.
-            _stepped(_of_paths(found), radar, air, lengths),
+            _stepped(contributions_of_paths(found.paths), radar, air, lengths),
             _stepped(found.echoes, radar, air, np.ones_like(lengths)),
             _of_leakage(radar),
         ]
@@ -218,17 +218,6 @@ def _seeds(seed: int) -> tuple[np.random.SeedSequence, np.random.SeedSequence]:
     """Of rays, and of noise."""
     rays, noise = np.random.SeedSequence([seed, 79]).spawn(2)
     return rays, noise
-
-
-def _of_paths(found: Propagation) -> Contributions:
-    paths = found.paths
-    return Contributions(
-        amplitude=np.array([path.amplitude for path in paths], dtype=np.complex128),
-        delay_s=np.array([path.delay_s for path in paths]),
-        delay_rate=np.array([path.delay_rate for path in paths]),
-        departure=np.array([path.departure for path in paths]).reshape(-1, 3),
-        arrival=np.array([path.arrival for path in paths]).reshape(-1, 3),
-    )
 
 
 def _stepped(

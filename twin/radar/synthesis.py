@@ -1,16 +1,17 @@
-"""Contributions to the channel: a type-1 non-uniform FFT with range migration.
+"""Contributions to the channel: type-1 non-uniform FFTs with range migration.
 
 H[n, m] = sum_i a_i exp(-j 2 pi (fc + f_n) (tau_i + rate_i t_m))
 
-The carrier's phase is taken in float64 before anything else. What couples n and m, f_n rate_i t_m,
-is the migration through range cells (5 of them for 20 m/s in 10 ms at 4 GHz): it is taken out in
-bulk for contributions of nearly the same rate, and the rest is a short Taylor series. Where rates
-are all but equal, in a world at rest above all, the Doppler shift goes the same way, and one
-transform along frequency serves all slots. Where they differ too much for any of this, one
-transform per slot is exact.
+The carrier's phase is taken in float64 before anything else. Contributions of nearly the same rate
+move as one body: their bulk motion through Doppler and range cells (5 of them for 20 m/s in 10 ms
+at 4 GHz) is taken out in closed form. What is left of the motion is slow: transforms along
+frequency at a few times within the interval hold it all, and the slots in between are interpolated;
+a world at rest takes one. Where that would take too many, one transform along frequency and Doppler
+does it, with a short Taylor series for what still couples them. Where rates differ too much for
+bodies, one transform per slot is exact.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from math import factorial
 from typing import Any
@@ -25,9 +26,10 @@ Complex = NDArray[np.complex128]
 
 _SERIES_RAD = 0.35  # coupled phase left to the series, at most
 _MOST_BODIES = 6  # beyond that the exact way is faster
-_FEW = 4  # terms up to which transforms along frequency alone are cheaper than one along both
 _MANY_POINTS = 200_000  # from which several threads are used
 _HANDFUL = 64  # echoes times terms up to which their sum is a matrix product
+_ANEW = 1.5  # times as long an echo takes at a new time as in one more term of the series
+_SMALL = 2**15  # multiplications that BLAS does not share out: its threads wait on a busy machine
 _BLOCK = 64  # subcarriers whose migration shares its coarse steps
 
 
@@ -87,7 +89,7 @@ def synthesize(
     """
     bodies = _bodies(contributions, waveform)
     if len(bodies) > _MOST_BODIES:
-        return _slot_by_slot(contributions, waveform, tolerance)
+        return _at_times(contributions, waveform.slot_times_s, waveform, tolerance)
     channel = np.zeros((waveform.n_subcarriers, waveform.n_slots), dtype=np.complex128)
     for members in bodies:
         channel += _body(_chosen(contributions, members), waveform, tolerance)
@@ -131,41 +133,47 @@ def _bodies(
 
 
 def _body(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Complex:
-    """One group: bulk motion in closed form, the spread around it as a series.
-
-    exp(-j 2 pi g t d) = sum_k (-j 2 pi g t)^k d^k / k! with d a rate's distance from the bulk. Of
-    the frequency g, the offset f always goes this way, the carrier only where that takes few terms.
-    """
-    f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
+    """One group: bulk motion in closed form, the spread around it by the cheapest way."""
     bulk = (part.delay_rate.max() + part.delay_rate.min()) / 2
     spread = part.delay_rate - bulk
-    widest = float(np.abs(spread).max())
-    per_hz = 2 * np.pi * float(np.abs(t).max()) * widest
-    highest = float(np.abs(f).max())
-    terms = _terms(per_hz * (waveform.carrier_hz + highest), tolerance)
-    along_both = terms > _FEW
-    if along_both:
-        terms = _terms(per_hz * highest, tolerance)
-    unit = max(widest, np.finfo(float).tiny)  # keeps powers of d near 1
+    phase_per_hz = 2 * np.pi * float(np.abs(waveform.slot_times_s).max() * np.abs(spread).max())
+    highest = waveform.bandwidth_hz / 2
+    terms = _terms(phase_per_hz * highest, tolerance)
+    if len(spread) * terms <= _HANDFUL:
+        return _by_series(part, bulk, terms, _products, waveform, tolerance)
+    times = _times(phase_per_hz * (waveform.carrier_hz + highest), waveform, tolerance)
+    n, cells = waveform.n_subcarriers, waveform.n_subcarriers * waveform.n_slots
+    if len(times) * (_ANEW * len(spread) + n) > terms * (len(spread) + cells):
+        return _by_series(part, bulk, terms, _grids, waveform, tolerance)
+    found = _at_times(replace(part, delay_rate=spread), times, waveform, tolerance)
+    if 1 < len(times) < waveform.n_slots:
+        found = _product(found, _interpolation(times, waveform.slot_times_s))
+    return found * _migration(bulk, waveform, waveform.carrier_hz) if bulk else found
+
+
+def _by_series(
+    part: Contributions,
+    bulk: float,
+    terms: int,
+    transform: Callable[[Contributions, Array, OfdmWaveform, float], Complex],
+    waveform: OfdmWaveform,
+    tolerance: float,
+) -> Complex:
+    """Transforms along frequency and Doppler, with what couples both as a series around the bulk.
+
+    exp(-j 2 pi f t d) = sum_k (-j 2 pi f t)^k d^k / k! with d a rate's distance from the bulk.
+    """
+    f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
+    spread = part.delay_rate - bulk
+    unit = max(float(np.abs(spread).max()), np.finfo(float).tiny)  # keeps powers of d near 1
     powers = np.stack([(spread / unit) ** k / factorial(k) for k in range(terms)])
-    if along_both and powers.size <= _HANDFUL:
-        grids, turning = _products(part, powers, waveform), f
-    elif along_both:
-        grids, turning = _grids(part, powers, waveform, tolerance), f
-    else:
-        grids, turning = _columns(part, powers, waveform, tolerance), waveform.carrier_hz + f
-    channel = np.empty((len(f), len(t)), dtype=np.complex128)
-    channel[:] = grids[-1]
-    if terms > 1:
-        coupling = (-2j * np.pi * unit * turning)[:, None] * t
-        for grid in grids[-2::-1]:  # Horner
+    channel, *grids = transform(part, powers, waveform, tolerance)[::-1]
+    if grids:
+        coupling = (-2j * np.pi * unit * f)[:, None] * t
+        for grid in grids:  # Horner
             channel *= coupling
             channel += grid
-    if not along_both:
-        channel *= _turned(-waveform.carrier_hz * bulk * t)
-    if bulk:
-        channel *= _migration(bulk, waveform)
-    return channel
+    return channel * _migration(bulk, waveform) if bulk else channel
 
 
 def _grids(part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float) -> Complex:
@@ -186,7 +194,9 @@ def _grids(part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance
     return np.reshape(grids, (len(powers), *shape))
 
 
-def _products(part: Contributions, powers: Array, waveform: OfdmWaveform) -> Complex:
+def _products(
+    part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float
+) -> Complex:
     """The same by its definition: for a handful of echoes a matrix product is faster."""
     carrier, f, t = waveform.carrier_hz, waveform.frequency_offsets_hz, waveform.slot_times_s
     along_f = _turned(-f[:, None] * part.delay_s)
@@ -195,33 +205,70 @@ def _products(part: Contributions, powers: Array, waveform: OfdmWaveform) -> Com
     return np.stack([along_f @ ((part.amplitude * p)[:, None] * along_t) for p in powers])
 
 
-def _columns(
-    part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float
+def _at_times(
+    part: Contributions, times: Array, waveform: OfdmWaveform, tolerance: float
 ) -> Complex:
-    """Transforms along frequency at the interval's middle, ``(n_powers, n_subcarriers, 1)``."""
+    """One transform along frequency per time, ``(n_subcarriers, n_times)``: exact in the motion."""
     import finufft
 
-    strengths = part.amplitude * _turned(-_wrapped(waveform.carrier_hz * part.delay_s))
-    x = 2 * np.pi * _wrapped(waveform.subcarrier_spacing_hz * part.delay_s)
-    n = waveform.n_subcarriers
-    columns = finufft.nufft1d1(x, strengths * powers, n, **_options(tolerance, len(x)))
-    return np.reshape(columns, (len(powers), n, 1))
+    n, options = waveform.n_subcarriers, _options(tolerance, len(part.delay_s))
+    found = np.empty((len(times), n), dtype=np.complex128)
+    for row, time in zip(found, times, strict=True):
+        delay = part.delay_s + part.delay_rate * time
+        strengths = part.amplitude * _turned(-_wrapped(waveform.carrier_hz * delay))
+        x = 2 * np.pi * _wrapped(waveform.subcarrier_spacing_hz * delay)
+        row[:] = finufft.nufft1d1(x, strengths, n, **options)
+    return found.T
 
 
-def _slot_by_slot(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Complex:
-    """Exact in the coupling: one transform along frequency per slot."""
-    channel = np.empty((waveform.n_subcarriers, waveform.n_slots), dtype=np.complex128)
-    alone = np.ones((1, len(part.delay_s)))
-    for slot, time in enumerate(waveform.slot_times_s):
-        there = replace(part, delay_s=part.delay_s + part.delay_rate * time)
-        channel[:, slot] = _columns(there, alone, waveform, tolerance)[0, :, 0]
-    return channel
+def _times(phase_rad: float, waveform: OfdmWaveform, tolerance: float) -> Array:
+    """Times that hold a motion of up to a phase either way from the interval's middle.
+
+    Chebyshev's points; K of them leave of exp(j phase x) at most 4 J_K(phase) on average, and
+    J_K(phase) <= (phase / 2)^K / K! (Trefethen, Approximation Theory and Practice, 2013, ch. 4).
+    The slots themselves where they are no more.
+    """
+    count, rest = 1, 4 * phase_rad / 2
+    while rest > tolerance / 4 and count < waveform.n_slots:
+        count += 1
+        rest *= phase_rad / 2 / count
+    if count == waveform.n_slots:
+        return waveform.slot_times_s
+    nodes: Array = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    return nodes * np.abs(waveform.slot_times_s).max()
 
 
-def _migration(rate: float, waveform: OfdmWaveform) -> Complex:
-    """exp(-j 2 pi f rate t): coarse steps between blocks of subcarriers, fine ones within."""
-    n, step = waveform.n_subcarriers, -rate * waveform.subcarrier_spacing_hz * waveform.slot_times_s
-    coarse = _turned((np.arange(0, n, _BLOCK) - n // 2)[:, None] * step)
+def _interpolation(times: Array, wanted: Array) -> Array:
+    """Values at wanted times from those at Chebyshev's points, ``(n_times, n_wanted)``.
+
+    Barycentric formula of the first kind of points (Berrut and Trefethen, SIAM Review 46, 2004).
+    """
+    k = np.arange(len(times))
+    weights = (-1.0) ** k * np.sin(np.pi * (k + 0.5) / len(times))
+    away = wanted - times[:, None]
+    met = np.abs(away) < 1e-14 * np.abs(times).max()
+    share = weights[:, None] / np.where(met, 1.0, away)
+    share = np.where(met.any(axis=0), met, share)
+    found: Array = share / share.sum(axis=0)
+    return found
+
+
+def _product(columns: Complex, weights: Array) -> Complex:
+    """Matrix product, some rows at a time."""
+    found = np.empty((len(columns), weights.shape[1]), dtype=np.complex128)
+    weights, rows = weights.astype(np.complex128), max(_SMALL // weights.size, 1)
+    for start in range(0, len(columns), rows):
+        np.matmul(columns[start : start + rows], weights, out=found[start : start + rows])
+    return found
+
+
+def _migration(rate: float, waveform: OfdmWaveform, carrier_hz: float = 0.0) -> Complex:
+    """exp(-j 2 pi (carrier + f) rate t): coarse steps between blocks of subcarriers, fine ones
+    within.
+    """
+    n, turns = waveform.n_subcarriers, -rate * waveform.slot_times_s
+    step = waveform.subcarrier_spacing_hz * turns
+    coarse = _turned(carrier_hz * turns + (np.arange(0, n, _BLOCK) - n // 2)[:, None] * step)
     fine = _turned(np.arange(_BLOCK)[:, None] * step)
     return (coarse[:, None] * fine).reshape(-1, waveform.n_slots)[:n]
 

@@ -17,7 +17,7 @@ from twin.scene.materials import Material
 from twin.scene.texture import Reflectance
 
 Array = NDArray[np.float64]
-RadarRole = Literal["surface", "optics", "declared", "obstacle"]
+RadarRole = Literal["surface", "optics", "table", "declared", "obstacle"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.walls import Walls
 from twin.radar.propagation.world import Flat, Mesher
+from twin.transfer import aligned, vector
 
 Array = NDArray[np.float64]
 
@@ -81,16 +82,15 @@ class Sight:
         with np.errstate(invalid="ignore", divide="ignore"):
             direction = np.nan_to_num(way / length[:, None])
         start = begin + direction * 4e-6 * (np.abs(begin).max() + 1)
-        reach = mi.Float((length * (1 - 1e-4)).astype(np.float32))
-        point, vector = (x.T.astype(np.float32) for x in (start, direction))
-        clear = ~self.world.scene.ray_test(
-            mi.Ray3f(mi.Point3f(point), mi.Vector3f(vector), reach, 0.0, [])
-        )
+        reach = mi.Float(aligned((length * (1 - 1e-4)).astype(np.float32)))
+        ray = mi.Ray3f(vector(mi, start, "Point3f"), vector(mi, direction, "Vector3f"))
+        up_to = mi.Ray3f(ray.o, ray.d, reach, 0.0, [])
+        clear = ~self.world.scene.ray_test(up_to)
         mesh, labels = self.world, self.patch_of_face
         if of_wall:
             assert self.walls is not None
             mesh, labels = self.walls.mesh, self.walls.patch_of_face
-        hit = mesh.scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(point), mi.Vector3f(vector)))
+        hit = mesh.scene.ray_intersect_preliminary(ray)
         met = dr.gather(mi.UInt32, labels, hit.prim_index, hit.is_valid())
         return np.array(clear & hit.is_valid() & (met == patch))
 

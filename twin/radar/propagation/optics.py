@@ -20,7 +20,7 @@ from twin.radar.propagation.legs import Station, station
 from twin.radar.propagation.materials import radio_properties
 from twin.radar.propagation.roles import LARGE_BESIDE_OPTICS, Assignment, Role
 from twin.radar.propagation.rough import Rough, coherent, rough_echoes
-from twin.radar.propagation.shape import shape_of
+from twin.radar.propagation.shape import shape_of, together
 from twin.radar.propagation.shooting import Rays, bodies, shoot
 from twin.radar.propagation.walls import lets_through, thickness_of, walls
 from twin.radar.propagation.world import Flat, Mesher, anchor_of, flats, mesher
@@ -31,7 +31,6 @@ from twin.scene import Scene, SceneObject
 Array = NDArray[np.float64]
 
 _CONDUCTOR = 1e5  # S/m: from here on a metal reflects all
-_NEAR = 0.02  # of a body's size: bodies closer than this are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +298,7 @@ def _bodies(stage: Stage) -> tuple[NDArray[np.int32], list[Array]]:
     label = {i: i for i in scattering}
     for n, i in enumerate(scattering):
         for j in scattering[:n]:
-            if _together(stage.items[i], hulls[i], stage.items[j], hulls[j]):
+            if together(stage.items[i], stage.items[j]):
                 old, new = label[i], label[j]
                 label = {k: new if v == old else v for k, v in label.items()}
     names = sorted(set(label.values()))
@@ -307,11 +306,3 @@ def _bodies(stage: Stage) -> tuple[NDArray[np.int32], list[Array]]:
     for i in scattering:
         body[i] = names.index(label[i])
     return body, [np.vstack([hulls[i] for i in scattering if label[i] == name]) for name in names]
-
-
-def _together(a: SceneObject, at_a: Array, b: SceneObject, at_b: Array) -> bool:
-    if a.velocity_m_per_s != b.velocity_m_per_s:
-        return False
-    gap = np.maximum(at_a.min(axis=0) - at_b.max(axis=0), at_b.min(axis=0) - at_a.max(axis=0))
-    size = max(float(np.ptp(at_a, axis=0).max()), float(np.ptp(at_b, axis=0).max()))
-    return bool((gap <= _NEAR * size).all())

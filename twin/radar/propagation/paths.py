@@ -1,6 +1,9 @@
 """What finding paths comes to: single ones by name, dense echoes as arrays, roles, assumptions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.propagation.roles import Assignment
@@ -30,10 +33,21 @@ class Path:
         return self.delay_s * C_M_PER_S / 2
 
 
+def contributions_of_paths(paths: Sequence[Path]) -> Contributions:
+    """Paths as the synthesis takes them."""
+    return Contributions(
+        amplitude=np.array([path.amplitude for path in paths], dtype=np.complex128),
+        delay_s=np.array([path.delay_s for path in paths]),
+        delay_rate=np.array([path.delay_rate for path in paths]),
+        departure=np.array([path.departure for path in paths]).reshape(-1, 3),
+        arrival=np.array([path.arrival for path in paths]).reshape(-1, 3),
+    )
+
+
 @dataclass(frozen=True)
 class Heard:
-    """What came back from one object over all its rays: their number, and the power of their sum
-    at the carrier over the sent one.
+    """What came back from one object over all its rays, or ways to its table: their number, and
+    the power of their sum at the carrier over the sent one.
     """
 
     name: str

@@ -4,6 +4,11 @@ The image method returns pi d^2 of cross-section from any plane, whatever its si
 surfaces large against the first Fresnel zone sqrt(lambda d). Physical optics is right for any size
 from a few wavelengths on, flat or curved, but needs rays in proportion to (size / Fresnel zone)^2.
 So where objects scatter by physical optics, images are left to what is flat and very large.
+
+On the rung `paths`, what has no declared cross-section and is no mirror answers from a table of its
+far field where that holds, from 2 D^2 / lambda on, where the table is quickly filled, and where it
+is no part of something declared. The scene may ask for a table anywhere; where it can't be right is
+warned of.
 """
 
 from dataclasses import dataclass
@@ -13,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.fidelity import RadarRung
-from twin.radar.propagation.shape import Shape, shape_of
+from twin.radar.propagation.shape import Shape, shape_of, together
 from twin.scene import Scene, SceneObject
 
 Array = NDArray[np.float64]
@@ -28,6 +33,8 @@ LARGE_BESIDE_OPTICS = 10.0
 _MOSTLY = 0.5  # share of an object's area in such patches, else the rest of it would be silent
 _BENT = 10.0  # radius of curvature over distance: at 10 an image is off by 1 + d / R, 0.8 dB
 _SMALLEST = 3.0  # wavelengths from which physical optics is more than an order of magnitude
+#: Wavelengths up to which a table begins by itself: 20 000 rays a direction, 0.2 s a way at most.
+_LARGEST_TABLE = 40.0
 
 
 class Role(StrEnum):
@@ -35,6 +42,7 @@ class Role(StrEnum):
 
     SURFACE = "reflects as a large surface"
     OPTICS = "scatters by physical optics"
+    TABLE = "answers from a table of physical optics"
     TARGET = "answers with its declared cross-section"
     OBSTACLE = "only casts a shadow"
 
@@ -43,6 +51,7 @@ class Role(StrEnum):
 _WANTED = {
     "surface": Role.SURFACE,
     "optics": Role.OPTICS,
+    "table": Role.TABLE,
     "declared": Role.TARGET,
     "obstacle": Role.OBSTACLE,
 }
@@ -69,14 +78,19 @@ def assign_roles(scene: Scene, wavelength_m: float, rung: RadarRung = "paths") -
         distance = max(_nearest(item, origin), wavelength_m)
         ratio = shape.largest_patch_m2**0.5 / (wavelength_m * distance) ** 0.5
         wanted = _WANTED.get(item.radar or "")
-        if wanted is not None and (with_optics or wanted is not Role.OPTICS):
+        if wanted is not None and wanted is not (Role.TABLE if with_optics else Role.OPTICS):
             role = wanted
         elif with_optics:
             role = _by_size(shape, distance, wavelength_m, item.name in declared)
         elif item.name in declared:
             role = Role.TARGET
+        elif ratio >= LARGE:
+            role = Role.SURFACE
         else:
-            role = Role.SURFACE if ratio >= LARGE else Role.OBSTACLE
+            whole = _has_table(shape, distance, wavelength_m) and not any(
+                together(item, other) for other in scene.objects if other.name in declared
+            )
+            role = Role.TABLE if whole else Role.OBSTACLE
         found.append(Assignment(item.name, role, ratio, wanted is role))
     return found
 
@@ -90,6 +104,12 @@ def _by_size(shape: Shape, distance_m: float, wavelength_m: float, is_declared: 
     if shape.size_m >= _SMALLEST * wavelength_m:
         return Role.OPTICS
     return Role.TARGET if is_declared else Role.OBSTACLE
+
+
+def _has_table(shape: Shape, distance_m: float, wavelength_m: float) -> bool:
+    size = shape.size_m
+    is_far = distance_m >= 2 * size**2 / wavelength_m
+    return is_far and _SMALLEST * wavelength_m <= size <= _LARGEST_TABLE * wavelength_m
 
 
 def _nearest(item: SceneObject, origin: Array) -> float:

@@ -14,6 +14,7 @@ Indices = NDArray[np.int64]
 _SMOOTH_RAD = np.radians(30)  # a sharper edge ends a surface, a blunter one bends it
 _FLAT_RAD = 1e-4
 _WELDED = 1e-7  # of the mesh's size: corners closer than this are one
+_NEAR = 0.02  # of a body's size: bodies closer than this are one
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 _MOST_HULL = 20_000  # vertices: finding the hull of more takes longer than it saves
 _KEPT = 512  # meshes; each costs its indices
@@ -53,6 +54,16 @@ def shape_of(item: SceneObject) -> Shape:
     if len(_known) > _KEPT:
         _known.popitem(last=False)
     return shape
+
+
+def together(a: SceneObject, b: SceneObject) -> bool:
+    """Whether objects touch, by their boxes, and move alike: parts of one body."""
+    if a.velocity_m_per_s != b.velocity_m_per_s:
+        return False
+    at_a, at_b = (item.vertices_m[shape_of(item).hull] for item in (a, b))
+    gap = np.maximum(at_a.min(axis=0) - at_b.max(axis=0), at_b.min(axis=0) - at_a.max(axis=0))
+    size = max(float(np.ptp(at_a, axis=0).max()), float(np.ptp(at_b, axis=0).max()))
+    return bool((gap <= _NEAR * size).all())
 
 
 def _same_size(item: SceneObject, shape: Shape) -> bool:

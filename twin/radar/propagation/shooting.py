@@ -18,6 +18,7 @@ from twin.radar.propagation.grids import Launch
 from twin.radar.propagation.legs import Leg, Station, leg, offset
 from twin.radar.propagation.walls import Passage, no_passage
 from twin.radar.scattering.kernel import coefficients_at, followed, plane, radiating, reflected
+from twin.transfer import aligned, rows
 
 Array = NDArray[np.float64]
 
@@ -90,14 +91,14 @@ def shoot(
     is added with departure and arrival exchanged.
     """
     found = []
-    rows = np.repeat(np.arange(len(launched.rays), dtype=np.uint32), launched.rays)
-    index = np.arange(len(rows)) - np.repeat(
+    grid = np.repeat(np.arange(len(launched.rays), dtype=np.uint32), launched.rays)
+    index = np.arange(len(grid)) - np.repeat(
         np.cumsum(launched.rays) - launched.rays, launched.rays
     )
-    for first in range(0, len(rows), _RAYS_AT_ONCE):
+    for first in range(0, len(grid), _RAYS_AT_ONCE):
         part = slice(first, first + _RAYS_AT_ONCE)
         found += _follow(
-            at_station, scatterers, launched, rows[part], index[part], wavelength_m, bounces
+            at_station, scatterers, launched, grid[part], index[part], wavelength_m, bounces
         )
     return Rays.joined(found)
 
@@ -141,14 +142,15 @@ def _follow(
     s: Station,
     scatterers: Bodies,
     launched: Launch,
-    rows: NDArray[np.uint32],
+    grid: NDArray[np.uint32],
     index: NDArray[np.int64],
     wavelength_m: float,
     bounces: int,
 ) -> list[Rays]:
     mi = s.mi
     wavelength = dr.opaque(mi.Float64, wavelength_m)
-    front, body = _launched(s, launched, mi.UInt32(rows), mi.UInt32(index.astype(np.uint32)))
+    row, at = mi.UInt32(aligned(grid)), mi.UInt32(aligned(index.astype(np.uint32)))
+    front, body = _launched(s, launched, row, at)
     active = mi.Bool(True) & (front.weight > 0)
     found = []
     for bounce in range(bounces):
@@ -348,7 +350,8 @@ def _received(
         return Rays.joined([])
 
     def host(value: Any) -> Any:
-        return np.array(_taken(value, chosen))
+        taken = _taken(value, chosen)
+        return np.array(taken) if dr.depth_v(taken) == 1 else rows(taken)
 
     one = _once(s, front, hits, home, host, (a_re, a_im, length, rate), receiver, n)
     if s.walls is not None:
@@ -371,8 +374,8 @@ def _once(
         amplitude=host(a_re) + 1j * host(a_im),
         length_m=host(length),
         rate_m_per_s=host(rate),
-        departure=host(front.departure).T,
-        arrival=host(home.departure).T,
+        departure=host(front.departure),
+        arrival=host(home.departure),
         object=host(hits.number),
         source=host(front.source),
         receiver=np.full(n, receiver, dtype=np.uint32),

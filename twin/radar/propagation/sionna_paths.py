@@ -8,7 +8,8 @@ measured anew on the scene's own planes in float64.
 Higher rungs leave Sionna aside: `twin.radar.propagation.echoes`.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -21,13 +22,23 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.echoes import echoes
 from twin.radar.propagation.materials import radio_properties
-from twin.radar.propagation.paths import Path, Propagation
+from twin.radar.propagation.optics import surface_of
+from twin.radar.propagation.paths import Heard, Path, Propagation, contributions_of_paths
 from twin.radar.propagation.roles import Role, assign_roles
+from twin.radar.propagation.sionna_raw import TARGET, RawPath
+from twin.radar.propagation.tabulated import (
+    Leg,
+    Tabulated,
+    answers,
+    assumptions,
+    leg,
+    tabulated,
+    warning,
+)
 from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
 
-_TARGET = 16  # Sionna's interaction type of a scattering point
 _AIR = "opaque air"
 _SAMPLES = 100_000  # rays that look for surfaces; the image method then is exact
 _BUFFER = 10_000
@@ -51,7 +62,7 @@ def trace(
         What is looked at, and with what.
     fidelity
         Its ``radar`` rung decides: up to ``paths``, Sionna RT finds images and ways to declared
-        targets; from ``optics`` on, see `twin.radar.propagation.optics`.
+        targets and to those of tables; from ``optics`` on, see `twin.radar.propagation.optics`.
     max_depth
         Interactions of one of Sionna's paths at most, the target's included.
     seed
@@ -61,15 +72,31 @@ def trace(
     """
     if fidelity is not None and fidelity.radar in ("optics", "rough"):
         return echoes(scene, radar, fidelity, seed)
-    world = _RadioWorld(scene, radar)
-    paths = [*world.environment(max_depth, seed), *world.targets(max_depth, seed)]
+    world = _RadioWorld(scene, radar, fidelity or Fidelity())
+    mirrors = world.environment(max_depth, seed)
+    points, dense = world.targets(max_depth, seed)
     loss = 10 ** (-radar.front_end.losses_db.value / 20)
-    paths = [replace(p, amplitude=p.amplitude * loss) for p in paths if p.amplitude]
+    paths, dense = (
+        [replace(p, amplitude=p.amplitude * loss) for p in found if p.amplitude]
+        for found in ([*mirrors, *points], dense)
+    )
     return Propagation(
         paths=tuple(sorted(paths, key=lambda p: p.delay_s)),
         roles=tuple(world.roles),
-        assumptions=tuple(world.assumptions),
+        assumptions=tuple(dict.fromkeys(world.assumptions)),
+        echoes=contributions_of_paths(dense),
+        heard=_heard(dense, radar.ofdm.carrier_hz),
+        warnings=tuple(world.warnings),
     )
+
+
+def _heard(dense: Sequence[Path], carrier_hz: float) -> tuple[Heard, ...]:
+    """Echoes summed up per object that answers from a table."""
+    waves: dict[str, list[complex]] = {}
+    for path in dense:
+        turn = np.exp(-2j * np.pi * (carrier_hz * path.delay_s % 1.0))
+        waves.setdefault(str(path.target), []).append(path.amplitude * turn)
+    return tuple(Heard(name, len(w), float(abs(sum(w)) ** 2)) for name, w in waves.items())
 
 
 # Solvers keep no state, and making one decorates functions anew: once per process.
@@ -91,15 +118,23 @@ def _target_solver() -> Any:
 class _RadioWorld:
     """Sionna's scene with the radar at its origin, and our own geometry beside it."""
 
-    def __init__(self, scene: Scene, radar: RadarDesign) -> None:
-        rt = sionna()
+    def __init__(self, scene: Scene, radar: RadarDesign, fidelity: Fidelity) -> None:
         self.radar = radar
         self.offset, self.axes = scene.rig.device("radar")
         self.origin = scene.rig.position_m + self.offset
         self.roles = assign_roles(scene, radar.ofdm.wavelength_m)
         self.surfaces = {a.name for a in self.roles if a.role is Role.SURFACE}
         self.assumptions: list[str] = []
+        self.warnings: list[str] = []
         self.objects = {item.name: item for item in scene.objects}
+        self.tables = self._tables(scene, fidelity.radar_table_nodes)
+        replaced = {thing.point.name for thing in self.tables}
+        declared = [t for t in scene.targets if t.object not in replaced]
+        # Sionna's paths count them in this order.
+        self.targets_met = [*declared, *(thing.point for thing in self.tables)]
+        self.n_declared = len(declared)
+        self.scene = scene
+        rt = sionna()
         self.world = rt.load_scene()
         self.world.frequency = radar.ofdm.carrier_hz
         array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
@@ -107,9 +142,21 @@ class _RadioWorld:
         self.world.add(rt.Transmitter("transmitter", [0.0, 0.0, 0.0]))
         self.world.add(rt.Receiver("receiver", [0.0, 0.0, 0.0]))
         meshes = self._add_meshes(scene)
-        self._add_targets(scene)
+        self._add_targets()
         self.meshes_met = {int(mesh.object_id): self.objects[name] for name, mesh in meshes.items()}
-        self.targets_met = scene.targets
+
+    def _tables(self, scene: Scene, nodes: int) -> list[Tabulated]:
+        found = [
+            tabulated(scene, self.objects[a.name], self.radar, nodes)
+            for a in self.roles
+            if a.role is Role.TABLE
+        ]
+        for thing in found:
+            item = self.objects[thing.point.name]
+            distance = float(np.linalg.norm(np.asarray(thing.point.position_m) - self.origin))
+            self.warnings += filter(None, [warning(thing, distance)])
+            self.assumptions += assumptions(thing, item.material, self.radar)
+        return found
 
     def _add_meshes(self, scene: Scene) -> dict[str, Any]:
         """Surfaces with their material; obstacles as air that is opaque and reflects nothing."""
@@ -117,7 +164,7 @@ class _RadioWorld:
         made: dict[str, Any] = {}
         meshes: dict[str, Any] = {}
         for assigned in self.roles:
-            if assigned.role is Role.TARGET:
+            if assigned.role in (Role.TARGET, Role.TABLE):
                 continue
             item = self.objects[assigned.name]
             key = item.material if assigned.role is Role.SURFACE else _AIR
@@ -146,8 +193,8 @@ class _RadioWorld:
             "thickness": _THICKNESS_M,
         }
 
-    def _add_targets(self, scene: Scene) -> None:
-        """Declared targets, in the scene's order: Sionna's paths count them so."""
+    def _add_targets(self) -> None:
+        """Declared targets and those of tables, in their order."""
         from sionna.rt.rcs import (
             ConstantCPM,
             ConstantRCS,
@@ -156,7 +203,7 @@ class _RadioWorld:
             SensingTarget,
         )
 
-        for number, target in enumerate(scene.targets):
+        for number, target in enumerate(self.targets_met):
             name = f"target-{number}"
             place = np.asarray(target.position_m) - self.origin
             if target.object is None:
@@ -192,12 +239,14 @@ class _RadioWorld:
             refraction=False,
             seed=seed,
         )
-        return [path for raw in _Raw.unpack(solved) if (path := self._refined(raw))]
+        return [path for raw in RawPath.unpack(solved) if (path := self._refined(raw))]
 
-    def targets(self, max_depth: int, seed: int) -> list[Path]:
-        """Ways to every target and back, directly and over surfaces."""
+    def targets(self, max_depth: int, seed: int) -> tuple[list[Path], list[Path]]:
+        """Ways to every target and back, directly and over surfaces: to declared ones, and to
+        those that answer from tables.
+        """
         if not self.targets_met:
-            return []
+            return [], []
         solved = _target_solver()(
             self.world,
             max_depth=max_depth,
@@ -206,13 +255,62 @@ class _RadioWorld:
             refraction=False,
             seed=seed,
         )
-        return [path for raw in _Raw.unpack(solved) if (path := self._refined(raw))]
+        points: list[Path] = []
+        ways: list[list[tuple[RawPath, Path]]] = [[] for _ in self.tables]
+        for raw in RawPath.unpack(solved):
+            path = self._refined(raw)
+            if path is None:
+                continue
+            number = raw.objects[raw.kinds.index(TARGET)] - self.n_declared
+            if number < 0:
+                points.append(path)
+            else:
+                ways[number].append((raw, path))
+        pairs = zip(self.tables, ways, strict=True)
+        return points, [
+            echo for thing, found in pairs if found for echo in self._told(thing, found)
+        ]
 
-    def _refined(self, raw: "_Raw") -> Path | None:
+    def _told(self, thing: Tabulated, ways: list[tuple[RawPath, Path]]) -> list[Path]:
+        """Ways to one target with what its table answers, in place of the 1 m^2 it stood for."""
+        legs = []
+        for raw, _ in ways:
+            at = raw.kinds.index(TARGET)
+            there = zip(raw.objects[:at], raw.primitives[:at], strict=True)
+            back = zip(raw.objects[:at:-1], raw.primitives[:at:-1], strict=True)
+            legs.append((self._leg(thing, list(there)), self._leg(thing, list(back))))
+        wavelength = self.radar.ofdm.wavelength_m
+        amplitude, delay = answers(thing, legs, wavelength)
+        return [
+            replace(
+                path,
+                amplitude=complex(amplitude[i] * self._gain(path.departure, path.arrival)),
+                delay_s=path.delay_s + float(delay[i]),
+            )
+            for i, (_, path) in enumerate(ways)
+        ]
+
+    def _leg(self, thing: Tabulated, met: list[tuple[int, int]]) -> Leg:
+        """The leg from the radar to a target over triangles of surfaces, by object and number."""
+        carrier = self.radar.ofdm.carrier_hz
+        items = [self.meshes_met[number] for number, _ in met]
+        planes = [self._plane(item, n) for item, (_, n) in zip(items, met, strict=True)]
+        # Nothing goes through surfaces on this rung: they have no thickness.
+        surfaces = [
+            surface_of(replace(item, thickness_m=None), self.scene, carrier)[0] for item in items
+        ]
+        point = np.asarray(thing.point.position_m) - self.origin
+        return leg(point, planes, surfaces, self.axes, carrier)
+
+    def _gain(self, *directions: tuple[float, float, float]) -> float:
+        """Of the antenna's amplitude, there and back."""
+        return float(np.sqrt(np.prod(self.radar.antenna.gain(np.array(directions)))))
+
+    def _refined(self, raw: RawPath) -> Path | None:
         """The same path with its length in float64; None for one over an obstacle."""
         # Sionna counts sensing targets by themselves. Both kinds have a name and a velocity.
         met: list[SceneObject | Target] = [
-            self.targets_met[i] if kind == _TARGET else self.meshes_met[i]
+            self.targets_met[i] if kind == TARGET else self.meshes_met[i]
             for i, kind in zip(raw.objects, raw.kinds, strict=True)
         ]
         if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in met):
@@ -233,11 +331,10 @@ class _RadioWorld:
             )
         velocities = np.array([m.velocity_m_per_s for m in met])
         departure, arrival = self._direction(vertices[0]), self._direction(vertices[-1])
-        gain = self.radar.antenna.gain(np.array([departure, arrival]))
         return Path(
             via=tuple(m.name for m in met),
             target=None if at is None else met[at].name,
-            amplitude=complex(raw.amplitude * np.sqrt(gain[0] * gain[1])),
+            amplitude=complex(raw.amplitude * self._gain(departure, arrival)),
             delay_s=length / C_M_PER_S,
             delay_rate=_lengthening(vertices, velocities) / C_M_PER_S,
             departure=departure,
@@ -254,43 +351,6 @@ class _RadioWorld:
         a, b, c = item.vertices_m[item.faces[primitive]] - self.origin
         normal = np.cross(b - a, c - a)
         return a, normal / np.linalg.norm(normal)
-
-
-@dataclass(frozen=True)
-class _Raw:
-    """One path as Sionna gives it."""
-
-    kinds: tuple[int, ...]
-    objects: tuple[int, ...]
-    primitives: tuple[int, ...]
-    vertices: Array
-    amplitude: complex
-
-    @staticmethod
-    def unpack(solved: Any) -> "list[_Raw]":
-        real, imaginary = (np.array(part).ravel() for part in solved.a)
-        n = real.size
-        if n == 0:
-            return []
-        kinds, objects, primitives = (
-            np.array(x).reshape(-1, n)
-            for x in (solved.interactions, solved.objects, solved.primitives)
-        )
-        vertices = np.array(solved.vertices, dtype=np.float64).reshape(len(kinds), n, 3)
-        valid = np.array(solved.valid).ravel()
-        found = []
-        for i in np.flatnonzero(valid):
-            used = int(np.count_nonzero(kinds[:, i]))
-            found.append(
-                _Raw(
-                    kinds=tuple(int(k) for k in kinds[:used, i]),
-                    objects=tuple(int(o) for o in objects[:used, i]),
-                    primitives=tuple(int(p) for p in primitives[:used, i]),
-                    vertices=vertices[:used, i],
-                    amplitude=complex(real[i], imaginary[i]),
-                )
-            )
-        return found
 
 
 def _lengthening(vertices: Array, velocities: Array) -> float:

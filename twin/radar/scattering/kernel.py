@@ -23,17 +23,17 @@ def opaque(mi: Any, values: dict[str, Any]) -> dict[str, Any]:
         if isinstance(value, np.ndarray):
             found[name] = mi.Vector3d(*(dr.opaque(mi.Float64, float(v)) for v in value))
         else:
-            found[name] = dr.opaque(mi.UInt32 if isinstance(value, int) else mi.Float64, value)
+            kind = mi.Bool if isinstance(value, bool) else mi.UInt32
+            found[name] = dr.opaque(kind if isinstance(value, int) else mi.Float64, value)
     return found
 
 
-def launch(mi: Any, setting: dict[str, Any], grid: dict[str, Any], size: int) -> tuple[Any, ...]:
-    """Start of every ray: point, direction, path so far, weight, tube, field.
+def launch(mi: Any, setting: dict[str, Any], grid: dict[str, Any], index: Any) -> tuple[Any, ...]:
+    """Start of the rays of a grid by index: point, direction, path so far, weight, tube, field.
 
     Points are relative to the mesh's centre, paths to the distance of the target's origin.
     """
     u, q = setting["towards"], setting["inverse_distance"]
-    index = dr.arange(mi.UInt32, size)
     row = index // grid["columns"]
     column = index - row * grid["columns"]
     a = (mi.Float64(column) + grid["left"]) * grid["spacing"]
@@ -73,8 +73,10 @@ def trace(
 ) -> Any:
     """Follow every ray. Nine numbers for each: its echo in V and H (Re, Im each); its weight where
     it hits, the same times the cosine, and its weight where it grazes, is faded, is unfinished.
+
+    ``listener`` is the direction of the receiver, ``apart`` whether it is not the transmitter's.
     """
-    u, q, radius = setting["towards"], setting["inverse_distance"], setting["radius"]
+    u, q, radius = setting["listener"], setting["inverse_distance"], setting["radius"]
     wavelength = setting["wavelength"]
     field_im = mi.Vector3d(0)
     vertical, horizontal = mi.Vector2d(0), mi.Vector2d(0)  # Re and Im
@@ -96,7 +98,7 @@ def trace(
         away = direction + 2 * cosine * normal
         out, out_im = reflected(field, field_im, direction, normal, row)
 
-        # Back to the radar: unit vector, distance over and minus that of the origin.
+        # Back to the receiver: unit vector, distance over and minus that of the origin.
         place = origin + setting["center"]
         towards = u - q * place
         scale = dr.maximum(dr.norm(towards), 1e-12)
@@ -105,7 +107,9 @@ def trace(
         offset = normal * (4e-6 * radius)
         reach = mi.Float(dr.minimum(scale * setting["distance"], 3 * radius))
         shadow = mi.Ray3f(mi.Point3f(origin + offset), mi.Vector3f(back), reach, 0.0, [])
-        sees = active & ~engine.scene.ray_test(shadow, active=active & (bounce > 0))
+        sees = active & ~engine.scene.ray_test(
+            shadow, active=active & ((bounce > 0) | setting["apart"])
+        )
 
         amplitude = weight * (1 + q * path) / scale / dr.maximum(cosine, 1e-9)
         step = (direction - back) * (1 + q * path)

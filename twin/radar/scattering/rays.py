@@ -31,7 +31,8 @@ Array = NDArray[np.float64]
 _RAYS_AT_ONCE = 2**20  # 200 MB while they are under way
 _SCOUTS = 2**13
 _LEAST_SHORTENING = 0.05
-_TILT = np.array([0.8506508083520399, 0.5257311121191336])  # cos, sin: tan is the golden ratio's
+#: Cosine and sine; the tangent is the golden ratio's.
+TILT = np.array([0.8506508083520399, 0.5257311121191336])
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,8 @@ def physical_optics(
             "inverse_distance": radar.inverse_distance,
             "distance": float(min(radar.distance_m, 1e200)),
             "towards": radar.direction,
+            "listener": radar.direction,
+            "apart": False,
             "center": engine.center_m,
             "radius": 1.01 * engine.radius_m,
             "sent": radar.polarizations[0 if polarization == "V" else 1],
@@ -120,7 +123,8 @@ def physical_optics(
         bounces = dr.opaque(mi.UInt32, max_bounces)
         for patch in patches:
             for grid, size in _blocks(patch, spacing):
-                launched = launch(mi, setting, opaque(mi, grid), size)
+                rays = dr.arange(mi.UInt32, size)
+                launched = launch(mi, setting, opaque(mi, grid), rays)
                 parts = trace(mi, engine, setting, coefficients, bounces, *launched)
                 sums += [float(dr.sum(part)[0]) for part in parts]
         return sums
@@ -162,8 +166,8 @@ def _patches(target: Target, radar: Radar) -> list[_Patch]:
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     # Tilted against the axes: rows of tubes parallel to an edge would all be cut alike.
-    first = _TILT[0] * right + _TILT[1] * up
-    second = _TILT[0] * up - _TILT[1] * right
+    first = TILT[0] * right + TILT[1] * up
+    second = TILT[0] * up - TILT[1] * right
     points = target.used_m
     # Perspective onto the plane through the centre; parallel where q is 0.
     ray = points * q - u

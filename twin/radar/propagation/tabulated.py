@@ -1,0 +1,176 @@
+"""Objects that answer from a table of their scattering: the far-field rung between declared
+cross-sections and rays at every pose.
+
+Sionna RT gives the ways to the middle of each and back; what the ways' surfaces make of the wave
+and what the object answers is computed here, complex and in float64. A cross-section and a
+cross-polarisation matrix of its own `ScatteringModel` would be float32, looked up inside a
+compiled loop, and know nothing of where within the object the echo comes from.
+
+An object counts as one point, seen or hidden as a whole, and alone: what touches it neither shadows
+it nor reflects from it. Between the way out and the way back there may be any angle: the table is
+bistatic. Monostatic S at the bisector (Kell, Proc. IEEE 53, 1965) would not do: of a trihedral of
+40 wavelengths, 3.8 deg between the direct way and the one over the ground, it is 20 dB too strong.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from twin.files import InputError
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.optics import surface_of
+from twin.radar.scattering.surface import Surface
+from twin.radar.scattering.table import Table, table_of
+from twin.radar.scattering.target import Target as Body
+from twin.scene import Scene, SceneObject, Target
+from twin.scene.meshes import Mesh
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Tabulated:
+    """An object with its table; ``point`` stands for it where ways are found, at its middle and
+    with a cross-section of 1 m^2.
+    """
+
+    point: Target
+    table: Table
+    assumed: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """From the radar, over planes, to a point, seen from there: unit vector (3,) to the radar's
+    image and distance; ``field`` (3,) is what a wave of amplitude 1 has become, without its
+    spreading and phase, after so many ``reflections``.
+    """
+
+    reflections: int
+    back: Array
+    length_m: float
+    field: Complex
+
+
+def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -> Tabulated:
+    """Find or begin the table of an object.
+
+    Raises InputError where the material has no data at the carrier, or the object is too large.
+    """
+    carrier = radar.ofdm.carrier_hz
+    surface, assumed = surface_of(item, scene, carrier)
+    place = f"objects.{item.name}"
+    body = Body.from_mesh(Mesh(item.vertices_m, item.faces), surface, place)
+    x, y, z = body.sphere[0].tolist()
+    try:
+        table = table_of(body, carrier, nodes)
+    except ValueError as error:
+        raise InputError(f"{place}: radar = 'table': {error}") from error
+    point = Target(item.name, (x, y, z), item.velocity_m_per_s, 1.0, "its table", item.name)
+    return Tabulated(point, table, assumed)
+
+
+def leg(
+    point: Array,
+    planes: Sequence[tuple[Array, Array]],
+    surfaces: Sequence[Surface],
+    axes: Array,
+    carrier_hz: float,
+) -> Leg:
+    """The leg from the radar, where coordinates begin, over planes (a point and the unit normal
+    each), the first one first.
+
+    ``axes`` (3, 3) are the antenna's: forward, left, up. It is polarised along up, in Ludwig's
+    third definition.
+    """
+    image = np.zeros(3)
+    for start, normal in planes:
+        image = image - 2 * ((image - start) @ normal) * normal
+    way = point - image
+    length = float(np.linalg.norm(way))
+    arriving = way / length
+    direction = arriving
+    for _, normal in reversed(planes):
+        direction = direction - 2 * (direction @ normal) * normal
+    forward, _, up = axes
+    ahead = max(1 + float(direction @ forward), 1e-9)
+    field = up - (up @ direction) / ahead * (direction + forward) + 0j
+    for (_, normal), surface in zip(planes, surfaces, strict=True):
+        field = _reflected(field, direction, normal, surface, carrier_hz)
+        direction = direction - 2 * (direction @ normal) * normal
+    return Leg(len(planes), -arriving, length, field)
+
+
+def answers(
+    thing: Tabulated, ways: Sequence[tuple[Leg, Leg]], wavelength_m: float
+) -> tuple[Complex, Array]:
+    """Of ways there and back: amplitude without the antenna's gains, delay beyond that of the
+    middle; both (n,).
+    """
+    # As on the rung of physical optics, which is not reciprocal: a way and its reverse are both
+    # what comes in by the simpler leg.
+    there, back = zip(
+        *(sorted(way, key=lambda leg: (leg.reflections, leg.length_m)) for way in ways), strict=True
+    )
+    s, delay = thing.table.answers(
+        *(np.array([leg.back for leg in legs]) for legs in (there, back)),
+        *(np.array([leg.field for leg in legs]) for legs in (there, back)),
+    )
+    spread = np.array([a.length_m * b.length_m for a, b in ways])
+    # Phases are told apart from the delay: at the carrier both together turn as S does.
+    turn = np.exp(2j * np.pi * speed_of_light / wavelength_m * delay)
+    amplitude: Complex = wavelength_m / (4 * np.pi * spread) * s * turn
+    return amplitude, delay
+
+
+def warning(thing: Tabulated, distance_m: float) -> str | None:
+    """What stands within its far field's beginning."""
+    table = thing.table
+    if distance_m >= table.far_m:
+        return None
+    bend = np.pi / 4 * table.far_m / distance_m
+    return (
+        f"{thing.point.name} answers from a table of its far field, which begins at "
+        f"2 D^2 / lambda = {table.far_m:.3g} m: {distance_m:.3g} m away phases at its rim are off "
+        f"by {bend:.2g} rad there and back (the radar model optics has no such limit)"
+    )
+
+
+def assumptions(thing: Tabulated, material: str, radar: RadarDesign) -> list[str]:
+    """What a table takes for granted."""
+    name, table = thing.point.name, thing.table
+    found = [f"{name} answers from a table of physical optics, alone and from one point"]
+    if table.extent_m > _range_cell(radar):
+        found[0] += f": it measures {table.extent_m / _range_cell(radar):.3g} range cells"
+    if table.thinned > 1:
+        found.append(
+            f"rays of the table of {name} {table.thinned:.2g} times wider apart than a fourth of a "
+            "wavelength: echoes of edges met obliquely fade"
+        )
+    if thing.assumed:
+        found.append(f"radio properties of {material}: {thing.assumed}")
+    return found
+
+
+def _range_cell(radar: RadarDesign) -> float:
+    carriers = radar.burst.carriers_hz
+    band = carriers[-1] - carriers[0] + radar.ofdm.bandwidth_hz
+    return float(speed_of_light / (2 * band))
+
+
+def _reflected(
+    field: Complex, direction: Array, normal: Array, surface: Surface, carrier_hz: float
+) -> Complex:
+    """A conductor's mirror image times TM, and what TE differs from it across the plane of
+    incidence, as in the kernel of physical optics.
+    """
+    cosine = np.array([abs(direction @ normal)])
+    te, tm = (complex(value[0]) for value in surface.reflection(cosine, carrier_hz))
+    across = np.cross(direction, normal)
+    part = across * ((across @ field) / max(float(across @ across), 1e-30))
+    out: Complex = tm * (2 * (normal @ field) * normal - field) + (te + tm) * part
+    return out
