@@ -4,6 +4,7 @@ import os
 import shutil
 import socket
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -15,7 +16,8 @@ import hardware
 from benchmarks.timing import Figure, Timing, timed
 from hardware import PatternSet, reconstruct
 from hardware.drivers import SpiCamera, SpiSettings
-from hardware.drivers.radio import acquire, open_radio
+from hardware.drivers.radio import FrontEnd, Schedule, acquire, open_radio
+from hardware.drivers.radio.setup import read_setup
 from twin.camera.stream import still_light, stills
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_echo
@@ -25,17 +27,20 @@ from twin.serve.clock import DeviceClock
 from twin.serve.line import Terminal
 from twin.serve.radio import VirtualRadio
 from twin.serve.serial import CameraServer
+from twin.serve.sweeps import Sweep
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
 
 _SETTINGS = SpiSettings(PatternSet(8, 8, 64), 10e-6)
 _SETS = 2000
+_WARM_SWEEPS, _LIVE_SWEEPS = 5, 30
 
 
 def figures() -> Iterator[Figure]:
     """Name, value and unit; the camera's own need a C compiler for the reference firmware."""
     yield from _virtual_camera()
     yield from _radio()
+    yield from _rates()
     compiler = shutil.which("cc")
     if compiler is None:
         return
@@ -111,11 +116,45 @@ def _radio() -> Iterator[Figure]:
     the receiver.
     """
     design = load_radar("prototype")
-    echo = radar_echo(load_scene("yard"), design, fidelity=Fidelity(radar="targets"))
-    radio = VirtualRadio(design, lambda sweep: echo, clock=DeviceClock("fast"))
+    echo = radar_echo(load_scene("yard"), design, fidelity=Fidelity(radar="targets")).condensed()
+    swept = Sweep(echo, echo.record())
+    radio = VirtualRadio(design, lambda number: swept, clock=DeviceClock("fast"))
     what = f"radio, a sweep of {len(radio.carriers_hz)} carriers (prototype)"
     yield f"{what}: through ZeroMQ", _sweeps(radio, remote=True), ""
     yield f"{what}: the virtual radio itself", _sweeps(radio, remote=False), ""
+
+
+def _rates() -> Iterator[Figure]:
+    """Sweeps that `twin serve` holds in real pace, with all cores; the driver is another process.
+
+    The design's own rhythm is 7.9 a second, less the driver's lead at each sweep.
+    """
+    for scene in ("yard", "fig3b"):
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        with tempfile.TemporaryDirectory() as folder:
+            setup = Path(folder) / "setup.json"
+            command = [sys.executable, "-m", "twin", "serve", scene, "--radar", f"tcp:{port}"]
+            command += ["--radar-setup", str(setup)]
+            with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as it:
+                assert it.stdout is not None
+                it.stdout.readline()
+                try:
+                    rate, late = _captured(f"zmq://127.0.0.1:{port}", *read_setup(setup))
+                finally:
+                    it.terminate()
+        yield f"virtual radio in real pace, {scene}, prototype: sweeps", rate, "1/s"
+        yield f"virtual radio in real pace, {scene}, prototype: steps that came late", late, "%"
+
+
+def _captured(url: str, schedule: Schedule, front_end: FrontEnd) -> tuple[float, float]:
+    """Sweeps a second, and per cent of steps that are flagged."""
+    with open_radio(url) as radio:
+        acquire(radio, schedule, front_end, bursts=_WARM_SWEEPS)
+        record = acquire(radio, schedule, front_end, bursts=_LIVE_SWEEPS)
+    starts = record.device_time_ns[:, 0, 0]
+    rate = 1e9 * (len(starts) - 1) / float(starts[-1] - starts[0])
+    return rate, 100 * float((record.flags != 0).any(axis=2).mean())
 
 
 def _sweeps(radio: VirtualRadio, *, remote: bool) -> Timing:

@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 
 import hardware
 from hardware import PatternSet
+
+sys.path.insert(0, str(Path(__file__).parent))  # helpers beside this file can be imported
 
 _SOURCES = Path(hardware.__file__).parent / "drivers" / "firmware"
 _STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")

@@ -31,7 +31,7 @@ _REMEDY = (
 
 
 class EngineError(RuntimeError):
-    """The renderer can't be started on this machine; the message says what to do."""
+    """The renderer can't be started on this machine, or what computes with it fails."""
 
 
 def mitsuba() -> ModuleType:

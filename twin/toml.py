@@ -23,6 +23,10 @@ class Strict(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by content: classes like ``Sourced[float]`` cannot be found by their name."""
+        return type(self).model_validate, (self.model_dump(),)
+
 
 class Sourced(Strict, Generic[T]):
     """A value with where it comes from: a source, or the reason why it is assumed."""

@@ -25,7 +25,7 @@ class Link:
     baud
         Where the line has one.
     write_timeout_s
-        How long the other side may refuse to take bytes.
+        How long the other side may refuse to take bytes; not of ``rfc2217://``.
 
     Raises LinkError where the URL cannot be opened, ValueError where it is none.
     """
@@ -35,8 +35,10 @@ class Link:
 
         self.url = url
         try:
+            # pyserial refuses a time limit on writing there; a broken line shows by its silence.
+            limit = None if url.lower().startswith("rfc2217:") else write_timeout_s
             self._port: Any = serial.serial_for_url(
-                url, baudrate=baud, timeout=0, write_timeout=write_timeout_s
+                url, baudrate=baud, timeout=0, write_timeout=limit
             )
         except OSError as error:
             raise LinkError(f"{url}: {error}") from error
@@ -76,4 +78,6 @@ class Link:
         deadline = time.monotonic() + timeout_s
         while not (data := self._port.read(_CHUNK)) and time.monotonic() < deadline:
             time.sleep(_POLL_S)
+        while len(data) < _CHUNK and (more := self._port.read(_CHUNK)):
+            data += more  # rfc2217:// gives a byte at a time
         return data

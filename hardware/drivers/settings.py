@@ -1,11 +1,56 @@
-"""Settings of a camera from a TOML file."""
+"""What a camera is to measure, as it is given or from a TOML file."""
 
+import math
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hardware.drivers.spi import SpiSettings
+from hardware.drivers.messages import MAX_SHUTTERS
 from hardware.patterns import PatternSet
+
+
+@dataclass(frozen=True, eq=False)
+class SpiSettings:
+    """What to measure.
+
+    Parameters
+    ----------
+    patterns
+        Shown over and over. By name where the device knows the order, else sent bit by bit.
+    integration_time_s, pattern_period_s
+        Of one exposure, and from one to the next; period 0: the shortest.
+    gain
+        Step of the device's amplifier, from 0.
+    exposures_per_frame
+        0: the device chooses.
+    shutters : (n_shutters, 4)
+        As in `SpiRecord`.
+    pose : (7,)
+        Of the rig, for the records.
+    upload
+        Send the patterns even where the device knows their order.
+    """
+
+    patterns: PatternSet
+    integration_time_s: float
+    pattern_period_s: float = 0.0
+    gain: int = 0
+    exposures_per_frame: int = 0
+    shutters: tuple[tuple[float, float, float, float], ...] = ((0.0, 0.0, 0.0, 0.0),)
+    pose: tuple[float, ...] = (0, 0, 0, 1, 0, 0, 0)
+    upload: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 < self.integration_time_s < math.inf:
+            raise ValueError(f"integration_time_s: {self.integration_time_s} is not positive")
+        if not 0 <= self.pattern_period_s < math.inf:
+            raise ValueError(f"pattern_period_s: {self.pattern_period_s} is no time")
+        for name, most in (("gain", 0xFF), ("exposures_per_frame", 0xFFFF)):
+            if not 0 <= getattr(self, name) <= most:
+                raise ValueError(f"{name}: {getattr(self, name)} is not between 0 and {most}")
+        if not 1 <= len(self.shutters) <= MAX_SHUTTERS:
+            raise ValueError(f"shutters: {len(self.shutters)}, expected 1 to {MAX_SHUTTERS}")
 
 
 def read_settings(path: str | Path) -> SpiSettings:

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 import serial
+from asking import asking
+from rfc2217_port import behind_rfc2217
 
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSettings
@@ -23,9 +25,7 @@ from hardware.drivers.messages import (
     Configure,
     Refusal,
     Refused,
-    Status,
     Upload,
-    from_frame,
     to_frame,
 )
 from hardware.drivers.table import table_bytes
@@ -143,22 +143,10 @@ def test_an_earlier_portion_again_takes_nothing_away(firmware: Any) -> None:
     table = table_bytes(patterns)
     configure = Configure(4, 8, 8, UPLOADED, MODE_CODES.index("plain"), 0, 0, 10e-6, 0.0)
     with firmware.running("--fast") as path, serial.Serial(path, timeout=2) as line:
-        frames = Deframer()
-
-        def held(message: Any, tag: int) -> int:
-            """Bytes of the table that the device says it has."""
-            line.write(encode(to_frame(message, tag)))
-            while True:
-                data = line.read(max(1, line.in_waiting))
-                assert data, "no answer"
-                for frame in frames.feed(data):
-                    if frame.tag == tag:
-                        answer = from_frame(frame)
-                        return answer.table_bytes if isinstance(answer, Status) else -1
-
-        held(configure, 1)
+        ask = asking(line)
+        ask(configure)
         portions = [(0, 10), (10, 10), (0, 10), (20, len(table) - 20)]
-        told = [held(Upload(a, table[a : a + n]), 2 + i) for i, (a, n) in enumerate(portions)]
+        told = [ask(Upload(a, table[a : a + n])).table_bytes for a, n in portions]
     assert told == [10, 20, 20, len(table)]
 
 
@@ -205,6 +193,25 @@ def test_a_reset_device_is_set_up_and_started_again(firmware: Any) -> None:
         np.testing.assert_array_equal(record.counts, firmware.counts(PATTERNS))
 
 
+@pytest.mark.parametrize(
+    ("fault", "uploads"), [(("--reset-after", "33"), 2), (("--stall-after", "10"), 1)]
+)
+def test_a_table_is_sent_again_only_to_a_device_that_lost_it(
+    firmware: Any, fault: tuple[str, str], uploads: int
+) -> None:
+    """A reset forgets it; one that was merely started anew holds it still."""
+    settings = replace(SETTINGS, patterns=PatternSet.of(8, 8, range(40, 8, -1)))
+    with (
+        firmware.running("--fast", *fault) as path,
+        SpiCamera(path, settings, patience=QUICK) as camera,
+    ):
+        records = list(camera.records(sets=40 if uploads > 1 else 16))
+        assert camera.tally.restarts >= 1
+        assert camera.tally.uploads == uploads
+    for record in records:
+        np.testing.assert_array_equal(record.counts, firmware.counts(settings.patterns))
+
+
 def test_a_device_that_falls_silent_is_started_again(firmware: Any) -> None:
     with (
         firmware.running("--fast", "--stall-after", "10") as path,
@@ -238,6 +245,26 @@ def test_a_broken_line_is_opened_again_and_the_run_goes_on(firmware: Any) -> Non
     assert whole == {n // 2 for n in range(800)} - {
         n for n in range(400) if {2 * n, 2 * n + 1} <= missing
     }
+
+
+def test_a_port_behind_rfc2217_is_as_good_as_the_terminal_itself(firmware: Any) -> None:
+    """Through pyserial's own server, cut once: opened again, counts those of the device."""
+    lost: list[range] = []
+    cut = threading.Event()
+    with (
+        firmware.running("--fast") as path,
+        behind_rfc2217(path, cut) as url,
+        SpiCamera(url, SETTINGS, on_loss=lost.append, patience=QUICK) as camera,
+    ):
+        records = []
+        for record in camera.records(sets=200):
+            records.append(record)
+            if len(records) == 20:
+                cut.set()
+        assert camera.tally.reconnects >= 1
+        assert camera.tally.restarts == 0
+    check_against(firmware, records, {number for numbers in lost for number in numbers})
+    assert len(records) > 100
 
 
 def check_against(firmware: Any, records: list[SpiRecord], missing: set[int]) -> None:

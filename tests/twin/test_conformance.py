@@ -7,16 +7,29 @@ settings as `ugv capture` takes it.
 import os
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from itertools import islice
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
+import serial
+from asking import asking
 from virtual_camera import PATIENCE, SETTINGS, asked, direct, served
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers import SpiCamera, SpiSettings
+from hardware.drivers.messages import (
+    MODE_CODES,
+    UPLOADED,
+    Arm,
+    Configure,
+    Message,
+    Query,
+    Refusal,
+    Upload,
+)
 from hardware.drivers.settings import read_settings
 from hardware.drivers.table import table_bytes
 from hardware.recording import Log
@@ -41,6 +54,10 @@ class Source:
         """So many runs one after another, each without end until it is stopped."""
         raise NotImplementedError
 
+    def uploads(self, wanted: list[SpiSettings]) -> list[int]:
+        """Tables sent for each run of a line that is opened once."""
+        raise NotImplementedError
+
     def table_crc(self, wanted: SpiSettings) -> int:
         """CRC-32 of the patterns that it shows."""
         (record, *_), *_ = self.runs(wanted)
@@ -50,6 +67,7 @@ class Source:
 class Twin(Source):
     lacks = {
         "runs": "the twin's records have no runs: asked again, it begins again",
+        "upload": "nothing is sent to the twin itself",
         "cells": "the twin's cells are those of its emitter",
         "overexposure": "the twin's converter spans the light that there is",
     }
@@ -77,6 +95,15 @@ class Driven(Source):
                 records.close()
             assert (camera.tally.lost, camera.tally.rejected, camera.tally.restarts) == (0, 0, 0)
         return found
+
+    def uploads(self, wanted: list[SpiSettings]) -> list[int]:
+        sent = []
+        with SpiCamera(self.url, wanted[0], patience=PATIENCE) as camera:
+            for camera.settings in wanted:
+                before = camera.tally.uploads
+                check(camera.acquire(), camera.settings)
+                sent.append(camera.tally.uploads - before)
+        return sent
 
     def table_crc(self, wanted: SpiSettings) -> int:
         with SpiCamera(self.url, wanted, patience=PATIENCE) as camera:
@@ -111,6 +138,7 @@ class Replay(Source):
         "cells": why,
         "overexposure": why,
         "runs": "a log has no runs: played again, it begins again",
+        "upload": why,
     }
 
     def __init__(self, path: str) -> None:
@@ -252,6 +280,57 @@ def test_other_settings_give_other_patterns(source: Source) -> None:
     other = replace(wanted, patterns=replace(wanted.patterns, order="walsh", count=9))
     expected = zlib.crc32(table_bytes(other.patterns))
     assert source.table_crc(other) == expected != source.table_crc(wanted)
+
+
+def test_a_table_is_sent_only_where_the_device_does_not_hold_it(source: Source) -> None:
+    """Again: not. Another of the same size, and the first after it: yes. After an order by name,
+    which leaves no room for it: yes.
+    """
+    source.needs("upload")
+    here = replace(source.settings, upload=True)
+    there = replace(here, patterns=replace(here.patterns, order="walsh"))
+    assert here.patterns.n_exposures == there.patterns.n_exposures
+    by_name = replace(here, upload=False)
+    sent = source.uploads([here, here, there, there, here, by_name, here])
+    assert sent[1:] == [0, 1, 0, 1, 0, 1]
+
+
+def test_what_is_held_of_a_table(source: Source) -> None:
+    """PROTOCOL.md, section 5, request by request: kept whole, for order 255 and the same size; the
+    first portion forgets it; in part it is not kept.
+    """
+    source.needs("upload")
+    table = table_bytes(PatternSet(16, 16, 8, "natural", "plain"))
+    held, turned = (len(table), zlib.crc32(table)), table[::-1]
+    plain, s_matrix = (MODE_CODES.index(mode) for mode in ("plain", "s-matrix"))
+    uploaded = Configure(16, 16, 8, UPLOADED, plain, 0, 0, 80e-6, 0.0)
+    with closing(serial.serial_for_url(source.url, timeout=2)) as line:
+        ask = asking(line)
+
+        def told(request: Message) -> tuple[int, int]:
+            ask(request)
+            status = ask(Query())
+            return status.table_bytes, status.table_crc
+
+        assert told(uploaded)[0] < len(table)
+        assert told(Upload(0, table)) == held
+        assert told(uploaded) == held
+        assert ask(uploaded).table_crc == held[1]
+        assert told(replace(uploaded, mode=s_matrix)) == held
+        assert ask(Upload(1, b"x")).code == Refusal.TABLE
+        assert told(Query()) == held
+        assert told(Upload(0, turned[:5])) == (5, ANY)
+        assert told(Upload(0, turned[:5])) == (5, ANY)
+        assert told(Upload(5, turned[5:])) == (len(table), zlib.crc32(turned))
+        assert ask(Arm(held[1])).code == Refusal.TABLE
+        assert ask(replace(uploaded, gain=99)).code == Refusal.UNSUPPORTED
+        assert told(Query()) == (len(table), zlib.crc32(turned))
+        assert told(replace(uploaded, count=7)) == (0, 0)
+        assert told(Upload(0, table[:5])) == (5, ANY)
+        assert told(uploaded) == (0, 0)
+        assert told(Upload(0, table)) == held
+        assert told(replace(uploaded, order=0)) == held  # the same patterns, by their name
+        assert told(uploaded) == (0, 0)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rfc2217_port import behind_rfc2217
 from virtual_camera import PATIENCE, QUICK, SEED, SETTINGS, direct, served
 
 from hardware import PatternSet
@@ -44,12 +45,17 @@ from twin.serve.line import TcpPort, Terminal
 from twin.system import load_system
 
 
-@pytest.mark.parametrize("line", [Terminal, lambda: TcpPort("127.0.0.1", 0)], ids=["pty", "tcp"])
-def test_camera_and_twin_give_the_same_counts(world, line, tmp_path: Path) -> None:
+@pytest.mark.parametrize("line", ["pty", "tcp", "rfc2217"])
+def test_camera_and_twin_give_the_same_counts(world, line: str, tmp_path: Path) -> None:
     """100 sets through protocol and driver: counts bit for bit those of the twin directly; and so
-    are those of the log of them, replayed.
+    are those of the log of them, replayed. By a terminal, by TCP, and by a terminal behind TCP.
     """
-    with served(world, line()) as server, SpiCamera(server.line.url, SETTINGS) as camera:
+    sits = TcpPort("127.0.0.1", 0) if line == "tcp" else Terminal()
+    with (
+        served(world, sits) as server,
+        behind_rfc2217(server.line.url) if line == "rfc2217" else nullcontext(sits.url) as url,
+        SpiCamera(url, SETTINGS) as camera,
+    ):
         records = list(camera.records(sets=100))
         tally = camera.tally
     assert (tally.lost, tally.rejected, tally.refused, tally.restarts) == (0, 0, 0, 0)
@@ -113,7 +119,7 @@ def test_what_the_host_asks_for(world, patterns: PatternSet, integration_s: floa
         ({"integration_time_s": 1e-8}, "integration_time_s: outside"),
         ({"pattern_period_s": 81e-6}, "pattern_period_s: shorter"),
         ({"shutters": ((1e7, 0.0, 0.0, 0.0),)}, "shutters: this camera has"),
-        ({"upload": True}, "order: this camera knows its orders by name"),
+        ({"patterns": PatternSet.of(16, 16, [7, 200, 9])}, "the table of no order that I know"),
     ],
 )
 def test_what_the_camera_cannot_do_is_refused(world, change, says: str) -> None:
@@ -123,6 +129,19 @@ def test_what_the_camera_cannot_do_is_refused(world, change, says: str) -> None:
         pytest.raises(DeviceError, match=says),
     ):
         camera.acquire()
+
+
+def test_an_uploaded_table_is_shown_and_outlives_a_restart(world) -> None:
+    """Counts are those of the order by its name; PROTOCOL.md, section 5, says what is kept."""
+    patterns = PatternSet(16, 16, 32, "walsh", "s-matrix")
+    wanted = replace(SETTINGS, patterns=patterns, upload=True)
+    with served(world) as server, SpiCamera(server.line.url, wanted) as camera:
+        first, second = camera.acquire(), camera.acquire()
+        uploads = camera.tally.uploads
+    (expected,) = direct(world, wanted, 1)
+    for record in (first, second):
+        assert np.array_equal(record.counts, expected.counts)
+    assert uploads == 1
 
 
 def talk(world):

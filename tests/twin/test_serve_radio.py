@@ -7,17 +7,22 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 zmq = pytest.importorskip("zmq")
 
+from items_to_make import dies, reciprocal  # noqa: E402
+
+import twin.serve.sweeps  # noqa: E402
 from hardware.drivers.radio import Fault, RadioError, acquire, open_radio, samples  # noqa: E402
 from hardware.drivers.radio.setup import read_setup, write_setup  # noqa: E402
 from hardware.drivers.radio.stream import StreamRadio  # noqa: E402
@@ -26,15 +31,18 @@ from hardware.radar import channel  # noqa: E402
 from hardware.recording import Log, read_records  # noqa: E402
 from hardware.records import Flag, RadarRecord  # noqa: E402
 from hardware.sources import open_source  # noqa: E402
+from twin.engine import EngineError  # noqa: E402
 from twin.fidelity import Fidelity  # noqa: E402
 from twin.files import InputError  # noqa: E402
-from twin.radar import load_radar, radar_capture  # noqa: E402
+from twin.radar import load_radar, radar_capture, radar_echo  # noqa: E402
 from twin.radar.device.design import RadarDesign  # noqa: E402
 from twin.scene import load_scene  # noqa: E402
+from twin.serve.ahead import Ahead  # noqa: E402
 from twin.serve.clock import DeviceClock  # noqa: E402
 from twin.serve.faults import RadioFaults, parse_faults  # noqa: E402
 from twin.serve.radio import VirtualRadio  # noqa: E402
-from twin.serve.serving import echoes, parse_address  # noqa: E402
+from twin.serve.serving import parse_address  # noqa: E402
+from twin.serve.sweeps import Sweeps  # noqa: E402
 from twin.serve.zeromq import RadioServer  # noqa: E402
 
 SEED = 11
@@ -71,7 +79,7 @@ def direct(scene, design: RadarDesign, sweep: int) -> RadarRecord:
 
 def virtual(scene, design: RadarDesign, **options) -> VirtualRadio:
     options = {"clock": DeviceClock("fast"), **options}
-    return VirtualRadio(design, echoes(scene, design, SEED, QUICK), **options)
+    return VirtualRadio(design, Sweeps(scene, design, SEED, QUICK), **options)
 
 
 @contextmanager
@@ -140,7 +148,7 @@ def test_what_is_really_sent_is_what_comes_back(scene) -> None:
 
     def heard(level: float, waveform=wave):
         """Of the first sweep, so that nothing has moved."""
-        radio = VirtualRadio(design, echoes(scene, design, SEED, quiet), clock=DeviceClock("fast"))
+        radio = VirtualRadio(design, Sweeps(scene, design, SEED, quiet), clock=DeviceClock("fast"))
         schedule = replace(radio.schedule, waveform=waveform)
         return channel(acquire(radio, schedule, replace(radio.front_end, level=level)))
 
@@ -289,6 +297,88 @@ def test_a_stall_is_waited_for_and_a_dropped_connection_is_an_error(scene) -> No
         with ZeroMqRadio("127.0.0.1", port) as again:
             assert again.tune(design.ofdm.carrier_hz) == design.ofdm.carrier_hz
         driver.close()
+
+
+def test_a_scene_slower_than_real_time_makes_sweeps_late_and_loses_nothing(scene, caplog) -> None:
+    """0.3 s to compute a sweep of 0.12 s: the same counts, no step late, and it is said once."""
+    design = load_radar("prototype")
+    computed = Sweeps(scene, design, SEED, QUICK)
+
+    def slow(number: int):
+        time.sleep(0.3)
+        return computed(number)
+
+    radio = VirtualRadio(design, slow, clock=DeviceClock("real"))
+    carriers = radio.schedule.carriers_hz[:3]
+    unhurried = replace(radio.schedule, carriers_hz=carriers, step_period_s=0.1, lead_s=0.1)
+    with served(radio) as port, open_radio(f"zmq://127.0.0.1:{port}") as driver:
+        record = acquire(driver, unhurried, radio.front_end, bursts=5)
+    assert not record.flags.any()
+    for sweep in range(5):
+        assert np.array_equal(record.iq[sweep], direct(scene, design, sweep).iq[0, :3])
+    (told,) = caplog.messages
+    assert "slower than real time: a sweep lasts 0.126 s" in told
+
+
+def test_a_sweep_that_fails_is_one_line_and_may_be_asked_for_again(scene, caplog) -> None:
+    """Here and at the client; the sweep comes once it can be computed."""
+    design = small()
+    computed, broken = Sweeps(scene, design, SEED, QUICK), [True]
+
+    def fails(number: int):
+        if number and broken[0]:
+            raise ValueError("the engine\nis out of memory")
+        return computed(number)
+
+    radio = VirtualRadio(design, fails, clock=DeviceClock("fast"))
+    sent = samples.burst(design.ofdm, radio.level)
+    with served(radio) as port, ZeroMqRadio("127.0.0.1", port) as driver:
+        driver.burst(sent, 0)
+        for do in (lambda: driver.tune(design.ofdm.carrier_hz), lambda: driver.burst(sent, 10**9)):
+            with pytest.raises(RadioError, match=r"sweep 1: the engine is out of memory$"):
+                do()
+        broken[0] = False
+        driver.tune(design.ofdm.carrier_hz)
+        assert driver.burst(sent, 10**9).there.all()
+    assert len(caplog.messages) == 2
+
+
+@pytest.mark.parametrize("rung", ["targets", "optics", "rough"])
+def test_what_stands_is_traced_once(rung: str, monkeypatch) -> None:
+    """At rest the records are those of single captures, though traced once unless rays are drawn
+    by seed; on a track every stop is traced.
+    """
+    traced: list[int] = []
+
+    def counted(*arguments, **options):
+        traced.append(1)
+        return radar_echo(*arguments, **options)
+
+    monkeypatch.setattr(twin.serve.sweeps, "radar_echo", counted)
+    design, quick = small(), Fidelity(radar=rung, radar_rays=2000, radar_scatterers=500)
+    scene = load_scene("fig3b")
+    at_rest = replace(scene, track=None)
+    sweeps = Sweeps(at_rest, design, SEED, quick)
+    for number in range(3):
+        expected = radar_capture(at_rest, design, seed=SEED + number, fidelity=quick).record
+        assert np.array_equal(sweeps(number).record.iq, expected.iq)
+    assert len(traced) == (3 if rung == "rough" else 1)
+    on_track = Sweeps(scene, design, SEED, quick)
+    assert len({on_track(number).record.iq.tobytes() for number in range(3)}) == 3
+    assert len(traced) == (6 if rung == "rough" else 4)
+
+
+def test_ahead_of_time() -> None:
+    """Items come in their order from other processes, which fail by one line, and can die."""
+    ahead = Ahead(reciprocal)
+    assert [ahead(0), ahead(1)] == [1 / 3, 1 / 2]
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"^scene\.toml: wrong$"):
+            ahead(2)
+        with pytest.raises(EngineError, match=r"^ZeroDivisionError: division by zero$"):
+            ahead(3)
+    with pytest.raises(EngineError, match="has died"):
+        Ahead(dies)(0)
 
 
 def _setup(scene, design):
@@ -463,10 +553,11 @@ def test_the_command(tmp_path: Path) -> None:
     design.write_text("\n".join(['base = "hybrid-79"', 'name = "small"', "[waveform]", *lines]))
     setup = tmp_path / "setup.json"
     port = int(np.random.default_rng().integers(20000, 60000))
-    command = [sys.executable, "-m", "twin", "serve", "yard", "--radar", f"tcp:{port}"]
+    command = [sys.executable, "-m", "twin", "serve", "fig3b", "--radar", f"tcp:{port}"]
     command += ["--design", str(design), "--pace", "fast", "--radar-setup", str(setup)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env=environment, **pipes) as process:
         line = process.stdout.readline()
         assert f"zmq://127.0.0.1:{port}" in line
         with open_radio(f"zmq://127.0.0.1:{port}") as driver:
@@ -476,9 +567,19 @@ def test_the_command(tmp_path: Path) -> None:
         options = ["--radar-setup", setup, "--records", 2]
         done = ugv("capture", f"zmq://127.0.0.1:{port}", "-o", tmp_path / "run.mcap", *options)
         assert done.returncode == 0, done.stderr
-        assert all(received.record.iq.any() for received in read_records(tmp_path / "run.mcap"))
+        captured = [received.record.iq for received in read_records(tmp_path / "run.mcap")]
+        track = load_scene("fig3b")
+        stops = track.track.poses(track.rig.pose)
+        for sweep, iq in enumerate([record.iq, *captured]):
+            expected = radar_capture(track, load_radar(design), seed=sweep, poses=[stops[sweep]])
+            assert np.array_equal(iq, expected.record.iq)
+        assert len(captured) == 2
+        helpers = psutil.Process(process.pid).children(recursive=True)
+        assert helpers
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 130
+        assert not psutil.wait_procs(helpers, timeout=10)[1]
+        assert process.stderr.read() == "twin: interrupted, nothing half-written is left\n"
     again = subprocess.run(
         [*command, "--pace", "slow"], env=environment, capture_output=True, text=True, check=False
     )

@@ -1,13 +1,15 @@
 """From light to counts: everything of a camera that no scene and no pose changes, ready to use."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.patterns import PatternSet
 from hardware.records import SpiRecord
 from twin import __version__
-from twin.camera.illumination import shown
+from twin.camera.illumination import shown, steady
 from twin.camera.light import Rendered
 from twin.camera.shutters import Shutter, shutters
 from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
@@ -59,6 +61,11 @@ class Chain:
             gains=cell_gains(system.emitter),
         )
 
+    @cached_property
+    def patterns(self) -> PatternSet:
+        """The pattern set that is shown."""
+        return self.system.patterns
+
     @property
     def open_share(self) -> Array:
         """Share of the time that the detector is open, by shutter."""
@@ -88,12 +95,24 @@ class Chain:
         assert rendered.paths is not None  # rendered for a system with time of flight
         return rendered.paths.light(tap.response).reshape(1, -1) * tap.light_share
 
+    def steady(self, power: Powers) -> Array:
+        """Signal before anything fluctuates, (n_exposures, n_shutters, n_detectors) in W."""
+        return steady(self.system, power.cells_w)
+
     def take(
-        self, power: Powers, *, rng: np.random.Generator, noise: Noise = "full"
+        self,
+        power: Powers,
+        *,
+        rng: np.random.Generator,
+        noise: Noise = "full",
+        steady_w: Array | None = None,
     ) -> tuple[Array, NDArray[np.int32], NDArray[np.uint8]]:
-        """One frame: signal (n_exposures, n_shutters, n_detectors) in W; counts and flags."""
+        """One frame: signal (n_exposures, n_shutters, n_detectors) in W; counts and flags.
+
+        ``steady_w``: what `steady` gives of these powers, when it is at hand already.
+        """
         fluctuating = None if noise == "none" else rng
-        signal_w = shown(self.system, power.cells_w, rng=fluctuating)
+        signal_w = shown(self.system, power.cells_w, rng=fluctuating, steady_w=steady_w)
         power_w = signal_w + self.open_share[:, None] * power.sun_w
         exposed = power_w.reshape(-1, power_w.shape[-1])
         counts, flags = expose(exposed, self.front_end, rng=rng, noise=noise)
@@ -118,7 +137,7 @@ class Chain:
             device_time_ns=np.rint(exposures * period_ns).astype(np.int64),
             sequence=(exposures % 2**32).astype(np.uint32),
             flags=flags,
-            patterns=system.patterns,
+            patterns=self.patterns,
             shutters=np.array(
                 [(t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s) for t in self.taps]
             ),

@@ -10,11 +10,11 @@ from twin.system import System
 Array = NDArray[np.float64]
 
 
-def shown(system: System, cells_w: Array, *, rng: np.random.Generator | None) -> Array:
-    """Signal power of every exposure, (n_exposures, n_shutters, n_detectors), W.
+def steady(system: System, cells_w: Array) -> Array:
+    """Signal power of every exposure, (n_exposures, n_shutters, n_detectors), W, before it
+    fluctuates.
 
-    ``cells_w`` (n_shutters, n_detectors, n_cells): power of each cell, lit alone. Without ``rng``
-    nothing fluctuates.
+    ``cells_w`` (n_shutters, n_detectors, n_cells): power of each cell, lit alone.
     """
     ideal = system.patterns.signal(np.moveaxis(cells_w, -1, 0))
     dark = dark_share(system)
@@ -25,6 +25,21 @@ def shown(system: System, cells_w: Array, *, rng: np.random.Generator | None) ->
         before = np.concatenate([np.zeros_like(signal[:1]), signal[:-1]])[:, 0]
         signal = signal.copy()
         signal[:, 0] += left_over * (before - signal[:, 0])
+    return signal
+
+
+def shown(
+    system: System,
+    cells_w: Array,
+    *,
+    rng: np.random.Generator | None,
+    steady_w: Array | None = None,
+) -> Array:
+    """The same of one frame, that fluctuates; not without ``rng``.
+
+    ``steady_w``: what `steady` gives, when it is at hand already.
+    """
+    signal = steady(system, cells_w) if steady_w is None else steady_w
     noise = system.emitter.intensity_noise
     if rng is not None and noise is not None and noise.value:
         signal = signal * (1 + rng.normal(0, noise.value, (*signal.shape[:2], 1)))

@@ -93,8 +93,9 @@ def stills(
     _, noise_seed = np.random.SeedSequence(seed).spawn(2)
     chain, rng = Chain.of(system, scene.sun), np.random.default_rng(noise_seed)
     power = chain.powers(rendered or still_light(scene, system, seed=seed, fidelity=fidelity))
+    steady_w = chain.steady(power)
     for number in itertools.count():
-        _, counts, flags = chain.take(power, rng=rng, noise=fidelity.noise)
+        _, counts, flags = chain.take(power, rng=rng, noise=fidelity.noise, steady_w=steady_w)
         yield chain.record(scene.rig.pose, counts, flags, number)
 
 

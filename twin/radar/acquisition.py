@@ -1,6 +1,6 @@
 """Bursts of the radar, from scene and design to IQ counts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,6 +29,7 @@ from twin.system import Weather
 
 _NEAREST_M = 0.1  # a point target nearer than this is no point
 _MOST_CELLS = 2**28  # of one record: a gigabyte
+_SEEDLESS = ("targets", "optics")  # rungs whose echoes no seed changes
 Stage = Callable[[str], AbstractContextManager[Any]]
 
 
@@ -57,7 +58,8 @@ class RadarCapture:
 class RadarEcho:
     """Bursts before anything is sent: what the scene and the noise will make of it.
 
-    ``worlds`` are the scene at each burst, ``interval_s`` apart, ``bursts`` what was found there.
+    ``worlds`` are the scene at each burst, ``interval_s`` apart, ``bursts`` what was found there;
+    or, once `condensed`, ``channels`` what `channel` made of it.
     """
 
     worlds: tuple[Scene, ...]
@@ -67,6 +69,20 @@ class RadarEcho:
     interval_s: float
     noise_seed: np.random.SeedSequence
     fidelity: Fidelity
+    channels: tuple[Complex, ...] | None = None
+
+    def condensed(self) -> "RadarEcho":
+        """The same for more than one record, or for another process: channels in place of what
+        they were made of.
+        """
+        worlds = tuple(replace(world, objects=()) for world in self.worlds)
+        return replace(self, worlds=worlds, bursts=(), channels=tuple(self._channels()))
+
+    def reseeded(self, seed: int) -> "RadarEcho | None":
+        """The same with another seed, where nothing but the noise is drawn from it; else None."""
+        if self.fidelity.radar not in _SEEDLESS:
+            return None
+        return replace(self, noise_seed=_seeds(seed)[1])
 
     def record(self, sent: Complex | None = None) -> RadarRecord:
         """What the radar records.
@@ -81,17 +97,15 @@ class RadarEcho:
         seed = np.random.SeedSequence(self.noise_seed.entropy, spawn_key=self.noise_seed.spawn_key)
         rng = np.random.default_rng(seed)
         taken = [
-            digitize(
-                channel(found, self.radar, self.air, self.fidelity.nufft_tolerance),
-                self.radar,
-                rng=rng,
-                noisy=self.fidelity.noise != "none",
-                sent=sent,
-            )
-            for found in self.bursts
+            digitize(there, self.radar, rng=rng, noisy=self.fidelity.noise != "none", sent=sent)
+            for there in self.channels or self._channels()
         ]
         iq, flags = (np.stack([burst[k] for burst in taken]) for k in (0, 1))
         return _record(self.worlds, self.radar, self.interval_s, iq, flags, taken[0][2])
+
+    def _channels(self) -> Iterator[Complex]:
+        tolerance = self.fidelity.nufft_tolerance
+        return (channel(found, self.radar, self.air, tolerance) for found in self.bursts)
 
 
 def radar_echo(
@@ -110,7 +124,7 @@ def radar_echo(
     for world in worlds:
         _check_targets(world)
     fidelity, air = fidelity or Fidelity(), _air(weather, radar)
-    ray_seed, noise_seed = np.random.SeedSequence([seed, 79]).spawn(2)
+    ray_seed, noise_seed = _seeds(seed)
     with stage("radar paths"):
         rays = int(ray_seed.generate_state(1)[0]) >> 1
         bursts = tuple(
@@ -198,6 +212,12 @@ def contributions(found: Propagation, radar: RadarDesign, air: Air) -> Contribut
 def channel(found: Propagation, radar: RadarDesign, air: Air, tolerance: float = 1e-6) -> Complex:
     """Received over sent wave of one burst, (n_steps, n_slots, n_receivers, n_subcarriers)."""
     return burst_channel(contributions(found, radar, air), radar.burst, tolerance)
+
+
+def _seeds(seed: int) -> tuple[np.random.SeedSequence, np.random.SeedSequence]:
+    """Of rays, and of noise."""
+    rays, noise = np.random.SeedSequence([seed, 79]).spawn(2)
+    return rays, noise
 
 
 def _stepped(

@@ -4,6 +4,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -48,7 +49,7 @@ class Pose:
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
 
-    @property
+    @cached_property
     def rotation(self) -> Rotation:
         """From the posed frame to its parent."""
         angles = (self.yaw_deg, self.pitch_deg, self.roll_deg)
@@ -213,6 +214,12 @@ class Scene:
             ),
             targets=tuple(t.after(seconds) for t in self.targets),
         )
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves but the rig."""
+        velocities = [o.velocity_m_per_s for o in self.objects]
+        return not np.any(velocities + [t.velocity_m_per_s for t in self.targets])
 
     @property
     def triangles(self) -> int:

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from hardware.drivers.messages import (
     MODE_CODES,
     ORDER_CODES,
     PROTOCOL_VERSION,
+    UPLOADED,
     Arm,
     Configure,
     Configured,
@@ -38,9 +39,11 @@ from twin.camera.chain import Chain
 from twin.files import InputError
 from twin.scene import Sun
 from twin.serve.clock import DeviceClock
+from twin.serve.table import UploadedTable
 from twin.system import System
 
 _FRAME_EXPOSURES = 64
+_ENOUGH = 8  # patterns that tell most orders apart
 _RANGE_S = (1e-7, 1.0)  # of integration times
 #: All but complementary, which takes a second detector behind a mirror.
 _MODES = sum(1 << code for code, mode in enumerate(MODE_CODES) if mode != "complementary")
@@ -67,7 +70,8 @@ class VirtualCamera:
     """A camera with the emitter, optics and detector of a system, in a scene.
 
     What the host configures beyond them (patterns of the emitter's cells, integration time,
-    period) makes another system of it; gain and shutters are those of the system.
+    period) makes another system of it; gain and shutters are those of the system. An uploaded table
+    is shown where it is that of an order with a name.
 
     Parameters
     ----------
@@ -116,6 +120,7 @@ class VirtualCamera:
         self._state, self._booted = State.IDLE, True
         self._made: Configured | None = None
         self._configured = self.system
+        self._table = UploadedTable()
         self._run: _Run | None = None
         self._mark = Flag.RESET  # on the next exposure
         self._say(self._status())
@@ -182,8 +187,8 @@ class VirtualCamera:
                     return self._identity()
                 case Configure() as request:
                     return self._configure(request)
-                case Upload():
-                    raise _RefusedError(Refusal.STATE, "Upload: configure for it first")
+                case Upload(offset, data):
+                    return self._upload(offset, data)
                 case Arm(crc):
                     return self._arm(crc)
                 case Start(run, sets):
@@ -222,16 +227,23 @@ class VirtualCamera:
         if self._state == State.RUNNING:
             raise _RefusedError(Refusal.STATE, "Configure: a run is on")
         system = self._built(request)
-        table = table_bytes(system.patterns)
+        if request.order == UPLOADED:
+            size = system.patterns.n_exposures * -(-system.patterns.n_cells // 8)
+            self._table.expect(size)
+            crc = zlib.crc32(self._table.data)
+        else:
+            table = table_bytes(system.patterns)
+            self._table.expect(0)
+            size, crc = len(table), zlib.crc32(table)
         shown, front_end = system.acquisition, Chain.of(system, self._sun).front_end
         most = Measurement.most_exposures(self.system.n_detectors)
-        self._configured, self._state = system, State.CONFIGURED
+        self._request, self._configured, self._state = request, system, State.CONFIGURED
         self._made = Configured(
             exposures=system.patterns.n_exposures * len(self._shutters),
             exposures_per_frame=min(request.exposures_per_frame or _FRAME_EXPOSURES, most),
             detectors=self.system.n_detectors,
-            table_bytes=len(table),
-            table_crc=zlib.crc32(table),
+            table_bytes=size,
+            table_crc=crc,
             integration_time_s=shown.integration_time_s.value,
             pattern_period_s=shown.pattern_period_s.value,
             electrons_per_count=front_end.electrons_per_count,
@@ -248,8 +260,8 @@ class VirtualCamera:
         own, integration = self.system.patterns, request.integration_time_s
         if (request.rows, request.columns) != (own.rows, own.columns):
             refuse(f"rows, columns: the emitter has {own.rows} x {own.columns} cells")
-        if request.order >= len(ORDER_CODES):
-            refuse("order: this camera knows its orders by name")
+        if request.order >= len(ORDER_CODES) and request.order != UPLOADED:
+            refuse("order: this camera does not know it")
         if request.mode >= len(MODE_CODES) or not _MODES >> request.mode & 1:
             refuse("mode: this camera does not know it")
         if request.gain:
@@ -266,7 +278,7 @@ class VirtualCamera:
         content = self.system.model_dump()
         for name, value in {
             "n_patterns": request.count,
-            "order": ORDER_CODES[request.order],
+            "order": "natural" if request.order == UPLOADED else ORDER_CODES[request.order],
             "mode": MODE_CODES[request.mode],
             "integration_time_s": integration,
             "pattern_period_s": period,
@@ -277,13 +289,45 @@ class VirtualCamera:
         except ValueError as error:
             raise _RefusedError(Refusal.UNSUPPORTED, " ".join(str(error).split())[:150]) from error
 
+    def _upload(self, offset: int, portion: bytes) -> Status:
+        if self._state != State.CONFIGURED or self._request.order != UPLOADED:
+            raise _RefusedError(Refusal.STATE, "Upload: configure for it first")
+        if not portion:
+            raise _RefusedError(Refusal.MALFORMED, "Upload: no bytes")
+        try:
+            self._table.take(offset, portion)
+        except ValueError as error:
+            raise _RefusedError(Refusal.TABLE, str(error)) from error
+        return self._status()
+
     def _arm(self, crc: int) -> Status:
         if self._state not in (State.CONFIGURED, State.ARMED) or self._made is None:
             raise _RefusedError(Refusal.STATE, "Arm: configure first")
-        if crc != self._made.table_crc:
+        if (self._made.table_bytes, crc) != self._held():
             raise _RefusedError(Refusal.TABLE, "Arm: this is not the table that I hold")
+        if self._state == State.CONFIGURED and self._request.order == UPLOADED:
+            self._configured = self._recognized(bytes(self._table.data))
         self._state = State.ARMED
         return self._status()
+
+    def _recognized(self, table: bytes) -> System:
+        """The system that shows an uploaded table: the twin shows the orders that it can name."""
+        patterns = self._configured.patterns
+        for code, name in enumerate(ORDER_CODES):
+            first = replace(patterns, order=name, count=min(patterns.count, _ENOUGH))
+            if not table.startswith(table_bytes(first)):
+                continue
+            if table == table_bytes(replace(patterns, order=name)):
+                return self._built(replace(self._request, order=code))
+        raise _RefusedError(Refusal.TABLE, "Arm: this is the table of no order that I know")
+
+    def _held(self) -> tuple[int, int]:
+        """Bytes of the table that are here, and their CRC-32."""
+        if self._made is None:
+            return 0, 0
+        if self._request.order == UPLOADED:
+            return len(self._table.data), zlib.crc32(self._table.data)
+        return self._made.table_bytes, self._made.table_crc
 
     def _start(self, number: int, sets: int) -> Status:
         if self._run is None or number != self._run.number:
@@ -299,7 +343,7 @@ class VirtualCamera:
         return self._status()
 
     def _status(self) -> Status:
-        run, made = self._run, self._made
+        run, (held, crc) = self._run, self._held()
         return Status(
             state=self._state,
             booted=int(self._booted),
@@ -307,6 +351,6 @@ class VirtualCamera:
             frames=run.frames if run else 0,
             dropped=run.dropped if run else 0,
             time_ns=self.clock.now_ns(),
-            table_bytes=made.table_bytes if made else 0,
-            table_crc=made.table_crc if made else 0,
+            table_bytes=held,
+            table_crc=crc,
         )

@@ -36,5 +36,6 @@ class DeviceClock:
 
     def wait_until(self, time_ns: int) -> None:
         """Come back at a time, at once if it is past."""
-        time.sleep(self.left_s(time_ns))
+        if (left_s := self.left_s(time_ns)) > 0:
+            time.sleep(left_s)
         self._now_ns = max(self._now_ns, time_ns)

@@ -1,5 +1,7 @@
 """The virtual radio: a radio whose antennas stand in the scene."""
 
+import logging
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -14,14 +16,18 @@ from hardware.drivers.radio.interface import (
 )
 from hardware.drivers.radio.samples import SlotGrid, highest_level, spectrum, symbol
 from hardware.drivers.radio.schedule import FrontEnd, Schedule
-from hardware.records import RadarRecord
 from twin import __version__
 from twin.files import InputError
-from twin.radar import RadarDesign, RadarEcho
+from twin.radar import RadarDesign
 from twin.serve.clock import DeviceClock
 from twin.serve.faults import RadioFaults
+from twin.serve.sweeps import Sweep
+
+_log = logging.getLogger(__name__)
 
 _PAUSE_S = 2e-3  # between the bursts of a radar that does not step its carrier
+_WAITED_S = 5e-3  # for a sweep, from which on it is late
+_LATE_TOLD = 3  # late sweeps until it is said: the first may be chance
 _FAR_NS = 60_000_000_000  # nobody means to wait longer for a burst
 
 
@@ -32,13 +38,17 @@ class VirtualRadio(Radio):
     directly, bit for bit. What is really sent arrives at the scene: the channel multiplies the
     subcarriers of each symbol, so an echo stays within its symbol (as a prefix longer than the
     echo's delay makes it). The repeats of a slot come back alike, each with the noise of their
-    mean; between slots there is nothing. The oscillator locks at once.
+    mean; between slots there is nothing.
+
+    Sweeps are computed ahead of time, for the waveform's own samples. The oscillator locks at once,
+    but where its step begins a sweep that is not ready yet: so a scene that takes longer than real
+    time makes sweeps come later, and costs none of their bursts.
 
     Parameters
     ----------
     radar
         The design.
-    echo
+    sweeps
         The scene's answer to the sweep over all carriers of this number.
     clock
         Device time.
@@ -49,7 +59,7 @@ class VirtualRadio(Radio):
     def __init__(
         self,
         radar: RadarDesign,
-        echo: Callable[[int], RadarEcho],
+        sweeps: Callable[[int], Sweep],
         *,
         clock: DeviceClock,
         faults: RadioFaults | None = None,
@@ -61,12 +71,13 @@ class VirtualRadio(Radio):
         self.grid = SlotGrid.of(self.waveform)
         self.sample_rate_hz = self.waveform.bandwidth_hz
         self.device = f"twin {__version__}: {radar.name}"
-        self._echo_of, self._faults = echo, faults or RadioFaults()
-        self._rng = np.random.default_rng(seed)
-        self._sweep = 0
-        self._played: set[int] = set()
+        self._faults, self._rng = faults or RadioFaults(), np.random.default_rng(seed)
+        self._own = spectrum(symbol(self.waveform, self.level), self.level)
+        self._sweeps = sweeps
+        self._coming: Sweep | None = sweeps(0)
+        self._sweep, self._late = -1, 0
         self._step = 0
-        self._begin(0)
+        self._begin()
         if (n := len(self._record.transmitters_m)) > 1:
             raise InputError(f"radar {radar.name}: {n} transmitters, expected 1 for a radio")
         self.carriers_hz = self._record.carriers_hz
@@ -114,6 +125,8 @@ class VirtualRadio(Radio):
                 f"carriers, {self.carriers_hz.min():.0f} to {self.carriers_hz.max():.0f} Hz"
             )
         self._step = int(steps[0])
+        if self._step in self._played:
+            self._await()
         return float(self.carriers_hz[self._step])
 
     def now_ns(self) -> int:
@@ -139,19 +152,46 @@ class VirtualRadio(Radio):
     def close(self) -> None:
         """Nothing to let go of."""
 
-    def _begin(self, sweep: int) -> None:
-        self._sweep, self._played = sweep, set()
-        self._echo = self._echo_of(sweep)
-        self._record: RadarRecord = self._echo.record()
-        n_steps = len(self._record.carriers_hz)
-        sent = spectrum(symbol(self.waveform, self.level), self.level)
-        shape = (n_steps, self.waveform.n_slots, len(sent))
-        self._sent = np.array(np.broadcast_to(sent, shape))
+    def _begin(self) -> None:
+        """Go on to the sweep that comes."""
+        assert self._coming is not None
+        self._echo, self._record = self._coming.echo, self._coming.record
+        self._coming = None
+        self._sweep, self._begun_s = self._sweep + 1, time.monotonic()
+        self._played: set[int] = set()
+        shape = (len(self._record.carriers_hz), self.waveform.n_slots, len(self._own))
+        self._sent = np.array(np.broadcast_to(self._own, shape))
+
+    def _await(self) -> None:
+        """Have the sweep that comes. Raises RadioError where it fails."""
+        if self._coming is not None:
+            return
+        asked_s, number = time.monotonic(), self._sweep + 1
+        try:
+            self._coming = self._sweeps(number)
+        except Exception as error:  # any engine's: client and operator get one line of it
+            line = f"{self.device}: sweep {number}: {' '.join(str(error).split())}"
+            _log.error("%s", line)
+            raise RadioError(line) from error
+        now_s = time.monotonic()
+        if self.clock.pace == "real" and now_s - asked_s > _WAITED_S:
+            self._tell_late(now_s - self._begun_s)
+
+    def _tell_late(self, took_s: float) -> None:
+        self._late += 1
+        lasts_s = self.schedule.sweep_s
+        if self._late == _LATE_TOLD and took_s > lasts_s:
+            _log.warning(
+                "%s: slower than real time: a sweep lasts %.3g s, the next was computed after "
+                "%.3g s, %.1f times as long; sweeps come later, none is lost",
+                *(self.device, lasts_s, took_s, took_s / lasts_s),
+            )
 
     def _heard(self, samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
         """Samples (n_receivers, n_samples) that this step's burst brings back."""
         if self._step in self._played:
-            self._begin(self._sweep + 1)
+            self._await()
+            self._begin()
         self._played.add(self._step)
         n_slots, grid = self.waveform.n_slots, self.grid
         repeats = samples.reshape(n_slots, grid.slot)[:, grid.useful]

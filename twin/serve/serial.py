@@ -13,6 +13,7 @@ from twin.serve.faults import CameraFaults
 from twin.serve.line import Line
 
 _MOST_WAITING = 65536  # bytes that the line has not taken; beyond, frames are dropped
+_MOST_TOGETHER, _TOGETHER = 16, 2048  # frames, and bytes, that go to the line at once
 _POLL_S = 0.05
 
 
@@ -50,7 +51,8 @@ class CameraServer:
         """Serve until `stop`."""
         try:
             while not self._stopped:
-                due = self._work()
+                if (due := self._work()) == 0:
+                    continue
                 with selectors.DefaultSelector() as ready:
                     self.line.register(ready)
                     ready.select(_POLL_S if due is None else min(due, _POLL_S))
@@ -73,7 +75,10 @@ class CameraServer:
         waiting = sum(map(len, self._waiting))
         if waiting and self._clock.pace == "fast":
             return 1e-3  # a fast clock waits for the line
-        due = self.camera.poll()
+        for _ in range(_MOST_TOGETHER):
+            due = self.camera.poll()
+            if due != 0 or self._reset or sum(map(len, self._waiting)) > _TOGETHER:
+                break
         self._flush()
         return 1e-3 if self._waiting else due
 

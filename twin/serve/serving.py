@@ -10,14 +10,16 @@ from hardware.drivers.radio.setup import write_setup
 from twin.camera.stream import still_light, stills
 from twin.fidelity import Fidelity
 from twin.files import InputError
-from twin.radar import RadarDesign, RadarEcho, load_radar, radar_echo
+from twin.radar import RadarDesign, load_radar
 from twin.scene import Scene
+from twin.serve.ahead import Ahead
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock, Pace
 from twin.serve.faults import CameraFaults, RadioFaults, parse_faults
 from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.radio import VirtualRadio
 from twin.serve.serial import CameraServer
+from twin.serve.sweeps import Sweeps
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
 
@@ -89,13 +91,8 @@ def serve_radar(
     Raises InputError.
     """
     found, design = parse_faults(faults, RadioFaults), load_radar(radar)
-    virtual = VirtualRadio(
-        design,
-        echoes(scene, design, seed, fidelity),
-        clock=DeviceClock(pace),
-        faults=found,
-        seed=seed,
-    )
+    sweeps = Ahead(Sweeps(scene, design, seed, fidelity))
+    virtual = VirtualRadio(design, sweeps, clock=DeviceClock(pace), faults=found, seed=seed)
     server = RadioServer(
         virtual, address.host, address.port, n_samples=virtual.n_samples, faults=found, seed=seed
     )
@@ -103,24 +100,6 @@ def serve_radar(
         write_setup(virtual.schedule, virtual.front_end, setup)
     url = f"zmq://{address.host}:{address.port}"
     return Served(virtual.device, url, server.run, server.stop)
-
-
-def echoes(
-    scene: Scene, radar: RadarDesign, seed: int, fidelity: Fidelity | None = None
-) -> Callable[[int], RadarEcho]:
-    """The scene's answer to each sweep, with ``seed`` plus its number.
-
-    From one to the next everything moves on by a burst's time, and the rig to the next stop of the
-    scene's track, where it has one.
-    """
-    stops = scene.track.poses(scene.rig.pose) if scene.track else [scene.rig.pose]
-
-    def echo(sweep: int) -> RadarEcho:
-        world = scene.after(sweep * radar.burst_s)
-        stop = stops[min(sweep, len(stops) - 1)]
-        return radar_echo(world, radar, seed=seed + sweep, fidelity=fidelity, poses=[stop])
-
-    return echo
 
 
 def serve_camera(

@@ -8,6 +8,7 @@ a client has the radio, the second is a copy of what it hears; else both make it
 import json
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -171,7 +172,8 @@ class RadioServer:
             return  # the convention has no way to refuse
         self._to_send = np.concatenate([self._to_send, samples])[-2 * self.n_samples :]
         while self._client is None and len(self._to_send) >= self.n_samples:
-            self._burst(self._to_send[: self.n_samples], self.radio.now_ns())
+            with suppress(RadioError):  # which the radio tells whoever started it
+                self._burst(self._to_send[: self.n_samples], self.radio.now_ns())
             self._to_send = self._to_send[self.n_samples :]
 
     def _answer_readers(self) -> None:

@@ -172,9 +172,14 @@ static void upload(struct device *d, uint8_t tag, const uint8_t *in, size_t size
         refuse(d, tag, STATE, "Upload: configure for it first");
         return;
     }
-    if (offset > p->loaded || length > p->size || offset > p->size - length) {
+    if (offset > (p->kept ? 0 : p->loaded) || length > p->size || offset > p->size - length) {
         refuse(d, tag, TABLE, "Upload: beyond what is here, or beyond the table");
         return;
+    }
+    if (p->kept) {
+        p->kept = false;
+        p->loaded = 0;
+        d->table_crc = 0;
     }
     memcpy(p->bits + offset, in + 4, length);
     if (offset + length > p->loaded)

@@ -60,6 +60,8 @@ const char *patterns_set(struct patterns *p, uint32_t rows, uint32_t columns, ui
     uint32_t row_bytes = (rows * columns + 7) / 8;
     if (order == ORDER_UPLOADED && exposures > MOST_TABLE_BYTES / row_bytes)
         return "the table is larger than my memory";
+    p->kept = order == ORDER_UPLOADED && p->order == ORDER_UPLOADED &&
+              p->size == exposures * row_bytes && p->loaded == p->size;
     p->rows = rows;
     p->columns = columns;
     p->count = count;
@@ -67,7 +69,7 @@ const char *patterns_set(struct patterns *p, uint32_t rows, uint32_t columns, ui
     p->mode = mode;
     p->exposures = exposures;
     p->size = exposures * row_bytes;
-    p->loaded = order == ORDER_UPLOADED ? 0 : p->size;
+    p->loaded = order == ORDER_UPLOADED && !p->kept ? 0 : p->size;
     if (order != ORDER_UPLOADED)
         sort_rows(p);
     return 0;

@@ -28,6 +28,7 @@ struct patterns {
     uint8_t order, mode;
     uint32_t exposures;    /* patterns shown, without shutters */
     uint32_t size, loaded; /* bytes of the table; of an uploaded one, bytes here */
+    bool kept;             /* these are of an earlier Configure: the next upload forgets them */
     uint32_t index[MOST_CELLS];
     uint8_t bits[MOST_TABLE_BYTES];
 };

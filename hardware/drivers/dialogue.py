@@ -1,0 +1,186 @@
+"""Requests and replies on a line that is opened again where it breaks."""
+
+import itertools
+import logging
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+from hardware.drivers.clock import ClockFilter
+from hardware.drivers.framing import Deframer, encode
+from hardware.drivers.link import Link, LinkError
+from hardware.drivers.messages import (
+    Configured,
+    Identity,
+    Measurement,
+    Message,
+    Query,
+    Refused,
+    Request,
+    Status,
+    Time,
+    TimeReply,
+    from_frame,
+    to_frame,
+)
+
+_log = logging.getLogger(__name__)
+_Expected = TypeVar("_Expected", Identity, Configured, Status, TimeReply)
+
+#: Between exchanges of time while measuring.
+_SYNC_PERIOD_S = 1.0
+
+
+class DeviceError(ValueError):
+    """The device refused a request, or does not do what the protocol says."""
+
+
+@dataclass
+class Tally:
+    """What became of the frames, since the camera was opened; ``uploads``: tables sent to it."""
+
+    frames: int = 0
+    lost: int = 0
+    rejected: int = 0
+    refused: int = 0
+    reconnects: int = 0
+    restarts: int = 0
+    uploads: int = 0
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long to wait: for a reply, how often to ask again, and for a lost line to come back."""
+
+    reply_s: float = 0.5
+    attempts: int = 4
+    reconnect_s: float = 10.0
+    between_attempts_s: float = 0.1
+
+
+class Dialogue:
+    """With the device at a URL.
+
+    ``inbox`` holds what it sent unasked, ``clock`` is its clock against ``time.time_ns``, ``tally``
+    counts what is to be counted.
+
+    Parameters
+    ----------
+    url
+        As pyserial takes it.
+    patience, baud
+        How long to wait; the rate, where the line has one.
+
+    Raises LinkError where there is no line within ``patience``.
+    """
+
+    def __init__(self, url: str, *, patience: Patience, baud: int) -> None:
+        self.url, self.patience, self.tally = url, patience, Tally()
+        self.inbox: deque[Measurement | Status] = deque(maxlen=4096)
+        self.clock = ClockFilter()
+        self._baud = baud
+        self._tags = itertools.cycle(range(1, 256))
+        self._next_sync_s = 0.0
+        self._link, self._deframer = self._open(), Deframer()
+
+    @property
+    def measured(self) -> bool:
+        """Whether measurements wait in the inbox."""
+        return any(isinstance(message, Measurement) for message in self.inbox)
+
+    def ask(self, request: Request, expected: type[_Expected]) -> _Expected:
+        """Send a request until it is answered. Raises TimeoutError, DeviceError, LinkError."""
+        for _ in range(self.patience.attempts):
+            tag = next(self._tags)
+            self._link.write(encode(to_frame(request, tag)))
+            deadline = time.monotonic() + self.patience.reply_s
+            answer: _Expected | None = None
+            while answer is None and (left := deadline - time.monotonic()) > 0:
+                for got_tag, message in self._receive(left):
+                    if got_tag != tag:
+                        self._keep(got_tag, message)
+                    elif isinstance(message, Refused):
+                        raise DeviceError(f"{self.url}: the device refuses: {message.text}")
+                    elif isinstance(message, expected):
+                        answer = message
+            if answer is not None:
+                return answer
+        raise TimeoutError(
+            f"{self.url}: no answer to {type(request).__name__} after "
+            f"{self.patience.attempts} attempts of {self.patience.reply_s:g} s"
+        )
+
+    def status(self) -> Status:
+        """State of the device."""
+        return self.ask(Query(), Status)
+
+    def synchronize(self, exchanges: int) -> None:
+        """Exchange the time so many times."""
+        for _ in range(exchanges):
+            self.ask(Time(time.time_ns()), TimeReply)
+        self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
+
+    def next(self, silence_s: float) -> Measurement | Status | None:
+        """Next message of a run; None after a silence."""
+        if time.monotonic() > self._next_sync_s:
+            self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
+            self._link.write(encode(to_frame(Time(time.time_ns()), 0)))
+        deadline = time.monotonic() + silence_s
+        while not self.inbox and (left := deadline - time.monotonic()) > 0:
+            for tag, message in self._receive(left):
+                self._keep(tag, message)
+        return self.inbox.popleft() if self.inbox else None
+
+    def reconnect(self) -> None:
+        """A new line, on which the device answers."""
+        deadline = time.monotonic() + self.patience.reconnect_s
+        while True:
+            self._link.close()
+            self._link, self._deframer = self._open(), Deframer()
+            self.tally.reconnects += 1
+            try:
+                self.status()
+                return
+            except (LinkError, TimeoutError):
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(self.patience.between_attempts_s)
+
+    def close(self) -> None:
+        """Close the line; any number of times."""
+        self._link.close()
+
+    def _keep(self, tag: int, message: Message) -> None:
+        """Put by what the device sends unasked; late answers to old requests are of no use."""
+        if tag == 0 and isinstance(message, (Measurement, Status)):
+            self.inbox.append(message)
+
+    def _receive(self, timeout_s: float) -> Iterator[tuple[int, Message]]:
+        """Messages with their tags, from one read."""
+        data = self._link.read(timeout_s)
+        now_ns = time.time_ns()
+        before = self._deframer.rejected
+        frames = self._deframer.feed(data)
+        self.tally.rejected += self._deframer.rejected - before
+        for frame in frames:
+            try:
+                message = from_frame(frame)
+                if isinstance(message, TimeReply):
+                    self.clock.add(message.host_ns, message.received_ns, message.sent_ns, now_ns)
+            except ValueError as error:
+                self.tally.rejected += 1
+                _log.warning("%s: %s", self.url, error)
+            else:
+                yield frame.tag, message
+
+    def _open(self) -> Link:
+        deadline = time.monotonic() + self.patience.reconnect_s
+        while True:
+            try:
+                return Link(self.url, baud=self._baud)
+            except LinkError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(self.patience.between_attempts_s)

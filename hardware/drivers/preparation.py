@@ -1,0 +1,111 @@
+"""Getting a camera ready: who it is, what it is to measure, the table of patterns."""
+
+import zlib
+
+import numpy as np
+
+from hardware.drivers.dialogue import DeviceError, Dialogue
+from hardware.drivers.messages import (
+    MODE_CODES,
+    ORDER_CODES,
+    PROTOCOL_VERSION,
+    UPLOADED,
+    Arm,
+    Configure,
+    Configured,
+    Identify,
+    Identity,
+    Measurement,
+    Status,
+    Upload,
+)
+from hardware.drivers.settings import SpiSettings
+from hardware.drivers.table import table_bytes
+
+
+def identify(device: Dialogue) -> Identity:
+    """Who is there. Raises DeviceError where it is none that this software can drive."""
+    identity = device.ask(Identify(), Identity)
+    if identity.version != PROTOCOL_VERSION:
+        raise DeviceError(
+            f"{device.url}: protocol version {identity.version}, "
+            f"this software speaks {PROTOCOL_VERSION}"
+        )
+    if not (1 <= identity.adc_bits <= 31 and identity.detectors >= 1):
+        raise DeviceError(
+            f"{device.url}: {identity.adc_bits} bits of {identity.detectors} detectors"
+        )
+    return identity
+
+
+def prepare(device: Dialogue, identity: Identity, settings: SpiSettings) -> Configured:
+    """Configure the camera, bring it the table where it does not hold it, arm it.
+
+    Raises DeviceError where it cannot do or does not understand what is asked for.
+    """
+    patterns, request = settings.patterns, _request(device, identity, settings)
+    if patterns.n_cells > identity.max_cells or identity.detectors % patterns.n_arms:
+        raise DeviceError(
+            f"{device.url}: {patterns.n_cells} cells in mode {patterns.mode!r}; the device has "
+            f"{identity.max_cells} cells and {identity.detectors} detectors"
+        )
+    table = table_bytes(patterns)
+    crc = zlib.crc32(table)
+    made = device.ask(request, Configured)
+    if not _possible(made, identity, patterns.n_exposures * len(settings.shutters), len(table)):
+        raise DeviceError(f"{device.url}: the device cannot mean {made}")
+    if request.order == UPLOADED:
+        _upload(device, table, crc)
+    elif made.table_crc != crc:
+        raise DeviceError(
+            f"{device.url}: the device's patterns {patterns.order!r} have the CRC-32 "
+            f"{made.table_crc:#010x}, expected {crc:#010x}"
+        )
+    device.ask(Arm(crc), Status)
+    return made
+
+
+def _request(device: Dialogue, identity: Identity, settings: SpiSettings) -> Configure:
+    """By name where the device knows the order, else for a table that is uploaded."""
+    patterns = settings.patterns
+    mode = MODE_CODES.index(patterns.mode)
+    if not identity.modes >> mode & 1:
+        raise DeviceError(f"{device.url}: the device does not know mode {patterns.mode!r}")
+    order = UPLOADED
+    if not settings.upload and patterns.order in ORDER_CODES:
+        code = ORDER_CODES.index(patterns.order)
+        order = code if identity.orders >> code & 1 else UPLOADED
+    return Configure(
+        rows=patterns.rows,
+        columns=patterns.columns,
+        count=patterns.count,
+        order=order,
+        mode=mode,
+        gain=settings.gain,
+        exposures_per_frame=settings.exposures_per_frame,
+        integration_time_s=settings.integration_time_s,
+        pattern_period_s=settings.pattern_period_s,
+        shutters=settings.shutters,
+    )
+
+
+def _possible(made: Configured, identity: Identity, exposures: int, size: int) -> bool:
+    positive = (made.integration_time_s, made.pattern_period_s, made.electrons_per_count)
+    return bool(
+        made.exposures == exposures
+        and made.table_bytes == size
+        and 1 <= made.exposures_per_frame <= Measurement.most_exposures(identity.detectors)
+        and made.detectors == identity.detectors
+        and all(np.isfinite(value) and value > 0 for value in positive)
+        and np.isfinite(made.offset_counts)
+    )
+
+
+def _upload(device: Dialogue, table: bytes, crc: int) -> None:
+    """Bring the table, unless the device holds it still."""
+    held = device.status()
+    if (held.table_bytes, held.table_crc) == (len(table), crc):
+        return
+    device.tally.uploads += 1
+    for at in range(0, len(table), Upload.MOST):
+        device.ask(Upload(at, table[at : at + Upload.MOST]), Status)

@@ -1,0 +1,16 @@
+"""What other processes make in tests; they import this module alone."""
+
+import os
+
+from twin.files import InputError
+
+
+def reciprocal(number: int) -> float:
+    """1 / (3 - number), where 2 is a fault of the user and 3 one of the engine."""
+    if number == 2:
+        raise InputError("scene.toml: wrong")
+    return 1 / (3 - number)
+
+
+def dies(number: int) -> None:
+    os._exit(1)

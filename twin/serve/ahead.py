@@ -1,0 +1,93 @@
+"""A bounded look-ahead: what will be asked for next is made in other processes.
+
+In processes, not threads: whoever serves a device in real time answers within a millisecond, which
+an interpreter shared with the simulation does not do.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any, Generic, TypeVar
+
+from twin.engine import EngineError
+from twin.files import InputError
+
+_Made = TypeVar("_Made")
+
+_MOST_PROCESSES = 4  # each holds an engine of its own: some 400 MB
+_NICE = 10  # the device itself comes first
+
+
+class Ahead(Generic[_Made]):
+    """Items 0, 1, 2 ... of a function, asked for in this order.
+
+    Each process makes one item ahead, and waits until it is asked for. Processes end with this one,
+    however it ends.
+
+    Parameters
+    ----------
+    make
+        Item k, which depends on k alone; it and what it gives can be pickled.
+    """
+
+    def __init__(self, make: Callable[[int], _Made]) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._lines: list[Connection] = []
+        # Ctrl-C goes to all processes of a terminal: it is left to this one.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            for number in range(min(_MOST_PROCESSES, os.cpu_count() or 1)):
+                ours, theirs = spawn.Pipe()
+                spawn.Process(target=_work, args=(theirs, make), daemon=True).start()
+                theirs.close()
+                ours.send(number)
+                self._lines.append(ours)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def __call__(self, number: int) -> _Made:
+        """One item; asked for again where it failed, it is made again.
+
+        Raises InputError as its making does, EngineError for all else.
+        """
+        line = self._lines[number % len(self._lines)]
+        try:
+            made, error = line.recv()
+            line.send(number if error else number + len(self._lines))
+        except (EOFError, OSError):
+            raise EngineError("the process that computes it has died") from None
+        if error:
+            raise error
+        return made
+
+
+def _work(line: Connection, make: Callable[[int], Any]) -> None:
+    """Make what is asked for until nobody is there to ask."""
+    os.nice(_NICE)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        while True:
+            number = line.recv()
+            line.send(_made(make, number))
+    except (EOFError, OSError):
+        pass
+
+
+def _end_with_parent() -> None:
+    """At once, whatever is being made."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(0)
+
+
+def _made(make: Callable[[int], Any], number: int) -> tuple[Any, Exception | None]:
+    try:
+        return make(number), None
+    except InputError as error:
+        return None, error
+    except Exception as error:  # any engine's; not every one can be pickled
+        return None, EngineError(f"{type(error).__name__}: {error}")

@@ -1,0 +1,26 @@
+"""The table of patterns that a virtual camera is sent, as PROTOCOL.md keeps and forgets it."""
+
+
+class UploadedTable:
+    """What is held of it: ``data``, out of ``size`` bytes; 0 where none is expected."""
+
+    def __init__(self) -> None:
+        self.data, self.size = bytearray(), 0
+        self._kept = False  # of an earlier Configure: the next upload forgets it
+
+    def expect(self, size: int) -> None:
+        """Configured for a table of this size: one that is held whole is kept."""
+        self._kept = 0 < size == self.size == len(self.data)
+        if not self._kept:
+            self.data.clear()
+        self.size = size
+
+    def take(self, offset: int, portion: bytes) -> None:
+        """Raises ValueError for a portion out of place."""
+        held = 0 if self._kept else len(self.data)
+        if offset > held or offset + len(portion) > self.size:
+            raise ValueError("Upload: beyond what is here, or beyond the table")
+        if self._kept:
+            self._kept = False
+            self.data.clear()
+        self.data[offset : offset + len(portion)] = portion
