@@ -27,7 +27,7 @@ from tests.physics.radar_worlds import (
 from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import PRESETS
 from twin.radar.propagation import grids
-from twin.radar.propagation.optics import scattered, set_stage
+from twin.radar.propagation.optics import diffracted, scattered, set_stage
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import assign_roles
 from twin.radar.propagation.sionna_paths import trace
@@ -61,16 +61,16 @@ def turned(mesh: trimesh.Trimesh, radar: Radar, distance_m: float) -> SceneObjec
 
 
 def rays_of(scene: Scene, **knobs) -> Rays:
-    """Without the antenna's gain."""
+    """Of surfaces and edges, without the antenna's gain."""
     roles = assign_roles(scene, WAVELENGTH_M, "optics")
-    return scattered(set_stage(scene, RADAR, roles, 1), EDGES.with_(**knobs))[0]
+    stage, fidelity = set_stage(scene, RADAR, roles, 1), EDGES.with_(**knobs)
+    return Rays.joined([part(stage, fidelity)[0] for part in (scattered, diffracted)])
 
 
 def edges_of(scene: Scene) -> Rays:
     """Those of sharp edges alone."""
-    without = rays_of(scene, radar_edges=0)
-    every = rays_of(scene)
-    return every.chosen(slice(len(without.amplitude), None))
+    roles = assign_roles(scene, WAVELENGTH_M, "optics")
+    return diffracted(set_stage(scene, RADAR, roles, 1), EDGES)[0]
 
 
 def total(rays: Rays) -> complex:

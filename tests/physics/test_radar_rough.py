@@ -12,13 +12,18 @@ from tests.physics.radar_worlds import (
     MATERIALS,
     RADAR,
     WAVELENGTH_M,
+    ground,
     plate,
     wave,
     world,
 )
 from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import Fidelity
+from twin.radar import load_radar
+from twin.radar.acquisition import contributions
+from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.optics import set_stage, speckle
+from twin.radar.propagation.paths import Propagation
 from twin.radar.propagation.roles import assign_roles
 from twin.radar.propagation.rough import coherent
 from twin.radar.propagation.sionna_paths import trace
@@ -247,3 +252,20 @@ def test_every_material_answers_in_both_bands(carrier: float) -> None:
         assert conductivity > 0, name
         if row.surface and row.surface.backscatter_gamma:
             assert 1e-4 < row.surface.backscatter_gamma.value < 1, name
+
+
+def test_points_answer_with_the_wavelength_of_each_step() -> None:
+    """A constant gamma at every carrier of a sweep: amplitudes go as lambda, those of facets not,
+    as is the radar equation's and that of a plate, 4 pi A^2 / lambda^2.
+    """
+    radar = load_radar("prototype")
+    floor = world(ground(-1.0, "asphalt"), plate("p", (6, 0, 0), 1.0))
+    found = trace(floor, radar, fidelity=Fidelity(radar="rough", radar_scatterers=1000))
+    assert len(found.surfaces.delay_s) > 10
+    assert len(found.diffuse.delay_s) > 100
+    ratio = radar.burst.carriers_hz[:, None] / radar.burst.carriers_hz[0]
+    for part, power in (({"surfaces": found.surfaces}, 0), ({"diffuse": found.diffuse}, -1)):
+        levels = np.abs(contributions(Propagation((), (), (), **part), radar, Air(None)).amplitude)
+        levels = levels[:, :-1]  # the last is the leakage
+        levels = levels[:, levels[0] > 0]
+        np.testing.assert_allclose(levels / levels[0], ratio**power * np.ones(levels.shape[1]))

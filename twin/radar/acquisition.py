@@ -201,9 +201,10 @@ def contributions(found: Propagation, radar: RadarDesign, air: Air) -> Contribut
     lengths = radar.burst.carriers_hz[0] / radar.burst.carriers_hz
     return Contributions.joined(
         [
-            # Mirrors and constant cross-sections answer with the wavelength, meshes without it.
+            # Mirrors, edges, points answer in proportion to the wavelength, surfaces without it.
             _stepped(contributions_of_paths(found.paths), radar, air, lengths),
-            _stepped(found.echoes, radar, air, np.ones_like(lengths)),
+            _stepped(found.diffuse, radar, air, lengths),
+            _stepped(found.surfaces, radar, air, np.ones_like(lengths)),
             _of_leakage(radar),
         ]
     )

@@ -11,6 +11,7 @@ from twin.radar.propagation.environment import mirror_echoes, point_echoes
 from twin.radar.propagation.optics import (
     Stage,
     contributions_of,
+    diffracted,
     scattered,
     set_stage,
     speckle,
@@ -33,18 +34,19 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     declared = _declared(scene, roles)
     is_rough = fidelity.radar == "rough"
     stage = set_stage(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
-    rays, remarks = scattered(stage, fidelity)
-    if is_rough:
-        more, further = speckle(scene, stage, fidelity, seed)
-        rays, remarks = Rays.joined([rays, more]), [*remarks, *further]
+    surfaces, remarks = scattered(stage, fidelity)
+    edges, on_edges = diffracted(stage, fidelity)
+    points, on_points = speckle(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])
+    diffuse = Rays.joined([edges, points])
     paths = [*_mirrors(scene, radar, roles, stage, fidelity), *_points(stage, radar, declared)]
-    dense = contributions_of(rays, stage, radar)
+    dense = [contributions_of(rays, stage, radar) for rays in (surfaces, diffuse)]
     return Propagation(
         paths=tuple(sorted((p for p in paths if p.amplitude), key=lambda p: p.delay_s)),
         roles=tuple(roles),
-        assumptions=(*stage.assumptions, *remarks),
-        echoes=dense,
-        heard=_heard(rays, dense, stage, radar),
+        assumptions=(*stage.assumptions, *remarks, *on_edges, *on_points),
+        surfaces=dense[0],
+        diffuse=dense[1],
+        heard=_heard(Rays.joined([surfaces, diffuse]), Contributions.joined(dense), stage, radar),
     )
 
 

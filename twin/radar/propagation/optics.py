@@ -146,17 +146,23 @@ def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
         stage.wavelength_m,
         fidelity.radar_bounces,
     )
-    widest, remarks = float(launched.thinned.max()), []
-    if widest > 1:
-        remarks.append(
-            f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
-            "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
-        )
-    if not fidelity.radar_edges:
-        return rays, remarks
+    widest = float(launched.thinned.max())
+    if widest <= 1:
+        return rays, []
+    return rays, [
+        f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
+        "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
+    ]
+
+
+def diffracted(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
+    """Contributions of the sharp edges of every such object; what about them is assumed or lost."""
+    body, hulls = _bodies(stage)
+    if not hulls or not fidelity.radar_edges:
+        return Rays.joined([]), []
     sharp = _sharp(stage, body)
-    more, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
-    return Rays.joined([rays, more]), [*remarks, *_on_edges(stage, sharp, longer)]
+    rays, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
+    return rays, _on_edges(stage, sharp, longer)
 
 
 def _sharp(stage: Stage, body: NDArray[np.int32]) -> list[Sharp]:
@@ -176,7 +182,6 @@ def _sharp(stage: Stage, body: NDArray[np.int32]) -> list[Sharp]:
 
 
 def _on_edges(stage: Stage, sharp: Sequence[Sharp], longer: float) -> list[str]:
-    """What about edges is assumed or lost."""
     remarks = []
     if longer > 1:
         remarks.append(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -59,13 +60,20 @@ class Heard:
 class Propagation:
     """All paths, and how the scene was understood.
 
-    ``echoes`` are those of meshes and rough surfaces, with the same conventions as a path's;
-    ``heard`` sums them up per object.
+    ``surfaces`` and ``diffuse`` are echoes of meshes, and of their edges and rough surfaces, with
+    the same conventions as a path's; at other carriers the former keep their amplitude, the latter
+    grow with the wavelength, as paths do. ``heard`` sums both up per object.
     """
 
     paths: tuple[Path, ...]
     roles: tuple[Assignment, ...]
     assumptions: tuple[str, ...]
-    echoes: Contributions = field(default_factory=Contributions.none)
+    surfaces: Contributions = field(default_factory=Contributions.none)
+    diffuse: Contributions = field(default_factory=Contributions.none)
     heard: tuple[Heard, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    @cached_property
+    def echoes(self) -> Contributions:
+        """All but the paths, at the first carrier."""
+        return Contributions.joined([self.surfaces, self.diffuse])

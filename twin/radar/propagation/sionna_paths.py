@@ -84,7 +84,7 @@ def trace(
         paths=tuple(sorted(paths, key=lambda p: p.delay_s)),
         roles=tuple(world.roles),
         assumptions=tuple(dict.fromkeys(world.assumptions)),
-        echoes=contributions_of_paths(dense),
+        surfaces=contributions_of_paths(dense),
         heard=_heard(dense, radar.ofdm.carrier_hz),
         warnings=tuple(world.warnings),
     )
