@@ -193,6 +193,14 @@ def test_figures_of_another_setup_are_not_compared(project, pytester) -> None:
     result.stdout.fnmatch_lines(["*made with another setup: fidelity: *'samples': 16*"])
 
 
+def test_a_baseline_outlives_knobs_that_are_newer(project, pytester) -> None:
+    project(ITSELF, "--update-baseline", "first of all")
+    content = json.loads(baseline_of(pytester).read_text())
+    del content["setup"]["fidelity"]["radar_edges"]
+    baseline_of(pytester).write_text(json.dumps(content))
+    project(ITSELF).assert_outcomes(passed=1)
+
+
 def test_no_number_is_a_failure_and_no_baseline(project, pytester) -> None:
     bad = "image * np.nan"
     result = project(bad, "--update-baseline", "first of all")

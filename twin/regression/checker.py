@@ -153,7 +153,9 @@ class Regression:
                 f"{path}: no such baseline; make one: {self._remedy('what it is for')}",
                 pytrace=False,
             )
-        if other := differences(known.setup, setup):
+        # A knob newer than the baseline stood then where it stands by default.
+        fidelity = {**asdict(Fidelity()), **known.setup.get("fidelity", {})}
+        if other := differences({**known.setup, "fidelity": fidelity}, setup):
             pytest.fail(
                 f"{path}: made with another setup: {'; '.join(other)}; "
                 f"{self._remedy('why it changed')}",
