@@ -126,6 +126,8 @@ def divided(mesh: Mesh) -> Mesh:
     until none is longer than `_EDGE_OVER_DISTANCE` times the triangle's distance (or 1 m).
     """
     vertices, faces, uv = mesh.vertices, mesh.faces, mesh.uv
+    if np.linalg.norm(np.ptp(vertices, axis=0)) <= _EDGE_OVER_DISTANCE:  # of 1 m: nothing is longer
+        return mesh
     while True:
         corners = vertices[faces]
         edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)

@@ -38,7 +38,7 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     edges, on_edges = diffracted(stage, fidelity)
     points, on_points = speckle(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])
     diffuse = Rays.joined([edges, points])
-    paths = [*_mirrors(scene, radar, roles, stage, fidelity), *_points(stage, radar, declared)]
+    paths = [*_mirrors(stage, radar, fidelity), *_points(stage, radar, declared)]
     dense = [contributions_of(rays, stage, radar) for rays in (surfaces, diffuse)]
     return Propagation(
         paths=tuple(sorted((p for p in paths if p.amplitude), key=lambda p: p.delay_s)),
@@ -56,15 +56,11 @@ def _declared(scene: Scene, roles: Sequence[Assignment]) -> list[Target]:
     return [t for t in scene.targets if t.object is None or t.object in silent]
 
 
-def _mirrors(
-    scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], stage: Stage, fidelity: Fidelity
-) -> list[Path]:
+def _mirrors(stage: Stage, radar: RadarDesign, fidelity: Fidelity) -> list[Path]:
     """The radar's own images: as many reflections as out and back together."""
     if fidelity.radar_images == 0 or len(stage.flats) == 0:
         return []
-    further = set_stage(
-        scene, radar, roles, 2 * fidelity.radar_images, is_rough=fidelity.radar == "rough"
-    )
+    further = stage.with_images(2 * fidelity.radar_images)
     return _paths(further, radar, mirror_echoes(further.station), None)
 
 

@@ -6,7 +6,7 @@ Everything is an array on the device, one element per ray; ``source`` numbers th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -53,21 +53,48 @@ class Station:
 def station(
     mi: Any,
     world: Mesher,
+    place: Array,
+    boresight: Array,
+    vertical: Array,
+    wavelength_m: float,
+    patch_of_face: Any,
+    table: Any,
+    walls: Walls | None,
+) -> Station:
+    """Put all of it on the device; the radar alone, without images."""
+    return Station(
+        mi=mi,
+        world=world,
+        order=0,
+        n_sources=1,
+        place=_vector(mi, place),
+        boresight=_vector(mi, boresight),
+        vertical=_vector(mi, vertical),
+        patch_of_face=patch_of_face,
+        table=table,
+        orders=mi.UInt32(0),
+        positions=mi.Float64(aligned(place)),
+        levels=mi.Float64(0),
+        marks=mi.UInt32(0),
+        wavelength=dr.opaque(mi.Float64, wavelength_m),
+        walls=walls,
+    )
+
+
+def with_images(
+    s: Station,
     images: Sequence[Image],
     flats: Sequence[Flat],
     velocities: Array,
     surface_of_object: NDArray[np.uint32],
-    patch_of_face: Any,
-    table: Any,
-    boresight: Array,
-    vertical: Array,
     order: int,
-    wavelength_m: float,
-    walls: Walls | None,
 ) -> Station:
-    """Put all of it on the device; of every image each level's aim, plane and velocity."""
-    levels = np.zeros((len(images), order, 12))
-    levels[:, :, 6:9] = boresight  # any unit vector where there is no plane
+    """The radar and its images of up to ``order`` reflections, in patches of objects with
+    velocities (n, 3) and surfaces (n,).
+    """
+    mi = s.mi
+    levels = np.zeros((len(images), order, 12))  # aim, plane, velocity
+    levels[:, :, 6:9] = np.array(s.boresight).T  # any unit vector where there is no plane
     marks = np.zeros((len(images), order, 3), dtype=np.uint32)
     for row, image in enumerate(images):
         for level, number in enumerate(image.patches):
@@ -77,22 +104,14 @@ def station(
             levels[row, level, 6:9] = flat.normal
             levels[row, level, 9:12] = velocities[flat.object]
             marks[row, level] = number, surface_of_object[flat.object], flat.is_wall
-    return Station(
-        mi=mi,
-        world=world,
+    return replace(
+        s,
         order=order,
         n_sources=len(images),
-        place=_vector(mi, images[0].place),
-        boresight=_vector(mi, boresight),
-        vertical=_vector(mi, vertical),
-        patch_of_face=patch_of_face,
-        table=table,
         orders=mi.UInt32(aligned(np.array([len(i.patches) for i in images], dtype=np.uint32))),
         positions=mi.Float64(aligned(np.concatenate([i.place for i in images]))),
         levels=mi.Float64(aligned(levels if levels.size else np.zeros(1))),
         marks=mi.UInt32(aligned(marks if marks.size else np.zeros(1, dtype=np.uint32))),
-        wavelength=dr.opaque(mi.Float64, wavelength_m),
-        walls=walls,
     )
 
 

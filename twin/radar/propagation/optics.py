@@ -17,7 +17,7 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.edges import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.grids import grids, launch
 from twin.radar.propagation.images import Image, Sight, images
-from twin.radar.propagation.legs import Station, station
+from twin.radar.propagation.legs import Station, station, with_images
 from twin.radar.propagation.materials import radio_properties
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import LARGE_BESIDE_OPTICS, Assignment, Role
@@ -51,11 +51,21 @@ class Stage:
     originals: tuple[SceneObject, ...]
     roles: tuple[Role, ...]
     world: Mesher
+    sight: Sight
     flats: tuple[Flat, ...]
     images: tuple[Image, ...]
     station: Station
     surface_of_object: NDArray[np.uint32]
     assumptions: tuple[str, ...]
+
+    def with_images(self, order: int) -> "Stage":
+        """The same with the images of up to so many reflections."""
+        found = images(self.sight, self.flats, self.place, order)
+        velocities = np.array([item.velocity_m_per_s for item in self.items]).reshape(-1, 3)
+        seen = with_images(
+            self.station, found, self.flats, velocities, self.surface_of_object, order
+        )
+        return replace(self, images=tuple(found), station=seen)
 
     def via(self, image: int) -> tuple[str, ...]:
         """Names of the objects that make an image."""
@@ -98,9 +108,7 @@ def set_stage(
         through = walls(mi, mesh, values, labels + np.uint32(len(mirrors)), carrier)
         mirrors += [replace(f, object=f.object + len(solid), is_wall=True) for f in more]
         items += [item for item in mesh.items if item]
-    patches = mi.UInt32(patch_of_face)
-    found = images(Sight(mi, world, patches, through), mirrors, place, order)
-    velocities = np.array([item.velocity_m_per_s for item in items]).reshape(-1, 3)
+    sight = Sight(mi, world, mi.UInt32(patch_of_face), through)
     return Stage(
         anchor_m=anchor,
         axes=axes,
@@ -110,26 +118,23 @@ def set_stage(
         originals=(*solid, *clear),
         roles=tuple(role_of[item.name] for item in items),
         world=world,
+        sight=sight,
         flats=tuple(mirrors),
-        images=tuple(found),
+        images=(),
         station=station(
             mi,
             world,
-            found,
-            mirrors,
-            velocities,
-            surface_of_object,
-            patches,
-            mi.Float64(_table(surfaces, carrier)),
+            place,
             axes[0],
             axes[2],
-            order,
             wavelength,
+            sight.patch_of_face,
+            mi.Float64(_table(surfaces, carrier)),
             through,
         ),
         surface_of_object=surface_of_object,
         assumptions=assumed,
-    )
+    ).with_images(order)
 
 
 def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
@@ -157,9 +162,9 @@ def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
 
 def diffracted(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
     """Contributions of the sharp edges of every such object; what about them is assumed or lost."""
-    body, hulls = _bodies(stage)
-    if not hulls or not fidelity.radar_edges:
+    if not fidelity.radar_edges or Role.OPTICS not in stage.roles:
         return Rays.joined([]), []
+    body = _bodies(stage)[0]
     sharp = _sharp(stage, body)
     rays, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
     return rays, _on_edges(stage, sharp, longer)

@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +61,16 @@ def together(a: SceneObject, b: SceneObject) -> bool:
     """Whether objects touch, by their boxes, and move alike: parts of one body."""
     if a.velocity_m_per_s != b.velocity_m_per_s:
         return False
-    at_a, at_b = (item.vertices_m[shape_of(item).hull] for item in (a, b))
-    gap = np.maximum(at_a.min(axis=0) - at_b.max(axis=0), at_b.min(axis=0) - at_a.max(axis=0))
-    size = max(float(np.ptp(at_a, axis=0).max()), float(np.ptp(at_b, axis=0).max()))
+    (low_a, high_a), (low_b, high_b) = _box(a), _box(b)
+    gap = np.maximum(low_a - high_b, low_b - high_a)
+    size = max(float((high_a - low_a).max()), float((high_b - low_b).max()))
     return bool((gap <= _NEAR * size).all())
+
+
+@lru_cache(maxsize=_KEPT)
+def _box(item: SceneObject) -> tuple[Array, Array]:
+    corners = item.vertices_m[shape_of(item).hull]
+    return corners.min(axis=0), corners.max(axis=0)
 
 
 def _same_size(item: SceneObject, shape: Shape) -> bool:
