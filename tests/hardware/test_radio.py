@@ -17,6 +17,7 @@ from hardware.drivers.radio import (
     RadioError,
     Reception,
     Schedule,
+    Tuned,
     acquire,
     calibrate,
     carriers,
@@ -46,11 +47,11 @@ class Cable(Radio):
         self.spoil = {}
         self.rng = np.random.default_rng(1)
 
-    def tune(self, carrier_hz: float) -> float:
+    def tune(self, carrier_hz: float) -> Tuned:
         self.tuned.append(carrier_hz)
         self.phase = np.exp(2j * np.pi * self.rng.random())
         self.clock_ns += self.tune_ns
-        return carrier_hz
+        return Tuned(carrier_hz, self.clock_ns)
 
     def now_ns(self) -> int:
         return self.clock_ns
@@ -236,7 +237,7 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="receivers_m: 1, the radio has 2"):
         acquire(Cable(n_receivers=2), SCHEDULE, FRONT_END)
     radio = Cable()
-    radio.tune = lambda hz: hz + 2e3
+    radio.tune = lambda hz: Tuned(hz + 2e3, 0)
     with pytest.raises(RadioError, match="tuned to 2260002000 Hz, asked for 2260000000 Hz"):
         acquire(radio, SCHEDULE, FRONT_END)
 

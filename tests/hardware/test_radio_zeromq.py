@@ -64,7 +64,7 @@ def well_behaved(command, frames):
             told = {"device": "peer", "receivers": 1, "sample_rate_hz": 20e6, "patience_s": 0.3}
             yield {**number, **told}, *()
         case "tune":
-            yield {**number, "carrier_hz": command["carrier_hz"]}, *()
+            yield {**number, "carrier_hz": command["carrier_hz"], "time_ns": 5}, *()
         case "time":
             yield {**number, "time_ns": 7}, *()
         case "burst":
@@ -101,7 +101,7 @@ def burst(radio, n: int = N):
 def test_commands_and_samples_cross_the_wire() -> None:
     with opened(well_behaved) as (peer, radio):
         assert radio.device == f"peer at zmq://127.0.0.1:{peer.port}"
-        assert radio.tune(2.5e9) == 2.5e9
+        assert radio.tune(2.5e9) == (2.5e9, 5)
         assert radio.now_ns() == 7
         heard = burst(radio)
         assert (heard.samples == np.complex64(0.125j)).all()

@@ -177,7 +177,7 @@ def streams() -> dict[str, object]:
             ),
         )
         with usrp.UhdRadio("type=b200", sample_rate_hz=RATE, uhd=fake) as radio:
-            tuned = radio.tune(2.5e9)
+            tuned = radio.tune(2.5e9).carrier_hz
             heard = radio.burst(sent, 1_010_000_000)
             there = heard.there
             found[name] = {

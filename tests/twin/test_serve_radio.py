@@ -295,7 +295,7 @@ def test_a_stall_is_waited_for_and_a_dropped_connection_is_an_error(scene) -> No
         with pytest.raises(RadioError, match="open the radio first"):
             driver.now_ns()
         with ZeroMqRadio("127.0.0.1", port) as again:
-            assert again.tune(design.ofdm.carrier_hz) == design.ofdm.carrier_hz
+            assert again.tune(design.ofdm.carrier_hz).carrier_hz == design.ofdm.carrier_hz
         driver.close()
 
 

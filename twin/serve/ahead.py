@@ -18,7 +18,6 @@ from twin.files import InputError
 _Made = TypeVar("_Made")
 
 _MOST_PROCESSES = 4  # each holds an engine of its own: some 400 MB
-_NICE = 10  # the device itself comes first
 
 
 class Ahead(Generic[_Made]):
@@ -66,7 +65,7 @@ class Ahead(Generic[_Made]):
 
 def _work(line: Connection, make: Callable[[int], Any]) -> None:
     """Make what is asked for until nobody is there to ask."""
-    os.nice(_NICE)
+    _stand_back()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         while True:
@@ -74,6 +73,13 @@ def _work(line: Connection, make: Callable[[int], Any]) -> None:
             line.send(_made(make, number))
     except (EOFError, OSError):
         pass
+
+
+def _stand_back() -> None:
+    """Leave a core at once to whoever wants it, as a nice process does only after some time."""
+    os.nice(19)
+    if hasattr(os, "SCHED_IDLE"):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def _end_with_parent() -> None:

@@ -13,6 +13,7 @@ from hardware.drivers.radio.interface import (
     Radio,
     RadioError,
     Reception,
+    Tuned,
 )
 from hardware.drivers.radio.samples import SlotGrid, highest_level, spectrum, symbol
 from hardware.drivers.radio.schedule import FrontEnd, Schedule
@@ -113,10 +114,10 @@ class VirtualRadio(Radio):
             self.waveform,
             tuple(self.carriers_hz.tolist()),
             step_period_s=period,
-            settling_s=(period - burst_s) / 2,
+            settling_s=(period - burst_s) / 10,  # it locks at once: the rest is left to the host
         )
 
-    def tune(self, carrier_hz: float) -> float:
+    def tune(self, carrier_hz: float) -> Tuned:
         """See `Radio.tune`; refuses what is none of the design's carriers."""
         steps = np.flatnonzero(np.abs(self.carriers_hz - carrier_hz) < 0.5)
         if not steps.size:
@@ -127,7 +128,7 @@ class VirtualRadio(Radio):
         self._step = int(steps[0])
         if self._step in self._played:
             self._await()
-        return float(self.carriers_hz[self._step])
+        return Tuned(float(self.carriers_hz[self._step]), self.clock.now_ns())
 
     def now_ns(self) -> int:
         """See `Radio.now_ns`."""

@@ -149,7 +149,8 @@ class RadioServer:
             self._client = None
             return {}, []
         if name == "tune":
-            return {"carrier_hz": self.radio.tune(float(command["carrier_hz"]))}, []
+            tuned = self.radio.tune(float(command["carrier_hz"]))
+            return {"carrier_hz": tuned.carrier_hz, "time_ns": tuned.locked_ns}, []
         if name == "time":
             return {"time_ns": self.radio.now_ns()}, []
         if name == "burst":

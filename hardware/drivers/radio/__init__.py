@@ -1,7 +1,7 @@
 """The radar's radio: one narrow interface, over UHD or ZeroMQ, and the schedule that uses it."""
 
 from hardware.drivers.radio.calibration import Calibration, calibrate
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
 from hardware.drivers.radio.opening import open_radio
 from hardware.drivers.radio.schedule import FrontEnd, Schedule, acquire, carriers
 
@@ -13,6 +13,7 @@ __all__ = [
     "RadioError",
     "Reception",
     "Schedule",
+    "Tuned",
     "acquire",
     "calibrate",
     "carriers",

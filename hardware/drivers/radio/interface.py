@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntFlag
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,13 @@ class Fault(IntFlag):
 
 class RadioError(OSError):
     """The radio cannot be found, refuses, or no longer answers. One line, says which radio."""
+
+
+class Tuned(NamedTuple):
+    """What a radio is tuned to, and its clock when the oscillator had locked."""
+
+    carrier_hz: float
+    locked_ns: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +73,8 @@ class Radio(ABC):
     sample_rate_hz: float
 
     @abstractmethod
-    def tune(self, carrier_hz: float) -> float:
-        """Tune both ways, wait until the oscillator has locked; what it is tuned to, Hz.
+    def tune(self, carrier_hz: float) -> Tuned:
+        """Tune both ways, wait until the oscillator has locked.
 
         The phase after it is another one each time. Raises RadioError.
         """

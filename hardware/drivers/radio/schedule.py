@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hardware.drivers.radio import samples
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
 from hardware.records.radar import RadarRecord
 from hardware.waveform import OfdmWaveform
 
@@ -139,8 +139,8 @@ def acquire(
     for burst in range(bursts):
         starts: list[int] = []
         for step, carrier in enumerate(schedule.carriers_hz):
-            tuned[burst, step] = _tune(radio, carrier)
-            settled = radio.now_ns() + round(1e9 * schedule.settling_s)
+            tuned[burst, step], locked_ns = _tune(radio, carrier)
+            settled = locked_ns + round(1e9 * schedule.settling_s)
             starts = starts or schedule.starts_ns(settled + round(1e9 * schedule.lead_s))
             if settled <= starts[step]:
                 heard = radio.burst(sent, starts[step])
@@ -168,10 +168,12 @@ def acquire(
     )
 
 
-def _tune(radio: Radio, carrier_hz: float) -> float:
+def _tune(radio: Radio, carrier_hz: float) -> Tuned:
     tuned = radio.tune(carrier_hz)
-    if not abs(tuned - carrier_hz) <= _MOST_OFF_HZ:
-        raise RadioError(f"{radio.device}: tuned to {tuned:.0f} Hz, asked for {carrier_hz:.0f} Hz")
+    if not abs(tuned.carrier_hz - carrier_hz) <= _MOST_OFF_HZ:
+        raise RadioError(
+            f"{radio.device}: tuned to {tuned.carrier_hz:.0f} Hz, asked for {carrier_hz:.0f} Hz"
+        )
     return tuned
 
 

@@ -11,7 +11,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
 from hardware.drivers.radio.zeromq import to_samples
 
 #: Samples that one answer brings, at most.
@@ -84,13 +84,13 @@ class StreamRadio(Radio):
             self.close()
             raise RadioError(f"{transmit}, {receive}: {error}") from error
 
-    def tune(self, carrier_hz: float) -> float:
+    def tune(self, carrier_hz: float) -> Tuned:
         """See `Radio.tune`; refuses another carrier than its own."""
         if carrier_hz != self._carrier_hz:
             raise RadioError(
                 f"{self.device}: stands at {self._carrier_hz:.0f} Hz, asked for {carrier_hz:.0f} Hz"
             )
-        return carrier_hz
+        return Tuned(carrier_hz, self.now_ns())
 
     def now_ns(self) -> int:
         """See `Radio.now_ns`: the samples so far."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
 
 _LOCK_S = 1.0  # within which an oscillator locks, or does not
 _RECEIVE_S = 0.5  # beyond the end of a burst, until its last samples are here
@@ -78,7 +78,7 @@ class UhdRadio(Radio):
             raise RadioError(f"uhd:{args}: {_one_line(error)}") from error
         self._usrp = usrp
 
-    def tune(self, carrier_hz: float) -> float:
+    def tune(self, carrier_hz: float) -> Tuned:
         """See `Radio.tune`. The B200 has one oscillator for each way; both are waited for.
 
         The front end's oscillator cannot be tuned at a given time (only the digital mixer behind
@@ -94,12 +94,13 @@ class UhdRadio(Radio):
                 if time.monotonic() > until:
                     raise RadioError(f"{self.device}: no lock at {carrier_hz:.0f} Hz")
                 time.sleep(1e-4)
+            locked_ns = self.now_ns()
             sent, heard = float(usrp.get_tx_freq(0)), float(usrp.get_rx_freq(0))
         except RuntimeError as error:
             raise RadioError(f"{self.device}: {_one_line(error)}") from error
         if abs(sent - heard) > 1:
             raise RadioError(f"{self.device}: sends at {sent:.0f} Hz, receives at {heard:.0f} Hz")
-        return heard
+        return Tuned(heard, locked_ns)
 
     def now_ns(self) -> int:
         """See `Radio.now_ns`."""

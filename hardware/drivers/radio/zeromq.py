@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
+from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 #: Bytes of the JSON of one message, at most.
 MOST_JSON = 2**16
 
@@ -51,6 +51,7 @@ class ZeroMqRadio(Radio):
         self.device = f"zmq://{host}:{port}"
         self.timeout_s = timeout_s or _OPEN_S
         self._number = 0
+        self._known_ns: int | None = None
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.LINGER, 0)
@@ -67,20 +68,22 @@ class ZeroMqRadio(Radio):
             self._context.destroy(linger=0)
             raise RadioError(str(error)) from error
 
-    def tune(self, carrier_hz: float) -> float:
+    def tune(self, carrier_hz: float) -> Tuned:
         """See `Radio.tune`."""
         answer, _ = self._command("tune", carrier_hz=carrier_hz)
-        return self._number_in(answer, "carrier_hz")
+        return Tuned(self._number_in(answer, "carrier_hz"), self._time_in(answer))
 
     def now_ns(self) -> int:
         """See `Radio.now_ns`."""
         answer, _ = self._command("time")
-        return int(self._number_in(answer, "time_ns"))
+        return self._time_in(answer)
 
     def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
         """See `Radio.burst`."""
         n = len(samples)
-        ends_s = (start_ns - self.now_ns()) / 1e9 + n / self.sample_rate_hz
+        # Patience needs no exact clock: asking for it would take a part of the step's time.
+        known_ns = self.now_ns() if self._known_ns is None else self._known_ns
+        ends_s = (start_ns - known_ns) / 1e9 + n / self.sample_rate_hz
         frame = np.ascontiguousarray(samples, dtype="<c8").tobytes()
         answer, frames = self._command(
             "burst", frame, wait_s=self.timeout_s + max(0.0, ends_s), start_ns=int(start_ns)
@@ -147,6 +150,10 @@ class ZeroMqRadio(Radio):
         if not isinstance(answer, dict):
             raise RadioError(f"{self.device}: answer {answer!r:.100}")
         return answer
+
+    def _time_in(self, answer: dict[str, Any]) -> int:
+        now_ns = self._known_ns = int(self._number_in(answer, "time_ns"))
+        return now_ns
 
     def _number_in(self, answer: dict[str, Any], name: str) -> float:
         value = answer.get(name)
