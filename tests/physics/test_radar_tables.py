@@ -281,7 +281,7 @@ def test_legs_are_sionnas() -> None:
         rig=LIFTED,
         targets=(Declared("t", tuple(where), (0.0, 0.0, 0.0), 1.0, "here"),),
     )
-    from twin.radar.propagation.optics import surface_of
+    from twin.radar.propagation.materials import surface_of
 
     planes = {
         "ground": (np.array([0, 0, -1.0]), np.array([0, 0, 1.0])),

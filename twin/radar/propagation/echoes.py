@@ -8,17 +8,11 @@ from numpy.typing import NDArray
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.environment import mirror_echoes, point_echoes
-from twin.radar.propagation.optics import (
-    Stage,
-    contributions_of,
-    diffracted,
-    scattered,
-    set_stage,
-    speckle,
-)
+from twin.radar.propagation.optics import contributions_of, diffracted, scattered, speckle
 from twin.radar.propagation.paths import Heard, Path, Propagation
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import Assignment, Role, assign_roles
+from twin.radar.propagation.stage import Stage, set_stage
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
 

@@ -2,9 +2,16 @@
 
 from functools import lru_cache
 
+import numpy as np
+from scipy.constants import epsilon_0
+
 from twin.engine import sionna
 from twin.files import InputError
+from twin.radar.scattering.surface import PEC, Layer, Surface
+from twin.scene import Scene, SceneObject
 from twin.scene.materials import Material
+
+_CONDUCTOR = 1e5  # S/m: from here on a metal reflects all
 
 
 def radio_properties(
@@ -34,6 +41,18 @@ def radio_properties(
         f"material {name!r}: no radio properties at {carrier_hz / 1e9:g} GHz "
         f"(it has {', '.join(known) or 'none'})"
     )
+
+
+def surface_of(item: SceneObject, scene: Scene, carrier_hz: float) -> tuple[Surface, str | None]:
+    """What an object's facets are made of at the carrier, and why that is assumed."""
+    found = radio_properties(item.material, scene.materials[item.material], carrier_hz)
+    permittivity, conductivity, assumed = found
+    if conductivity >= _CONDUCTOR:
+        return PEC, assumed
+    epsilon = permittivity - 1j * conductivity / (2 * np.pi * carrier_hz * epsilon_0)
+    if item.thickness_m is None:
+        return Surface(backing=epsilon), assumed
+    return Surface((Layer(epsilon, item.thickness_m),), backing=1), assumed
 
 
 @lru_cache(maxsize=256)

@@ -21,8 +21,7 @@ from twin.engine import sionna
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.echoes import echoes
-from twin.radar.propagation.materials import radio_properties
-from twin.radar.propagation.optics import surface_of
+from twin.radar.propagation.materials import radio_properties, surface_of
 from twin.radar.propagation.paths import Heard, Path, Propagation, contributions_of_paths
 from twin.radar.propagation.roles import Role, assign_roles
 from twin.radar.propagation.sionna_raw import TARGET, RawPath

@@ -21,7 +21,7 @@ from scipy.constants import speed_of_light
 
 from twin.files import InputError
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.optics import surface_of
+from twin.radar.propagation.materials import surface_of
 from twin.radar.scattering.surface import Surface
 from twin.radar.scattering.table import Table, table_of
 from twin.radar.scattering.target import Target as Body
