@@ -1,75 +1,62 @@
-"""Print the figures that the README quotes, and write them to ``bench.json``."""
+"""Print the figures that the README quotes, each as it comes, and write them to ``bench.json``.
+
+``python -m benchmarks`` measures every room, ``python -m benchmarks optical rcs`` those named.
+"""
 
 import json
 import os
 import platform
+import sys
 from dataclasses import asdict
-from itertools import chain
+from importlib import import_module
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
-from benchmarks import (
-    commands,
-    optical,
-    radar,
-    radar_processing,
-    radar_scene,
-    radar_signal,
-    radar_tables,
-    rcs,
-    reconstruction,
-    regression,
-    sweep,
-    vehicle,
-    weather,
-)
 from benchmarks.timing import Timing, fft_workload
 
 _ROOMS = (
-    reconstruction,
-    optical,
-    weather,
-    radar,
-    radar_scene,
-    radar_signal,
-    radar_tables,
-    radar_processing,
-    rcs,
-    regression,
-    sweep,
-    vehicle,
-    commands,
+    "reconstruction",
+    "optical",
+    "weather",
+    "radar",
+    "radar_scene",
+    "radar_signal",
+    "radar_tables",
+    "radar_processing",
+    "rcs",
+    "regression",
+    "sweep",
+    "vehicle",
+    "commands",
 )
 
 
-def main() -> None:
+def main(rooms: list[str]) -> None:
+    if unknown := [name for name in rooms if name not in _ROOMS]:
+        sys.exit(f"benchmarks: {', '.join(unknown)}: expected some of {', '.join(_ROOMS)}")
     unit = fft_workload()
-    console = Console(width=150)
-    table = Table("figure", "value", "spread (quartiles)", "x FFT 2^20", box=None)
-    table.add_row("complex FFT, 2^20, NumPy (the unit)", *_timing(unit, unit))
-    found: dict[str, Any] = {"FFT 2^20": asdict(unit)}
-    with console.status("measuring"):
-        for name, value, what in chain.from_iterable(room.figures() for room in _ROOMS):
-            if isinstance(value, Timing):
-                table.add_row(name, *_timing(value, unit))
-                ratio = value.median_s / unit.median_s
-                found[name] = {**asdict(value), "ratio_to_fft": ratio}
-            else:
-                table.add_row(name, f"{value:.4g} {what}", "", "")
-                found[name] = {"value": value, "unit": what}
-    console.print(table)
     machine = {"cores": os.cpu_count(), "machine": platform.machine()}
-    with open("bench.json", "w") as file:
-        json.dump({"machine": machine, "figures": found}, file, indent=1)
-    console.print("written: bench.json")
+    found: dict[str, Any] = {"FFT 2^20": asdict(unit)}
+    print("in brackets quartiles, runs, and the ratio to the unit")
+    print(f"complex FFT, 2^20, NumPy (the unit): {_timing(unit, unit)}", flush=True)
+    for room in rooms or _ROOMS:
+        print(f"-- {room}", flush=True)
+        for name, value, what in import_module(f"benchmarks.{room}").figures():
+            if isinstance(value, Timing):
+                print(f"{name}: {_timing(value, unit)}", flush=True)
+                found[name] = {**asdict(value), "ratio_to_fft": value.median_s / unit.median_s}
+            else:
+                print(f"{name}: {value:.4g} {what}", flush=True)
+                found[name] = {"value": value, "unit": what}
+        with open("bench.json", "w") as file:
+            json.dump({"machine": machine, "figures": found}, file, indent=1)
+    print("written: bench.json")
 
 
-def _timing(value: Timing, unit: Timing) -> tuple[str, str, str]:
+def _timing(value: Timing, unit: Timing) -> str:
     spread = f"{_seconds(value.low_s)} to {_seconds(value.high_s)}, {value.runs} runs"
+    ratio = f"{value.median_s / unit.median_s:.3g}"
     note = f" ({value.note})" if value.note else ""
-    return _seconds(value.median_s) + note, spread, f"{value.median_s / unit.median_s:.3g}"
+    return f"{_seconds(value.median_s)} [{spread}, {ratio}]{note}"
 
 
 def _seconds(value: float) -> str:
@@ -79,4 +66,4 @@ def _seconds(value: float) -> str:
     raise AssertionError
 
 
-main()
+main(sys.argv[1:])
