@@ -11,7 +11,7 @@ from benchmarks.timing import Figure, timed
 from hardware.radar import channel, detect, range_doppler
 from twin.radar import load_radar, radar_capture
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.sionna_paths import trace
+from twin.radar.propagation.sionna_paths import sionna_paths
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Pose, Rig, Scene, Sun, Target, load_scene
 
@@ -83,7 +83,11 @@ def _free_space() -> Iterator[Figure]:
 
 def _yard() -> Iterator[Figure]:
     scene, radar = load_scene("yard"), load_radar("hybrid-79")
-    yield "radar paths of scenes/yard", timed(lambda: trace(scene, radar), runs=5), ""
+    yield (
+        "radar paths of scenes/yard, Sionna",
+        timed(lambda: sionna_paths(scene, radar), runs=5),
+        "",
+    )
     taken = radar_capture(scene, radar)
     yield "record to map and detections", timed(lambda: evaluate_radar(radar, taken), runs=5), ""
     evaluation = evaluate_radar(radar, taken)

@@ -9,7 +9,7 @@ from benchmarks.timing import Figure, timed
 from hardware.radar.process import process
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
-from twin.radar.propagation.sionna_paths import trace
+from twin.radar.propagation.finding import trace
 from twin.scene import Scene, load_scene
 
 _OPTICS = Fidelity(radar="optics", nufft_tolerance=1e-5)

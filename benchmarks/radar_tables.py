@@ -9,7 +9,7 @@ from scipy.constants import speed_of_light
 from benchmarks.timing import Figure, timed
 from twin.fidelity import Fidelity
 from twin.radar import load_radar
-from twin.radar.propagation.sionna_paths import trace
+from twin.radar.propagation.finding import trace
 from twin.radar.scattering.bistatic import scattering_dyadics
 from twin.radar.scattering.table import QUALITY, Table
 from twin.radar.scattering.target import Target

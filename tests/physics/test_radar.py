@@ -17,7 +17,7 @@ from twin.radar.evaluation import evaluate_radar
 from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.materials import radio_properties
 from twin.radar.propagation.roles import Role, assign_roles
-from twin.radar.propagation.sionna_paths import trace
+from twin.radar.propagation.sionna_paths import sionna_paths
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target, load_scene
 from twin.scene.materials import load_materials
 
@@ -139,7 +139,7 @@ def test_a_large_wall_is_a_mirror() -> None:
     """Image at twice the distance, weakened by Fresnel's coefficient of the half space."""
     radar = load_radar("hybrid-79")
     distance = 20.123456789
-    (path,) = trace(world(plate("wall", distance, 40.0)), radar, max_depth=1).paths
+    (path,) = sionna_paths(world(plate("wall", distance, 40.0)), radar, max_depth=1).paths
     permittivity, conductivity, _ = radio_properties("concrete", MATERIALS["concrete"], 79e9)
     epsilon = permittivity - 1j * conductivity / (2 * np.pi * 79e9 * constants.epsilon_0)
     fresnel = (1 - np.sqrt(epsilon)) / (1 + np.sqrt(epsilon))
@@ -157,7 +157,7 @@ def test_sionnas_own_street_mirrors_the_radar() -> None:
     spec = importlib.util.find_spec("sionna.rt")
     folder = Path(spec.submodule_search_locations[0]) / "scenes/simple_street_canyon"
     scene = load_scene(folder / "simple_street_canyon.xml")
-    paths = {p.via: p for p in trace(scene, load_radar("hybrid-79")).paths}
+    paths = {p.via: p for p in sionna_paths(scene, load_radar("hybrid-79")).paths}
     wall = next(o for o in scene.objects if o.name == "mesh-building_6")
     across = scene.rig.position_m[1] - wall.vertices_m[:, 1].max()
     assert paths[("mesh-building_6",)].range_m == pytest.approx(across, abs=1e-6)
@@ -169,15 +169,15 @@ def test_small_plates_do_not_mirror() -> None:
     scene = world(plate("sign", 20.0, 0.3))
     (role,) = assign_roles(scene, radar.ofdm.wavelength_m)
     assert role.role is Role.OBSTACLE
-    assert trace(scene, radar).paths == ()
+    assert sionna_paths(scene, radar).paths == ()
 
 
 def test_obstacles_and_walls_hide_targets() -> None:
     radar = load_radar("hybrid-79")
     far = (target((30.0, 0, 0)),)
-    assert len(trace(world(targets=far), radar, max_depth=1).paths) == 1
+    assert len(sionna_paths(world(targets=far), radar, max_depth=1).paths) == 1
     for item in (plate("sign", 20.0, 0.3), plate("wall", 20.0, 40.0)):
-        paths = trace(world(item, targets=far), radar, max_depth=1).paths
+        paths = sionna_paths(world(item, targets=far), radar, max_depth=1).paths
         assert all(path.target is None for path in paths)
 
 
@@ -196,7 +196,7 @@ def test_delays_are_those_of_a_float64_trace_at_150_m() -> None:
         0.5,
     )
     point = np.array([149.123456, 0.654321, 0.3])
-    paths = trace(world(wall, targets=(target(point),)), radar).paths
+    paths = sionna_paths(world(wall, targets=(target(point),)), radar).paths
     mirrored = np.linalg.norm(point * [1, -1, 1] + [0, 14.0, 0])
     lengths = {
         ("t",): 2 * np.linalg.norm(point),
@@ -220,7 +220,7 @@ def test_a_slowly_approaching_targets_phase_is_a_line() -> None:
     places = 140.0 - 20e-6 * np.arange(6)
     phases = []
     for place in places:
-        found = trace(world(targets=(target((place, 0, 0)),)), radar, max_depth=1)
+        found = sionna_paths(world(targets=(target((place, 0, 0)),)), radar, max_depth=1)
         echoes = radar.burst.seen(contributions(found, radar, Air()))
         cycles = radar.ofdm.carrier_hz * echoes.delay_s[0] % 1.0
         phases.append(np.angle(echoes.amplitude[0] * np.exp(-2j * np.pi * cycles)))
@@ -242,7 +242,7 @@ def test_multipath_over_the_ground_keeps_the_rates_of_its_legs() -> None:
     )
     step = 1e-6
     found = [
-        {p.via: p for p in trace(world(ground, targets=(t,)), radar).paths}
+        {p.via: p for p in sionna_paths(world(ground, targets=(t,)), radar).paths}
         for t in (
             target((20.0, 0, 0.5), (1.0, 0, 3.0)),
             target((20.0 + step, 0, 0.5 + 3 * step), (1.0, 0, 3.0)),
@@ -262,7 +262,8 @@ def test_moving_reflectors_shift_every_path_over_them() -> None:
     def at(offset: float) -> dict:
         wall = replace(plate("wall", 30.0 + offset, 60.0), velocity_m_per_s=(-3.0, 0.0, 0.0))
         return {
-            p.via: p for p in trace(world(wall, targets=(target((12.0, 4.0, 0)),)), radar).paths
+            p.via: p
+            for p in sionna_paths(world(wall, targets=(target((12.0, 4.0, 0)),)), radar).paths
         }
 
     here, moved = at(0.0), at(-3.0 * step)

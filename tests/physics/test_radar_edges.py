@@ -27,10 +27,10 @@ from tests.physics.radar_worlds import (
 from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import PRESETS
 from twin.radar.propagation import grids
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.optics import diffracted, scattered
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import assign_roles
-from twin.radar.propagation.sionna_paths import trace
 from twin.radar.propagation.stage import set_stage
 from twin.radar.scattering import Quality, Radar, Target, edge_diffraction, sharp_edges, sweep
 from twin.scene import Pose, Rig, Scene, SceneObject

@@ -15,9 +15,9 @@ from tests.physics.radar_worlds import (
     quad,
     world,
 )
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.optics import scattered
 from twin.radar.propagation.roles import assign_roles
-from twin.radar.propagation.sionna_paths import trace
 from twin.radar.propagation.stage import set_stage
 from twin.scene import Pose, Rig, SceneObject, Target
 

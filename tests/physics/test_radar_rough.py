@@ -22,11 +22,11 @@ from twin.fidelity import Fidelity
 from twin.radar import load_radar
 from twin.radar.acquisition import contributions
 from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.optics import speckle
 from twin.radar.propagation.paths import Propagation
 from twin.radar.propagation.roles import assign_roles
 from twin.radar.propagation.rough import coherent
-from twin.radar.propagation.sionna_paths import trace
 from twin.radar.propagation.stage import set_stage
 from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject

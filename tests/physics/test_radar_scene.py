@@ -25,9 +25,10 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.files import InputError
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.materials import radio_properties
 from twin.radar.propagation.roles import Role, assign_roles
-from twin.radar.propagation.sionna_paths import trace
+from twin.radar.propagation.sionna_paths import sionna_paths
 from twin.radar.scattering import Radar
 from twin.radar.scattering.reference import image_integral
 from twin.scene import Pose, Rig, Scene, Target
@@ -178,7 +179,7 @@ def test_images_agree_with_sionnas() -> None:
     scene = world(
         ahead, ground(-1.0, "concrete"), side, targets=(point((12, 4, 0.3), (1.0, 2.0, 3.0)),)
     )
-    sionna = {p.via: p for p in trace(scene, RADAR).paths}
+    sionna = {p.via: p for p in sionna_paths(scene, RADAR).paths}
     ours = {p.via: p for p in trace(scene, RADAR, fidelity=OPTICS).paths}
     legs = {(), ("ahead",), ("ground",), ("side",)}
     expected = {("ahead",)} | {(*a, "t", *b) for a in legs for b in legs}

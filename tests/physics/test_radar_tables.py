@@ -29,8 +29,8 @@ from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import load_radar
 from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.roles import Role, assign_roles
-from twin.radar.propagation.sionna_paths import trace
 from twin.radar.propagation.tabulated import leg
 from twin.radar.scattering import PEC, Quality, Radar, Surface, Target, physical_optics
 from twin.radar.scattering import table as tables

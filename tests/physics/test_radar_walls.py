@@ -18,9 +18,9 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.radar import RadarDesign, load_radar
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.materials import radio_properties, surface_of
 from twin.radar.propagation.rays import Rays, Ring, ringing
-from twin.radar.propagation.sionna_paths import trace
 from twin.scene import Scene, SceneObject, Target
 
 C = constants.c

@@ -17,9 +17,8 @@ from twin.radar.device.burst import burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
 from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.free_space import straight_paths
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.paths import Propagation, contributions_of_paths
-from twin.radar.propagation.sionna_paths import trace
 from twin.radar.remarks import assumptions, warnings
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
@@ -127,12 +126,7 @@ def radar_echo(
     ray_seed, noise_seed = _seeds(seed)
     with stage("radar paths"):
         rays = int(ray_seed.generate_state(1)[0]) >> 1
-        bursts = tuple(
-            straight_paths(world, radar)
-            if fidelity.radar == "targets"
-            else trace(world, radar, fidelity=fidelity, seed=rays)
-            for world in worlds
-        )
+        bursts = tuple(trace(world, radar, fidelity=fidelity, seed=rays) for world in worlds)
     interval_s = interval_s or _interval(scene, radar)
     return RadarEcho(tuple(worlds), radar, bursts, air, interval_s, noise_seed, fidelity)
 

@@ -15,9 +15,9 @@ from twin.fidelity import PRESETS, Fidelity, RadarRung
 from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
 from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.free_space import straight_paths
 from twin.radar.propagation.paths import Propagation
-from twin.radar.propagation.sionna_paths import trace
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
 from twin.trade.measurement import Cost, Measurement

@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.engine import sionna
-from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.echoes import echoes
 from twin.radar.propagation.materials import radio_properties, surface_of
 from twin.radar.propagation.paths import Heard, Path, Propagation, contributions_of_paths
 from twin.radar.propagation.roles import Role, assign_roles
@@ -45,33 +43,25 @@ _BUFFER = 10_000
 _THICKNESS_M = 10.0
 
 
-def trace(
-    scene: Scene,
-    radar: RadarDesign,
-    *,
-    fidelity: Fidelity | None = None,
-    max_depth: int = 3,
-    seed: int = 0,
+def sionna_paths(
+    scene: Scene, radar: RadarDesign, *, max_depth: int = 3, table_nodes: int = 4, seed: int = 0
 ) -> Propagation:
-    """Trace the scene.
+    """Images in surfaces, and ways to declared targets and to those of tables.
 
     Parameters
     ----------
     scene, radar
         What is looked at, and with what.
-    fidelity
-        Its ``radar`` rung decides: up to ``paths``, Sionna RT finds images and ways to declared
-        targets and to those of tables; from ``optics`` on, see `twin.radar.propagation.optics`.
     max_depth
-        Interactions of one of Sionna's paths at most, the target's included.
+        Interactions of one path at most, the target's included.
+    table_nodes
+        As in `Fidelity.radar_table_nodes`.
     seed
-        Of the rays that look for surfaces, and of rough ones.
+        Of the rays that look for surfaces.
 
     Raises InputError where a reflecting surface's material has no data at the carrier.
     """
-    if fidelity is not None and fidelity.radar in ("optics", "rough"):
-        return echoes(scene, radar, fidelity, seed)
-    world = _RadioWorld(scene, radar, fidelity or Fidelity())
+    world = _RadioWorld(scene, radar, table_nodes)
     mirrors = world.environment(max_depth, seed)
     points, dense = world.targets(max_depth, seed)
     loss = 10 ** (-radar.front_end.losses_db.value / 20)
@@ -117,7 +107,7 @@ def _target_solver() -> Any:
 class _RadioWorld:
     """Sionna's scene with the radar at its origin, and our own geometry beside it."""
 
-    def __init__(self, scene: Scene, radar: RadarDesign, fidelity: Fidelity) -> None:
+    def __init__(self, scene: Scene, radar: RadarDesign, table_nodes: int) -> None:
         self.radar = radar
         self.offset, self.axes = scene.rig.device("radar")
         self.origin = scene.rig.position_m + self.offset
@@ -126,7 +116,7 @@ class _RadioWorld:
         self.assumptions: list[str] = []
         self.warnings: list[str] = []
         self.objects = {item.name: item for item in scene.objects}
-        self.tables = self._tables(scene, fidelity.radar_table_nodes)
+        self.tables = self._tables(scene, table_nodes)
         replaced = {thing.point.name for thing in self.tables}
         declared = [t for t in scene.targets if t.object not in replaced]
         # Sionna's paths count them in this order.
