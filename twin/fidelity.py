@@ -37,6 +37,8 @@ class Fidelity:
     radar_rays
         Of physical optics, all objects together: where they are wider apart than an eighth of a
         wavelength, echoes of edges that are met obliquely fade, and outlines are off by a spacing.
+        Against 3.2 million the yard's channel is off by 30 % rms at 200 000 and by 13 % at 800 000,
+        the street's by 4 and by 1.3 % (`twin trade`).
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
         trihedral needs 3.
@@ -124,7 +126,7 @@ class Fidelity:
 #: cells is half of it (`twin trade` measures that); comparison.
 PRESETS = {
     "draft": Fidelity(
-        samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar="paths"
+        samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar_rays=50_000
     ),
     "standard": Fidelity(),
     "reference": Fidelity(

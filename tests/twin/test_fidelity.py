@@ -87,7 +87,7 @@ def test_without_noise_counts_are_the_mean_of_noisy_ones() -> None:
 def test_free_space_targets_are_the_traced_direct_paths() -> None:
     """The radar equation against Sionna's own legs: delay to 1 um, level to 0.01 dB."""
     scene, radar = load_scene("yard"), load_radar("hybrid-79")
-    traced = radar_capture(scene, radar, fidelity=PRESETS["draft"]).propagation.paths
+    traced = radar_capture(scene, radar, fidelity=Fidelity(radar="paths")).propagation.paths
     direct = {p.target: p for p in traced if p.via == (p.target,)}
     free = radar_capture(scene, radar, fidelity=Fidelity(radar="targets")).propagation.paths
     assert len(free) == len(scene.targets)

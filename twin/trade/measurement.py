@@ -13,7 +13,7 @@ Ladder = Literal["light", "noise", "radar"]
 _KNOBS: dict[Ladder, tuple[str, ...]] = {
     "light": ("samples", "max_depth", "indirect_samples", "start"),
     "noise": ("noise",),
-    "radar": ("radar", "nufft_tolerance"),
+    "radar": ("radar", "radar_rays", "nufft_tolerance"),
 }
 
 

@@ -1,6 +1,8 @@
-"""Rungs of the radar: declared targets or traced paths, and the tolerance of the synthesis.
+"""Rungs of the radar: who finds the echoes, with how many rays, and the tolerance of the synthesis.
 
-The rungs of physical optics have other echoes, not the same ones more closely: they are not here.
+All against physical optics with many more rays, the closest that there is to the scene's meshes:
+what the cheaper descriptions leave out, or declare otherwise, is their error. Rough surfaces are
+not here: their speckle is one draw of many, and no error.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,6 @@ from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
 from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.finding import trace
-from twin.radar.propagation.free_space import straight_paths
 from twin.radar.propagation.paths import Propagation
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
@@ -26,8 +27,18 @@ from twin.trade.meter import metered
 Complex = NDArray[np.complex128]
 Stage = Callable[[str], AbstractContextManager[Any]]
 
-_TOLERANCES = (1e-3, 1e-6, 1e-10)
+#: Rung, rays, tolerances.
+_RUNGS: tuple[tuple[RadarRung, int, tuple[float, ...]], ...] = (
+    ("targets", Fidelity().radar_rays, (1e-6,)),
+    ("paths", Fidelity().radar_rays, (1e-6,)),
+    ("optics", PRESETS["draft"].radar_rays, (1e-3,)),
+    ("optics", Fidelity().radar_rays, (1e-3, 1e-6, 1e-10)),
+    ("optics", 800_000, (1e-6,)),
+)
+_REFERENCE_RAYS = 3_200_000
+STAGES = 1 + len(_RUNGS) + sum(len(tolerances) for *_, tolerances in _RUNGS)
 _ROWS, _COLUMNS = 64, 32  # of the bins compared: edges of band and interval, the rest at random
+_MOST_TERMS = 2e8  # of the direct sum, some seconds: of many echoes fewer bins are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +55,7 @@ class _Bins:
 
 
 def measure_radar(scene: Scene, radar: RadarDesign, seed: int, stage: Stage) -> list[Measurement]:
-    """Every rung against the direct sum over paths traced from another seed.
+    """Every rung against the direct sum over the echoes of the reference.
 
     The error over noise is that of the range-Doppler map: the error's whole energy, as if it were
     one echo, against the noise of one cell. An echo left out is exactly that; what a tolerance
@@ -54,29 +65,32 @@ def measure_radar(scene: Scene, radar: RadarDesign, seed: int, stage: Stage) -> 
         bins = _reference(scene, radar, seed)
     if bins.rms == 0:
         return []
-    finders: dict[RadarRung, Callable[[int], Propagation]] = {
-        "targets": lambda run: straight_paths(scene, radar),
-        "paths": lambda run: trace(scene, radar, seed=seed + 1 + run),
-    }
     measured = []
-    for kind in finders:
-        with stage(f"radar {kind}"):
-            finding, found = metered(finders[kind])
-        for tolerance in _TOLERANCES:
-            with stage(f"radar {kind}, {tolerance:.0e}"):
-                rung = Fidelity(radar=kind, nufft_tolerance=tolerance)
+    for kind, rays, tolerances in _RUNGS:
+        finder = Fidelity(radar=kind, radar_rays=rays)
+
+        def found_in(run: int, finder: Fidelity = finder) -> Propagation:
+            return trace(scene, radar, fidelity=finder, seed=seed + 1 + run)
+
+        with stage(f"radar {kind}, {rays} rays"):
+            finding, found = metered(found_in)
+        for tolerance in tolerances:
+            with stage(f"radar {kind}, {rays} rays, {tolerance:.0e}"):
+                rung = replace(finder, nufft_tolerance=tolerance)
                 measured.append(_rung(radar, rung, finding, found[0], bins))
     return measured
 
 
 def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
     wave = radar.channel_waveform
+    dense = Fidelity(radar="optics", radar_rays=_REFERENCE_RAYS)
+    echoes = _echoes(trace(scene, radar, fidelity=dense, seed=seed), radar)
+    fewer = min(1.0, (_MOST_TERMS / (_ROWS * _COLUMNS * max(len(echoes.delay_s), 1))) ** 0.5)
     rng = np.random.default_rng([seed, 6])
     rows, columns = (
-        np.unique([0, n - 1, *rng.choice(n, min(n, most), replace=False)])
+        np.unique([0, n - 1, *rng.choice(n, min(n, max(round(fewer * most), 4)), replace=False)])
         for n, most in ((wave.n_subcarriers, _ROWS), (wave.n_slots, _COLUMNS))
     )
-    echoes = _echoes(trace(scene, radar, seed=seed), radar)
     f, t = wave.frequency_offsets_hz[rows], wave.slot_times_s[columns]
     return _Bins(rows, columns, direct_sum(echoes, f, t, wave.carrier_hz))
 
@@ -94,7 +108,7 @@ def _rung(
     known = [name for name, value in PRESETS.items() if _same(value, rung)]
     return Measurement(
         ladder="radar",
-        name=f"{rung.radar}, tolerance {tolerance:.0e}" + (f" ({known[0]})" if known else ""),
+        name=_name(rung) + (f" ({known[0]})" if known else ""),
         fidelity=rung,
         cost=_both(finding, cost),
         error=relative,
@@ -104,9 +118,15 @@ def _rung(
             "error_db": 20 * float(np.log10(relative)) if relative else -np.inf,
             "largest": float(off.max()) / bins.rms,
             "paths": len(found.paths),
+            "echoes": len(found.echoes.delay_s),
         },
         note=f"{bins.channel.size} bins of {wave.n_subcarriers * wave.n_slots}",
     )
+
+
+def _name(rung: Fidelity) -> str:
+    rays = f", {rung.radar_rays // 1000}k rays" if rung.radar == "optics" else ""
+    return f"{rung.radar}{rays}, tolerance {rung.nufft_tolerance:.0e}"
 
 
 def _echoes(found: Propagation, radar: RadarDesign) -> Contributions:
@@ -140,4 +160,5 @@ def _sampled(bins: _Bins) -> Any:
 
 
 def _same(preset: Fidelity, rung: Fidelity) -> bool:
-    return preset == replace(preset, radar=rung.radar, nufft_tolerance=rung.nufft_tolerance)
+    knobs = ("radar", "radar_rays", "nufft_tolerance")
+    return preset == replace(preset, **{name: getattr(rung, name) for name in knobs})

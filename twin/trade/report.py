@@ -148,7 +148,11 @@ def _look(m: Measurement) -> tuple[str, str, str]:
     if m.fidelity is None:
         return m.name, "black", "x"
     if m.ladder == "radar":
-        known = {"targets": ("declared targets", GREY, "s"), "paths": ("traced paths", BLUE, "o")}
+        known = {
+            "targets": ("declared targets", GREY, "s"),
+            "paths": ("traced paths", GREY, "o"),
+            "optics": ("physical optics", BLUE, "^"),
+        }
         return known[m.fidelity.radar]
     if m.name.startswith("reference"):
         return "one render of the reference", "black", "D"

@@ -17,7 +17,7 @@ from twin.trade.brute_force import Agreement, check
 from twin.trade.camera import View, light_rungs, measure_light, measure_noise
 from twin.trade.measurement import Choice, Ladder, Measurement, cheapest
 from twin.trade.meter import metered
-from twin.trade.radar import measure_radar
+from twin.trade.radar import STAGES, measure_radar
 from twin.trade.result import Trade
 
 Stage = Callable[[str], AbstractContextManager[Any]]
@@ -25,7 +25,6 @@ Stage = Callable[[str], AbstractContextManager[Any]]
 #: Of the sensor's own noise: an error of a fifth adds 4 % to its power, 0.17 dB.
 TOLERANCE = 0.2
 _STAGES_BESIDE_LIGHT = 1 + 1 + 1 + 3  # load, reference, brute force, noise
-_STAGES_OF_RADAR = 9
 
 
 def trade(
@@ -57,7 +56,7 @@ def trade(
     if out is not None and not str(out).strip(" ."):
         raise InputError("out: is empty, expected a folder to write to")
     design, sensor = _inputs(system, radar, tolerance, seed)
-    expected = _STAGES_BESIDE_LIGHT + len(light_rungs(design)) + _STAGES_OF_RADAR * bool(sensor)
+    expected = _STAGES_BESIDE_LIGHT + len(light_rungs(design)) + STAGES * bool(sensor)
     with Stages(expected) as stages:
         with stages.stage("load"):
             world = scene if isinstance(scene, Scene) else load_scene(scene)
