@@ -1,6 +1,6 @@
 """Sharp edges in the scene: against `twin rcs`, mirrored worlds, the slab; what must not matter.
 
-`tests/physics/test_rcs.py` holds `twin rcs` against Sommerfeld's wedge and the Austin plates.
+`tests/physics/test_rcs_edges.py` holds `twin rcs` against Sommerfeld's wedge and the Austin plates.
 """
 
 from dataclasses import replace

@@ -402,7 +402,7 @@ def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
     Targets are points: bodies have several echoes, among which a millimetre is nothing.
     """
     scene, radar = load_scene("yard"), load_radar(RADAR)
-    capture = twin_truth.echo(scene, radar, PRESETS["draft"])
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
 
     def too_far(record):
         return [replace(d, range_m=d.range_m + 1e-3) for d in vehicle_detector(record)]
