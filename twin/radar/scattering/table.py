@@ -10,7 +10,7 @@ plate around its mirror's direction, rms over the peak: 2.5, 0.7 and 0.2 %.
 Pairs of nodes are evaluated by physical optics when a look-up first meets them, and kept. At n = 4
 a sphere of directions would have, at 79 and 2.5 GHz: for a car 9e8 and 9e5 nodes, for a person 2e8
 and 2e5, for a trihedral of 0.2 m 8e6 and 9e3. One way out and back needs 10 pairs, which on two
-cores take 5 and 0.2 s, 3 and 0.1 s, 0.3 and 0.02 s; a look-up among known ones takes 5 us.
+cores take 2 and 0.15 s, 1.6 and 0.08 s, 0.14 and 0.02 s; a look-up among known ones takes 4 us.
 `benchmarks.radar_tables` prints these. So a table pays for what is small against sqrt(lambda R) and
 seen again and again from within some lobes; for a car or a person at 79 GHz, whose far field begins
 at kilometres, mirrored rays are the way.
