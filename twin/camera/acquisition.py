@@ -12,6 +12,7 @@ from twin.camera.chain import Chain
 from twin.camera.illumination import dark_share
 from twin.camera.light import Rendered, Stage, render
 from twin.camera.truth import Truth
+from twin.camera.verdict import coarse, recorded, unreadable
 from twin.detector import NoiseBudget
 from twin.fidelity import Fidelity, Noise
 from twin.optics.emission import emission_matrix, independent_patterns
@@ -20,6 +21,7 @@ from twin.optics.spectra import SUN_ASSUMPTION
 from twin.optics.weather import air_of_system
 from twin.scene import Scene
 from twin.system import System
+from twin.warned import CaptureWarning, is_void
 
 Array = NDArray[np.float64]
 
@@ -62,7 +64,12 @@ class Capture:
     in_band_fraction: float
     illuminance_lx: float
     assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[CaptureWarning, ...]
+
+    @property
+    def void(self) -> bool:
+        """Whether the record holds nothing that an image could be made of."""
+        return is_void(self.warnings)
 
 
 def capture(
@@ -120,13 +127,17 @@ def measure(
     of_image = np.sqrt(len(chain.taps)) * np.array(noise_e)
     nearest_m = float(rendered.truth.depth_m.min())
     sky = chain.sky
+    record = chain.record(scene.rig.pose, counts, flags)
+    # At a rail the response's slope is zero, and so is what can be told of the light.
+    snr = np.where(unreadable(record)[:, None], 0.0, cells_e / of_image[:, None])
+    budget = chain.noise(signal_w, sun_w)
     return Capture(
-        record=chain.record(scene.rig.pose, counts, flags),
+        record=record,
         truth=rendered.truth,
         cells_e=_picture(cells_e, system),
         cells_error_e=_picture(to_e * power.error_w, system),
-        snr=_picture(cells_e / of_image[:, None], system),
-        noise=chain.noise(signal_w, sun_w),
+        snr=_picture(snr, system),
+        noise=budget,
         lens=chain.lens,
         signal_w=signal_w.reshape(-1, signal_w.shape[-1]),
         background_w=float(sun_w.mean()),
@@ -135,7 +146,7 @@ def measure(
         illuminance_lx=sky.illuminance_lx,
         assumptions=_assumptions(scene, system),
         warnings=(
-            *_warnings(system, counts, flags, float(sky.emitter.max()), cells_e, nearest_m),
+            *_warnings(system, record, budget, float(sky.emitter.max()), cells_e, nearest_m),
             *_diffraction(system, chain.lens),
             *rendered.warnings,
         ),
@@ -175,20 +186,23 @@ def _idealised(system: System) -> tuple[str, ...]:
     return ("not in the system's file: " + "; ".join(taken),) if taken else ()
 
 
-def _diffraction(system: System, lens: Collection) -> list[str]:
+def _diffraction(system: System, lens: Collection) -> list[CaptureWarning]:
     """A pupil so small that its own Airy disc smears the field."""
     airy = 1.22 * system.emitter.peak_wavelength_m.value / lens.pupil_diameter_m
     share = airy / lens.tan_half_field
     if share < _SMEARED:
         return []
     return [
-        f"the detector is too small for geometrical optics: diffraction at its pupil of "
-        f"{lens.pupil_diameter_m:.2g} m blurs the field's edge by {100 * share:.2g} % of its half "
-        "width, which is left out: optics.f_number, detector.width_m"
+        CaptureWarning(
+            "model",
+            "the detector is too small for geometrical optics: diffraction at its pupil of "
+            f"{lens.pupil_diameter_m:.2g} m blurs the field's edge by {100 * share:.2g} % of its "
+            "half width, which is left out: optics.f_number, detector.width_m",
+        )
     ]
 
 
-def _thick_air(system: System, distance_m: float) -> list[str]:
+def _thick_air(system: System, distance_m: float) -> list[CaptureWarning]:
     air = air_of_system(system)
     if air is None or not np.isfinite(distance_m):
         return []
@@ -196,8 +210,11 @@ def _thick_air(system: System, distance_m: float) -> list[str]:
     if depth < _THICK:
         return []
     return [
-        f"the nearest surface stands behind an optical depth of {depth:.2g}: light scattered more "
-        "than once, 11 % of the whole at 1 and a third at 2 in fog, is left out"
+        CaptureWarning(
+            "model",
+            f"the nearest surface stands behind an optical depth of {depth:.2g}: light scattered "
+            "more than once, 11 % of the whole at 1 and a third at 2 in fog, is left out",
+        )
     ]
 
 
@@ -211,30 +228,40 @@ def _assumed(system: System) -> tuple[str, ...]:
 
 def _warnings(
     system: System,
-    counts: NDArray[np.int32],
-    flags: NDArray[np.uint8],
+    record: SpiRecord,
+    noise: NoiseBudget,
     in_band: float,
     cells_e: Array,
     distance_m: float,
-) -> tuple[str, ...]:
-    found = []
-    top = 2**system.readout.adc_bits.value - 1
-    for rail, remedy in ((top, "its gain is too high"), (0, "adc_offset_v is too low")):
-        hits = int((counts == rail).any(axis=1).sum())
-        if hits:
-            found.append(f"{hits} of {len(counts)} exposures saturate the ADC: readout: {remedy}")
-    full = int(np.count_nonzero(flags)) - int(((counts == 0) | (counts == top)).any(axis=1).sum())
-    if full > 0:
-        found.append(f"{full} of {len(counts)} exposures fill the well: readout.full_well_e")
+) -> tuple[CaptureWarning, ...]:
+    return (
+        *recorded(record),
+        *coarse(noise),
+        *_no_light(system, in_band, cells_e),
+        *_thick_air(system, distance_m),
+        *_crosstalk(system, distance_m),
+    )
+
+
+def _no_light(system: System, in_band: float, cells_e: Array) -> list[CaptureWarning]:
     if in_band == 0 or system.emitter.radiant_intensity_w_per_sr.value == 0:
-        found.append("no light of the emitter passes the filter, or it emits none")
+        text = "no light of the emitter passes the filter, or it emits none"
     elif not cells_e.any():
-        found.append("no light of the emitter comes back: nothing in the field of view")
-    found += _thick_air(system, distance_m)
-    if not system.emitter.has_lens and np.isfinite(distance_m):
-        told_apart = independent_patterns(emission_matrix(system.emitter, distance_m))
-        found.append(
+        text = "no light of the emitter comes back: nothing in the field of view"
+    else:
+        return []
+    return [CaptureWarning("no-light", text, void=True)]
+
+
+def _crosstalk(system: System, distance_m: float) -> list[CaptureWarning]:
+    """Bare LEDs each light the whole field."""
+    if system.emitter.has_lens or not np.isfinite(distance_m):
+        return []
+    told_apart = independent_patterns(emission_matrix(system.emitter, distance_m))
+    return [
+        CaptureWarning(
+            "design",
             f"bare LEDs: at {distance_m:.3g} m only {told_apart} of {system.patterns.n_cells} "
-            "images differ by more than 1 % of the signal; a projection lens would tell all apart"
+            "images differ by more than 1 % of the signal; a projection lens would tell all apart",
         )
-    return tuple(found)
+    ]

@@ -27,6 +27,7 @@ from twin.optics.weather import air_of_system
 from twin.scene import Scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
+from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 #: Of the field's height, and of its width for a bucket.
@@ -63,7 +64,7 @@ class Rendered:
     emitter: Device
     detector: Device
     paths: Paths | None = None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaptureWarning, ...] = ()
 
     def angles_deg(self) -> tuple[Array, Array]:
         """Angle to the detector's axis under which light arrives: from each cell of the virtual
@@ -102,7 +103,9 @@ def render(
     return replace(rendered, warnings=_uncertain(scene, world, rendered, fidelity))
 
 
-def _uncertain(scene: Scene, world: Any, rendered: Rendered, fidelity: Fidelity) -> tuple[str, ...]:
+def _uncertain(
+    scene: Scene, world: Any, rendered: Rendered, fidelity: Fidelity
+) -> tuple[CaptureWarning, ...]:
     light, truth, emitter = rendered.light, rendered.truth, rendered.emitter
     shape = truth.albedo.shape
     # Of a line sensor's pixel and cell only the picture's cell is lit: side by side, they are it.

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from twin.optics.devices import Device
 from twin.scene import Scene
+from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
@@ -16,7 +17,7 @@ _STEP = 2.0**-24  # half a step of float32, relative
 _STEPS = 8.0
 
 
-def cut_off(indirect_share: float, albedo: Array, max_depth: int) -> list[str]:
+def cut_off(indirect_share: float, albedo: Array, max_depth: int) -> list[CaptureWarning]:
     """Light of bounces beyond ``max_depth``, as a share of what was found.
 
     Bounces are taken to fall as powers of the mean reflectance r in sight, exact in a closed room
@@ -27,17 +28,19 @@ def cut_off(indirect_share: float, albedo: Array, max_depth: int) -> list[str]:
         return []
     kept = float(seen.mean()) ** (max_depth - 1)
     if kept >= 1:
-        return [f"bounces beyond max_depth {max_depth} are cut off: nothing here absorbs light"]
+        text = f"bounces beyond max_depth {max_depth} are cut off: nothing here absorbs light"
+        return [CaptureWarning("rendering", text)]
     lost = indirect_share * kept / (1 - kept)
     if lost < _WORTH_SAYING:
         return []
-    return [
+    text = (
         f"bounces beyond max_depth {max_depth} are cut off: some {100 * lost:.2g} % more light, "
         "if reflectances in sight hold everywhere"
-    ]
+    )
+    return [CaptureWarning("rendering", text)]
 
 
-def grazing(cells: Array, cosines: Array) -> list[str]:
+def grazing(cells: Array, cosines: Array) -> list[CaptureWarning]:
     """Rounding of float32 rays on surfaces met at a grazing angle, weighted by their light.
 
     ``cells``, ``cosines``: light of each cell and cosine of incidence in its middle, alike shaped.
@@ -48,10 +51,11 @@ def grazing(cells: Array, cosines: Array) -> list[str]:
     error = float(np.sum(cells[lit] * _STEPS * _STEP / cosines[lit]) / cells[lit].sum())
     if error < _WORTH_SAYING:
         return []
-    return [f"surfaces are met at grazing angles: float32 rays leave up to {100 * error:.2g} %"]
+    text = f"surfaces are met at grazing angles: float32 rays leave up to {100 * error:.2g} %"
+    return [CaptureWarning("rendering", text)]
 
 
-def unsampled(scene: Scene, camera: Device, rays: int) -> list[str]:
+def unsampled(scene: Scene, camera: Device, rays: int) -> list[CaptureWarning]:
     """Objects in the field so small that none of ``rays`` need meet them.
 
     Their light comes out right in the mean only: with n rays expected, off by 1 / sqrt(n) of it.
@@ -72,10 +76,11 @@ def unsampled(scene: Scene, camera: Device, rays: int) -> list[str]:
     return [_small(found)] if found else []
 
 
-def _small(found: Sequence[tuple[str, float]]) -> str:
+def _small(found: Sequence[tuple[str, float]]) -> CaptureWarning:
     worst = max(error for _, error in found)
     names = ", ".join(name for name, _ in found[:5]) + (", ..." if len(found) > 5 else "")
-    return (
+    return CaptureWarning(
+        "rendering",
         f"smaller than the spacing of rays: {names}; light from there is off by up to "
-        f"{100 * worst:.2g} % of itself; more samples find it"
+        f"{100 * worst:.2g} % of itself; more samples find it",
     )

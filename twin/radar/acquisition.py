@@ -25,6 +25,7 @@ from twin.radar.truth import TrueTarget, true_targets
 from twin.scene import Scene
 from twin.scene.model import Pose
 from twin.system import Weather
+from twin.warned import CaptureWarning, is_void
 
 _NEAREST_M = 0.1  # a point target nearer than this is no point
 _MOST_CELLS = 2**28  # of one record: a gigabyte
@@ -45,7 +46,12 @@ class RadarCapture:
     air: Air
     sample_noise_w: float
     assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[CaptureWarning, ...]
+
+    @property
+    def void(self) -> bool:
+        """Whether the record holds nothing to detect anything in."""
+        return is_void(self.warnings)
 
     @property
     def propagation(self) -> Propagation:

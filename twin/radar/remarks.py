@@ -18,6 +18,7 @@ from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import encloses
 from twin.scene.meshes import Mesh, divided
 from twin.scene.model import Target
+from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
@@ -85,7 +86,7 @@ def warnings(
     truth: tuple[TrueTarget, ...],
     flags: NDArray[np.uint8],
     rung: RadarRung,
-) -> tuple[str, ...]:
+) -> tuple[CaptureWarning, ...]:
     """What contradicts itself; the scene is that of the first burst."""
     farthest = max((t.range_m for t in truth), default=0.0)
     fastest = max((abs(t.range_rate_m_per_s) for t in truth), default=0.0)
@@ -93,28 +94,31 @@ def warnings(
     place = scene.rig.position_m + scene.rig.device("radar")[0]
     inside = [item.name for item in scene.objects if encloses(item, place)]
     if inside:
-        found.append(f"the radar stands inside {', '.join(inside)}")
+        text = f"the radar stands inside {', '.join(inside)}"
+        found.append(CaptureWarning("design", text))
     hidden = [t.name for t in truth if not t.visible]
     if hidden:
-        found.append(f"no direct path to {', '.join(hidden)}")
+        found.append(CaptureWarning("hidden", f"no direct path to {', '.join(hidden)}"))
     surfaces = {a.name for a in bursts[0].roles if a.role is Role.SURFACE}
     coarse = [o.name for o in scene.objects if o.name in surfaces and _too_large(o, place)]
     if coarse and rung == "paths":  # our own images are found in float64
-        found.append(
+        text = (
             f"triangles of {', '.join(coarse)} are so large that float32 rays may lose their echo "
             "or count it again (off by up to 300 % in what was tried): divide them"
         )
-    found += bursts[0].warnings
+        found.append(CaptureWarning("rendering", text))
+    found += [CaptureWarning("model", text) for text in bursts[0].warnings]
     found += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
     found += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
     found += _noise(radar, farthest)
     if not any(len(burst.paths) + len(burst.echoes.delay_s) for burst in bursts):
         what = "noise and leakage" if radar.leakage else "noise"
-        found.append(f"no echo at all: the record holds {what} only")
+        text = f"no echo at all: the record holds {what} only"
+        found.append(CaptureWarning("no-echo", text))
     if flags.any():
-        found.append(
-            f"{np.count_nonzero(flags)} of {flags.size} slots clip: lower front_end.noise_counts"
-        )
+        clipped = int(np.count_nonzero(flags))
+        text = f"{clipped} of {flags.size} slots clip: lower front_end.noise_counts"
+        found.append(CaptureWarning("saturated", text, void=clipped == flags.size))
     return tuple(found)
 
 
@@ -170,17 +174,18 @@ def _front_end(radar: RadarDesign) -> list[str]:
     return found
 
 
-def _noise(radar: RadarDesign, farthest_m: float) -> list[str]:
+def _noise(radar: RadarDesign, farthest_m: float) -> list[CaptureWarning]:
     if radar.oscillator is None:
         return []
     delay = 2 * min(farthest_m or np.inf, radar.ofdm.max_range_m) / C_M_PER_S
     left = residual_rad(radar.oscillator, radar.ofdm, delay) * np.sqrt(radar.ofdm.repeats)
     if left < _NOISY_RAD:
         return []
-    return [
+    text = (
         f"oscillator: {left:.2g} rad of phase noise are left on an echo, too much for a model to "
         f"first order: {100 * (1 - np.exp(-(left**2) / 2)):.0f} % of its amplitude should be lost"
-    ]
+    )
+    return [CaptureWarning("model", text)]
 
 
 def _curvature_rad(radar: RadarDesign, range_m: float) -> float:
@@ -193,10 +198,11 @@ def _curvature_rad(radar: RadarDesign, range_m: float) -> float:
     return float(np.pi * widest / (radar.ofdm.wavelength_m * range_m))
 
 
-def _curved(radar: RadarDesign, target: TrueTarget) -> str:
-    return (
+def _curved(radar: RadarDesign, target: TrueTarget) -> CaptureWarning:
+    return CaptureWarning(
+        "model",
         f"{target.name} is so near that wavefronts bend by "
-        f"{_curvature_rad(radar, target.range_m):.2g} rad over the antennas, which is left out"
+        f"{_curvature_rad(radar, target.range_m):.2g} rad over the antennas, which is left out",
     )
 
 
@@ -206,7 +212,7 @@ def _too_large(item: SceneObject, place: Array) -> bool:
     return len(divided(mesh).faces) > len(mesh.faces)
 
 
-def _bend(target: Target, place: Array, radar: RadarDesign) -> str | None:
+def _bend(target: Target, place: Array, radar: RadarDesign) -> CaptureWarning | None:
     """Warning where a target crosses so fast that its range is no straight line in time.
 
     Across the line of sight v moves it by (v t)^2 / (2 R), which a path's one rate leaves out.
@@ -219,9 +225,10 @@ def _bend(target: Target, place: Array, radar: RadarDesign) -> str | None:
     phase = 4 * np.pi * bend / radar.ofdm.wavelength_m
     if phase < _BENT_RAD:
         return None
-    return (
+    return CaptureWarning(
+        "model",
         f"{target.name} crosses so fast that its range bends by {bend:.2g} m within the interval, "
-        f"which is left out: its echo is off by up to {100 * min(phase, 2.0):.3g} % of itself"
+        f"which is left out: its echo is off by up to {100 * min(phase, 2.0):.3g} % of itself",
     )
 
 

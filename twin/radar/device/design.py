@@ -24,6 +24,7 @@ from twin.toml import (
     bundled,
     load_entry,
 )
+from twin.warned import CaptureWarning
 
 _MOST_CELLS = 2**25  # of one burst: half a gigabyte in complex numbers
 _MOST_SYMBOLS = 2**24  # of one step, over which the oscillator wanders
@@ -246,7 +247,9 @@ class RadarDesign(Entry):
         cells = self.channel_waveform.n_subcarriers * self.channel_waveform.n_slots
         return received_w * cells / self.sample_noise_w
 
-    def warnings(self, farthest_m: float = 0.0, fastest_m_per_s: float = 0.0) -> list[str]:
+    def warnings(
+        self, farthest_m: float = 0.0, fastest_m_per_s: float = 0.0
+    ) -> list[CaptureWarning]:
         """Contradictions, each with its figures.
 
         Parameters
@@ -261,43 +264,59 @@ class RadarDesign(Entry):
             *self._antenna_warnings(),
         ]
 
-    def _band_warnings(self) -> list[str]:
+    def _band_warnings(self) -> list[CaptureWarning]:
         wave, carriers, found = self.ofdm, self.burst.carriers_hz, []
         low, high = carriers[0] - wave.bandwidth_hz / 2, carriers[-1] + wave.bandwidth_hz / 2
         if low < self.band.low_hz.value or high > self.band.high_hz.value:
             found.append(
-                f"band: {low / 1e9:.2f}-{high / 1e9:.2f} GHz leaves "
-                f"{self.band.low_hz.value / 1e9:g}-{self.band.high_hz.value / 1e9:g} GHz"
+                CaptureWarning(
+                    "design",
+                    f"band: {low / 1e9:.2f}-{high / 1e9:.2f} GHz leaves "
+                    f"{self.band.low_hz.value / 1e9:g}-{self.band.high_hz.value / 1e9:g} GHz",
+                )
             )
         if self.steps and self.steps.spacing_hz.value > wave.bandwidth_hz * (1 + 1e-9):
             found.append(
-                f"steps: {self.steps.spacing_hz.value / 1e6:g} MHz apart leave gaps between bands "
-                f"of {wave.bandwidth_hz / 1e6:g} MHz"
+                CaptureWarning(
+                    "design",
+                    f"steps: {self.steps.spacing_hz.value / 1e6:g} MHz apart leave gaps between "
+                    f"bands of {wave.bandwidth_hz / 1e6:g} MHz",
+                )
             )
         return found
 
-    def _range_warnings(self, farthest_m: float) -> list[str]:
+    def _range_warnings(self, farthest_m: float) -> list[CaptureWarning]:
         wave, found = self.ofdm, []
         if farthest_m > wave.max_range_m:
             found.append(
-                f"range: {farthest_m:.1f} m is beyond the unambiguous {wave.max_range_m:.1f} m "
-                f"and appears at {farthest_m % wave.max_range_m:.1f} m"
+                CaptureWarning(
+                    "ambiguous",
+                    f"range: {farthest_m:.1f} m is beyond the unambiguous {wave.max_range_m:.1f} m "
+                    f"and appears at {farthest_m % wave.max_range_m:.1f} m",
+                )
             )
         protected = C_M_PER_S * wave.prefix_s / 2
         reach = min(farthest_m, wave.max_range_m) if farthest_m else wave.max_range_m
         if protected < reach * (1 - 1e-9) - wave.range_cell_m:
             found.append(
-                f"prefix: {wave.prefix_s * 1e6:.3g} us protects {protected:.1f} m of {reach:.1f} m"
+                CaptureWarning(
+                    "design",
+                    f"prefix: {wave.prefix_s * 1e6:.3g} us protects {protected:.1f} m of "
+                    f"{reach:.1f} m",
+                )
             )
         return found
 
-    def _rate_warnings(self, fastest_m_per_s: float) -> list[str]:
+    def _rate_warnings(self, fastest_m_per_s: float) -> list[CaptureWarning]:
         wave, found = self.ofdm, []
         unambiguous = self.channel_waveform.max_velocity_m_per_s
         if fastest_m_per_s > unambiguous:
             found.append(
-                f"velocity: {fastest_m_per_s:.2f} m/s is beyond the unambiguous "
-                f"+/- {unambiguous:.2f} m/s"
+                CaptureWarning(
+                    "ambiguous",
+                    f"velocity: {fastest_m_per_s:.2f} m/s is beyond the unambiguous "
+                    f"+/- {unambiguous:.2f} m/s",
+                )
             )
         edge = 20 * math.log10(abs(float(wave.slot_gain(np.array(0.5 / wave.slot_period_s)))))
         speed = min(fastest_m_per_s, wave.max_velocity_m_per_s)
@@ -305,16 +324,20 @@ class RadarDesign(Entry):
         loss = 20 * math.log10(abs(float(wave.slot_gain(np.array(doppler)))))
         if loss < -1:
             found.append(
-                f"slot: averaging {wave.repeats} repeats loses {-loss:.1f} dB at "
-                f"{speed:.1f} m/s ({-edge:.1f} dB at the edge)"
+                CaptureWarning(
+                    "design",
+                    f"slot: averaging {wave.repeats} repeats loses {-loss:.1f} dB at "
+                    f"{speed:.1f} m/s ({-edge:.1f} dB at the edge)",
+                )
             )
         return found
 
-    def _antenna_warnings(self) -> list[str]:
+    def _antenna_warnings(self) -> list[CaptureWarning]:
         pattern = self.antenna.pattern
         if pattern is None or pattern.efficiency <= _MOST_FED:
             return []
-        return [f"antenna: the pattern radiates {100 * pattern.efficiency:.0f} % of what it is fed"]
+        text = f"antenna: the pattern radiates {100 * pattern.efficiency:.0f} % of what it is fed"
+        return [CaptureWarning("design", text)]
 
 
 def load_radar(name: "str | Path | RadarDesign") -> RadarDesign:
