@@ -19,11 +19,12 @@ from scipy.stats import ttest_1samp
 from hardware import reconstruct
 from twin.camera.acquisition import measure
 from twin.camera.light import Rendered
+from twin.digest import digest
 from twin.fidelity import PRESETS
 from twin.files import InputError
 from twin.radar import load_radar
 from twin.regression.baseline import read_baseline
-from twin.regression.cache import Store, digest
+from twin.regression.cache import Store
 from twin.regression.checker import Regression
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
 from twin.regression.runs import records, run_camera, run_radar, vehicle_detector

@@ -1,54 +1,24 @@
 """Rendered truth on disk, named by all it depends on, made once however many ask."""
 
 import fcntl
-import hashlib
 import os
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
-from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
+from twin.digest import source_digest
 
 T = TypeVar("T")
 
-#: Words about values, not values: a better citation renders nothing new.
-_WORDS = {"description", "source", "assumed", "origin", "assumptions", "warnings", "path"}
-_ENGINES = ("numpy", "scipy", "mitsuba", "drjit", "sionna-rt", "finufft")
 _MOST_FILES = 64
 
 
-def digest(*content: Any) -> str:
-    """SHA-256 of what dataclasses, settings and arrays say; the same on every machine.
-
-    Arrays count to 1e-9 of their unit, so that rounding does not show. Files of spectra count by
-    what is in them, other paths not at all.
-    """
-    found = hashlib.sha256()
-    for piece in _pieces(content):
-        found.update(piece)
-    return found.hexdigest()
-
-
-def versions() -> dict[str, str]:
-    """Of this package and the engines under it."""
-    from twin import __version__
-
-    return {"ugv-twin": __version__, **{name: metadata.version(name) for name in _ENGINES}}
-
-
-@lru_cache(maxsize=1)
 def code() -> str:
     """Digest of the simulator's own source: a change there makes the truth anew."""
-    found, root = hashlib.sha256(), Path(__file__).parents[1]
-    for path in sorted(root.rglob("*.py")):
-        if Path(__file__).parent not in path.parents:
-            found.update(str(path.relative_to(root)).encode() + path.read_bytes())
-    return found.hexdigest()
+    here = Path(__file__).parent
+    return source_digest(here.parent, without=(here,))
 
 
 class Store:
@@ -89,39 +59,3 @@ def _age(path: Path) -> float:
     with suppress(OSError):
         return path.stat().st_mtime
     return 0.0
-
-
-def _pieces(value: Any) -> Iterator[bytes]:
-    """A value as bytes, each kind led by its name and size so that no two values share theirs."""
-    if isinstance(value, np.ndarray):
-        exact = np.round(np.asarray(value, np.float64), 9) + 0.0  # + 0: no negative zero
-        yield f"array{value.shape}".encode() + exact.tobytes()
-    elif isinstance(value, Path):
-        yield b"path"
-    elif isinstance(value, Mapping):
-        yield from _named("mapping", {str(k): v for k, v in value.items()})
-    elif is_dataclass(value):
-        yield from _named(
-            type(value).__name__, {f.name: getattr(value, f.name) for f in fields(value)}
-        )
-    elif hasattr(type(value), "model_fields"):
-        names = type(value).model_fields
-        yield from _named(type(value).__name__, {name: getattr(value, name) for name in names})
-    elif isinstance(value, Sequence) and not isinstance(value, str):
-        yield f"sequence{len(value)}".encode()
-        for item in value:
-            yield from _pieces(item)
-    else:
-        yield f"{type(value).__name__} {value!r};".encode()
-
-
-def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
-    # What is not there does not count: a new optional part leaves what was made before valid.
-    told = {n: content[n] for n in sorted(content) if n not in _WORDS and content[n] is not None}
-    yield f"{kind}{len(told)}".encode()
-    for name, value in told.items():
-        yield f"{name}=".encode()
-        if name.endswith(("_csv", "_file")):
-            yield hashlib.sha256(Path(value.value).read_bytes()).digest()
-        else:
-            yield from _pieces(value)

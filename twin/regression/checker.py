@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from twin.digest import digest, versions
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar
 from twin.regression.baseline import (
@@ -18,7 +19,6 @@ from twin.regression.baseline import (
     rounded,
     write_baseline,
 )
-from twin.regression.cache import digest, versions
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
 from twin.regression.pictures import draw_echoes, draw_images, echo_example, image_example, save
 from twin.regression.runs import (

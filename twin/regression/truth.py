@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from twin.camera.light import Rendered, render
+from twin.digest import digest, versions
 from twin.fidelity import Fidelity
 from twin.radar import RadarCapture, RadarDesign, radar_capture
-from twin.regression.cache import Store, code, digest, versions
+from twin.regression.cache import Store, code
 from twin.scene import Scene
 from twin.system import System
 
