@@ -342,8 +342,22 @@ def test_obj_counts_from_one(tmp_path: Path) -> None:
     assert_refused(folder, "thing.obj: line 5: vertex 0")
 
 
-def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path) -> None:
-    """An OBJ with a texture, its `to_uv`, filter and wrapping: albedo along 64 rays, both ways."""
+@pytest.mark.parametrize(
+    "to_uv",
+    [
+        '<scale x="2" y="3"/>',
+        '<translate x="0.3" y="0.11"/>',
+        '<translate x="0.2" y="0.4"/><rotate z="1" angle="30"/><scale x="1.5" y="0.7"/>',
+        '<matrix value="1 0.2 0.3 -0.1 1 0.11 0 0 1"/>',
+        '<matrix value="1 0 0 0.3 0 1 0 0.11 0 0 1 0 0 0 0 1"/>',
+    ],
+)
+def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path, to_uv: str) -> None:
+    """An OBJ with a texture, its `to_uv`, filter and wrapping: albedo along 64 rays, both ways.
+
+    Translations in any order with other steps; a matrix of nine values, whose third column stock
+    Mitsuba drops, and one of sixteen. With the translation ignored, 0.8 and more of the range off.
+    """
     from twin.camera.truth import render_truth
     from twin.optics.devices import Device
 
@@ -358,7 +372,7 @@ def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path) -> Non
         '<scene version="3.0.0"><shape type="obj" id="q"><string name="filename" value="q.obj"/>'
         '<bsdf type="twosided" id="own"><bsdf type="diffuse"><texture type="bitmap" '
         'name="reflectance"><string name="filename" value="t.exr"/><boolean name="raw" '
-        'value="true"/><transform name="to_uv"><scale x="2" y="3"/></transform></texture></bsdf>'
+        f'value="true"/><transform name="to_uv">{to_uv}</transform></texture></bsdf>'
         "</bsdf></shape></scene>"
     )
     camera = Device(np.zeros(3), np.eye(3), 0.15)

@@ -31,10 +31,14 @@ class Surface:
     to_uv: NDArray[np.float64] | None = None
 
     def placed(self, uv: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-        """Texture coordinates (n, 2) of a mesh as the texture's own transform moves them."""
+        """Texture coordinates (n, 2) of a mesh as the texture's own transform moves them.
+
+        A translation stands in the fourth column of ``to_uv``, which is 4 x 4: there Mitsuba 3.9
+        looks for it, and so drops the one in the third column of a matrix of nine values.
+        """
         if uv is None or self.to_uv is None:
             return uv
-        return uv @ self.to_uv[:2, :2].T + self.to_uv[:2, 2]
+        return uv @ self.to_uv[:2, :2].T + self.to_uv[:2, 3]
 
 
 @dataclass(frozen=True)
