@@ -59,18 +59,18 @@ def band_share(peak_m: float, fwhm_m: float, center_m: float, width_m: float) ->
 
 @lru_cache(maxsize=4)
 def sun_per_lux(center_m: float, width_m: float) -> mp.mpf:
-    """Irradiance of ASTM G-173's global tilt in a band over its illuminance, W/m^2/lx."""
+    """Irradiance of ASTM G-173's direct sun in a band over its illuminance, W/m^2/lx."""
     import colour
     from colour.plotting.datasets import astm_g_173
 
-    tilt = astm_g_173.SD_ASTMG173_GLOBAL_TILT
+    sun = astm_g_173.SD_ASTMG173_DIRECT_CIRCUMSOLAR
     eye = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
     low, high = ((center_m + s * width_m / 2) * 1e9 for s in (-1, 1))
-    inside = [low, *(float(x) for x in tilt.wavelengths if low < x < high), high]
-    band = [(x, float(np.interp(x, tilt.wavelengths, tilt.values))) for x in inside]
+    inside = [low, *(float(x) for x in sun.wavelengths if low < x < high), high]
+    band = [(x, float(np.interp(x, sun.wavelengths, sun.values))) for x in inside]
     sight = [
         (float(x), float(y) * float(np.interp(x, eye.wavelengths, eye.values, 0, 0)))
-        for x, y in zip(tilt.wavelengths, tilt.values, strict=True)
+        for x, y in zip(sun.wavelengths, sun.values, strict=True)
     ]
     return _trapezoid(band) / (683 * _trapezoid(sight))
 

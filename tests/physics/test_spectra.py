@@ -65,6 +65,18 @@ def test_direct_sun_in_the_band_is_the_audited_one() -> None:
     assert at_100_klx == pytest.approx(3.250, rel=5e-3)
 
 
+@pytest.mark.parametrize("width_nm", [12, 20, 30])
+def test_one_sun_is_the_same_by_elevation_and_by_illuminance(width_nm: int) -> None:
+    """At 1.5 air masses both are ASTM G-173's direct spectrum: 5.26 W/m^2 in 20 nm, either way.
+
+    Within 3e-4, what 41.76 deg is off 1.5 air masses. The global tilt gives 9 % less.
+    """
+    band = PAPER.filter.model_copy(update={"width_m": assumed(width_nm * 1e-9)})
+    high = sun_in_band(Sky(sun_elevation_deg=assumed(41.76)), band)
+    same = sun_in_band(Sky(illuminance_lx=assumed(high.illuminance_lx)), band)
+    assert same.irradiance_w_per_m2 == pytest.approx(high.irradiance_w_per_m2, rel=3e-4)
+
+
 @pytest.mark.parametrize(("index", "shift_nm"), [(1.45, 11.2), (2.0, 5.9)])
 def test_a_filter_shifts_6_to_11_nm_at_10_degrees(index: float, shift_nm: float) -> None:
     band = FB12.model_copy(update={"effective_index": assumed(index)})

@@ -23,8 +23,8 @@ _FINE = 20_001  # points of a numerical integral over a line or a band
 
 #: Declared with every result that depends on it.
 SUN_ASSUMPTION = (
-    "sun: ASTM G-173 spectrum scaled to the illuminance, or that of a clear sky at the sun's "
-    "elevation; one directional source, no light from the sky itself"
+    "sun: the direct spectrum of ASTM G-173 (1.5 air masses) scaled to the illuminance, or that of "
+    "a clear sky at the sun's elevation; one directional source, no light from the sky itself"
 )
 
 
@@ -45,7 +45,7 @@ def sun_in_band(sky: Sky, band: Filter, angle_deg: float = 0.0) -> SunInBand:
         return SunInBand(_illuminance(nm, spectrum), _through(nm, spectrum, band, angle_deg))
     assert sky.illuminance_lx is not None  # a Sky has one of the two
     lux = sky.illuminance_lx.value
-    nm, spectrum = _tables()[0], _tables()[1]
+    nm, spectrum = _direct()
     through = _through(nm, spectrum, band, angle_deg)
     return SunInBand(lux, through * lux / _illuminance(nm, spectrum))
 
@@ -53,13 +53,15 @@ def sun_in_band(sky: Sky, band: Filter, angle_deg: float = 0.0) -> SunInBand:
 def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width_m: float) -> float:
     """Irradiance of the sun in a flat band, W/m^2, on the plane that receives ``illuminance_lx``.
 
-    ASTM G-173-03 (global tilt, 1.5 air masses) integrated over ``center +/- width / 2`` and scaled
-    by its luminous flux, 683 lm/W x integral of E V (the intent of the paper's Eq. 1, which as
-    printed weights the band itself by V(1550 nm) = 0).
+    ASTM G-173-03 (direct and circumsolar, 1.5 air masses) integrated over ``center +/- width / 2``
+    and scaled by its luminous flux, 683 lm/W x integral of E V (the intent of the paper's Eq. 1,
+    which as printed weights the band itself by V(1550 nm) = 0). Light that comes from one direction
+    is direct light: the standard's global tilt holds the sky's blue light too, and 9 % less at
+    1550 nm per lux.
 
     Raises ValueError for a band outside the table.
     """
-    nm, spectrum, *_ = _tables()
+    nm, spectrum = _direct()
     low, high = ((center_wavelength_m + side * width_m / 2) * 1e9 for side in (-1, 1))
     if low < nm[0] or high > nm[-1]:
         raise ValueError(f"band {low:g} to {high:g} nm is outside the solar spectrum's table")
@@ -73,7 +75,7 @@ def clear_sun(elevation_deg: float) -> tuple[Array, Array]:
     lets through is the 1.5th root of their ratio, and Beer's law carries it to the air mass of the
     elevation (Kasten and Young, Applied Optics 28, 1989). Zero below the horizon.
     """
-    nm, _, outside, direct, _ = _tables()
+    nm, outside, direct, _ = _tables()
     if elevation_deg <= 0:
         return nm, np.zeros_like(nm)
     through = np.divide(direct, outside, out=np.zeros_like(direct), where=outside > 0)
@@ -236,18 +238,23 @@ def _integral(nm: Array, spectrum: Array, low: float, high: float) -> float:
 
 
 def _illuminance(nm: Array, spectrum: Array) -> float:
-    return float(_LM_PER_W * np.trapezoid(spectrum * _tables()[4], nm))
+    return float(_LM_PER_W * np.trapezoid(spectrum * _tables()[3], nm))
+
+
+def _direct() -> tuple[Array, Array]:
+    """ASTM G-173's direct spectrum: nm, W/m^2/nm on the plane normal to the sun."""
+    nm, _, direct, _ = _tables()
+    return nm, direct
 
 
 @lru_cache(maxsize=1)
-def _tables() -> tuple[Array, Array, Array, Array, Array]:
-    """ASTM G-173: nm, global tilt, above the atmosphere, direct; and V(lambda) on its grid."""
+def _tables() -> tuple[Array, Array, Array, Array]:
+    """ASTM G-173: nm, above the atmosphere, direct and circumsolar; and V(lambda) on its grid."""
     with np.printoptions():  # colour-science changes them on import
         import colour
         from colour.plotting.datasets import astm_g_173
-    tilt = astm_g_173.SD_ASTMG173_GLOBAL_TILT
-    photopic = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
-    nm = np.asarray(tilt.wavelengths)
-    v = np.interp(nm, photopic.wavelengths, photopic.values, left=0, right=0)
     outside, direct = astm_g_173.SD_ASTMG173_ETR, astm_g_173.SD_ASTMG173_DIRECT_CIRCUMSOLAR
-    return nm, tilt.values, outside.values, direct.values, v
+    photopic = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
+    nm = np.asarray(direct.wavelengths)
+    v = np.interp(nm, photopic.wavelengths, photopic.values, left=0, right=0)
+    return nm, outside.values, direct.values, v
