@@ -1,6 +1,7 @@
 """Transport between emitter cells and detector pixels, in both roles."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,6 +144,49 @@ def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
         off = rows.mean(axis=0) - plain.total.ravel()
         spread = np.hypot(rows.std(axis=0, ddof=1) / math.sqrt(24), plain.standard_error.ravel())
         assert np.abs(off / spread).max() < stats.t.isf(1e-4 / 16 / 2, df=23)
+
+
+BLURRED = replace(HERE, blur_tan=0.02)
+WIDE = replace(HERE, tan_half_field=2 * TAN)
+BESIDE = np.array([0, -0.05, 0])
+
+
+@pytest.mark.parametrize(
+    ("emitter", "detector", "shape", "columns", "roles"),
+    [
+        (BLURRED, WIDE, (8, 8), (4, 4), ("dual", "scatter")),
+        (BLURRED, replace(HERE, origin_m=BESIDE), (16, 1), (1, 32), ("dual", "scatter")),
+        (replace(HERE, pitch_m=1e-3, lobe_exponent=5.0), WIDE, (4, 4), (4, 4), ("dual",)),
+        (HERE, replace(HERE, outline="disc", blur_tan=0.05), (8, 8), (4, 4), ("dual", "scatter")),
+        (
+            HERE,
+            replace(HERE, pupil_radius_m=0.02, focus_m=1.0),
+            (8, 8),
+            (4, 4),
+            ("dual", "scatter"),
+        ),
+    ],
+    ids=["wide detector", "line sensor", "bare elements", "round detector", "out of focus"],
+)
+def test_all_pixels_together_are_the_plain_transport(
+    emitter: Device, detector: Device, shape, columns, roles
+) -> None:
+    """Whatever lenses do to the edge of a field, the sum of the matrix is `transport`.
+
+    Light that a blur sends beyond the emitter's own field, light of elements without a lens, the
+    edge of a round field, an image out of focus. 2.6e5 paths, stratified but for edges: 0.1 % of
+    the whole, 1.6 % of a cell in which 4096 of them fall at random. Bounds at three and five of
+    these standard deviations; masked by the start's field, 0.6 to 66 % were lost.
+    """
+    world = wall(5.0)
+    start, end = Grid(emitter, *shape), Grid(detector, *columns)
+    plain = transport(world, emitter, detector, shape, quality=Quality(4096, 1), seed=2).total
+    for role in roles:
+        ends = start.size if role == "dual" else end.size
+        quality = Quality(math.isqrt(4096 * start.size // ends) ** 2, 1)
+        summed = transport_matrix(world, start, end, quality=quality, seed=3, role=role).sum(axis=0)
+        assert summed.sum() == pytest.approx(plain.sum(), rel=3e-3)
+        np.testing.assert_allclose(summed, plain.ravel(), atol=0.08 * plain.max())
 
 
 def test_same_seed_same_bits_and_roles_by_name() -> None:

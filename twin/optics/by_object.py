@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import Grid, Role, field_coordinates, inside, started_rays
+from twin.optics.devices import Grid, Role, started_rays
 from twin.optics.paths import Light, connector, next_event, random_numbers
 from twin.optics.transport import RAYS_AT_ONCE, Gathered
 
@@ -81,10 +81,7 @@ def _block(
     mi = mitsuba()
     n_rays = (block[1] - block[0]) * camera.columns * samples
     rng = random_numbers(n_rays, seed, block[0])
-    ray, weight = started_rays(camera, block, samples, rng, role)
-    active = dr.full(mi.Bool, True, n_rays)
-    if camera.device.outline == "disc":
-        active &= inside(camera.device, *field_coordinates(camera.device, ray.d))
+    ray, weight, active = started_rays(camera, block, samples, rng, role)
     hit = scene.ray_intersect(ray, mi.RayFlags.All, mi.Bool(True), active)
     active &= hit.is_valid()
     value, link = next_event(scene, hit, ray, connector(light), rng, active, True)

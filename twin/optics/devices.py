@@ -82,48 +82,84 @@ class Grid:
 
 def started_rays(
     grid: Grid, block: tuple[int, int], samples: int, rng: Any, role: Role
-) -> tuple[Any, Any]:
-    """Rays from the cells of rows ``block``, ``samples`` of each, and their weights.
+) -> tuple[Any, Any, Any]:
+    """Rays from the cells of rows ``block``, ``samples`` of each, their weights, and whether they
+    belong to the device at all: cells in the corners around a round field do not. A lens's blur
+    sends rays of the field beyond its edge, and they count.
 
     The mean of weight times what a ray finds is, per cell: for a ``picture`` the mean over it; for
     an ``emitter`` the integral over its solid angle per radiant intensity (of the whole device on
     its axis, where bare elements share it); for a ``pupil`` the integral over its projected solid
     angle.
     """
-    device = grid.device
+    mi, device = mitsuba(), grid.device
+    within = dr.full(mi.Bool, True, (block[1] - block[0]) * grid.columns * samples)
     if device.pitch_m is not None and role == "emitter":
-        return _bare_rays(grid, block, samples, rng, device.pitch_m)
-    ray, cos = primary_rays(grid, block, samples, rng)
+        return *_bare_rays(grid, block, samples, rng, device.pitch_m), within
+    left, up = _field_points(grid, block, samples, rng)
+    if device.outline == "disc":
+        within &= inside(device, left, up)
+    ray, cos = _through_lens(device, left, up, rng)
     if role == "picture":
-        return ray, mitsuba().Float(1)
+        return ray, mi.Float(1), within
     area = (2 * device.tan_half_field) ** 2 / grid.size
-    weight = cos * cos * cos * dr.opaque(mitsuba().Float, area)
+    weight = cos * cos * cos * dr.opaque(mi.Float, area)
     if role == "pupil":
         weight *= cos
-    return ray, weight * relative(device, *field_coordinates(device, ray.d), cos)
+    return ray, weight * relative(device, *field_coordinates(device, ray.d), cos), within
 
 
-def primary_rays(grid: Grid, block: tuple[int, int], samples: int, rng: Any) -> tuple[Any, Any]:
-    """Stratified rays through the cells of rows ``block``, and their cosine to the axis.
-
-    With ``rng`` None every ray goes through the middle of its stratum, without blur.
+def primary_rays(grid: Grid, block: tuple[int, int], samples: int) -> tuple[Any, Any]:
+    """Rays through the middles of the strata of cells of rows ``block``, and their cosine to the
+    axis; the lens is sharp.
     """
+    return _directed(grid.device, *_field_points(grid, block, samples, None))
+
+
+def _field_points(grid: Grid, block: tuple[int, int], samples: int, rng: Any) -> tuple[Any, Any]:
+    """Stratified points of the cells of rows ``block`` in the field."""
     mi = mitsuba()
-    device = grid.device
     row, column, x, y = _strata_points(grid, block, samples, rng)
-    if rng is not None and device.fill_factor < 1:
-        lit = dr.opaque(mi.Float, device.fill_factor**0.5)
+    if rng is not None and grid.device.fill_factor < 1:
+        lit = dr.opaque(mi.Float, grid.device.fill_factor**0.5)
         x, y = 0.5 + (x - 0.5) * lit, 0.5 + (y - 0.5) * lit
     left = 1 - 2 * (column + x) / dr.opaque(mi.Float, grid.columns)
     up = 1 - 2 * (row + y) / dr.opaque(mi.Float, grid.rows)
-    if rng is not None:
-        left, up = blurred(device, left, up, rng)
+    return left, up
+
+
+def _through_lens(device: Device, left: Any, up: Any, rng: Any) -> tuple[Any, Any]:
+    """Rays that the lens images to points of the field, through its blur and its whole pupil."""
+    left, up = blurred(device, left, up, rng)
+    if not device.pupil_radius_m:
+        return _directed(device, left, up)
+    shift, defocus = pupil_point(device, rng)
+    ray, cos = _directed(device, left - shift.x * defocus, up - shift.y * defocus)
+    _, left_axis, up_axis = vectors(device.axes)
+    ray.o = ray.o + shift.x * left_axis + shift.y * up_axis
+    return ray, cos
+
+
+def _directed(device: Device, left: Any, up: Any) -> tuple[Any, Any]:
+    """Rays from the middle of the pupil to places in the field, and their cosine to the axis."""
+    mi = mitsuba()
     tangent = dr.opaque(mi.Float, device.tan_half_field)
     left, up = left * tangent, up * tangent
     cos = dr.rsqrt(1 + left * left + up * up)
     forward_axis, left_axis, up_axis = vectors(device.axes)
     direction = (forward_axis + left * left_axis + up * up_axis) * cos
     return mi.Ray3f(point(device.origin_m), direction), cos
+
+
+def pupil_point(device: Device, rng: Any) -> tuple[Any, Any]:
+    """A point of the pupil at random, m left and up of its middle; and by how much of the field
+    an image moves per metre of it, being sharp in the plane in focus.
+    """
+    mi = mitsuba()
+    sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+    radius = dr.opaque(mi.Float, device.pupil_radius_m)
+    shift = radius * mi.warp.square_to_uniform_disk_concentric(sample)
+    return shift, dr.opaque(mi.Float, 1 / (device.focus_m * device.tan_half_field))
 
 
 def _bare_rays(

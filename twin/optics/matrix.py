@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import Grid, Role, field_coordinates, inside, started_rays
+from twin.optics.devices import Grid, Role, started_rays
 from twin.optics.paths import (
     DeviceLight,
     Quality,
@@ -89,8 +89,7 @@ class _Pass:
         mi, start, quality = mitsuba(), self.start, self.quality
         n_cells = (block[1] - block[0]) * start.columns
         rng = random_numbers(n_cells * quality.samples, self.seed, block[0])
-        ray, throughput = started_rays(start, block, quality.samples, rng, self.role)
-        active = inside(start.device, *field_coordinates(start.device, ray.d))
+        ray, throughput, active = started_rays(start, block, quality.samples, rng, self.role)
         connect = connector(self.light)
         extinction = dr.opaque(mi.Float, self.extinction_per_m)
         length = mi.Float(0)

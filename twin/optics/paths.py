@@ -18,6 +18,7 @@ from twin.optics.devices import (
     field_coordinates,
     inside,
     point,
+    pupil_point,
     relative,
     vectors,
 )
@@ -106,21 +107,15 @@ class _SunConnector:
 
 class _DeviceConnector:
     def __init__(self, light: DeviceLight) -> None:
-        mi = mitsuba()
         self.device = light.device
         self.is_pupil = light.kind == "pupil"
         self.origin = point(light.device.origin_m)
         self.axes = vectors(light.device.axes)
-        self.radius = dr.opaque(mi.Float, light.device.pupil_radius_m)
-        scale = light.device.focus_m * light.device.tan_half_field
-        self.defocus = dr.opaque(mi.Float, 1 / scale)
 
     def __call__(self, hit: Any, rng: Any) -> Connection:
-        mi = mitsuba()
         origin, shift = self.origin, None
         if self.device.pupil_radius_m:
-            sample = mi.Point2f(rng.next_float32(), rng.next_float32())
-            shift = self.radius * mi.warp.square_to_uniform_disk_concentric(sample)
+            shift, defocus = pupil_point(self.device, rng)
             origin = origin + shift.x * self.axes[1] + shift.y * self.axes[2]
         towards = origin - hit.p
         distance2 = dr.squared_norm(towards)
@@ -128,8 +123,7 @@ class _DeviceConnector:
         cos = dr.dot(-direction, self.axes[0])
         left, up = field_coordinates(self.device, -direction)
         if shift is not None:
-            # The sharp image is that of the plane in focus.
-            left, up = left + shift.x * self.defocus, up + shift.y * self.defocus
+            left, up = left + shift.x * defocus, up + shift.y * defocus
         weight = dr.rcp(distance2) * relative(self.device, left, up, cos)
         if self.is_pupil:
             weight *= cos

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import constants
 
 from twin.engine import mitsuba
-from twin.optics.devices import Device, Grid, field_coordinates, inside, started_rays
+from twin.optics.devices import Device, Grid, started_rays
 from twin.optics.paths import (
     DeviceLight,
     Quality,
@@ -93,10 +93,7 @@ def trace_paths(
     mi = mitsuba()
     grid = Grid(emitter, *shape)
     rng = random_numbers(grid.size * quality.samples, seed)
-    ray, throughput = started_rays(grid, (0, grid.rows), quality.samples, rng, "emitter")
-    active = mi.Bool(True)
-    if emitter.outline == "disc":
-        active = inside(emitter, *field_coordinates(emitter, ray.d))
+    ray, throughput, active = started_rays(grid, (0, grid.rows), quality.samples, rng, "emitter")
     connect = connector(DeviceLight(detector, "pupil"))
     throughput = throughput / quality.samples
     travelled, found = mi.Float(0), []

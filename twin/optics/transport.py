@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import Device, Grid, Role, field_coordinates, inside, started_rays
+from twin.optics.devices import Device, Grid, Role, started_rays
 from twin.optics.paths import (
     DeviceLight,
     Light,
@@ -161,10 +161,7 @@ def _block(
     scene, camera, light, role, extinction_per_m = task
     n_rays = (block[1] - block[0]) * camera.columns * samples
     rng = random_numbers(n_rays, *seed, block[0])
-    ray, weight = started_rays(camera, block, samples, rng, role)
-    active = dr.full(mi.Bool, True, n_rays)
-    if camera.device.outline == "disc":
-        active &= inside(camera.device, *field_coordinates(camera.device, ray.d))
+    ray, weight, active = started_rays(camera, block, samples, rng, role)
     extinction = dr.opaque(mi.Float, extinction_per_m)
     connect = connector(light)
     if max_depth == 1:
