@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hardware.radar import Detection
 from hardware.reconstruction import reconstruct
 from hardware.records import SpiRecord, container
+from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 
@@ -114,13 +115,17 @@ class RadarCalibration:
         constant = best.power_w * away**4 / target.size
         return cls(device, time.time_ns(), best.range_m - away, constant, target)
 
-    def corrected(self, detection: Detection) -> Detection:
-        """Detection with its true range."""
-        return replace(detection, range_m=detection.range_m - self.range_offset_m)
+    def corrected(self, detection: Detection, waveform: OfdmWaveform) -> Detection:
+        """Detection with its true range, and the cross-section that its power says from there.
 
-    def cross_section_m2(self, detection: Detection) -> float:
-        """Radar cross section of a detection as measured."""
-        return detection.power_w * self.corrected(detection).range_m ** 4 / self.constant_w_m2
+        For a target in the direction that the reference stood in. What averaging over a slot takes
+        from a moving target's echo is put back; ``waveform`` is the one that was processed.
+        """
+        range_m = detection.range_m - self.range_offset_m
+        rate = detection.range_rate_m_per_s if np.isfinite(detection.range_rate_m_per_s) else 0.0
+        kept = float(waveform.slot_gain(np.array(2 * rate / waveform.wavelength_m))) ** 2
+        rcs_m2 = detection.power_w * range_m**4 / (self.constant_w_m2 * kept) if kept else math.nan
+        return replace(detection, range_m=range_m, rcs_m2=rcs_m2)
 
 
 Calibration = CameraCalibration | RadarCalibration

@@ -1,12 +1,25 @@
 """From records to what the vehicle wants to know, as messages in a log."""
 
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
+
 import numpy as np
+from numpy.typing import NDArray
 
 from hardware.calibration import CameraCalibration, RadarCalibration
-from hardware.radar import Detection, channel, detect, range_doppler
+from hardware.radar import Detection
+from hardware.radar.process import Frame, Processing, frames
 from hardware.reconstruction import reconstruct
 from hardware.recording import Log, Received, ros
 from hardware.records import RadarRecord, SpiRecord
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a record showed: a line for each message written, and what was wrong with it."""
+
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def process(
@@ -14,18 +27,21 @@ def process(
     log: Log,
     *,
     method: str = "lmmse",
+    how: Processing | None = None,
     camera: CameraCalibration | None = None,
     radar: RadarCalibration | None = None,
-) -> str:
-    """Append the image of a camera's record, or the detections of a radar's; what they are, in
-    words.
+) -> Outcome:
+    """Append the image of a camera's record, or each burst's detections of a radar's.
 
-    Images are in electrons or, with a calibration, reflectance at the target's distance.
+    Images are in electrons or, with a calibration, reflectance at the target's distance. The
+    radar's are those of `hardware.radar.process.process`, as ``ugv detect`` lists them, as `cloud`.
+
+    Raises ValueError for a calibration of another device.
     """
     sensor = received.topic.rsplit("/", 1)[0] or "/sensor"
     if isinstance(received.record, SpiRecord):
         return _image(received, received.record, log, sensor, method, camera)
-    return _detections(received, received.record, log, sensor, radar)
+    return _detections(received, received.record, log, sensor, how, radar)
 
 
 def _image(
@@ -35,15 +51,16 @@ def _image(
     sensor: str,
     method: str,
     calibration: CameraCalibration | None,
-) -> str:
-    cells, unit = reconstruct(record, method).image, "e-"
+) -> Outcome:
+    image = reconstruct(record, method)
+    cells, unit = image.image, "e-"
     if calibration:
         cells = calibration.reflectance(cells, record, calibration.target.distance_m)
         unit = "reflectance"
     stamp = stamp_ns(received)
     picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
     log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
-    return f"image {cells.min():.3g} to {cells.max():.3g} {unit}"
+    return Outcome((f"image {cells.min():.3g} to {cells.max():.3g} {unit}",), image.warnings)
 
 
 def _detections(
@@ -51,38 +68,62 @@ def _detections(
     record: RadarRecord,
     log: Log,
     sensor: str,
+    how: Processing | None,
     calibration: RadarCalibration | None,
-) -> str:
-    found = detections(record)
-    if calibration:
-        if calibration.device != record.device:
-            raise ValueError(
-                f"device: calibrated {calibration.device!r}, measured {record.device!r}"
-            )
-        found = [calibration.corrected(one) for one in found]
-    n = len(found)
-    columns = {
-        "x": np.array([one.range_m for one in found]),
-        "y": np.zeros(n),
-        "z": np.zeros(n),
-        "range_rate": np.array([one.range_rate_m_per_s for one in found]),
-        "power": np.array([one.power_w for one in found]),
-        "snr_db": np.array([one.snr_db for one in found]),
+) -> Outcome:
+    lines: list[str] = []
+    warnings: list[str] = []
+    for frame in frames(record, how):
+        found = calibrated(frame, record, calibration)
+        stamp = stamp_ns(received, frame.burst)
+        points = ros.points(cloud(found), stamp, sensor.strip("/"))
+        log.message(f"{sensor}/detections", ros.POINTS, points, received.host_ns, stamp)
+        strongest = f", the strongest at {found[0].range_m:.3f} m" if found else ""
+        lines.append(f"burst {frame.burst}: {len(found)} detections{strongest}")
+        warnings += frame.warnings
+    return Outcome(tuple(lines), tuple(warnings))
+
+
+def calibrated(
+    frame: Frame, record: RadarRecord, calibration: RadarCalibration | None
+) -> tuple[Detection, ...]:
+    """Detections of a burst, with ranges and cross-sections by a calibration where there is one.
+
+    Raises ValueError for a calibration of another device.
+    """
+    if calibration is None:
+        return frame.detections
+    if calibration.device != record.device:
+        raise ValueError(f"device: calibrated {calibration.device!r}, measured {record.device!r}")
+    return tuple(calibration.corrected(one, frame.waveform) for one in frame.detections)
+
+
+def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:
+    """Columns of a point cloud: ``x``, ``y``, ``z`` in the antenna's frame, and every field of
+    `Detection` under its own name, (n_detections,) each.
+
+    What was not measured is NaN: x and y without an azimuth, z without an elevation; x and y are
+    then those of a target at the antenna's height.
+    """
+    names = [field.name for field in fields(Detection)]
+    table = np.array([astuple(one) for one in detections], np.float64).reshape(-1, len(names))
+    columns = dict(zip(names, np.where(np.isfinite(table), table, np.nan).T, strict=True))
+    range_m, azimuth, elevation = (
+        columns[name] for name in ("range_m", "azimuth_rad", "elevation_rad")
+    )
+    level_m = range_m * np.cos(np.where(np.isnan(elevation), 0.0, elevation))
+    place = {
+        "x": level_m * np.cos(azimuth),
+        "y": level_m * np.sin(azimuth),
+        "z": range_m * np.sin(elevation),
     }
-    stamp = stamp_ns(received)
-    cloud = ros.points(columns, stamp, sensor.strip("/"))
-    log.message(f"{sensor}/detections", ros.POINTS, cloud, received.host_ns, stamp)
-    return f"{n} detections" + (f", the strongest at {found[0].range_m:.3f} m" if n else "")
+    return place | columns
 
 
-def detections(record: RadarRecord) -> list[Detection]:
-    """Detections of a record's first burst, carrier and receiver: along the range alone."""
-    received = channel(record)
-    image = range_doppler(received, record.waveform)
-    return detect(received, record.waveform, image)
-
-
-def stamp_ns(received: Received) -> int:
-    """Time of a record on the host's clock: the device's where its clock is known."""
-    first = received.record.device_time_ns.reshape(-1)[0]
-    return received.clock.host_ns(int(first)) if received.clock else received.host_ns
+def stamp_ns(received: Received, burst: int = 0) -> int:
+    """Time of a record, or of a radar's burst, on the host's clock: the device's where its clock
+    is known.
+    """
+    times = received.record.device_time_ns
+    first = int(times[burst].reshape(-1)[0])
+    return received.clock.host_ns(first) if received.clock else received.host_ns

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import sys
 import time
 import tomllib
 from collections import Counter
@@ -10,6 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
+
+from hardware.commands.radar import (
+    CfarMethod,
+    FalseAlarm,
+    MovingOnly,
+    Resolve,
+    Window,
+    processing,
+)
 
 if TYPE_CHECKING:
     from hardware.calibration import Calibration
@@ -80,8 +90,13 @@ def process(
     calibration: _Calibrations = [],  # noqa: B006 (typer copies it)
     max_age: _MaxAge = 30.0,
     records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
+    false_alarm: FalseAlarm = None,
+    cfar: CfarMethod = None,
+    window: Window = None,
+    resolve: Resolve = False,
+    moving_only: MovingOnly = False,
 ) -> None:
-    """Turn records into images and detections."""
+    """Turn records into images and detections; a radar's as `ugv detect` does."""
     from hardware.calibration import CameraCalibration, RadarCalibration
     from hardware.processing import process as run
     from hardware.recording import Log
@@ -89,13 +104,17 @@ def process(
     found = [_calibration(path, max_age) for path in calibration]
     camera = next((one for one in found if isinstance(one, CameraCalibration)), None)
     radar = next((one for one in found if isinstance(one, RadarCalibration)), None)
+    how = processing(false_alarm, cfar, window, resolve, moving_only)
     incoming = _records(source, settings, radar_setup)
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
     with Log(target) as log:
         for received in itertools.islice(incoming, records or None):
-            said = run(received, log, method=method, camera=camera, radar=radar)
-            print(f"{received.topic}: {said}")
+            outcome = run(received, log, method=method, how=how, camera=camera, radar=radar)
+            for warning in outcome.warnings:
+                print(f"warning: {received.topic}: {warning}", file=sys.stderr)
+            for line in outcome.lines:
+                print(f"{received.topic}: {line}")
     print(f"written: {target}")
 
 
@@ -196,12 +215,15 @@ def calibrate_radar(
 ) -> None:
     """Range offset and power of a radar."""
     from hardware.calibration import RadarCalibration, Target, write_calibration
-    from hardware.processing import detections
+    from hardware.radar.process import process as processed
     from hardware.records import RadarRecord
 
     target = Target(distance, cross_section)
     record = _first(_records(source, None, radar_setup), source, RadarRecord)
-    made = RadarCalibration.of(record.device, detections(record), target)
+    frame = processed(record)
+    for warning in frame.warnings:
+        print(f"warning: {source}: {warning}", file=sys.stderr)
+    made = RadarCalibration.of(record.device, frame.detections, target)
     write_calibration(made, out)
     print(f"range offset {1e3 * made.range_offset_m:.2f} mm; written: {out}")
 

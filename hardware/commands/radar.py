@@ -1,12 +1,21 @@
 """The commands ``ugv detect`` and ``ugv image``: detections and images from a radar's record."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+if TYPE_CHECKING:
+    from hardware.radar.process import Processing
+
 Record = Annotated[Path, typer.Argument(help="Record of a radar (HDF5).")]
+FalseAlarm = Annotated[float | None, typer.Option(help="Probability per cell; default 1e-8.")]
+CfarMethod = Annotated[str | None, typer.Option("--cfar", help="ca, go or os.")]
+Window = Annotated[str | None, typer.Option(help="SciPy's name of a window.")]
+Resolve = Annotated[bool, typer.Option(help="Split targets nearer than a cell.")]
+MovingOnly = Annotated[bool, typer.Option(help="Leave out what stands still.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -15,13 +24,37 @@ def register(app: typer.Typer) -> None:
     app.command()(image)
 
 
+def processing(
+    false_alarm: float | None,
+    cfar: str | None,
+    window: str | None,
+    resolve: bool,
+    moving_only: bool,
+) -> "Processing":
+    """What ``ugv detect`` and ``ugv process`` do with a burst; None leaves a default as it is."""
+    from hardware.radar.process import Processing
+
+    how = Processing(resolve=resolve, moving_only=moving_only)
+    asked = {"false_alarm": false_alarm, "method": cfar}
+    changed = {name: value for name, value in asked.items() if value is not None}
+    return replace(
+        how,
+        window=how.window if window is None else window,
+        cfar=replace(how.cfar, **changed),  # type: ignore[arg-type]
+    )
+
+
 def detect(
     record: Record,
-    false_alarm: Annotated[float, typer.Option(help="Probability per cell.")] = 1e-8,
-    cfar: Annotated[str, typer.Option(help="ca, go or os.")] = "ca",
-    window: Annotated[str, typer.Option(help="SciPy's name of a window.")] = "blackmanharris",
-    resolve: Annotated[bool, typer.Option(help="Split targets nearer than a cell.")] = False,
-    moving_only: Annotated[bool, typer.Option(help="Leave out what stands still.")] = False,
+    false_alarm: FalseAlarm = None,
+    cfar: CfarMethod = None,
+    window: Window = None,
+    resolve: Resolve = False,
+    moving_only: MovingOnly = False,
+    calibration: Annotated[Path | None, typer.Option(help="From `ugv calibrate radar`.")] = None,
+    max_age: Annotated[
+        float, typer.Option(help="Days after which a calibration is refused.")
+    ] = 30.0,
     out: Annotated[
         Path | None, typer.Option(help="CSV to write; default RECORD-detections.csv.")
     ] = None,
@@ -30,29 +63,29 @@ def detect(
     ] = None,
 ) -> None:
     """Detect targets: range, rate, angle, cross-section, each with its standard error."""
-    from hardware.radar.cfar import Cfar
+    from hardware.calibration import RadarCalibration, read_calibration
+    from hardware.processing import calibrated
     from hardware.radar.pictures import rows_of, write_detections, write_png
-    from hardware.radar.process import Processing, frames
+    from hardware.radar.process import frames
     from hardware.records import read_radar_record
 
-    how = Processing(
-        window=window,
-        cfar=Cfar(false_alarm, cfar),  # type: ignore[arg-type]
-        resolve=resolve,
-        moving_only=moving_only,
-    )
-    found = []
-    for frame in frames(read_radar_record(record), how):
+    reference = read_calibration(calibration, max_age_s=86400 * max_age) if calibration else None
+    if not (reference is None or isinstance(reference, RadarCalibration)):
+        raise ValueError(f"{calibration}: the calibration of a camera, expected a radar's")
+    how = processing(false_alarm, cfar, window, resolve, moving_only)
+    loaded, table = read_radar_record(record), []
+    for frame in frames(loaded, how):
         _warn(record, frame.warnings)
-        print(f"{record}: burst {frame.burst}: {len(frame.detections)} detections")
-        for line in rows_of(frame.detections) if frame.detections else ():
+        found = calibrated(frame, loaded, reference)
+        print(f"{record}: burst {frame.burst}: {len(found)} detections")
+        for line in rows_of(found) if found else ():
             print(line)
         if png and frame.burst == 0:
             write_png(png, frame.image.power_w)
             print(f"written: {png} (range downwards, rate to the right)")
-        found += [(frame.burst, detection) for detection in frame.detections]
+        table += [(frame.burst, detection) for detection in found]
     target = out or record.with_name(f"{record.stem}-detections.csv")
-    write_detections(target, found)
+    write_detections(target, table)
     print(f"written: {target}")
 
 
