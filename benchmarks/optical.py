@@ -67,9 +67,9 @@ def _findings() -> Iterator[Figure]:
     for name in ("workable", "paper"):
         system = load_system(name)
         evaluation = evaluate(system, capture(scene, system, seed=0))
-        snr = evaluation.capture.snr
-        yield f"{name}: signal over noise per pixel, median", float(np.median(snr)), ""
-        yield f"{name}: pixels above their noise", 100 * float(np.mean(snr >= 1)), "%"
+        verdict = evaluation.verdict
+        yield f"{name}: signal over noise per lit pixel, median", verdict.snr_median, ""
+        yield f"{name}: lit pixels above their noise", 100 * verdict.above_noise_share, "%"
         for image, score in zip(evaluation.reconstructions, evaluation.scores, strict=True):
             yield f"{name}: {image.method}, PSNR", score.psnr_db, "dB"
             yield f"{name}: {image.method}, SSIM", score.ssim, ""

@@ -8,7 +8,7 @@
     system = twin.load_system("workable")
     capture = twin.capture(scene, system, seed=1)
     image = hardware.reconstruct(capture.record, "lmmse")
-    print(twin.evaluate(system, capture, [image]).scores)
+    print(twin.evaluate(system, capture, [image]))
 """
 
 from importlib import import_module

@@ -23,7 +23,7 @@ def test_python_examples_run(capsys: pytest.CaptureFixture[str]) -> None:
     for block in blocks("python"):
         exec(block, names)
     printed = capsys.readouterr().out
-    assert "psnr_db" in printed
+    assert "lmmse: PSNR" in printed
     assert "Detection(range_m=5.636" in printed
 
 

@@ -12,7 +12,7 @@ from twin.camera.chain import Chain
 from twin.camera.illumination import dark_share
 from twin.camera.light import Rendered, Stage, render
 from twin.camera.truth import Truth
-from twin.camera.verdict import coarse, recorded, unreadable
+from twin.camera.verdict import Verdict, blind, coarse, judge, recorded
 from twin.detector import NoiseBudget
 from twin.fidelity import Fidelity, Noise
 from twin.optics.emission import emission_matrix, independent_patterns
@@ -47,7 +47,8 @@ class Capture:
     ``cells_e`` (rows, columns) are the electrons that each cell, lit alone for one exposure, gives
     in the mean (a line sensor's columns side by side): what reconstructions are compared with.
     ``cells_error_e`` is their Monte-Carlo standard error. ``snr`` is cells_e over the noise of a
-    reconstructed pixel (inverse transform of the patterns shown). ``background_w`` is the sun's
+    reconstructed pixel (inverse transform of the patterns shown), 0 where the detector stands at a
+    rail. ``background_w`` is the sun's
     power on one detector, mean over the detectors.
     """
 
@@ -65,6 +66,11 @@ class Capture:
     illuminance_lx: float
     assumptions: tuple[str, ...]
     warnings: tuple[CaptureWarning, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """What an image made of the record can show."""
+        return judge(self.cells_e, self.snr, self.warnings)
 
     @property
     def void(self) -> bool:
@@ -129,7 +135,7 @@ def measure(
     sky = chain.sky
     record = chain.record(scene.rig.pose, counts, flags)
     # At a rail the response's slope is zero, and so is what can be told of the light.
-    snr = np.where(unreadable(record)[:, None], 0.0, cells_e / of_image[:, None])
+    snr = np.where(blind(record)[:, None], 0.0, cells_e / of_image[:, None])
     budget = chain.noise(signal_w, sun_w)
     return Capture(
         record=record,

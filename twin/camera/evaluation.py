@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from hardware.reconstruction import Reconstruction, fits_in_memory, reconstruct
 from twin.camera.acquisition import Capture
+from twin.camera.verdict import Verdict
 from twin.system import System
 
 #: Methods of every evaluation: the plain inverse and the vehicle's default.
@@ -36,6 +37,22 @@ class Evaluation:
     capture: Capture
     reconstructions: tuple[Reconstruction, ...]
     scores: tuple[Score, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the record is worth."""
+        return self.capture.verdict
+
+    @property
+    def best(self) -> str:
+        """The best reconstruction with its score, in words; of a void record there is none."""
+        if self.verdict.void:
+            return "no image"
+        return f"{self.reconstructions[0].method}: {self.scores[0]}"
+
+    def __str__(self) -> str:
+        """The finding in one line, as the command prints it."""
+        return f"{self.system.name}: {self.verdict}; {self.best}"
 
 
 def evaluate(

@@ -36,8 +36,6 @@ def run(
     ] = None,
 ) -> None:
     """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
-    import numpy as np
-
     from twin.job import run as run_job
     from twin.radar.propagation.roles import Role
     from twin.scene import parse_pose, parse_track
@@ -60,11 +58,7 @@ def run(
     for evaluation in result.evaluations:
         for warning in evaluation.capture.warnings:
             print(f"warning: {evaluation.system.name}: {warning}", file=sys.stderr)
-        best, score = evaluation.reconstructions[0], evaluation.scores[0]
-        print(
-            f"{evaluation.system.name}: SNR per pixel {np.median(evaluation.capture.snr):.2g} "
-            f"(median), {best.method}: {score}"
-        )
+        print(evaluation)
     if result.radar:
         for warning in result.radar.capture.warnings:
             print(f"warning: {result.radar.radar.name}: {warning}", file=sys.stderr)

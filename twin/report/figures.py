@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from twin.camera.evaluation import Evaluation
+from twin.camera.verdict import Verdict
 from twin.camera.view import View
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
 
@@ -27,7 +28,7 @@ def headline(view: View, evaluations: Sequence[Evaluation]) -> Figure:
         _image(
             axis,
             evaluation.reconstructions[0].picture,
-            f"{evaluation.system.name}, {_lux(lux)}: {_snr_words(evaluation)}",
+            f"{evaluation.system.name}, {_lux(lux)}: {evaluation.verdict.short}",
         )
     return figure
 
@@ -55,7 +56,7 @@ def truth(evaluation: Evaluation) -> Figure:
     )
     figure.colorbar(drawn, ax=axes[1], shrink=0.8, label="depth along the boresight (m)")
     axes[1].set_title("true depth")
-    _image(axes[2], evaluation.reconstructions[0].picture, f"reconstructed ({_best(evaluation)})")
+    _image(axes[2], evaluation.reconstructions[0].picture, f"reconstructed ({evaluation.best})")
     return figure
 
 
@@ -78,8 +79,7 @@ def snr_maps(evaluations: Sequence[Evaluation]) -> Figure:
         axis.imshow(np.maximum(snr, 1e-3), cmap="cividis", norm=norm, aspect=_aspect(snr))
         if min(snr.shape) > 1 and snr.min() < 1 < snr.max():
             axis.contour(snr, levels=[1.0], colors="white", linewidths=0.7)
-        above = float(np.mean(snr >= 1))
-        axis.set_title(f"{evaluation.system.name}: {above:.0%} of pixels above noise")
+        axis.set_title(f"{evaluation.system.name}: {_above(evaluation.verdict)}")
     scale = ScalarMappable(norm, "cividis")
     figure.colorbar(scale, ax=axes, shrink=0.85, label="signal / noise per pixel (line: 1)")
     return figure
@@ -136,12 +136,10 @@ def _aspect(image: Array) -> float:
     return image.shape[1] / image.shape[0]
 
 
-def _best(evaluation: Evaluation) -> str:
-    return f"{evaluation.reconstructions[0].method}, {evaluation.scores[0]}"
-
-
-def _snr_words(evaluation: Evaluation) -> str:
-    return f"median SNR {np.median(evaluation.capture.snr):.2g}"
+def _above(verdict: Verdict) -> str:
+    if verdict.void:
+        return verdict.short
+    return f"{verdict.above_noise_share:.0%} of lit pixels above noise"
 
 
 def _lux(lux: float) -> str:

@@ -61,7 +61,6 @@ def write_report(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters["median"] = lambda values: float(np.median(values))
     page = environment.get_template("report.html.j2").render(
         scene=scene,
         seed=seed,
@@ -99,7 +98,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     """The figures that decide, by name, for one system."""
     taken, system = evaluation.capture, evaluation.system
     lens, noise, patterns = taken.lens, taken.noise, system.patterns
-    best, score = evaluation.reconstructions[0], evaluation.scores[0]
+    best, verdict = evaluation.reconstructions[0], evaluation.verdict
     found = float(np.sqrt(np.mean(best.noise_electrons**2))) / _per_value(evaluation)
     rendering = np.median(taken.cells_error_e) / noise.pixel_noise_e(patterns)
     return {
@@ -120,10 +119,10 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "noise per exposure": f"{noise.total_noise_e:.4g} e- predicted, "
         f"{found:.4g} e- found in the record",
         "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
-        "SNR per pixel": f"median {np.median(taken.snr):.3g}, best {taken.snr.max():.3g}",
-        "pixels above their noise": f"{np.mean(taken.snr >= 1):.0%}",
+        "verdict": str(verdict),
+        "best pixel": f"SNR {verdict.snr_best:.3g}",
         "Monte-Carlo error of the twin over sensor noise, median": f"{rendering:.2g}",
-        "best reconstruction": f"{best.method}: {score}",
+        "best reconstruction": evaluation.best,
     }
 
 

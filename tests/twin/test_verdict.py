@@ -1,0 +1,214 @@
+"""What a record is worth: the same words in Python, on the terminal and in the report."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hardware import PatternSet, reconstruct
+from hardware.records import Flag
+from twin.camera.acquisition import Capture, capture
+from twin.camera.evaluation import evaluate, score
+from twin.camera.verdict import recorded
+from twin.fidelity import Fidelity
+from twin.scene import Scene, load_scene, parse_pose
+from twin.system import System, load_system
+from twin.warned import KINDS, CaptureWarning
+
+FAST = Fidelity(samples=4, max_depth=1)
+
+
+def changed(name: str = "workable", **values: float) -> System:
+    """A bundled system with single values replaced: ``section__field``."""
+    content = load_system(name).model_dump()
+    for field, value in values.items():
+        section, _, key = field.partition("__")
+        content[section][key] = value
+    return System.model_validate(content)
+
+
+def taken(scene: Scene | str, system: System) -> Capture:
+    return capture(
+        load_scene(scene) if isinstance(scene, str) else scene, system, seed=1, fidelity=FAST
+    )
+
+
+@pytest.fixture(scope="module")
+def saturated() -> Capture:
+    return taken("table1", changed(readout__transimpedance_ohm=1e11))
+
+
+def test_a_saturated_record_is_void_and_has_no_snr(saturated: Capture) -> None:
+    """All exposures at the rail: the response has no slope, whatever the noise budget predicts.
+
+    On ee37b06 the median of `snr` of such a record stood above that of the same system with a gain
+    that fits.
+    """
+    top = 2**saturated.record.adc_bits - 1
+    assert (saturated.record.counts == top).all()
+    assert saturated.void
+    assert saturated.verdict.void
+    assert np.isnan(saturated.verdict.snr_median)
+    assert not saturated.snr.any()
+    assert [w.kind for w in saturated.verdict.void_because] == ["saturated", "underexposed"]
+
+
+def test_the_same_words_in_python_terminal_and_report(tmp_path, capsys, monkeypatch) -> None:
+    from html import unescape
+
+    from twin import cli
+
+    (tmp_path / "blind.toml").write_text(
+        'base = "workable"\n[readout]\ntransimpedance_ohm = 1e11\n'
+        "[emitter]\nrows = 16\ncolumns = 16\n[acquisition]\nn_patterns = 256\n"
+    )
+    out, system = tmp_path / "out", str(tmp_path / "blind.toml")
+    monkeypatch.setattr(
+        "sys.argv",
+        f"twin run table1 --system {system} --compare none --radar none --out {out}".split(),
+    )
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert not stopped.value.code
+    printed = capsys.readouterr().out
+    page = unescape((out / "report.html").read_text())
+    python = evaluate(
+        load_system(system), capture(load_scene("table1"), load_system(system), seed=0)
+    )
+    words = "void: 512 of 512 exposures saturate the ADC"
+    for place in (printed, page, str(python)):
+        assert words in place
+        assert "SNR per pixel" not in place
+        assert "PSNR" not in place
+
+
+def test_an_empty_background_is_not_counted() -> None:
+    """Two cylinders in front of nothing: the image is right to 60 dB, and so is the verdict.
+
+    On ee37b06 the median over all cells was 0.
+    """
+    found = taken("fig3b", load_system("workable"))
+    verdict = found.verdict
+    lit = np.isfinite(found.truth.depth_m) & (found.cells_e > 0)
+    assert not verdict.void
+    assert verdict.lit_share == pytest.approx(lit.mean(), abs=0.02)
+    assert verdict.lit_share < 0.2
+    assert verdict.snr_median == pytest.approx(np.median(found.snr[lit]), rel=0.05)
+    assert verdict.snr_median > 100
+    assert score(found.cells_e, reconstruct(found.record, "zero-fill").picture).psnr_db > 55
+
+
+def test_nothing_in_sight_is_void() -> None:
+    sky = load_scene("yard", parse_pose("0,0,1.2,0,-80"))
+    found = taken(sky, changed(emitter__rows=16, emitter__columns=16, acquisition__n_patterns=256))
+    assert found.void
+    assert "no-light" in {w.kind for w in found.verdict.void_because}
+    assert "void: no light of the emitter comes back" in str(found.verdict)
+
+
+def test_a_black_record_is_void() -> None:
+    """No sun, no dark current, an offset of zero, and a gain at which nothing moves a count."""
+    dark = changed(
+        readout__transimpedance_ohm=1.0,
+        readout__adc_offset_v=0.0,
+        sky__illuminance_lx=0.0,
+        emitter__rows=16,
+        emitter__columns=16,
+        acquisition__n_patterns=256,
+    )
+    found = taken("table1", dark)
+    assert not found.record.counts.any()
+    assert {w.kind for w in found.verdict.void_because} >= {"black", "underexposed"}
+    lifted = taken("table1", changed(readout__transimpedance_ohm=1.0))
+    assert "underexposed" in {w.kind for w in lifted.verdict.void_because}
+    assert "black" not in {w.kind for w in lifted.warnings}
+
+
+def test_a_coarse_converter_is_told_but_not_void() -> None:
+    """Eight bits over the same range: a step of 2^10 of the 18-bit one's, above all noise."""
+    found = taken("table1", changed(readout__adc_bits=8))
+    kinds = {w.kind for w in found.warnings}
+    assert "quantisation" in kinds
+    assert "quantisation" not in {w.kind for w in taken("table1", load_system("workable")).warnings}
+
+
+@pytest.mark.parametrize("name", ["yard", "table1", "fig3b"])
+def test_where_the_line_of_void_stands(name: str) -> None:
+    """Clip a good record from above: the brightest exposure alone is the mean and costs no
+    structure; the brightest 0.1 % cost at least 9 dB. Void begins between.
+    """
+    good = taken(name, load_system("workable"))
+
+    def clipped(share: float):
+        top = int(np.quantile(good.record.counts, 1 - share))
+        # In place of the converter's rail, which is a power of two: what stands above is raised.
+        counts = np.where(good.record.counts >= top, 2**good.record.adc_bits - 1, 0)
+        marked = replace(good.record, counts=np.maximum(counts, good.record.counts))
+        held = replace(good.record, counts=np.minimum(good.record.counts, top).astype(np.int32))
+        image = reconstruct(held, "zero-fill").picture
+        # The mean is what the all-lit exposure alone holds.
+        image = image - image.mean() + good.cells_e.mean()
+        void = any(w.void for w in recorded(marked))
+        return void, score(good.cells_e, image).psnr_db
+
+    whole = score(good.cells_e, reconstruct(good.record, "zero-fill").picture).psnr_db
+    void, psnr_db = clipped(1e-4)
+    assert not void
+    assert psnr_db > whole - 1
+    void, psnr_db = clipped(1e-3)
+    assert void
+    assert psnr_db < whole - 9
+
+
+def test_flags_of_a_device_are_told_by_kind() -> None:
+    good = taken(
+        "table1", changed(emitter__rows=16, emitter__columns=16, acquisition__n_patterns=256)
+    )
+    flags = good.record.flags.copy()
+    flags[:3], flags[5], flags[7:9] = Flag.LOST, Flag.OVERRUN, Flag.RESET
+    told = {w.kind: w for w in recorded(replace(good.record, flags=flags))}
+    assert set(told) == {"lost", "overrun", "reset"}
+    assert told["lost"] == "3 of 512 exposures are marked lost"
+    assert not any(w.void for w in told.values())
+    every = replace(good.record, flags=np.full_like(flags, Flag.LOST))
+    assert next(iter(recorded(every))).void
+
+
+def test_one_column_of_a_line_sensor_does_not_void_the_others() -> None:
+    """Void is told by detector: one blind column leaves the image of the rest."""
+    system = load_system("line-256x16")
+    found = taken("table1", system)
+    counts = found.record.counts.copy()
+    counts[:, 3] = 2**found.record.adc_bits - 1
+    record = replace(found.record, counts=counts)
+    (told,) = [w for w in recorded(record) if w.kind == "saturated"]
+    assert not told.void
+    from twin.camera.verdict import blind
+
+    assert np.flatnonzero(blind(record)).tolist() == [3]
+
+
+def test_warnings_are_sentences_with_a_kind_of_a_closed_list() -> None:
+    import pickle
+
+    told = CaptureWarning("saturated", "all at the rail", void=True)
+    again = pickle.loads(pickle.dumps(told))
+    assert (again, again.kind, again.void) == ("all at the rail", "saturated", True)
+    assert "saturated" in KINDS
+    with pytest.raises(ValueError, match="'odd' is none of saturated, "):
+        CaptureWarning("odd", "x")  # type: ignore[arg-type]
+
+
+def test_the_all_lit_exposure_alone_is_no_reason() -> None:
+    """Differential: of the pair of row 0 one exposure is all lit, the other all dark."""
+    good = taken(
+        "table1", changed(emitter__rows=16, emitter__columns=16, acquisition__n_patterns=256)
+    )
+    patterns: PatternSet = good.record.patterns
+    first = int(np.flatnonzero(patterns.indices == 0)[0])
+    counts = good.record.counts.copy()
+    counts[2 * first] = 2**good.record.adc_bits - 1
+    (told,) = recorded(replace(good.record, counts=counts))
+    assert (told.kind, told.void) == ("saturated", False)
+    counts[2 * first + 2] = 2**good.record.adc_bits - 1
+    assert any(w.void for w in recorded(replace(good.record, counts=counts)))
