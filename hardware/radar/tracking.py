@@ -1,9 +1,9 @@
-"""Tracks of detections over frames: Kalman filters in the world, assignment by least distance.
+"""Tracks of detections over frames: a Kalman filter each, detections assigned by likelihood.
 
-Assignment is SciPy's (linear_sum_assignment). The filter is the textbook's linear one, on position
-in the plane, with the covariance that the detection's own standard errors give, and its range rate
-as a second, scalar update: a dozen lines. The filter libraries that exist (filterpy, Stone Soup)
-bring matplotlib, which has no place on the vehicle.
+Assignment is SciPy's (linear_sum_assignment), by all that a detection measured: range, azimuth and
+range rate, so that targets which meet at one place keep their tracks by their rates. The filter
+libraries that exist (filterpy, Stone Soup) bring matplotlib, which has no place on the vehicle;
+Stone Soup judges the filter in the tests.
 """
 
 from collections.abc import Sequence
@@ -13,15 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.detection import Detection
+from hardware.radar.filtering import (
+    Antenna,
+    Estimate,
+    Measurement,
+    Update,
+    begun,
+    expected,
+    predicted,
+    updated,
+)
 
 Array = NDArray[np.float64]
+
+_NEVER = 1e9  # cost of a pair that is out of the question; far above any other
 
 
 @dataclass(frozen=True)
 class Track:
-    """One target: state (x, y, vx, vy) in the world, m and m/s, its covariance (4, 4), its past.
+    """One target: its state, the state's covariance, its past.
 
-    ``hits`` frames with a detection, ``missed`` frames in a row without.
+    ``state`` is (x, y, vx, vy) in the world, m and m/s; or, of a target whose azimuth was never
+    measured, (range, range rate) from the antenna. ``hits`` frames with a detection, ``missed``
+    frames in a row without.
     """
 
     number: int
@@ -29,6 +43,15 @@ class Track:
     covariance: Array
     hits: int
     missed: int
+
+    @property
+    def estimate(self) -> Estimate:
+        """State and covariance."""
+        return Estimate(self.state, self.covariance)
+
+    def with_estimate(self, estimate: Estimate) -> "Track":
+        """The same target in another state."""
+        return replace(self, state=estimate.state, covariance=estimate.covariance)
 
 
 @dataclass
@@ -38,131 +61,123 @@ class Tracker:
     Parameters
     ----------
     acceleration_m_per_s2
-        Root mean square that targets accelerate with, white within an interval.
+        Root mean square that targets accelerate with, independent from frame to frame.
     gate
         Probability that a track's own detection is let through.
     confirm, lose
         Hits that make a track a target, misses in a row that end it.
-    azimuth_error_rad
-        Taken where a detection has no azimuth of its own: the antenna's half beam width.
     first_speed_m_per_s
-        Standard deviation of a new target's speed across the line of sight.
+        Standard deviation of a target's speed across the line of sight before two frames tell it.
     """
 
     acceleration_m_per_s2: float = 3.0
     gate: float = 0.999
     confirm: int = 3
     lose: int = 3
-    azimuth_error_rad: float = 0.2
     first_speed_m_per_s: float = 10.0
     tracks: list[Track] = field(default_factory=list)
     _started: int = 0
 
     def update(
-        self, detections: Sequence[Detection], elapsed_s: float, pose: Array | None = None
+        self,
+        detections: Sequence[Detection],
+        elapsed_s: float,
+        pose: Array | None = None,
+        velocity_m_per_s: Sequence[float] | Array = (0.0, 0.0),
     ) -> list[Track]:
         """Take in a frame; the confirmed tracks.
 
         Parameters
         ----------
         detections
-            Of one burst.
+            Of one burst. Those without a range are left out.
         elapsed_s
             Since the last frame.
         pose : (7,)
             Antenna in the world, as in a record; default: the origin, looking along x.
-
-        The antenna's own motion must be small against the targets', or known and added to the
-        detections' rates.
+        velocity_m_per_s : (2,)
+            Of the antenna in the world, to which range rates are relative.
         """
         from scipy.optimize import linear_sum_assignment
-        from scipy.stats import chi2
 
-        seen = [self._placed(found, pose) for found in detections]
-        moved = [self._predicted(track, elapsed_s) for track in self.tracks]
-        limit = float(chi2.ppf(self.gate, 2))
-        cost = np.array([[_distance(track, *place[:2]) for place in seen] for track in moved])
-        cost = cost.reshape(len(moved), len(seen))
-        free = set(range(len(seen)))
+        antenna = _antenna(pose, velocity_m_per_s)
+        seen = [one for one in map(_measurement, detections) if one.known[0]]
+        moved = [
+            track.with_estimate(
+                predicted(
+                    track.estimate, elapsed_s, self.acceleration_m_per_s2, self.first_speed_m_per_s
+                )
+            )
+            for track in self.tracks
+        ]
+        updates = self._updates(moved, seen, antenna)
+        cost = np.full((len(moved), len(seen)), _NEVER)
+        for pair, update in updates.items():
+            cost[pair] = update.cost
+        pairs = zip(*(axis.tolist() for axis in linear_sum_assignment(cost)), strict=True)
+        partner = {i: j for i, j in pairs if (i, j) in updates}
         kept: list[Track] = []
-        pairs = zip(*linear_sum_assignment(np.minimum(cost, 10 * limit)), strict=True)
-        partner = {i: j for i, j in pairs if cost[i, j] <= limit}
         for i, track in enumerate(moved):
             if i in partner:
-                free.discard(partner[i])
-                kept.append(_corrected(track, *seen[partner[i]]))
+                found = updates[i, partner[i]].estimate
+                measured = seen[partner[i]]
+                if measured.known[1] and not found.placed:  # its first azimuth
+                    found = begun(measured, antenna, self.first_speed_m_per_s)
+                kept.append(replace(track.with_estimate(found), hits=track.hits + 1, missed=0))
             elif track.missed + 1 < self.lose and track.hits >= self.confirm:
                 kept.append(replace(track, missed=track.missed + 1))
-        self.tracks = kept + [self._new(*seen[j]) for j in sorted(free)]
+        free = sorted(set(range(len(seen))) - set(partner.values()))
+        self.tracks = kept + [self._new(seen[j], antenna) for j in free]
         return [track for track in self.tracks if track.hits >= self.confirm]
 
-    def _placed(
-        self, found: Detection, pose: Array | None
-    ) -> tuple[Array, Array, Array, float, float]:
-        """Place (2,), covariance (2, 2), line of sight (2,), rate and its error, in the world."""
-        from scipy.spatial.transform import Rotation
+    def _updates(
+        self, tracks: Sequence[Track], seen: Sequence[Measurement], antenna: Antenna
+    ) -> dict[tuple[int, int], Update]:
+        """Updates of those pairs of track and measurement that lie within the gate."""
+        from scipy.special import gammaincinv
 
-        known = np.isfinite(found.azimuth_rad)
-        azimuth = found.azimuth_rad if known else 0.0
-        spread = found.azimuth_error_rad if known else self.azimuth_error_rad
-        place, turn = np.zeros(2), np.eye(2)
-        if pose is not None:
-            place = pose[:2]
-            ahead = Rotation.from_quat(pose[[4, 5, 6, 3]]).apply([1.0, 0.0, 0.0])
-            ahead = ahead[:2] / np.linalg.norm(ahead[:2])
-            turn = np.array([[ahead[0], -ahead[1]], [ahead[1], ahead[0]]])
-        sight = turn @ np.array([np.cos(azimuth), np.sin(azimuth)])
-        across = np.array([-sight[1], sight[0]])
-        covariance = found.range_error_m**2 * np.outer(sight, sight)
-        covariance += (found.range_m * spread) ** 2 * np.outer(across, across)
-        return (
-            place + found.range_m * sight,
-            covariance,
-            sight,
-            found.range_rate_m_per_s,
-            found.range_rate_error_m_per_s,
-        )
+        # Quantiles of chi-squared with 1, 2 and 3 degrees of freedom.
+        limits = (2 * gammaincinv(np.arange(1, 4) / 2, self.gate)).tolist()
+        ranges = np.array([(one.value[0], one.variance[0]) for one in seen]).reshape(-1, 2)
+        found = {}
+        for i, track in enumerate(tracks):
+            for j in np.flatnonzero(_near(track.estimate, ranges, antenna, limits[-1])).tolist():
+                update = updated(track.estimate, seen[j], antenna)
+                if update.distance <= limits[update.n_measured - 1]:
+                    found[i, j] = update
+        return found
 
-    def _predicted(self, track: Track, elapsed_s: float) -> Track:
-        """Constant velocity, with white acceleration."""
-        t = elapsed_s
-        step = np.eye(4) + t * np.eye(4, k=2)
-        noise = np.kron([[t**4 / 4, t**3 / 2], [t**3 / 2, t**2]], np.eye(2))
-        covariance = step @ track.covariance @ step.T + self.acceleration_m_per_s2**2 * noise
-        return replace(track, state=step @ track.state, covariance=covariance)
-
-    def _new(
-        self, place: Array, covariance: Array, sight: Array, rate: float, rate_error: float
-    ) -> Track:
+    def _new(self, measured: Measurement, antenna: Antenna) -> Track:
         self._started += 1
-        across = np.eye(2) - np.outer(sight, sight)
-        speed = rate_error**2 * np.outer(sight, sight) + self.first_speed_m_per_s**2 * across
-        whole = np.zeros((4, 4))
-        whole[:2, :2], whole[2:, 2:] = covariance, speed
-        return Track(self._started, np.concatenate([place, rate * sight]), whole, 1, 0)
+        estimate = begun(measured, antenna, self.first_speed_m_per_s)
+        return Track(self._started, estimate.state, estimate.covariance, 1, 0)
 
 
-def _distance(track: Track, place: Array, covariance: Array) -> float:
-    """Squared Mahalanobis distance of a place from where the track is expected."""
-    off = place - track.state[:2]
-    return float(off @ np.linalg.solve(track.covariance[:2, :2] + covariance, off))
+def _near(estimate: Estimate, ranges: Array, antenna: Antenna, limit: float) -> NDArray[np.bool_]:
+    """Which ranges and variances (n, 2) a track may have, to spare the others the update.
+
+    An error across the line of sight makes the range longer by its square over twice the range.
+    """
+    value, jacobian = expected(estimate.state, antenna)
+    spread = float(jacobian[0] @ estimate.covariance @ jacobian[0])
+    longer = limit * np.trace(estimate.covariance[:2, :2]) / (2 * value[0]) * estimate.placed
+    reach = np.sqrt(limit * (spread + ranges[:, 1])) + longer
+    return np.asarray(np.abs(ranges[:, 0] - value[0]) <= reach)
 
 
-def _corrected(
-    track: Track, place: Array, covariance: Array, sight: Array, rate: float, rate_error: float
-) -> Track:
-    """Place first, then the rate along the line of sight."""
-    watch = np.eye(2, 4)
-    state, spread = _kalman(track.state, track.covariance, place, watch, covariance)
-    along = np.concatenate([np.zeros(2), sight])[None]
-    state, spread = _kalman(state, spread, np.array([rate]), along, np.array([[rate_error**2]]))
-    return replace(track, state=state, covariance=spread, hits=track.hits + 1, missed=0)
+def _measurement(found: Detection) -> Measurement:
+    return Measurement(
+        np.array([found.range_m, found.azimuth_rad, found.range_rate_m_per_s]),
+        np.array([found.range_error_m, found.azimuth_error_rad, found.range_rate_error_m_per_s]),
+    )
 
 
-def _kalman(
-    state: Array, spread: Array, seen: Array, watch: Array, noise: Array
-) -> tuple[Array, Array]:
-    """The linear update, in Joseph's form, which stays symmetric."""
-    gain = np.linalg.solve(watch @ spread @ watch.T + noise, watch @ spread).T
-    left = np.eye(len(state)) - gain @ watch
-    return state + gain @ (seen - watch @ state), left @ spread @ left.T + gain @ noise @ gain.T
+def _antenna(pose: Array | None, velocity_m_per_s: Sequence[float] | Array) -> Antenna:
+    """The antenna in the plane, from its pose in space."""
+    from scipy.spatial.transform import Rotation
+
+    velocity = np.asarray(velocity_m_per_s, np.float64)
+    if pose is None:
+        return Antenna(np.zeros(2), np.array([1.0, 0.0]), velocity)
+    ahead = Rotation.from_quat(pose[[4, 5, 6, 3]]).apply([1.0, 0.0, 0.0])[:2]
+    return Antenna(pose[:2], ahead / np.linalg.norm(ahead), velocity)

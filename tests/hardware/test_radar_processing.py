@@ -15,12 +15,11 @@ from hardware.radar.angles import compensated, direction
 from hardware.radar.burst import demodulate, even_turns
 from hardware.radar.cfar import possible
 from hardware.radar.clutter import without_leakage, without_static
-from hardware.radar.detection import Detection, detected
+from hardware.radar.detection import detected
 from hardware.radar.music import music
 from hardware.radar.process import Processing, frames, process
 from hardware.radar.stitching import stitch
 from hardware.radar.superresolution import resolve
-from hardware.radar.tracking import Tracker
 from hardware.records import Flag
 
 
@@ -412,77 +411,6 @@ def test_cross_section_is_the_radar_equations() -> None:
     record = cube(wave, [from_above(5.0, 0.0, 5.0, power_w=power * kept)])
     assert process(record).detections[0].rcs_m2 == pytest.approx(4.0, rel=0.01)
     assert np.isnan(process(replace(record, antenna_gain_dbi=np.nan)).detections[0].rcs_m2)
-
-
-# Tracks.
-
-
-def seen(place: np.ndarray, velocity: np.ndarray, rng: np.random.Generator) -> Detection:
-    range_m = float(np.hypot(*place))
-    return Detection(
-        range_m=range_m + 0.05 * rng.normal(),
-        range_rate_m_per_s=float(velocity @ place / range_m) + 0.1 * rng.normal(),
-        power_w=1.0,
-        snr_db=20.0,
-        range_error_m=0.05,
-        range_rate_error_m_per_s=0.1,
-        azimuth_rad=float(np.arctan2(place[1], place[0])) + 0.01 * rng.normal(),
-        azimuth_error_rad=0.01,
-    )
-
-
-def test_two_crossing_targets_keep_their_tracks() -> None:
-    """60 frames of 50 ms, 10 % missed detections, false ones: two tracks, each its own target's."""
-    rng = np.random.default_rng(3)
-    places = np.array([[20.0, -6.0], [22.0, 6.0]])
-    speeds = np.array([[0.0, 4.0], [0.5, -4.0]])
-    tracker = Tracker()
-    for frame in range(60):
-        now = places + 0.05 * frame * speeds
-        found = [seen(p, v, rng) for p, v in zip(now, speeds, strict=True) if rng.random() < 0.9]
-        found += [seen(rng.uniform(5, 40, 2), np.zeros(2), rng)] * (rng.random() < 0.3)
-        confirmed = tracker.update(rng.permutation(np.array(found, dtype=object)), 0.05)
-    assert len(confirmed) == 2
-    by_speed = sorted(confirmed, key=lambda track: track.state[3])
-    for track, p, v in zip(by_speed, now[::-1], speeds[::-1], strict=True):
-        np.testing.assert_allclose(track.state[:2], p, atol=0.4)
-        np.testing.assert_allclose(track.state[2:], v, atol=1.5)
-
-
-def test_a_filters_errors_are_as_it_says() -> None:
-    """100 runs of a straight course: the mean squared Mahalanobis error of 4 states is 4.
-
-    Below, since process noise that the course does not have is allowed for; above never.
-    """
-    errors = []
-    for seed in range(100):
-        rng = np.random.default_rng(seed)
-        tracker = Tracker(acceleration_m_per_s2=0.05)
-        place, speed = np.array([30.0, 3.0]), np.array([-3.0, 1.0])
-        for frame in range(30):
-            tracks = tracker.update([seen(place + 0.1 * frame * speed, speed, rng)], 0.1)
-        off = tracks[0].state - np.concatenate([place + 2.9 * speed, speed])
-        errors.append(off @ np.linalg.solve(tracks[0].covariance, off))
-    assert 2.0 < np.mean(errors) < 5.2
-
-
-def test_a_lost_target_is_dropped() -> None:
-    rng = np.random.default_rng(4)
-    tracker = Tracker()
-    for _ in range(5):
-        tracker.update([seen(np.array([9.0, 0.0]), np.zeros(2), rng)], 0.1)
-    assert len(tracker.tracks) == 1
-    for _ in range(3):
-        tracker.update([], 0.1)
-    assert tracker.tracks == []
-
-
-def test_a_turned_vehicles_tracks_are_in_the_world() -> None:
-    rng = np.random.default_rng(5)
-    pose = np.array([1.0, 2.0, 0.0, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])  # looks along y
-    tracker = Tracker(confirm=1)
-    track = tracker.update([seen(np.array([10.0, 0.0]), np.zeros(2), rng)], 0.1, pose)[0]
-    np.testing.assert_allclose(track.state[:2], [1.0, 12.0], atol=0.5)
 
 
 def test_angles_and_turns_agree_with_what_was_compensated() -> None:
