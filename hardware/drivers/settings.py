@@ -26,6 +26,8 @@ class SpiSettings:
         0: the device chooses.
     shutters : (n_shutters, 4)
         As in `SpiRecord`.
+    pulse_width_s
+        Length of the emitter's pulse where the shutters are gates, for the records.
     pose : (7,)
         Of the rig, for the records.
     upload
@@ -38,6 +40,7 @@ class SpiSettings:
     gain: int = 0
     exposures_per_frame: int = 0
     shutters: tuple[tuple[float, float, float, float], ...] = ((0.0, 0.0, 0.0, 0.0),)
+    pulse_width_s: float = 0.0
     pose: tuple[float, ...] = (0, 0, 0, 1, 0, 0, 0)
     upload: bool = False
 
@@ -46,6 +49,8 @@ class SpiSettings:
             raise ValueError(f"integration_time_s: {self.integration_time_s} is not positive")
         if not 0 <= self.pattern_period_s < math.inf:
             raise ValueError(f"pattern_period_s: {self.pattern_period_s} is no time")
+        if not 0 <= self.pulse_width_s < math.inf:
+            raise ValueError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
         for name, most in (("gain", 0xFF), ("exposures_per_frame", 0xFFFF)):
             if not 0 <= getattr(self, name) <= most:
                 raise ValueError(f"{name}: {getattr(self, name)} is not between 0 and {most}")

@@ -226,6 +226,7 @@ class SpiCamera:
             device=self.identity.device,
             pose=np.array(settings.pose, np.float64),
             shutters=np.array(settings.shutters, np.float64),
+            pulse_width_s=settings.pulse_width_s,
         )
 
     def _lost(self, lost: range) -> None:

@@ -4,7 +4,8 @@ Taps of a lock-in measurement: each tap's image is reconstructed by itself, by a
 cell the taps of one modulation frequency are b + Re(z exp(j phase)); least squares over the phases
 gives the phasor z, the phasors of all frequencies the distance (`hardware.reconstruction.depth`).
 
-Gates: each gate's image is a slice of the scene; a cell lies where its brightest slice is.
+Gates: each gate's image is a slice of the scene, as thick as gate and pulse together; what
+neighbouring ones hold of a cell tells where in them it lies (`hardware.reconstruction.gating`).
 """
 
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.reconstruction.depth import C_M_PER_S, depth
+from hardware.reconstruction.gating import Echo, echo
 from hardware.reconstruction.imaging import Reconstruction, reconstruct
 from hardware.reconstruction.sensing import Mixing
 from hardware.records import SpiRecord
@@ -26,10 +28,11 @@ class RangeImage:
     """Amplitude and distance of every cell; arrays ``(n_detectors, rows, columns)``.
 
     ``amplitude`` in photo-electrons of a cell lit alone for one exposure: of taps, half the
-    modulated light (contrast included), mean over the frequencies; of gates, the brightest slice.
+    modulated light (contrast included), mean over the frequencies; of gates, the whole echo.
     ``distance_m`` is half the way from emitter to detector, NaN where no light is.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
-    ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat.
+    ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat, or
+    no gate is open.
     """
 
     method: str
@@ -47,6 +50,9 @@ def range_image(
 
     Raises ValueError for a record whose shutter was always open, one with both taps and gates, a
     frequency whose phases leave its phasor open, and whatever `reconstruct` refuses.
+
+    A record that does not state its pulse (schema version 2 and older) may have had any pulse up to
+    the gate's length: the distance is the middle of these, and the error covers them.
     """
     modulated, gated = record.shutters[:, 0] > 0, record.shutters[:, 3] > 0
     if not (modulated.all() or gated.all()) or (modulated & gated).any():
@@ -59,7 +65,7 @@ def range_image(
     errors = np.stack([_error(found, record.patterns.count) for found in taken])
     if systems:
         return _from_phases(method, images, errors, systems)
-    return _from_gates(method, images, errors, record.shutters)
+    return _from_gates(method, images, errors, record)
 
 
 def _error(found: Reconstruction, count: int) -> Array:
@@ -109,31 +115,48 @@ def _from_phases(
     )
 
 
-def _from_gates(method: str, images: Array, errors: Array, shutters: Array) -> RangeImage:
-    """Middle of the brightest gate, in which the echo's beginning is taken to lie anywhere.
+def _from_gates(method: str, images: Array, errors: Array, record: SpiRecord) -> RangeImage:
+    gates = record.shutters[:, 2:]
+    flat = images.reshape(len(images), -1), errors.reshape(len(images), -1)
+    if record.pulse_width_s:
+        found = echo(*flat, gates, record.pulse_width_s)
+    else:
+        found = _brightest(*flat, gates)
+    lit = found.amplitude > 0
+    distance, error, confidence, amplitude = (
+        values.reshape(images.shape[1:])
+        for values in (
+            np.where(lit, C_M_PER_S / 2 * found.delay_s, np.nan),
+            np.where(lit, C_M_PER_S / 2 * found.error_s, np.inf),
+            np.where(lit, found.confidence, 0.0),
+            found.amplitude,
+        )
+    )
+    return RangeImage(
+        method=method,
+        amplitude=amplitude,
+        distance_m=distance,
+        standard_error_m=error,
+        confidence=confidence,
+        longest_m=float(C_M_PER_S / 2 * gates.sum(axis=1).max()),
+    )
 
-    Confidence: the probability that noise alone did not make it brighter than the next one.
+
+def _brightest(images: Array, errors: Array, gates: Array) -> Echo:
+    """The middle of the brightest gate, less half of a pulse of unknown length.
+
+    A gate g takes a pulse w in full or in part over beginnings spread about its middle less w / 2
+    with variance (g^2 + w^2) / 12. Of all w from 0 to g: mean g/2 - g/4; g^2 (1/12 + 1/36), and
+    g^2/48 for the middles. Confidence: the probability that noise alone did not make it brighter
+    than the next one.
     """
     from scipy.special import ndtr  # takes 0.1 s to import
 
     order = np.argsort(-images, axis=0)
-    best = order[:1]
-    amplitude = np.take_along_axis(images, best, axis=0)[0]
-    if len(images) > 1:
-        second = order[1:2]
-        lead = amplitude - np.take_along_axis(images, second, axis=0)[0]
-        both = np.hypot(*(np.take_along_axis(errors, at, axis=0)[0] for at in (best, second)))
-        ratio = np.divide(lead, both, out=np.where(lead > 0, np.inf, 0.0), where=both > 0)
-        confidence = ndtr(ratio)
-    else:
-        confidence = np.ones_like(amplitude)
-    delay_s, width_s = shutters[best[0], 2], shutters[best[0], 3]
-    lit = amplitude > 0
-    return RangeImage(
-        method=method,
-        amplitude=amplitude,
-        distance_m=np.where(lit, C_M_PER_S / 2 * (delay_s + width_s / 2), np.nan),
-        standard_error_m=np.where(lit, C_M_PER_S / 2 * width_s / np.sqrt(12), np.inf),
-        confidence=np.where(lit, confidence, 0.0),
-        longest_m=float(C_M_PER_S / 2 * (shutters[:, 2] + shutters[:, 3]).max()),
-    )
+    amplitude, second = np.take_along_axis(images, order[:2], axis=0)[[0, -1]]
+    both = np.hypot(*np.take_along_axis(errors, order[:2], axis=0)[[0, -1]])
+    lead = amplitude - second if len(images) > 1 else np.maximum(amplitude, 0)
+    ratio = np.divide(lead, both, out=np.where(lead > 0, np.inf, 0.0), where=both > 0)
+    delay, width = gates[order[0]].T
+    spread = width * np.sqrt(1 / 12 + 1 / 36 + 1 / 48)
+    return Echo(amplitude, delay + width / 4, spread, ndtr(ratio))

@@ -92,16 +92,18 @@ class Kind:
         return writer.message
 
     def unpack(self, message: bytes) -> tuple[Any, ClockModel | None]:
-        """Record of a message, and the clock. Raises ValueError where it is none."""
+        """Record of a message, and the clock; one of an older schema version is read without what
+        was added since. Raises ValueError where it is none.
+        """
         layout, reader = self.layout, Reader(message)
         for kind in ("int32", "uint32"):
             reader.number(kind)
         reader.text()
         form, version = reader.text(), int(reader.number("uint32"))
-        if (form, version) != (layout.format, layout.version):
+        if form != layout.format or not 1 <= version <= layout.version:
             raise ValueError(
                 f"{form} of schema version {version}; this software reads {layout.format} "
-                f"of version {layout.version}"
+                f"of versions 1 to {layout.version}"
             )
         clock = ClockModel(
             int(reader.number("int64")),
@@ -112,8 +114,9 @@ class Kind:
         values = {
             name: reader.text() if kind == "string" else reader.number(kind)
             for name, kind in self.scalars.items()
+            if layout.has(name, version)
         }
-        fields: dict[str, Any] = {name: values[name] for name in layout.settings}
+        fields: dict[str, Any] = {n: values[n] for n in layout.settings if n in values}
         group: dict[str, Any] = {
             name: values[f"{layout.group}_{name}"] for name in layout.parameters
         }
@@ -121,6 +124,8 @@ class Kind:
             here, found = reader.number("bool"), reader.array("int64")
             group[name] = tuple(found.tolist()) if here else None
         for name, (dtype, _) in layout.arrays.items():
+            if not layout.has(name, version):
+                continue
             shape = reader.array("uint32").tolist()
             fields[name] = reader.array(str(np.dtype(dtype))).reshape(shape)
         record = self.record(**{layout.group: self.group(**group)}, **fields)

@@ -40,6 +40,10 @@ class Layout:
     added: Mapping[str, int] = field(default_factory=dict)
     optional: tuple[str, ...] = ()
 
+    def has(self, name: str, version: int) -> bool:
+        """Whether a setting or an array was there already in a schema version."""
+        return self.added.get(name, 1) <= version
+
 
 def write(layout: Layout, record: Any, path: str | Path) -> None:
     """Write a record; an existing file is replaced at the very end, or not at all.
@@ -83,10 +87,10 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
     try:
         with h5py.File(path, "r") as file:
             version = _check(layout, file.attrs)
-            there = {n for n in _names(layout) if layout.added.get(n, 1) <= version}
-            fields = {n: _plain(file.attrs[n]) for n in layout.settings if n in there}
+            there = [n for n in layout.settings if layout.has(n, version)]
+            fields = {n: _plain(file.attrs[n]) for n in there}
             for name, (dtype, _) in layout.arrays.items():
-                if name in there:
+                if layout.has(name, version):
                     fields[name] = file[name][()].astype(dtype)
             group = file[layout.group]
             parameters = {name: _plain(group.attrs[name]) for name in layout.parameters}
@@ -121,10 +125,6 @@ def _check(layout: Layout, attributes: Mapping[str, Any]) -> int:
     if not 1 <= version <= layout.version:
         raise ValueError(f"schema version {version}, this software reads 1 to {layout.version}")
     return version
-
-
-def _names(layout: Layout) -> tuple[str, ...]:
-    return (*layout.settings, *layout.arrays)
 
 
 def _plain(value: Any) -> Any:

@@ -42,6 +42,9 @@ class SpiRecord:
     shutters : (n_shutters, 4) float64
         Every pattern is shown once with each shutter, one after another: modulation frequency, Hz,
         and phase, rad, of a lock-in tap, or delay and width of a gate, s. All zero: always open.
+        Gates open that long after the light's pulse begins.
+    pulse_width_s
+        Length of the light's pulse, of gates; 0: none, or not stated.
     """
 
     counts: NDArray[np.int32]
@@ -56,12 +59,15 @@ class SpiRecord:
     device: str
     pose: NDArray[np.float64]
     shutters: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 4)))
+    pulse_width_s: float = 0.0
 
     def __post_init__(self) -> None:
         if self.shutters.ndim != 2 or self.shutters.shape[1] != 4 or not len(self.shutters):
             raise ValueError(f"shutters: shape {self.shutters.shape}, expected (n_shutters, 4)")
         if not (np.isfinite(self.shutters).all() and (self.shutters >= 0).all()):
             raise ValueError("shutters: a value is negative or no number")
+        if not 0 <= self.pulse_width_s < np.inf:
+            raise ValueError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
         n = self.patterns.n_exposures * len(self.shutters)
         shapes = {"device_time_ns": (n,), "sequence": (n,), "flags": (n,), "pose": (7,)}
         container.check_shapes(self, shapes)
@@ -143,8 +149,15 @@ class SpiRecord:
 
 LAYOUT = container.Layout(
     format="ugv-spi-record",
-    version=2,
-    settings=("integration_time_s", "electrons_per_count", "offset_counts", "adc_bits", "device"),
+    version=3,
+    settings=(
+        "integration_time_s",
+        "electrons_per_count",
+        "offset_counts",
+        "adc_bits",
+        "device",
+        "pulse_width_s",
+    ),
     arrays={
         "counts": (np.int32, "ADC counts, (n_exposures, n_detectors)"),
         "device_time_ns": (np.int64, "device clock at the start of each exposure, ns"),
@@ -153,7 +166,7 @@ LAYOUT = container.Layout(
         "pose": (np.float64, "rig in the world: x y z (m), quaternion w x y z"),
         "shutters": (np.float64, "per shutter: modulation Hz, phase rad, gate delay s, width s"),
     },
-    added={"shutters": 2},
+    added={"shutters": 2, "pulse_width_s": 3},
     group="patterns",
     parameters=("rows", "columns", "count", "order", "mode"),
     optional=("subset",),

@@ -139,7 +139,7 @@ def test_ros_tools_read_every_message(tmp_path: Path) -> None:
     assert camera.device_time_ns == RECORDS[0].device_time_ns.tolist()
     assert camera.integration_time_s == RECORDS[0].integration_time_s
     assert (camera.patterns_rows, camera.patterns_order) == (8, "sequency")
-    assert (camera.device, camera.schema_version) == ("täst", 2)
+    assert (camera.device, camera.schema_version) == ("täst", 3)
     assert found["/radar/record"].iq == RECORDS[3].iq.ravel().tolist()
     image = found["/spi/image"]
     assert (image.height, image.width, image.encoding, image.step) == (3, 4, "32FC1", 16)
@@ -204,12 +204,25 @@ def test_schema_versions_stand_in_the_file(tmp_path: Path) -> None:
     kind = KINDS[0]
     message = bytearray(kind.pack(RECORDS[0], 0, "spi", None))
     at = message.index(b"ugv-spi-record\0") + 16
-    assert message[at] == 2
+    assert message[at] == 3
     message[at] = 99
     with pytest.raises(ValueError, match="ugv-spi-record of schema version 99"):
         kind.unpack(bytes(message))
     with pytest.raises(ValueError, match="too early"):
         kind.unpack(kind.pack(RECORDS[0], 0, "spi", None)[:-1])
+
+
+def test_messages_of_an_older_schema_are_read() -> None:
+    """Version 2 had no pulse width: a message packed without it comes back whole."""
+    kind = KINDS[0]
+    record = replace(RECORDS[0], pulse_width_s=2e-8)
+    before = tuple(name for name in kind.layout.settings if name != "pulse_width_s")
+    old = replace(kind, layout=replace(kind.layout, version=2, settings=before))
+    back, _ = kind.unpack(old.pack(record, 0, "spi", None))
+    assert back.pulse_width_s == 0.0
+    assert back.device == record.device
+    np.testing.assert_array_equal(back.counts, record.counts)
+    np.testing.assert_array_equal(back.shutters, record.shutters)
 
 
 def test_a_log_is_never_written_over(tmp_path: Path) -> None:

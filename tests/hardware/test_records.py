@@ -53,7 +53,8 @@ def test_format_and_schema_version_are_fixed(tmp_path: Path) -> None:
     write_record(make_record(), tmp_path / "r.h5")
     with h5py.File(tmp_path / "r.h5") as file:
         assert file.attrs["format"] == "ugv-spi-record"
-        assert file.attrs["schema_version"] == 2
+        assert file.attrs["schema_version"] == 3
+        assert file.attrs["pulse_width_s"] == 0.0
         members = {"counts", "device_time_ns", "sequence", "flags", "pose", "shutters"}
         assert set(file) == members | {"patterns"}
         assert set(file["patterns"].attrs) == {"rows", "columns", "count", "order", "mode"}
@@ -64,10 +65,23 @@ def test_records_of_version_1_are_read_without_shutters(tmp_path: Path) -> None:
     write_record(make_record(), path)
     with h5py.File(path, "a") as file:
         file.attrs["schema_version"] = 1
-        del file["shutters"]
+        del file["shutters"], file.attrs["pulse_width_s"]
     old = read_record(path)
     assert not old.shutters.any()
     np.testing.assert_array_equal(old.electrons, make_record().electrons)
+
+
+def test_records_of_version_2_do_not_state_their_pulse(tmp_path: Path) -> None:
+    path, gates = tmp_path / "old.h5", np.array([[0, 0, 1e-8, 2e-8]])
+    gated = replace(make_record(), shutters=gates, pulse_width_s=2e-8)
+    write_record(gated, path)
+    assert read_record(path).pulse_width_s == 2e-8
+    with h5py.File(path, "a") as file:
+        file.attrs["schema_version"] = 2
+        del file.attrs["pulse_width_s"]
+    old = read_record(path)
+    assert old.pulse_width_s == 0.0
+    np.testing.assert_array_equal(old.shutters, gates)
 
 
 def test_other_versions_and_other_files_are_refused(tmp_path: Path) -> None:
@@ -114,6 +128,8 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         ("integration_time_s", 0.0),
         ("electrons_per_count", float("nan")),
         ("adc_bits", 0),
+        ("pulse_width_s", -1e-9),
+        ("pulse_width_s", float("nan")),
     ],
 )
 def test_a_record_that_no_device_could_send_is_refused(field: str, value: object) -> None:

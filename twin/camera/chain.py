@@ -141,6 +141,7 @@ class Chain:
             shutters=np.array(
                 [(t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s) for t in self.taps]
             ),
+            pulse_width_s=self.taps[0].pulse_width_s,
             integration_time_s=system.acquisition.integration_time_s.value,
             electrons_per_count=self.front_end.electrons_per_count,
             offset_counts=self.front_end.offset_counts,

@@ -18,7 +18,8 @@ class Shutter:
 
     ``response``: share of the emitter's light that counts, None for all of it; ``light_share`` the
     share of the time that the emitter shines, ``open_share`` that the detector is open. The rest is
-    how a record names it: modulation and phase, or delay and width of a gate.
+    how a record names it: modulation and phase, or delay and width of a gate,
+    and the pulse that it belongs to.
     """
 
     response: Response | None = None
@@ -28,6 +29,7 @@ class Shutter:
     phase_rad: float = 0.0
     gate_delay_s: float = 0.0
     gate_width_s: float = 0.0
+    pulse_width_s: float = 0.0
 
 
 def shutters(system: System) -> tuple[Shutter, ...]:
@@ -68,6 +70,7 @@ def _gates(tof: TimeOfFlight) -> tuple[Shutter, ...]:
             open_share=width * rate,
             gate_delay_s=delay,
             gate_width_s=width,
+            pulse_width_s=pulse,
         )
         for delay in tof.gate_delays_s.value
     )
