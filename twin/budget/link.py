@@ -18,7 +18,8 @@ class Link:
     """A design; every field may be an array, and all arrays broadcast.
 
     ``in_band``: share of the emitter's line inside the filter. ``sun_w_per_m2``: irradiance of the
-    sun in the band, taken to fall on the object square.
+    sun in the band, taken to fall on the object square. ``shot_variance``: variance over mean of
+    the electrons at the detector's terminals, M F of an avalanche photodiode.
     """
 
     radiant_intensity_w_per_sr: Number
@@ -29,6 +30,7 @@ class Link:
     responsivity_a_per_w: Number
     dark_current_a: Number
     sun_w_per_m2: Number
+    shot_variance: Number = 1.0
 
     def signal_e_per_s(self, reflectance: Number, distance_m: Number) -> Number:
         """Photo-electrons per second from the emitter, all cells lit."""
@@ -45,38 +47,54 @@ class Link:
         return reflectance * irradiance * collected * self.responsivity_a_per_w / constants.e
 
 
-def noise_e(signal: Number, background: Number, time_s: Number, read_e: Number) -> Number:
+def noise_e(
+    signal: Number, background: Number, time_s: Number, read_e: Number, shot_variance: Number = 1.0
+) -> Number:
     """Shot noise of everything that is collected, with the read noise."""
-    return np.sqrt((signal + background) * time_s + np.square(read_e))
+    return np.sqrt(shot_variance * (signal + background) * time_s + np.square(read_e))
 
 
-def minimum_time_s(signal: Number, background: Number, read_e: Number, snr: Number = 1.0) -> Number:
+def minimum_time_s(
+    signal: Number,
+    background: Number,
+    read_e: Number,
+    snr: Number = 1.0,
+    shot_variance: Number = 1.0,
+) -> Number:
     """Shortest integration whose signal is ``snr`` times its noise.
 
-    s T = snr sqrt((s + b) T + r^2), solved for T; infinite without signal.
+    s T = snr sqrt(v (s + b) T + r^2), solved for T; infinite without signal.
     """
-    half = np.square(snr) * (signal + background) / 2
+    half = np.square(snr) * shot_variance * (signal + background) / 2
     root = np.sqrt(half**2 + np.square(snr * signal * read_e))
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(signal > 0, (half + root) / np.square(signal), np.inf)
 
 
 def maximum_distance_m(
-    signal_at_1_m: Number, background: Number, time_s: Number, read_e: Number, snr: Number = 1.0
+    signal_at_1_m: Number,
+    background: Number,
+    time_s: Number,
+    read_e: Number,
+    snr: Number = 1.0,
+    shot_variance: Number = 1.0,
 ) -> Number:
     """Farthest distance at which the signal is ``snr`` times the noise after ``time_s``.
 
-    It needs s = (k^2 + k sqrt(k^2 + 4 (b T + r^2))) / (2 T) with k = snr, and s falls with 1/z^2.
+    It needs s = k (k v + sqrt(k^2 v^2 + 4 (v b T + r^2))) / (2 T) with k = snr, v the shot
+    variance, and s falls with 1/z^2.
     """
-    k2 = np.square(snr)
-    rest = background * time_s + np.square(read_e)
-    needed = (k2 + snr * np.sqrt(k2 + 4 * rest)) / (2 * time_s)
+    own = snr * shot_variance
+    rest = shot_variance * background * time_s + np.square(read_e)
+    needed = snr * (own + np.sqrt(np.square(own) + 4 * rest)) / (2 * time_s)
     return np.sqrt(signal_at_1_m / needed)
 
 
-def implied_read_noise_e(signal: Number, background: Number, time_s: Number) -> Number:
+def implied_read_noise_e(
+    signal: Number, background: Number, time_s: Number, shot_variance: Number = 1.0
+) -> Number:
     """Read noise with which ``time_s`` is just enough for SNR 1; 0 where even none is too much."""
-    excess = np.square(signal * time_s) - (signal + background) * time_s
+    excess = np.square(signal * time_s) - shot_variance * (signal + background) * time_s
     return np.sqrt(np.maximum(excess, 0.0))
 
 

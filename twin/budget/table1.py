@@ -10,6 +10,7 @@ from twin.budget.link import (
     implied_read_noise_e,
     maximum_distance_m,
     minimum_time_s,
+    noise_e,
 )
 from twin.files import InputError
 from twin.optics.spectra import in_band_fraction, responsivity_a_per_w, sun_in_band
@@ -70,10 +71,22 @@ def link_of(
         transmission=optics.transmission.value * band.transmission.value,
         f_number=optics.f_number.value,
         pixel_area_m2=detector.area_m2,
-        responsivity_a_per_w=responsivity_a_per_w(detector, system.emitter, band),
+        responsivity_a_per_w=_responsivity(system, part),
         dark_current_a=detector.dark_current_a.value,
         sun_w_per_m2=sun,
+        shot_variance=detector.multiplication * detector.excess_noise,
     )
+
+
+def _responsivity(system: System, part: Part) -> float:
+    """Raises InputError for more than one electron a photon."""
+    detector, emitter = detector_of(part), system.emitter
+    found = responsivity_a_per_w(detector, emitter, system.filter)
+    try:
+        detector.check_quantum_limit(found, emitter.peak_wavelength_m.value)
+    except ValueError as error:
+        raise InputError(f"part {part.name}: {error}") from error
+    return found
 
 
 def _share(system: System, over_field: bool) -> float:
@@ -101,18 +114,19 @@ def audit(link: Link, part: Part) -> Row:
     z, t = (np.array(column) for column in zip(*printed, strict=True))
     read = _fitted_read_noise(link, z, t)
     signal, background = _rates(link, z)
-    time = minimum_time_s(signal, background, read)
-    snr = signal * t / np.sqrt((signal + background) * t + read**2)
+    shot = {"shot_variance": link.shot_variance}
+    time = minimum_time_s(signal, background, read, **shot)
+    snr = signal * t / noise_e(signal, background, t, read, **shot)
     at_1_m = link.signal_e_per_s(np.array(REFLECTANCES), 1.0)
     return Row(
         sensor=part.name,
         printed_distance_m=z,
         printed_time_s=t,
-        photon_limited_s=np.asarray(minimum_time_s(signal, background, 0.0)),
-        implied_read_noise_e=np.asarray(implied_read_noise_e(signal, background, t)),
+        photon_limited_s=np.asarray(minimum_time_s(signal, background, 0.0, **shot)),
+        implied_read_noise_e=np.asarray(implied_read_noise_e(signal, background, t, **shot)),
         read_noise_e=read,
         time_s=np.asarray(time),
-        distance_m=np.asarray(maximum_distance_m(at_1_m, background, t, read)),
+        distance_m=np.asarray(maximum_distance_m(at_1_m, background, t, read, **shot)),
         residual=np.asarray(time / t - 1),
         distance_sigma_m=np.asarray(distance_sigma_m(snr, MODULATION_HZ)),
         elasticity=_elasticity(link, read, z[-1]),
@@ -130,10 +144,12 @@ def _fitted_read_noise(link: Link, z: np.ndarray, t: np.ndarray) -> float:
     from scipy.optimize import minimize_scalar
 
     signal, background = _rates(link, z)
-    start = np.log(np.maximum(implied_read_noise_e(signal, background, t), 1e-3)).mean()
+    shot = {"shot_variance": link.shot_variance}
+    implied = implied_read_noise_e(signal, background, t, **shot)
+    start = np.log(np.maximum(implied, 1e-3)).mean()
 
     def misfit(log_read: float) -> float:
-        times = minimum_time_s(signal, background, np.exp(log_read))
+        times = minimum_time_s(signal, background, np.exp(log_read), **shot)
         return float(np.sum(np.log(times / t) ** 2))
 
     found = minimize_scalar(misfit, bounds=(start - 5, start + 5), method="bounded")
@@ -146,7 +162,8 @@ def _elasticity(link: Link, read_e: float, distance_m: float) -> dict[str, float
 
     def log_time(changed: Link, read: float) -> float:
         signal = changed.signal_e_per_s(rho, distance_m)
-        return float(np.log(minimum_time_s(signal, changed.background_e_per_s(rho), read)))
+        background, shot = changed.background_e_per_s(rho), changed.shot_variance
+        return float(np.log(minimum_time_s(signal, background, read, shot_variance=shot)))
 
     step = 1e-4
     moves = {
@@ -156,6 +173,7 @@ def _elasticity(link: Link, read_e: float, distance_m: float) -> dict[str, float
         )
         / (2 * step)
         for name, value in vars(link).items()
+        if name != "shot_variance" or value != 1  # only an avalanche has one to change
     }
     more, less = (log_time(link, read_e * (1 + s * step)) for s in (1, -1))
     moves["read_noise_e"] = (more - less) / (2 * step)

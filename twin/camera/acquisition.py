@@ -244,6 +244,7 @@ def _warnings(
         *recorded(record),
         *coarse(noise),
         *_no_light(system, in_band, cells_e),
+        *_narrow_filter(system, in_band),
         *_thick_air(system, distance_m),
         *_crosstalk(system, distance_m),
     )
@@ -257,6 +258,20 @@ def _no_light(system: System, in_band: float, cells_e: Array) -> list[CaptureWar
     else:
         return []
     return [CaptureWarning("no-light", text, void=True)]
+
+
+def _narrow_filter(system: System, in_band: float) -> list[CaptureWarning]:
+    line, width = system.emitter.line_fwhm_m.value, system.filter.width_m.value
+    curves = system.emitter.spectrum_csv or system.filter.transmission_csv
+    if curves is not None or width >= line or in_band == 0:
+        return []
+    return [
+        CaptureWarning(
+            "design",
+            f"the filter, {width * 1e9:g} nm, is narrower than the emitter's line, "
+            f"{line * 1e9:g} nm: {in_band:.1%} of its light passes",
+        )
+    ]
 
 
 def _crosstalk(system: System, distance_m: float) -> list[CaptureWarning]:

@@ -55,13 +55,9 @@ def dark_share(system: System) -> float:
 def residual_share(system: System) -> float:
     """Share of an exposure's light that is still the pattern before's.
 
-    After a switch the light decays with exp(-t / tau), tau = t_10-90 / ln 9; integration begins
-    when the dead time between patterns is over.
+    After a switch the light decays with exp(-t / tau), tau = t_10-90 / ln 9.
     """
     switching = system.emitter.switching_time_s
     if switching is None or switching.value == 0:
         return 0.0
-    tau = switching.value / math.log(9)
-    time = system.acquisition.integration_time_s.value
-    dead = system.acquisition.pattern_period_s.value - time
-    return tau / time * math.exp(-dead / tau) * -math.expm1(-time / tau)
+    return system.acquisition.residue(switching.value / math.log(9))

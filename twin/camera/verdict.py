@@ -91,6 +91,7 @@ def judge(cells_e: Array, snr: Array, warnings: Sequence[CaptureWarning]) -> Ver
 def recorded(record: SpiRecord) -> Iterator[CaptureWarning]:
     """What the counts and flags of a record say against it."""
     n, rails = len(record.counts), _Rails(record)
+    blinded = bool((rails.blind_high | rails.blind_low).all())
     found: tuple[tuple[Kind, Bools, Bools, str], ...] = (
         (
             "saturated",
@@ -104,7 +105,7 @@ def recorded(record: SpiRecord) -> Iterator[CaptureWarning]:
     for kind, at_rail, blind, text in found:
         if hits := int(at_rail.any(axis=1).sum()):
             yield CaptureWarning(kind, f"{hits} of {n} exposures {text}", void=bool(blind.all()))
-    if n > 1 and np.ptp(record.counts, axis=0).max() <= 1:
+    if n > 1 and not blinded and np.ptp(record.counts, axis=0).max() <= 1:
         text = "the counts of all exposures differ by one step at most: too little light, or gain"
         yield CaptureWarning("underexposed", text, void=True)
     flags: dict[Kind, Flag] = {"overrun": Flag.OVERRUN, "reset": Flag.RESET, "lost": Flag.LOST}

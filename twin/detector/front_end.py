@@ -26,6 +26,9 @@ class FrontEnd:
     that average is a charge variance of 2 k Theta T / R. A capacitive one gives n q / C volts and
     fills up at its well. ``flicker_cycles``: exposures' period times the corner frequency below
     which the amplifier's noise density grows as 1/f; 0 is white noise.
+
+    All electrons are those at the detector's terminals, behind an avalanche's ``gain`` M, whose
+    ``excess_noise`` F makes their shot noise M F times their mean (McIntyre 1966).
     """
 
     electrons_per_watt: float
@@ -37,6 +40,8 @@ class FrontEnd:
     adc_bits: int
     full_well_e: float = np.inf
     flicker_cycles: float = 0.0
+    gain: float = 1.0
+    excess_noise: float = 1.0
 
     @classmethod
     def of(cls, system: System, responsivity_a_per_w: float | None = None) -> "FrontEnd":
@@ -68,7 +73,14 @@ class FrontEnd:
             * system.acquisition.pattern_period_s.value
             if readout.flicker_corner_hz
             else 0.0,
+            gain=detector.multiplication,
+            excess_noise=detector.excess_noise,
         )
+
+    @property
+    def shot_variance(self) -> float:
+        """Variance over mean of the collected electrons, M F."""
+        return self.gain * self.excess_noise
 
     @property
     def amplifier_e(self) -> float:
@@ -111,7 +123,7 @@ def expose(
             f"power_w: {float(np.min(power_w)):g} to {float(np.max(power_w)):g} W give "
             f"{float(np.max(mean_e)):g} electrons, expected a finite number from 0 up"
         )
-    collected = mean_e if noise == "none" else _shot(mean_e, rng, gaussian=noise == "gaussian")
+    collected = mean_e if noise == "none" else _collect(mean_e, front_end, rng, noise)
     full = collected >= front_end.full_well_e
     electrons = np.minimum(collected, front_end.full_well_e)
     if noise != "none":
@@ -123,6 +135,30 @@ def expose(
     counts = np.clip(np.rint(exact), 0, top).astype(np.int32)
     railed = ((counts == 0) | (counts == top) | full).any(axis=1)
     return counts, np.where(railed, np.uint8(Flag.SATURATED), np.uint8(0))
+
+
+def _collect(
+    mean_e: Array, front_end: FrontEnd, rng: np.random.Generator, noise: Literal["gaussian", "full"]
+) -> Array:
+    """Electrons at the terminals.
+
+    Of an avalanche, n Poisson electrons with a multiplied charge of mean n M and variance
+    n M^2 (F - 1), drawn from a gamma distribution: exact where one carrier alone ionises and M is
+    large (each electron's multiplication is exponential then), else right in mean and variance.
+    """
+    if front_end.shot_variance == 1:
+        return _shot(mean_e, rng, gaussian=noise == "gaussian")
+    gain, excess = front_end.gain, front_end.excess_noise - 1
+    if noise == "gaussian":
+        return rng.normal(mean_e, np.sqrt(front_end.shot_variance * mean_e))
+    freed = _shot(mean_e / gain, rng)
+    if excess == 0:
+        return gain * freed
+    many = freed > _NORMAL_FROM
+    drawn = rng.gamma(np.minimum(freed, _NORMAL_FROM) / excess, gain * excess)
+    if many.any():
+        drawn[many] = gain * (freed[many] + rng.normal(0, np.sqrt(excess * freed[many])))
+    return drawn
 
 
 def _flicker(shape: tuple[int, ...], front_end: FrontEnd, rng: np.random.Generator) -> Array:

@@ -50,6 +50,7 @@ def noise_budget(
     ``emitter_noise``: relative fluctuation of the emitter. 1/f noise is counted as it survives the
     difference of a pair.
     """
+    shot = front_end.shot_variance
     signal = float(np.mean(signal_w)) * front_end.electrons_per_watt
     background = float(np.mean(background_w)) * front_end.electrons_per_watt
     return NoiseBudget(
@@ -57,9 +58,9 @@ def noise_budget(
         background_e=background,
         dark_e=front_end.dark_e,
         noise_e={
-            "shot noise of the signal": float(np.sqrt(signal)),
-            "shot noise of the sun": float(np.sqrt(background)),
-            "shot noise of the dark current": float(np.sqrt(front_end.dark_e)),
+            "shot noise of the signal": float(np.sqrt(shot * signal)),
+            "shot noise of the sun": float(np.sqrt(shot * background)),
+            "shot noise of the dark current": float(np.sqrt(shot * front_end.dark_e)),
             "Johnson noise of the amplifier": front_end.johnson_e,
             "read noise": front_end.read_e,
             "1/f noise of the amplifier": front_end.amplifier_e

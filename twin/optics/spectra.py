@@ -134,7 +134,7 @@ def responsivity_a_per_w(detector: Detector, emitter: Emitter, band: Filter) -> 
     power = np.trapezoid(passed, nm)
     if power == 0:
         return detector.responsivity_a_per_w.value
-    curve_nm, curve = read_curve(Path(detector.responsivity_csv.value))
+    curve_nm, curve = read_responsivity(detector)
     current = np.trapezoid(passed * np.interp(nm, curve_nm, curve, left=0.0, right=0.0), nm)
     return float(current / power)
 
@@ -181,9 +181,19 @@ def read_transmission(path: Path) -> tuple[Array, Array]:
 
 
 def read_responsivity(detector: Detector) -> tuple[Array, Array]:
-    """Wavelengths in nm and A/W: the vendor's curve, or the one number over 900 to 1700 nm."""
+    """Wavelengths in nm and A/W: the vendor's curve, or the one number over 900 to 1700 nm.
+
+    Raises InputError for a curve above one electron a photon times the detector's gain.
+    """
     if detector.responsivity_csv is not None:
-        return read_curve(Path(detector.responsivity_csv.value))
+        path = Path(detector.responsivity_csv.value)
+        nm, curve = read_curve(path)
+        worst = int(np.argmax(curve / nm))
+        try:
+            detector.check_quantum_limit(float(curve[worst]), float(nm[worst]) * 1e-9)
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from error
+        return nm, curve
     return np.array([900.0, 1700.0]), np.full(2, detector.responsivity_a_per_w.value)
 
 

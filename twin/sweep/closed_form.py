@@ -62,13 +62,14 @@ def closed_form(study: Study, columns: Mapping[str, Array]) -> dict[str, Array]:
     read = _own(columns, "system.readout.read_noise_e", systems, inverse)
     signal = link.signal_e_per_s(reflectance, distance)
     background = link.background_e_per_s(reflectance)
+    shot = {"shot_variance": link.shot_variance}
     results = {
         "signal_e_per_s": signal,
         "background_e_per_s": background,
-        "snr": signal * time / noise_e(signal, background, time, read),
-        "minimum_time_s": minimum_time_s(signal, background, read),
+        "snr": signal * time / noise_e(signal, background, time, read, **shot),
+        "minimum_time_s": minimum_time_s(signal, background, read, **shot),
         "maximum_distance_m": maximum_distance_m(
-            link.signal_e_per_s(reflectance, 1.0), background, time, read
+            link.signal_e_per_s(reflectance, 1.0), background, time, read, **shot
         ),
     }
     return {name: np.broadcast_to(results[name], (n,)) for name in study.metrics}

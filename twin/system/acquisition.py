@@ -1,5 +1,6 @@
 """What is shown, for how long, and when the detector is sensitive."""
 
+import math
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -29,6 +30,14 @@ class Acquisition(Strict):
         if self.integration_time_s.value > self.pattern_period_s.value:
             raise ValueError("integration_time_s is longer than pattern_period_s")
         return self
+
+    def residue(self, tau_s: float) -> float:
+        """Share of an exposure that is still what was before it, where that decays with exp(-t/tau)
+        from the switch on; integration begins when the dead time between patterns is over.
+        """
+        time = self.integration_time_s.value
+        dead = self.pattern_period_s.value - time
+        return tau_s / time * math.exp(-dead / tau_s) * -math.expm1(-time / tau_s)
 
 
 class TimeOfFlight(Strict):
@@ -63,6 +72,13 @@ class TimeOfFlight(Strict):
             width = getattr(self, name)
             if width and self.pulse_rate_hz and width.value * self.pulse_rate_hz.value > 1:
                 raise ValueError(f"{name} is longer than the time between pulses")
+        if self.gate_delays_s and self.gate_width_s and self.pulse_rate_hz:
+            last = max(self.gate_delays_s.value) + self.gate_width_s.value
+            if last * self.pulse_rate_hz.value > 1 + 1e-9:
+                raise ValueError(
+                    f"gate_delays_s: the last gate closes after {last:g} s, when the next pulse is "
+                    f"under way (pulse_rate_hz = {self.pulse_rate_hz.value:g})"
+                )
         return self
 
     @property

@@ -4,8 +4,9 @@ import math
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
+from scipy import constants
 
-from twin.toml import Count, NonNegative, Positive, Sourced, Strict
+from twin.toml import Count, Finite, NonNegative, Positive, Sourced, Strict
 
 
 class Detector(Strict):
@@ -14,6 +15,12 @@ class Detector(Strict):
     ``width_m`` is the diameter of a disc or the side of a square; a rectangle has ``height_m`` too.
     ``line_rate_hz``: readouts per second at most. ``responsivity_csv``: a vendor's curve,
     wavelength and A/W, in place of one number.
+
+    An avalanche photodiode multiplies by ``gain``, and adds the noise of doing so: by the
+    ``excess_noise_factor`` at that gain, or by the ``ionisation_ratio`` k of its two carriers, of
+    which F = k M + (1 - k) (2 - 1 / M) (McIntyre, IEEE Trans. Electron Devices 13, 1966, eq. 20).
+    Responsivity and dark current are then those at the terminals, gain included; all of the dark
+    current is taken to be multiplied.
     """
 
     shape: Sourced[Literal["disc", "square", "rectangle"]]
@@ -23,6 +30,9 @@ class Detector(Strict):
     responsivity_a_per_w: Sourced[Positive]
     responsivity_csv: Sourced[str] | None = None
     dark_current_a: Sourced[NonNegative]
+    gain: Sourced[Annotated[Finite, Field(ge=1, le=1e8)]] | None = None
+    excess_noise_factor: Sourced[Annotated[Finite, Field(ge=1, le=1e8)]] | None = None
+    ionisation_ratio: Sourced[Annotated[NonNegative, Field(le=1)]] | None = None
     line_rate_hz: Sourced[Positive] | None = None
 
     @model_validator(mode="after")
@@ -30,6 +40,42 @@ class Detector(Strict):
         if (self.shape.value == "rectangle") == (self.height_m is None):
             raise ValueError("a rectangle has width_m and height_m, a disc or square width_m alone")
         return self
+
+    @model_validator(mode="after")
+    def _says_what_gain_costs(self) -> "Detector":
+        stated = [self.excess_noise_factor, self.ionisation_ratio]
+        if self.gain is None and any(stated):
+            raise ValueError("excess_noise_factor and ionisation_ratio belong to a gain")
+        if self.gain is not None and (stated[0] is None) == (stated[1] is None):
+            raise ValueError("gain needs either excess_noise_factor or ionisation_ratio")
+        return self
+
+    @property
+    def multiplication(self) -> float:
+        """Electrons at the terminals for each one that a photon frees: 1 without an avalanche."""
+        return self.gain.value if self.gain else 1.0
+
+    @property
+    def excess_noise(self) -> float:
+        """Mean square over squared mean of the multiplication, 1 for a constant one."""
+        if self.excess_noise_factor is not None:
+            return self.excess_noise_factor.value
+        if self.ionisation_ratio is None:
+            return 1.0
+        k, m = self.ionisation_ratio.value, self.multiplication
+        return k * m + (1 - k) * (2 - 1 / m)
+
+    def check_quantum_limit(self, responsivity_a_per_w: float, wavelength_m: float) -> None:
+        """Raise ValueError for more than one electron a photon before multiplication."""
+        most = self.multiplication * quantum_limit_a_per_w(wavelength_m)
+        if responsivity_a_per_w > most * (1 + 1e-6):
+            raise ValueError(
+                f"detector.responsivity_a_per_w = {responsivity_a_per_w:g}: at "
+                f"{wavelength_m * 1e9:g} nm one electron a photon is "
+                f"{quantum_limit_a_per_w(wavelength_m):.4g} A/W"
+                + (f", {most:.4g} A/W with a gain of {self.multiplication:g}" if self.gain else "")
+                + "; more needs detector.gain and its excess_noise_factor or ionisation_ratio"
+            )
 
     @property
     def area_m2(self) -> float:
@@ -39,13 +85,19 @@ class Detector(Strict):
         return area * math.pi / 4 if self.shape.value == "disc" else area
 
 
+def quantum_limit_a_per_w(wavelength_m: float) -> float:
+    """Responsivity of one electron a photon, q lambda / (h c): 1.250 A/W at 1550 nm."""
+    return constants.e * wavelength_m / (constants.h * constants.c)
+
+
 class Readout(Strict):
     """Amplifier and ADC.
 
     A transimpedance amplifier (``transimpedance_ohm``) averages the current over the integration
     time; a capacitive one (``feedback_capacitance_f``, CTIA) collects the charge, up to
     ``full_well_e``, and has its reset noise in ``read_noise_e``. Below ``flicker_corner_hz`` the
-    amplifier's noise density grows as 1/f.
+    amplifier's noise density grows as 1/f. ``bandwidth_hz``: of the amplifier's one pole; default:
+    wide enough to settle.
     """
 
     transimpedance_ohm: Sourced[Positive] | None = None
@@ -54,6 +106,7 @@ class Readout(Strict):
     temperature_k: Sourced[NonNegative]
     read_noise_e: Sourced[NonNegative]
     flicker_corner_hz: Sourced[NonNegative] | None = None
+    bandwidth_hz: Sourced[Positive] | None = None
     adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=31)]]
     adc_full_scale_v: Sourced[Positive]
     adc_offset_v: Sourced[NonNegative]
@@ -62,4 +115,13 @@ class Readout(Strict):
     def _is_one_amplifier(self) -> "Readout":
         if (self.transimpedance_ohm is None) == (self.feedback_capacitance_f is None):
             raise ValueError("needs either transimpedance_ohm or feedback_capacitance_f")
+        return self
+
+    @model_validator(mode="after")
+    def _offset_is_in_range(self) -> "Readout":
+        if self.adc_offset_v.value >= self.adc_full_scale_v.value:
+            raise ValueError(
+                f"adc_offset_v = {self.adc_offset_v.value:g} leaves nothing of adc_full_scale_v, "
+                f"{self.adc_full_scale_v.value:g}"
+            )
         return self

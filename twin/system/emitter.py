@@ -63,6 +63,15 @@ class Emitter(Strict):
     source_diameter_m: Sourced[Positive] | None = None
 
     @model_validator(mode="after")
+    def _line_is_at_its_peak(self) -> "Emitter":
+        if self.line_fwhm_m.value >= self.peak_wavelength_m.value:
+            raise ValueError(
+                f"line_fwhm_m = {self.line_fwhm_m.value:g} is wider than peak_wavelength_m, "
+                f"{self.peak_wavelength_m.value:g}"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _bare_leds_are_described(self) -> "Emitter":
         if self.has_lens:
             return self

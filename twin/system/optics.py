@@ -38,6 +38,11 @@ class Filter(Strict):
         return self
 
 
+#: A lens that obeys the sine condition has a pupil of 2 f sin(theta), at most twice its focal
+#: length (Born and Wolf, Principles of Optics, section 4.5.1).
+FASTEST_F_NUMBER = 0.5
+
+
 class Optics(Strict):
     """Lens before the detector.
 
@@ -49,7 +54,7 @@ class Optics(Strict):
     position, in focus everywhere.
     """
 
-    f_number: Sourced[Positive]
+    f_number: Sourced[Annotated[Positive, Field(ge=FASTEST_F_NUMBER)]]
     transmission: Sourced[Fraction]
     field_of_view_deg: Sourced[FieldAngle]
     field_stop: Sourced[Literal["matched", "detector"]]

@@ -1,5 +1,6 @@
 """One complete optical system: its sections, and what must fit between them."""
 
+import math
 from pathlib import Path
 
 from pydantic import model_validator
@@ -39,6 +40,36 @@ class System(Entry):
             raise ValueError(f"{place}:{rest}") from None
         if self.patterns.n_arms > 1:
             raise ValueError("acquisition.mode: 'complementary' needs two detectors, has one")
+        return self
+
+    @model_validator(mode="after")
+    def _physics_allows_it(self) -> "System":
+        acquisition, readout = self.acquisition, self.readout
+        self.detector.check_quantum_limit(
+            self.detector.responsivity_a_per_w.value, self.emitter.peak_wavelength_m.value
+        )
+        rate, period = self.detector.line_rate_hz, acquisition.pattern_period_s.value
+        if rate is not None and rate.value * period < 1 - 1e-9:
+            raise ValueError(
+                f"acquisition.pattern_period_s = {period:g}: detector.line_rate_hz allows "
+                f"{rate.value:g} readouts per second, one in {1 / rate.value:.3g} s"
+            )
+        if readout.bandwidth_hz is not None:
+            left = acquisition.residue(1 / (2 * math.pi * readout.bandwidth_hz.value))
+            if left > 0.5 / 2**readout.adc_bits.value:
+                raise ValueError(
+                    f"readout.bandwidth_hz = {readout.bandwidth_hz.value:g}: {100 * left:.2g} % of "
+                    "the exposure before is left in each one, more than half a step of "
+                    f"readout.adc_bits = {readout.adc_bits.value}"
+                )
+        tof = self.time_of_flight
+        if tof is not None and tof.modulation_hz is not None:
+            slowest = min(tof.modulation_hz.value)
+            if slowest * acquisition.integration_time_s.value < 1:
+                raise ValueError(
+                    f"time_of_flight.modulation_hz = {slowest:g}: less than one period in "
+                    f"acquisition.integration_time_s = {acquisition.integration_time_s.value:g}"
+                )
         return self
 
     @property
