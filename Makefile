@@ -3,9 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 VEHICLE := .venv-vehicle
+PEERS := .venv-peers
 PIP_FLAGS := -q --disable-pip-version-check
 
-.PHONY: demo test test-vehicle test-slow lint bench extremes install clean
+.PHONY: demo test test-vehicle test-slow test-peers lint bench extremes install clean
 
 demo: install
 	$(BIN)/twin run scenes/yard
@@ -21,6 +22,10 @@ test-vehicle: $(VEHICLE)/.installed
 # Long statistics.
 test-slow: install
 	$(BIN)/pytest -m slow --timeout 3600
+
+# The same results as other people's libraries, in an environment of their own: several gigabytes.
+test-peers: $(PEERS)/.installed
+	$(PEERS)/bin/python -m pytest -m peers --timeout 1200 tests/hardware
 
 lint: install
 	$(BIN)/ruff check .
@@ -53,5 +58,10 @@ $(VEHICLE)/.installed: requirements.lock pyproject.toml $(VENV)/.installed
 	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-build-isolation -c requirements.lock .
 	@touch $@
 
+$(PEERS)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/pip install $(PIP_FLAGS) pytest pytest-timeout hypothesis array-api-strict -e .[accelerated,batch,peers]
+	@touch $@
+
 clean:
-	rm -rf $(VENV) $(VEHICLE) runs bench.json
+	rm -rf $(VENV) $(VEHICLE) $(PEERS) runs bench.json

@@ -14,12 +14,12 @@ pytest.importorskip("array_api_compat")
 
 from hardware.reconstruction import batch
 
-LIBRARIES = ["numpy", "array_api_strict", "torch"]
+LIBRARIES = ["numpy", "array_api_strict", pytest.param("torch", marks=pytest.mark.peers)]
 
 
 @pytest.fixture(params=LIBRARIES)
 def xp(request: pytest.FixtureRequest) -> Any:
-    """NumPy always; what refuses everything outside the standard; PyTorch where installed."""
+    """NumPy; what refuses everything outside the standard; PyTorch by `make test-peers`."""
     return pytest.importorskip(request.param)
 
 

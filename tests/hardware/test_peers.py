@@ -1,4 +1,8 @@
-"""The same results as other people's libraries, where these are installed (extra ``peers``)."""
+"""The same results as other people's libraries.
+
+The light ones are installed with the tests; those of the extra ``peers`` by `make test-peers`,
+where one that is missing is a failure.
+"""
 
 from typing import Any
 
@@ -8,6 +12,8 @@ from scipy.linalg import hadamard
 
 from hardware import PatternSet
 from hardware.patterns import fwht
+from hardware.radar import Cfar, OfdmWaveform, cfar_threshold, range_doppler
+from hardware.radar.detection import detected
 from hardware.reconstruction import Sensing
 from hardware.reconstruction.cosine import dct_matrix
 from hardware.reconstruction.dictionaries import prior_deviation
@@ -16,29 +22,30 @@ from hardware.reconstruction.methods import fista
 pytestmark = pytest.mark.filterwarnings("ignore")  # of the peers' own making
 
 
-@pytest.fixture
-def spyrit() -> Any:
-    pytest.importorskip("spyrit")
-    return pytest.importorskip("spyrit.core.torch"), pytest.importorskip("torch")
+@pytest.mark.peers
+def test_the_transform_is_spyrits() -> None:
+    import spyrit.core.torch as theirs
+    import torch
 
-
-def test_the_transform_is_spyrits(spyrit: Any) -> None:
-    theirs, torch = spyrit
     x = np.random.default_rng(0).normal(size=1024)
     found = theirs.fwht(torch.asarray(x), order=False).numpy()
     np.testing.assert_allclose(fwht(x), found, atol=1e-10)
 
 
-def test_the_walsh_order_is_spyrits(spyrit: Any) -> None:
-    theirs, _ = spyrit
+@pytest.mark.peers
+def test_the_walsh_order_is_spyrits() -> None:
+    import spyrit.core.torch as theirs
+
     h = 2.0 * PatternSet(1, 64, 64, "walsh", "plain").masks().reshape(64, 64) - 1
     np.testing.assert_array_equal(h, theirs.walsh_matrix(64).numpy())
 
 
-def test_split_measurements_are_spyrits(spyrit: Any) -> None:
+@pytest.mark.peers
+def test_split_measurements_are_spyrits() -> None:
     """Pattern and complement, one after the other: rows of their split operator."""
-    meas = pytest.importorskip("spyrit.core.meas")
-    torch = spyrit[1]
+    import torch
+    from spyrit.core import meas
+
     operator = meas.HadamSplit2d(8, dtype=torch.float64)
     picture = np.random.default_rng(1).random((8, 8))
     theirs = operator.measure(torch.asarray(picture)[None, None]).numpy().ravel()
@@ -49,13 +56,16 @@ def test_split_measurements_are_spyrits(spyrit: Any) -> None:
     )
 
 
+@pytest.mark.peers
 def test_the_s_matrix_is_spyrits() -> None:
     """Rows and columns from 1 on, in Walsh order."""
-    walsh = pytest.importorskip("spyrit.misc.walsh_hadamard")
+    from spyrit.misc import walsh_hadamard
+
     s = PatternSet(1, 32, 32, "walsh", "s-matrix").masks().reshape(32, 32)
-    np.testing.assert_array_equal(s[1:, 1:], walsh.walsh_S_matrix(31))
+    np.testing.assert_array_equal(s[1:, 1:], walsh_hadamard.walsh_S_matrix(31))
 
 
+@pytest.mark.peers
 @pytest.mark.parametrize(
     ("order", "mask"), [("zigzag", "zig_zag_mask"), ("cake-cutting", "cake_cutting_mask")]
 )
@@ -65,7 +75,9 @@ def test_orders_are_deepinvs(order: Any, mask: str, count: int) -> None:
 
     Zigzag: the same diagonals. Cake-cutting: the same numbers of pieces; ties are free.
     """
-    theirs = getattr(pytest.importorskip("deepinv.physics.singlepixel"), mask)
+    from deepinv.physics import singlepixel
+
+    theirs = getattr(singlepixel, mask)
     rows, columns = np.nonzero(np.asarray(theirs((1, 8, 8), count)).reshape(8, 8))
     changes_of = np.count_nonzero(np.diff(hadamard(8), axis=1), axis=1)
     down, along = changes_of[rows], changes_of[columns]
@@ -113,12 +125,10 @@ def test_fista_is_that_of_pylops() -> None:
     np.testing.assert_allclose(ours, theirs, atol=1e-3 * np.ptp(ours))
 
 
+@pytest.mark.peers
 def test_the_same_cells_as_hermespys_cfar() -> None:
     """Cell averaging on the same map of noise and echoes, away from edges, where ours wraps."""
-    pytest.importorskip("hermespy")
     from hermespy.radar import CFARDetector, RadarCube
-
-    from hardware.radar import Cfar, cfar_threshold
 
     rng = np.random.default_rng(0)
     power = rng.exponential(size=(128, 64))
@@ -134,3 +144,54 @@ def test_the_same_cells_as_hermespys_cfar() -> None:
     assert len(expected) > 10
     found = {point.power for point in theirs.points}
     np.testing.assert_allclose(sorted(found & set(power[inside])), expected)
+
+
+@pytest.mark.peers
+@pytest.mark.parametrize(("range_m", "rate"), [(3.0, -80.0), (20.0, 30.0), (37.5, 0.0)])
+def test_the_same_map_as_hermespys_ofdm_radar(range_m: float, rate: float) -> None:
+    """Its transmitter, target channel, receiver and OFDM radar on the 79 GHz numerology (4 GHz; a
+    quarter of the subcarriers, prefix as long as the symbol, 128 slots without pause).
+
+    Our map of the channel that its modem demodulates is its radar's, cell by cell; our detection
+    has its target's range to the half sample that its channel rounds delays to, and its rate. Its
+    channel raises the frequency for a target that moves away, so rates and Doppler rows are turned
+    over here.
+    """
+    from hermespy.channel import SingleTargetRadarChannel
+    from hermespy.jcas import OFDMRadar
+    from hermespy.modem import (
+        ElementType,
+        GridElement,
+        GridResource,
+        OFDMWaveform,
+        PrefixType,
+        SymbolSection,
+    )
+    from hermespy.simulation import SimulatedDevice
+
+    n, spacing_hz, slots = 1024, 4 * 976.5625e3, 128
+    ours = OfdmWaveform(79e9, n, spacing_hz, slots, 2 / spacing_hz, 1, 1 / spacing_hz)
+    resource = GridResource(n, PrefixType.CYCLIC, 1.0, [GridElement(ElementType.DATA)])
+    theirs = OFDMWaveform(
+        [resource], [SymbolSection(slots, [0])], num_subcarriers=n, dc_suppression=False
+    )
+    device = SimulatedDevice(
+        carrier_frequency=79e9, bandwidth=n * spacing_hz, oversampling_factor=1, seed=3
+    )
+    radar = OFDMRadar(theirs)
+    device.add_dsp(radar)
+    sent = device.transmit()
+    channel = SingleTargetRadarChannel(range_m, 10.0, velocity=rate, seed=1)
+    received = device.receive(channel.propagate(sent, device, device)).operator_receptions[0]
+
+    signal = np.asarray(received.signal.view(np.ndarray))[0]
+    symbols = theirs.place(sent.operator_transmissions[0].symbols).raw[0]
+    ratio = (theirs.demodulate(signal, n * spacing_hz, 1).raw[0] / symbols).T
+    image = range_doppler(ratio, ours, "boxcar")
+    expected = received.cube.data[0][::-1].T ** 2
+    np.testing.assert_allclose(
+        image.power_w / image.power_w.max(), expected / expected.max(), atol=1e-12
+    )
+    found, _ = detected(ratio, ours, image, Cfar(1e-6), "boxcar", 1)[0]
+    assert found.range_m == pytest.approx(range_m, abs=ours.range_cell_m)
+    assert -found.range_rate_m_per_s == pytest.approx(rate, abs=0.02)
