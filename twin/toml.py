@@ -2,7 +2,7 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -19,7 +19,14 @@ Name = Annotated[str, Field(pattern=r"^[\w .,+()-]{1,80}$")]
 
 
 class Strict(BaseModel):
-    """Frozen, and an unknown field is an error."""
+    """Frozen, and an unknown field is an error.
+
+    ``alternatives``: groups of fields of which a section holds one or the other, each named by its
+    first field. A file that gives the first of one group takes nothing of the others from its base
+    or part.
+    """
+
+    alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -111,9 +118,9 @@ def load_entry(
         return name
     path = _find(str(name), kind, folder)
     try:
-        content = _with_base(path, kind, folder)
+        content = _with_base(path, kind, folder, model)
         if parts:
-            content = {k: _with_part(k, v, path, parts) for k, v in content.items()}
+            content = {k: _with_part(k, v, path, parts, model) for k, v in content.items()}
         return model.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
@@ -135,7 +142,9 @@ def _find(name: str, kind: str, folder: Path) -> Path:
     )
 
 
-def _with_base(path: Path, kind: str, folder: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+def _with_base(
+    path: Path, kind: str, folder: Path, model: type[Strict], seen: tuple[Path, ...] = ()
+) -> dict[str, Any]:
     content = read_toml(path)
     for section in content.values():
         _place_files(section, path.parent)
@@ -150,10 +159,14 @@ def _with_base(path: Path, kind: str, folder: Path, seen: tuple[Path, ...] = ())
         raise InputError(f"{path}: base: {kind}s build on each other in a circle")
     sibling = path.parent / base
     found = sibling if sibling.is_file() else _find(base, kind, folder)
-    return _merged(_with_base(found, kind, folder, (*seen, path)), content)
+    below = _with_base(found, kind, folder, model, (*seen, path))
+    for section, value in content.items():
+        if isinstance(value, dict) and isinstance(below.get(section), dict):
+            below[section] = _without_rivals(below[section], value, _section(model, section))
+    return _merged(below, content)
 
 
-def _with_part(section: str, value: Any, path: Path, parts: Path) -> Any:
+def _with_part(section: str, value: Any, path: Path, parts: Path, model: type[Strict]) -> Any:
     """A section with what its part says, overridden by what the section says itself."""
     if not isinstance(value, dict) or "part" not in value:
         return value
@@ -161,10 +174,28 @@ def _with_part(section: str, value: Any, path: Path, parts: Path) -> Any:
     if not isinstance(name, str):
         raise InputError(f"{path}: {section}.part = {name!r}: expected the name of a part")
     found = _find(name, f"{path}: {section}.part", parts)
-    part = _with_base(found, "part", parts)
+    part = _with_base(found, "part", parts, model)
     if section not in part:
         raise InputError(f"{path}: {section}.part = {name!r}: this part has no {section}")
-    return _merged(part[section], {k: v for k, v in value.items() if k != "part"})
+    below = _without_rivals(part[section], value, _section(model, section))
+    return _merged(below, {k: v for k, v in value.items() if k != "part"})
+
+
+def _section(model: type[Strict], name: str) -> type[Strict]:
+    """Class of a model's section; of one that it lacks, the class without alternatives."""
+    hint = model.model_fields[name].annotation if name in model.model_fields else None
+    kinds = [kind for kind in (hint, *get_args(hint)) if isinstance(kind, type)]
+    return next((kind for kind in kinds if issubclass(kind, Strict)), Strict)
+
+
+def _without_rivals(
+    below: dict[str, Any], over: dict[str, Any], section: type[Strict]
+) -> dict[str, Any]:
+    """What a section takes from below: nothing of the alternatives to what it names itself."""
+    named = [group for group in section.alternatives if group[0] in over]
+    rivals = [group for group in section.alternatives if named and group not in named]
+    dropped = {name for group in rivals for name in group}
+    return {name: value for name, value in below.items() if name not in dropped}
 
 
 def _place_files(section: Any, folder: Path) -> None:
@@ -174,7 +205,11 @@ def _place_files(section: Any, folder: Path) -> None:
         if isinstance(part, str) and (folder / part).is_file():
             section["part"] = str((folder / part).resolve())
         for key, entry in section.items():
-            if key.endswith(("_csv", "_file")) and isinstance(entry, dict) and "value" in entry:
+            if not key.endswith(("_csv", "_file")):
+                continue
+            if isinstance(entry, str):  # given without a source
+                section[key] = str((folder / entry).resolve())
+            elif isinstance(entry, dict) and "value" in entry:
                 entry["value"] = str((folder / str(entry["value"])).resolve())
 
 

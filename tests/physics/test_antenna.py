@@ -184,6 +184,24 @@ def test_gain_or_file_never_both(tmp_path: Path) -> None:
         Antenna.model_validate(both)
 
 
+@pytest.mark.parametrize("value", ['"mine.csv"', '{ value = "mine.csv", source = "chamber" }'])
+def test_a_pattern_file_replaces_the_gain_of_a_bundled_radar(tmp_path: Path, value: str) -> None:
+    """The file lies beside the radar's, whatever the working directory; gain as in its table."""
+    table(tmp_path / "mine.csv", "x", 30.0)
+    mine, flat = tmp_path / "mine.toml", tmp_path / "flat.toml"
+    mine.write_text(f'base = "hybrid-79"\n[antenna]\npattern_file = {value}\n')
+    flat.write_text('base = "mine.toml"\n[antenna]\ngain_dbi = 6.0\n')
+    radar = load_radar(mine)
+    assert radar.antenna.gain_dbi is None
+    ahead = Antenna.model_validate({"pattern_file": str(tmp_path / "mine.csv")}).ahead_dbi
+    assert radar.antenna.ahead_dbi == ahead != load_radar("hybrid-79").antenna.ahead_dbi
+    assert load_radar(flat).antenna.ahead_dbi == 6.0  # and back again
+    both = tmp_path / "both.toml"
+    both.write_text(f'base = "hybrid-79"\n[antenna]\npattern_file = {value}\ngain_dbi = 6.0\n')
+    with pytest.raises(InputError, match="either gain_dbi or pattern_file"):
+        load_radar(both)
+
+
 def test_a_pattern_that_radiates_more_than_it_is_fed_is_warned_of(tmp_path: Path) -> None:
     path = tmp_path / "hot.csv"
     rows = [f"{t},{p},3" for t in (0, 90, 180) for p in (0, 120, 240)]

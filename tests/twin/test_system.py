@@ -32,6 +32,36 @@ def test_a_user_overrides_what_he_changes(tmp_path: Path) -> None:
     assert mine.detector == paper.detector
 
 
+@pytest.mark.parametrize(
+    ("base", "given", "left"),
+    [
+        ("[sky]\nilluminance_lx = 5.0", "[sky]\nsun_elevation_deg = 30.0", "sky.illuminance_lx"),
+        (
+            "[readout]\npart = 'ctia-high-gain'",
+            "[readout]\ntransimpedance_ohm = 1e6",
+            "readout.full_well_e",
+        ),
+        (
+            "[time_of_flight]\nmodulation_hz = [1e7]\ncontrast = 0.5",
+            "[time_of_flight]\npulse_width_s = 2e-8\npulse_rate_hz = 1e5\n"
+            "gate_width_s = 2e-8\ngate_delays_s = [1e-8]",
+            "time_of_flight.contrast",
+        ),
+    ],
+)
+def test_the_other_of_two_alternatives_replaces_the_bases(
+    tmp_path: Path, base: str, given: str, left: str
+) -> None:
+    """Where a section holds one thing or another, the file's own is taken and the base's left."""
+    write(tmp_path, f'base = "paper"\n{base}\n', "a.toml")
+    path = write(tmp_path, f'base = "a.toml"\nname = "b"\n{given}\n', "b.toml")
+    values = dict(load_system(path).values())
+    for line in given.splitlines()[1:]:
+        assert f"{given.splitlines()[0].strip('[]')}.{line.split()[0]}" in values
+    assert left not in values
+    assert left in dict(load_system(tmp_path / "a.toml").values())
+
+
 def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
     write(tmp_path, 'base = "workable"\nname = "a"\n[sky]\nilluminance_lx = 5.0\n', "a.toml")
     path = write(tmp_path, 'base = "a.toml"\nname = "b"\n', "b.toml")
@@ -125,7 +155,10 @@ def test_a_users_own_part_beside_the_system(tmp_path: Path) -> None:
         ('[filter]\npart = "nope"', "filter.part: 'nope' is neither"),
         ('[filter]\npart = "fga015"', "filter.part = 'fga015': this part has no filter"),
         ("[filter]\npart = 3", "filter.part = 3: expected the name"),
-        ("[sky]\nsun_elevation_deg = 30.0", "either illuminance_lx or sun_elevation_deg"),
+        (
+            "[sky]\nsun_elevation_deg = 30.0\nilluminance_lx = 5.0",
+            "either illuminance_lx or sun_elevation_deg",
+        ),
         ("[detector]\nheight_m = 1e-3", "width_m alone"),
     ],
 )

@@ -1,7 +1,7 @@
 """What is shown, for how long, and when the detector is sensitive."""
 
 import math
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
@@ -48,6 +48,11 @@ class TimeOfFlight(Strict):
     Gated: pulses of ``pulse_width_s``, ``pulse_rate_hz`` of them a second, the detector open for
     ``gate_width_s`` after each of ``gate_delays_s``; radiant intensity is that of the pulse.
     """
+
+    alternatives: ClassVar = (
+        ("modulation_hz", "phase_steps", "contrast"),
+        ("pulse_width_s", "pulse_rate_hz", "gate_width_s", "gate_delays_s"),
+    )
 
     modulation_hz: Sourced[Annotated[tuple[Positive, ...], Field(min_length=1)]] | None = None
     phase_steps: Sourced[Annotated[int, Field(strict=True, ge=3, le=16)]] | None = None

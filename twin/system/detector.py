@@ -1,7 +1,7 @@
 """Photodiode or sensor, amplifier and converter."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 from scipy import constants
@@ -99,6 +99,8 @@ class Readout(Strict):
     amplifier's noise density grows as 1/f. ``bandwidth_hz``: of the amplifier's one pole; default:
     wide enough to settle.
     """
+
+    alternatives: ClassVar = (("transimpedance_ohm",), ("feedback_capacitance_f", "full_well_e"))
 
     transimpedance_ohm: Sourced[Positive] | None = None
     feedback_capacitance_f: Sourced[Positive] | None = None

@@ -1,6 +1,6 @@
 """Sun and air."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -18,6 +18,8 @@ class Sky(Strict):
     illuminance and spectrum: a low sun is redder, with 2.2 times as much at 1550 nm per lux at
     10 deg.
     """
+
+    alternatives: ClassVar = (("illuminance_lx",), ("sun_elevation_deg",))
 
     illuminance_lx: Sourced[_Illuminance] | None = None
     sun_elevation_deg: Sourced[Annotated[Finite, Field(ge=-90, le=90)]] | None = None

@@ -5,7 +5,7 @@ an echo turns into the other polarisation is not received.
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ class Antenna(Strict):
     above, phi from ahead to the left) or ``z`` (theta from ahead, phi from the left upwards).
     Planet files always look along x.
     """
+
+    alternatives: ClassVar = (("gain_dbi",), ("pattern_file", "pattern_axis"))
 
     gain_dbi: Sourced[Annotated[Positive, Field(ge=3.0103, le=60)]] | None = None
     pattern_file: Sourced[str] | None = None
