@@ -39,8 +39,12 @@ class Firmware:
             yield device.stdout.readline().strip()
         finally:
             device.stdin.close()
-            device.wait(10)
-            device.stdout.close()
+            try:
+                device.wait(10)
+            finally:
+                device.kill()
+                device.wait()
+                device.stdout.close()
 
     def translate(self, direction: str, lines: list[str]) -> list[str]:
         """Hex lines as on the wire of hex lines of type, tag, payload; or the other way."""

@@ -52,10 +52,18 @@ class SpiSettings:
         if not 0 <= self.pulse_width_s < math.inf:
             raise ValueError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
         for name, most in (("gain", 0xFF), ("exposures_per_frame", 0xFFFF)):
-            if not 0 <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: {getattr(self, name)} is not between 0 and {most}")
+            value = getattr(self, name)
+            if not isinstance(value, int) or not 0 <= value <= most:
+                raise ValueError(f"{name}: {value} is no whole number between 0 and {most}")
         if not 1 <= len(self.shutters) <= MAX_SHUTTERS:
             raise ValueError(f"shutters: {len(self.shutters)}, expected 1 to {MAX_SHUTTERS}")
+        for shutter in self.shutters:
+            if len(shutter) != 4 or not all(0 <= value < math.inf for value in shutter):
+                raise ValueError(
+                    f"shutters: {shutter}, expected four finite numbers, none of them negative"
+                )
+        if len(self.pose) != 7 or not all(map(math.isfinite, self.pose)):
+            raise ValueError(f"pose: {self.pose}, expected x y z, quaternion w x y z")
 
 
 def read_settings(path: str | Path) -> SpiSettings:

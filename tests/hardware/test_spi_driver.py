@@ -413,7 +413,12 @@ def test_what_the_device_cannot_do_is_refused(
         {"pattern_period_s": -1.0},
         {"gain": 256},
         {"exposures_per_frame": -1},
+        {"gain": 1.5},
         {"shutters": ()},
+        {"shutters": ((float("nan"), 0.0, 0.0, 0.0),)},
+        {"shutters": ((0.0, 0.0, -1e-9, 1e-9),)},
+        {"shutters": ((1e7, 0.0),)},
+        {"pose": (0.0,) * 6},
     ],
 )
 def test_settings_that_no_device_takes(change: dict[str, Any]) -> None:

@@ -60,7 +60,8 @@ static bool send(struct device *d, uint8_t *body, uint8_t *end)
     static uint8_t wire[FRAME_ENCODED_MOST + 1];
     uint32_t crc = crc32_update(0, body, (size_t)(end - body));
     end = put(end, crc, 4);
-    return d->platform->send(wire, cobs_encode(body, (size_t)(end - body), wire));
+    bool measurement = body[0] == MEASUREMENT;
+    return d->platform->send(wire, cobs_encode(body, (size_t)(end - body), wire), measurement);
 }
 
 static void refuse(struct device *d, uint8_t tag, uint8_t code, const char *why)
@@ -102,6 +103,18 @@ static void identify(struct device *d, uint8_t tag)
     send(d, body, to + length);
 }
 
+/* All zero: always open; else a tap (frequency and phase) or a gate (delay and width). */
+static bool possible(const struct shutter *s)
+{
+    bool tap = s->modulation_hz > 0 && s->gate_delay_s == 0 && s->gate_width_s == 0;
+    bool gate = s->modulation_hz == 0 && s->phase_rad == 0 && s->gate_width_s > 0;
+    bool open = s->modulation_hz == 0 && s->phase_rad == 0 && s->gate_delay_s == 0 &&
+                s->gate_width_s == 0;
+    return (tap || gate || open) && s->phase_rad >= 0 && s->gate_delay_s >= 0 &&
+           isfinite(s->modulation_hz) && isfinite(s->phase_rad) && isfinite(s->gate_delay_s) &&
+           isfinite(s->gate_width_s);
+}
+
 static void configure(struct device *d, uint8_t tag, const uint8_t *in, size_t size)
 {
     const struct platform *p = d->platform;
@@ -111,6 +124,14 @@ static void configure(struct device *d, uint8_t tag, const uint8_t *in, size_t s
         return;
     }
     double integration = get_f64(in + 14), period = get_f64(in + 22);
+    struct shutter shutters[MOST_SHUTTERS];
+    bool shutters_possible = true;
+    for (uint8_t i = 0; i < n; i++) {
+        const uint8_t *at = in + 30 + 32 * i;
+        shutters[i] = (struct shutter){get_f64(at), get_f64(at + 8), get_f64(at + 16),
+                                       get_f64(at + 24)};
+        shutters_possible &= possible(&shutters[i]);
+    }
     uint16_t asked = (uint16_t)get(in + 12, 2);
     uint16_t most =
         (uint16_t)((FRAME_MOST - HEAD - 4 - MEASUREMENT_HEAD) / (4u * p->detectors + 1u));
@@ -125,6 +146,8 @@ static void configure(struct device *d, uint8_t tag, const uint8_t *in, size_t s
         why = "integration_time_s: outside what I can do";
     else if (!(period == 0 || (period >= integration + p->readout_time_s && period <= 1e3)))
         why = "pattern_period_s: shorter than integration and read-out, or no number";
+    else if (!shutters_possible)
+        why = "shutters: a tap, a gate, or all zero is expected, without negative numbers";
     else
         why = patterns_set(&d->patterns, (uint32_t)get(in, 2), (uint32_t)get(in + 2, 2),
                            (uint32_t)get(in + 4, 4), in[8], in[9]);
@@ -132,11 +155,7 @@ static void configure(struct device *d, uint8_t tag, const uint8_t *in, size_t s
         refuse(d, tag, UNSUPPORTED, why);
         return;
     }
-    for (uint8_t i = 0; i < n; i++) {
-        const uint8_t *at = in + 30 + 32 * i;
-        d->shutters[i] = (struct shutter){get_f64(at), get_f64(at + 8), get_f64(at + 16),
-                                          get_f64(at + 24)};
-    }
+    memcpy(d->shutters, shutters, n * sizeof *shutters);
     d->n_shutters = n;
     d->gain = in[10];
     d->integration_time_s = integration;
@@ -220,16 +239,12 @@ static void start(struct device *d, uint8_t tag, const uint8_t *in, size_t size)
         d->sets = get(in + 4, 8);
         d->set = d->frames = d->dropped = 0;
         d->exposure = d->in_frame = 0;
-        d->overrun = false;
+        d->mark = d->booted ? FLAG_RESET : 0;
+        d->booted = 0;
         d->start_ns = d->platform->now_ns();
         d->state = STATE_RUNNING;
     }
     send_status(d, tag);
-    if (!again && d->booted) {
-        d->booted = 0;
-        d->flags[0] = FLAG_RESET; /* taken up by the first exposure */
-    } else if (!again)
-        d->flags[0] = 0;
 }
 
 static void answer(struct device *d, const uint8_t *frame, size_t size)
@@ -310,10 +325,16 @@ void device_receive(struct device *d, const uint8_t *data, size_t size)
     }
 }
 
+/* Device time at which an exposure of the running set begins, or would after its end. */
+static int64_t begins_ns(const struct device *d, uint32_t exposure)
+{
+    double since_s = ((double)d->set * d->exposures + exposure) * d->period_s;
+    return d->start_ns + llround(since_s * 1e9);
+}
+
 static void send_measurement(struct device *d)
 {
     uint32_t n = d->in_frame, first = d->exposure - n, values = n * d->platform->detectors;
-    double since_s = ((double)d->set * d->exposures + first) * d->period_s;
     bool wide = false, flagged = false;
     for (uint32_t i = 0; i < values; i++)
         wide |= d->counts[i] > 0xffff;
@@ -322,7 +343,7 @@ static void send_measurement(struct device *d)
     uint8_t body[FRAME_MOST] = {MEASUREMENT, 0};
     uint8_t *to = put(body + HEAD, d->run, 4);
     to = put(to, d->frames, 8);
-    to = put(to, (uint64_t)(d->start_ns + llround(since_s * 1e9)), 8);
+    to = put(to, (uint64_t)begins_ns(d, first), 8);
     to = put(to, first, 4);
     to = put(to, n, 2);
     *to++ = d->platform->detectors;
@@ -333,10 +354,20 @@ static void send_measurement(struct device *d)
         *to++ = d->flags[i];
     d->frames++;
     d->in_frame = 0;
-    d->flags[0] = 0;
     if (!send(d, body, to)) {
         d->dropped++;
-        d->flags[0] = FLAG_OVERRUN; /* taken up by the next exposure */
+        d->mark |= FLAG_OVERRUN;
+    }
+}
+
+/* Go on with this exposure of this set; the run may be over. */
+static void go_to(struct device *d, uint64_t set, uint32_t exposure)
+{
+    d->set = set;
+    d->exposure = exposure;
+    if (d->sets != 0 && d->set >= d->sets) {
+        d->state = STATE_ARMED;
+        send_status(d, 0);
     }
 }
 
@@ -346,32 +377,47 @@ static void expose_next(struct device *d)
     uint8_t flags = d->platform->expose(&d->patterns, pattern, &d->shutters[shutter], d->gain,
                                         d->integration_time_s,
                                         d->counts + d->in_frame * d->platform->detectors);
-    if (d->in_frame == 0)
-        d->flags[0] |= flags;
-    else
-        d->flags[d->in_frame] = flags;
-    d->in_frame++;
+    d->flags[d->in_frame++] = flags | d->mark;
+    d->mark = 0;
     d->exposure++;
     if (d->in_frame == d->per_frame || d->exposure == d->exposures)
         send_measurement(d);
-    if (d->exposure == d->exposures) {
-        d->exposure = 0;
-        d->set++;
-        if (d->set == d->sets) {
-            d->state = STATE_ARMED;
-            send_status(d, 0);
-        }
+    if (d->exposure == d->exposures)
+        go_to(d, d->set + 1, 0);
+}
+
+/* What is too late to be read out is lost: drop whole frames, up to one that has not begun. */
+static void drop_late(struct device *d, int64_t now_ns)
+{
+    uint64_t begun = (uint64_t)ceil((double)(now_ns - d->start_ns) / (d->period_s * 1e9));
+    uint64_t set = begun / d->exposures, per_set = (d->exposures - 1) / d->per_frame + 1;
+    uint64_t frame = (begun % d->exposures + d->per_frame - 1) / d->per_frame;
+    if (frame == per_set) {
+        frame = 0;
+        set++;
     }
+    if (d->sets != 0 && set >= d->sets) {
+        frame = 0;
+        set = d->sets;
+    }
+    d->dropped += set * per_set + frame - d->frames;
+    d->frames = set * per_set + frame;
+    d->in_frame = 0;
+    d->mark |= FLAG_OVERRUN;
+    go_to(d, set, (uint32_t)frame * d->per_frame);
 }
 
 int64_t device_poll(struct device *d)
 {
-    while (d->state == STATE_RUNNING) {
-        double since_s = ((double)d->set * d->exposures + d->exposure) * d->period_s;
-        int64_t due = d->start_ns + llround((since_s + d->integration_time_s) * 1e9);
-        if (due > d->platform->now_ns())
+    for (uint32_t n = 0; d->state == STATE_RUNNING; n++) {
+        int64_t due = begins_ns(d, d->exposure) + llround(d->integration_time_s * 1e9);
+        int64_t now = d->platform->now_ns();
+        if (due > now || n == POLL_EXPOSURES)
             return due;
-        expose_next(d);
+        if (now - due > d->platform->backlog_ns)
+            drop_late(d, now);
+        else
+            expose_next(d);
     }
     return -1;
 }

@@ -10,6 +10,7 @@
 
 #define MOST_DETECTORS 8u
 #define MOST_SHUTTERS 64u
+#define POLL_EXPOSURES 64u
 
 enum { FLAG_SATURATED = 1, FLAG_OVERRUN = 2, FLAG_RESET = 4 };
 enum { STATE_IDLE, STATE_CONFIGURED, STATE_ARMED, STATE_RUNNING };
@@ -24,8 +25,10 @@ struct platform {
     double min_integration_time_s, max_integration_time_s, readout_time_s;
     /* Device clock. */
     int64_t (*now_ns)(void);
-    /* Send a whole frame, or nothing of it and return false. */
-    bool (*send)(const uint8_t *data, size_t size);
+    /* How long a measured exposure waits to be read out: the depth of the ADC's buffer. */
+    int64_t backlog_ns;
+    /* Send a whole frame, or nothing of it and return false. Measurements leave room for answers. */
+    bool (*send)(const uint8_t *data, size_t size, bool measurement);
     /* Show a pattern and measure: counts of the detectors; returns flags. */
     uint8_t (*expose)(const struct patterns *p, uint32_t exposure, const struct shutter *shutter,
                       uint8_t gain, double integration_time_s, int32_t *counts);
@@ -48,8 +51,8 @@ struct device {
     uint64_t frames, dropped; /* of this run */
     int64_t start_ns;         /* of the run */
     uint32_t exposure;        /* next one of the set */
-    bool overrun;             /* a frame was dropped: say so in the next */
     uint32_t in_frame;        /* exposures of the frame being filled */
+    uint8_t mark;             /* flags that the next exposure carries besides its own */
     int32_t counts[FRAME_MOST / 4];
     uint8_t flags[FRAME_MOST / 4];
     uint8_t input[FRAME_ENCODED_MOST];
@@ -59,7 +62,8 @@ struct device {
 
 void device_start(struct device *d, const struct platform *platform);
 void device_receive(struct device *d, const uint8_t *data, size_t size);
-/* Does what is due; returns the device time of the next exposure, or -1 when nothing runs. */
+/* Takes at most POLL_EXPOSURES that are due, so that the host is heard in between; returns the
+ * device time at which to call again (past where more is due), or -1 when nothing runs. */
 int64_t device_poll(struct device *d);
 
 #endif

@@ -49,10 +49,11 @@ static void flush(void)
     }
 }
 
-static bool send_bytes(const uint8_t *data, size_t size)
+static bool send_bytes(const uint8_t *data, size_t size, bool measurement)
 {
+    size_t reserved = measurement ? 2 * (FRAME_ENCODED_MOST + 1) : 0; /* for answers */
     flush();
-    if (size > sizeof waiting - n_waiting)
+    if (size > sizeof waiting - reserved - n_waiting)
         return false;
     memcpy(waiting + n_waiting, data, size);
     n_waiting += size;
@@ -95,6 +96,7 @@ static const struct platform platform = {
     .min_integration_time_s = 1e-6,
     .max_integration_time_s = 1.0,
     .readout_time_s = 2e-6,
+    .backlog_ns = 250000000,
     .now_ns = now_ns,
     .send = send_bytes,
     .expose = expose,
@@ -121,6 +123,25 @@ static int open_line(void)
     return 0;
 }
 
+/* Play what is due. Fast: the device's time leaps to each exposure, and stands still until the
+ * line has taken the last frame. */
+static int64_t play(uint64_t until_frame)
+{
+    int64_t due = -1;
+    for (uint32_t n = 0; n < POLL_EXPOSURES; n++) {
+        if (device.state == STATE_RUNNING && device.frames >= until_frame)
+            return -1;
+        if (fast && n_waiting)
+            return -1;
+        due = device_poll(&device);
+        if (!fast || due < 0)
+            return due;
+        if (due > virtual_ns)
+            virtual_ns = due;
+    }
+    return due;
+}
+
 static int serve(uint64_t reset_after, uint64_t stall_after)
 {
     if (open_line()) {
@@ -129,22 +150,13 @@ static int serve(uint64_t reset_after, uint64_t stall_after)
     }
     device_start(&device, &platform);
     for (;;) {
-        int64_t due = -1;
-        /* Fast: the device's time stands still until the line has taken the last frame. */
-        if (!fast || n_waiting == 0) {
-            if (fast && device.state == STATE_RUNNING)
-                virtual_ns += llround(device.period_s * 1e9) * device.per_frame;
-            if (device.state != STATE_RUNNING || device.frames < stall_after)
-                due = device_poll(&device);
-        }
+        int64_t due = play(reset_after < stall_after ? reset_after : stall_after);
         if (device.frames >= reset_after) {
             reset_after = UINT64_MAX;
             virtual_ns = 0;
             device_start(&device, &platform);
         }
         int64_t wait_ms = due < 0 ? 100 : (due - now_ns()) / 1000000;
-        if (fast && device.state == STATE_RUNNING && n_waiting == 0)
-            wait_ms = 0;
         struct pollfd ends[2] = {{line, POLLIN | (n_waiting ? POLLOUT : 0), 0},
                                  {STDIN_FILENO, POLLIN, 0}};
         poll(ends, 2, wait_ms < 0 ? 0 : (int)wait_ms);

@@ -1,0 +1,92 @@
+"""The reference firmware asked for patterns faster than it can play them (PROTOCOL.md, 1 and 7)."""
+
+import struct
+import time
+from collections.abc import Callable
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pytest
+import serial
+from asking import asking
+
+from hardware import PatternSet
+from hardware.drivers import Patience, SpiCamera, SpiSettings
+from hardware.drivers.messages import Configure, Refusal, Refused, State, Stop
+from hardware.records import Flag
+
+#: 3 us a pattern, of which this firmware computes 4096 cells for two detectors: tens of times that.
+OVERLOAD = SpiSettings(PatternSet(64, 64, 4096, "natural", "plain"), 1e-6)
+PATIENT = Patience(reply_s=1.0, attempts=1, reconnect_s=5.0)
+#: The firmware's buffer of exposures (host.c), and what a busy test machine may add.
+BACKLOG_S, BUSY_S = 0.25, 0.5
+
+
+def test_an_overloaded_camera_answers_stops_and_tells_what_it_left_out(firmware: Any) -> None:
+    """Query and Stop are answered as ever; every frame is either sent or counted as dropped, the
+    first exposure after a gap says so, and no frame is older than the buffer.
+    """
+    with (
+        firmware.running() as path,
+        SpiCamera(path, OVERLOAD, patience=PATIENT) as camera,
+    ):
+        records, ages, waits = [], [], []
+        for record in islice(camera.records(), 6):
+            begun = time.monotonic()
+            status = camera.status()
+            waits.append(time.monotonic() - begun)
+            here = (record.flags & Flag.LOST) == 0
+            ages.append((status.time_ns - record.device_time_ns[here].max()) * 1e-9)
+            records.append(record)
+        before = camera._device.ask(Stop(), type(status))
+        time.sleep(0.05)
+        after = camera.status()
+        assert camera.tally.restarts == camera.tally.reconnects == 0
+    assert min(waits) < 0.1
+    assert status.dropped > 0.5 * status.frames
+    assert max(ages) < BACKLOG_S + BUSY_S
+    assert (before.state, after.state, after.frames) == (State.ARMED, State.ARMED, before.frames)
+    flags = np.concatenate([record.flags for record in records])
+    gaps = np.flatnonzero((flags[:-1] & Flag.LOST > 0) & (flags[1:] & Flag.LOST == 0))
+    assert gaps.size
+    assert (flags[gaps + 1] & Flag.OVERRUN > 0).all()
+
+
+def test_a_run_of_so_many_sets_ends_in_time_however_slow_the_camera(firmware: Any) -> None:
+    """100 sets of 4096 patterns of 3 us take 1.2 s, of which most is left out, and no longer."""
+    with (
+        firmware.running() as path,
+        SpiCamera(path, OVERLOAD, patience=PATIENT) as camera,
+    ):
+        begun = time.monotonic()
+        n = sum(1 for _ in camera.records(sets=100))
+        took_s = time.monotonic() - begun
+        status = camera.status()
+    assert (status.state, status.frames) == (State.ARMED, 100 * 64)
+    assert 0 < n <= 100
+    assert 1.2 < took_s < 1.2 + BACKLOG_S + 4 * BUSY_S
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda payload: payload[:30] + struct.pack("<4d", float("nan"), 0, 0, 0),
+        lambda payload: payload[:30] + struct.pack("<4d", 0, 0, float("inf"), 1e-9),
+        lambda payload: payload[:30] + struct.pack("<4d", -1e7, 0, 0, 0),
+        lambda payload: payload[:30] + struct.pack("<4d", 0, 0, 1e-9, -1e-9),
+        lambda payload: payload[:30] + struct.pack("<4d", 1e7, 0, 1e-9, 1e-9),
+    ],
+    ids=["nan", "inf", "negative frequency", "negative width", "tap and gate at once"],
+)
+def test_shutters_that_no_device_has_are_refused(
+    firmware: Any, spoil: Callable[[bytes], bytes]
+) -> None:
+    class Spoilt(Configure):
+        def pack(self) -> bytes:
+            return spoil(super().pack())
+
+    with firmware.running("--fast") as path, serial.Serial(path, timeout=2) as line:
+        answer = asking(line)(Spoilt(8, 8, 64, 0, 0, 0, 0, 1e-5, 0.0))
+    assert isinstance(answer, Refused)
+    assert (answer.code, answer.text[:9]) == (Refusal.UNSUPPORTED, "shutters:")
