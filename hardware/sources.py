@@ -6,6 +6,7 @@ read. ``zmq://HOST:PORT``, ``uhd:type=b200``: a radar's radio, a record a sweep.
 the entry-point group ``ugv.sources``: a function of URL and settings that gives the records.
 """
 
+import threading
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -22,12 +23,16 @@ Records: TypeAlias = Generator[Received, None, None]
 
 #: Exchanges of time with a radio before its first record; then one a record.
 _FIRST_EXCHANGES = 8
+#: Between looks whether it is over, while waiting.
+_LOOK_S = 0.1
 
 
 def open_source(
     url: str,
     settings: "SpiSettings | None" = None,
     setup: "tuple[Schedule, FrontEnd] | None" = None,
+    *,
+    over: threading.Event | None = None,
 ) -> Records:
     """Records of a source, as they come; close the generator to end it.
 
@@ -39,6 +44,10 @@ def open_source(
         Of a camera.
     setup
         Of a radio, as `hardware.drivers.radio.setup.read_setup` reads it.
+    over
+        Ends the wait for a device that is silent: set it from another thread or a signal's
+        handler. What the driver raises then means nothing. Sources of other packages end with
+        their next record.
 
     Raises ValueError for a URL of no known kind, a camera without settings, a radio without a
     setup; what a driver raises.
@@ -48,46 +57,49 @@ def open_source(
         path, _, query = rest.partition("?")
         if query not in ("", "pace=fast", "pace=real"):
             raise ValueError(f"{url}: {query!r} is neither 'pace=fast' nor 'pace=real'")
-        return replay(path, speed=float("inf") if query == "pace=fast" else 1.0)
+        return replay(path, speed=float("inf") if query == "pace=fast" else 1.0, over=over)
     if scheme in ("uhd", "zmq"):
         if setup is None:
             raise ValueError(f"{url}: a radio needs a setup")
-        return _radio(url, *setup)
+        return _radio(url, *setup, over or threading.Event())
     if rest and (found := _installed(scheme)):
         return found(url, settings)
     if settings is None:
         raise ValueError(f"{url}: a camera needs settings")
-    return _camera(url, settings)
+    return _camera(url, settings, over)
 
 
-def replay(path: str | Path, *, speed: float = 1.0) -> Records:
-    """Records of a log at the pace at which they came, times ``speed``."""
+def replay(path: str | Path, *, speed: float = 1.0, over: threading.Event | None = None) -> Records:
+    """Records of a log at the pace at which they came, times ``speed``, until ``over`` is set."""
     if not speed > 0:
         raise ValueError(f"speed: {speed} is not positive")
-    first_ns, begun_s = None, time.monotonic()
+    over, first_ns, begun_s = over or threading.Event(), None, time.monotonic()
     for received in read_records(path):
         first_ns = received.host_ns if first_ns is None else first_ns
         due_s = begun_s + (received.host_ns - first_ns) * 1e-9 / speed
-        time.sleep(max(due_s - time.monotonic(), 0))
+        while (left_s := due_s - time.monotonic()) > 0 and not over.is_set():
+            time.sleep(min(left_s, _LOOK_S))
+        if over.is_set():
+            return
         yield received
 
 
-def _camera(url: str, settings: "SpiSettings") -> Records:
+def _camera(url: str, settings: "SpiSettings", over: threading.Event | None) -> Records:
     from hardware.drivers import SpiCamera
 
-    with SpiCamera(url, settings) as camera:
+    with SpiCamera(url, settings, over=over) as camera:
         for record in camera.records():
             yield Received("/spi/record", record, time.time_ns(), camera.clock)
 
 
-def _radio(url: str, schedule: "Schedule", front_end: "FrontEnd") -> Records:
+def _radio(url: str, schedule: "Schedule", front_end: "FrontEnd", over: threading.Event) -> Records:
     from hardware.drivers.radio import acquire, open_radio
 
     clock = ClockFilter()
-    with open_radio(url, sample_rate_hz=schedule.waveform.bandwidth_hz) as radio:
+    with open_radio(url, sample_rate_hz=schedule.waveform.bandwidth_hz, over=over) as radio:
         for _ in range(_FIRST_EXCHANGES):
             _exchange(radio, clock)
-        while True:
+        while not over.is_set():
             record = acquire(radio, schedule, front_end)
             host_ns = time.time_ns()
             _exchange(radio, clock)

@@ -22,10 +22,13 @@ from hardware.commands.radar import (
 )
 
 if TYPE_CHECKING:
+    import threading
+
     from hardware.calibration import Calibration
     from hardware.drivers import SpiSettings
     from hardware.drivers.radio import FrontEnd, Schedule
     from hardware.recording import Received
+    from hardware.recording.reading import Ending
 
 _Kind = TypeVar("_Kind")
 _Settings = Annotated[
@@ -66,17 +69,31 @@ def capture(
 ) -> None:
     """Record what sensors send."""
     from hardware.capture import capture as run
+    from hardware.interruption import asked_to_end
     from hardware.recording import Log
 
-    loaded, setup, n, begun = _settings(settings), _setup(radar_setup), 0, time.monotonic()
+    loaded, setup = _settings(settings), _setup(radar_setup)
     extrinsics = tomllib.loads(rig.read_text(encoding="utf-8")) if rig else {}
-    with Log(out, extrinsics=extrinsics) as log:
+    n, missed, begun = Counter[str](), Counter[str](), time.monotonic()
+    with asked_to_end() as over, Log(out, extrinsics=extrinsics) as log:
+        incoming = run(urls, log, loaded, setup, duration_s=duration, records=records, over=over)
         try:
-            for _ in run(urls, log, loaded, setup, duration_s=duration, records=records):
-                n += 1
-        except KeyboardInterrupt:
-            print("stopped")
-    print(f"{out}: {n} records in {time.monotonic() - begun:.1f} s")
+            for received in incoming:
+                n[received.topic] += 1
+                missed[received.topic] += _nothing_heard(received)
+        finally:
+            if over.is_set():
+                print("stopped")
+            print(f"{out}: {n.total()} records in {time.monotonic() - begun:.1f} s")
+        if not n:
+            raise ValueError(f"{', '.join(urls)}: no record came")
+    for topic in n:
+        if missed[topic] == n[topic]:
+            raise ValueError(
+                f"{out}: {topic}: every slot of its {n[topic]} records is overrun, nothing was "
+                "heard: the bursts reach the radio after their time. Give the setup more time "
+                "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
+            )
 
 
 def process(
@@ -98,24 +115,36 @@ def process(
 ) -> None:
     """Turn records into images and detections; a radar's as `ugv detect` does."""
     from hardware.calibration import CameraCalibration, RadarCalibration
+    from hardware.interruption import asked_to_end
     from hardware.processing import process as run
     from hardware.recording import Log
+    from hardware.recording.reading import Ending
 
     found = [_calibration(path, max_age) for path in calibration]
     camera = next((one for one in found if isinstance(one, CameraCalibration)), None)
     radar = next((one for one in found if isinstance(one, RadarCalibration)), None)
     how = processing(false_alarm, cfar, window, resolve, moving_only)
-    incoming = _records(source, settings, radar_setup)
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
-    with Log(target) as log:
+    n, ending = 0, Ending(fault=None)
+    with asked_to_end() as over, Log(target) as log:
+        incoming = _records(source, settings, radar_setup, over, ending)
         for received in itertools.islice(incoming, records or None):
+            n += 1
             outcome = run(received, log, method=method, how=how, camera=camera, radar=radar)
             for warning in outcome.warnings:
                 print(f"warning: {received.topic}: {warning}", file=sys.stderr)
             for line in outcome.lines:
                 print(f"{received.topic}: {line}")
+            if over.is_set():
+                print("stopped")
+                break
+        if not n:
+            why = f" ({ending.fault})" if ending.fault else ""
+            raise ValueError(f"{source}: no record in it{why}")
     print(f"written: {target}")
+    if ending.fault:
+        print(f"warning: {source}: {ending.advice(source)}", file=sys.stderr)
 
 
 def replay(
@@ -134,8 +163,7 @@ def replay(
 
 def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
     """Say what is in a log."""
-    from hardware.recording.kinds import BY_NAME
-    from hardware.recording.reading import Ending, read_messages
+    from hardware.recording.reading import Ending, read_messages, unpacked
 
     ending, counts, types = Ending(), Counter[str](), dict[str, str]()
     flags, devices, times = Counter[str](), set[str](), [math.inf, -math.inf]
@@ -143,10 +171,9 @@ def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
         counts[found.topic] += 1
         types[found.topic] = found.schema.name
         times = [min(times[0], found.message.log_time), max(times[1], found.message.log_time)]
-        if kind := BY_NAME.get(found.schema.name):
-            record, _ = kind.unpack(found.message.data)
-            flags.update(_flag_counts(record.flags))
-            devices.add(record.device)
+        if received := unpacked(path, found):
+            flags.update(_flag_counts(received.record.flags))
+            devices.add(received.record.device)
     length_s = max(times[1] - times[0], 0) * 1e-9 if counts else 0.0
     print(f"{path}: {sum(counts.values())} messages over {length_s:.3f} s")
     for topic, n in sorted(counts.items()):
@@ -155,7 +182,7 @@ def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
         print(f"  device: {device}")
     print("  flags: " + (", ".join(f"{n} {name}" for name, n in flags.items()) or "none"))
     if ending.fault:
-        print(f"  not finished: {ending.fault}; `ugv recover {path}` finishes it")
+        print(f"  {ending.advice(path)}")
 
 
 def recover(
@@ -229,14 +256,18 @@ def calibrate_radar(
 
 
 def _records(
-    source: str, settings: Path | None, radar_setup: Path | None = None
+    source: str,
+    settings: Path | None,
+    radar_setup: Path | None = None,
+    over: "threading.Event | None" = None,
+    ending: "Ending | None" = None,
 ) -> "Iterator[Received]":
     from hardware.recording import read_records
     from hardware.sources import open_source
 
     if ":" not in source and source.endswith(".mcap"):
-        return read_records(source)
-    return open_source(source, _settings(settings), _setup(radar_setup))
+        return read_records(source, ending)
+    return open_source(source, _settings(settings), _setup(radar_setup), over=over)
 
 
 def _first(incoming: "Iterator[Received]", source: str, kind: type[_Kind]) -> _Kind:
@@ -262,6 +293,14 @@ def _calibration(path: Path, max_age_days: float) -> "Calibration":
     from hardware.calibration import read_calibration
 
     return read_calibration(path, max_age_s=86400 * max_age_days)
+
+
+def _nothing_heard(received: "Received") -> bool:
+    """Whether no slot of a radar's record holds anything."""
+    from hardware.records import Flag, RadarRecord
+
+    record = received.record
+    return isinstance(record, RadarRecord) and bool((record.flags & Flag.OVERRUN).all())
 
 
 def _flags(received: "Received") -> str:

@@ -2,6 +2,7 @@
 
 import itertools
 import logging
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -31,6 +32,8 @@ _Expected = TypeVar("_Expected", Identity, Configured, Status, TimeReply)
 
 #: Between exchanges of time while measuring.
 _SYNC_PERIOD_S = 1.0
+#: Between looks whether it is over, while waiting.
+_LOOK_S = 0.1
 
 
 class DeviceError(ValueError):
@@ -72,11 +75,16 @@ class Dialogue:
         As pyserial takes it.
     patience, baud
         How long to wait; the rate, where the line has one.
+    over
+        Once it is set, nothing is waited for longer than one reply.
 
     Raises LinkError where there is no line within ``patience``.
     """
 
-    def __init__(self, url: str, *, patience: Patience, baud: int) -> None:
+    def __init__(
+        self, url: str, *, patience: Patience, baud: int, over: threading.Event | None = None
+    ) -> None:
+        self.over = over or threading.Event()
         self.url, self.patience, self.tally = url, patience, Tally()
         self.inbox: deque[Measurement | Status] = deque(maxlen=4096)
         self.clock = ClockFilter()
@@ -92,7 +100,9 @@ class Dialogue:
 
     def ask(self, request: Request, expected: type[_Expected]) -> _Expected:
         """Send a request until it is answered. Raises TimeoutError, DeviceError, LinkError."""
-        for _ in range(self.patience.attempts):
+        asked = 0
+        while asked < self.patience.attempts and not (asked and self.over.is_set()):
+            asked += 1
             tag = next(self._tags)
             self._link.write(encode(to_frame(request, tag)))
             deadline = time.monotonic() + self.patience.reply_s
@@ -109,7 +119,7 @@ class Dialogue:
                 return answer
         raise TimeoutError(
             f"{self.url}: no answer to {type(request).__name__} after "
-            f"{self.patience.attempts} attempts of {self.patience.reply_s:g} s"
+            f"{asked} attempts of {self.patience.reply_s:g} s"
         )
 
     def status(self) -> Status:
@@ -123,13 +133,15 @@ class Dialogue:
         self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
 
     def next(self, silence_s: float) -> Measurement | Status | None:
-        """Next message of a run; None after a silence."""
+        """Next message of a run; None after a silence, or when it is over."""
         if time.monotonic() > self._next_sync_s:
             self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
             self._link.write(encode(to_frame(Time(time.time_ns()), 0)))
         deadline = time.monotonic() + silence_s
         while not self.inbox and (left := deadline - time.monotonic()) > 0:
-            for tag, message in self._receive(left):
+            if self.over.is_set():
+                break
+            for tag, message in self._receive(min(left, _LOOK_S)):
                 self._keep(tag, message)
         return self.inbox.popleft() if self.inbox else None
 
@@ -144,7 +156,7 @@ class Dialogue:
                 self.status()
                 return
             except (LinkError, TimeoutError):
-                if time.monotonic() > deadline:
+                if time.monotonic() > deadline or self.over.is_set():
                     raise
                 time.sleep(self.patience.between_attempts_s)
 
@@ -181,6 +193,6 @@ class Dialogue:
             try:
                 return Link(self.url, baud=self._baud)
             except LinkError:
-                if time.monotonic() > deadline:
+                if time.monotonic() > deadline or self.over.is_set():
                     raise
                 time.sleep(self.patience.between_attempts_s)

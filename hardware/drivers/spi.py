@@ -1,6 +1,7 @@
 """The single-pixel camera behind PROTOCOL.md: its runs, and their frames as records."""
 
 import logging
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -46,6 +47,9 @@ class SpiCamera:
         Sent at the start, and again after the device was reset.
     on_loss
         Called with the sequence numbers of frames that were lost.
+    over
+        Once it is set, from another thread or a signal's handler, `records` ends at once and the
+        device is told to stop.
 
     A line that breaks is opened again. If the device still measures, it goes on and what was lost
     in between is marked; if it was reset, it is set up and started anew. Bytes are read only when a
@@ -53,7 +57,7 @@ class SpiCamera:
     whole frames and says so; nothing here grows.
 
     Raises LinkError where there is no line within ``patience``, TimeoutError where nobody answers,
-    DeviceError for a refusal.
+    DeviceError for a refusal, and for a device that measures nothing however often it is started.
     """
 
     def __init__(
@@ -64,11 +68,13 @@ class SpiCamera:
         on_loss: Callable[[range], None] = lambda lost: None,
         patience: Patience | None = None,
         baud: int = 115_200,
+        over: threading.Event | None = None,
     ) -> None:
         self.url, self.settings = url, settings
         self._on_loss = on_loss
         self._run: _Run | None = None
-        self._device = Dialogue(url, patience=patience or Patience(), baud=baud)
+        self._starts_in_vain = 0
+        self._device = Dialogue(url, patience=patience or Patience(), baud=baud, over=over)
         self.tally = self._device.tally
         try:
             self.identity = identify(self._device)
@@ -105,7 +111,7 @@ class SpiCamera:
         """
         try:
             self._start(sets)
-            while run := self._run:
+            while (run := self._run) and not self._device.over.is_set():
                 yield from (self._record(found, run.configured) for found in self._step())
         finally:
             if self._run:
@@ -147,8 +153,11 @@ class SpiCamera:
         assert run is not None
         try:
             message = self._device.next(self._silence_s(run.configured))
+            if message is None and self._device.over.is_set():
+                return []
             if isinstance(message, Measurement):
                 self.tally.frames += 1
+                self._starts_in_vain = 0
                 run.frames_at_silence = None
                 before = run.assembly.refused
                 sets = list(run.assembly.take(message))
@@ -182,6 +191,12 @@ class SpiCamera:
         else:
             _log.warning("%s: the device was reset; starting anew", self.url)
         self.tally.restarts += 1
+        self._starts_in_vain += 1
+        if self._starts_in_vain > self._device.patience.attempts:
+            raise DeviceError(
+                f"{self.url}: measures nothing, though it was started anew "
+                f"{self._device.patience.attempts} times"
+            )
         sets = list(run.assembly.finish(run.assembly.next_sequence))
         left = self._sets and max(self._sets - self._sets_done(run), 1)
         self._start_anew(left)
@@ -194,7 +209,7 @@ class SpiCamera:
             try:
                 return self._start(sets)
             except (LinkError, TimeoutError, DeviceError):
-                if time.monotonic() > deadline:
+                if time.monotonic() > deadline or self._device.over.is_set():
                     raise
                 self._device.reconnect()
 

@@ -1,20 +1,26 @@
 """A log read back, whole or cut short, and finished where its writer could not."""
 
+import logging
 import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcap.exceptions import McapError
-from mcap.records import Channel, Footer, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from hardware.drivers.clock import ClockModel
 from hardware.recording.kinds import BY_NAME, Record
 
+_log = logging.getLogger(__name__)
+
 _MAGIC = b"\x89MCAP0\r\n"
+#: Of one chunk when unpacked. `Log` closes one at 1 MiB and the message that goes beyond; more is
+#: not taken into memory, whatever a file claims.
+_MOST_CHUNK_BYTES = 1 << 29
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,10 @@ class Ending:
 
     fault: str | None = "it ends before its footer"
 
+    def advice(self, path: str | Path) -> str:
+        """Why the log at a path is not finished, and what finishes it."""
+        return f"not finished: {self.fault}; `ugv recover {path}` finishes it"
+
 
 def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Logged]:
     """Messages in the order of writing, as far as the file is whole; ``ending`` is filled in.
@@ -55,9 +65,11 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
         if not _MAGIC.startswith(file.read(len(_MAGIC))):
             raise ValueError(f"{path}: no MCAP file")
         file.seek(0)
-        reader = StreamReader(file, validate_crcs=True, record_size_limit=path.stat().st_size)
+        reader = StreamReader(
+            file, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size
+        )
         try:
-            for found in reader.records:
+            for found in _within_chunks(reader.records):
                 if isinstance(found, Schema):
                     schemas[found.id] = found
                 elif isinstance(found, Channel):
@@ -67,7 +79,11 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
                     yield Logged(channel.topic, schemas[channel.schema_id], found)
                 elif isinstance(found, Footer):
                     ending.fault = None
-        except (McapError, EOFError, KeyError, struct.error, ValueError, OSError) as error:
+        except (EndOfFile, EOFError, struct.error):
+            ending.fault = "it ends within a record"
+        except KeyError as error:
+            ending.fault = f"a message refers to channel or schema {error}, which is not there"
+        except (McapError, ValueError, OSError) as error:
             ending.fault = str(error) or type(error).__name__
         except Exception as error:
             if type(error).__module__.split(".")[0] not in ("zstandard", "lz4"):
@@ -75,12 +91,59 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
             ending.fault = str(error)
 
 
-def read_records(path: str | Path) -> Iterator[Received]:
-    """Records in a log, bit for bit as they went in. Raises ValueError for a broken message."""
-    for found in read_messages(path):
-        if kind := BY_NAME.get(found.schema.name):
-            record, clock = kind.unpack(found.message.data)
-            yield Received(found.topic, record, found.message.log_time, clock)
+def _within_chunks(records: Iterator[McapRecord]) -> Iterator[McapRecord]:
+    """Records, those in a chunk one by one. Raises ValueError for a chunk that is too large."""
+    for found in records:
+        if isinstance(found, Chunk):
+            size = max(found.uncompressed_size, _told_size(found))
+            if size > _MOST_CHUNK_BYTES:
+                raise ValueError(f"a chunk of {size} bytes, expected at most {_MOST_CHUNK_BYTES}")
+            yield from breakup_chunk(found, validate_crc=True)
+        else:
+            yield found
+
+
+def _told_size(chunk: Chunk) -> int:
+    """Bytes that the compressed data themselves say they unpack to; 0 where they do not."""
+    if chunk.compression == "zstd":
+        import zstandard
+
+        size = int(zstandard.frame_content_size(chunk.data))
+        return max(size, 0)
+    if chunk.compression == "lz4":
+        import lz4.frame
+
+        return int(lz4.frame.get_frame_info(chunk.data)["content_size"])
+    return 0
+
+
+def unpacked(path: str | Path, found: Logged) -> Received | None:
+    """Record in a message of a log, None for a message of another kind.
+
+    Raises ValueError for a broken one, naming the file.
+    """
+    kind = BY_NAME.get(found.schema.name)
+    if kind is None:
+        return None
+    try:
+        record, clock = kind.unpack(found.message.data)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: {found.topic}: {error}") from error
+    return Received(found.topic, record, found.message.log_time, clock)
+
+
+def read_records(path: str | Path, ending: Ending | None = None) -> Iterator[Received]:
+    """Records in a log, bit for bit as they went in.
+
+    A log that was not finished gives what of it is whole. Then ``ending`` says so; without it a
+    warning is logged. Raises as `read_messages`, and ValueError for a broken message.
+    """
+    tell, ending = ending is None, ending or Ending()
+    for found in read_messages(path, ending):
+        if received := unpacked(path, found):
+            yield received
+    if tell and ending.fault:
+        _log.warning("%s: %s", path, ending.advice(path))
 
 
 def recover(path: str | Path, out: str | Path | None = None) -> tuple[int, str | None]:

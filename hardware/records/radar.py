@@ -88,6 +88,11 @@ class RadarRecord:
                 f"transmitter: {self.transmitter.max(initial=0)}, but transmitters_m holds "
                 f"{len(self.transmitters_m)}"
             )
+        if not (np.isfinite(self.carriers_hz).all() and (self.carriers_hz > 0).all()):
+            raise ValueError(f"carriers_hz: {self.carriers_hz} holds what is no frequency")
+        for name in ("transmitters_m", "receivers_m", "pose"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"{name}: {getattr(self, name)} holds what is not a number")
         container.check_positive(self, "root_watt_per_count", "transmit_power_w")
 
     @property

@@ -149,11 +149,14 @@ def test_metadata_and_gaps_are_told() -> None:
         (lambda a, s: [(b" " * 70000, s)], "70000 bytes"),
         (lambda a, s: [({"number": a["number"], "error": "no"}, s)], "no"),
         (lambda a, s: [({**a, "start_ns": "now"}, s)], "start_ns: 'now' in the answer"),
-        (lambda a, s: [({**a, "faults": ["fire"]}, s)], "FIRE"),
-        (lambda a, s: [({**a, "faults": 3}, s)], "TypeError"),
-        (lambda a, s: [({**a, "gaps": [["a", 1]]}, s)], "TypeError"),
+        (lambda a, s: [({**a, "faults": ["fire"]}, s)], "faults: \\['fire'\\] in the answer"),
+        (lambda a, s: [({**a, "faults": 3}, s)], "faults: 3 in the answer"),
+        (lambda a, s: [({**a, "gaps": [["a", 1]]}, s)], "gaps: .* first < stop <= 1152"),
+        (lambda a, s: [({**a, "gaps": [[10**30, 5]]}, s)], "gaps: .* first < stop <= 1152"),
+        (lambda a, s: [({**a, "start_ns": 999}, s)], "start_ns: 999 in the answer, expected 1000"),
+        (lambda a, s: [(a, s, s)], "2304 samples came back in 2 frames, expected 1 x 1152 in one"),
         (lambda a, s: [(a, s[:-4])], "9212 bytes, expected complex samples of 8"),
-        (lambda a, s: [(a, s[:-8])], "1151 samples came back, expected 1 x 1152"),
+        (lambda a, s: [(a, s[:-8])], "1151 samples came back in 1 frames, expected 1 x 1152"),
         (lambda a, s: [(a, b"\xff" * len(s))], "a sample is not a number"),
         (lambda a, s: [({**a, "number": 1}, s)], "burst: no answer within"),
         (lambda a, s: [], "burst: no answer within"),
@@ -165,6 +168,89 @@ def test_bad_answers_are_refused(change, says: str) -> None:
         pytest.raises(RadioError, match=says),
     ):
         burst(radio)
+
+
+def deep(levels: int) -> list[object]:
+    value: list[object] = []
+    for _ in range(levels):
+        value = [value]
+    return value
+
+
+NAN = float("nan")
+NASTY = [
+    None, True, False, -1, 0, 1, 3, 0.5, 1.5, -0.0, 1e308, -1e308, NAN, float("inf"), float("-inf"),
+    2**31, 2**62 + 1, 2**63 - 1, 2**63, 2**64, -(2**63), 10**30, -(10**30), 10**400, -(10**400),
+    1e15, 1e300, "", "x", "late", "1000", "a\nb", "\x1b[2J", [], [1], [[1]], [[5, 3]], [[-5, 3]],
+    [[0, 1e3]], [[0, N + 1]], [[0, 10**30]], [[10**30, 5]], [[-(10**30), 10**30]], [[True, 5]],
+    [[0, NAN]], [[0, 1, 2]], [{"0": 1}], ["late", 1], [["late"]], ["LATE"], {}, {"a": 1}, deep(400),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("do", ["open", "tune", "time", "burst"])
+def test_each_field_of_an_answer_is_taken_as_it_must_be_or_refused(do: str) -> None:
+    """Every field in turn with every value above, and left out: what the driver then says is within
+    what a record can hold and what was asked for, or it is one line that names the field.
+    """
+    change: dict[str, object] = {}
+
+    def spoilt(answer, *samples):
+        spoilt = {**answer, **change}
+        yield {name: value for name, value in spoilt.items() if value is not LEFT_OUT}, *samples
+
+    with opened(misbehaving(**{do: spoilt})) as (peer, radio):
+
+        def ask_open() -> object:
+            with ZeroMqRadio("127.0.0.1", peer.port) as new:
+                return new.n_receivers, new.sample_rate_hz, new.timeout_s, new.device
+
+        ask = {
+            "open": ask_open,
+            "tune": lambda: radio.tune(2.5e9),
+            "time": radio.now_ns,
+            "burst": lambda: burst(radio),
+        }[do]
+        for field in FIELDS[do]:
+            for value in (*NASTY, LEFT_OUT):
+                change = {field: value}
+                try:
+                    said = ask()
+                except RadioError as error:
+                    line = str(error)
+                    assert f" {field}: " in line
+                    assert len(line) < 300
+                    assert line.isprintable()
+                else:
+                    check(do, said)
+
+
+LEFT_OUT = object()
+FIELDS = {
+    "open": ("receivers", "sample_rate_hz", "patience_s", "device"),
+    "tune": ("carrier_hz", "time_ns"),
+    "time": ("time_ns",),
+    "burst": ("start_ns", "faults", "gaps"),
+}
+
+
+def check(do: str, said) -> None:
+    """What a driver may say, whatever was answered."""
+    if do == "open":
+        receivers, rate_hz, patience_s, device = said
+        assert 1 <= receivers <= 256
+        assert 0 < rate_hz < float("inf")
+        assert 0 < patience_s <= 3600
+        assert device.isprintable()
+    elif do == "burst":
+        assert said.start_ns == 1000
+        assert said.faults in (Fault(0), Fault.LATE)
+        assert said.there.all()  # no gap above is one that a radio can mean
+        assert (said.samples == np.complex64(0.125j)).all()
+    else:
+        carrier_hz, time_ns = said if do == "tune" else (1.0, said)
+        assert 0 < carrier_hz < float("inf")
+        assert isinstance(time_ns, int)
+        assert 0 <= time_ns <= 2**62
 
 
 def test_an_answer_that_was_given_up_is_not_taken_for_another() -> None:

@@ -122,7 +122,8 @@ class RadioServer:
         except (RadioError, ValueError, TypeError, KeyError, OverflowError) as error:
             text = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
             answer = {"error": text}
-        answer["number"] = command.get("number")
+        number = command.get("number")
+        answer["number"] = number if isinstance(number, int) else None
         self._commands.send_multipart([sender, b"", json.dumps(answer).encode(), *samples])
 
     def _done(

@@ -1,11 +1,14 @@
 """Which radio a URL means; what it needs is imported only then."""
 
+import threading
 from urllib.parse import urlsplit
 
 from hardware.drivers.radio.interface import Radio
 
 
-def open_radio(url: str, *, sample_rate_hz: float | None = None) -> Radio:
+def open_radio(
+    url: str, *, sample_rate_hz: float | None = None, over: threading.Event | None = None
+) -> Radio:
     """Open a radio.
 
     Parameters
@@ -15,6 +18,8 @@ def open_radio(url: str, *, sample_rate_hz: float | None = None) -> Radio:
         ``zmq://HOST:PORT``.
     sample_rate_hz
         Of a UHD radio; a radio behind ZeroMQ says its own.
+    over
+        Once it is set, an answer is no longer waited for: RadioError. UHD's own waits are short.
 
     Raises ValueError for another URL, RadioError (an OSError) where the radio cannot be had.
     """
@@ -34,4 +39,4 @@ def open_radio(url: str, *, sample_rate_hz: float | None = None) -> Radio:
         raise ValueError(expected)
     from hardware.drivers.radio.zeromq import ZeroMqRadio
 
-    return ZeroMqRadio(parts.hostname, port)
+    return ZeroMqRadio(parts.hostname, port, over=over)

@@ -109,7 +109,7 @@ class StreamRadio(Radio):
                 self._asked = True
             sockets = [self._receive, *([self._transmit] if len(left) else [])]
             ready = zmq.select(sockets, [], [], max(0.0, until - time.monotonic()))[0]
-            if not ready:
+            if not ready or time.monotonic() > until:
                 raise RadioError(f"{self.device}: no samples within {self.timeout_s:g} s")
             if self._transmit in ready:
                 n = requested(self._transmit.recv())

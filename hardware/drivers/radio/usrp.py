@@ -163,6 +163,8 @@ class UhdRadio(Radio):
         while place < n_samples:
             n = self._receive.recv(buffer, metadata, patience)
             faults |= receive_fault(self._uhd, metadata)
+            if not n and not faults:  # whatever it says, nothing came in time
+                faults |= Fault.TIMEOUT
             if metadata.has_time_spec and n:
                 since_ns = to_ns(metadata.time_spec) - start_ns
                 place = round(since_ns * self.sample_rate_hz / _TICKS_HZ)

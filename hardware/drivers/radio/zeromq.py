@@ -5,20 +5,27 @@ received. RADIO.md describes both. Needs the package `pyzmq`.
 """
 
 import json
+import threading
+import time
 import uuid
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
+from hardware.drivers.radio.answer import MOST_NS, Answer
+from hardware.drivers.radio.interface import Radio, RadioError, Reception, Tuned
 
 PROTOCOL_VERSION = 2
 #: Bytes of the JSON of one message, at most.
 MOST_JSON = 2**16
 
 _OPEN_S = 5.0  # until somebody answers at all
+_CLOSE_S = 1.0  # for the answer to a farewell, which changes nothing
+_LOOK_S = 0.1  # between looks whether it is over, while waiting
 _MOST_BYTES = 2**30  # of one frame: more is not taken from anybody
+_MOST_RECEIVERS = 256
+_MOST_PATIENCE_S = 3600.0
 
 
 def to_samples(frame: bytes) -> NDArray[np.complex64]:
@@ -41,15 +48,25 @@ class ZeroMqRadio(Radio):
     timeout_s
         How long it may be silent, beyond the time that a burst is asked to wait and to last; by
         default what it asks for itself.
+    over
+        Once it is set, an answer is no longer waited for.
 
     Raises RadioError where nobody answers, or another client has it.
     """
 
-    def __init__(self, host: str, port: int, *, timeout_s: float | None = None) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        timeout_s: float | None = None,
+        over: threading.Event | None = None,
+    ) -> None:
         import zmq
 
         self.device = f"zmq://{host}:{port}"
         self.timeout_s = timeout_s or _OPEN_S
+        self._over = over or threading.Event()
         self._number = 0
         self._known_ns: int | None = None
         self._context = zmq.Context()
@@ -60,10 +77,11 @@ class ZeroMqRadio(Radio):
         try:
             self._socket.connect(f"tcp://{host}:{port}")
             answer, _ = self._command("open", version=PROTOCOL_VERSION)
-            self.n_receivers = int(self._number_in(answer, "receivers"))
-            self.sample_rate_hz = self._number_in(answer, "sample_rate_hz")
-            self.timeout_s = timeout_s or self._number_in(answer, "patience_s")
-            self.device = f"{answer.get('device')} at {self.device}"
+            self.n_receivers = answer.whole("receivers", 1, _MOST_RECEIVERS)
+            self.sample_rate_hz = answer.positive("sample_rate_hz")
+            patience_s = answer.positive("patience_s", _MOST_PATIENCE_S)
+            self.timeout_s = timeout_s or patience_s
+            self.device = f"{answer.text('device')} at {self.device}"
         except (RadioError, zmq.ZMQError) as error:
             self._context.destroy(linger=0)
             raise RadioError(str(error)) from error
@@ -71,7 +89,7 @@ class ZeroMqRadio(Radio):
     def tune(self, carrier_hz: float) -> Tuned:
         """See `Radio.tune`."""
         answer, _ = self._command("tune", carrier_hz=carrier_hz)
-        return Tuned(self._number_in(answer, "carrier_hz"), self._time_in(answer))
+        return Tuned(answer.positive("carrier_hz"), self._time_in(answer))
 
     def now_ns(self) -> int:
         """See `Radio.now_ns`."""
@@ -88,32 +106,31 @@ class ZeroMqRadio(Radio):
         answer, frames = self._command(
             "burst", frame, wait_s=self.timeout_s + max(0.0, ends_s), start_ns=int(start_ns)
         )
-        started = int(self._number_in(answer, "start_ns"))
-        there = np.ones(n, dtype=np.bool_)
+        # What began at another time than asked for is no burst of the schedule.
+        started = answer.whole("start_ns", int(start_ns), int(start_ns))
+        faults, there = answer.faults(), answer.there(n)
         try:
-            faults = Fault(0)
-            for name in answer["faults"]:
-                faults |= Fault[name.upper()]
-            for first, stop in answer["gaps"]:
-                there[first:stop] = False
-            heard = to_samples(frames[0]) if frames else np.zeros(0, dtype=np.complex64)
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise RadioError(f"{self.device}: burst: {error!r} in the answer {answer}") from error
+            heard = to_samples(b"".join(frames))
+        except ValueError as error:
+            raise RadioError(f"{self.device}: burst: {error}") from error
         if not heard.size:
             return Reception.nothing(self.n_receivers, n, started, faults)
-        if heard.size != self.n_receivers * n:
+        if len(frames) != 1 or heard.size != self.n_receivers * n:
             raise RadioError(
-                f"{self.device}: burst: {heard.size} samples came back, "
-                f"expected {self.n_receivers} x {n}"
+                f"{self.device}: burst: {heard.size} samples came back in {len(frames)} frames, "
+                f"expected {self.n_receivers} x {n} in one"
             )
-        return Reception(heard.reshape(self.n_receivers, n), there, started, faults)
+        heard = heard.reshape(self.n_receivers, n)
+        if not there.all():
+            heard = np.where(there, heard, np.complex64(0))
+        return Reception(heard, there, started, faults)
 
     def close(self) -> None:
         """See `Radio.close`."""
         if self._context.closed:
             return
         try:
-            self._command("close")
+            self._command("close", wait_s=min(self.timeout_s, _CLOSE_S))
         except OSError:
             pass  # it lets go by itself of a client that is silent
         finally:
@@ -121,7 +138,7 @@ class ZeroMqRadio(Radio):
 
     def _command(
         self, name: str, *frames: bytes, wait_s: float | None = None, **fields: Any
-    ) -> tuple[dict[str, Any], list[bytes]]:
+    ) -> tuple[Answer, list[bytes]]:
         """Send a command, wait for its answer: the JSON, and the frames behind it."""
         import zmq
 
@@ -129,15 +146,23 @@ class ZeroMqRadio(Radio):
         message = json.dumps({"do": name, "number": self._number, **fields}).encode()
         self._socket.send_multipart([b"", message, *frames])
         wait_s = self.timeout_s if wait_s is None else wait_s
+        until = time.monotonic() + wait_s
         while True:
-            if not self._socket.poll(round(1e3 * wait_s), zmq.POLLIN):
-                raise RadioError(f"{self.device}: {name}: no answer within {wait_s:.3g} s")
+            left_s = max(0.0, until - time.monotonic())
+            if not self._socket.poll(round(1e3 * min(left_s, _LOOK_S)), zmq.POLLIN):
+                if left_s == 0:
+                    raise RadioError(f"{self.device}: {name}: no answer within {wait_s:.3g} s")
+                if self._over.is_set() and name != "close":
+                    raise RadioError(f"{self.device}: {name}: given up, no answer yet")
+                continue
             _, *parts = self._socket.recv_multipart()
-            answer = self._parsed(parts[0] if parts else b"")
-            if answer.get("number") != self._number:
+            fields = self._parsed(parts[0] if parts else b"")
+            number = fields.get("number")
+            if isinstance(number, bool) or number != self._number:
                 continue  # of a command that was given up
-            if "error" in answer:
-                raise RadioError(f"{self.device}: {answer['error']}")
+            answer = Answer(self.device, name, fields)
+            if "error" in fields:
+                raise RadioError(f"{self.device}: {answer.text('error')}")
             return answer, parts[1:]
 
     def _parsed(self, message: bytes) -> dict[str, Any]:
@@ -151,12 +176,6 @@ class ZeroMqRadio(Radio):
             raise RadioError(f"{self.device}: answer {answer!r:.100}")
         return answer
 
-    def _time_in(self, answer: dict[str, Any]) -> int:
-        now_ns = self._known_ns = int(self._number_in(answer, "time_ns"))
-        return now_ns
-
-    def _number_in(self, answer: dict[str, Any], name: str) -> float:
-        value = answer.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise RadioError(f"{self.device}: {name}: {value!r} in the answer, expected a number")
-        return value
+    def _time_in(self, answer: Answer) -> int:
+        self._known_ns = answer.whole("time_ns", 0, MOST_NS)
+        return self._known_ns

@@ -1,0 +1,254 @@
+"""`ugv capture` with sources that are silent, fail or come too late, and however it is ended."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+zmq = pytest.importorskip("zmq")
+
+from hardware.capture import capture  # noqa: E402
+from hardware.drivers import DeviceError, Patience, SpiCamera  # noqa: E402
+from hardware.drivers.messages import State  # noqa: E402
+from hardware.drivers.radio import FrontEnd, RadioError, Schedule  # noqa: E402
+from hardware.drivers.radio.setup import read_setup, write_setup  # noqa: E402
+from hardware.drivers.settings import read_settings  # noqa: E402
+from hardware.radar import OfdmWaveform  # noqa: E402
+from hardware.recording import Log, read_records  # noqa: E402
+from hardware.recording.reading import Ending  # noqa: E402
+
+SETTINGS = """
+integration_time_s = 1e-5
+pattern_period_s = 1e-4
+[patterns]
+rows = 8
+columns = 8
+count = 64
+"""
+SCHEDULE = Schedule(OfdmWaveform(2.5e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6), (2.5e9,), 2e-3)
+#: The silent radio asks for this much patience; nothing below may take a third of it.
+PATIENCE_S, SOON_S = 60.0, 20.0
+
+
+@contextmanager
+def radio(burst: Callable[[dict[str, Any]], dict[str, Any] | None]) -> Iterator[str]:
+    """URL of a radio by RADIO.md that answers bursts as told, without samples; None: not at all."""
+    context, running = zmq.Context(), True
+    socket = context.socket(zmq.ROUTER)
+    port = socket.bind_to_random_port("tcp://127.0.0.1")
+    told = {"device": "peer", "receivers": 1, "sample_rate_hz": 20e6, "patience_s": PATIENCE_S}
+
+    def serve() -> None:
+        while running:
+            if not socket.poll(20):
+                continue
+            sender, _, text, *_ = socket.recv_multipart()
+            command = json.loads(text)
+            answers: dict[str, dict[str, Any] | None] = {
+                "open": told,
+                "tune": {"carrier_hz": command.get("carrier_hz"), "time_ns": 5},
+                "time": {"time_ns": 7},
+                "close": {},
+            }
+            answer = burst(command) if command["do"] == "burst" else answers[command["do"]]
+            if answer is not None:
+                answer = {"number": command["number"], **answer}
+                socket.send_multipart([sender, b"", json.dumps(answer).encode()])
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield f"zmq://127.0.0.1:{port}"
+    finally:
+        running = False
+        thread.join()
+        context.destroy(linger=0)
+
+
+def silent(command: dict[str, Any]) -> None:
+    return None
+
+
+def late(command: dict[str, Any]) -> dict[str, Any]:
+    return {"start_ns": command["start_ns"], "faults": ["late"], "gaps": []}
+
+
+def refused(command: dict[str, Any]) -> dict[str, Any]:
+    return {"error": "the antenna is off"}
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> list[str | Path]:
+    """Options that name settings of a camera and setup of a radio."""
+    (tmp_path / "camera.toml").write_text(SETTINGS)
+    write_setup(SCHEDULE, FrontEnd(1e-9, 0.01), tmp_path / "radar.json")
+    return ["--settings", tmp_path / "camera.toml", "--radar-setup", tmp_path / "radar.json"]
+
+
+def started(*arguments: str | Path, **options: Any) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "hardware", *map(str, arguments)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, **pipes, **options)
+
+
+def wait_for(path: Path, size: int) -> None:
+    """Until a log has grown, so that the command is at its work."""
+    until = time.monotonic() + 30
+    while not (path.exists() and path.stat().st_size > size):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def ended(process: "subprocess.Popen[str]") -> tuple[str, str]:
+    """What a command said; killed where it does not end soon."""
+    try:
+        return process.communicate(timeout=SOON_S)
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_silent_source_does_not_hold_the_end(
+    number: signal.Signals, files: list[str | Path], tmp_path: Path
+) -> None:
+    """A radio that says nothing for as long as it likes: a signal ends the command all the same."""
+    with radio(silent) as url:
+        process = started("capture", url, "-o", tmp_path / "run.mcap", *files)
+        wait_for(tmp_path / "run.mcap", 0)
+        time.sleep(0.5)
+        begun = time.monotonic()
+        process.send_signal(number)
+        out, err = ended(process)
+    assert time.monotonic() - begun < 6
+    assert "stopped" in out
+    assert process.returncode == 2
+    assert err.strip() == f"ugv: error: {url}: no record came"
+    assert not (tmp_path / "run.mcap").exists()
+
+
+def test_a_silent_source_does_not_outlast_the_duration(
+    files: list[str | Path], tmp_path: Path
+) -> None:
+    with radio(silent) as url:
+        begun = time.monotonic()
+        process = started("capture", url, "-o", tmp_path / "run.mcap", "--duration", "1", *files)
+        ended(process)
+    assert time.monotonic() - begun < 12
+    assert process.returncode == 2
+
+
+def ignore_interrupts() -> None:
+    """What a shell without job control does to a program in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@pytest.mark.parametrize("how", ["SIGTERM", "SIGHUP", "SIGINT in the background"])
+def test_a_signal_finishes_the_log_and_stops_the_camera(
+    how: str, firmware: Any, files: list[str | Path], tmp_path: Path
+) -> None:
+    run = tmp_path / "run.mcap"
+    with firmware.running() as path:
+        before = ignore_interrupts if "background" in how else None
+        process = started("capture", path, "-o", run, *files, preexec_fn=before)
+        wait_for(run, 20_000)
+        process.send_signal(getattr(signal, how.split()[0]))
+        out, err = ended(process)
+        with SpiCamera(path, read_settings(files[1])) as camera:
+            assert camera.status().state == State.ARMED
+    assert (process.returncode, err) == (0, "")
+    ending = Ending()
+    n = len(list(read_records(run, ending)))
+    assert ending.fault is None
+    assert f"{n} records" in out
+
+
+def test_a_log_gets_its_footer_also_when_processing_is_ended(firmware: Any, tmp_path: Path) -> None:
+    (tmp_path / "camera.toml").write_text(SETTINGS)
+    with firmware.running() as path:
+        process = started(
+            "process", path, "-o", tmp_path / "images.mcap", "--method", "zero-fill",
+            "--settings", tmp_path / "camera.toml",
+        )  # fmt: skip
+        wait_for(tmp_path / "images.mcap", 5_000)
+        process.send_signal(signal.SIGTERM)
+        ended(process)
+    ending = Ending()
+    list(read_records(tmp_path / "images.mcap", ending))
+    assert (process.returncode, ending.fault) == (0, None)
+
+
+@pytest.mark.parametrize("broken", [silent, refused])
+def test_the_others_go_on_and_the_error_comes_at_the_end(
+    broken: Callable[[dict[str, Any]], Any],
+    firmware: Any,
+    files: list[str | Path],
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A camera beside a radio that answers no burst, or refuses each: all of its records come."""
+    settings, setup = read_settings(files[1]), read_setup(files[3])
+    found, begun = [], time.monotonic()
+    with firmware.running() as path, radio(broken) as url, Log(tmp_path / "run.mcap") as log:
+        incoming = capture([url, path], log, settings, setup, records=100)
+        if broken is silent:
+            found = list(incoming)
+        else:
+            with pytest.raises(RadioError, match="the antenna is off"):
+                found.extend(incoming)
+            (told,) = [r for r in caplog.messages if "the others go on" in r]
+            assert told.startswith(f"{url}: ended (")
+    assert time.monotonic() - begun < SOON_S
+    assert len(found) == len(list(read_records(tmp_path / "run.mcap"))) == 100
+    assert {received.topic for received in found} == {"/source2/spi/record"}
+
+
+def test_a_camera_that_measures_nothing_is_given_up(firmware: Any, files: list[str | Path]) -> None:
+    """It answers every question and sends no frame, however often it is started."""
+    patience = Patience(reply_s=0.05, attempts=2, reconnect_s=1.0)
+    settings = read_settings(files[1])
+    with (
+        firmware.running("--stall-after", "0") as path,
+        SpiCamera(path, settings, patience=patience) as camera,
+        pytest.raises(DeviceError, match="measures nothing, though it was started anew 2 times"),
+    ):
+        camera.acquire()
+
+
+def test_a_radar_that_heard_nothing_is_an_error_with_advice(
+    files: list[str | Path], tmp_path: Path
+) -> None:
+    """Every burst came too late: the records hold zeros alone."""
+    with radio(late) as url:
+        run = tmp_path / "run.mcap"
+        process = started("capture", url, "-o", run, "--records", "3", *files)
+        out, err = ended(process)
+    assert process.returncode == 2
+    assert "3 records" in out
+    assert err.count("\n") == 1
+    for part in ("every slot of its 3 records is overrun", "lead_s", "--pace fast"):
+        assert part in err
+    assert len(list(read_records(run))) == 3
+
+
+def test_processing_a_log_that_was_cut_says_how_to_finish_it(
+    firmware: Any, files: list[str | Path], tmp_path: Path
+) -> None:
+    run = tmp_path / "run.mcap"
+    with firmware.running() as path, Log(run) as log:
+        list(capture([path], log, read_settings(files[1]), records=3))
+    run.write_bytes(run.read_bytes()[:-50])
+    process = started("process", run, "-o", tmp_path / "images.mcap", "--method", "zero-fill")
+    out, err = ended(process)
+    assert process.returncode == 0
+    assert out.count("/spi/record: image") == 3
+    assert err.count("\n") == 1
+    assert f"`ugv recover {run}` finishes it" in err
