@@ -12,7 +12,7 @@ from twin.camera.mounting import devices
 from twin.camera.truth import write_truth
 from twin.camera.view import View, render_view
 from twin.fidelity import Fidelity
-from twin.files import InputError, whole_folder
+from twin.files import InputError
 from twin.progress import Stages
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.evaluation import (
@@ -23,6 +23,7 @@ from twin.radar.evaluation import (
     write_truth_table,
 )
 from twin.report import write_report
+from twin.run_folder import default_folder, run_folder, settings_of
 from twin.scene import Pose, Scene, Track, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, Weather, load_system
@@ -33,10 +34,12 @@ _STAGES_OF_RADAR = 3
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a run computed; the first evaluation is the system asked for."""
+    """What a run computed; the first evaluation is the system asked for. Of a radar alone there is
+    no view and no evaluation.
+    """
 
     scene: Scene
-    view: View
+    view: View | None
     evaluations: tuple[Evaluation, ...]
     radar: RadarEvaluation | None
     out: Path
@@ -45,7 +48,7 @@ class Result:
 
 def run(
     scene: str | Path,
-    system: str | Path | System = "workable",
+    system: str | Path | System | None = "workable",
     *,
     compare: str | Path | System | None = "paper",
     radar: str | Path | RadarDesign | None = "hybrid-79",
@@ -64,7 +67,8 @@ def run(
     scene
         Bundled scene, folder with ``scene.xml``, or Mitsuba XML file.
     system, compare
-        Bundled system or TOML file; the second is shown beside the first (None: nothing is).
+        Bundled system or TOML file (None: no camera, the radar alone); the second is shown beside
+        the first (None: nothing is).
     radar
         Bundled radar or TOML file (None: no radar).
     pose
@@ -74,7 +78,9 @@ def run(
     seed
         Of every random draw.
     out
-        Folder to write to; default ``runs/SCENE-SYSTEM``. It appears whole or not at all.
+        Folder to write to; default ``runs/SCENE-SYSTEM`` with all that is not the default, such as
+        ``runs/yard-workable-seed_3``. It appears whole or not at all, and is of this run alone:
+        files of the run before go.
     fidelity
         Knobs, each with the error it bounds; default `standard`.
     paths, sigmf
@@ -84,32 +90,47 @@ def run(
     """
     systems = _systems(system, compare)
     design = None if radar is None else load_radar(radar)
-    folder = None if out is None else Path(out)
+    if not systems and design is None:
+        raise InputError("system, radar: both are none, expected at least one of them")
     if out is not None and not str(out).strip():
         raise InputError("out: is empty, expected a folder to write to")
     if seed < 0:
         raise InputError(f"seed: {seed}: expected 0 or more")
+    fidelity = fidelity or Fidelity()
     expected = 2 + _STAGES_PER_SYSTEM * len(systems) + (_STAGES_OF_RADAR if design else 0)
     with Stages(expected) as stages:
         with stages.stage("load"):
             world = load_scene(scene, pose)
             world = replace(world, track=track) if track else world
-        folder = folder or Path("runs") / f"{world.name}-{systems[0].name}"
-        with whole_folder(folder) as partial:
-            view, evaluations = _compute(world, systems, seed, fidelity, stages)
-            first = evaluations[0].capture
-            write_truth(first.truth, partial / "truth.exr")
-            write_record(first.record, partial / "record.h5")
-            weather = systems[0].weather
-            echoes = _radar(world, design, weather, seed, fidelity, stages) if design else None
-            if echoes:
+        settings = settings_of(
+            world.name,
+            [system.name for system in systems],
+            design.name if design else None,
+            seed,
+            pose,
+            track,
+            fidelity,
+        )
+        folder = default_folder(settings) if out is None else Path(out)
+        with run_folder(folder, settings) as partial:
+            view: View | None = None
+            evaluations: tuple[Evaluation, ...] = ()
+            echoes: RadarEvaluation | None = None
+            if systems:
+                view, evaluations = _compute(world, systems, seed, fidelity, stages)
+                first = evaluations[0].capture
+                write_truth(first.truth, partial / "truth.exr")
+                write_record(first.record, partial / "record.h5")
+            if design:
+                weather = systems[0].weather if systems else None
+                echoes = _radar(world, design, weather, seed, fidelity, stages)
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
             write_report(world, view, evaluations, echoes, seed, stages, partial)
     return Result(world, view, evaluations, echoes, folder, stages.seconds)
 
 
 def _compute(
-    scene: Scene, systems: Sequence[System], seed: int, fidelity: Fidelity | None, stages: Stages
+    scene: Scene, systems: Sequence[System], seed: int, fidelity: Fidelity, stages: Stages
 ) -> tuple[View, tuple[Evaluation, ...]]:
     with stages.stage("scene"):
         rendered = mitsuba_scene(scene)
@@ -140,7 +161,7 @@ def _radar(
     design: RadarDesign,
     weather: Weather | None,
     seed: int,
-    fidelity: Fidelity | None,
+    fidelity: Fidelity,
     stages: Stages,
 ) -> RadarEvaluation:
     taken = radar_capture(
@@ -160,7 +181,11 @@ def _write_radar(radar: RadarEvaluation, folder: Path, *, paths: bool, sigmf: bo
         export_sigmf(radar.capture.record, folder / "radar")
 
 
-def _systems(system: str | Path | System, compare: str | Path | System | None) -> list[System]:
+def _systems(
+    system: str | Path | System | None, compare: str | Path | System | None
+) -> list[System]:
+    if system is None:
+        return []
     chosen = load_system(system)
     if compare is None:
         return [chosen]

@@ -233,7 +233,8 @@ def test_the_command_prints_and_writes(monkeypatch, capsys, tmp_path: Path) -> N
 def test_a_visible_emitter_is_refused_in_one_line(monkeypatch, capsys, tmp_path: Path) -> None:
     path = tmp_path / "green.toml"
     path.write_text(
-        'base = "paper"\n[emitter]\npeak_wavelength_m = 550e-9\n[detector]\nresponsivity_a_per_w = 0.4\n'
+        'base = "paper"\n[emitter]\npeak_wavelength_m = 550e-9\n'
+        "[detector]\nresponsivity_a_per_w = 0.4\n"
     )
     monkeypatch.setattr("sys.argv", ["twin", "safety", "--system", str(path)])
     with pytest.raises(SystemExit) as stopped:

@@ -31,6 +31,7 @@ from twin.system import load_system
 FAST = Fidelity(samples=4, max_depth=2)
 FILES = {
     "report.html",
+    "run.json",
     "record.h5",
     "truth.exr",
     "radar.h5",

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 def run(
     scene: SceneArgument,
-    system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
+    system: Annotated[
+        str, typer.Option(help="Bundled system or TOML file; `none`: the radar alone.")
+    ] = "workable",
     compare: Annotated[
         str, typer.Option(help="System shown beside it; `none` for nothing.")
     ] = "paper",
@@ -26,7 +28,10 @@ def run(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write; default runs/SCENE-SYSTEM.")
+        Path | None,
+        typer.Option(
+            help="Folder to write; default runs/SCENE-SYSTEM and what is not the default."
+        ),
     ] = None,
     paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
     sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
@@ -42,7 +47,7 @@ def run(
 
     result = run_job(
         scene,
-        system,
+        None if system == "none" else system,
         compare=None if compare == "none" else compare,
         radar=None if radar == "none" else radar,
         pose=parse_pose(pose) if pose is not None else None,

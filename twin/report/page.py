@@ -26,31 +26,25 @@ _TEMPLATE = Path(__file__).parent
 
 def write_report(
     scene: Scene,
-    view: View,
+    view: View | None,
     evaluations: Sequence[Evaluation],
     radar: RadarEvaluation | None,
     seed: int,
     stages: Stages,
     folder: Path,
 ) -> None:
-    """Write ``report.html`` and its figures as PNG files to ``folder``."""
+    """Write ``report.html`` and its figures as PNG files to ``folder``.
+
+    Without a view and evaluations it is the report of a radar alone.
+    """
     import jinja2
 
-    first = evaluations[0]
     with stages.stage("figures"):
-        drawn = {
-            "headline": figures.headline(view, evaluations),
-            "scene": figures.scene_view(view),
-            "truth": figures.truth(first),
-            "reconstruction": figures.reconstructions(first),
-            "snr": figures.snr_maps(evaluations),
-            "signal": figures.signal(first),
-        }
+        drawn: dict[str, Figure] = {}
+        if view:
+            drawn |= _drawn_by_light(view, evaluations)
         if radar:
-            drawn["range_doppler"] = radar_figures.radar_map(radar)
-            drawn["radar_cuts"] = radar_figures.radar_cuts(radar)
-            if radar.picture:
-                drawn["radar_image"] = radar_figures.track_image(radar.picture)
+            drawn |= _drawn_by_radar(radar)
         pictures = {name: _png(figure) for name, figure in drawn.items()}
     for name, data in pictures.items():
         (folder / f"{name}.png").write_bytes(data)
@@ -68,13 +62,35 @@ def write_report(
         columns=[_summary(e) for e in evaluations],
         images={name: base64.b64encode(data).decode() for name, data in pictures.items()},
         settings=[(d, d.values()) for d in _designs(evaluations, radar)],
-        assumptions=first.capture.assumptions,
+        assumptions=evaluations[0].capture.assumptions if evaluations else (),
         radar=radar_summary(radar) if radar else None,
         warnings=(*scene.warnings, *_warnings(evaluations, radar)),
         seconds=stages.seconds,
         versions=_versions(),
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
+
+
+def _drawn_by_light(view: View, evaluations: Sequence[Evaluation]) -> dict[str, Figure]:
+    first = evaluations[0]
+    return {
+        "headline": figures.headline(view, evaluations),
+        "scene": figures.scene_view(view),
+        "truth": figures.truth(first),
+        "reconstruction": figures.reconstructions(first),
+        "snr": figures.snr_maps(evaluations),
+        "signal": figures.signal(first),
+    }
+
+
+def _drawn_by_radar(radar: RadarEvaluation) -> dict[str, Figure]:
+    drawn = {
+        "range_doppler": radar_figures.radar_map(radar),
+        "radar_cuts": radar_figures.radar_cuts(radar),
+    }
+    if radar.picture:
+        drawn["radar_image"] = radar_figures.track_image(radar.picture)
+    return drawn
 
 
 def _png(figure: Figure) -> bytes:

@@ -1,0 +1,124 @@
+"""The folder of a run: of one run, whole, and another one for another run."""
+
+import json
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+
+from twin.fidelity import PRESETS, Fidelity
+from twin.files import InputError
+from twin.job import run
+from twin.run_folder import default_folder, run_folder, settings_of
+from twin.scene import Pose, Track
+
+FAST = Fidelity(samples=1, max_depth=1, radar="targets")
+RADAR = {"radar.h5", "detections.csv", "truth.csv", "range_doppler.png", "radar_cuts.png"}
+
+
+def settings(**changes):
+    plain = {
+        "scene": "yard",
+        "systems": ["workable", "paper"],
+        "radar": "hybrid-79",
+        "seed": 0,
+        "pose": None,
+        "track": None,
+        "fidelity": Fidelity(),
+    }
+    return settings_of(**{**plain, **changes})
+
+
+def test_files_of_the_run_before_go_and_a_users_own_stay(tmp_path: Path) -> None:
+    """On ee37b06 the second run left the first one's radar record beside its own report."""
+    common = {"compare": None, "fidelity": FAST, "out": tmp_path / "out"}
+    run("table1", **common, paths=True)
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    before = {path.name for path in (tmp_path / "out").iterdir()}
+    assert before >= RADAR | {"paths.csv", "notes.txt"}
+    run("table1", **common, radar=None)
+    after = {path.name for path in (tmp_path / "out").iterdir()}
+    assert after == before - RADAR - {"paths.csv"}
+    index = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert {*index["files"], "run.json", "notes.txt"} == after
+    assert index["radar"] is None
+    assert index["fidelity"]["samples"] == 1
+
+
+def test_the_radar_alone(tmp_path: Path) -> None:
+    """The counterpart of ``--radar none``: the same echoes as with a camera beside it."""
+    alone = run("table1", None, fidelity=FAST, out=tmp_path / "alone")
+    both = run("table1", fidelity=FAST, compare=None, out=tmp_path / "both")
+    assert (alone.view, alone.evaluations) == (None, ())
+    assert {path.name for path in alone.out.iterdir()} == RADAR | {"report.html", "run.json"}
+    assert (alone.out / "radar.h5").read_bytes() == (both.out / "radar.h5").read_bytes()
+    page = (alone.out / "report.html").read_text()
+    assert "<h1>table1, seen by a radar</h1>" in page
+    assert "single pixel" not in page
+    with pytest.raises(InputError, match="system, radar: both are none"):
+        run("table1", None, radar=None, out=tmp_path / "neither")
+
+
+def test_every_variant_has_a_folder_of_its_own() -> None:
+    """The plain run keeps its short name; on ee37b06 all of these shared it."""
+    assert default_folder(settings()) == Path("runs/yard-workable")
+    assert default_folder(settings(systems=["paper", "workable"])) == Path("runs/yard-paper")
+    draft, standard = PRESETS["draft"], PRESETS["standard"]
+    named = {
+        "runs/yard-workable-seed_3": settings(seed=3),
+        "runs/yard-workable-hybrid-79-slow": settings(radar="hybrid-79-slow"),
+        "runs/yard-workable-no-radar": settings(radar=None),
+        "runs/yard-workable-alone": settings(systems=["workable"]),
+        "runs/yard-workable-beside_mine": settings(systems=["workable", "mine"]),
+        "runs/yard-workable-pose_1,0,1.2,15": settings(pose=Pose((1, 0, 1.2), 15.0)),
+        "runs/yard-workable-pose_1,0,1.2": settings(pose=Pose((1, 0, 1.2))),
+        "runs/yard-workable-track_0,0.03,0,33": settings(track=Track((0, 0.03, 0), 33)),
+        "runs/yard-workable-track_0,0.03,0,33,0.1": settings(track=Track((0, 0.03, 0), 33, 0.1)),
+        "runs/yard-workable-draft": settings(fidelity=draft),
+        "runs/yard-workable-radar_paths": settings(fidelity=standard.with_(radar="paths")),
+        "runs/yard-workable-draft-radar_paths": settings(fidelity=draft.with_(radar="paths")),
+        "runs/yard-hybrid-79": settings(systems=[]),
+        "runs/yard-prototype": settings(systems=[], radar="prototype"),
+    }
+    for name, made in named.items():
+        assert str(default_folder(made)) == name
+    for a, b in combinations(named.values(), 2):
+        assert default_folder(a) != default_folder(b)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"format": "another", "files": ["keep.txt"]}', "{"])
+def test_a_list_that_is_none_of_a_run_removes_nothing(text: str, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text(text)
+    (tmp_path / "keep.txt").write_text("mine")
+    with run_folder(tmp_path, {}) as partial:
+        (partial / "new.txt").write_text("x")
+    assert {p.name for p in tmp_path.iterdir()} == {"keep.txt", "new.txt", "run.json"}
+
+
+def test_a_list_reaches_into_no_other_folder(tmp_path: Path) -> None:
+    (tmp_path / "outside").write_text("mine")
+    out = tmp_path / "out"
+    with run_folder(out, {}) as partial:
+        (partial / "old").write_text("x")
+    index = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps({**index, "files": ["old", "../outside"]}))
+    with run_folder(out, {}) as partial:
+        (partial / "new").write_text("x")
+    assert {p.name for p in out.iterdir()} == {"new", "run.json"}
+    assert (tmp_path / "outside").exists()
+
+
+def test_a_run_that_fails_leaves_the_one_before(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with run_folder(out, {"seed": 1}) as partial:
+        (partial / "old").write_text("x")
+
+    def failing() -> None:
+        with run_folder(out, {"seed": 2}) as partial:
+            (partial / "new").write_text("x")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        failing()
+    assert {p.name for p in out.iterdir()} == {"old", "run.json"}
+    assert json.loads((out / "run.json").read_text())["seed"] == 1

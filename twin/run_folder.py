@@ -1,0 +1,118 @@
+"""The folder of a run: named after what is not the default, of one run, whole."""
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from twin import __version__
+from twin.fidelity import PRESETS, Fidelity
+from twin.files import whole_folder
+from twin.scene import Pose, Track
+
+INDEX = "run.json"
+_FORMAT = "ugv-twin-run"
+#: What a run is without being told; everything else stands in its folder's name.
+_DEFAULTS = {"radar": "hybrid-79", "compare": "paper", "seed": 0}
+
+
+@contextmanager
+def run_folder(out: Path, settings: Mapping[str, Any]) -> Iterator[Path]:
+    """A folder to write a run in; it appears in ``out`` whole or not at all.
+
+    ``run.json`` is written beside the run's files and lists them with the settings. Files of the
+    run before, as its list has them, are removed; what a user keeps there stays. Raises InputError
+    when ``out`` can't be written.
+    """
+    with whole_folder(out) as partial:
+        yield partial
+        written = sorted(path.name for path in partial.iterdir())
+        index = {"format": _FORMAT, "version": __version__, **settings, "files": written}
+        (partial / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+        stale = _listed(Path(out) / INDEX) - {*written, INDEX}
+    for name in stale:
+        (Path(out) / name).unlink(missing_ok=True)
+
+
+def settings_of(
+    scene: str,
+    systems: Sequence[str],
+    radar: str | None,
+    seed: int,
+    pose: Pose | None,
+    track: Track | None,
+    fidelity: Fidelity,
+) -> dict[str, Any]:
+    """What a run is made of, ready for JSON; pose and track where they are not the scene's own."""
+    return {
+        "scene": scene,
+        "system": systems[0] if systems else None,
+        "compare": systems[1] if len(systems) > 1 else None,
+        "radar": radar,
+        "seed": seed,
+        "pose": _pose(pose) if pose else None,
+        "track": asdict(track) if track else None,
+        "fidelity": asdict(fidelity),
+    }
+
+
+def default_folder(settings: Mapping[str, Any]) -> Path:
+    """``runs/SCENE-SYSTEM``, or ``runs/SCENE-RADAR`` of a radar alone, and whatever else is not the
+    default: two runs that differ by their settings never share a folder.
+    """
+    system, radar = settings["system"], settings["radar"]
+    words = [settings["scene"], system or radar]
+    if system:
+        other = "workable" if system == _DEFAULTS["compare"] else _DEFAULTS["compare"]
+        words += _unless(settings["compare"], other, "beside_{}", "alone")
+        words += _unless(radar, _DEFAULTS["radar"], "{}", "no-radar")
+    words += _unless(settings["seed"], _DEFAULTS["seed"], "seed_{}")
+    words += _unless(settings["pose"], None, "pose_{}")
+    if track := settings["track"]:
+        numbers = [*track["step_m"], track["count"], track["interval_s"]]
+        words.append("track_" + ",".join(_number(n) for n in numbers if n is not None))
+    words += _knobs(settings["fidelity"])
+    return Path("runs") / "-".join(words).replace(" ", "_").replace(os.sep, "_")
+
+
+def _unless(value: Any, default: Any, word: str, without: str = "") -> list[str]:
+    if value == default:
+        return []
+    return [word.format(value) if value is not None else without]
+
+
+def _knobs(knobs: Mapping[str, Any]) -> list[str]:
+    """The nearest preset, unless it is the standard, and the knobs that differ from it."""
+    differing = {
+        name: [f.name for f in fields(known) if getattr(known, f.name) != knobs[f.name]]
+        for name, known in PRESETS.items()
+    }
+    nearest = min(differing, key=lambda name: len(differing[name]))
+    words = _unless(nearest, "standard", "{}")
+    return words + [f"{knob}_{knobs[knob]}" for knob in differing[nearest]]
+
+
+def _pose(pose: Pose) -> str:
+    """As it is typed, without angles that are zero."""
+    angles = [pose.yaw_deg, pose.pitch_deg, pose.roll_deg]
+    while angles and angles[-1] == 0:
+        angles.pop()
+    return ",".join(_number(n) for n in (*pose.position_m, *angles))
+
+
+def _number(value: float) -> str:
+    return f"{value:.12g}"
+
+
+def _listed(index: Path) -> set[str]:
+    """Files of the run that wrote a list; none where there is no list that can be read."""
+    try:
+        content = json.loads(index.read_text(encoding="utf-8"))
+        if content["format"] != _FORMAT:
+            return set()
+        return {name for name in content["files"] if Path(name).name == name}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
