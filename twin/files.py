@@ -1,5 +1,6 @@
 """Files and folders: where bundled data lies, and output that appears whole or not at all."""
 
+import glob
 import os
 import shutil
 from collections.abc import Iterator
@@ -54,3 +55,37 @@ def whole_folder(out: Path) -> Iterator[Path]:
         for folder in created:
             with suppress(OSError):  # not empty: something was written
                 folder.rmdir()
+
+
+@contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """A folder to write in that becomes ``out``, by one rename, when everything is written.
+
+    ``out`` does not exist yet, or is empty. On any failure nothing of it is left; what a kill
+    leaves is removed by the next one. Raises InputError when ``out`` can't be written.
+    """
+    out = Path(out).absolute()
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        for left in out.parent.glob(f".{glob.escape(out.name)}.*.partial"):
+            if not _is_running(left.suffixes[-2][1:]):
+                shutil.rmtree(left, ignore_errors=True)
+        partial = out.parent / f".{out.name}.{os.getpid()}.partial"
+        partial.mkdir()
+        try:
+            yield partial
+            os.replace(partial, out)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"{out}: {error.strerror or error}") from error
+
+
+def _is_running(pid: str) -> bool:
+    try:
+        os.kill(int(pid), 0)
+    except (ValueError, ProcessLookupError):
+        return False
+    except PermissionError:
+        pass
+    return True

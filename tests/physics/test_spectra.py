@@ -106,7 +106,6 @@ def test_line_share_at_an_angle_by_brute_force() -> None:
 def curve(folder: Path, text: str, name: str = "c.csv") -> Path:
     path = folder / name
     path.write_text(text)
-    read_curve.cache_clear()
     return path
 
 

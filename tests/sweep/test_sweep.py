@@ -252,7 +252,9 @@ def test_kill_and_resume_give_the_same_bits(study, tmp_path: Path, kills_tried: 
             command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         try:
-            process.wait(timeout=float(rng.uniform(1.5, 4.0)))
+            while process.poll() is None and not (out / "study.json").is_file():
+                time.sleep(0.02)
+            process.wait(timeout=float(rng.uniform(0.0, 4.0)))
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()

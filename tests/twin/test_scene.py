@@ -274,7 +274,6 @@ def test_a_table_beside_the_scene_takes_precedence(tmp_path: Path) -> None:
     (folder / "materials.toml").write_text(
         '[unobtainium.optical]\nreflectance = { value = -0.25, source = "made up" }\n'
     )
-    load_materials.cache_clear()
     assert_refused(folder, "materials.toml", "unobtainium.optical.reflectance.value = -0.25")
 
 

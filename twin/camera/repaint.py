@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from twin.camera.air import glow, veil_of
 from twin.camera.light import SUN_PARTS, Light, Rendered
+from twin.camera.limits import grazing, unsampled
 from twin.camera.mounting import devices
-from twin.camera.truth import Truth, depths, object_shares
+from twin.camera.truth import Truth, depths, incidence_cosines, object_shares
 from twin.fidelity import Fidelity
 from twin.optics.by_object import ByObject, gather_by_object
 from twin.optics.devices import Device, Grid
@@ -21,6 +22,7 @@ from twin.optics.weather import air_of_system
 from twin.scene import Scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
+from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
@@ -35,7 +37,8 @@ class Unpainted:
     """Light of emitter and sun by object, per unit of reflectance; and what does not depend on it.
 
     ``shares``: mean over each cell of an object's presence (its texture, if it has one),
-    (n_objects, rows, columns).
+    (n_objects, rows, columns). ``cosines`` (rows, columns) of incidence in the middle of each cell;
+    ``warnings``: what rays leave uncertain whatever the paint.
     """
 
     emitter_parts: ByObject
@@ -46,6 +49,8 @@ class Unpainted:
     detector: Device
     veil: Array
     glow: Array
+    cosines: Array
+    warnings: tuple[CaptureWarning, ...]
 
     def painted(self, scene: Scene) -> Rendered:
         """As `render` gives it, with the reflectances of a scene of the same objects."""
@@ -62,6 +67,10 @@ class Unpainted:
             truth=Truth(np.tensordot(reflectance, self.shares, axes=1), self.depth_m),
             emitter=self.emitter,
             detector=self.detector,
+            warnings=(
+                *self.warnings,
+                *grazing(light.total.reshape(self.cosines.shape), self.cosines),
+            ),
         )
 
 
@@ -109,6 +118,8 @@ def render_unpainted(
         detector=detector,
         veil=veil_of(system, air, emitter, detector, depth).light if air else nothing,
         glow=glow(air, world, detector, parts, direction) if air else nothing,
+        cosines=incidence_cosines(world, emitter, shape),
+        warnings=tuple(unsampled(scene, emitter, shape[0] * shape[1] * fidelity.samples)),
     )
 
 

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.spectra import in_band_fraction, sun_in_band
+from twin.optics.spectra import curves, in_band_fraction, sun_in_band
 from twin.system import Emitter, Filter, Sky, System
 
 Array = NDArray[np.float64]
@@ -46,13 +46,21 @@ def passband(system: System, sky: Sky) -> Passband:
     """
     optics = system.optics
     half_field_deg = optics.field_of_view_deg.value / 2
-    return _integrated(system.emitter, system.filter, sky, optics.f_number.value, half_field_deg)
+    content = curves(system.emitter.spectrum_csv, system.filter.transmission_csv)
+    f_number = optics.f_number.value
+    return _integrated(system.emitter, system.filter, sky, f_number, half_field_deg, content)
 
 
 @lru_cache(maxsize=256)
 def _integrated(
-    emitter: Emitter, band: Filter, sky: Sky, f_number: float, half_field_deg: float
+    emitter: Emitter,
+    band: Filter,
+    sky: Sky,
+    f_number: float,
+    half_field_deg: float,
+    content: tuple[bytes, ...],
 ) -> Passband:
+    """``content`` of the curves is in the key alone: their names stay when they change."""
     normal = sun_in_band(sky, band)
     if band.effective_index is None:
         share = in_band_fraction(emitter, band)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from twin.files import InputError
 from twin.system import Detector, Emitter, Filter, Sky
+from twin.toml import Sourced
 
 Array = NDArray[np.float64]
 
@@ -139,7 +140,6 @@ def responsivity_a_per_w(detector: Detector, emitter: Emitter, band: Filter) -> 
     return float(current / power)
 
 
-@lru_cache(maxsize=32)
 def read_curve(path: Path) -> tuple[Array, Array]:
     """A vendor's curve: wavelengths in nm, ascending, and values.
 
@@ -147,9 +147,22 @@ def read_curve(path: Path) -> tuple[Array, Array]:
     values are divided by 100 where a header says per cent or ``%``. Raises InputError.
     """
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
+        return _curve(path, path.read_bytes())
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: can't be read as a CSV curve ({error})") from error
+
+
+def curves(*files: Sourced[str] | None) -> tuple[bytes, ...]:
+    """What stands in files of curves: the part of a cache's key that their names do not tell."""
+    try:
+        return tuple(Path(file.value).read_bytes() for file in files if file is not None)
+    except OSError as error:
+        raise InputError(f"{error.filename}: can't be read ({error.strerror})") from error
+
+
+@lru_cache(maxsize=32)
+def _curve(path: Path, content: bytes) -> tuple[Array, Array]:
+    rows = list(csv.reader(content.decode("utf-8-sig").splitlines()))
     numbers = [pair for row in rows if (pair := _pair(row)) is not None]
     header = " ".join(" ".join(row) for row in rows if _pair(row) is None).lower()
     if len(numbers) < 2:

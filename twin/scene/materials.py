@@ -55,9 +55,17 @@ class _Table(RootModel[dict[str, Material]]):
     pass
 
 
-@lru_cache(maxsize=8)
 def load_materials(path: Path) -> dict[str, Material]:
     """The table in a TOML file. Raises InputError naming row, field and value."""
+    try:
+        return _table(path, path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: can't be read ({error.strerror})") from error
+
+
+@lru_cache(maxsize=8)
+def _table(path: Path, content: bytes) -> dict[str, Material]:
+    """``content`` of the file is in the key alone: its name stays when it changes."""
     try:
         return _Table.model_validate(read_toml(path)).root
     except ValidationError as error:

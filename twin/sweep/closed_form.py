@@ -17,7 +17,9 @@ from twin.budget.link import (
     noise_e,
 )
 from twin.budget.table1 import link_of
-from twin.sweep.setup import changed, setup
+from twin.files import InputError
+from twin.sweep.inputs import Inputs
+from twin.sweep.setup import changed, system_of
 from twin.sweep.study import Study, Value
 from twin.system import Part, System
 
@@ -37,7 +39,7 @@ _OF_THE_POINT = (
 )
 
 
-def closed_form(study: Study, columns: Mapping[str, Array]) -> dict[str, Array]:
+def closed_form(study: Study, columns: Mapping[str, Array], inputs: Inputs) -> dict[str, Array]:
     """Metrics of points, (n,) each. ``columns``: what is set in the points, by parameter.
 
     Without ``link.distance_m`` it is 5 m, without ``link.reflectance`` 0.5.
@@ -45,7 +47,7 @@ def closed_form(study: Study, columns: Mapping[str, Array]) -> dict[str, Array]:
     """
     n = len(next(iter(columns.values())))
     free = [name for name in columns if name not in _DIRECT and name not in _OF_THE_POINT]
-    inverse, found = _combinations(study, columns, free, n)
+    inverse, found = _combinations(study, columns, free, n, inputs)
     systems, links = [system for system, _ in found], [link for _, link in found]
     values = {
         name: np.array([getattr(link, name) for link in links])[inverse]
@@ -76,7 +78,7 @@ def closed_form(study: Study, columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _combinations(
-    study: Study, columns: Mapping[str, Array], names: list[str], n: int
+    study: Study, columns: Mapping[str, Array], names: list[str], n: int, inputs: Inputs
 ) -> tuple[Array, list[tuple[System, Link]]]:
     """Which system each point has, and the different systems with their links."""
     index = np.zeros(n, dtype=np.int64)
@@ -84,16 +86,22 @@ def _combinations(
         _, place = np.unique(columns[name], return_inverse=True)
         index = index * (place.max() + 1) + place
     _, first, inverse = np.unique(index, return_index=True, return_inverse=True)
-    return inverse, [_link(study, {name: columns[name][i].item() for name in names}) for i in first]
+    return inverse, [
+        _link(study, {name: columns[name][i].item() for name in names}, inputs) for i in first
+    ]
 
 
-def _link(study: Study, values: dict[str, Value]) -> tuple[System, Link]:
+def _link(study: Study, values: dict[str, Value], inputs: Inputs) -> tuple[System, Link]:
     """System and link. The detector stands alone: one pixel of a line sensor is a pixel too."""
     own = {n: v for n, v in values.items() if n.startswith("system.detector.")}
-    system = setup(study, {n: v for n, v in values.items() if n not in own}).system
+    system = system_of(study, {n: v for n, v in values.items() if n not in own}, inputs)
+    if system.weather is not None:
+        raise InputError(
+            f"system {system.name}: has weather, of which the closed form knows nothing"
+        )
     part = Part(name=system.name, detector=system.detector)
     if own:
-        part = changed(part, tuple((n.removeprefix("system."), v) for n, v in own.items()))
+        part = changed(part, tuple((n.removeprefix("system."), v) for n, v in own.items()), inputs)
     return system, link_of(system, part)
 
 

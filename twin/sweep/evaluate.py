@@ -1,9 +1,8 @@
 """A run of points: rendered once per light, measured for each point."""
 
-from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,60 +14,59 @@ from twin.camera.repaint import can_repaint, render_unpainted
 from twin.radar.acquisition import radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
 from twin.sweep.closed_form import closed_form
+from twin.sweep.inputs import ChangedError, Held, Inputs, inputs_of
 from twin.sweep.metrics import Outcome, metric
 from twin.sweep.setup import Setup, setup
 from twin.sweep.study import Study
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
-
-_KEPT = 32  # renders and radar evaluations in memory
 
 
 @dataclass(eq=False)
 class Chunk:
-    """Results of points ``start`` to ``stop``: by metric, what failed, how often was rendered."""
+    """Results of points ``start`` to ``stop``: by metric, what failed, how often was rendered.
+
+    ``warnings``: by kind and point, what was said; ``void``: points without a result that means
+    anything, by ``camera`` and ``radar``.
+    """
 
     start: int
     stop: int
     values: dict[str, Array]
     errors: dict[int, str] = field(default_factory=dict)
+    warnings: dict[str, dict[int, str]] = field(default_factory=dict)
+    void: dict[str, list[int]] = field(default_factory=dict)
     renders: int = 0
 
 
-class _Kept:
-    """The last few results by key."""
-
-    def __init__(self) -> None:
-        self.items: OrderedDict[Any, Any] = OrderedDict()
-        self.made = 0
-
-    def get(self, key: Any, make: Callable[[], T]) -> T:
-        if key not in self.items:
-            self.items[key] = make()
-            self.made += 1
-            if len(self.items) > _KEPT:
-                self.items.popitem(last=False)
-        self.items.move_to_end(key)
-        found: T = self.items[key]
-        return found
+_LIGHT, _RADAR = Held(32), Held(32)  # per process, by content
 
 
-_LIGHT, _RADAR = _Kept(), _Kept()  # per process
+def evaluate_chunk(study: Study, start: int, stop: int, inputs: Inputs | None = None) -> Chunk:
+    """Evaluate points ``start`` to ``stop``; a point that fails is a row with its error.
+
+    ``inputs``: as the sweep found them when it began; default: as they are now. Raises InputError
+    where they have changed since.
+    """
+    inputs = inputs or inputs_of(study)
+    work = _closed_form if study.model == "closed-form" else _rendered_points
+    chunk = work(study, start, stop, inputs)
+    inputs.check()
+    return chunk
 
 
-def evaluate_chunk(study: Study, start: int, stop: int) -> Chunk:
-    """Evaluate points ``start`` to ``stop``; a point that fails is a row with its error."""
-    if study.model == "closed-form":
-        return _closed_form(study, start, stop)
+def _rendered_points(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
     before = _LIGHT.made
     chunk = Chunk(start, stop, {name: np.full(stop - start, np.nan) for name in study.metrics})
+    measures = {name: metric(name, inputs) for name in study.metrics}
     for index in range(start, stop):
         try:
-            outcome = outcome_of(study, index)
-            for name in study.metrics:
-                value = metric(name, study.folder)(outcome)
-                chunk.values[name][index - start] = float(value)
+            outcome = outcome_of(study, index, inputs)
+            for name, measure_of in measures.items():
+                chunk.values[name][index - start] = float(measure_of(outcome))
+            _note(chunk, index, outcome)
+        except ChangedError:
+            raise
         except Exception as error:  # any user's function may fail in any way
             chunk.errors[index] = f"{type(error).__name__}: {error}"
             for values in chunk.values.values():
@@ -77,41 +75,65 @@ def evaluate_chunk(study: Study, start: int, stop: int) -> Chunk:
     return chunk
 
 
-def _closed_form(study: Study, start: int, stop: int) -> Chunk:
+def _note(chunk: Chunk, index: int, outcome: Outcome) -> None:
+    """Every warning of a point, and whether it leaves the point void."""
+    for text in outcome.setup.scene.warnings:
+        chunk.warnings.setdefault("scene", {}).setdefault(index, text)
+    for side, taken in _captures(outcome):
+        for warning in taken.warnings:
+            chunk.warnings.setdefault(warning.kind, {}).setdefault(index, str(warning))
+        if taken.void:
+            chunk.void.setdefault(side, []).append(index)
+
+
+def _captures(outcome: Outcome) -> Iterator[tuple[str, Any]]:
+    """What the metrics have made the twin take."""
+    known = vars(outcome)
+    if "capture" in known:
+        yield "camera", outcome.capture
+    if "radar" in known:
+        yield "radar", outcome.radar.capture
+
+
+def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
     try:
-        values = closed_form(study, study.columns(start, stop))
+        values = closed_form(study, study.columns(start, stop), inputs)
         return Chunk(start, stop, {name: np.asarray(v, np.float64) for name, v in values.items()})
+    except ChangedError:
+        raise
     except ValueError as error:
         if stop - start == 1:
             nothing = {name: np.array([np.nan]) for name in study.metrics}
             return Chunk(start, stop, nothing, {start: f"{type(error).__name__}: {error}"})
     # Some point can't be: halve until it stands alone.
     middle = (start + stop) // 2
-    first, second = _closed_form(study, start, middle), _closed_form(study, middle, stop)
+    first = _closed_form(study, start, middle, inputs)
+    second = _closed_form(study, middle, stop, inputs)
     joined = {n: np.concatenate([first.values[n], second.values[n]]) for n in study.metrics}
     return Chunk(start, stop, joined, first.errors | second.errors)
 
 
-def outcome_of(study: Study, index: int) -> Outcome:
-    """Results of one point. Noise is drawn from (seed, point), light and radar from the seed alone:
-    points differ by what is varied, not by how rays fell.
+def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcome:
+    """Results of one point: what `twin.capture` and `twin.radar_capture` give with its seed. All
+    points draw from the same seed, so they differ by what is varied, not by how rays fell; a
+    parameter without effect leaves every bit as it is. Vary ``seed`` for draws of their own.
     """
-    made = setup(study, study.point(index))
+    inputs = inputs or inputs_of(study)
+    made = setup(study, study.point(index), inputs)
 
     def captured() -> Capture:
-        rng = np.random.default_rng(np.random.SeedSequence([study.seed, index]))
-        rendered = _rendered(made, study)
+        rng = np.random.default_rng(_seeds(made)[1])
+        rendered = _rendered(made, inputs)
         return measure(made.scene, made.system, rendered, rng=rng, noise=made.fidelity.noise)
 
     def evaluated() -> RadarEvaluation:
         assert made.radar is not None  # a study with radar metrics has one
         radar, weather = made.radar, made.system.weather
-        where = (study.scene, study.folder, made.scene_key())
-        key = (*where, radar, weather, made.fidelity, study.seed)
+        key = (inputs.stamp, made.scene_key(), radar, weather, made.fidelity, made.seed)
 
         def work() -> RadarEvaluation:
             taken = radar_capture(
-                made.scene, radar, seed=study.seed, fidelity=made.fidelity, weather=weather
+                made.scene, radar, seed=made.seed, fidelity=made.fidelity, weather=weather
             )
             return evaluate_radar(radar, taken)
 
@@ -120,13 +142,17 @@ def outcome_of(study: Study, index: int) -> Outcome:
     return Outcome(made, captured, evaluated)
 
 
-def _rendered(made: Setup, study: Study) -> Rendered:
+def _seeds(made: Setup) -> list[np.random.SeedSequence]:
+    """Of light and noise, as `twin.capture` draws them."""
+    return np.random.SeedSequence(made.seed).spawn(2)
+
+
+def _rendered(made: Setup, inputs: Inputs) -> Rendered:
     """Light of a point; points that differ only later on, or in paint, share one render."""
     emitter, detector, _ = devices(made.scene, made.system)
     paintable = can_repaint(made.system, made.fidelity)
     key = (
-        study.scene,
-        study.folder,
+        inputs.stamp,
         made.scene_key(painted=not paintable),
         *(_device_key(device) for device in (emitter, detector)),
         made.system.picture_shape,
@@ -137,9 +163,9 @@ def _rendered(made: Setup, study: Study) -> Rendered:
         made.system.emitter.peak_wavelength_m.value if made.system.weather else None,
         made.fidelity.quality,
         made.fidelity.start,
-        study.seed,
+        made.seed,
     )
-    draw = np.random.SeedSequence(study.seed)
+    draw = _seeds(made)[0]
     if paintable:
         unpainted = _LIGHT.get(
             key,

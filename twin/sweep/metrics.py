@@ -1,11 +1,8 @@
 """What a study may measure of a point: metrics by name."""
 
-import importlib
 import math
-import sys
 from collections.abc import Callable
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +10,7 @@ from hardware.reconstruction import Reconstruction, reconstruct
 from twin.camera.acquisition import Capture
 from twin.camera.evaluation import Score, score
 from twin.radar.evaluation import RadarEvaluation
-from twin.sweep.names import CLOSED_FORM, RENDERED
+from twin.sweep.inputs import Inputs
 from twin.sweep.setup import Setup
 
 
@@ -135,28 +132,13 @@ _MEASURES: dict[str, Callable[[Outcome], float]] = {
 }
 
 
-def metric(name: str, folder: Path) -> Callable[[Outcome], float]:
+def metric(name: str, inputs: Inputs) -> Callable[[Outcome], float]:
     """A metric by name, or a user's own function, ``MODULE:FUNCTION`` of an `Outcome`, from a
-    module that can be imported or lies beside the study.
+    module that lies beside the study or can be imported.
 
-    Raises ValueError for one that can't be found.
+    Raises InputError for one that can't be found.
     """
     if name in _MEASURES:
         return _MEASURES[name]
-    module, _, function = name.partition(":")
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))
-    try:
-        own: Callable[[Outcome], float] = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"metrics: {name!r}: {error}") from error
+    own: Callable[[Outcome], float] = inputs.get("metric", name)
     return own
-
-
-def described(name: str, folder: Path, *, closed_form: bool) -> tuple[str, str]:
-    """Unit and meaning of a metric; of a user's own, its ``unit`` and its docstring."""
-    known = CLOSED_FORM if closed_form else RENDERED
-    if name in known:
-        return known[name].unit, known[name].meaning
-    own = metric(name, folder)
-    return getattr(own, "unit", "1"), (own.__doc__ or name).strip().splitlines()[0]

@@ -1,15 +1,20 @@
 """Names of what a study may measure, with unit and meaning."""
 
+import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Named:
-    """A number's unit and what it is; ``of_radar``: the radar must run for it."""
+    """A number's unit and what it is; ``of_radar``: the radar must run for it, ``of_image``: an
+    image must be reconstructed.
+    """
 
     unit: str
     meaning: str
     of_radar: bool = False
+    of_image: bool = False
 
 
 RENDERED = {
@@ -20,8 +25,8 @@ RENDERED = {
     "noise_e": Named("e", "noise of one exposure"),
     "saturated": Named("1", "share of exposures marked saturated"),
     "in_band": Named("1", "share of the emitter's line inside the filter"),
-    "psnr_db": Named("dB", "peak signal-to-noise ratio of the image"),
-    "ssim": Named("1", "structural similarity of the image"),
+    "psnr_db": Named("dB", "peak signal-to-noise ratio of the image", of_image=True),
+    "ssim": Named("1", "structural similarity of the image", of_image=True),
     "minimum_time_s": Named("s", "integration for SNR 1 in the median pixel"),
     "maximum_distance_m": Named("m", "distance for SNR 1 in the median pixel"),
     "frame_rate_hz": Named("Hz", "frames per second, acquisition alone"),
@@ -35,3 +40,31 @@ CLOSED_FORM = {
     "minimum_time_s": Named("s", "integration for SNR 1"),
     "maximum_distance_m": Named("m", "distance for SNR 1"),
 }
+
+
+def is_own(metric: str) -> bool:
+    """Whether a metric is a user's own function, ``MODULE:FUNCTION``."""
+    return ":" in metric
+
+
+def needs_radar(metrics: Iterable[str]) -> bool:
+    """Whether a metric looks at the radar; a user's own may."""
+    return any((name in RENDERED and RENDERED[name].of_radar) or is_own(name) for name in metrics)
+
+
+def needs_image(metrics: Iterable[str]) -> bool:
+    """Whether a metric looks at a reconstruction; a user's own may."""
+    return any((name in RENDERED and RENDERED[name].of_image) or is_own(name) for name in metrics)
+
+
+def check_metrics(metrics: tuple[str, ...], model: str) -> None:
+    """Raise ValueError, with the nearest name, for a metric that a model does not have."""
+    known = RENDERED if model == "rendered" else CLOSED_FORM
+    for name in metrics:
+        if name in known or (is_own(name) and model == "rendered"):
+            continue
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(known)}"
+        raise ValueError(f"metrics: {name!r} is unknown{hint}")
+    if len(set(metrics)) != len(metrics):
+        raise ValueError("metrics: a name stands twice")

@@ -1,8 +1,7 @@
 """Running a study: points in runs over Dask's workers, results kept as they come."""
 
-import os
 import sys
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,24 +10,36 @@ from typing import Any
 
 from twin.files import InputError
 from twin.progress import interrupts
+from twin.sweep.dataset import labels
+from twin.sweep.effects import check_points, without_effect
 from twin.sweep.evaluate import Chunk, evaluate_chunk
-from twin.sweep.store import Store
+from twin.sweep.inputs import Inputs, inputs_of
+from twin.sweep.names import is_own
+from twin.sweep.store import Store, begin
 from twin.sweep.study import Study, load_study
+from twin.sweep.workers import Submit, dask, here
 
 #: Points in a run: what a kill loses at most, for each worker.
 _RENDERED_CHUNK, _CLOSED_CHUNK = 16, 32_768
 _MANY = 10_000_000
-_AHEAD = 3  # runs waiting for each worker: memory stays bounded whatever the number of points
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a sweep did."""
+    """What a sweep did.
+
+    ``reasons``: why points failed, with how many each, most first. ``warned``: by kind, how many
+    points a warning was given of. ``without_effect``: parameters along which no metric changed.
+    """
 
     out: Path
     n_points: int
     n_failed: int
+    n_void: int
     renders: int
+    reasons: tuple[tuple[str, int], ...] = ()
+    warned: tuple[tuple[str, int], ...] = ()
+    without_effect: tuple[str, ...] = ()
 
 
 def sweep(
@@ -63,111 +74,47 @@ def sweep(
         raise InputError(f"workers: {workers}: expected 1 or more")
     closed = study.model == "closed-form"
     out = Path(out) if out is not None else Path("runs") / study.name
-    store = Store(study, out, _CLOSED_CHUNK if closed else _RENDERED_CHUNK)
+    inputs = inputs_of(study)
+    check_points(study, inputs)
+    own = {name: inputs.get("metric", name) for name in study.metrics if is_own(name)}
+    chunk = _CLOSED_CHUNK if closed else _RENDERED_CHUNK
+    store = begin(study, out, chunk, inputs, labels(study, own))
     if any(True for _ in store.todo()):
-        _check(study)
         local = closed and scheduler is None and workers is None
-        pool = _here() if local else _dask(scheduler, workers)
+        pool = here() if local else dask(scheduler, workers)
         with _bar(study, store) as advance, pool as submit:
-            for chunk in _in_flight(submit, study, store):
-                store.add(chunk)
-                advance(chunk.stop - chunk.start)
+            for result in _in_flight(submit, study, store, inputs):
+                store.add(result)
+                advance(result.stop - result.start)
     store.finish()
-    return Summary(out, study.n_points, len(store.errors), store.renders)
+    return _summary(store)
 
 
-def _check(study: Study) -> None:
-    """A fault of the study itself, before any worker starts."""
-    from twin.sweep.metrics import metric
-    from twin.sweep.setup import setup
+def _summary(store: Store) -> Summary:
+    found, progress = store.dataset(), store.progress
+    return Summary(
+        out=store.out,
+        n_points=store.study.n_points,
+        n_failed=found.attrs["points_failed"],
+        n_void=found.attrs["points_void"],
+        renders=progress.renders,
+        reasons=tuple(Counter(progress.errors.values()).most_common()),
+        warned=tuple((kind, len(points)) for kind, points in sorted(progress.warned.items())),
+        without_effect=tuple(without_effect(found)),
+    )
 
-    setup(study, {})
-    if study.model == "rendered":
-        for name in study.metrics:
-            metric(name, study.folder)
 
-
-def _in_flight(submit: Any, study: Study, store: Store) -> Iterator[Chunk]:
+def _in_flight(submit: Submit, study: Study, store: Store, inputs: Inputs) -> Iterator[Chunk]:
     """Results as they come, never more than a few runs ahead of the slowest worker."""
     waiting: deque[Any] = deque()
-    todo = store.todo()
-    for start, stop in todo:
-        waiting.append(submit(study, start, stop))
+    for start, stop in store.todo():
+        waiting.append(submit(evaluate_chunk, study, start, stop, inputs))
         if len(waiting) >= submit.ahead:
-            yield waiting.popleft().result()
+            yield submit.result(waiting.popleft())
     while waiting:
-        yield waiting.popleft().result()
+        yield submit.result(waiting.popleft())
     if interrupts:
         raise KeyboardInterrupt
-
-
-class _Submit:
-    def __init__(self, send: Any, ahead: int) -> None:
-        self._send, self.ahead = send, ahead
-
-    def __call__(self, study: Study, start: int, stop: int) -> Any:
-        return self._send(evaluate_chunk, study, start, stop)
-
-
-class _Now:
-    """A result that is there."""
-
-    def __init__(self, value: Chunk) -> None:
-        self._value = value
-
-    def result(self) -> Chunk:
-        return self._value
-
-
-@contextmanager
-def _here() -> Iterator[_Submit]:
-    yield _Submit(lambda work, *args: _Now(work(*args)), 1)
-
-
-@contextmanager
-def _dask(scheduler: str | None, workers: int | None) -> Iterator[_Submit]:
-    """Dask's workers: a local cluster, or a running one."""
-    from distributed import Client, LocalCluster
-
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout="10s", set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise InputError(f"scheduler: {scheduler!r}: can't be reached ({error})") from error
-        with client:
-            n = max(1, len(client.scheduler_info()["workers"]))
-            yield _Submit(_pure(client), _AHEAD * n)
-        return
-    cores = len(os.sched_getaffinity(0))
-    n = workers or cores
-    threads = max(1, cores // n)
-    with (
-        LocalCluster(
-            n_workers=n,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=None,
-            silence_logs=50,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        client.run(_use_threads, threads)
-        yield _Submit(_pure(client), _AHEAD * n)
-
-
-def _pure(client: Any) -> Any:
-    return lambda work, *args: client.submit(work, *args, pure=False, retries=2)
-
-
-def _use_threads(n: int) -> None:
-    """Workers share the cores instead of fighting for them."""
-    os.environ["OMP_NUM_THREADS"] = str(n)
-    from twin.engine import mitsuba
-
-    mitsuba()
-    import drjit
-
-    drjit.set_thread_count(n)
 
 
 @contextmanager
@@ -176,7 +123,6 @@ def _bar(study: Study, store: Store) -> Iterator[Any]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Left
 
-    done = sum(min(store.chunk, study.n_points - start) for start in store.done)
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -186,5 +132,7 @@ def _bar(study: Study, store: Store) -> Iterator[Any]:
         transient=True,
         disable=not sys.stderr.isatty(),
     ) as progress:
-        task = progress.add_task(study.name, total=study.n_points, completed=done)
+        task = progress.add_task(
+            study.name, total=study.n_points, completed=store.progress.points_done
+        )
         yield lambda n: progress.advance(task, n)

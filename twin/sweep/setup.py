@@ -1,8 +1,6 @@
 """From a point's values to what is simulated: scene, system, radar, fidelity, method."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -10,11 +8,12 @@ from pydantic import ValidationError
 
 from twin.fidelity import Fidelity, preset
 from twin.files import InputError
-from twin.radar.device.design import RadarDesign, load_radar
-from twin.scene import Pose, Scene, SceneObject, load_scene
-from twin.sweep.names import RENDERED
+from twin.radar.device.design import RadarDesign
+from twin.scene import Pose, Scene, SceneObject, Target
+from twin.sweep.inputs import Held, Inputs, beside
+from twin.sweep.names import needs_radar
 from twin.sweep.study import Study, Value
-from twin.system import System, load_part, load_system
+from twin.system import System
 from twin.toml import Entry, describe
 
 E = TypeVar("E", bound=Entry)
@@ -30,6 +29,7 @@ class Setup:
     radar: RadarDesign | None
     fidelity: Fidelity
     method: str
+    seed: int
     scene_values: tuple[tuple[str, Value], ...]
 
     def scene_key(self, *, painted: bool = True) -> tuple[tuple[str, Value], ...]:
@@ -43,32 +43,46 @@ class Setup:
         )
 
 
-def setup(study: Study, values: Values) -> Setup:
+def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
     """Setup of a point. Raises InputError or ValueError naming the parameter."""
+    groups = _groups(values)
+    radar = None
+    if needs_radar(study.metrics):
+        radar = _entry("radar", study.radar, groups.get("radar", {}), inputs)
+    scene_values = tuple(sorted(groups.get("scene", {}).items()))
+    name = str(groups.get("scene", {}).get("", study.scene))
+    return Setup(
+        scene=_scene(name, scene_values, inputs),
+        scene_values=scene_values,
+        system=system_of(study, values, inputs),
+        radar=radar,
+        fidelity=_fidelity(groups.get("fidelity", {})),
+        method=str(groups.get("processing", {}).get("method", "lmmse")),
+        seed=_seed(groups.get("seed", {}).get("", study.seed)),
+    )
+
+
+def system_of(study: Study, values: Values, inputs: Inputs) -> System:
+    """System of a point. Raises InputError or ValueError naming the parameter."""
+    found: System = _entry("system", study.system, _groups(values).get("system", {}), inputs)
+    return found
+
+
+def _groups(values: Values) -> dict[str, Values]:
+    """Values by the root of their names, each with the rest of its name."""
     groups: dict[str, Values] = {}
     for name, value in values.items():
         root, _, rest = name.partition(".")
         if root == "weather":
             root, rest = "system", name
         groups.setdefault(root, {})[rest] = value
-    radar = None
-    if needs_radar(study):
-        radar = _entry("radar", study.radar, study.folder, groups.get("radar", {}))
-    scene_values = tuple(sorted(groups.get("scene", {}).items()))
-    name = str(groups.get("scene", {}).get("", study.scene))
-    return Setup(
-        scene=_kept_scene(name, study.folder, scene_values),
-        scene_values=scene_values,
-        system=_entry("system", study.system, study.folder, groups.get("system", {})),
-        radar=radar,
-        fidelity=_fidelity(groups.get("fidelity", {})),
-        method=str(groups.get("processing", {}).get("method", "lmmse")),
-    )
+    return groups
 
 
-def needs_radar(study: Study) -> bool:
-    """Whether a metric looks at the radar."""
-    return any(name in RENDERED and RENDERED[name].of_radar for name in study.metrics)
+def _seed(value: Value) -> int:
+    if not isinstance(value, int) or value < 0:
+        raise InputError(f"seed = {value!r}: expected a whole number from 0")
+    return value
 
 
 def _fidelity(values: Values) -> Fidelity:
@@ -76,23 +90,21 @@ def _fidelity(values: Values) -> Fidelity:
     return base.with_(**{name: v for name, v in values.items() if name != "preset"})
 
 
-def _entry(root: str, name: str, folder: Path, values: Values) -> Any:
-    """A system or radar with values in place of its own; kept, for most points share it."""
-    return _kept_entry(root, str(values.get("", name)), folder, tuple(sorted(values.items())))
+_entries, _scenes = Held(256), Held(64)  # most points share theirs
 
 
-@lru_cache(maxsize=256)
-def _kept_entry(
-    root: str, name: str, folder: Path, values: tuple[tuple[str, Value], ...]
-) -> System | RadarDesign:
-    beside = folder / name
-    source = beside if beside.is_file() else name
-    if root == "radar":
-        return changed(load_radar(source), values)
-    return changed(load_system(source), values)
+def _entry(root: str, name: str, values: Values, inputs: Inputs) -> Any:
+    """A system or radar with values in place of its own."""
+    name, changes = str(values.get("", name)), tuple(sorted(values.items()))
+
+    def make() -> System | RadarDesign:
+        base: System | RadarDesign = inputs.get(root, name)
+        return changed(base, changes, inputs)
+
+    return _entries.get((inputs.stamp, root, name, changes), make)
 
 
-def changed(entry: E, values: tuple[tuple[str, Value], ...]) -> E:
+def changed(entry: E, values: tuple[tuple[str, Value], ...], inputs: Inputs) -> E:
     """An entry with values, by ``SECTION.FIELD``, in place of its own. Raises InputError."""
     if not any(name for name, _ in values):
         return entry
@@ -102,11 +114,13 @@ def changed(entry: E, values: tuple[tuple[str, Value], ...]) -> E:
         if not field:
             continue
         if field == "part":
-            part = getattr(load_part(str(value)), section, None)
+            part = getattr(inputs.get("part", str(value)), section, None)
             if part is None:
                 raise InputError(f"{section}.part = {value!r}: this part has no {section}")
             content[section] = part.model_dump()
         else:
+            if field.endswith(("_csv", "_file")):
+                value = str(beside(str(value), inputs.folder))
             content[section] = (content.get(section) or {}) | {
                 field: {"value": value, "assumed": "swept"}
             }
@@ -132,19 +146,15 @@ def _drop_rivals(content: dict[str, Any], values: tuple[tuple[str, Value], ...])
             content[name.partition(".")[0]].pop(_RIVALS[name], None)
 
 
-@lru_cache(maxsize=8)
-def _loaded_scene(name: str, folder: Path) -> Scene:
-    beside = folder / name
-    return load_scene(beside if beside.exists() else name)
+def _scene(name: str, values: tuple[tuple[str, Value], ...], inputs: Inputs) -> Scene:
+    def make() -> Scene:
+        scene: Scene = inputs.get("scene", name)
+        for field, value in values:
+            if field:
+                scene = _with(scene, field, float(value))
+        return scene
 
-
-@lru_cache(maxsize=64)
-def _kept_scene(name: str, folder: Path, values: tuple[tuple[str, Value], ...]) -> Scene:
-    scene = _loaded_scene(name, folder)
-    for field, value in values:
-        if field:
-            scene = _with(scene, field, float(value))
-    return scene
+    return _scenes.get((inputs.stamp, name, values), make)
 
 
 def _with(scene: Scene, field: str, value: float) -> Scene:
@@ -158,11 +168,34 @@ def _with(scene: Scene, field: str, value: float) -> Scene:
     if name != "*" and name not in {item.name for item in items}:
         known = ", ".join(item.name for item in items) or "none at all"
         raise InputError(f"scene.{group}: no {name!r}; there are {known}")
-    change = _repainted if group == "objects" else _resized
-    changed = tuple(
-        change(item, what, value) if name in ("*", item.name) else item for item in items
+    if group == "targets":
+        sized = (replace(t, rcs_m2=value) if name in ("*", t.name) else t for t in scene.targets)
+        return replace(scene, targets=tuple(sized))
+    if what != "reflectance":
+        return _shifted(scene, name, "xyz".index(what[len("shift_")]), value)
+    painted = (_repainted(o, value) if name in ("*", o.name) else o for o in scene.objects)
+    return replace(scene, objects=tuple(painted))
+
+
+def _shifted(scene: Scene, name: str, axis: int, by_m: float) -> Scene:
+    """The scene with an object elsewhere, and the targets that it carries."""
+    shift = np.eye(3)[axis] * by_m
+
+    def target(item: Target) -> Target:
+        x, y, z = (np.asarray(item.position_m) + shift).tolist()
+        return replace(item, position_m=(x, y, z))
+
+    return replace(
+        scene,
+        objects=tuple(
+            replace(o, vertices_m=o.vertices_m + shift) if name in ("*", o.name) else o
+            for o in scene.objects
+        ),
+        targets=tuple(
+            target(t) if t.object is not None and name in ("*", t.object) else t
+            for t in scene.targets
+        ),
     )
-    return replace(scene, **{group: changed})  # type: ignore[arg-type]
 
 
 def _moved(pose: Pose, what: str, value: float) -> Pose:
@@ -173,15 +206,9 @@ def _moved(pose: Pose, what: str, value: float) -> Pose:
     return replace(pose, position_m=(place[0], place[1], place[2]))
 
 
-def _repainted(item: SceneObject, what: str, value: float) -> SceneObject:
-    if what == "reflectance":
-        if not 0 <= value <= 1:
-            raise InputError(f"scene.objects.{item.name}.reflectance = {value:g}: expected 0 to 1")
-        return replace(item, reflectance=value)
-    shift = np.zeros(3)
-    shift["xyz".index(what[len("shift_")])] = value
-    return replace(item, vertices_m=item.vertices_m + shift)
-
-
-def _resized(item: Any, what: str, value: float) -> Any:
-    return replace(item, **{what: value})
+def _repainted(item: SceneObject, reflectance: float) -> SceneObject:
+    if not 0 <= reflectance <= 1:
+        raise InputError(
+            f"scene.objects.{item.name}.reflectance = {reflectance:g}: expected 0 to 1"
+        )
+    return replace(item, reflectance=reflectance)

@@ -2,7 +2,8 @@
 
 While a sweep runs, ``points/METRIC.npy`` hold one number per point and ``journal.jsonl`` one line
 per finished run of points, appended after its numbers are written. Finished, ``results.zarr`` is
-the labelled dataset.
+the labelled dataset. ``study.json`` says what the points are of: the study, versions of the
+libraries, digests of all inputs.
 """
 
 import json
@@ -10,99 +11,68 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.format import open_memmap
+from pydantic import ValidationError
 
-from twin.files import InputError
+from twin.digest import versions
+from twin.files import InputError, new_folder
+from twin.sweep.dataset import Progress, dataset
 from twin.sweep.evaluate import Chunk
-from twin.sweep.metrics import described
-from twin.sweep.parameters import unit_of
+from twin.sweep.inputs import Inputs
 from twin.sweep.study import Study
+from twin.toml import describe
 
 if TYPE_CHECKING:
     import xarray
 
-_LIBRARIES = ("ugv-twin", "numpy", "scipy", "mitsuba", "drjit", "sionna-rt")
-_ERROR_LENGTH = 300
+_TEXT_LENGTH = 300
 
 
 class Store:
-    """A sweep's folder. Opens what is there, or begins anew.
+    """A sweep's folder that exists; see `begin`."""
 
-    Raises InputError where the folder holds another study's results, or something else, or there
-    is no room for the results.
-    """
-
-    def __init__(self, study: Study, out: Path, chunk: int) -> None:
-        self.study, self.out, self.chunk = study, out, chunk
-        plan = self._plan()
-        known = out / "study.json"
-        if known.is_file():
-            self._check(json.loads(known.read_text()), plan)
-            self.chunk = chunk = json.loads(known.read_text())["chunk"]
-        elif out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise InputError(f"{out}: is not empty and holds no sweep; expected a new folder")
-        self._begin(known, {**plan, "chunk": chunk})
-        self.done, self.errors, self.renders = self._read_journal()
-
-    def _plan(self) -> dict[str, Any]:
-        return {
-            "study": self.study.model_dump(mode="json", exclude={"folder"}),
-            "folder": str(self.study.folder),
-            "versions": {name: _version(name) for name in _LIBRARIES},
-        }
-
-    def _check(self, old: dict[str, Any], new: dict[str, Any]) -> None:
-        for name in ("study", "versions"):
-            if old.get(name) != new[name]:
-                what = "another study" if name == "study" else "other versions of the libraries"
-                raise InputError(
-                    f"{self.out}: holds results of {what}; expected the same, or a new folder"
-                )
-
-    def _begin(self, known: Path, plan: dict[str, Any]) -> None:
-        points = self.out / "points"
+    def __init__(self, out: Path) -> None:
+        self.out, plan = out, _read_plan(out)
         try:
-            points.mkdir(parents=True, exist_ok=True)
-            self.arrays = {name: self._array(points, name) for name in self.study.metrics}
-            if not known.is_file():
-                partial = known.with_suffix(".partial")
-                partial.write_text(json.dumps(plan, indent=1))
-                os.replace(partial, known)
-        except OSError as error:
-            raise InputError(f"{self.out}: {error.strerror or error}") from error
+            self.study = Study.model_validate({**plan["study"], "folder": plan["folder"]})
+        except ValidationError as error:
+            raise InputError(f"{out / 'study.json'}: study: {describe(error)}") from error
+        self.chunk: int = plan["chunk"]
+        self._plan = plan
+        try:
+            self.arrays = {
+                name: open_memmap(_array_file(out, name), mode="r+") for name in self.study.metrics
+            }
+        except (OSError, ValueError) as error:
+            raise InputError(f"{out}: is no whole sweep ({error})") from error
+        self.done: set[int] = set()
+        self.progress = Progress()
+        self._read_journal()
 
-    def _array(self, folder: Path, name: str) -> Any:
-        """One number per point, room for all of them taken at once: a full disk is found now."""
-        path, shape = folder / f"{name.replace(':', '.')}.npy", (self.study.n_points,)
-        if not path.is_file():
-            partial = path.with_suffix(".partial")
-            array = open_memmap(partial, mode="w+", dtype=np.float64, shape=shape)
-            with partial.open("r+b") as file:
-                os.posix_fallocate(file.fileno(), 0, partial.stat().st_size)
-            for start in range(0, len(array), 2**20):
-                array[start : start + 2**20] = np.nan
-            array.flush()
-            os.replace(partial, path)
-        return open_memmap(path, mode="r+")
-
-    def _read_journal(self) -> tuple[set[int], dict[int, str], int]:
-        done: set[int] = set()
-        errors: dict[int, str] = {}
-        renders = 0
+    def _read_journal(self) -> None:
         path = self.out / "journal.jsonl"
-        if path.is_file():
-            for line in path.read_text().splitlines():
-                with suppress(ValueError):  # a line cut off by a kill
-                    entry = json.loads(line)
-                    done.add(entry["start"])
-                    errors |= {int(k): v for k, v in entry["errors"].items()}
-                    renders += entry["renders"]
-        return done, errors, renders
+        if not path.is_file():
+            return
+        for line in path.read_text().splitlines():
+            with suppress(ValueError):  # a line cut off by a kill
+                self._note(json.loads(line))
+
+    def _note(self, entry: dict[str, Any]) -> None:
+        if entry["start"] in self.done:
+            return
+        self.done.add(entry["start"])
+        self.progress.points_done += entry["stop"] - entry["start"]
+        self.progress.renders += entry["renders"]
+        self.progress.errors |= {int(index): text for index, text in entry["errors"].items()}
+        for kind, found in entry["warnings"].items():
+            self.progress.warned.setdefault(kind, []).extend(found["points"])
+            self.progress.words.setdefault(kind, found["first"])
+        for side, points in entry["void"].items():
+            self.progress.void.setdefault(side, []).extend(points)
 
     def todo(self) -> Iterator[tuple[int, int]]:
         """Runs of points that are not done."""
@@ -121,7 +91,12 @@ class Store:
             "start": chunk.start,
             "stop": chunk.stop,
             "renders": chunk.renders,
-            "errors": {str(k): v[:_ERROR_LENGTH] for k, v in chunk.errors.items()},
+            "errors": {str(k): v[:_TEXT_LENGTH] for k, v in chunk.errors.items()},
+            "warnings": {
+                kind: {"points": list(said), "first": next(iter(said.values()))[:_TEXT_LENGTH]}
+                for kind, said in chunk.warnings.items()
+            },
+            "void": chunk.void,
         }
         try:
             with (self.out / "journal.jsonl").open("a") as journal:
@@ -130,9 +105,7 @@ class Store:
                 journal.write(lead + json.dumps(entry) + "\n")
         except OSError as error:
             raise self._full(error) from error
-        self.done.add(chunk.start)
-        self.errors |= chunk.errors
-        self.renders += chunk.renders
+        self._note(entry)
 
     def _full(self, error: OSError) -> InputError:
         return InputError(f"{self.out}: {error.strerror or error}; what is done stays")
@@ -155,40 +128,78 @@ class Store:
 
     def dataset(self) -> "xarray.Dataset":
         """Everything so far, labelled; points not done and points that failed are NaN."""
-        import xarray
+        attributes = {
+            name: json.dumps(self._plan[name]) for name in ("study", "versions", "inputs")
+        }
+        return dataset(self.study, self.arrays, self._plan["labels"], self.progress, attributes)
 
-        study = self.study
-        names = [axis.name for axis in study.axes] or ["point"]
-        shape = study.shape or (1,)
-        closed = study.model == "closed-form"
-        data = {}
-        for name, array in self.arrays.items():
-            unit, meaning = described(name, study.folder, closed_form=closed)
-            data[name] = (names, array.reshape(shape), {"units": unit, "long_name": meaning})
-        error = np.full(study.n_points, "", dtype=f"<U{_ERROR_LENGTH}" if self.errors else "<U1")
-        for index, text in self.errors.items():
-            error[index] = text
-        data["error"] = (names, error.reshape(shape), {"long_name": "why a point failed"})
-        coords = {}
-        for axis in study.axes:
-            for name, column in axis.columns.items():
-                known = unit_of(name)
-                values = column.astype(str) if column.dtype.kind in "USO" else column
-                coords[name] = (axis.name, values, {"units": known} if known else {})
-        plan = self._plan()
-        return xarray.Dataset(
-            data,
-            coords,
-            attrs={
-                "study": json.dumps(plan["study"]),
-                "versions": json.dumps(plan["versions"]),
-                "seed": study.seed,
-                "points": study.n_points,
-                "points_done": sum(min(self.chunk, study.n_points - s) for s in self.done),
-                "points_failed": len(self.errors),
-                "renders": self.renders,
-            },
+
+def begin(study: Study, out: Path, chunk: int, inputs: Inputs, labels: dict[str, Any]) -> Store:
+    """A sweep's folder: what is there of the same study and the same inputs, or a new one.
+
+    ``labels``: unit and meaning of each metric. Raises InputError where the folder holds another
+    study's results, those of other inputs, or something else, or where there is no room for them.
+    """
+    plan = {
+        "study": study.model_dump(mode="json", exclude={"folder"}),
+        "folder": str(study.folder),
+        "versions": versions(),
+        "inputs": dict(inputs.digests),
+        "labels": labels,
+        "chunk": chunk,
+    }
+    if (out / "study.json").is_file():
+        _check(out, _read_plan(out), plan)
+    elif out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: is not empty and holds no sweep; expected a new folder")
+    else:
+        with new_folder(out) as folder:
+            (folder / "points").mkdir()
+            for name in study.metrics:
+                _reserve(_array_file(folder, name), study.n_points)
+            (folder / "study.json").write_text(json.dumps(plan, indent=1))
+    return Store(out)
+
+
+def _check(out: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
+    """Raise InputError where a folder's points are of something else."""
+    if old["study"] != new["study"]:
+        raise InputError(
+            f"{out}: holds results of another study; expected the same, or a new folder"
         )
+    for kind, what in (("versions", "other versions of"), ("inputs", "other content of")):
+        names = old[kind].keys() | new[kind].keys()
+        if other := sorted(n for n in names if old[kind].get(n) != new[kind].get(n)):
+            raise InputError(
+                f"{out}: holds results of {what} {', '.join(other)}; expected the same, or a new "
+                "folder"
+            )
+
+
+def _read_plan(out: Path) -> dict[str, Any]:
+    path = out / "study.json"
+    try:
+        plan: dict[str, Any] = json.loads(path.read_text())
+        missing = {"study", "folder", "versions", "inputs", "labels", "chunk"} - plan.keys()
+    except (OSError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: can't be read as a sweep's ({error})") from error
+    if missing:
+        raise InputError(f"{path}: lacks {', '.join(sorted(missing))}: of an older version")
+    return plan
+
+
+def _array_file(folder: Path, metric: str) -> Path:
+    return folder / "points" / f"{metric.replace(':', '.')}.npy"
+
+
+def _reserve(path: Path, n: int) -> None:
+    """One number per point, room for all of them taken at once: a full disk is found now."""
+    array = open_memmap(path, mode="w+", dtype=np.float64, shape=(n,))
+    with path.open("r+b") as file:
+        os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+    for start in range(0, n, 2**20):
+        array[start : start + 2**20] = np.nan
+    array.flush()
 
 
 def open_sweep(out: str | Path) -> "xarray.Dataset":
@@ -201,13 +212,6 @@ def open_sweep(out: str | Path) -> "xarray.Dataset":
     out = Path(out)
     if (out / "results.zarr").is_dir():
         return xarray.open_zarr(out / "results.zarr", consolidated=False)
-    plan = out / "study.json"
-    if not plan.is_file():
+    if not (out / "study.json").is_file():
         raise InputError(f"{out}: holds no sweep")
-    content = json.loads(plan.read_text())
-    study = Study.model_validate({**content["study"], "folder": content["folder"]})
-    return Store(study, out, content["chunk"]).dataset()
-
-
-def _version(name: str) -> str:
-    return version(name)
+    return Store(out).dataset()

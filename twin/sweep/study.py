@@ -1,6 +1,5 @@
 """A study: what is varied, over which values, and what is measured of each point."""
 
-import difflib
 import math
 from collections.abc import Mapping
 from functools import cached_property
@@ -12,8 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
-from twin.sweep.names import CLOSED_FORM, RENDERED
+from twin.sweep.methods import check_methods
+from twin.sweep.names import check_metrics
 from twin.sweep.parameters import check_value, is_optical
+from twin.sweep.relevance import check_effects
 from twin.toml import Finite, Name, Strict, describe, read_toml
 
 Value = bool | int | float | str
@@ -72,12 +73,32 @@ class Study(Strict):
             lengths = {name: len(values) for name, values in together.items()}
             if len(set(lengths.values())) != 1:
                 raise ValueError(f"zip.{index}: lists of different lengths: {lengths}")
+        check_metrics(self.metrics, self.model)
+        for name, value in self.set.items():
+            check_value(name, value)
+        _ = self.axes
+        check_effects(self.model, self.parameters, self.metrics)
+        if self.model == "rendered":
+            check_methods(self.values_of("processing.method"))
         return self
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Every parameter that is set or varied."""
+        sampled = self.sample.ranges if self.sample else ()
+        return tuple(n for names in (self.set, self.grid, *self.zip, sampled) for n in names)
+
+    def values_of(self, parameter: str) -> list[Value]:
+        """Values that a parameter is given somewhere, one by one; none of what is drawn."""
+        found: list[Value] = [self.set[parameter]] if parameter in self.set else []
+        for together in (self.grid, *self.zip):
+            found += together.get(parameter, [])
+        return found
 
     @cached_property
     def axes(self) -> tuple["Axis", ...]:
         """Dimensions of the study; those that need a new render vary slowest."""
-        axes = [Axis(n, {n: _column(n, v)}) for n, v in self.grid.items()]
+        axes = [Axis(n, {n: _grid_column(n, v)}) for n, v in self.grid.items()]
         axes += [
             Axis(f"zip_{i}", {n: _column(n, v) for n, v in together.items()})
             for i, together in enumerate(self.zip)
@@ -145,8 +166,6 @@ def load_study(path: str | Path) -> Study:
         raise InputError(f"{path}: folder: is no field of a study")
     try:
         study = Study.model_validate({**content, "folder": path.resolve().parent})
-        _ = study.axes, {name: check_value(name, value) for name, value in study.set.items()}
-        _check_metrics(study)
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
     except ValueError as error:
@@ -154,21 +173,23 @@ def load_study(path: str | Path) -> Study:
     return study
 
 
-def _check_metrics(study: Study) -> None:
-    known = RENDERED if study.model == "rendered" else CLOSED_FORM
-    for name in study.metrics:
-        if ":" in name and study.model == "rendered":
-            continue
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(known)}"
-            raise ValueError(f"metrics: {name!r} is unknown{hint}")
-    if len(set(study.metrics)) != len(study.metrics):
-        raise ValueError("metrics: a name stands twice")
-
-
 def _column(name: str, values: list[Value]) -> NDArray[Any]:
-    column = np.array([check_value(name, value) for value in values])
+    """Values of one parameter, all of a kind."""
+    checked = [check_value(name, value) for value in values]
+    kinds = sorted({_kind(value) for value in checked})
+    if len(kinds) > 1:
+        raise ValueError(f"{name}: holds {' and '.join(kinds)}, expected values of one kind")
+    return np.array(checked)
+
+
+def _kind(value: Value) -> str:
+    if isinstance(value, str):
+        return "text"
+    return "true or false" if isinstance(value, bool) else "numbers"
+
+
+def _grid_column(name: str, values: list[Value]) -> NDArray[Any]:
+    column = _column(name, values)
     if len(set(column.tolist())) != len(column):
         raise ValueError(f"{name}: a value stands twice")
     return column

@@ -58,13 +58,17 @@ class Pattern:
         return float(np.sum(ends + slope * np.diff(np.sin(theta))) / (4 * np.pi))
 
 
-@lru_cache(maxsize=16)
 def read_pattern(path: Path) -> Pattern:
     """Pattern of a file. Raises InputError naming the file, and the line where there is one."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: can't be read as text ({error})") from error
+    return _pattern(path, text)
+
+
+@lru_cache(maxsize=16)
+def _pattern(path: Path, text: str) -> Pattern:
     return (_planet if path.suffix.lower() in (".msi", ".pln") else _table)(text, path)
 
 

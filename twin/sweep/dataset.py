@@ -1,0 +1,125 @@
+"""Results of a sweep, labelled: metrics over the study's dimensions, with what was said of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.sweep.names import CLOSED_FORM, RENDERED, is_own
+from twin.sweep.parameters import unit_of
+from twin.sweep.study import Study
+
+if TYPE_CHECKING:
+    import xarray
+
+#: Of the columns that say what points are worth nothing.
+VOID = {"camera": "void", "radar": "radar_void"}
+
+
+@dataclass
+class Progress:
+    """What is known of the points that are done, beside their numbers.
+
+    ``errors``: why points failed. ``warned``: by kind, points that a warning was given of, and in
+    ``words`` the first of them. ``void``: by ``camera`` and ``radar``, points whose record is void.
+    """
+
+    points_done: int = 0
+    renders: int = 0
+    errors: dict[int, str] = field(default_factory=dict)
+    warned: dict[str, list[int]] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
+    void: dict[str, list[int]] = field(default_factory=dict)
+
+
+def labels(study: Study, own: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Unit and meaning of each metric; ``own``: a user's own functions by name, which say theirs by
+    an attribute ``unit`` and the first line of their docstring.
+    """
+    known = CLOSED_FORM if study.model == "closed-form" else RENDERED
+    found = {
+        name: (known[name].unit, known[name].meaning) for name in study.metrics if name in known
+    }
+    for name, function in own.items():
+        meaning = (function.__doc__ or name).strip().splitlines()[0]
+        found[name] = getattr(function, "unit", "1"), meaning
+    return found
+
+
+def dataset(
+    study: Study,
+    arrays: Mapping[str, NDArray[np.float64]],
+    labels: Mapping[str, tuple[str, str]],
+    progress: Progress,
+    attributes: Mapping[str, str],
+) -> "xarray.Dataset":
+    """Everything so far; points not done and points that failed are NaN.
+
+    ``void`` and ``radar_void`` mark points whose record holds nothing that the metric could be of,
+    ``warned.KIND`` those that a warning of that kind was given of.
+    """
+    import xarray
+
+    names, shape = [axis.name for axis in study.axes] or ["point"], study.shape or (1,)
+
+    def marked(points: list[int]) -> NDArray[np.bool_]:
+        flags = np.zeros(study.n_points, dtype=np.bool_)
+        flags[points] = True
+        return flags.reshape(shape)
+
+    data: dict[str, Any] = {}
+    for name, array in arrays.items():
+        unit, meaning = labels[name]
+        marks = {"units": unit, "long_name": meaning, "void": " ".join(_void_columns(study, name))}
+        data[name] = (names, array.reshape(shape), marks)
+    length = max((len(text) for text in progress.errors.values()), default=1)
+    error = np.full(study.n_points, "", dtype=f"<U{length}")
+    for index, text in progress.errors.items():
+        error[index] = text
+    data["error"] = (names, error.reshape(shape), {"long_name": "why a point failed"})
+    if study.model == "rendered":
+        for side, name in VOID.items():
+            marks = {"long_name": f"the {side}'s record is void"}
+            data[name] = (names, marked(progress.void.get(side, [])), marks)
+    for kind, points in sorted(progress.warned.items()):
+        marks = {"long_name": f"warned: {kind}", "first": progress.words[kind]}
+        data[f"warned.{kind}"] = (names, marked(points), marks)
+    coords = {}
+    for axis in study.axes:
+        for name, column in axis.columns.items():
+            axis_unit = unit_of(name)
+            told = column.astype(str) if column.dtype.kind in "USO" else column
+            coords[name] = (axis.name, told, {"units": axis_unit} if axis_unit else {})
+    counts = {
+        "seed": study.seed,
+        "points": study.n_points,
+        "points_done": progress.points_done,
+        "points_failed": len(progress.errors),
+        "points_void": len({i for points in progress.void.values() for i in points}),
+        "renders": progress.renders,
+    }
+    return xarray.Dataset(data, coords, attrs={**attributes, **counts})
+
+
+def _void_columns(study: Study, metric: str) -> list[str]:
+    """Columns that say where a metric means nothing; a user's own may be of both devices."""
+    if study.model == "closed-form":
+        return []
+    if is_own(metric):
+        return list(VOID.values())
+    return [VOID["radar" if RENDERED[metric].of_radar else "camera"]]
+
+
+def metrics_of(data: "xarray.Dataset") -> list[str]:
+    """Names of what was measured."""
+    return [str(name) for name, column in data.data_vars.items() if "void" in column.attrs]
+
+
+def usable(data: "xarray.Dataset", metric: str) -> "xarray.DataArray":
+    """A metric without the points whose record is void: NaN there."""
+    values = data[metric]
+    for column in values.attrs["void"].split():
+        values = values.where(~data[column])
+    return values.assign_attrs(data[metric].attrs)

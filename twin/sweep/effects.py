@@ -1,0 +1,71 @@
+"""Faults of a whole study: found before its first point, and parameters that moved nothing."""
+
+from collections.abc import Hashable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.files import InputError
+from twin.sweep.closed_form import closed_form
+from twin.sweep.dataset import metrics_of
+from twin.sweep.inputs import ChangedError, Inputs
+from twin.sweep.setup import setup
+from twin.sweep.study import Study
+
+if TYPE_CHECKING:
+    import xarray
+
+_MOST_TRIED = 4096
+
+
+def check_points(study: Study, inputs: Inputs) -> None:
+    """A fault of the whole study, before any work: raise InputError where no point can be set up,
+    or a parameter of the sun is overruled in all of them.
+
+    One point that can be set up is enough: another that can't becomes a row with its error.
+    """
+    first: Exception | None = None
+    n, most = study.n_points, min(study.n_points, _MOST_TRIED)
+    for index in np.linspace(0, n - 1, most).astype(int).tolist():
+        try:
+            _try(study, index, inputs)
+            break
+        except ChangedError:
+            raise
+        except Exception as error:
+            first = first or error
+    else:
+        which = "no point" if most == n else f"none of {most} points"
+        raise InputError(f"{study.name}: {which} can be set up: {first}") from first
+    lux = "scene.sun.illuminance_lx"
+    if lux in study.parameters and all(
+        inputs.get("system", str(name)).sky is not None
+        for name in study.values_of("system") or [study.system]
+    ):
+        raise InputError(
+            f"{lux}: has no effect here; the system has a sky of its own: system.sky.illuminance_lx"
+        )
+
+
+def _try(study: Study, index: int, inputs: Inputs) -> None:
+    if study.model == "closed-form":
+        closed_form(study, study.columns(index, index + 1), inputs)
+    else:
+        setup(study, study.point(index), inputs)
+
+
+def without_effect(data: "xarray.Dataset") -> Iterator[str]:
+    """Parameters along whose dimension no metric changes, bit for bit, in any point."""
+    metrics = metrics_of(data)
+    for name in data.coords:
+        (dimension,) = data[name].dims
+        if data.sizes[dimension] > 1 and not any(
+            _changes(data[metric], dimension) for metric in metrics
+        ):
+            yield str(name)
+
+
+def _changes(values: "xarray.DataArray", dimension: Hashable) -> bool:
+    along = np.moveaxis(values.to_numpy(), values.dims.index(dimension), 0)
+    same = (along == along[0]) | (np.isnan(along) & np.isnan(along[0]))
+    return not same.all()

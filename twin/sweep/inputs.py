@@ -1,0 +1,190 @@
+"""What points depend on beside the study itself: scenes, designs, files, own code, by content.
+
+A study names its inputs; what it computes from them is held by the digest of their content. So a
+result is of one content only, in a folder that is resumed, and in a worker that lives long.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, TypeVar
+
+import hardware
+import twin
+from twin.digest import digest, source_digest
+from twin.files import InputError
+from twin.radar.device.design import load_radar
+from twin.scene import load_scene
+from twin.sweep.methods import method_digest
+from twin.sweep.modules import own_metric
+from twin.sweep.names import is_own, needs_radar
+from twin.sweep.study import Study
+from twin.system import load_part, load_system
+
+T = TypeVar("T")
+
+#: Rooms of the twin that no point goes through.
+_OUTSIDE = ("cli.py", "commands", "regression", "report", "serve", "trade")
+_SOURCE = "source of twin and hardware"
+
+
+class Held:
+    """The last few results by key, and how many were made."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._items: OrderedDict[Any, Any] = OrderedDict()
+        self.made = 0
+
+    def get(self, key: Any, make: Callable[[], T]) -> T:
+        """The result of this key, made where there is none."""
+        if key not in self._items:
+            self._items[key] = make()
+            self.made += 1
+            if len(self._items) > self._most:
+                self._items.popitem(last=False)
+        self._items.move_to_end(key)
+        found: T = self._items[key]
+        return found
+
+
+_loaded: OrderedDict[tuple[str, str, Path], tuple[str, Any]] = OrderedDict()
+_MOST_LOADED = 64
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Digests of a study's inputs, by kind and name: ``scene yard``, ``system mine.toml``.
+
+    Small enough to travel with every task; a worker reads each input itself, and holds it against
+    its digest.
+    """
+
+    folder: Path
+    digests: Mapping[str, str]
+
+    @cached_property
+    def stamp(self) -> str:
+        """One digest of them all: the key of whatever is computed from them."""
+        return digest(self.digests)
+
+    def get(self, kind: str, name: str) -> Any:
+        """An input as it was when the sweep began.
+
+        Raises InputError where it can't be read, or is another one by now.
+        """
+        expected = self.digests[f"{kind} {name}"]
+        found, content = _loaded.get((kind, name, self.folder), ("", None))
+        if found != expected:
+            found, content = _load(kind, name, self.folder)
+        if found != expected:
+            raise ChangedError(
+                f"{kind} {name}: has changed since this sweep began, or is another one on this "
+                "worker; expected the same everywhere, throughout"
+            )
+        if isinstance(content, InputError):
+            raise content
+        return content
+
+    def check(self) -> None:
+        """Raise `ChangedError` where an input is not, or no longer, what it was: files of curves
+        are read while points are computed, so this is asked afterwards.
+        """
+        for key, expected in self.digests.items():
+            kind, _, name = key.partition(" ")
+            if key == _SOURCE:
+                if _source() != expected:
+                    raise ChangedError(f"{_SOURCE}: is another one on this worker; start it anew")
+            elif kind == "method":
+                if method_digest(name) != expected:
+                    raise ChangedError(f"{key}: is another one on this worker; start it anew")
+            elif kind in ("system", "radar", "part", "file"):
+                held, content = _loaded.get((kind, name, self.folder), ("", None))
+                if held == expected and _digest(content) != expected:
+                    raise ChangedError(f"{key}: a file of it has changed since this sweep began")
+
+
+class ChangedError(InputError):
+    """An input is not what it was when the sweep began."""
+
+
+def inputs_of(study: Study) -> Inputs:
+    """Inputs of a study as they are now, read anew."""
+    digests = {f"{kind} {name}": _now(kind, name, study.folder) for kind, name in _named(study)}
+    return Inputs(study.folder, {_SOURCE: _source(), **digests})
+
+
+def _now(kind: str, name: str, folder: Path) -> str:
+    return method_digest(name) if kind == "method" else _load(kind, name, folder)[0]
+
+
+def _named(study: Study) -> Iterator[tuple[str, str]]:
+    """Every input by kind and name."""
+    rendered = study.model == "rendered"
+    roots = {"system": study.system}
+    if rendered:
+        roots["scene"] = study.scene
+    if needs_radar(study.metrics):
+        roots["radar"] = study.radar
+    for root, base in roots.items():
+        for name in dict.fromkeys([base, *study.values_of(root)]):
+            yield root, str(name)
+    for parameter in study.parameters:
+        for kind, end in (("part", ".part"), ("file", "_csv"), ("file", "_file")):
+            if parameter.endswith(end):
+                for name in dict.fromkeys(study.values_of(parameter)):
+                    yield kind, str(name)
+    if rendered:
+        for name in dict.fromkeys(study.values_of("processing.method")):
+            yield "method", str(name)
+        for name in filter(is_own, study.metrics):
+            yield "metric", name
+
+
+def beside(name: str, folder: Path) -> str | Path:
+    """A file or folder beside the study where there is one, else the name as it stands."""
+    return folder / name if name and (folder / name).exists() else name
+
+
+def _load(kind: str, name: str, folder: Path) -> tuple[str, Any]:
+    """Digest and content; of what can't be read the InputError that says so."""
+    try:
+        content = _READERS[kind](name, folder)
+        found = content[0] if kind == "metric" else _digest(content)
+        content = content[1] if kind == "metric" else content
+    except (InputError, OSError) as error:
+        content = error if isinstance(error, InputError) else InputError(str(error))
+        found = _digest(content)
+    _loaded[kind, name, folder] = found, content
+    _loaded.move_to_end((kind, name, folder))
+    if len(_loaded) > _MOST_LOADED:
+        _loaded.popitem(last=False)
+    return found, content
+
+
+_READERS: dict[str, Callable[[str, Path], Any]] = {
+    "scene": lambda name, folder: load_scene(beside(name, folder)),
+    "system": lambda name, folder: load_system(beside(name, folder)),
+    "radar": lambda name, folder: load_radar(beside(name, folder)),
+    "part": lambda name, folder: load_part(str(beside(name, folder))),
+    "file": lambda name, folder: Path(beside(name, folder)),
+    "metric": own_metric,
+}
+
+
+def _digest(content: Any) -> str:
+    """Of what was read; files of curves and patterns are read now."""
+    if isinstance(content, InputError):
+        return digest(str(content))
+    if isinstance(content, Path):
+        return sha256(content.read_bytes()).hexdigest()
+    return digest(content)
+
+
+def _source() -> str:
+    root = Path(twin.__file__).parent
+    outside = tuple(root / name for name in _OUTSIDE)
+    return source_digest(root, Path(hardware.__file__).parent, without=outside)
