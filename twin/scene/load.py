@@ -220,13 +220,16 @@ class _Materials:
         self.table = {_FALLBACK: bundled[_FALLBACK], **load_materials(table_path)}
         self.strict = strict
         self.used: dict[str, None] = {}
-        self.own: dict[str, None] = {}
-        self.defaulted: dict[str, None] = {}
+        self.own: dict[str, list[str]] = {}
+        self.left_out: dict[str, list[str]] = {}
+        self.defaulted: dict[str, list[str]] = {}
         self.overruled: dict[str, None] = {}
 
     def of(self, shape: xml.Shape) -> tuple[str, Reflectance]:
         surface = shape.surface
         given = self._checked(shape)
+        for what in surface.left_out:
+            self.left_out.setdefault(what, []).append(shape.name)
         row = row_of(surface.radio_type or surface.id, self.table)
         if row is not None:
             self.used[row] = None
@@ -243,9 +246,10 @@ class _Materials:
                 f"{self.table_path}; known: {', '.join(self.table)}"
             )
         if given is not None:
-            self.own[name] = None
+            told = "an image" if isinstance(given, Texture) else f"{given:g}"
+            self.own.setdefault(f"{name}, {told}", []).append(shape.name)
             return _FALLBACK, given
-        self.defaulted[f"{name} ({surface.plugin})"] = None
+        self.defaulted.setdefault(f"{name}, {surface.plugin}", []).append(shape.name)
         return _FALLBACK, self.table[_FALLBACK].optical.reflectance.value
 
     def _checked(self, shape: xml.Shape) -> Reflectance | None:
@@ -275,16 +279,24 @@ class _Materials:
         found = []
         if self.own:
             found.append(
-                f"materials not in the table, reflectance taken from the XML: {_list(self.own)}"
+                f"materials not in the table, reflectance taken from the XML: {_by_object(self.own)}"
             )
         if self.overruled:
             found.append(f"the table of materials holds: {_list(self.overruled)}")
         if self.defaulted:
             value = self.table[_FALLBACK].optical.reflectance.value
             found.append(
-                f"materials without a reflectance, defaulted to {value:g}: {_list(self.defaulted)}"
+                f"materials without a reflectance, defaulted to {value:g}: "
+                f"{_by_object(self.defaulted)}"
             )
+        if self.left_out:
+            found.append(f"surfaces simplified: {_by_object(self.left_out)}")
         return found
+
+
+def _by_object(found: dict[str, list[str]]) -> str:
+    """What was found, each with the objects it holds for."""
+    return "; ".join(f"{what} ({', '.join(names)})" for what, names in found.items())
 
 
 def _list(names: "dict[str, None] | tuple[str, ...]") -> str:

@@ -5,7 +5,7 @@ Transforms come in float64. Nothing is loaded or rendered here, so a broken scen
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,24 @@ from twin.files import InputError
 from twin.scene.texture import Reflectance, Texture
 
 _WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
+_LAMBERTIAN = ("diffuse", "itu-radio-material", "radio-material", "none")
+_LOBES = ("metallic", "roughness", "alpha", "specular", "spec_trans", "clearcoat", "material")
 _REFLECTANCES = ("reflectance", "diffuse_reflectance", "base_color", "color")
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A BSDF: its id, plugin, and the reflectance the XML itself gives (number, image or None)."""
+    """A BSDF: its id, plugin, and the reflectance the XML itself gives (number, image or None).
+
+    ``left_out``: what of it a Lambertian, opaque, flat surface does not hold, in words.
+    """
 
     id: str
     plugin: str
     reflectance: Reflectance | None = None
     radio_type: str | None = None
     to_uv: NDArray[np.float64] | None = None
+    left_out: tuple[str, ...] = ()
 
     def placed(self, uv: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
         """Texture coordinates (n, 2) of a mesh as the texture's own transform moves them.
@@ -140,20 +146,51 @@ class _Reader:
     def _surface(self, node: Any) -> Surface:
         """The BSDF under its wrappers; the outermost id that the author gave is its name."""
         name = node.props.id()
+        left_out = []
         while node.props.plugin_name() in _WRAPPERS:
+            left_out += self._left_out(node)
             inner = [n for n in self._children(node) if n.type == self.types.BSDF]
             if not inner:
                 break
             node = inner[0]
             name = name or node.props.id()
         plugin = node.props.plugin_name()
+        surface = Surface(name, plugin, left_out=(*left_out, *self._left_out(node)))
         if plugin == "itu-radio-material":
-            return Surface(name, plugin, radio_type=str(node.props["type"]))
+            return replace(surface, radio_type=str(node.props["type"]))
         for key in _REFLECTANCES:
             if key in node.props:
                 value = node.props[key]
-                return Surface(name, plugin, self._reflectance(value), None, self._to_uv(value))
-        return Surface(name, plugin)
+                return replace(
+                    surface, reflectance=self._reflectance(value), to_uv=self._to_uv(value)
+                )
+        return surface
+
+    def _left_out(self, node: Any) -> list[str]:
+        plugin = node.props.plugin_name()
+        if plugin in ("bumpmap", "normalmap"):
+            return [f"{plugin}: taken as flat"]
+        if plugin == "mask":
+            opacity = self._number(node, "opacity")
+            return [] if opacity == "1" else [f"mask, opacity {opacity or 0.5}: taken as opaque"]
+        if plugin in (*_WRAPPERS, *_LAMBERTIAN):
+            return []
+        lobes = [f"{key} {value}" for key in _LOBES if (value := self._number(node, key))]
+        return [f"{', '.join([plugin, *lobes])}: taken as Lambertian"]
+
+    def _number(self, node: Any, key: str) -> str | None:
+        """A property in words: its number, or that it is an image."""
+        if key not in node.props:
+            return None
+        value = node.props[key]
+        if isinstance(value, str):
+            return value
+        if type(value).__name__ == "ResolvedReference" and (
+            self.state.nodes[value.index()].props.plugin_name() == "bitmap"
+        ):
+            return "of an image"
+        found = self._reflectance(value)
+        return f"{found:g}" if isinstance(found, float) else str(value)
 
     def _to_uv(self, value: Any) -> NDArray[np.float64] | None:
         if type(value).__name__ != "ResolvedReference":

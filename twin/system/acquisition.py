@@ -1,13 +1,15 @@
 """What is shown, for how long, and when the detector is sensitive."""
 
 import math
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from hardware.patterns import Mode, Order
+from hardware.patterns import Order
 from twin.toml import Count, Fraction, NonNegative, Positive, Sourced, Strict
 
+#: Of `hardware.patterns.Mode` what one detector can measure: complementary takes two.
+Mode = Literal["differential", "plain", "reference", "s-matrix"]
 #: The record's clock counts ns.
 Duration = Annotated[Positive, Field(ge=1e-9, le=1e3)]
 

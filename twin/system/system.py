@@ -38,8 +38,6 @@ class System(Entry):
             places = {"count": "n_patterns", "subset": "order", "mode": "mode"}
             place = f"acquisition.{places[field]}" if field in places else f"emitter.{field}"
             raise ValueError(f"{place}:{rest}") from None
-        if self.patterns.n_arms > 1:
-            raise ValueError("acquisition.mode: 'complementary' needs two detectors, has one")
         return self
 
     @model_validator(mode="after")
