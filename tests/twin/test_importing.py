@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from twin.fidelity import Fidelity
 from twin.files import InputError
@@ -121,3 +122,101 @@ def test_names_that_collide_all_survive(tmp_path: Path) -> None:
     loaded = load_scene(tmp_path / "scene")
     assert len(loaded.objects) == 4
     assert loaded.description == 'imported from a "b".glb'
+
+
+def half_white(name: str, **given) -> trimesh.Trimesh:
+    """A square in the x-y plane whose picture is white above and black below."""
+    picture = np.zeros((8, 8, 3), np.uint8)
+    picture[:4] = 255
+    material = trimesh.visual.material.PBRMaterial(
+        name=name, baseColorTexture=Image.fromarray(picture), **given
+    )
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    drawn = trimesh.visual.TextureVisuals(uv=corners[:, :2], material=material)
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False, visual=drawn)
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj"])
+def test_a_picture_is_a_reflectance_when_asked(tmp_path: Path, suffix: str) -> None:
+    """The right way up, times the material's colour of linear light, which OBJ leaves out."""
+    from twin.camera.acquisition import capture
+    from twin.system import load_system
+
+    colour = {"baseColorFactor": [0.5, 0.5, 0.5, 1.0]} if suffix == "glb" else {}
+    half_white("Concrete.001", **colour).export(tmp_path / f"wall.{suffix}")
+    notes = import_model(
+        tmp_path / f"wall.{suffix}", tmp_path / "scene", up="y", texture_as_reflectance=True
+    )
+    assert "picture of visible light textures/concrete.png taken as reflectance" in "\n".join(notes)
+    (wall,) = load_scene(tmp_path / "scene").objects
+    assert wall.material == "concrete"
+    fine = Fidelity(4, 1)
+    albedo = capture(
+        load_scene(tmp_path / "scene"), load_system("workable"), fidelity=fine
+    ).truth.albedo
+    white = 0.5 if suffix == "glb" else 1.0
+    assert albedo.max() == pytest.approx(white, abs=0.01)
+    # The picture repeats: at its lower border the upper one is mixed in.
+    rows = np.flatnonzero((albedo > 0.6 * white).any(axis=1))
+    assert 20 < len(rows) < 30
+    assert rows.max() <= len(albedo) // 2
+
+
+def test_a_picture_is_kept_and_the_tables_value_holds_unless_asked(tmp_path: Path) -> None:
+    half_white("Concrete.001").export(tmp_path / "wall.glb")
+    notes = "\n".join(import_model(tmp_path / "wall.glb", tmp_path / "scene"))
+    assert "'Concrete.001' is row 'concrete'" in notes
+    assert "textures/concrete.png kept, not used; --texture-as-reflectance" in notes
+    assert np.asarray(Image.open(tmp_path / "scene" / "textures" / "concrete.png"))[0, 0, 0] == 255
+    (wall,) = load_scene(tmp_path / "scene").objects
+    assert wall.reflectance == pytest.approx(0.36)
+    # v runs down the picture, as Mitsuba looks it up.
+    up = wall.vertices_m[:, 2] > 0.5
+    np.testing.assert_allclose(wall.uv[:, 1], np.where(up, 0.0, 1.0), atol=1e-6)
+
+
+def test_every_material_and_colour_is_told(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    for i, (name, given) in enumerate(
+        [
+            ("Painted Steel", {"baseColorFactor": [0.2, 0.4, 0.6, 1.0], "metallicFactor": 1.0}),
+            ("Unobtainium", {"baseColorFactor": [1.0, 1.0, 1.0, 0.25], "alphaMode": "BLEND"}),
+        ]
+    ):
+        box = trimesh.creation.box((1, 1, 1))
+        box.apply_translation([0, 0, 2.0 * i])
+        material = trimesh.visual.material.PBRMaterial(name=name, **given)
+        box.visual = trimesh.visual.TextureVisuals(uv=np.zeros((8, 2)), material=material)
+        scene.add_geometry(box, node_name=f"part{i}")
+    scene.export(tmp_path / "two.glb")
+    notes = "\n".join(import_model(tmp_path / "two.glb", tmp_path / "scene", material="wood"))
+    materials = {o.name: o.material for o in load_scene(tmp_path / "scene").objects}
+    assert materials == {"part0": "painted_steel", "part1": "wood"}
+    assert "'Unobtainium' is not in the materials table, 'wood' taken (part1)" in notes
+    assert "visible colour 0.2, 0.4, 0.6 left out" in notes
+    assert "metallic 1: taken as Lambertian (part0)" in notes
+    assert "transparency: taken as opaque (part1)" in notes
+
+
+def test_surfaces_that_are_simplified_are_told_object_by_object(tmp_path: Path) -> None:
+    """A principled metal, a mask, a conductor; a plain diffuse surface is not simplified."""
+    (tmp_path / "odd.xml").write_text(
+        """<scene version="3.0.0"><integrator type="path"/>
+        <shape type="cube" id="hood"><bsdf type="principled" id="chrome">
+          <rgb name="base_color" value="0.27, 0.27, 0.27"/><float name="metallic" value="1"/></bsdf></shape>
+        <shape type="sphere" id="fence"><transform name="to_world"><translate value="5,0,0"/></transform>
+          <bsdf type="mask" id="net"><float name="opacity" value="0.3"/>
+          <bsdf type="diffuse"><spectrum name="reflectance" value="0.6"/></bsdf></bsdf></shape>
+        <shape type="sphere" id="ball"><transform name="to_world"><translate value="5,5,0"/></transform>
+          <bsdf type="roughconductor" id="al"><string name="material" value="Al"/></bsdf></shape>
+        <shape type="sphere" id="plain"><transform name="to_world"><translate value="0,5,0"/></transform>
+          <bsdf type="diffuse" id="mine"><spectrum name="reflectance" value="0.6"/></bsdf></shape>
+        </scene>"""  # noqa: E501
+    )
+    warnings = "\n".join(load_scene(tmp_path / "odd.xml").warnings)
+    assert "principled, metallic 1: taken as Lambertian (hood)" in warnings
+    assert "mask, opacity 0.3: taken as opaque (fence)" in warnings
+    assert "roughconductor, material Al: taken as Lambertian (ball)" in warnings
+    assert "chrome, 0.27 (hood)" in warnings
+    assert "simplified: " in warnings
+    assert "(plain)" not in warnings.split("simplified: ")[1]

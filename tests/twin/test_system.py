@@ -179,6 +179,13 @@ def test_line_sensors_that_do_not_fit(tmp_path: Path, text: str, expected: str) 
         load_system(write(tmp_path, f'base = "line-256x16"\n{text}\n'))
 
 
+def test_the_schema_offers_what_a_system_takes() -> None:
+    """Complementary sets need two detectors, and a system has one."""
+    text = json.dumps(System.model_json_schema())
+    assert '"s-matrix"' in text
+    assert "complementary" not in text
+
+
 def test_schemas_know_every_section() -> None:
     """What an editor checks against: sections, required fields, allowed words."""
     text = json.dumps(System.model_json_schema())

@@ -114,12 +114,29 @@ def import_(
     up: Annotated[
         str | None, typer.Option(help="The model's up axis, y or z; default y for glTF, z else.")
     ] = None,
-    material: Annotated[str, typer.Option(help="Row of materials.toml for all parts.")] = "generic",
+    material: Annotated[
+        str,
+        typer.Option(help="Row of materials.toml for parts whose own material is none."),
+    ] = "generic",
+    texture_as_reflectance: Annotated[
+        bool,
+        typer.Option(
+            "--texture-as-reflectance", help="Take visible pictures as reflectance at 1550 nm."
+        ),
+    ] = False,
 ) -> None:
     """Turn a model file into a scene folder."""
     from twin.scene.importing import import_model
 
-    for note in import_model(model, folder, scale=scale, up=up, material=material):
+    notes = import_model(
+        model,
+        folder,
+        scale=scale,
+        up=up,
+        material=material,
+        texture_as_reflectance=texture_as_reflectance,
+    )
+    for note in notes:
         print(f"note: {note}")
     print(f"scene: {folder}")
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.files import InputError, whole_folder
+from twin.scene.appearance import Surfaces, appearance_of, texture_coordinates
 from twin.scene.materials import find_materials, load_materials
 from twin.scene.meshes import Mesh, load_quietly, validate
 from twin.scene.model import Array
@@ -26,8 +27,12 @@ def import_model(
     scale: float = 1.0,
     up: str | None = None,
     material: str = "generic",
+    texture_as_reflectance: bool = False,
 ) -> list[str]:
-    """Write ``scene.xml``, ``scene.toml`` and ``meshes/*.ply`` for a model.
+    """Write ``scene.xml``, ``scene.toml``, ``meshes/*.ply`` and ``textures/*.png`` for a model.
+
+    A material whose name is a row of the materials table (``Concrete.001`` is ``concrete``) is that
+    row. Texture coordinates and pictures are kept.
 
     Parameters
     ----------
@@ -41,7 +46,9 @@ def import_model(
         The model's up axis, ``y`` or ``z``; default y for glTF, z else. With y up, the model's +z
         becomes x forward.
     material
-        Row of the materials table for every part: a model's colours say nothing about 1550 nm.
+        Row of the materials table for parts whose own material is none of its rows.
+    texture_as_reflectance
+        Take pictures of visible light as the reflectance at 1550 nm, about which they say nothing.
 
     Returns
     -------
@@ -55,9 +62,11 @@ def import_model(
     loaded = load_quietly(model, trimesh.load_scene)
     axis = up or _UP.get(model.suffix.lower(), "z")
     place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
-    parts, notes = _parts(loaded, model, place, reserved=material)
-    low = np.min([part.vertices.min(axis=0) for part in parts.values()], axis=0)
-    high = np.max([part.vertices.max(axis=0) for part in parts.values()], axis=0)
+    table = load_materials(find_materials(folder))
+    surfaces = Surfaces(table, material, texture_as_reflectance)
+    parts, notes = _parts(loaded, model, place, surfaces)
+    low = np.min([part.vertices.min(axis=0) for part, _ in parts.values()], axis=0)
+    high = np.max([part.vertices.max(axis=0) for part, _ in parts.values()], axis=0)
     if (high - low).max() > _LARGEST_M:
         raise InputError(
             f"{model}: measures {(high - low).max():.3g} m, expected at most {_LARGEST_M:g} m"
@@ -66,15 +75,17 @@ def import_model(
     origin = np.round((low + high) / 2) if np.abs([low, high]).max() > 1e3 else np.zeros(3)
     with whole_folder(folder) as partial:
         (partial / "meshes").mkdir()
-        for name, part in parts.items():
-            mesh = trimesh.Trimesh(part.vertices - origin, part.faces, process=False)
+        for name, (part, _) in parts.items():
+            drawn = None if part.uv is None else trimesh.visual.TextureVisuals(uv=part.uv)
+            mesh = trimesh.Trimesh(part.vertices - origin, part.faces, process=False, visual=drawn)
             mesh.export(partial / "meshes" / f"{name}.ply")
-        reflectance = load_materials(find_materials(folder))[material].optical.reflectance.value
-        (partial / "scene.xml").write_text(_xml(list(parts), material, reflectance, origin))
+        surfaces.write_pictures(partial)
+        bsdfs = {name: bsdf for name, (_, bsdf) in parts.items()}
+        (partial / "scene.xml").write_text(_xml(bsdfs, surfaces.xml(), origin))
         (partial / "scene.toml").write_text(_toml(model, low, high))
     size = ", ".join(f"{s:.3g}" for s in high - low)
     notes.append(f"{axis} taken as up, {scale:g} m per unit: the scene measures {size} m")
-    notes.append(f"material {material!r} for every part: set the right rows in scene.xml")
+    notes += surfaces.notes()
     notes.append("rig placed in front of the model, looking at it: see scene.toml")
     return notes
 
@@ -97,13 +108,12 @@ def _check(model: Path, folder: Path, scale: float, up: str | None, material: st
 
 
 def _parts(
-    loaded: Any, model: Path, place: Array, reserved: str
-) -> tuple[dict[str, Mesh], list[str]]:
-    """Every mesh of the model in scene coordinates, by a name that is good for a file.
-
-    ``reserved`` is the material's id: ids are unique in a file.
+    loaded: Any, model: Path, place: Array, surfaces: Surfaces
+) -> tuple[dict[str, tuple[Mesh, str]], list[str]]:
+    """Every mesh of the model in scene coordinates with the id of its BSDF, by a name that is good
+    for a file and is no id of a BSDF: ids are unique in a file.
     """
-    parts: dict[str, Mesh] = {}
+    parts: dict[str, tuple[Mesh, str]] = {}
     skipped = 0
     for node in loaded.graph.nodes_geometry:
         matrix, geometry = loaded.graph[node]
@@ -114,17 +124,20 @@ def _parts(
         plain = re.sub(r"[^\w-]+", "_", str(node)).strip("_")[:60] or "part"
         free = (f"{plain}-{number}" for number in count(2))
         name = plain
-        while name in parts or name == reserved:
+        while name in parts or name in surfaces.table:
             name = next(free)
-        raw = Mesh(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64))
+        uv = texture_coordinates(mesh.visual, len(mesh.vertices))
+        raw = Mesh(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64), uv)
         where = f"{model}: part {node!r}"
-        parts[name] = validate(validate(raw, where).transformed(place @ matrix), where)
+        placed = validate(validate(raw, where).transformed(place @ matrix), where)
+        parts[name] = placed, surfaces.bsdf(appearance_of(mesh.visual), name, uv is not None)
     if not parts:
         raise InputError(f"{model}: has no faces")
     return parts, [f"{skipped} parts without faces left out"] if skipped else []
 
 
-def _xml(names: list[str], material: str, reflectance: float, origin: Array) -> str:
+def _xml(bsdfs: dict[str, str], surfaces: str, origin: Array) -> str:
+    """``bsdfs``: id of each shape's BSDF; ``surfaces``: their elements."""
     x, y, z = (repr(float(v)) for v in origin)
     moved = f'        <transform name="to_world"><translate value="{x}, {y}, {z}"/></transform>\n'
     shapes = "\n".join(
@@ -132,21 +145,11 @@ def _xml(names: list[str], material: str, reflectance: float, origin: Array) -> 
         f'        <string name="filename" value="meshes/{name}.ply"/>\n'
         f'        <boolean name="face_normals" value="true"/>\n'
         f"{moved if origin.any() else ''}"
-        f'        <ref id="{material}"/>\n'
+        f'        <ref id="{bsdf}"/>\n'
         f"    </shape>"
-        for name in names
+        for name, bsdf in bsdfs.items()
     )
-    return (
-        '<scene version="3.0.0">\n'
-        '    <integrator type="path"/>\n'
-        f'    <bsdf type="twosided" id="{material}">\n'
-        '        <bsdf type="diffuse">\n'
-        f'            <spectrum name="reflectance" value="{reflectance:g}"/>\n'
-        "        </bsdf>\n"
-        "    </bsdf>\n"
-        f"{shapes}\n"
-        "</scene>\n"
-    )
+    return f'<scene version="3.0.0">\n    <integrator type="path"/>\n{surfaces}{shapes}\n</scene>\n'
 
 
 def _toml(model: Path, low: Array, high: Array) -> str:

@@ -279,7 +279,8 @@ class _Materials:
         found = []
         if self.own:
             found.append(
-                f"materials not in the table, reflectance taken from the XML: {_by_object(self.own)}"
+                "materials not in the table, reflectance taken from the XML: "
+                f"{_by_object(self.own)}"
             )
         if self.overruled:
             found.append(f"the table of materials holds: {_list(self.overruled)}")

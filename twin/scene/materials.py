@@ -1,5 +1,6 @@
 """The table of materials: one row per material, both bands, each value with its source."""
 
+import re
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
@@ -81,9 +82,14 @@ def find_materials(scene_folder: Path) -> Path:
 
 
 def row_of(name: str, table: dict[str, Material]) -> str | None:
-    """Row of a BSDF by its id, an ITU name, or an id in the manner of Sionna's scenes."""
+    """Row of a BSDF by its id, an ITU name, or an id in the manner of Sionna's scenes.
+
+    Capitals and signs between words do not matter, nor does the number of a copy (``Concrete.001``
+    of Blender).
+    """
     plain = name.removeprefix("mat-").removeprefix("itu_").replace("-", "_")
-    for candidate in (name, plain):
+    words = re.sub(r"\W+", "_", re.sub(r"\.\d{3}$", "", plain.strip())).lower()
+    for candidate in (name, plain, words):
         if candidate in table:
             return candidate
     return next((key for key, row in table.items() if row.radio.itu == plain), None)
