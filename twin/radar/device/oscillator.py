@@ -7,6 +7,14 @@ of delay tau then carries phi(t - tau) - phi(t) of a shared oscillator, whose sp
 4 sin^2(pi f tau) of phi's (range correlation: Budge and Burt, "Range correlation effects in
 radars", IEEE National Radar Conference, 1993), or the difference of two of separate ones.
 
+That spectrum is seen through the finite time of the averaging, R symbols T: subcarrier k holds
+
+    integral of L(f) 4 sin^2(pi f tau) |W(f - k / T)|^2 df,   |W(x)| ~ sinc(R T x),
+
+so that its nulls are filled: at 2 L tau / (R T)^2 where L is flat, and higher where close-in noise
+leaks in. In time that is the symbol before the first repeat, of which an echo brings its last part,
+tau long, in place of the last repeat's: it is drawn as a symbol of its own.
+
 Left out: offsets beyond half the band, and the square of what is left on each repeat, so that
 |phi|^2 / 2 should be small against 1 (`residual_rad` times the root of the repeats says how large
 phi is).
@@ -29,29 +37,40 @@ class Wander:
     """Phase of one oscillator.
 
     ``mean_rad`` and ``slope_hz`` (n_slots, repeats), of each symbol; ``within_rad``
-    (n_slots, n_subcarriers), the rest, averaged over the repeats.
+    (n_slots, n_subcarriers), the rest, averaged over the repeats. ``earlier_rad``
+    (n_slots, n_subcarriers): what the average has on top when each repeat is taken one symbol
+    earlier, over what mean and slope make of that.
     """
 
     mean_rad: Array
     slope_hz: Array
     within_rad: Array
+    earlier_rad: Array
 
 
 def draw(oscillator: Oscillator, wave: OfdmWaveform, rng: np.random.Generator) -> Wander:
     """Draw the phase of one oscillator for one step's slots."""
-    symbols = _symbols(wave)
+    symbols, repeats = _symbols(wave), wave.repeats
     offset = _slow_hz(wave)
     lines = _lines(oscillator, offset, 1 / (symbols * wave.symbol_s), rng)
     starts = np.rint(np.arange(wave.n_slots) * wave.slot_period_s / wave.symbol_s).astype(int)
-    chosen = (starts[:, None] + np.arange(wave.repeats)) % symbols
+    # The symbol before the repeats comes first.
+    chosen = (starts[:, None] + np.arange(-1, repeats)) % symbols
+    mean, slope = (_series(part, symbols)[chosen] for part in (lines, 1j * offset * lines))
     raster = _raster_hz(wave)
-    width = wave.subcarrier_spacing_hz / wave.repeats
-    within = _lines(oscillator, raster, width, rng, wave.n_slots)
-    return Wander(
-        mean_rad=_series(lines, symbols)[chosen],
-        slope_hz=_series(1j * offset * lines, symbols)[chosen],
-        within_rad=_series(within, wave.n_subcarriers),
+    width = wave.subcarrier_spacing_hz / repeats
+    within, other = (
+        _series(_lines(oscillator, raster, width, rng, wave.n_slots), wave.n_subcarriers)
+        for _ in range(2)
     )
+    # The symbol before less the last repeat, over the repeats: of independent symbols, given their
+    # mean, and of what wanders between them.
+    earlier = np.sqrt((2 - 1 / repeats) / repeats) * other - within / repeats
+    place = (np.arange(wave.n_subcarriers) / wave.n_subcarriers - 0.5) * wave.symbol_s
+    wandered = mean[:, 0] - mean[:, -1], slope[:, 0] - slope[:, -1]
+    earlier += (wandered[0][:, None] + 2 * np.pi * wandered[1][:, None] * place) / repeats
+    earlier += 2 * np.pi * slope[:, 1:].mean(axis=1)[:, None] * wave.symbol_s
+    return Wander(mean[:, 1:], slope[:, 1:], within, earlier)
 
 
 def apply(
@@ -60,17 +79,26 @@ def apply(
     """What arrives, in time, ``(n_slots, n_receivers, n_subcarriers)``.
 
     ``channel`` has the same shape, along subcarriers; ``sent`` (n_slots, n_subcarriers) are the
-    symbols. The sent symbol is turned, goes through the channel, and is turned back by the
-    receiver; a slope of the phase turns each echo in proportion to its delay.
+    symbols. The sent symbol, after the one before it, is turned, goes through the channel, and is
+    turned back by the receiver; a slope of the phase turns each echo in proportion to its delay.
     """
+    from scipy.fft import fft, ifft
+
+    n = wave.n_subcarriers
     clean = np.fft.ifft(np.fft.ifftshift(sent, axes=-1), axis=-1)
-    turned = np.fft.fft(clean * np.exp(1j * sending.within_rad), axis=-1)
-    taps = np.fft.ifft(np.fft.ifftshift(channel, axes=-1), axis=-1)
-    delays = np.arange(wave.n_subcarriers) / wave.bandwidth_hz
+    turned = clean * np.exp(1j * sending.within_rad)
+    stream = np.concatenate([turned * np.exp(1j * sending.earlier_rad), turned], axis=-1)
+    spectrum = np.fft.fft(stream, axis=-1)
+    delays = np.arange(n) / wave.bandwidth_hz
     slope = sending.slope_hz.mean(axis=1)
-    taps *= np.exp(-2j * np.pi * slope[:, None] * delays)[:, None]
-    arriving = np.fft.ifft(np.fft.fft(taps, axis=-1) * turned[:, None], axis=-1)
-    arriving *= wave.n_subcarriers
+    late = n * np.exp(-2j * np.pi * slope[:, None] * delays)
+    arriving = np.empty_like(channel)
+    for receiver in range(channel.shape[1]):
+        taps = ifft(np.fft.ifftshift(channel[:, receiver], axes=-1), workers=-1, overwrite_x=True)
+        taps *= late
+        both = fft(taps, 2 * n, workers=-1)
+        both *= spectrum
+        arriving[:, receiver] = ifft(both, workers=-1, overwrite_x=True)[:, n:]
     if sending is receiving:  # what both have in common cancels
         return np.asarray(arriving * np.exp(-1j * receiving.within_rad)[:, None])
     common = np.exp(1j * (sending.mean_rad - receiving.mean_rad)).mean(axis=1)
@@ -92,7 +120,8 @@ def residual_rad(oscillator: Oscillator, wave: OfdmWaveform, delay_s: float) -> 
         return float(np.sqrt(2 * np.sum(within)))
     between = 2 * oscillator.level(slow) * wave.slot_gain(slow) ** 2
     between /= _symbols(wave) * wave.symbol_s
-    power = np.sum(within * 4 * np.sin(np.pi * fast * delay_s) ** 2)
+    overlap = max(1 - delay_s / (wave.repeats * wave.symbol_s), 0.0)
+    power = np.sum(within * 2 * (1 - overlap * np.cos(2 * np.pi * fast * delay_s)))
     power += np.sum(between * 4 * np.sin(np.pi * slow * delay_s) ** 2)
     return float(np.sqrt(power))
 
