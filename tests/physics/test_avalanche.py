@@ -255,3 +255,8 @@ def test_a_filter_narrower_than_the_line_is_told() -> None:
         "narrower" in w
         for w in capture(scene, load_system("workable"), fidelity=Fidelity(1, 1)).warnings
     )
+
+
+def test_an_excess_noise_of_ones_own_replaces_the_parts(system) -> None:
+    made = system('[detector]\npart = "ingaas-apd-200"\nexcess_noise_factor = 4.0\n')
+    assert made.detector.excess_noise == 4.0

@@ -1,4 +1,4 @@
-"""The budget as tables for a terminal, as JSON, and as a plot."""
+"""Budgets as tables for a terminal, as JSON, and as a plot: one's own system, the paper's table."""
 
 import json
 from collections.abc import Sequence
@@ -11,9 +11,11 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from twin.budget.design import WallRow
 from twin.budget.frame_rate import FrameRate
 from twin.budget.table1 import REFLECTANCES, Row
 from twin.report.style import BLUE, GREY, ORANGE, new_figure, si
+from twin.system import System
 
 
 def print_budget(rows: Sequence[Row], rates: Sequence[FrameRate], console: Console) -> None:
@@ -30,6 +32,45 @@ def write_budget(rows: Sequence[Row], rates: Sequence[FrameRate], folder: Path) 
     content = {"table1": [_plain(row) for row in rows], "frame_rates": [asdict(r) for r in rates]}
     (folder / "budget.json").write_text(json.dumps(content, indent=1))
     plot_budget(rows).savefig(folder / "budget.png", metadata={"Software": None})
+
+
+def print_design(system: System, rows: Sequence[WallRow], console: Console) -> None:
+    """One's own system before a wall: electrons, noise, SNR, what it takes and how far it goes."""
+    columns = (
+        "wall at",
+        "reflectance",
+        "signal",
+        "electrons: signal, sun, dark",
+        "noise, most of it",
+    )
+    table = Table(*columns, "range used", "SNR per pixel", "T for SNR 1", "z for SNR 1", box=None)
+    patterns, time = system.patterns, system.acquisition.integration_time_s.value
+    table.title = (
+        f"{system.name}: a wall square to the rig, one exposure of {si(time, 's')}; "
+        f"{patterns.count} patterns of {patterns.columns} x {patterns.rows}, {patterns.mode}, "
+        f"{si(system.frame_time_s, 's')} a frame"
+    )
+    for row in rows:
+        noise = row.budget.noise_e
+        table.add_row(
+            f"{row.distance_m:g} m",
+            f"{row.reflectance:.0%}",
+            si(row.signal_w, "W"),
+            f"{row.budget.signal_e:.3g}, {row.budget.background_e:.3g}, {row.budget.dark_e:.3g}",
+            f"{row.budget.total_noise_e:.3g}, {max(noise, key=lambda name: noise[name])}",
+            f"{row.fill:.0%}",
+            "void (saturated)" if row.saturates else f"{row.snr_per_pixel:.3g}",
+            si(row.minimum_time_s, "s"),
+            f"{row.maximum_distance_m:.3g} m",
+        )
+    console.print(table)
+
+
+def write_design(system: System, rows: Sequence[WallRow], folder: Path) -> None:
+    """``budget.json`` with every number of one's own system."""
+    walls = [{**asdict(row), "saturates": row.saturates} for row in rows]
+    content = {"system": system.name, "frame_time_s": system.frame_time_s, "walls": walls}
+    (folder / "budget.json").write_text(json.dumps(content, indent=1))
 
 
 def plot_budget(rows: Sequence[Row]) -> Figure:

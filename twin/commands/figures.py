@@ -1,45 +1,104 @@
 """`twin budget`, `safety`, `rcs`: figures of a design, a lamp, a mesh."""
 
+import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from twin.system import System
+
 
 def budget(
-    system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "paper",
+    system: Annotated[
+        str | None, typer.Option(help="Bundled system or TOML file; none: the paper's Table 1.")
+    ] = None,
+    distances: Annotated[str, typer.Option(help="Of the wall, m, with commas.")] = "2,5,10",
+    reflectances: Annotated[str, typer.Option(help="Of the wall, with commas.")] = "0.2,0.5,0.8",
+    table_1: Annotated[
+        bool, typer.Option("--table-1", help="The paper's sensors in place of the system's own.")
+    ] = False,
     whole_line: Annotated[
-        bool, typer.Option("--whole-line", help="All of the emitter's line passes the filter.")
+        bool, typer.Option("--whole-line", help="Table 1: all of the line passes the filter.")
     ] = False,
     before_lens: Annotated[
-        bool, typer.Option("--filter-before-lens", help="The filter shifts with field angle.")
+        bool, typer.Option("--filter-before-lens", help="Table 1: the filter shifts with angle.")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for budget.json and budget.png.")] = None,
 ) -> None:
-    """Re-derive the paper's Table 1 and frame rates in closed form."""
+    """A system of one's own in closed form; without one, the paper's Table 1 and frame rates."""
     from rich.console import Console
 
-    from twin.budget import SENSORS, audit, frame_rates, link_of
-    from twin.budget.report import print_budget, write_budget
     from twin.files import InputError, whole_folder
-    from twin.system import load_part, load_system
+    from twin.system import load_system
 
     if out is not None and not str(out).strip("."):
         raise InputError("out: is empty, expected a folder to write to")
-    design = load_system(system)
-    parts = [load_part(name) for name in SENSORS]
-    options = {"whole_line": whole_line, "filter_before_lens": before_lens}
-    rows = [audit(link_of(design, part, **options), part) for part in parts]
-    rates = [rate for part in parts if "paper" not in part.name for rate in frame_rates(part)]
-    print_budget(rows, rates, Console(width=None if sys.stdout.isatty() else 150))
+    of_table_1 = table_1 or system is None
+    if not of_table_1 and (whole_line or before_lens):
+        raise InputError("--whole-line, --filter-before-lens: are of the paper's table: --table-1")
+    design = load_system(system or "paper")
+    console = Console(width=None if sys.stdout.isatty() else 150)
+    if of_table_1:
+        write = _table_1(design, console, whole_line=whole_line, filter_before_lens=before_lens)
+        concerned = {"emitter", "filter", "optics", "sky"}
+    else:
+        z, rho = _numbers("distances", distances), _numbers("reflectances", reflectances, most=1.0)
+        write = _own_design(design, z, rho, console)
+        concerned = {name.split(".")[0] for name, _ in design.values()}
     for name, value in design.values():
-        if value.assumed and name.split(".")[0] in ("emitter", "filter", "optics", "sky"):
+        if value.assumed and name.split(".")[0] in concerned:
             print(f"assumed: {name} = {value.value}: {value.assumed}")
     if out is not None:
         with whole_folder(out) as folder:
-            write_budget(rows, rates, folder)
+            write(folder)
         print(f"written: {out / 'budget.json'}")
+
+
+def _table_1(design: "System", console: "Console", **options: bool) -> "Callable[[Path], None]":
+    """Print the paper's table with the emitter, filter and lens of a system; how to write it."""
+    from twin.budget import SENSORS, audit, frame_rates, link_of
+    from twin.budget.report import print_budget, write_budget
+    from twin.system import load_part
+
+    parts = [load_part(name) for name in SENSORS]
+    rows = [audit(link_of(design, part, **options), part) for part in parts]
+    rates = [rate for part in parts if "paper" not in part.name for rate in frame_rates(part)]
+    print_budget(rows, rates, console)
+    return lambda folder: write_budget(rows, rates, folder)
+
+
+def _own_design(
+    design: "System", distances_m: list[float], reflectances: list[float], console: "Console"
+) -> "Callable[[Path], None]":
+    """Print a system's own budget; how to write it."""
+    from twin.budget.design import left_out, wall_rows
+    from twin.budget.report import print_design, write_design
+
+    rows = wall_rows(design, distances_m, reflectances)
+    print_design(design, rows, console)
+    if missing := left_out(design):
+        print(f"left out: {', '.join(missing)}")
+    return lambda folder: write_design(design, rows, folder)
+
+
+def _numbers(name: str, text: str, most: float = math.inf) -> list[float]:
+    """Positive numbers between commas. Raises InputError."""
+    from twin.files import InputError
+
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(0 < number <= most and math.isfinite(number) for number in found):
+        wanted = "positive numbers" if most == math.inf else f"numbers up to {most:g}"
+        raise InputError(f"{name}: {text!r}: expected {wanted} with commas between them")
+    return found
 
 
 def safety(

@@ -23,6 +23,8 @@ class Detector(Strict):
     current is taken to be multiplied.
     """
 
+    alternatives: ClassVar = (("excess_noise_factor",), ("ionisation_ratio",))
+
     shape: Sourced[Literal["disc", "square", "rectangle"]]
     width_m: Sourced[Positive]
     height_m: Sourced[Positive] | None = None

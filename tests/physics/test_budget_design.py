@@ -1,0 +1,130 @@
+"""A system of one's own in closed form, against the rendered camera before the same wall."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin import cli
+from twin.budget import wall_rows
+from twin.camera import capture
+from twin.fidelity import Fidelity
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun
+from twin.system import System, load_system
+
+Z, RHO = 5.0, 0.5
+
+
+@pytest.fixture
+def system(tmp_path: Path):
+    """A bundled system with changes to its sections, by TOML text."""
+
+    def build(base: str, text: str = "") -> System:
+        (tmp_path / "s.toml").write_text(f'base = "{base}"\n{text}')
+        return load_system(tmp_path / "s.toml")
+
+    return build
+
+
+def wall(distance_m: float, reflectance: float) -> Scene:
+    """A facing square as wide as its distance; sensors at one place, the sun behind them."""
+    corners = np.array([[1, -0.5, -0.5], [1, 0.5, -0.5], [1, 0.5, 0.5], [1, -0.5, 0.5]])
+    faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
+    item = SceneObject("wall", corners * distance_m, faces, None, "stuff", reflectance)
+    here = Pose((0.0, 0.0, 0.0))
+    return Scene("wall", Path(), "", (item,), Rig(here, detector=here), Sun(180.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("base", "text", "within"),
+    [
+        ("workable", "", 2e-3),
+        ("paper", "", 2e-3),
+        ("workable", '[detector]\npart = "ingaas-apd-200"\n', 2e-3),
+        ("workable", "[time_of_flight]\nmodulation_hz = [1e7]\ncontrast = 0.8\n", 2e-3),
+        ("line-256x16", "", 2e-2),  # rendered with 1 % of error
+    ],
+)
+def test_the_budget_is_that_of_the_rendered_camera(system, base, text, within) -> None:
+    """Electrons of emitter and sun, noise and SNR per pixel of a wall that fills the field.
+
+    The closed form takes the filter's mean over the field; the rendered camera cell by cell.
+    """
+    made = system(base, text)
+    (row,) = wall_rows(made, [Z], [RHO])
+    taken = capture(wall(Z, RHO), made, fidelity=Fidelity(16, 1))
+    assert row.budget.signal_e == pytest.approx(taken.noise.signal_e, rel=within)
+    assert row.budget.background_e == pytest.approx(taken.noise.background_e, rel=within)
+    assert row.budget.total_noise_e == pytest.approx(taken.noise.total_noise_e, rel=within)
+    assert row.snr_per_pixel == pytest.approx(taken.snr.mean(), rel=within)
+    top = 2**taken.record.adc_bits - 1
+    assert row.fill == pytest.approx(taken.record.counts.max() / top, rel=0.02)
+    assert not row.saturates
+    assert not taken.void
+
+
+def test_time_and_distance_are_where_the_snr_is_one(system) -> None:
+    made = system("workable")
+    (row,) = wall_rows(made, [Z], [RHO])
+    (far,) = wall_rows(made, [row.maximum_distance_m], [RHO])
+    assert far.snr_per_pixel == pytest.approx(1, rel=1e-9)
+    short = system("workable", f"[acquisition]\nintegration_time_s = {row.minimum_time_s!r}\n")
+    assert wall_rows(short, [Z], [RHO])[0].snr_per_pixel == pytest.approx(1, rel=1e-9)
+
+
+def test_saturation_is_void_here_too(system) -> None:
+    """The same wall too bright for the amplifier: no SNR, and so says the rendered camera."""
+    made = system("workable", "[readout]\ntransimpedance_ohm = 1e9\n")
+    (row,) = wall_rows(made, [Z], [RHO])
+    assert row.saturates
+    assert math.isnan(row.snr_per_pixel)
+    assert capture(wall(Z, RHO), made, fidelity=Fidelity(1, 1)).void
+    # A shorter exposure does not help: behind an amplifier that averages, volts follow power.
+    assert row.minimum_time_s == math.inf
+
+
+def budget(*arguments: str, monkeypatch, capsys) -> tuple[int, str, str]:
+    monkeypatch.setattr("sys.argv", ["twin", "budget", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    streams = capsys.readouterr()
+    return stopped.value.code or 0, streams.out, streams.err
+
+
+def test_the_users_own_detector_is_what_is_computed(monkeypatch, capsys, tmp_path: Path) -> None:
+    """Ten times the diameter: a hundred times the light. On ee37b06 nothing changed."""
+    signals = []
+    for width in ("150e-6", "1.5e-3"):
+        mine = tmp_path / "mine.toml"
+        mine.write_text(f'base = "paper"\n[detector]\nwidth_m = {width}\n')
+        asked = ("--system", str(mine), "--distances", "3", "--reflectances", "0.4")
+        done = budget(*asked, "--out", str(tmp_path / "b"), monkeypatch=monkeypatch, capsys=capsys)
+        assert done[0] == 0
+        assert "mine: a wall square to the rig" in done[1]
+        assert f"assumed: detector.width_m = {float(width)}: given without a source" in done[1]
+        content = json.loads((tmp_path / "b" / "budget.json").read_text())
+        (found,) = content["walls"]
+        assert (content["system"], found["distance_m"], found["reflectance"]) == ("mine", 3.0, 0.4)
+        signals.append(found["signal_w"])
+    assert signals[1] / signals[0] == pytest.approx(100)
+
+
+def test_the_papers_table_is_another_view(monkeypatch, capsys) -> None:
+    def shown(*arguments: str) -> tuple[int, str, str]:
+        return budget(*arguments, monkeypatch=monkeypatch, capsys=capsys)
+
+    assert shown() == shown("--system", "paper", "--table-1")
+    code, printed, _ = shown("--system", "workable", "--table-1")
+    assert code == 0
+    assert "Table 1: shortest T for SNR 1" in printed
+    for arguments, expected in (
+        (("--system", "workable", "--whole-line"), "--table-1"),
+        (("--system", "workable", "--distances", "1,x"), "distances: '1,x': expected positive"),
+        (("--system", "workable", "--reflectances", "1.2"), "expected numbers up to 1"),
+    ):
+        code, _, errors = shown(*arguments)
+        assert code == 2
+        assert len(errors.splitlines()) == 1
+        assert expected in errors

@@ -1,0 +1,224 @@
+"""A system of one's own in closed form: what it makes of a wall square to the rig.
+
+Emitter, filter, lens, detector, amplifier, converter and patterns are the system's; light that
+comes back is that of `wall_power_w`, noise that of the simulated camera (`noise_budget`).
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from twin.camera.illumination import dark_share
+from twin.camera.shutters import shutters
+from twin.detector import FrontEnd, NoiseBudget, noise_budget
+from twin.files import InputError
+from twin.optics.passband import passband
+from twin.optics.radiometry import Collection, collection, mean_cos_power, wall_power_w
+from twin.optics.spectra import responsivity_a_per_w
+from twin.system import Sky, System
+from twin.toml import Sourced
+
+Array = NDArray[np.float64]
+
+_PARTS = 64  # of the field along each side, over which the filter's shift is averaged
+_TIMES_S = (1e-9, 1e3)
+_DISTANCES_M = (1e-2, 1e6)
+
+#: What the closed form has no place for, by the field that says it.
+_LEFT_OUT = {
+    "weather": "the air",
+    "emitter.viewing_angle_deg": "the emitter's lobe",
+    "emitter.blur_rms_deg": "its blur",
+    "emitter.fill_factor": "its fill factor",
+    "emitter.switching_time_s": "its switching time",
+    "optics.edge_illumination": "vignetting beyond cos^4",
+    "optics.blur_rms_deg": "the lens's blur",
+    "optics.focus_m": "its defocus",
+}
+
+
+@dataclass(frozen=True)
+class WallRow:
+    """A wall at one distance, of one reflectance.
+
+    ``budget``: of one average exposure. ``snr_per_pixel``: of the image, mean over the field; nan
+    where the detector saturates. ``fill``: the all-lit exposure, its mean over the converter's
+    range, or the well's where that is less. ``minimum_time_s``: integration for an SNR per pixel of
+    1, with as many patterns; infinite where the detector saturates before, or where noise that
+    grows as the signal does forbids it (the emitter's fluctuation; behind a transimpedance
+    amplifier, which averages, the converter's step). ``maximum_distance_m``: at which the SNR per
+    pixel is 1; nan where the detector saturates there, and for gates.
+    """
+
+    distance_m: float
+    reflectance: float
+    signal_w: float
+    budget: NoiseBudget
+    snr_per_pixel: float
+    fill: float
+    minimum_time_s: float
+    maximum_distance_m: float
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the all-lit exposure leaves the converter's range or fills the well."""
+        return self.fill >= 1
+
+
+def wall_rows(
+    system: System, distances_m: Sequence[float], reflectances: Sequence[float]
+) -> list[WallRow]:
+    """Rows for every distance and reflectance. Raises InputError where there is no light at all."""
+    design = _Design.of(system)
+    if not design.watt(1.0, 1.0):
+        raise InputError("budget: no light of the emitter passes the filter, or it emits none")
+    return [design.row(z, rho) for z in distances_m for rho in reflectances]
+
+
+def left_out(system: System) -> list[str]:
+    """What the system says and the closed form leaves out."""
+    said = {name for name, _ in system.values()} | ({"weather"} if system.weather else set())
+    return [what for name, what in _LEFT_OUT.items() if name in said]
+
+
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """What of a system neither distance nor reflectance changes.
+
+    ``in_band``: share of the emitter's line behind the filter, mean over what a wall sends back;
+    ``sun_w``: the sun's power on one detector by a white wall that it meets square.
+    """
+
+    system: System
+    lens: Collection
+    in_band: float
+    sun_w: float
+    responsivity: float
+
+    @classmethod
+    def of(cls, system: System) -> "_Design":
+        lens = collection(system)
+        dark = Sky(illuminance_lx=Sourced(value=0.0, source="no sky section"))
+        sky = passband(system, system.sky or dark)
+        angles, outside = _field(lens)
+        emitted, sent = np.cos(angles) ** 7 * ~outside, np.cos(angles) ** 4 * ~outside
+        degrees = np.degrees(angles)
+        sun = float(np.sum(sent * sky.sun_at(degrees)) / sent.sum()) / math.pi
+        collected = lens.transmission * lens.pupil_area_m2 * lens.field_area
+        return cls(
+            system=system,
+            lens=lens,
+            in_band=float(np.sum(emitted * sky.emitter_at(degrees)) / emitted.sum()),
+            sun_w=sun
+            * collected
+            * mean_cos_power(4, lens.tan_half_field, lens.outline)
+            / system.n_detectors,
+            responsivity=responsivity_a_per_w(system.detector, system.emitter, system.filter),
+        )
+
+    def watts(self, distance_m: float, reflectance: float) -> Array:
+        """All cells lit, on one detector, through each shutter (n_shutters,)."""
+        path = np.array(2 * distance_m)
+        shares = [
+            tap.light_share * float(tap.response(path) if tap.response else 1.0)
+            for tap in shutters(self.system)
+        ]
+        whole = wall_power_w(self.system, reflectance, distance_m) * self.in_band
+        return whole / self.system.n_detectors * np.array(shares)
+
+    def watt(self, distance_m: float, reflectance: float) -> float:
+        """All cells lit, on one detector, mean over the shutters."""
+        return float(self.watts(distance_m, reflectance).mean())
+
+    def budget(
+        self, distance_m: float, reflectance: float, time_s: float | None = None
+    ) -> NoiseBudget:
+        """Of one exposure with half of the cells lit, as long as the system's or ``time_s``."""
+        taps = shutters(self.system)
+        opened = float(np.mean([tap.open_share for tap in taps]))
+        half = (1 + dark_share(self.system)) / 2 * self.watt(distance_m, reflectance)
+        fluctuation = self.system.emitter.intensity_noise
+        return noise_budget(
+            np.array([half]),
+            opened * reflectance * self.sun_w,
+            self._front_end(time_s),
+            fluctuation.value if fluctuation else 0.0,
+        )
+
+    def snr(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
+        """Signal of a cell over noise of a pixel, summed over the shutters."""
+        system, n_taps = self.system, len(shutters(self.system))
+        lit = self.watt(distance_m, reflectance) * self._front_end(time_s).electrons_per_watt
+        cell = (1 - dark_share(system)) * lit / system.patterns.n_cells
+        noise = self.budget(distance_m, reflectance, time_s).pixel_noise_e(system.patterns)
+        return math.sqrt(n_taps) * cell / noise
+
+    def fill(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
+        """Mean of the brightest exposure, all cells lit, over the converter's range, or over the
+        well if that is less.
+        """
+        front_end = self._front_end(time_s)
+        opened = np.array([tap.open_share for tap in shutters(self.system)])
+        sun_w = opened * reflectance * self.sun_w
+        brightest_w = float((self.watts(distance_m, reflectance) + sun_w).max())
+        electrons = brightest_w * front_end.electrons_per_watt + front_end.dark_e
+        counts = electrons / front_end.electrons_per_count + front_end.offset_counts
+        return max(counts / (2**front_end.adc_bits - 1), electrons / front_end.full_well_e)
+
+    def row(self, distance_m: float, reflectance: float) -> WallRow:
+        fill = self.fill(distance_m, reflectance)
+        return WallRow(
+            distance_m=distance_m,
+            reflectance=reflectance,
+            signal_w=self.watt(distance_m, reflectance),
+            budget=self.budget(distance_m, reflectance),
+            snr_per_pixel=self.snr(distance_m, reflectance) if fill < 1 else math.nan,
+            fill=fill,
+            minimum_time_s=self.minimum_time_s(distance_m, reflectance),
+            maximum_distance_m=self.maximum_distance_m(reflectance),
+        )
+
+    def minimum_time_s(self, distance_m: float, reflectance: float) -> float:
+        time = _where_at(lambda t: self.snr(distance_m, reflectance, t), _TIMES_S, 1.0)
+        fits = time < math.inf and self.fill(distance_m, reflectance, time) < 1
+        return time if fits else math.inf
+
+    def maximum_distance_m(self, reflectance: float) -> float:
+        tof = self.system.time_of_flight
+        if tof is not None and tof.gate_delays_s is not None:
+            return math.nan
+        far = _where_at(lambda z: -self.snr(z, reflectance), _DISTANCES_M, -1.0)
+        return far if far == math.inf or self.fill(far, reflectance) < 1 else math.nan
+
+    def _front_end(self, time_s: float | None = None) -> FrontEnd:
+        system = self.system
+        if time_s is not None:
+            exposure = Sourced(value=time_s, assumed="varied")
+            changed = system.acquisition.model_copy(update={"integration_time_s": exposure})
+            system = system.model_copy(update={"acquisition": changed})
+        return FrontEnd.of(system, self.responsivity)
+
+
+def _where_at(rising: Callable[[float], float], ends: tuple[float, float], level: float) -> float:
+    """Argument at which a rising function is at a level: the first end where it is above it
+    everywhere, infinite where it is below.
+    """
+    low, high = (math.log(end) for end in ends)
+
+    def off(log_x: float) -> float:
+        return rising(math.exp(log_x)) - level
+
+    if off(high) < 0:
+        return math.inf
+    return ends[0] if off(low) > 0 else math.exp(brentq(off, low, high, xtol=1e-12))
+
+
+def _field(lens: Collection) -> tuple[Array, NDArray[np.bool_]]:
+    """Angles to the axis over the square around the field, and what of it is outside, alike."""
+    side = ((np.arange(_PARTS) + 0.5) / _PARTS * 2 - 1) * lens.tan_half_field
+    radius = np.hypot(side[:, None], side)
+    return np.arctan(radius), (lens.outline == "disc") & (radius > lens.tan_half_field)
