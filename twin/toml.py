@@ -1,6 +1,7 @@
 """Typed TOML files: values with their source, and errors that name file, field and value."""
 
 import tomllib
+from collections.abc import Container
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, TypeVar, get_args
 
@@ -162,7 +163,7 @@ def _with_base(
     below = _with_base(found, kind, folder, model, (*seen, path))
     for section, value in content.items():
         if isinstance(value, dict) and isinstance(below.get(section), dict):
-            below[section] = _without_rivals(below[section], value, _section(model, section))
+            below[section] = without_rivals(model, section, below[section], value)
     return _merged(below, content)
 
 
@@ -177,25 +178,22 @@ def _with_part(section: str, value: Any, path: Path, parts: Path, model: type[St
     part = _with_base(found, "part", parts, model)
     if section not in part:
         raise InputError(f"{path}: {section}.part = {name!r}: this part has no {section}")
-    below = _without_rivals(part[section], value, _section(model, section))
+    below = without_rivals(model, section, part[section], value)
     return _merged(below, {k: v for k, v in value.items() if k != "part"})
 
 
-def _section(model: type[Strict], name: str) -> type[Strict]:
-    """Class of a model's section; of one that it lacks, the class without alternatives."""
+def without_rivals(
+    model: type[Strict], name: str, below: dict[str, Any], over: Container[str]
+) -> dict[str, Any]:
+    """What the section ``name`` of a model takes from below when fields are given over it: nothing
+    of the alternatives to these.
+    """
     hint = model.model_fields[name].annotation if name in model.model_fields else None
     kinds = [kind for kind in (hint, *get_args(hint)) if isinstance(kind, type)]
-    return next((kind for kind in kinds if issubclass(kind, Strict)), Strict)
-
-
-def _without_rivals(
-    below: dict[str, Any], over: dict[str, Any], section: type[Strict]
-) -> dict[str, Any]:
-    """What a section takes from below: nothing of the alternatives to what it names itself."""
-    named = [group for group in section.alternatives if group[0] in over]
-    rivals = [group for group in section.alternatives if named and group not in named]
-    dropped = {name for group in rivals for name in group}
-    return {name: value for name, value in below.items() if name not in dropped}
+    groups = next((kind.alternatives for kind in kinds if issubclass(kind, Strict)), ())
+    given = [group for group in groups if group[0] in over]
+    dropped = {field for group in groups if given and group not in given for field in group}
+    return {field: value for field, value in below.items() if field not in dropped}
 
 
 def _place_files(section: Any, folder: Path) -> None:

@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from twin.files import InputError, scenes_folder
+from twin.radar import load_radar
 from twin.sweep import load_study, open_sweep, sweep
 from twin.sweep.evaluate import evaluate_chunk
-from twin.sweep.inputs import inputs_of
+from twin.sweep.inputs import Inputs, inputs_of
+from twin.sweep.setup import changed
+from twin.system import load_system
 
 CLOSED = 'model = "closed-form"\nsystem = "mine.toml"\nmetrics = ["signal_e_per_s"]\n'
 GRID = '[grid]\n"link.distance_m" = [1.0, 2.0]\n'
@@ -182,3 +185,24 @@ def test_workers_that_live_long_see_the_new_system(tmp_path: Path) -> None:
         sweep(path, out=tmp_path / "new", scheduler=cluster.scheduler_address)
     ratio = signal(tmp_path / "new") / signal(tmp_path / "old")
     assert ratio == pytest.approx(17 / 5, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "field", "value", "left"),
+    [
+        ("radar", "hybrid-79", "antenna.pattern_file", "mine.csv", "gain_dbi"),
+        ("system", "paper", "sky.sun_elevation_deg", 30.0, "illuminance_lx"),
+    ],
+)
+def test_a_swept_field_replaces_the_alternatives_to_it(
+    tmp_path: Path, kind: str, name: str, field: str, value: str | float, left: str
+) -> None:
+    """As a file with a base does: one of two alternatives, not both."""
+    (tmp_path / "mine.csv").write_text(
+        "theta,phi,gain_dbi\n"
+        + "\n".join(f"{t},{p},3" for t in (0, 90, 180) for p in (0, 120, 240))
+    )
+    entry = {"radar": load_radar, "system": load_system}[kind](name)
+    section = getattr(changed(entry, ((field, value),), Inputs(tmp_path, {})), field.split(".")[0])
+    assert getattr(section, left) is None
+    assert str(value) in str(getattr(section, field.split(".")[1]).value)

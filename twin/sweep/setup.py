@@ -14,7 +14,7 @@ from twin.sweep.inputs import Held, Inputs, beside
 from twin.sweep.names import needs_radar
 from twin.sweep.study import Study, Value
 from twin.system import System
-from twin.toml import Entry, describe
+from twin.toml import Entry, describe, without_rivals
 
 E = TypeVar("E", bound=Entry)
 Values = dict[str, Value]
@@ -109,6 +109,7 @@ def changed(entry: E, values: tuple[tuple[str, Value], ...], inputs: Inputs) -> 
     if not any(name for name, _ in values):
         return entry
     content = entry.model_dump()
+    given: dict[str, set[str]] = {}
     for name, value in sorted(values, key=lambda item: not item[0].endswith(".part")):
         section, _, field = name.partition(".")
         if not field:
@@ -124,26 +125,13 @@ def changed(entry: E, values: tuple[tuple[str, Value], ...], inputs: Inputs) -> 
             content[section] = (content.get(section) or {}) | {
                 field: {"value": value, "assumed": "swept"}
             }
-    _drop_rivals(content, values)
+            given.setdefault(section, set()).add(field)
+    for section, fields in given.items():
+        content[section] = without_rivals(type(entry), section, content[section], fields)
     try:
         return type(entry).model_validate(content)
     except ValidationError as error:
         raise InputError(f"{type(entry).__name__.lower()}: {describe(error)}") from error
-
-
-#: Of two fields that exclude each other, the one that is set replaces the other.
-_RIVALS = {
-    "sky.illuminance_lx": "sun_elevation_deg",
-    "sky.sun_elevation_deg": "illuminance_lx",
-    "readout.transimpedance_ohm": "feedback_capacitance_f",
-    "readout.feedback_capacitance_f": "transimpedance_ohm",
-}
-
-
-def _drop_rivals(content: dict[str, Any], values: tuple[tuple[str, Value], ...]) -> None:
-    for name, _ in values:
-        if name in _RIVALS:
-            content[name.partition(".")[0]].pop(_RIVALS[name], None)
 
 
 def _scene(name: str, values: tuple[tuple[str, Value], ...], inputs: Inputs) -> Scene:
