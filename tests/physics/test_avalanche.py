@@ -18,6 +18,7 @@ from twin.detector import FrontEnd, expose, noise_budget
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.scene import load_scene
+from twin.scene.materials import load_materials
 from twin.system import System, load_part, load_system
 from twin.system.detector import quantum_limit_a_per_w
 
@@ -189,6 +190,10 @@ def test_one_electron_a_photon() -> None:
         ("[optics]\ntransmission = 1.01", "less than or equal to 1"),
         ("[filter]\ntransmission = 1.01", "less than or equal to 1"),
         ("[emitter]\ncontrast_ratio = 0.5", "greater than 1"),
+        (
+            '[weather]\npart = "clear-air"\ntemperature_k = 273.15\nwater_vapour_kg_per_m3 = 0.01',
+            "air of 273.15 K holds 0.0048",
+        ),
         ("[emitter]\nline_fwhm_m = 2e-6", "wider than peak_wavelength_m"),
         ("[time_of_flight]\nmodulation_hz = [1e3]\ncontrast = 0.5", "less than one period"),
         ("[time_of_flight]\nmodulation_hz = [1e6]\ncontrast = 1.5", "less than or equal to 1"),
@@ -260,3 +265,20 @@ def test_a_filter_narrower_than_the_line_is_told() -> None:
 def test_an_excess_noise_of_ones_own_replaces_the_parts(system) -> None:
     made = system('[detector]\npart = "ingaas-apd-200"\nexcess_noise_factor = 4.0\n')
     assert made.detector.excess_noise == 4.0
+
+
+def test_a_radio_band_ascends(tmp_path: Path) -> None:
+    (tmp_path / "materials.toml").write_text(
+        "[stuff.optical]\nreflectance = 0.5\n[[stuff.radio.cited]]\nfrom_hz = 9e9\nto_hz = 8e9\n"
+        "relative_permittivity = 2.0\nconductivity_s_per_m = 0.0\n"
+    )
+    with pytest.raises(InputError, match=r"from_hz = 9e\+09 is not below to_hz, 8e\+09"):
+        load_materials(tmp_path / "materials.toml")
+
+
+def test_arrays_of_the_closed_form_are_refused_as_fields_are() -> None:
+    from twin.sweep.closed_form import _check
+
+    _check({"system.optics.f_number": np.array([0.5, 4.0])})
+    with pytest.raises(ValueError, match=r"f_number = 0\.4: expected 0\.5 or more"):
+        _check({"system.optics.f_number": np.array([0.4, 4.0])})

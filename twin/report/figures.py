@@ -64,9 +64,10 @@ def reconstructions(evaluation: Evaluation) -> Figure:
     """Every method on the same record, beside the noise-free image."""
     figure, axes = _panels(1, 1 + len(evaluation.reconstructions), 3.4)
     _image(axes[0], evaluation.capture.cells_e, "noise-free")
+    verdict = evaluation.verdict
     pairs = zip(evaluation.reconstructions, evaluation.scores, strict=True)
     for axis, (image, score) in zip(axes[1:], pairs, strict=True):
-        _image(axis, image.picture, f"{image.method}: {score}")
+        _image(axis, image.picture, f"{image.method}: {verdict.short if verdict.void else score}")
     return figure
 
 

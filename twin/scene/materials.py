@@ -5,7 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, RootModel, ValidationError
+from pydantic import Field, RootModel, ValidationError, model_validator
 
 from twin.files import InputError, scenes_folder
 from twin.toml import NonNegative, Positive, Sourced, Strict, describe, read_toml
@@ -28,6 +28,12 @@ class RadioBand(Strict):
     conductivity_s_per_m: NonNegative
     source: str | None = None
     assumed: str | None = None
+
+    @model_validator(mode="after")
+    def _ascends(self) -> "RadioBand":
+        if self.from_hz >= self.to_hz:
+            raise ValueError(f"from_hz = {self.from_hz:g} is not below to_hz, {self.to_hz:g}")
+        return self
 
 
 class Radio(Strict):

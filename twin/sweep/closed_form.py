@@ -22,6 +22,7 @@ from twin.sweep.inputs import Inputs
 from twin.sweep.setup import changed, system_of
 from twin.sweep.study import Study, Value
 from twin.system import Part, System
+from twin.system.optics import FASTEST_F_NUMBER
 
 Array = NDArray[Any]
 
@@ -125,6 +126,11 @@ def _check(columns: Mapping[str, Array]) -> None:
         bad = ~(np.isfinite(column) & ((column >= 0) if may_be_zero else (column > 0)))
         if name == "link.reflectance":
             bad |= column > 1
+        if name == "system.optics.f_number":
+            bad |= column < FASTEST_F_NUMBER
         if bad.any():
-            wanted = "0 to 1" if name == "link.reflectance" else "a positive number"
+            wanted = {
+                "link.reflectance": "0 to 1",
+                "system.optics.f_number": f"{FASTEST_F_NUMBER:g} or more",
+            }.get(name, "a positive number")
             raise ValueError(f"{name} = {column[bad][0]}: expected {wanted}")

@@ -1,5 +1,6 @@
 """Sun and air."""
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -8,6 +9,10 @@ from twin.toml import Finite, NonNegative, Positive, Sourced, Strict
 
 #: Above the atmosphere the sun gives some 1.3e5 lx.
 _Illuminance = Annotated[NonNegative, Field(le=1e7)]
+
+_VAPOUR_J_PER_KG_K = 461.5
+#: Clouds are supersaturated by less than 1 per cent; the rest is for rounded figures.
+_SUPERSATURATED = 1.05
 
 
 class Sky(Strict):
@@ -63,3 +68,25 @@ class Weather(Strict):
         if self.visibility_model is not None and self.visibility_m is None:
             raise ValueError("visibility_model needs visibility_m")
         return self
+
+    @model_validator(mode="after")
+    def _holds_its_vapour(self) -> "Weather":
+        if self.temperature_k is None or self.water_vapour_kg_per_m3 is None:
+            return self
+        vapour, most = (
+            self.water_vapour_kg_per_m3.value,
+            saturated_kg_per_m3(self.temperature_k.value),
+        )
+        if vapour > _SUPERSATURATED * most:
+            raise ValueError(
+                f"water_vapour_kg_per_m3 = {vapour:g}: air of {self.temperature_k.value:g} K holds "
+                f"{most:.2g}"
+            )
+        return self
+
+
+def saturated_kg_per_m3(temperature_k: float) -> float:
+    """Water vapour in saturated air, over liquid water (Buck, J. Appl. Meteorol. 20, 1981)."""
+    celsius = temperature_k - 273.15
+    pressure_pa = 611.21 * math.exp(17.502 * celsius / (240.97 + celsius))
+    return pressure_pa / (_VAPOUR_J_PER_KG_K * temperature_k)
