@@ -109,24 +109,29 @@ def begun(measured: Measurement, antenna: Antenna, speed_m_per_s: float) -> Esti
 
 
 def predicted(
-    estimate: Estimate, elapsed_s: float, acceleration_m_per_s2: float, speed_m_per_s: float
+    estimate: Estimate,
+    elapsed_s: float,
+    acceleration_m_per_s2: float,
+    acceleration_s: float,
+    speed_m_per_s: float,
 ) -> Estimate:
-    """Estimate after a time, at constant velocity but for white acceleration.
+    """Estimate after a time, at constant velocity but for acceleration along each axis.
 
-    Its velocity scatters by acceleration times time along each axis, its place as it does where the
-    acceleration is free within the interval (the continuous white-noise model of Bar-Shalom, Li and
-    Kirubarajan, "Estimation with Applications to Tracking and Navigation", section 6.2.2).
+    The acceleration's density is its mean square times how long it lasts, ``acceleration_s``, or
+    the interval where that is longer; within it is free (the continuous white-noise model of
+    Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    section 6.2.2).
 
     Without azimuth, a target that crosses with ``speed_m_per_s`` changes its range rate by the
     square of the speed over the range: that is added to the acceleration.
     """
-    t = elapsed_s
-    axes, variance = 2, acceleration_m_per_s2**2
+    t, axes, variance = elapsed_s, 2, acceleration_m_per_s2**2
     if not estimate.placed:
         axes = 1
         variance += (speed_m_per_s**2 / max(abs(estimate.state[0]), 1e-3)) ** 2
     step = np.kron([[1.0, t], [0.0, 1.0]], np.eye(axes))
-    noise = variance * np.kron([[t**4 / 3, t**3 / 2], [t**3 / 2, t**2]], np.eye(axes))
+    density = variance * max(t, acceleration_s)
+    noise = density * np.kron([[t**3 / 3, t**2 / 2], [t**2 / 2, t]], np.eye(axes))
     return Estimate(step @ estimate.state, step @ estimate.covariance @ step.T + noise)
 
 

@@ -60,8 +60,9 @@ class Tracker:
 
     Parameters
     ----------
-    acceleration_m_per_s2
-        Root mean square that targets accelerate with, independent from frame to frame.
+    acceleration_m_per_s2, acceleration_s
+        Root mean square that targets accelerate with, along each axis, and how long such an
+        acceleration lasts at least; from frame to frame where these are farther apart.
     gate
         Probability that a track's own detection is let through.
     confirm, lose
@@ -71,6 +72,7 @@ class Tracker:
     """
 
     acceleration_m_per_s2: float = 3.0
+    acceleration_s: float = 0.1
     gate: float = 0.999
     confirm: int = 3
     lose: int = 3
@@ -102,14 +104,7 @@ class Tracker:
 
         antenna = _antenna(pose, velocity_m_per_s)
         seen = [one for one in map(_measurement, detections) if one.known[0]]
-        moved = [
-            track.with_estimate(
-                predicted(
-                    track.estimate, elapsed_s, self.acceleration_m_per_s2, self.first_speed_m_per_s
-                )
-            )
-            for track in self.tracks
-        ]
+        moved = [self._predicted(track, elapsed_s) for track in self.tracks]
         updates = self._updates(moved, seen, antenna)
         cost = np.full((len(moved), len(seen)), _NEVER)
         for pair, update in updates.items():
@@ -129,6 +124,17 @@ class Tracker:
         free = sorted(set(range(len(seen))) - set(partner.values()))
         self.tracks = kept + [self._new(seen[j], antenna) for j in free]
         return [track for track in self.tracks if track.hits >= self.confirm]
+
+    def _predicted(self, track: Track, elapsed_s: float) -> Track:
+        return track.with_estimate(
+            predicted(
+                track.estimate,
+                elapsed_s,
+                self.acceleration_m_per_s2,
+                self.acceleration_s,
+                self.first_speed_m_per_s,
+            )
+        )
 
     def _updates(
         self, tracks: Sequence[Track], seen: Sequence[Measurement], antenna: Antenna
