@@ -20,7 +20,8 @@ from twin.files import InputError
 from twin.scene import load_scene
 from twin.sweep import load_study, open_sweep, sweep
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
-from twin.sweep.show import pareto_front, plot_front, plot_plane, sensitivities
+from twin.sweep.sensitivity import sensitivities
+from twin.sweep.show import pareto_front, plot_front, plot_plane
 from twin.system import load_system
 
 SMALL = """
@@ -75,16 +76,18 @@ def test_grid_zip_and_sample_make_one_labelled_dataset(study, tmp_path: Path) ->
 
 
 def test_a_point_is_what_a_capture_gives(study) -> None:
-    """The same expected electrons as `capture` with the same values set by hand."""
-    path = study('[grid]\n"system.detector.width_m" = ["2 mm"]\n')
-    outcome = outcome_of(load_study(path), 0)
-    made = outcome.setup
-    assert made.system.detector.width_m.value == pytest.approx(2e-3)
-    by_hand = capture(made.scene, made.system, fidelity=made.fidelity)
-    # Other seeds of rays: 4 paths a cell.
-    total = outcome.capture.cells_e.sum()
-    assert total == pytest.approx(by_hand.cells_e.sum(), rel=0.1)
-    assert outcome.capture.record.counts.shape == by_hand.record.counts.shape
+    """The same counts, bit for bit, as `capture` with the same values set by hand and the study's
+    seed, whether paint is put on afterwards or not; a seed that is varied is the capture's.
+    """
+    text = '[grid]\n"system.detector.width_m" = ["2 mm"]\n"seed" = [3, 5]\n'
+    for depth in (1, 2):
+        head = SMALL.replace('max_depth" = 1', f'max_depth" = {depth}')
+        for index, seed in enumerate((3, 5)):
+            outcome = outcome_of(load_study(study(text, head)), index)
+            made = outcome.setup
+            assert made.system.detector.width_m.value == pytest.approx(2e-3)
+            by_hand = capture(made.scene, made.system, fidelity=made.fidelity, seed=seed)
+            np.testing.assert_array_equal(outcome.capture.record.counts, by_hand.record.counts)
 
 
 def test_paint_is_put_on_afterwards_without_another_render() -> None:
@@ -233,7 +236,10 @@ def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_pa
     assert np.isfinite(data["snr"]).all()
     assert data["link.distance_m"].min() >= 1
     moved = sensitivities(data, "maximum_distance_m")
-    assert moved["system.acquisition.integration_time_s"] > moved["link.distance_m"]
+    time_share = moved["system.acquisition.integration_time_s"]
+    # A farthest distance knows no distance.
+    assert time_share.first > 0.5 > moved["link.distance_m"].first_error
+    assert abs(moved["link.distance_m"].first) < moved["link.distance_m"].first_error
 
 
 @pytest.mark.parametrize("kills_tried", [3, pytest.param(50, marks=pytest.mark.slow)])
@@ -370,14 +376,10 @@ def test_a_full_disk_is_found_before_the_work(study, tmp_path: Path, monkeypatch
         sweep(study('[grid]\n"scene.rig.x_m" = [0.0]\n'), out=tmp_path / "out", workers=1)
 
 
-def test_front_and_sensitivities_by_hand(study, tmp_path: Path) -> None:
-    """Four points of which two are beaten; a metric that depends on one of two parameters."""
+def test_front_by_hand(study, tmp_path: Path) -> None:
+    """Four points of which one is beaten."""
     gains = np.array([[1.0, 2.0, 3.0, 1.0, np.nan], [3.0, 2.0, 1.0, 1.0, 9.0]])
     assert sorted(pareto_front(gains)) == [0, 1, 2]
-    grid = xarray.Dataset(
-        {"m": (("a", "b"), np.array([[0.0, 0.0], [1.0, 1.0]]))}, {"a": [0, 1], "b": [0, 1]}
-    )
-    assert sensitivities(grid, "m") == {"a": pytest.approx(1), "b": pytest.approx(0)}
     sweep(
         study('[grid]\n"link.distance_m" = [1.0, 2.0]\n"link.reflectance" = [0.2, 0.4]\n', CLOSED),
         out=tmp_path / "out",

@@ -8,6 +8,8 @@ import typer
 
 from twin.commands.arguments import SceneArgument
 
+_REASONS = 3  # of failed points that are printed
+
 
 def sweep(
     study: Annotated[Path, typer.Argument(help="TOML file: what is varied, what is measured.")],
@@ -23,7 +25,20 @@ def sweep(
 
     done = run_sweep(study, out=out, scheduler=scheduler, workers=workers, yes=yes)
     failed = f", {done.n_failed} failed" if done.n_failed else ""
-    print(f"{done.n_points} points{failed}, {done.renders} renders: {done.out / 'results.zarr'}")
+    void = f", {done.n_void} void" if done.n_void else ""
+    print(
+        f"{done.n_points} points{failed}{void}, {done.renders} renders: {done.out / 'results.zarr'}"
+    )
+    for kind, n in done.warned:
+        print(f"warning: {kind}: {n} points", file=sys.stderr)
+    if done.without_effect:
+        print(f"warning: no metric changes with {', '.join(done.without_effect)}", file=sys.stderr)
+    for reason, n in done.reasons[:_REASONS]:
+        print(f"failed: {n} points: {reason}", file=sys.stderr)
+    if len(done.reasons) > _REASONS:
+        print(f"failed: {len(done.reasons) - _REASONS} more reasons: error", file=sys.stderr)
+    if done.n_failed:
+        raise typer.Exit(1)
 
 
 def show(
@@ -32,20 +47,26 @@ def show(
     x: Annotated[str | None, typer.Option(help="Parameter to the right.")] = None,
     y: Annotated[str | None, typer.Option(help="Parameter upwards; none: a line.")] = None,
     front: Annotated[str | None, typer.Option(help="Second metric: a Pareto front.")] = None,
+    void: Annotated[bool, typer.Option("--void", help="Draw points of void records too.")] = False,
     out: Annotated[Path | None, typer.Option(help="PNG file; default in the folder.")] = None,
 ) -> None:
     """Draw a sweep: a metric over parameters, a Pareto front, or what moves the metric most."""
     from twin.sweep import open_sweep
+    from twin.sweep.dataset import metrics_of
+    from twin.sweep.sensitivity import sensitivities
     from twin.sweep.show import plot_front, plot_plane, plot_sensitivities
 
     data = open_sweep(sweep)
-    metric = metric or next(str(name) for name in data.data_vars if name != "error")
+    metric = metric or metrics_of(data)[0]
     if front is not None:
-        figure = plot_front(data, metric, front)
+        figure = plot_front(data, metric, front, void=void)
     elif x is not None:
-        figure = plot_plane(data, metric, x, y)
+        figure = plot_plane(data, metric, x, y, void=void)
     else:
-        figure = plot_sensitivities(data, metric)
+        shares = sensitivities(data, metric, void=void)
+        for name, share in sorted(shares.items(), key=lambda item: -item[1].first):
+            print(f"{share}: {name}")
+        figure = plot_sensitivities(data, metric, shares, void=void)
     out = out or sweep / f"{metric.replace(':', '.')}.png"
     figure.savefig(out, dpi=150)
     print(f"written: {out}")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.files import InputError
 from twin.sweep.names import CLOSED_FORM, RENDERED, is_own
 from twin.sweep.parameters import unit_of
 from twin.sweep.study import Study
@@ -114,12 +115,18 @@ def _void_columns(study: Study, metric: str) -> list[str]:
 
 def metrics_of(data: "xarray.Dataset") -> list[str]:
     """Names of what was measured."""
-    return [str(name) for name, column in data.data_vars.items() if "void" in column.attrs]
+    beside = ("error", *VOID.values())
+    return [n for n in map(str, data.data_vars) if n not in beside and not n.startswith("warned.")]
 
 
-def usable(data: "xarray.Dataset", metric: str) -> "xarray.DataArray":
-    """A metric without the points whose record is void: NaN there."""
+def column(data: "xarray.Dataset", metric: str, *, void: bool = False) -> "xarray.DataArray":
+    """A metric; NaN where the record that it is of is void, unless ``void`` points count.
+
+    Raises InputError for a metric that was not measured.
+    """
+    if metric not in metrics_of(data):
+        raise InputError(f"metric: {metric!r} is none of {', '.join(metrics_of(data))}")
     values = data[metric]
-    for column in values.attrs["void"].split():
-        values = values.where(~data[column])
+    for mark in () if void else values.attrs.get("void", "").split():
+        values = values.where(~data[mark])
     return values.assign_attrs(data[metric].attrs)

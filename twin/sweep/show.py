@@ -1,6 +1,9 @@
-"""Pictures of a sweep: a metric over any two dimensions, a Pareto front, sensitivities."""
+"""Pictures of a sweep: a metric over any two dimensions, a Pareto front, sensitivities.
 
-from collections.abc import Sequence
+Points whose record is void are left out, unless ``void``; the title says how many.
+"""
+
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +12,8 @@ from numpy.typing import NDArray
 
 from twin.files import InputError
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
+from twin.sweep.dataset import column
+from twin.sweep.sensitivity import Share
 
 if TYPE_CHECKING:
     import xarray
@@ -19,16 +24,19 @@ Array = NDArray[np.float64]
 _COSTS = ("minimum_time_s", "noise_e", "background_e", "saturated", "range_error_m")
 
 
-def plot_plane(data: "xarray.Dataset", metric: str, x: str, y: str | None = None) -> Figure:
+def plot_plane(
+    data: "xarray.Dataset", metric: str, x: str, y: str | None = None, *, void: bool = False
+) -> Figure:
     """A metric over one parameter (a line), or over two (a map); medians over all others."""
-    values = _metric(data, metric)
+    values = column(data, metric, void=void)
+    left_out = _left_out(data, values)
     axes = [_axis(data, name) for name in (x, y) if name is not None]
     others = [name for name in values.dims if name not in [a.dims[0] for a in axes]]
     values = values.median(others) if others else values
     figure = new_figure((6.4, 4.2))
     axis = figure.subplots()
     rest = f", median over {', '.join(map(str, others))}" if others else ""
-    axis.set_title(f"{_label(data[metric])}{rest}", fontsize=9, wrap=True)
+    axis.set_title(f"{_label(data[metric])}{rest}{left_out}", fontsize=9, wrap=True)
     if len(axes) == 1:
         axis.plot(*_places(axes[0]), values.to_numpy(), ".-", color=BLUE)
         axis.set_xlabel(_label(axes[0]))
@@ -51,9 +59,10 @@ def plot_plane(data: "xarray.Dataset", metric: str, x: str, y: str | None = None
     return figure
 
 
-def plot_front(data: "xarray.Dataset", first: str, second: str) -> Figure:
+def plot_front(data: "xarray.Dataset", first: str, second: str, *, void: bool = False) -> Figure:
     """All points in the plane of two metrics, and those that no other point beats in both."""
-    one, two = (_metric(data, name).to_numpy().ravel() for name in (first, second))
+    columns = [column(data, name, void=void) for name in (first, second)]
+    one, two = (values.to_numpy().ravel() for values in columns)
     front = pareto_front(np.stack([_gain(first, one), _gain(second, two)]))
     figure = new_figure((6.0, 4.2))
     axis = figure.subplots()
@@ -62,47 +71,45 @@ def plot_front(data: "xarray.Dataset", first: str, second: str) -> Figure:
     axis.plot(one[order], two[order], "o-", color=ORANGE, markersize=5, label="Pareto front")
     axis.set_xlabel(_label(data[first]))
     axis.set_ylabel(_label(data[second]))
-    axis.set_title(f"{len(front)} of {np.isfinite(one + two).sum()} points are beaten by none")
+    left_out = _left_out(data, columns[0] + columns[1])
+    known = np.isfinite(one + two).sum()
+    axis.set_title(f"{len(front)} of {known} points are beaten by none{left_out}", fontsize=10)
     axis.legend(frameon=False)
     return figure
 
 
-def plot_sensitivities(data: "xarray.Dataset", metric: str) -> Figure:
-    """How much of a metric's variance each parameter explains by itself."""
-    shares = sensitivities(data, metric)
-    names = sorted(shares, key=shares.__getitem__)
-    figure = new_figure((6.4, 0.35 * len(names) + 1.2))
+def plot_sensitivities(
+    data: "xarray.Dataset", metric: str, shares: Mapping[str, Share], *, void: bool = False
+) -> Figure:
+    """How much of a metric's variance each parameter explains by itself, and with others; bars of
+    95 % confidence.
+    """
+    names = sorted(shares, key=lambda name: shares[name].first)
+    figure = new_figure((6.4, 0.45 * len(names) + 1.5))
     axis = figure.subplots()
-    axis.barh(names, [shares[name] for name in names], color=BLUE)
-    axis.set_xlim(0, 1)
-    axis.set_xlabel(f"share of the variance of {metric}")
-    axis.set_title(f"{names[-1]} moves {metric} most")
+    place = np.arange(len(names))
+    error = {"capsize": 2, "elinewidth": 1}
+    for order, shift, color in (("first", 0.19, BLUE), ("total", -0.19, ORANGE)):
+        widths = np.array([getattr(shares[name], order) for name in names])
+        errors = np.array([getattr(shares[name], f"{order}_error") for name in names])
+        if np.isfinite(widths).any():
+            label = "by itself (first order)" if order == "first" else "with others (total order)"
+            axis.barh(
+                place + shift, widths, 0.36, xerr=errors, color=color, error_kw=error, label=label
+            )
+    axis.axvline(0, color=GREY, linewidth=0.8)
+    axis.set_yticks(place, names)
+    axis.set_xlabel(f"share of the variance of {metric}, 95 % confidence")
+    left_out = _left_out(data, column(data, metric, void=void))
+    axis.set_title(f"{names[-1]} moves {metric} most{left_out}", fontsize=10)
+    axis.legend(frameon=False, fontsize=8)
     return figure
 
 
-def sensitivities(data: "xarray.Dataset", metric: str) -> dict[str, float]:
-    """First-order sensitivity of a metric to each parameter: variance of the conditional mean over
-    all variance (Sobol, Math. Comput. Simul. 55, 2001). Sampled parameters by bins of equal count.
-
-    Raises InputError where the metric does not vary.
-    """
-    values = _metric(data, metric)
-    flat = values.to_numpy().ravel()
-    finite = np.isfinite(flat)
-    total = flat[finite].var() if finite.any() else 0.0
-    if total == 0:
-        raise InputError(f"{metric}: is the same in every point")
-    found = {}
-    for name, coordinate in data.coords.items():
-        dimension = values.dims.index(coordinate.dims[0])
-        shape = [-1 if i == dimension else 1 for i in range(values.ndim)]
-        place = np.broadcast_to(_bins(coordinate.to_numpy()).reshape(shape), values.shape)
-        groups = place.ravel()[finite]
-        count = np.bincount(groups)
-        mean = np.bincount(groups, flat[finite]) / np.maximum(count, 1)
-        spread = (count * (mean - flat[finite].mean()) ** 2).sum() / count.sum()
-        found[str(name)] = float(spread / total)
-    return found
+def _left_out(data: "xarray.Dataset", values: "xarray.DataArray") -> str:
+    """How many points have no number, or none that counts: a second line of a title."""
+    n = int((~np.isfinite(values.to_numpy())).sum())
+    return f"\n{n} of {values.size} points left out: void, failed or infinite" if n else ""
 
 
 def pareto_front(gains: Array) -> NDArray[np.intp]:
@@ -113,22 +120,8 @@ def pareto_front(gains: Array) -> NDArray[np.intp]:
     return np.asarray(order[gains[1, order] > best])
 
 
-def _bins(column: NDArray[np.generic], most: int = 16) -> NDArray[np.intp]:
-    values, place = np.unique(column, return_inverse=True)
-    if len(values) <= most:
-        return np.asarray(place)
-    return np.asarray(place * most // len(values))
-
-
 def _gain(name: str, values: Array) -> Array:
     return -values if name in _COSTS else values
-
-
-def _metric(data: "xarray.Dataset", name: str) -> "xarray.DataArray":
-    known = [str(n) for n in data.data_vars if n != "error"]
-    if name not in known:
-        raise InputError(f"metric: {name!r} is none of {', '.join(known)}")
-    return data[name]
 
 
 def _axis(data: "xarray.Dataset", name: str) -> "xarray.DataArray":

@@ -29,9 +29,13 @@ class Range(Strict):
 
 
 class Sample(Strict):
-    """Points drawn from ranges: Latin hypercube, or Sobol's scrambled sequence (SciPy)."""
+    """Points drawn from ranges: Latin hypercube, or Sobol's scrambled sequence (SciPy).
 
-    method: Literal["latin-hypercube", "sobol"]
+    ``saltelli``: ``n`` base points, a power of two, each with its crossings: n (d + 2) points of d
+    parameters in all, which tell sensitivities of first and total order (SALib).
+    """
+
+    method: Literal["latin-hypercube", "sobol", "saltelli"]
     n: Annotated[int, Field(strict=True, ge=1, le=10**7)]
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     ranges: Annotated[dict[str, Range], Field(min_length=1)]
@@ -195,6 +199,18 @@ def _grid_column(name: str, values: list[Value]) -> NDArray[Any]:
     return column
 
 
+def _crossed(n: int, d: int, seed: int) -> NDArray[np.float64]:
+    """Base points and their crossings (n (d + 2), d): A, A with each column of B, B (Saltelli et
+    al., Comput. Phys. Commun. 181, 2010).
+    """
+    from SALib.sample import sobol
+
+    if n & (n - 1):
+        raise ValueError(f"sample.n: {n}: expected a power of two with saltelli")
+    problem = {"num_vars": d, "names": list(range(d)), "bounds": [[0.0, 1.0]] * d}
+    return np.asarray(sobol.sample(problem, n, calc_second_order=False, seed=seed))
+
+
 def _drawn(sample: Sample) -> dict[str, NDArray[Any]]:
     from scipy.stats import qmc
 
@@ -203,6 +219,8 @@ def _drawn(sample: Sample) -> dict[str, NDArray[Any]]:
         # Balance holds for powers of two; any number of its first points is a sequence still.
         power = max(0, math.ceil(math.log2(sample.n)))
         unit = qmc.Sobol(d, rng=np.random.default_rng(sample.seed)).random_base2(power)[: sample.n]
+    elif sample.method == "saltelli":
+        unit = _crossed(sample.n, d, sample.seed)
     else:
         unit = qmc.LatinHypercube(d, rng=np.random.default_rng(sample.seed)).random(sample.n)
     columns = {}

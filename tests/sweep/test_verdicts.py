@@ -1,0 +1,256 @@
+"""What a sweep says of its points: void, warned of, failed; and what nothing depends on."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.camera import capture
+from twin.files import InputError
+from twin.scene import load_scene
+from twin.sweep import Study, load_study, open_sweep, sweep
+from twin.sweep.dataset import column
+from twin.sweep.effects import check_points, without_effect
+from twin.sweep.evaluate import evaluate_chunk, outcome_of
+from twin.sweep.inputs import inputs_of
+from twin.sweep.sensitivity import sensitivities
+from twin.sweep.show import plot_front, plot_plane
+
+SMALL = """
+scene = "table1"
+metrics = ["snr_median", "psnr_db"]
+[set]
+"system.emitter.rows" = 16
+"system.emitter.columns" = 16
+"system.acquisition.n_patterns" = 256
+"fidelity.samples" = 4
+"fidelity.max_depth" = 1
+"""
+CLOSED = 'model = "closed-form"\nmetrics = ["snr", "minimum_time_s"]\n'
+
+
+def write(folder: Path, text: str, head: str = SMALL) -> Path:
+    path = folder / "study.toml"
+    path.write_text(head + text)
+    return path
+
+
+def test_void_points_are_marked_counted_and_left_out(tmp_path: Path) -> None:
+    """A 3 mm diode in 100 klx fills its converter, and its electrons would be the most: the largest
+    diode and the brightest sky are void, said by name, and on no front, map or share of variance.
+    """
+    path = write(
+        tmp_path,
+        '[grid]\n"system.detector.width_m" = ["150 um", "3 mm"]\n'
+        '"system.sky.illuminance_lx" = [100, 1e5]\n',
+        SMALL.replace("psnr_db", "signal_e"),
+    )
+    summary = sweep(path, out=tmp_path / "out", workers=1)
+    data = open_sweep(tmp_path / "out").load()
+    expected = np.array([[False, False], [False, True]])
+    void = data["void"].transpose("system.detector.width_m", "system.sky.illuminance_lx")
+    np.testing.assert_array_equal(void, expected)
+    assert summary.n_void == data.attrs["points_void"] == 1
+    assert summary.n_failed == 0
+    assert dict(summary.warned)["saturated"] == 1
+    saturated = data["warned.saturated"]
+    np.testing.assert_array_equal(saturated, data["void"])
+    assert "saturate the ADC" in saturated.attrs["first"]
+    signal = data["signal_e"]
+    assert signal.where(data["void"]).max() == signal.max()  # the best there is
+    assert np.isnan(column(data, "signal_e").where(data["void"])).all()
+    front = plot_front(data, "signal_e", "snr_median").axes[0]
+    drawn = front.lines[0].get_xdata()
+    assert np.isfinite(drawn).sum() == 3
+    assert "1 of 4 points left out" in front.get_title()
+    plane = plot_plane(data, "signal_e", "system.detector.width_m", "system.sky.illuminance_lx")
+    assert np.ma.masked_invalid(plane.axes[0].images[0].get_array()).count() == 3
+    assert np.isfinite(
+        plot_front(data, "signal_e", "snr_median", void=True).axes[0].lines[0].get_xdata()
+    ).all()
+    # Signal knows nothing of the sun: without the void point the diode is all that moves it.
+    shares = sensitivities(data, "signal_e")
+    assert shares["system.detector.width_m"].first == pytest.approx(1.0)
+
+
+def test_a_point_warns_as_a_capture_does(tmp_path: Path) -> None:
+    """A painted render says what a rendered one says: here of objects smaller than the spacing of
+    rays, 4 x 4 cells of 4.
+    """
+    head = SMALL.replace("= 16", "= 4").replace("= 256", "= 16")
+    plan = load_study(write(tmp_path, '[grid]\n"scene" = ["yard"]\n', head))
+    outcome = outcome_of(plan, 0)
+    made = outcome.setup
+    by_hand = capture(made.scene, made.system, fidelity=made.fidelity, seed=plan.seed)
+    assert "rendering" in {w.kind for w in by_hand.warnings}
+    assert outcome.capture.warnings == by_hand.warnings
+    chunk = evaluate_chunk(plan, 0, 1)
+    assert chunk.warnings.keys() == {w.kind for w in by_hand.warnings}
+    assert chunk.void == ({"camera": [0]} if by_hand.void else {})
+
+
+def test_failed_points_end_in_their_reasons_and_status_1(tmp_path: Path) -> None:
+    path = write(tmp_path, '[grid]\n"system.optics.f_number" = [1.0, -1.0, -2.0]\n', CLOSED)
+    command = [sys.executable, "-m", "twin", "sweep", str(path), "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "3 points, 2 failed" in done.stdout
+    assert "failed: 1 points: ValueError: system.optics.f_number = -1.0" in done.stderr
+    assert "Traceback" not in done.stderr
+    path = write(tmp_path, '[grid]\n"system.optics.f_number" = [1.0, 2.0]\n', CLOSED)
+    command[-1] = str(tmp_path / "well")
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "head", "complaint"),
+    [
+        ('[grid]\n"processing.method" = ["lmmse", "lmsse"]\n', SMALL, "did you mean lmmse"),
+        ('[grid]\n"system.optics.f_number" = [1.0, "fast"]\n', CLOSED, "numbers and text"),
+        (
+            '[grid]\n"scene" = ["yard", 2.0]\n',
+            SMALL,
+            "numbers and text, expected values of one kind",
+        ),
+        ('[grid]\n"fidelity.radar_rays" = [4, true]\n', SMALL, "expected values of one kind"),
+        ('[grid]\n"link.distance_m" = [1.0, 2.0]\n', SMALL, "link.distance_m: has no effect here"),
+        ('[grid]\n"radar.waveform.carrier_hz" = [76e9, 79e9]\n', SMALL, "looks at the radar"),
+        (
+            '[grid]\n"processing.method" = ["tv"]\n',
+            SMALL.replace('"psnr_db"', '"noise_e"'),
+            "image",
+        ),
+        *(
+            (f'[grid]\n"{name}" = {values}\n', CLOSED, f"{name}: has no effect here")
+            for name, values in (
+                ("weather.visibility_m", "[50.0, 200.0]"),
+                ("processing.method", '["lmmse", "tv"]'),
+                ("system.optics.blur_rms_deg", "[0.1, 0.2]"),
+                ("system.acquisition.n_patterns", "[64, 128]"),
+                ("scene.sun.illuminance_lx", "[0.0, 1e5]"),
+                ("seed", "[0, 1]"),
+            )
+        ),
+        ('[set]\n"weather.part" = "fog-200m"\n', CLOSED, "weather.part: has no effect here"),
+    ],
+)
+def test_what_has_no_effect_is_refused(
+    tmp_path: Path, text: str, head: str, complaint: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        load_study(write(tmp_path, text, head))
+    assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "head", "complaint"),
+    [
+        (
+            '[grid]\n"weather.visibility_m" = [50.0, 200.0]\n',
+            SMALL,
+            "no point can be set up: system: weather.single_scattering_albedo: missing",
+        ),
+        ('[grid]\n"scene.sun.illuminance_lx" = [0.0, 1e5]\n', SMALL, "a sky of its own"),
+        ('[grid]\n"link.distance_m" = [1.0]\n', 'system = "foggy.toml"\n' + CLOSED, "has weather"),
+    ],
+)
+def test_what_no_point_can_be_is_found_before_the_first(
+    tmp_path: Path, text: str, head: str, complaint: str
+) -> None:
+    (tmp_path / "foggy.toml").write_text('base = "workable"\n[weather]\npart = "fog-200m"\n')
+    with pytest.raises(InputError, match=complaint):
+        sweep(write(tmp_path, text, head), out=tmp_path / "out", workers=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_point_that_can_be_is_enough(tmp_path: Path) -> None:
+    """Others are rows with their errors: of a grid whose last point alone is possible too."""
+    path = write(tmp_path, '[grid]\n"system.optics.f_number" = [-2.0, -1.0, 1.0]\n', CLOSED)
+    check_points(plan := load_study(path), inputs_of(plan))
+    summary = sweep(path, out=tmp_path / "out")
+    assert summary.n_failed == 2
+
+
+@pytest.mark.parametrize(
+    ("parameter", "values"),
+    [
+        ("system.emitter.peak_wavelength_m", (1540e-9, 1550e-9)),
+        ("system.emitter.line_fwhm_m", (50e-9, 100e-9)),
+        ("system.emitter.radiant_intensity_w_per_sr", (1.0, 2.0)),
+        ("system.filter.center_wavelength_m", (1545e-9, 1550e-9)),
+        ("system.filter.width_m", (12e-9, 30e-9)),
+        ("system.filter.transmission", (0.5, 0.9)),
+        ("system.optics.transmission", (0.5, 0.9)),
+        ("system.optics.f_number", (1.0, 2.0)),
+        ("system.detector.width_m", (1e-3, 2e-3)),
+        ("system.detector.responsivity_a_per_w", (0.5, 0.9)),
+        ("system.detector.dark_current_a", (1e-9, 1e-6)),
+        ("system.readout.read_noise_e", (1e2, 1e4)),
+        ("system.acquisition.integration_time_s", (1e-5, 1e-4)),
+        ("system.sky.illuminance_lx", (1e3, 1e5)),
+        ("link.distance_m", (1.0, 2.0)),
+        ("link.reflectance", (0.2, 0.8)),
+    ],
+)
+def test_what_the_closed_form_takes_it_depends_on(
+    tmp_path: Path, parameter: str, values: tuple[float, float]
+) -> None:
+    path = write(tmp_path, f'[grid]\n"{parameter}" = {list(values)}\n', CLOSED)
+    chunk = evaluate_chunk(load_study(path), 0, 2)
+    assert not chunk.errors
+    assert np.ptp(chunk.values["snr"]) != 0
+
+
+def test_a_parameter_without_effect_is_said(tmp_path: Path) -> None:
+    """Eye safety asks for the kind of a source; images do not: not a bit of them moves."""
+    path = write(
+        tmp_path,
+        '[grid]\n"system.emitter.kind" = ["led", "laser"]\n"system.optics.f_number" = [1.0, 2.0]\n',
+    )
+    summary = sweep(path, out=tmp_path / "out", workers=1)
+    assert summary.without_effect == ("system.emitter.kind",)
+    assert list(without_effect(open_sweep(tmp_path / "out").load())) == ["system.emitter.kind"]
+
+
+def test_a_misspelt_metric_is_an_error_in_python_too() -> None:
+    with pytest.raises(ValueError, match="did you mean snr_median"):
+        Study(name="mine", metrics=("snr_medain",))
+    with pytest.raises(ValueError, match="did you mean lmmse"):
+        Study(name="mine", metrics=("psnr_db",), set={"processing.method": "lmsse"})
+
+
+def test_an_object_takes_its_target_along(tmp_path: Path) -> None:
+    """The car 2 m farther: its mesh, and the point that declares it to the radar; nothing else."""
+    path = write(tmp_path, '[grid]\n"scene.objects.car.shift_x_m" = [2.0]\n"scene" = ["yard"]\n')
+    moved, scene = outcome_of(load_study(path), 0).setup.scene, load_scene("yard")
+    for before, after in zip(scene.targets, moved.targets, strict=True):
+        shift = np.subtract(after.position_m, before.position_m)
+        np.testing.assert_allclose(shift, [2.0 if before.object == "car" else 0.0, 0, 0])
+    assert [replace(t, position_m=(0, 0, 0)) for t in moved.targets] == [
+        replace(t, position_m=(0, 0, 0)) for t in scene.targets
+    ]
+
+
+def test_what_changes_together_may_repeat_values(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        '[[zip]]\n"link.distance_m" = [1.0, 1.0, 2.0]\n"link.reflectance" = [0.2, 0.8, 0.8]\n',
+        CLOSED,
+    )
+    sweep(path, out=tmp_path / "out")
+    data = open_sweep(tmp_path / "out").load()
+    np.testing.assert_array_equal(data["link.distance_m"], [1.0, 1.0, 2.0])
+    assert len(set(data["snr"].to_numpy().tolist())) == 3
+
+
+def test_a_metric_of_ones_own_may_look_at_the_radar(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "def strongest(outcome):\n    return outcome.setup.radar.waveform.carrier_hz.value\n"
+    )
+    head = SMALL.replace('"psnr_db"', '"mine:strongest"').replace('"snr_median", ', "")
+    plan = load_study(write(tmp_path, '[grid]\n"radar.waveform.carrier_hz" = [78e9, 79e9]\n', head))
+    values = evaluate_chunk(plan, 0, 2).values["mine:strongest"]
+    np.testing.assert_array_equal(values, [78e9, 79e9])
