@@ -9,6 +9,7 @@ import pytest
 
 from twin import cli
 from twin.budget import wall_rows
+from twin.budget.report import write_design
 from twin.camera import capture
 from twin.fidelity import Fidelity
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
@@ -74,13 +75,16 @@ def test_time_and_distance_are_where_the_snr_is_one(system) -> None:
     assert wall_rows(short, [Z], [RHO])[0].snr_per_pixel == pytest.approx(1, rel=1e-9)
 
 
-def test_saturation_is_void_here_too(system) -> None:
+def test_saturation_is_void_here_too(system, tmp_path: Path) -> None:
     """The same wall too bright for the amplifier: no SNR, and so says the rendered camera."""
     made = system("workable", "[readout]\ntransimpedance_ohm = 1e9\n")
     (row,) = wall_rows(made, [Z], [RHO])
     assert row.saturates
     assert math.isnan(row.snr_per_pixel)
     assert capture(wall(Z, RHO), made, fidelity=Fidelity(1, 1)).void
+    write_design(made, [row], tmp_path)
+    (written,) = json.loads((tmp_path / "budget.json").read_text())["walls"]
+    assert written["snr_per_pixel"] is None
     # A shorter exposure does not help: behind an amplifier that averages, volts follow power.
     assert row.minimum_time_s == math.inf
 

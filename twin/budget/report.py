@@ -1,6 +1,7 @@
 """Budgets as tables for a terminal, as JSON, and as a plot: one's own system, the paper's table."""
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -67,10 +68,20 @@ def print_design(system: System, rows: Sequence[WallRow], console: Console) -> N
 
 
 def write_design(system: System, rows: Sequence[WallRow], folder: Path) -> None:
-    """``budget.json`` with every number of one's own system."""
-    walls = [{**asdict(row), "saturates": row.saturates} for row in rows]
+    """``budget.json`` with every number of one's own system; null is what has none."""
+    walls = [
+        {
+            name: _finite(value)
+            for name, value in {**asdict(row), "saturates": row.saturates}.items()
+        }
+        for row in rows
+    ]
     content = {"system": system.name, "frame_time_s": system.frame_time_s, "walls": walls}
-    (folder / "budget.json").write_text(json.dumps(content, indent=1))
+    (folder / "budget.json").write_text(json.dumps(content, indent=1, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def plot_budget(rows: Sequence[Row]) -> Figure:

@@ -136,7 +136,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         f"{found:.4g} e- found in the record",
         "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
         "verdict": str(verdict),
-        "best pixel": f"SNR {verdict.snr_best:.3g}",
+        "best pixel": "none" if verdict.void else f"SNR {verdict.snr_best:.3g}",
         "Monte-Carlo error of the twin over sensor noise, median": f"{rendering:.2g}",
         "best reconstruction": evaluation.best,
     }
