@@ -1,7 +1,7 @@
 """From records to what the vehicle wants to know, as messages in a log."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,15 +99,16 @@ def calibrated(
 
 
 def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:
-    """Columns of a point cloud: ``x``, ``y``, ``z`` in the antenna's frame, and every field of
+    """Columns of a point cloud: ``x``, ``y``, ``z`` in the antenna's frame, and every number of a
     `Detection` under its own name, (n_detections,) each.
 
     What was not measured is NaN: x and y without an azimuth, z without an elevation; x and y are
     then those of a target at the antenna's height.
     """
-    names = [field.name for field in fields(Detection)]
-    table = np.array([astuple(one) for one in detections], np.float64).reshape(-1, len(names))
-    columns = dict(zip(names, np.where(np.isfinite(table), table, np.nan).T, strict=True))
+    columns = {}
+    for name in (field.name for field in fields(Detection) if field.type is float):
+        values = np.array([getattr(one, name) for one in detections], np.float64)
+        columns[name] = np.where(np.isfinite(values), values, np.nan)
     range_m, azimuth, elevation = (
         columns[name] for name in ("range_m", "azimuth_rad", "elevation_rad")
     )
