@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from radar_cubes import WIDE
+from radar_cubes import WIDE, Echo, cube
 
 import hardware
 from hardware import PatternSet, SpiRecord, reconstruct
@@ -24,6 +24,7 @@ from hardware.calibration import (
 )
 from hardware.capture import capture
 from hardware.drivers import SpiCamera
+from hardware.drivers.clock import ClockModel
 from hardware.drivers.messages import State
 from hardware.drivers.settings import read_settings
 from hardware.radar import Detection
@@ -134,6 +135,23 @@ def test_errors_are_one_line_and_leave_no_log(
     assert done.stderr.count("\n") == 1
     assert message in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_each_burst_becomes_a_cloud_of_its_own_time(tmp_path: Path) -> None:
+    """Two bursts, 0.5 m farther along each time: two clouds, stamped with their first slots' times
+    on the host's clock, a target at 6.0 and 5.5 m.
+    """
+    pose = np.array([[0, 0, 0, 1, 0, 0, 0], [0.5, 0, 0, 1, 0, 0, 0.0]])
+    made = cube(WIDE, [Echo((6.0, 0.0, 0.0))], pose=pose, noise_w=1e-12)
+    with Log(tmp_path / "run.mcap") as log:
+        log.record("/radar/record", made, host_ns=9, clock=ClockModel(0, -(10**9), 0.0, 1.0))
+    done = ugv("process", tmp_path / "run.mcap", "-o", tmp_path / "out.mcap")
+    assert done.returncode == 0, done.stderr
+    assert "burst 0: 1 detections, the strongest at 6.0" in done.stdout
+    assert "burst 1: 1 detections, the strongest at 5.5" in done.stdout
+    clouds = [one.message for one in read_messages(tmp_path / "out.mcap")]
+    begun = made.device_time_ns[:, 0, 0] + 10**9
+    assert [one.publish_time for one in clouds] == begun.tolist()
 
 
 def test_export_writes_one_capture_a_step(tmp_path: Path) -> None:
