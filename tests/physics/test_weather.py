@@ -396,7 +396,10 @@ FOG_200_M = '[weather]\npart = "fog-200m"\n'
 
 
 def test_fog_dims_the_scene_and_lifts_its_darkest_cells(foggy) -> None:
-    """Through the camera: cell by cell surfaces x exp(-extinction x way) + the veil."""
+    """Through the camera: the yard is wide against the fog's lobe, so most cells lose what delta
+    scaling takes, and gain the veil; cells that see the sky get a little of their neighbours' light
+    besides.
+    """
     scene = load_scene("yard")
     fidelity = Fidelity(1024, 1)
     seed = np.random.SeedSequence(3)
@@ -414,7 +417,9 @@ def test_fog_dims_the_scene_and_lifts_its_darkest_cells(foggy) -> None:
     seen = np.isfinite(depth) & (clear.light.cells[0] > 0)
     ratio = foggy_light.light.cells[0][seen] / expected[seen]
     assert np.median(ratio) == pytest.approx(1, abs=0.01)
-    assert foggy_light.light.cells[0][~seen] == pytest.approx(veil[0][~seen], rel=1e-6, abs=0)
+    sky = foggy_light.light.cells[0][~seen] / veil[0][~seen]
+    assert (sky > 1).all()
+    assert sky.max() < 1.1
     assert (veil > 0).all()
     assert foggy_light.sun.sum() > 0
 
@@ -463,5 +468,5 @@ def test_thick_air_is_said_to_be_beyond_the_model(foggy) -> None:
     scene, draft = load_scene("yard"), Fidelity(4, 1)
     thick = capture(scene, foggy('[weather]\npart = "smoke"\n'), fidelity=draft)
     thin = capture(scene, foggy('[weather]\npart = "haze"\n'), fidelity=draft)
-    assert any("scattered more" in warning for warning in thick.warnings)
-    assert not any("scattered more" in warning for warning in thin.warnings)
+    assert any("the real picture is hazier" in warning for warning in thick.warnings)
+    assert not any("hazier" in warning for warning in thin.warnings)

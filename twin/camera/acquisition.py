@@ -25,11 +25,18 @@ from twin.warned import CaptureWarning, is_void
 
 Array = NDArray[np.float64]
 
-#: Optical depth one way up to which light scattered more than once is below some 2 % in fog.
-_THICK = 0.5
+#: Optical depth one way from which air's own light scattered more than once is above 1 % in fog.
+_THICK = 0.25
 
 #: Radius of the Airy disc over half the field from which it is warned of.
 _SMEARED = 0.05
+
+#: Holds for every capture through air.
+AIR_ASSUMPTION = (
+    "air: alike everywhere, with two lobes after Henyey and Greenstein; light to a surface is "
+    "followed through every scattering, light back from it, along the straight way, through those "
+    "by less than 90 deg; the air's own light, of emitter and sun, is scattered once"
+)
 
 #: Holds for every capture; printed with it.
 MODEL_ASSUMPTIONS = (
@@ -166,7 +173,8 @@ def _picture(by_detector: Array, system: System) -> Array:
 
 
 def _assumptions(scene: Scene, system: System) -> tuple[str, ...]:
-    return (*MODEL_ASSUMPTIONS, *_idealised(system), *scene.assumptions, *_assumed(system))
+    air = (AIR_ASSUMPTION,) if system.weather else ()
+    return (*MODEL_ASSUMPTIONS, *air, *_idealised(system), *scene.assumptions, *_assumed(system))
 
 
 def _idealised(system: System) -> tuple[str, ...]:
@@ -218,8 +226,10 @@ def _thick_air(system: System, distance_m: float) -> list[CaptureWarning]:
     return [
         CaptureWarning(
             "model",
-            f"the nearest surface stands behind an optical depth of {depth:.2g}: light scattered "
-            "more than once, 11 % of the whole at 1 and a third at 2 in fog, is left out",
+            f"the nearest surface stands behind an optical depth of {depth:.2g}: light that meets "
+            "no surface and is scattered by the air more than once is left out; it lies evenly "
+            "over the picture, in fog some 3 % of all light at 0.5, 6 % at 1 and 10 % at 2: the "
+            "real picture is hazier",
         )
     ]
 

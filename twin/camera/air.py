@@ -10,12 +10,28 @@ from twin.camera.mounting import field_points
 from twin.camera.truth import depths
 from twin.optics.devices import Device
 from twin.optics.emission import emission_matrix, field_lobe
+from twin.optics.paths import Quality
 from twin.optics.time_of_flight import Paths
 from twin.optics.veil import airlight, backscatter, backscatter_paths
 from twin.optics.weather import Air
 from twin.system import System
 
 Array = NDArray[np.float64]
+
+
+#: Optical depth of scattering below which none is followed: no more light than that is then left
+#: in the wrong cell.
+_THIN = 0.005
+
+
+def where_air_scatters(air: Air | None, depth_m: Array, quality: Quality) -> Quality:
+    """The same knobs, without scatterings where the air before all surfaces is too thin to matter;
+    ``depth_m`` of the picture, infinite where nothing is.
+    """
+    farthest_m = float(depth_m[np.isfinite(depth_m)].max(initial=0.0))
+    if air is None or air.scattering_per_m * farthest_m >= _THIN:
+        return quality
+    return replace(quality, air_orders=0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.air import glow, veil_of
-from twin.camera.limits import cut_off, grazing, unsampled
+from twin.camera.air import glow, veil_of, where_air_scatters
+from twin.camera.limits import cut_off, grazing, unsampled, unspread
 from twin.camera.mounting import devices, field_points
 from twin.camera.truth import Truth, incidence_cosines, render_truth
 from twin.fidelity import Fidelity, Start
@@ -23,7 +23,7 @@ from twin.optics.matrix import transport_matrix
 from twin.optics.paths import Quality
 from twin.optics.time_of_flight import Paths, trace_paths
 from twin.optics.transport import sunlight, transport
-from twin.optics.weather import air_of_system
+from twin.optics.weather import Air, air_of_system
 from twin.scene import Scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
@@ -100,11 +100,12 @@ def render(
     rendered = render_light(
         world, system, emitter, detector, direction, truth, fidelity, sun_quality, seeds, stage
     )
-    return replace(rendered, warnings=_uncertain(scene, world, rendered, fidelity))
+    air = air_of_system(system)
+    return replace(rendered, warnings=_uncertain(scene, world, rendered, fidelity, air))
 
 
 def _uncertain(
-    scene: Scene, world: Any, rendered: Rendered, fidelity: Fidelity
+    scene: Scene, world: Any, rendered: Rendered, fidelity: Fidelity, air: Air | None
 ) -> tuple[CaptureWarning, ...]:
     light, truth, emitter = rendered.light, rendered.truth, rendered.emitter
     shape = truth.albedo.shape
@@ -114,6 +115,7 @@ def _uncertain(
         *unsampled(scene, emitter, picture.size * fidelity.samples),
         *grazing(picture, incidence_cosines(world, emitter, shape)),
         *cut_off(light.indirect_share, truth.albedo, fidelity.max_depth),
+        *unspread(air, float(truth.depth_m.min()), fidelity.air_orders),
     )
 
 
@@ -131,7 +133,9 @@ def render_light(
 ) -> Rendered:
     """Light of emitter and sun, drawn from two seeds; air needs the truth's depth."""
     air, n = air_of_system(system), system.n_detectors
-    extinction = air.surface_extinction_per_m if air else 0.0
+    quality, sun_quality = (
+        where_air_scatters(air, truth.depth_m, q) for q in (fidelity.quality, sun_quality)
+    )
     shape = (system.emitter.rows.value, system.emitter.columns.value)
     first, second = (int(seed.generate_state(1)[0]) for seed in seeds)
     paths = None
@@ -142,10 +146,10 @@ def render_light(
             detector,
             shape,
             n,
-            quality=fidelity.quality,
+            quality=quality,
             start=fidelity.start,
             seed=first,
-            extinction_per_m=extinction,
+            air=air,
         )
         if system.time_of_flight:
             paths = trace_paths(
@@ -153,9 +157,9 @@ def render_light(
                 emitter,
                 detector,
                 shape,
-                quality=fidelity.quality,
+                quality=quality,
                 seed=first,
-                extinction_per_m=extinction,
+                air=air,
             )
     with stage("sun"):
         sun = sun_light(
@@ -165,7 +169,7 @@ def render_light(
             n,
             quality=sun_quality,
             seed=second,
-            extinction_per_m=extinction,
+            air=air,
         )
     if air:
         with stage("air"):
@@ -186,7 +190,7 @@ def emitter_light(
     quality: Quality,
     seed: int,
     start: Start = "auto",
-    extinction_per_m: float = 0.0,
+    air: Air | None = None,
 ) -> Light:
     """Transport from ``shape`` cells to one bucket, or to the columns of a line sensor."""
     if n_detectors == 1:
@@ -197,7 +201,7 @@ def emitter_light(
             shape,
             quality=quality,
             seed=seed,
-            extinction_per_m=extinction_per_m,
+            air=air,
         )
         total = found.total
         share = float(found.indirect.sum() / total.sum()) if total.any() else 0.0
@@ -214,10 +218,10 @@ def emitter_light(
             world,
             cells,
             columns,
-            quality=Quality(side * side, quality.max_depth),
+            quality=replace(quality, samples=side * side),
             seed=seed + half,
             role=start,
-            extinction_per_m=extinction_per_m,
+            air=air,
         )
         for half in range(2)
     ]
@@ -232,7 +236,7 @@ def sun_light(
     *,
     quality: Quality,
     seed: int,
-    extinction_per_m: float = 0.0,
+    air: Air | None = None,
 ) -> Array:
     """Irradiance on the pupil per irradiance of the sun, by part of the field, (rows, columns); the
     columns are those of a line sensor.
@@ -245,6 +249,6 @@ def sun_light(
         shape=shape,
         quality=quality,
         seed=seed,
-        extinction_per_m=extinction_per_m,
+        air=air,
     )
     return found.total

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.optics.devices import Device
+from twin.optics.weather import Air
 from twin.scene import Scene
 from twin.warned import CaptureWarning
 
@@ -13,6 +14,7 @@ Array = NDArray[np.float64]
 
 _WORTH_SAYING = 0.004  # relative error of all the light
 _STEP = 2.0**-24  # half a step of float32, relative
+_THIN = 0.01  # share of the light
 #: Steps that intersection and normal together are off at most: 4.2 were measured.
 _STEPS = 8.0
 
@@ -52,6 +54,23 @@ def grazing(cells: Array, cosines: Array) -> list[CaptureWarning]:
     if error < _WORTH_SAYING:
         return []
     text = f"surfaces are met at grazing angles: float32 rays leave up to {100 * error:.2g} %"
+    return [CaptureWarning("rendering", text)]
+
+
+def unspread(air: Air | None, distance_m: float, orders: int) -> list[CaptureWarning]:
+    """Light scattered forward on the way to the nearest surface and left in its own cell, where no
+    orders of scattering are followed.
+    """
+    if air is None or orders or not np.isfinite(distance_m):
+        return []
+    spread = float(-np.expm1(-air.scattering_per_m * distance_m * air.asymmetry**2))
+    if spread < _THIN:
+        return []
+    text = (
+        "light that the air scatters forward is left in its own cell (fidelity.air_orders = 0): "
+        f"contrast of fine detail is too high by some {100 * spread / (1 - spread):.2g} %; orders "
+        "of scattering spread it"
+    )
     return [CaptureWarning("rendering", text)]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.air import glow, veil_of
+from twin.camera.air import glow, veil_of, where_air_scatters
 from twin.camera.light import SUN_PARTS, Light, Rendered
 from twin.camera.limits import grazing, unsampled
 from twin.camera.mounting import devices
@@ -87,9 +87,9 @@ def render_unpainted(
     world = mitsuba_scene(_white(scene))
     shape = system.picture_shape
     air = air_of_system(system)
-    extinction = air.surface_extinction_per_m if air else 0.0
     first, second = (int(child.generate_state(1)[0]) for child in seed.spawn(2))
     depth = depths(world, emitter, shape)
+    quality = where_air_scatters(air, depth, fidelity.quality)
     nothing: Any = 0.0
     direction = scene.sun.direction
     parts = (SUN_PARTS, SUN_PARTS)
@@ -99,18 +99,18 @@ def render_unpainted(
             Grid(emitter, *shape),
             DeviceLight(detector, "pupil"),
             role="emitter",
-            samples=fidelity.samples,
+            quality=quality,
             seed=first,
-            extinction_per_m=extinction,
+            air=air,
         ),
         sun_parts=gather_by_object(
             world,
             Grid(detector, *parts),
             SunLight(direction),
             role="pupil",
-            samples=fidelity.samples,
+            quality=quality,
             seed=second,
-            extinction_per_m=extinction,
+            air=air,
         ),
         shares=object_shares(world, emitter, shape),
         depth_m=depth,

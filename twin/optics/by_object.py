@@ -12,18 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import Grid, Role, started_rays
-from twin.optics.paths import Light, connector, next_event, random_numbers
-from twin.optics.transport import RAYS_AT_ONCE, Gathered
+from twin.optics.devices import Grid, Role
+from twin.optics.paths import Light, Quality
+from twin.optics.scattering import Medium
+from twin.optics.transport import Gathered, Kind, Task, blocks, found
+from twin.optics.weather import Air
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class ByObject:
-    """Mean and mean square of what each cell gathers from each object, (n_objects, rows, columns).
+    """Mean and mean square of what each cell gathers from each object, (n_passes, n_objects, rows,
+    columns): straight, and where there is air scattered on its way to the surface.
 
-    Of a scene whose reflectances are 1; ``samples`` paths per cell.
+    Of a scene whose reflectances are 1; ``samples`` paths per cell and pass.
     """
 
     mean: Array
@@ -32,11 +35,12 @@ class ByObject:
 
     def gathered(self, reflectance: Array) -> Gathered:
         """What the cells gather with these reflectances, (n_objects,)."""
-        total = np.tensordot(reflectance, self.mean, axes=1)
+        total = np.tensordot(self.mean, reflectance, axes=([1], [0]))
         # A path meets one object: squares add up as well.
-        square = np.tensordot(reflectance**2, self.square, axes=1)
-        error = np.sqrt(np.maximum(square - total**2, 0) / self.samples)
-        return Gathered(total, np.zeros_like(total), error)
+        square = np.tensordot(self.square, reflectance**2, axes=([1], [0]))
+        variance = np.maximum(square - total**2, 0) / self.samples
+        value = total.sum(axis=0)
+        return Gathered(value, np.zeros_like(value), np.sqrt(variance.sum(axis=0)))
 
 
 def gather_by_object(
@@ -45,48 +49,36 @@ def gather_by_object(
     light: Light,
     *,
     role: Role,
-    samples: int,
+    quality: Quality,
     seed: int,
-    extinction_per_m: float = 0.0,
+    air: Air | None = None,
 ) -> ByObject:
     """Direct light of a scene's shapes, in their order; draws the paths that `gather` draws."""
-    per_block = max(1, RAYS_AT_ONCE // (camera.columns * samples))
-    shapes, sums = scene.shapes(), []
-    for top in range(0, camera.rows, per_block):
-        block = (top, min(top + per_block, camera.rows))
-        value, which = _block(scene, camera, light, role, samples, seed, extinction_per_m, block)
-        sums.append([_moments(dr.select(which == s, value, 0), samples) for s in shapes])
+    medium = Medium(air, quality.air_orders) if air else None
+    task = Task(scene, camera, light, role, medium)
+    passes: list[tuple[Kind, tuple[int, ...]]] = [("direct", (seed,))]
+    if medium and medium.scatters:
+        passes.append(("scattered", (seed, 2)))
+    moments = [_of_shapes(task, quality.samples, kind, seeds) for kind, seeds in passes]
+    mean, square = np.moveaxis(np.array(moments), 2, 0)
+    return ByObject(mean, square, quality.samples)
+
+
+def _of_shapes(task: Task, samples: int, kind: Kind, seed: tuple[int, ...]) -> Array:
+    """Mean and mean square by shape, (n_objects, 2, rows, columns)."""
+    camera = task.camera
+    sums = []
+    for block in blocks(camera, samples):
+        value, hit = found(task, samples, kind, seed, block)
+        value, which = mitsuba().Float64(value), hit.shape
+        dr.eval(value, which)
+        sums.append(
+            [_moments(dr.select(which == s, value, 0), samples) for s in task.scene.shapes()]
+        )
     moments = np.concatenate([np.array(part) for part in sums], axis=-1)
-    mean, square = np.moveaxis(moments, 1, 0)
-    full = (len(shapes), camera.rows, camera.columns)
-    return ByObject(mean.reshape(full), square.reshape(full), samples)
+    return moments.reshape(-1, 2, camera.rows, camera.columns)
 
 
 def _moments(value: Any, samples: int) -> tuple[Array, Array]:
     sums = [dr.block_reduce(dr.ReduceOp.Add, x, samples) for x in (value, value * value)]
     return np.array(sums[0]) / samples, np.array(sums[1]) / samples
-
-
-def _block(
-    scene: Any,
-    camera: Grid,
-    light: Light,
-    role: Role,
-    samples: int,
-    seed: int,
-    extinction_per_m: float,
-    block: tuple[int, int],
-) -> tuple[Any, Any]:
-    """Direct light of every path, and the shape that it met."""
-    mi = mitsuba()
-    n_rays = (block[1] - block[0]) * camera.columns * samples
-    rng = random_numbers(n_rays, seed, block[0])
-    ray, weight, active = started_rays(camera, block, samples, rng, role)
-    hit = scene.ray_intersect(ray, mi.RayFlags.All, mi.Bool(True), active)
-    active &= hit.is_valid()
-    value, link = next_event(scene, hit, ray, connector(light), rng, active, True)
-    way = dr.select(active, hit.t, 0) + link.length
-    value *= weight * dr.exp(-dr.opaque(mi.Float, extinction_per_m) * way)
-    value, which = mi.Float64(value), hit.shape
-    dr.eval(value, which)
-    return value, which

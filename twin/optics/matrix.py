@@ -21,11 +21,13 @@ from twin.optics.paths import (
     albedo,
     bounce,
     connector,
-    meet,
     next_event,
     random_numbers,
 )
-from twin.optics.transport import RAYS_AT_ONCE
+from twin.optics.scattering import Medium
+from twin.optics.transport import blocks
+from twin.optics.travel import travel
+from twin.optics.weather import Air
 
 Array = NDArray[np.float64]
 Start = Literal["dual", "scatter"]
@@ -39,7 +41,7 @@ def transport_matrix(
     quality: Quality,
     seed: int,
     role: Start = "dual",
-    extinction_per_m: float = 0.0,
+    air: Air | None = None,
 ) -> Array:
     """T[pixel, cell], shape ``(detector.size, emitter.size)``, in 1/m^2.
 
@@ -52,12 +54,12 @@ def transport_matrix(
         raise ValueError(f"role: {role!r} is none of dual, scatter")
     if role == "dual":
         light = DeviceLight(detector.device, "pupil")
-        there = _Pass(scene, emitter, detector, light, "emitter", quality, seed, extinction_per_m)
+        there = _Pass(scene, emitter, detector, light, "emitter", quality, seed, air)
         return there.matrix().T
     if emitter.device.pitch_m is not None:
         raise ValueError("role: scatter needs an emitter behind a lens; take dual")
     light = DeviceLight(emitter.device, "emitter")
-    back = _Pass(scene, detector, emitter, light, "pupil", quality, seed, extinction_per_m)
+    back = _Pass(scene, detector, emitter, light, "pupil", quality, seed, air)
     return back.matrix()
 
 
@@ -72,15 +74,13 @@ class _Pass:
     role: Role
     quality: Quality
     seed: int
-    extinction_per_m: float
+    air: Air | None
 
     def matrix(self) -> Array:
         """From every cell to every cell, (start.size, other.size)."""
-        start, samples = self.start, self.quality.samples
-        per_block = max(1, RAYS_AT_ONCE // (start.columns * samples))
+        start = self.start
         matrix = np.zeros((start.size, self.other.size))
-        for top in range(0, start.rows, per_block):
-            block = (top, min(top + per_block, start.rows))
+        for block in blocks(start, self.quality.samples):
             matrix[block[0] * start.columns : block[1] * start.columns] = self._rows(block)
         return matrix
 
@@ -90,26 +90,31 @@ class _Pass:
         n_cells = (block[1] - block[0]) * start.columns
         rng = random_numbers(n_cells * quality.samples, self.seed, block[0])
         ray, throughput, active = started_rays(start, block, quality.samples, rng, self.role)
-        connect = connector(self.light)
-        extinction = dr.opaque(mi.Float, self.extinction_per_m)
+        medium = Medium(self.air, quality.air_orders) if self.air else None
+        connect = connector(self.light, medium)
         length = mi.Float(0)
         samples = dr.opaque(mi.UInt32, quality.samples)
         from_cell = dr.arange(mi.UInt32, n_cells * quality.samples) // samples
         sums = np.zeros(n_cells * self.other.size)
         for depth in range(quality.max_depth):
             first = depth == 0
-            hit = meet(self.scene, ray, first, active)
-            active &= hit.is_valid()
-            length = length + dr.select(active, hit.t, 0)
+            hit, ray, active, further = travel(self.scene, ray, medium, rng, active, first=first)
+            length = length + further
             value, link = next_event(self.scene, hit, ray, connect, rng, active, first)
-            value *= throughput * dr.exp(-extinction * (length + link.length))
-            cell, share = _cell(self.other, link.left, link.up)
-            value *= share
+            value *= throughput
+            if medium:
+                value *= medium.kept(length + link.length)
+            arrived = [_cell(self.other, left, up) for _, left, up in link.places]
+            parts = [
+                (value * fill if share is None else value * share * fill, cell)
+                for (share, _, _), (cell, fill) in zip(link.places, arrived, strict=True)
+            ]
             if depth + 1 < quality.max_depth:
                 throughput = throughput * albedo(hit, active)
                 ray = bounce(hit, ray, rng)
-            dr.eval(value, cell, throughput, ray, active, length, rng)
-            sums += _sums(value, from_cell * self.other.size + cell, sums.size)
+            dr.eval(parts, throughput, ray, active, length, rng)
+            for part, cell in parts:
+                sums += _sums(part, from_cell * self.other.size + cell, sums.size)
         return sums.reshape(n_cells, self.other.size) / quality.samples
 
 

@@ -1,4 +1,4 @@
-"""The steps of a light path between Lambertian surfaces: connect to a light, bounce.
+"""The steps of a light path at Lambertian surfaces: connect to a light, bounce.
 
 All tracers (`transport`, `matrix`, `time_of_flight`) take these steps; they differ in what they add
 up. Surfaces are two-sided, with one reflectance at each point.
@@ -22,6 +22,7 @@ from twin.optics.devices import (
     relative,
     vectors,
 )
+from twin.optics.scattering import Medium, displaced
 
 Array = NDArray[np.float64]
 
@@ -39,11 +40,16 @@ class Quality:
     indirect_samples
         Paths per cell for the light of further bounces, a square number: its noise falls as
         samples^-0.5, but there is less of it. Default: a quarter of ``samples``.
+    air_orders
+        Scatterings that are followed in the air on the way to a surface, and as many back; light of
+        more is lost, 1e-10 of it at an optical depth of 1 and 2e-5 at 3. 0: none are followed, and
+        what is scattered forward stays in its cell: contrast is too high by the optical depth.
     """
 
     samples: int = 64
     max_depth: int = 4
     indirect_samples: int | None = None
+    air_orders: int = 12
 
     def __post_init__(self) -> None:
         for name in ("samples", "indirect_samples"):
@@ -52,6 +58,8 @@ class Quality:
                 raise ValueError(f"{name}: {value} is not a square number")
         if self.max_depth < 1:
             raise ValueError(f"max_depth: {self.max_depth} is less than 1")
+        if self.air_orders < 0:
+            raise ValueError(f"air_orders: {self.air_orders} is less than 0")
 
     @property
     def further_samples(self) -> int:
@@ -83,15 +91,17 @@ Light = SunLight | DeviceLight
 
 class Connection(NamedTuple):
     """From a surface to a light: direction, the ray that must be free, irradiance per light on a
-    surface facing it, length of the way, and the place in the light's field.
+    surface facing it, and length of the way.
+
+    ``places``: shares of it (None: all) and where in the light's field each seems to come from; of
+    a sun none.
     """
 
     direction: Any
     shadow_ray: Any
     weight: Any
     length: Any
-    left: Any
-    up: Any
+    places: tuple[tuple[Any, Any, Any], ...]
 
 
 class _SunConnector:
@@ -100,14 +110,13 @@ class _SunConnector:
 
     def __call__(self, hit: Any, rng: Any) -> Connection:
         mi = mitsuba()
-        zero = mi.Float(0)
         ray = hit.spawn_ray(self.direction)
-        return Connection(self.direction, ray, mi.Float(1), zero, zero, zero)
+        return Connection(self.direction, ray, mi.Float(1), mi.Float(0), ())
 
 
 class _DeviceConnector:
-    def __init__(self, light: DeviceLight) -> None:
-        self.device = light.device
+    def __init__(self, light: DeviceLight, medium: Medium | None) -> None:
+        self.device, self.medium = light.device, medium
         self.is_pupil = light.kind == "pupil"
         self.origin = point(light.device.origin_m)
         self.axes = vectors(light.device.axes)
@@ -128,26 +137,41 @@ class _DeviceConnector:
         if self.is_pupil:
             weight *= cos
         left, up = blurred(self.device, left, up, rng)
-        weight = dr.select((cos > 0) & inside(self.device, left, up), weight, 0)
-        ray = hit.spawn_ray_to(origin)
-        return Connection(direction, ray, weight, dr.sqrt(distance2), left, up)
+        distance, ray = dr.sqrt(distance2), hit.spawn_ray_to(origin)
+        if self.medium is None or not self.medium.scatters:
+            weight = dr.select((cos > 0) & inside(self.device, left, up), weight, 0)
+            return Connection(direction, ray, weight, distance, ((None, left, up),))
+        seen, places = self._through_air(self.medium, distance, left, up, rng)
+        weight = dr.select(cos > 0, weight * seen, 0)
+        return Connection(direction, ray, weight, distance, places)
+
+    def _through_air(
+        self, medium: Medium, distance: Any, left: Any, up: Any, rng: Any
+    ) -> tuple[Any, tuple[tuple[Any, Any, Any], ...]]:
+        """Share of the light that arrives inside the field, and what is straight and what is
+        scattered of that.
+        """
+        mi, device = mitsuba(), self.device
+        off_left, off_up, arrives = displaced(mi, medium, distance, rng)
+        per_tangent = dr.rcp(dr.opaque(mi.Float, device.tan_half_field))
+        to_left, to_up = left + off_left * per_tangent, up + off_up * per_tangent
+        straight = medium.straight(distance)
+        first = dr.select(inside(device, left, up), straight, 0)
+        other = dr.select(arrives & inside(device, to_left, to_up), 1 - straight, 0)
+        seen = first + other
+        part = first / dr.select(seen > 0, seen, 1)
+        return seen, ((part, left, up), (1 - part, to_left, to_up))
 
 
-def connector(light: Light) -> Any:
-    """What a path asks at each vertex: ``connector(light)(hit, rng)`` is a `Connection`."""
-    return _SunConnector(light) if isinstance(light, SunLight) else _DeviceConnector(light)
+def connector(light: Light, medium: Medium | None = None) -> Any:
+    """What a path asks at each vertex: ``connector(light)(hit, rng)`` is a `Connection`.
 
-
-def meet(scene: Any, ray: Any, coherent: bool, active: Any = True) -> Any:
-    """The surface that a ray meets, at a point of the ray itself.
-
-    Mitsuba puts the point between the triangle's corners; at grazing incidence on a large triangle
-    that is off sideways by the corners' float32 step over the cosine, 8 mm at 89.9 deg on 200 m.
+    The sun's light is that at the sensor, whatever the air; a device's is scattered on the way, but
+    not absorbed: the caller knows the whole length.
     """
-    mi = mitsuba()
-    hit = scene.ray_intersect(ray, mi.RayFlags.All, mi.Bool(coherent), active)
-    hit.p = dr.select(hit.is_valid(), ray(hit.t), hit.p)
-    return hit
+    if isinstance(light, SunLight):
+        return _SunConnector(light)
+    return _DeviceConnector(light, medium)
 
 
 def next_event(

@@ -21,10 +21,12 @@ from twin.optics.paths import (
     albedo,
     bounce,
     connector,
-    meet,
     next_event,
     random_numbers,
 )
+from twin.optics.scattering import Medium
+from twin.optics.travel import travel
+from twin.optics.weather import Air
 
 Array = NDArray[np.float64]
 #: Share of the light that counts, for path lengths in metres (any shape).
@@ -84,7 +86,7 @@ def trace_paths(
     *,
     quality: Quality,
     seed: int,
-    extinction_per_m: float = 0.0,
+    air: Air | None = None,
 ) -> Paths:
     """Trace the paths of every cell to a detector, direct and indirect, and keep their lengths.
 
@@ -94,18 +96,19 @@ def trace_paths(
     grid = Grid(emitter, *shape)
     rng = random_numbers(grid.size * quality.samples, seed)
     ray, throughput, active = started_rays(grid, (0, grid.rows), quality.samples, rng, "emitter")
-    connect = connector(DeviceLight(detector, "pupil"))
+    medium = Medium(air, quality.air_orders) if air else None
+    connect = connector(DeviceLight(detector, "pupil"), medium)
     throughput = throughput / quality.samples
     travelled, found = mi.Float(0), []
-    extinction = dr.opaque(mi.Float, extinction_per_m)
     for depth in range(quality.max_depth):
         first = depth == 0
-        hit = meet(scene, ray, first, active)
-        active &= hit.is_valid()
-        travelled = travelled + dr.select(active, hit.t, 0)
+        hit, ray, active, further = travel(scene, ray, medium, rng, active, first=first)
+        travelled = travelled + further
         value, link = next_event(scene, hit, ray, connect, rng, active, first)
         length = dr.select(value > 0, travelled + link.length, 0)
-        value *= throughput * dr.exp(-extinction * length)
+        value *= throughput
+        if medium:
+            value *= medium.kept(length)
         throughput = throughput * albedo(hit, active)
         ray = bounce(hit, ray, rng)
         dr.eval(value, length, throughput, ray, active, travelled, rng)

@@ -9,8 +9,9 @@ started at a camera, the picture. Contributions are added up per cell in float64
 the same seed gives the same bits.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -26,10 +27,12 @@ from twin.optics.paths import (
     albedo,
     bounce,
     connector,
-    meet,
     next_event,
     random_numbers,
 )
+from twin.optics.scattering import Medium
+from twin.optics.travel import scattered_once_or_more, travel
+from twin.optics.weather import Air
 
 Array = NDArray[np.float64]
 
@@ -59,7 +62,7 @@ def transport(
     *,
     quality: Quality,
     seed: int,
-    extinction_per_m: float = 0.0,
+    air: Air | None = None,
 ) -> Gathered:
     """Irradiance on the detector's pupil per radiant intensity of each cell, in 1/m^2.
 
@@ -74,7 +77,7 @@ def transport(
         role="emitter",
         quality=quality,
         seed=seed,
-        extinction_per_m=extinction_per_m,
+        air=air,
     )
 
 
@@ -86,7 +89,7 @@ def sunlight(
     shape: tuple[int, int] = (32, 32),
     quality: Quality,
     seed: int,
-    extinction_per_m: float = 0.0,
+    air: Air | None = None,
 ) -> Gathered:
     """Irradiance on the detector's pupil per irradiance of the sun, by part of its field.
 
@@ -99,7 +102,7 @@ def sunlight(
         role="pupil",
         quality=quality,
         seed=seed,
-        extinction_per_m=extinction_per_m,
+        air=air,
     )
 
 
@@ -111,40 +114,48 @@ def gather(
     role: Role,
     quality: Quality,
     seed: int,
-    extinction_per_m: float = 0.0,
+    air: Air | None = None,
 ) -> Gathered:
     """Light that each cell of a camera's field receives, weighted by the camera's ``role``.
 
-    Direct and indirect light are rendered apart, each with its own number of paths. Air takes
-    exp(-extinction x length) from every path.
+    Direct and indirect light are rendered apart, each with its own number of paths; so is direct
+    light that the air scatters on its way from the camera to the surface.
     """
-    task = _Task(scene, camera, light, role, extinction_per_m)
-    direct, error = _passes(task, quality.samples, 1, (seed,))
+    medium = Medium(air, quality.air_orders) if air else None
+    task = Task(scene, camera, light, role, medium)
+    direct, error = _passes(task, quality.samples, "direct", (seed,))
+    if medium and medium.scatters:
+        scattered, further = _passes(task, quality.samples, "scattered", (seed, 2))
+        direct, error = direct + scattered, np.hypot(error, further)
     if quality.max_depth == 1:
         return Gathered(direct, np.zeros_like(direct), error)
-    indirect, further = _passes(task, quality.further_samples, quality.max_depth, (seed, 1))
+    kind = quality.max_depth
+    indirect, further = _passes(task, quality.further_samples, kind, (seed, 1))
     return Gathered(direct, indirect, np.hypot(error, further))
 
 
-class _Task(NamedTuple):
+class Task(NamedTuple):
+    """What is gathered, whatever the number of paths."""
+
     scene: Any
     camera: Grid
     light: Light
     role: Role
-    extinction_per_m: float
+    medium: Medium | None
 
 
-def _passes(
-    task: _Task, samples: int, max_depth: int, seed: tuple[int, ...]
-) -> tuple[Array, Array]:
+#: Light that comes straight to the first surface it meets, or is scattered before; or the light of
+#: further bounces, up to their number.
+Kind = Literal["direct", "scattered"] | int
+
+
+def _passes(task: Task, samples: int, kind: Kind, seed: tuple[int, ...]) -> tuple[Array, Array]:
     """Mean of each cell and its standard error, in blocks of rows that fit into memory."""
     camera = task.camera
-    per_block = max(1, RAYS_AT_ONCE // (camera.columns * samples))
     means, errors = [], []
-    for top in range(0, camera.rows, per_block):
-        block = (top, min(top + per_block, camera.rows))
+    for block in blocks(camera, samples):
         # Sums per cell, in float64: the kernel's own numbers have 24 bits.
-        value = mitsuba().Float64(_block(task, samples, max_depth, seed, block))
+        value = mitsuba().Float64(found(task, samples, kind, seed, block)[0])
         sums = [dr.block_reduce(dr.ReduceOp.Add, x, samples) for x in (value, value * value)]
         mean, square = (np.array(s) / samples for s in sums)
         means.append(mean)
@@ -153,35 +164,53 @@ def _passes(
     return np.concatenate(means).reshape(shape), np.concatenate(errors).reshape(shape)
 
 
-def _block(
-    task: _Task, samples: int, max_depth: int, seed: tuple[int, ...], block: tuple[int, int]
-) -> Any:
-    """Direct light of every path (``max_depth`` 1), or the light of further bounces."""
+def blocks(camera: Grid, samples: int) -> Iterator[tuple[int, int]]:
+    """Rows whose paths fit into memory together."""
+    per_block = max(1, RAYS_AT_ONCE // (camera.columns * samples))
+    for top in range(0, camera.rows, per_block):
+        yield top, min(top + per_block, camera.rows)
+
+
+def found(
+    task: Task, samples: int, kind: Kind, seed: tuple[int, ...], block: tuple[int, int]
+) -> tuple[Any, Any]:
+    """Light of one kind that every path of some rows finds, and the surface that it met."""
     mi = mitsuba()
-    scene, camera, light, role, extinction_per_m = task
+    scene, camera, light, role, medium = task
     n_rays = (block[1] - block[0]) * camera.columns * samples
     rng = random_numbers(n_rays, *seed, block[0])
     ray, weight, active = started_rays(camera, block, samples, rng, role)
-    extinction = dr.opaque(mi.Float, extinction_per_m)
-    connect = connector(light)
-    if max_depth == 1:
-        light_found = _direct(scene, ray, rng, connect, extinction, active)
+    connect, hit = connector(light, medium), None
+    if kind == "direct":
+        value, hit = _direct(scene, ray, rng, connect, medium, active)
+    elif kind == "scattered":
+        value, hit = _scattered(scene, ray, rng, connect, medium, active)
     else:
-        depth = dr.opaque(mi.UInt32, max_depth)
-        light_found = _indirect(mi, scene, ray, rng, connect, extinction, active, depth)
-    return weight * light_found + dr.zeros(mi.Float, n_rays)
+        depth = dr.opaque(mi.UInt32, kind)
+        value = _indirect(mi, scene, ray, rng, connect, medium, active, depth)
+    return weight * value + dr.zeros(mi.Float, n_rays), hit
 
 
-def _direct(scene: Any, ray: Any, rng: Any, connect: Any, extinction: Any, active: Any) -> Any:
-    hit, active, length = _first_hit(scene, ray, active)
+def _direct(
+    scene: Any, ray: Any, rng: Any, connect: Any, medium: Medium | None, active: Any
+) -> tuple[Any, Any]:
+    """Light that comes straight from the camera to a surface and on to the light; and the hit."""
+    hit, ray, active, length = travel(scene, ray, None, rng, active, first=True)
     value, link = next_event(scene, hit, ray, connect, rng, active, True)
-    return value * dr.exp(-extinction * (length + link.length))
+    if medium:
+        value *= medium.kept(length + link.length)
+        if medium.scatters:
+            value *= medium.straight(length)
+    return value, hit
 
 
-def _first_hit(scene: Any, ray: Any, active: Any) -> tuple[Any, Any, Any]:
-    hit = meet(scene, ray, True, active)
-    active = active & hit.is_valid()
-    return hit, active, dr.select(active, hit.t, 0)
+def _scattered(
+    scene: Any, ray: Any, rng: Any, connect: Any, medium: Any, active: Any
+) -> tuple[Any, Any]:
+    """Light that the air scatters before it meets a surface; and the hit."""
+    hit, ray, active, length, share = scattered_once_or_more(scene, ray, medium, rng, active)
+    value, link = next_event(scene, hit, ray, connect, rng, active, False)
+    return value * share * medium.kept(length + link.length), hit
 
 
 @dr.syntax
@@ -191,22 +220,23 @@ def _indirect(
     ray: Any,
     rng: Any,
     connect: Any,
-    extinction: Any,
+    medium: Any,
     active: Any,
     max_depth: Any,
 ) -> Any:
     """Path tracing with next-event estimation from the second vertex on."""
-    hit, active, length = _first_hit(scene, ray, active)
+    hit, ray, active, length = travel(scene, ray, medium, rng, active, first=True)
     throughput, total = albedo(hit, active), mi.Float(0)
     ray = bounce(hit, ray, rng)
     depth = mi.UInt32(1)
     active &= throughput > 0
     while active & (depth < max_depth):
-        hit = meet(scene, ray, False, active)
-        active &= hit.is_valid()
-        length += dr.select(active, hit.t, 0)
+        hit, ray, active, further = travel(scene, ray, medium, rng, active, first=False)
+        length += further
         value, link = next_event(scene, hit, ray, connect, rng, active, False)
-        total += throughput * value * dr.exp(-extinction * (length + link.length))
+        if dr.hint(medium is not None, mode="scalar"):
+            value *= medium.kept(length + link.length)
+        total += throughput * value
         throughput *= albedo(hit, active)
         active &= throughput > 0
         ray = bounce(hit, ray, rng)
