@@ -67,18 +67,23 @@ def default_folder(settings: Mapping[str, Any]) -> Path:
     words = [settings["scene"], system or radar]
     if system:
         other = "workable" if system == _DEFAULTS["compare"] else _DEFAULTS["compare"]
-        words += _unless(settings["compare"], other, "beside_{}", "alone")
-        words += _unless(radar, _DEFAULTS["radar"], "{}", "no-radar")
-    words += _unless(settings["seed"], _DEFAULTS["seed"], "seed_{}")
-    words += _unless(settings["pose"], None, "pose_{}")
+        words += unless(settings["compare"], other, "beside_{}", "alone")
+        words += unless(radar, _DEFAULTS["radar"], "{}", "no-radar")
+    words += unless(settings["seed"], _DEFAULTS["seed"], "seed_{}")
+    words += unless(settings["pose"], None, "pose_{}")
     if track := settings["track"]:
         numbers = [*track["step_m"], track["count"], track["interval_s"]]
         words.append("track_" + ",".join(_number(n) for n in numbers if n is not None))
-    words += _knobs(settings["fidelity"])
+    return named_folder(*words, *_knobs(settings["fidelity"]))
+
+
+def named_folder(*words: str) -> Path:
+    """A folder of ``runs`` whose name says these words."""
     return Path("runs") / "-".join(words).replace(" ", "_").replace(os.sep, "_")
 
 
-def _unless(value: Any, default: Any, word: str, without: str = "") -> list[str]:
+def unless(value: Any, default: Any, word: str, without: str = "") -> list[str]:
+    """What a folder's name says of a setting: nothing where it is the default."""
     if value == default:
         return []
     return [word.format(value) if value is not None else without]
@@ -91,7 +96,7 @@ def _knobs(knobs: Mapping[str, Any]) -> list[str]:
         for name, known in PRESETS.items()
     }
     nearest = min(differing, key=lambda name: len(differing[name]))
-    words = _unless(nearest, "standard", "{}")
+    words = unless(nearest, "standard", "{}")
     return words + [f"{knob}_{knobs[knob]}" for knob in differing[nearest]]
 
 

@@ -9,8 +9,12 @@ import pytest
 from twin.fidelity import PRESETS, Fidelity
 from twin.files import InputError
 from twin.job import run
+from twin.radar import load_radar
 from twin.run_folder import default_folder, run_folder, settings_of
-from twin.scene import Pose, Track
+from twin.scene import Pose, Track, load_scene
+from twin.system import load_system
+from twin.trade.walk import TOLERANCE
+from twin.trade.walk import _folder as trade_folder
 
 FAST = Fidelity(samples=1, max_depth=1, radar="targets")
 RADAR = {"radar.h5", "detections.csv", "truth.csv", "range_doppler.png", "radar_cuts.png"}
@@ -84,6 +88,20 @@ def test_every_variant_has_a_folder_of_its_own() -> None:
         assert str(default_folder(made)) == name
     for a, b in combinations(named.values(), 2):
         assert default_folder(a) != default_folder(b)
+
+
+def test_a_trade_has_one_too() -> None:
+    """On ee37b06 radar, tolerance and seed shared a folder."""
+    scene, system = load_scene("table1"), load_system("workable")
+
+    def folder(radar: str | None = "hybrid-79", tolerance: float = TOLERANCE, seed: int = 0) -> str:
+        design = None if radar is None else load_radar(radar)
+        return str(trade_folder(scene, system, design, tolerance, seed))
+
+    assert folder() == "runs/trade-table1-workable"
+    assert folder(None) == "runs/trade-table1-workable-no-radar"
+    assert folder("prototype") == "runs/trade-table1-workable-prototype"
+    assert folder(tolerance=0.1, seed=2) == "runs/trade-table1-workable-tolerance_0.1-seed_2"
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"format": "another", "files": ["keep.txt"]}', "{"])

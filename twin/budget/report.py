@@ -68,7 +68,9 @@ def print_design(system: System, rows: Sequence[WallRow], console: Console) -> N
 
 
 def write_design(system: System, rows: Sequence[WallRow], folder: Path) -> None:
-    """``budget.json`` with every number of one's own system; null is what has none."""
+    """``budget.json`` with every number of one's own system, null where there is none;
+    ``budget.png`` with the SNR over distance.
+    """
     walls = [
         {
             name: _finite(value)
@@ -78,10 +80,33 @@ def write_design(system: System, rows: Sequence[WallRow], folder: Path) -> None:
     ]
     content = {"system": system.name, "frame_time_s": system.frame_time_s, "walls": walls}
     (folder / "budget.json").write_text(json.dumps(content, indent=1, allow_nan=False))
+    plot_design(system, rows).savefig(folder / "budget.png", metadata={"Software": None})
 
 
 def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def plot_design(system: System, rows: Sequence[WallRow]) -> Figure:
+    """SNR per pixel over the wall's distance, by reflectance."""
+    figure = new_figure((5.2, 3.6))
+    axis = figure.subplots()
+    for number, rho in enumerate(sorted({row.reflectance for row in rows})):
+        of_rho = sorted((r for r in rows if r.reflectance == rho), key=lambda r: r.distance_m)
+        axis.loglog(
+            [row.distance_m for row in of_rho],
+            [row.snr_per_pixel for row in of_rho],
+            "os^v"[number % 4] + "-",
+            color=(BLUE, ORANGE, GREY)[number % 3],
+            label=f"reflectance {rho:g}",
+        )
+    axis.axhline(1.0, color=GREY, lw=0.8)
+    axis.set_xlabel("distance of the wall (m)")
+    axis.set_ylabel("signal / noise per pixel")
+    far = max((r.maximum_distance_m for r in rows if r.maximum_distance_m < math.inf), default=0.0)
+    axis.set_title(f"{system.name}: SNR 1 at up to {far:.3g} m")
+    axis.legend(frameon=False)
+    return figure
 
 
 def plot_budget(rows: Sequence[Row]) -> Figure:

@@ -81,7 +81,8 @@ def trade(
     ] = 0.2,
     seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write; default runs/trade-SCENE-SYSTEM.")
+        Path | None,
+        typer.Option(help="Folder; default runs/trade-SCENE-SYSTEM and what is not the default."),
     ] = None,
 ) -> None:
     """Measure time, memory and error of every rung on a scene, and say which one to take."""

@@ -11,6 +11,7 @@ from twin.fidelity import Fidelity
 from twin.files import InputError, whole_folder
 from twin.progress import Stages
 from twin.radar import RadarDesign, load_radar
+from twin.run_folder import named_folder, unless
 from twin.scene import Scene, load_scene
 from twin.system import System, load_system
 from twin.trade.brute_force import Agreement, check
@@ -47,7 +48,8 @@ def trade(
     seed
         Of every random draw.
     out
-        Folder to write to; default ``runs/trade-SCENE-SYSTEM``. It appears whole or not at all.
+        Folder to write to; default ``runs/trade-SCENE-SYSTEM`` with all that is not the default. It
+        appears whole or not at all.
 
     Returns what was found, and the folder. Raises InputError and EngineError as `twin.run` does.
     """
@@ -60,7 +62,7 @@ def trade(
     with Stages(expected) as stages:
         with stages.stage("load"):
             world = scene if isinstance(scene, Scene) else load_scene(scene)
-        folder = Path(out or Path("runs") / f"trade-{world.name}-{design.name}")
+        folder = Path(out or _folder(world, design, sensor, tolerance, seed))
         with whole_folder(folder) as partial:
             found = _measure(world, design, sensor, tolerance, seed, stages.stage, checked=True)
             write_trade(found, partial)
@@ -88,6 +90,19 @@ def choose(
         return nullcontext()
 
     return _measure(world, design, sensor, tolerance, seed, quietly, checked=False).fidelity
+
+
+def _folder(
+    scene: Scene, system: System, radar: RadarDesign | None, tolerance: float, seed: int
+) -> Path:
+    return named_folder(
+        "trade",
+        scene.name,
+        system.name,
+        *unless(radar.name if radar else None, "hybrid-79", "{}", "no-radar"),
+        *unless(tolerance, TOLERANCE, "tolerance_{:g}"),
+        *unless(seed, 0, "seed_{}"),
+    )
 
 
 def _inputs(
