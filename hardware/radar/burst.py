@@ -8,7 +8,10 @@ from numpy.typing import NDArray
 
 from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import Complex, Precision, demodulated
+from hardware.radar.demodulation import samples as measured
 from hardware.radar.integrity import usable
+from hardware.radar.phase_noise import with_steady_phase, without_phase_noise
+from hardware.radar.quadrature import without_images
 from hardware.radar.stitching import stitch
 from hardware.waveform import OfdmWaveform
 
@@ -67,7 +70,7 @@ def demodulate(
     precision
         See `Precision`. Carrier steps are joined in double precision always.
     leakage
-        Take the record's leakage away, where its delay is known.
+        Take the record's leakage and its phase noise away, where its delay is known.
     reference_delay_s, range_rate_m_per_s
         See `stitch`; without a delay that of the record's leakage.
 
@@ -83,7 +86,13 @@ def demodulate(
     n_transmitters, n_turns = turns.shape
     slots = wave.slot_times_s[turns]
     own = replace(wave, n_slots=n_turns, slot_period_s=wave.slot_period_s * n_transmitters)
-    cube = [_step(record, burst, step, turns, precision) for step in steps]
+    samples = [measured(record.iq[burst, step, : part.n_slots], precision) for step in steps]
+    samples = without_images(samples, wave)
+    if leakage and np.isfinite(record.leakage_delay_s):
+        samples = [with_steady_phase(step, wave, record.leakage_delay_s) for step in samples]
+        if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
+            samples = [without_phase_noise(samples[0], wave, record.leakage_delay_s, turns)]
+    cube = [_channels(step, turns, wave, record.root_watt_per_count) for step in samples]
     motion = None
     if len(record.carriers_hz) == 1:
         joined, wide = cube[0], own
@@ -129,20 +138,14 @@ def even_turns(transmitter: NDArray[np.uint8]) -> NDArray[np.intp]:
     return (np.arange(n_turns)[:, None] * len(names) + np.argsort(rounds[0])).T
 
 
-def _step(
-    record: "RadarRecord",
-    burst: int,
-    step: int,
-    turns: NDArray[np.intp],
-    precision: Precision,
+def _channels(
+    samples: Complex, turns: NDArray[np.intp], waveform: OfdmWaveform, root_watt_per_count: float
 ) -> Complex:
-    """Channels (n_channels, n_subcarriers, n_turns) of one step."""
-    wave = record.waveform
-    iq = record.iq[burst, step]
+    """Channels (n_channels, n_subcarriers, n_turns) of one step's samples in counts."""
     channels = []
     for slots in turns:
         regular = slice(int(slots[0]), int(slots[-1]) + 1, len(turns))  # a view, no copy
-        for receiver in range(iq.shape[1]):
-            counts = iq[regular, receiver]
-            channels.append(demodulated(counts, wave, record.root_watt_per_count, precision).T)
+        for receiver in range(samples.shape[1]):
+            counts = samples[regular, receiver]
+            channels.append(demodulated(counts, waveform, root_watt_per_count).T)
     return channels[0][None] if len(channels) == 1 else np.stack(channels)

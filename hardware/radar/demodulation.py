@@ -33,21 +33,22 @@ def channel(
     One subcarrier carries 1/N of the power; the division by the sent symbols scales it back to the
     whole, so that an echo of power P has the modulus sqrt(P) everywhere.
     """
-    counts = record.iq[burst, step, :, receiver]
-    return demodulated(counts, record.waveform, record.root_watt_per_count, precision).T
+    counts = samples(record.iq[burst, step, :, receiver], precision)
+    return demodulated(counts, record.waveform, record.root_watt_per_count).T
 
 
-def demodulated(
-    counts: NDArray[np.int16],
-    waveform: OfdmWaveform,
-    root_watt_per_count: float,
-    precision: Precision = "double",
-) -> Complex:
-    """As `channel`, for counts (..., n_subcarriers, 2); subcarriers ascend along the last axis."""
+def samples(counts: NDArray[np.int16], precision: Precision = "double") -> Complex:
+    """Complex samples (...) of counts (..., 2), in counts."""
+    real = np.float64 if precision == "double" else np.float32
+    return counts.astype(real, order="C").view(np.result_type(real, np.complex64))[..., 0]
+
+
+def demodulated(samples: Complex, waveform: OfdmWaveform, root_watt_per_count: float) -> Complex:
+    """As `channel`, for samples (..., n_subcarriers) in counts, which are overwritten; subcarriers
+    ascend along the last axis.
+    """
     from scipy.fft import fft
 
-    real = np.float64 if precision == "double" else np.float32
-    samples = counts.astype(real, order="C").view(np.result_type(real, np.complex64))[..., 0]
     scale = root_watt_per_count / np.sqrt(waveform.n_subcarriers)
     # The sent symbols have modulus 1: dividing is multiplying with the conjugate.
     factor = (scale * waveform.sent().conj()).astype(samples.dtype)

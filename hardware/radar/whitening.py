@@ -1,0 +1,63 @@
+"""Noise that several channels share made independent, range by range, before powers are added.
+
+What the oscillator does to the leakage is the same for all receivers. The mean power of V channels
+with one noise scatters as if there were fewer of them (the effective number of looks, mean^2 over
+variance), and a threshold for V independent channels is exceeded far too often. Multiplied by the
+inverse root of their noise covariance the channels are independent and equally noisy; an echo
+keeps its power in the mean over directions, and stands out most where the shared noise is not.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+_BLOCKS = 32  # of ranges, at most, each with a covariance of its own
+_CELLS = 40  # of a block, per channel: the covariance is known within a sixth
+_LOUD = 6.0  # times the median, from which a cell is taken for an echo
+_ALIKE = 2.0  # neighbouring cells of a window, counted as one of the covariance
+
+
+def whitened(images: Sequence[Complex]) -> tuple[list[Complex], float]:
+    """Images (n_rates, n_ranges) of channels made independent, and their effective looks before.
+
+    Where the channels' noise is alike by no more than chance they stay as they are, and the looks
+    are their number; else the looks are the least over range.
+    """
+    n = len(images)
+    n_rates, n_ranges = images[0].shape
+    size = max(-(-n_ranges // _BLOCKS), -(-4 * _CELLS * n // n_rates))
+    if n == 1 or n_rates * n_ranges < 4 * _CELLS * n:
+        return list(images), float(n)
+    stack = np.stack(images)
+    looks = float(n)
+    for start in range(0, n_ranges, size):
+        part = stack[..., max(0, min(start, n_ranges - size)) : start + size]
+        covariance, n_cells = _covariance(part)
+        values, vectors = np.linalg.eigh(covariance)
+        if values[0] <= 0:
+            continue
+        chance = np.sqrt(_ALIKE * n / n_cells)
+        if values[-1] / values[0] < ((1 + chance) / (1 - chance)) ** 2:
+            continue  # as far apart as independent noise makes them (Marchenko and Pastur, 1967)
+        looks = min(looks, float(values.sum() ** 2 / np.sum(values**2)))
+        mean = n / np.sum(1 / values)
+        root = (vectors * np.sqrt(mean / values)) @ vectors.conj().T
+        block = stack[..., start : start + size]
+        block[...] = np.tensordot(root.astype(stack.dtype), block, axes=1)
+    return list(stack), looks
+
+
+def _covariance(part: Complex) -> tuple[Complex, int]:
+    """Covariance of channels (n_channels, n_rates, n_ranges) over every other cell that holds no
+    strong echo, and their number.
+    """
+    cells = part[:, ::2, ::2].reshape(len(part), -1)
+    power = np.mean(np.abs(cells) ** 2, axis=0)
+    quiet = cells[:, power <= _LOUD * np.median(power)]
+    covariance = quiet @ quiet.conj().T / quiet.shape[1]
+    return np.asarray(covariance.astype(np.complex128)), quiet.shape[1]
