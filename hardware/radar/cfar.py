@@ -14,15 +14,21 @@ is the textbooks' n (Pfa^(-1/n) - 1) for ``ca`` and prod (n - i) / (n - i + fact
 A window makes neighbouring cells alike: n cells then tell as much as fewer independent ones. That
 number replaces n: for a mean, the one with the same variance; for a quantile, the one with the same
 variance of the share of cells below it.
+
+Noise that is stronger at some rates than at others (steps of a synthesiser that drifts within a
+slot) is told by the median over range of every rate: thresholds follow it. K-distributed clutter
+(see `k_distribution`) exceeds thresholds for noise many times too often; with its shape, given or
+fitted to each map, cells and reference are distributed as that says.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.k_distribution import fit, quantile, survival
 from hardware.radar.windows import correlation, taper
 
 Array = NDArray[np.float64]
@@ -34,6 +40,8 @@ _QUANTILE = 0.75  # of the training cells, for os
 _MOST_ORDERED = 96  # cells that os sorts
 _TILE = 4  # cells along each side
 _MOST_GATHERED = 2000  # cells looked at one by one
+_MOST_RANGES = 1024  # that tell the noise of a rate
+_UNLIKE = 1.5  # times their standard error, by which medians must differ to be followed
 
 
 @dataclass(frozen=True)
@@ -49,12 +57,15 @@ class Cfar:
     guard, training
         Cells on each side along range and rate that are left out, and that tell the noise. The
         guard must hold what a window spreads a cell over: 3 for ``blackmanharris``.
+    shape
+        Of K-distributed clutter; infinite for noise. ``"fitted"``: to each map.
     """
 
     false_alarm: float = 1e-8
     method: Method = "ca"
     guard: tuple[int, int] = (6, 6)
     training: tuple[int, int] = (16, 12)
+    shape: float | Literal["fitted"] = float("inf")
 
     def __post_init__(self) -> None:
         if not 0 < self.false_alarm < 1:
@@ -64,6 +75,8 @@ class Cfar:
         for name in ("guard", "training"):
             if min(getattr(self, name)) < 0:
                 raise ValueError(f"{name}: {getattr(self, name)} is negative")
+        if self.shape != "fitted" and not (not isinstance(self.shape, str) and self.shape > 0):
+            raise ValueError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
 
 
 def cfar_threshold(
@@ -88,7 +101,9 @@ def cfar_threshold(
 
     Raises ValueError when the map leaves no cells to tell the noise from.
     """
+    cfar = fitted(power, cfar, n_channels)
     regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
+    by_rate = _by_rate(power, window, n_channels)
     whole = at is None
     if at is None and rank:
         rows, columns = np.unravel_index(np.arange(power.size), power.shape)
@@ -96,11 +111,18 @@ def cfar_threshold(
     if at is None or (not rank and len(at[0]) > _MOST_GATHERED):
         level = np.max([_sums(power, region) / region.sum() for region in regions], axis=0)
         # A running sum loses digits next to a peak 1e10 times higher: never below zero.
-        level = factor * np.maximum(level, 0)
+        level = factor * by_rate * np.maximum(level, 0)
         return np.asarray(level if at is None else level[at])
     levels = [_gathered(power, _offsets(region), rank, at) for region in regions]
-    level = factor * np.max(levels, axis=0)
+    level = factor * np.max(levels, axis=0) * by_rate[at[1]]
     return np.asarray(level.reshape(power.shape) if whole else level)
+
+
+def fitted(power: Power, cfar: Cfar, n_channels: int = 1) -> Cfar:
+    """The same with the shape of its clutter fitted to a map, where that is asked for."""
+    if cfar.shape != "fitted":
+        return cfar
+    return replace(cfar, shape=fit(power, n_channels).shape)
 
 
 def possible(
@@ -111,11 +133,13 @@ def possible(
     A lower bound of the training cells' sum, from tiles that lie among them wherever in its own
     tile a cell is, rules most cells out at a small part of the cost.
     """
+    cfar = fitted(power, cfar, n_channels)
     regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
     if rank or any(size % _TILE for size in power.shape):
         rows, columns = np.nonzero(power > 0)
         return rows, columns
-    least = np.max([_least(power, region) for region in regions], axis=0) * factor
+    least = np.max([_least(power, region) for region in regions], axis=0)
+    least *= factor * _by_rate(power, window, n_channels).reshape(-1, _TILE).min(axis=1)
     # Rounding of single precision must not rule a cell out.
     bound = (least * (1 - 1e-5)).astype(power.dtype)
     rows, columns = np.nonzero(power > np.repeat(np.repeat(bound, _TILE, 0), _TILE, 1))
@@ -133,8 +157,25 @@ def _rule(
         rank = round(_QUANTILE * int(regions[0].sum()))
     cells = int(regions[0].sum())
     alike = _independent(shape, _offsets(regions[0]), window, oversampling, rank / cells)
-    factor = cfar_factor(cfar.false_alarm, alike, cfar.method, n_channels, rank * alike / cells)
+    assert not isinstance(cfar.shape, str)
+    factor = cfar_factor(
+        cfar.false_alarm, alike, cfar.method, n_channels, rank * alike / cells, cfar.shape
+    )
     return regions, factor, rank
+
+
+def _by_rate(power: Power, window: str, n_channels: int) -> Array:
+    """Noise at each rate over the mean of all, (n_rates,); ones where it differs by chance alone."""
+    stride = max(1, len(power) // _MOST_RANGES)
+    rows = power[::stride]
+    medians = np.median(rows, axis=0).astype(np.float64)
+    if not np.all(medians > 0):
+        return np.ones(len(medians))
+    # Of the median of gamma distributed cells, of which a window makes some alike.
+    alike = np.mean(taper(window, len(power)) ** 2) / min(stride, 2)
+    error = 1.44 * np.sqrt(max(alike, 1.0) / (n_channels * len(rows)))
+    ratio = medians / medians.mean()
+    return ratio if np.std(ratio) > _UNLIKE * error else np.ones(len(medians))
 
 
 @lru_cache(maxsize=64)
@@ -144,27 +185,29 @@ def cfar_factor(
     method: Method = "ca",
     n_channels: int = 1,
     rank: float | None = None,
+    clutter_shape: float = np.inf,
 ) -> float:
     """Threshold over the reference of ``cells`` independent cells (in each half, for ``go``)."""
     from scipy.optimize import brentq
-    from scipy.special import betaincinv, gammaincc, gammaincinv
+    from scipy.special import betaincinv, gammaincinv
     from scipy.stats import norm
 
     # Over the reference's quantiles, spaced evenly in a normal variable: its tails are reached.
     x = np.linspace(-12, 12, 4001)
     weight = norm.pdf(x) * (x[1] - x[0])
     u = norm.cdf(x)
-    shape = n_channels * cells
+    # Of the mean: 1 over the square of its relative deviation.
+    shape = cells / ((1 + 1 / n_channels) * (1 + 1 / clutter_shape) - 1)
     if method == "ca":
         z = gammaincinv(shape, u) / shape
     elif method == "go":
         z = gammaincinv(shape, np.sqrt(u)) / shape
     else:
         rank = _QUANTILE * cells if rank is None else rank
-        z = gammaincinv(n_channels, betaincinv(rank, cells - rank + 1, u)) / n_channels
+        z = quantile(betaincinv(rank, cells - rank + 1, u), n_channels, clutter_shape)
 
     def excess(log_factor: float) -> float:
-        rate = weight @ gammaincc(n_channels, n_channels * np.exp(log_factor) * z)
+        rate = weight @ survival(np.exp(log_factor) * z, n_channels, clutter_shape)
         return float(np.log(rate + 1e-300) - np.log(false_alarm))
 
     return float(np.exp(brentq(excess, -20, 20, xtol=1e-10)))

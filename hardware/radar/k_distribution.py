@@ -1,0 +1,147 @@
+"""K-distributed clutter: noise whose mean is itself gamma distributed from cell to cell.
+
+Power x = t s, with s the mean of V exponential looks and t gamma distributed of mean 1 and shape v
+(Ward, Tough, Watts, Sea Clutter, IET 2013, section 4.3). Noise is the limit of a large shape; the
+smaller the shape, the more often clutter stands far above its mean.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Power = NDArray[np.floating[Any]]
+
+_LEVEL = 3e-3  # exceeded by noise: rare enough for shapes to differ, frequent enough to count
+_ROWS = 16  # range cells that share a median
+_ECHO = 100.0  # times the median, from which a cell and its surroundings are taken for an echo
+_BESIDE = 8  # cells around it
+_SHAPES = np.geomspace(0.1, 100.0, 31)
+_LOG_X = np.linspace(-16, 9, 401)
+_MOST = 2**18  # cells counted, about
+
+
+@dataclass(frozen=True)
+class ClutterFit:
+    """How far a map is from noise.
+
+    ``exceedance``: how often its cells stand above the level that noise exceeds in 3 of 1000 cells,
+    over that; 1 for noise. ``shape``: of the K-distribution with that exceedance, infinite for
+    noise. ``uncertain`` is the relative standard error of the exceedance in noise.
+    """
+
+    exceedance: float
+    shape: float
+    uncertain: float
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether the exceedance is within half of 1, or what chance makes of 1."""
+        return self.exceedance <= 1 + max(0.5, 4 * self.uncertain)
+
+    def false_alarms(self, false_alarm: float, looks: float) -> float:
+        """How many times more false alarms there are than a threshold for noise was set for."""
+        from scipy.special import gammainccinv
+
+        level = gammainccinv(looks, false_alarm) / looks
+        return float(survival(np.array([level]), looks, self.shape)[0] / false_alarm)
+
+
+def survival(x: Array, looks: float, shape: float) -> Array:
+    """Probability that a cell of mean 1 exceeds x."""
+    from scipy.special import gammaincc
+
+    if np.isinf(shape):
+        return np.asarray(gammaincc(looks, looks * x), dtype=np.float64)
+    return np.asarray(np.exp(np.interp(np.log(x), _LOG_X, _table(looks, shape))))
+
+
+def quantile(u: Array, looks: float, shape: float) -> Array:
+    """Level below which a cell of mean 1 stays with probability u."""
+    from scipy.special import gammaincinv
+
+    if np.isinf(shape):
+        return np.asarray(gammaincinv(looks, u) / looks, dtype=np.float64)
+    below = -np.expm1(_table(looks, shape))
+    rising = np.concatenate([[True], np.diff(below) > 0])
+    return np.asarray(np.exp(np.interp(u, below[rising], _LOG_X[rising])))
+
+
+@lru_cache(maxsize=64)
+def _table(looks: float, shape: float) -> Array:
+    """Log of the survival function at exp(_LOG_X): a sum over quantiles of the texture."""
+    from scipy.special import gammaincc, gammaincinv
+    from scipy.stats import norm
+
+    z = np.linspace(-9, 9, 145)
+    texture = np.maximum(gammaincinv(shape, norm.cdf(z)), 1e-300) / shape
+    texture[z > 0] = _upper(shape, z[z > 0])
+    weight = norm.pdf(z)
+    levels = np.exp(_LOG_X)[:, None] / texture
+    return np.asarray(np.log(gammaincc(looks, looks * levels) @ weight / weight.sum() + 1e-300))
+
+
+def _upper(shape: float, z: Array) -> Array:
+    """Texture at normal deviates above 0, where 1 - cdf keeps its digits."""
+    from scipy.special import gammainccinv
+    from scipy.stats import norm
+
+    return np.asarray(gammainccinv(shape, norm.sf(z)) / shape, dtype=np.float64)
+
+
+def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
+    """Fit the shape to a map (n_ranges, n_rates) by how often cells exceed a level.
+
+    Each stripe of 16 ranges is measured by its own median, which a change of the mean with range
+    leaves alone. Surroundings of strong echoes are left out. ``clump``: cells that a window makes
+    exceed together.
+    """
+    from scipy.ndimage import maximum_filter
+
+    rows = min(_ROWS, len(power))
+    stripes = power[: len(power) // rows * rows].reshape(-1, rows * power.shape[1])
+    stripes = stripes[:: max(1, power.size // _MOST)]
+    middle = stripes.shape[1] // 2
+    median = np.partition(stripes, middle, axis=1)[:, middle]
+    silent = median <= 0
+    relative = stripes / np.where(silent, np.inf, median)[:, None]
+    relative = relative.reshape(-1, power.shape[1])
+    usable = np.repeat(~silent, rows)[:, None] & np.ones(power.shape[1], dtype=bool)
+    loud = relative > _ECHO * max(1.0, 1 / looks)
+    if loud.any():
+        usable &= ~maximum_filter(loud, 2 * _BESIDE + 1, mode="wrap")
+    count = int(usable.sum())
+    if not count:
+        return ClutterFit(1.0, np.inf, np.inf)
+    noise = _expected(looks, (np.inf,))[0]
+    exceedance = float(np.mean(relative[usable] > _level(looks)) / noise)
+    uncertain = float(np.sqrt(clump / (count * noise)))
+    if exceedance <= 1 + 2 * uncertain:
+        return ClutterFit(exceedance, np.inf, uncertain)
+    rates = np.array(_expected(looks, tuple(_SHAPES))) / noise
+    # Rates fall with the shape down to 1 for noise, as 1 / shape in the end.
+    known = np.concatenate([[0.0], 1 / _SHAPES[::-1]])
+    inverse = np.interp(exceedance, np.concatenate([[1.0], rates[::-1]]), known)
+    # On a coarse raster: tables of nearby shapes are the same.
+    shape = float(np.exp(np.round(np.log(1 / inverse), 2))) if inverse > 0 else np.inf
+    return ClutterFit(exceedance, shape, uncertain)
+
+
+def _level(looks: float) -> float:
+    """Over the median, what noise exceeds with the probability `_LEVEL`."""
+    from scipy.special import gammainccinv
+
+    return float(gammainccinv(looks, _LEVEL) / gammainccinv(looks, 0.5))
+
+
+@lru_cache(maxsize=16)
+def _expected(looks: float, shapes: tuple[float, ...]) -> tuple[float, ...]:
+    """Probability of exceeding `_level` times the median, by shape."""
+    rates = []
+    for shape in shapes:
+        median = quantile(np.array([0.5]), looks, shape)
+        rates.append(float(survival(_level(looks) * median, looks, shape)[0]))
+    return tuple(rates)
