@@ -14,6 +14,7 @@ import typer
 
 from hardware.commands.radar import (
     CfarMethod,
+    ClutterShape,
     FalseAlarm,
     MovingOnly,
     Resolve,
@@ -109,6 +110,7 @@ def process(
     records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
     false_alarm: FalseAlarm = None,
     cfar: CfarMethod = None,
+    clutter_shape: ClutterShape = None,
     window: Window = None,
     resolve: Resolve = False,
     moving_only: MovingOnly = False,
@@ -123,7 +125,7 @@ def process(
     found = [_calibration(path, max_age) for path in calibration]
     camera = next((one for one in found if isinstance(one, CameraCalibration)), None)
     radar = next((one for one in found if isinstance(one, RadarCalibration)), None)
-    how = processing(false_alarm, cfar, window, resolve, moving_only)
+    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only)
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
     n, ending = 0, Ending(fault=None)

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 Record = Annotated[Path, typer.Argument(help="Record of a radar (HDF5).")]
 FalseAlarm = Annotated[float | None, typer.Option(help="Probability per cell; default 1e-8.")]
 CfarMethod = Annotated[str | None, typer.Option("--cfar", help="ca, go or os.")]
+ClutterShape = Annotated[
+    str | None,
+    typer.Option(help="Of K-distributed clutter, or `fitted` to each map; default inf: noise."),
+]
 Window = Annotated[str | None, typer.Option(help="SciPy's name of a window.")]
 Resolve = Annotated[bool, typer.Option(help="Split targets nearer than a cell.")]
 MovingOnly = Annotated[bool, typer.Option(help="Leave out what stands still.")]
@@ -27,6 +31,7 @@ def register(app: typer.Typer) -> None:
 def processing(
     false_alarm: float | None,
     cfar: str | None,
+    clutter_shape: str | None,
     window: str | None,
     resolve: bool,
     moving_only: bool,
@@ -35,7 +40,7 @@ def processing(
     from hardware.radar.process import Processing
 
     how = Processing(resolve=resolve, moving_only=moving_only)
-    asked = {"false_alarm": false_alarm, "method": cfar}
+    asked = {"false_alarm": false_alarm, "method": cfar, "shape": _shape(clutter_shape)}
     changed = {name: value for name, value in asked.items() if value is not None}
     return replace(
         how,
@@ -44,10 +49,21 @@ def processing(
     )
 
 
+def _shape(asked: str | None) -> float | str | None:
+    """What ``--clutter-shape`` says."""
+    try:
+        return asked if asked in (None, "fitted") else float(asked)
+    except ValueError:
+        raise ValueError(
+            f"--clutter-shape: {asked!r}, expected a positive number or 'fitted'"
+        ) from None
+
+
 def detect(
     record: Record,
     false_alarm: FalseAlarm = None,
     cfar: CfarMethod = None,
+    clutter_shape: ClutterShape = None,
     window: Window = None,
     resolve: Resolve = False,
     moving_only: MovingOnly = False,
@@ -72,7 +88,7 @@ def detect(
     reference = read_calibration(calibration, max_age_s=86400 * max_age) if calibration else None
     if not (reference is None or isinstance(reference, RadarCalibration)):
         raise ValueError(f"{calibration}: the calibration of a camera, expected a radar's")
-    how = processing(false_alarm, cfar, window, resolve, moving_only)
+    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only)
     loaded, table = read_radar_record(record), []
     for frame in frames(loaded, how):
         _warn(record, frame.warnings)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.clutter import without_leakage
+from hardware.radar.clutter import without_fluctuation, without_leakage
 from hardware.radar.demodulation import Complex, Precision, demodulated
 from hardware.radar.demodulation import samples as measured
 from hardware.radar.integrity import usable
@@ -108,6 +108,7 @@ def demodulate(
         joined, wide, motion = stitched.channel, stitched.waveform, stitched.motion
     if leakage and np.isfinite(record.leakage_delay_s):
         joined = without_leakage(joined, wide, record.leakage_delay_s)
+        joined = without_fluctuation(joined, wide, record.leakage_delay_s)
     if motion is not None:
         joined = joined * motion[:, None]
     used = record.transmitter[turns[:, 0]]

@@ -75,7 +75,7 @@ class Cfar:
         for name in ("guard", "training"):
             if min(getattr(self, name)) < 0:
                 raise ValueError(f"{name}: {getattr(self, name)} is negative")
-        if self.shape != "fitted" and not (not isinstance(self.shape, str) and self.shape > 0):
+        if self.shape != "fitted" and not self.shape > 0:
             raise ValueError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
 
 
@@ -165,14 +165,14 @@ def _rule(
 
 
 def _by_rate(power: Power, window: str, n_channels: int) -> Array:
-    """Noise at each rate over the mean of all, (n_rates,); ones where it differs by chance alone."""
+    """Noise at each rate over the mean of all, (n_rates,); ones where only chance differs."""
     stride = max(1, len(power) // _MOST_RANGES)
     rows = power[::stride]
     medians = np.median(rows, axis=0).astype(np.float64)
     if not np.all(medians > 0):
         return np.ones(len(medians))
     # Of the median of gamma distributed cells, of which a window makes some alike.
-    alike = np.mean(taper(window, len(power)) ** 2) / min(stride, 2)
+    alike = float(np.mean(taper(window, len(power)) ** 2)) / min(stride, 2)
     error = 1.44 * np.sqrt(max(alike, 1.0) / (n_channels * len(rows)))
     ratio = medians / medians.mean()
     return ratio if np.std(ratio) > _UNLIKE * error else np.ones(len(medians))

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from hardware.radar.angles import compensated, direction, extents, virtual_places
 from hardware.radar.burst import Burst, demodulate
-from hardware.radar.cfar import Cfar
+from hardware.radar.cfar import Cfar, fitted
 from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Precision
 from hardware.radar.detection import Detection, detected, distinct, with_cross_section
+from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.music import music
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.superresolution import resolve
@@ -64,7 +65,11 @@ class Processing:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What one burst showed: detections, strongest first, the map, and what was wrong with it."""
+    """What one burst showed: detections, strongest first, the map, and what was wrong with it.
+
+    ``clutter`` says how far the map is from noise, which thresholds assume unless `Cfar` says
+    otherwise.
+    """
 
     burst: int
     detections: tuple[Detection, ...]
@@ -72,6 +77,7 @@ class Frame:
     waveform: OfdmWaveform
     whole: bool
     warnings: tuple[str, ...]
+    clutter: ClutterFit
 
 
 def process(
@@ -97,7 +103,12 @@ def process(
     )
     channel = without_static(taken.channel) if how.moving_only else taken.channel
     image = range_doppler(channel, taken.waveform, how.window, oversampling=how.oversampling)
-    found = detected(channel, taken.waveform, image, how.cfar, how.window, how.at_most)
+    clutter = fit(image.power_w, image.n_channels)
+    cfar = fitted(image.power_w, how.cfar, image.n_channels)
+    # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
+    found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
+    warnings = (*taken.warnings, *_warnings(burst, len(found), how, clutter))
+    found = found[: how.at_most]
     if how.resolve:
         plain = range_doppler(channel, taken.waveform, "boxcar").noise_w
         parts = []
@@ -127,8 +138,27 @@ def process(
         image=image,
         waveform=taken.waveform,
         whole=taken.whole,
-        warnings=taken.warnings,
+        warnings=warnings,
+        clutter=clutter,
     )
+
+
+def _warnings(burst: int, n_found: int, how: Processing, clutter: ClutterFit) -> list[str]:
+    """What of the detections is not as it should be."""
+    told = []
+    if n_found > how.at_most:
+        told.append(
+            f"burst {burst}: more than {how.at_most} detections; the strongest {how.at_most} are "
+            "kept (at_most)"
+        )
+    if not clutter.is_noise and how.cfar.shape == float("inf"):
+        told.append(
+            f"burst {burst}: the map is no noise: {clutter.exceedance:.2g} times as many cells as "
+            f"noise has stand far above their median, as in K-distributed clutter of shape "
+            f"{clutter.shape:.2g}; false alarms come more often than asked for (a CFAR with its "
+            "shape fitted holds the rate)"
+        )
+    return told
 
 
 def frames(

@@ -24,10 +24,10 @@ def without_images(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Com
 
     Receivers for which no image stands out of the noise stay as they are.
     """
-    b = image_ratios(steps, waveform)
-    if not b.any():
+    ratios = image_ratios(steps, waveform)
+    if not ratios.any():
         return list(steps)
-    b = b.astype(steps[0].dtype)[:, None]
+    b = ratios.astype(steps[0].dtype)[:, None]
     return [np.asarray((step - b * step.conj()) / (1 - np.abs(b) ** 2)) for step in steps]
 
 

@@ -117,7 +117,7 @@ def amplitudes(part: Complex, window: str, oversampling: int = 1) -> Complex:
 
 
 def mean_power(images: Iterable[Complex]) -> Power:
-    """Power (n_ranges, n_rates) of what `amplitudes` gives, the mean over channels; rates ascend."""
+    """Power (n_ranges, n_rates) of `amplitudes`, the mean over channels; rates ascend."""
     powers = [_power(image) for image in images]
     return powers[0] if len(powers) == 1 else np.asarray(np.mean(powers, axis=0))
 

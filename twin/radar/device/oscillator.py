@@ -31,6 +31,8 @@ from twin.radar.device.design import Oscillator
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+_BEFORE = 32  # share of the taps that are taken to lie before the symbol, not at its end
+
 
 @dataclass(frozen=True, eq=False)
 class Wander:
@@ -81,6 +83,8 @@ def apply(
     ``channel`` has the same shape, along subcarriers; ``sent`` (n_slots, n_subcarriers) are the
     symbols. The sent symbol, after the one before it, is turned, goes through the channel, and is
     turned back by the receiver; a slope of the phase turns each echo in proportion to its delay.
+    The channel's last taps are what near echoes between two taps have before them, not echoes from
+    the end of the symbol.
     """
     from scipy.fft import fft, ifft
 
@@ -89,21 +93,26 @@ def apply(
     turned = clean * np.exp(1j * sending.within_rad)
     stream = np.concatenate([turned * np.exp(1j * sending.earlier_rad), turned], axis=-1)
     spectrum = np.fft.fft(stream, axis=-1)
-    delays = np.arange(n) / wave.bandwidth_hz
+    before = n // _BEFORE
+    late_taps = np.arange(n) - n * (np.arange(n) >= n - before)
+    delays = late_taps / wave.bandwidth_hz
     slope = sending.slope_hz.mean(axis=1)
     late = n * np.exp(-2j * np.pi * slope[:, None] * delays)
     arriving = np.empty_like(channel)
     for receiver in range(channel.shape[1]):
         taps = ifft(np.fft.ifftshift(channel[:, receiver], axes=-1), workers=-1, overwrite_x=True)
         taps *= late
-        both = fft(taps, 2 * n, workers=-1)
+        longer = np.zeros((len(taps), 2 * n), dtype=taps.dtype)
+        longer[:, late_taps] = taps
+        both = fft(longer, workers=-1, overwrite_x=True)
         both *= spectrum
         arriving[:, receiver] = ifft(both, workers=-1, overwrite_x=True)[:, n:]
     if sending is receiving:  # what both have in common cancels
         return np.asarray(arriving * np.exp(-1j * receiving.within_rad)[:, None])
     common = np.exp(1j * (sending.mean_rad - receiving.mean_rad)).mean(axis=1)
     drift = (sending.slope_hz - receiving.slope_hz).mean(axis=1)
-    ramp = 2 * np.pi * drift[:, None] * (delays - delays.mean())
+    time = np.arange(n) / wave.bandwidth_hz
+    ramp = 2 * np.pi * drift[:, None] * (time - time.mean())
     back = common[:, None] * np.exp(1j * (ramp - receiving.within_rad))
     return np.asarray(arriving * back[:, None])
 
