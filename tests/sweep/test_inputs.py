@@ -110,16 +110,22 @@ def test_what_changes_under_a_sweep_stops_it(tmp_path: Path) -> None:
         evaluate_chunk(plan, 0, 2, began)
 
 
-@pytest.mark.parametrize("file", ["meshes/patch_20.ply", "scene.toml", "materials.toml"])
-def test_a_folder_is_of_one_scene(tmp_path: Path, file: str) -> None:
-    """Meshes, the rig's file and the table of materials belong to the scene."""
-    shutil.copytree(scenes_folder() / "table1", tmp_path / "world")
-    shutil.copy(scenes_folder() / "materials.toml", tmp_path / "world")
+def test_a_folder_is_of_one_scene(tmp_path: Path) -> None:
+    """Meshes, the rig's file and the table of materials belong to the scene; as they were, the
+    folder is the sweep's again.
+    """
+    world = tmp_path / "world"
+    shutil.copytree(scenes_folder() / "table1", world)
+    shutil.copy(scenes_folder() / "materials.toml", world)
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text(RENDERED.replace("table1", "world") + '[grid]\n"scene.rig.x_m" = [0.0, 0.1]\n')
     sweep(path, out=out, workers=1)
-    _change(tmp_path / "world" / file)
-    with pytest.raises(InputError, match="other content of scene world"):
+    for file in (world / "meshes/patch_20.ply", world / "scene.toml", world / "materials.toml"):
+        before = file.read_bytes()
+        _change(file)
+        with pytest.raises(InputError, match="other content of scene world"):
+            sweep(path, out=out, workers=1)
+        file.write_bytes(before)
         sweep(path, out=out, workers=1)
 
 
@@ -178,7 +184,7 @@ def test_workers_that_live_long_see_the_new_system(tmp_path: Path) -> None:
 
     path = closed_form(tmp_path, 2.0)
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
     ) as cluster:
         sweep(path, out=tmp_path / "old", scheduler=cluster.scheduler_address)
         closed_form(tmp_path, 1.0)

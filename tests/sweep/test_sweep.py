@@ -218,7 +218,7 @@ def test_closed_form_equals_the_budget_point_by_point(study, tmp_path: Path) -> 
         system.readout.read_noise_e.value,
     )
     assert float(one["minimum_time_s"]) == pytest.approx(float(expected), rel=1e-12)
-    assert "f_number = -1.0" in str(data["error"].values.ravel()[-1])
+    assert "f_number.value = -1.0" in str(data["error"].values.ravel()[-1])
 
 
 def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_path: Path) -> None:
@@ -240,6 +240,62 @@ def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_pa
     # A farthest distance knows no distance.
     assert time_share.first > 0.5 > moved["link.distance_m"].first_error
     assert abs(moved["link.distance_m"].first) < moved["link.distance_m"].first_error
+
+
+def test_numbers_of_a_system_are_arrays_too(study, tmp_path: Path) -> None:
+    """A quarter of a million systems, no two alike, in seconds (one by one: a minute and more), and
+    each is what the budget gives for it alone: to the rounding of a sum of spectra.
+    """
+    from twin.budget.link import noise_e
+    from twin.budget.table1 import link_of
+    from twin.sweep.inputs import inputs_of
+    from twin.sweep.setup import system_of
+    from twin.system import Part
+
+    path = study(
+        '[sample]\nmethod = "latin-hypercube"\nn = 262144\n[sample.ranges]\n'
+        '"system.filter.width_m" = { low = 5e-9, high = 80e-9 }\n'
+        '"system.filter.center_wavelength_m" = { low = 1.5e-6, high = 1.6e-6 }\n'
+        '"system.emitter.peak_wavelength_m" = { low = 1.54e-6, high = 1.56e-6 }\n'
+        '"system.emitter.line_fwhm_m" = { low = 1e-9, high = 1e-7, log = true }\n'
+        '"system.detector.width_m" = { low = 1e-4, high = 3e-3 }\n'
+        '"system.sky.illuminance_lx" = { low = 0.0, high = 1e5 }\n',
+        CLOSED,
+    )
+    plan, start = load_study(path), time.perf_counter()
+    sweep(path, out=tmp_path / "out")
+    assert time.perf_counter() - start < 30  # 2 s on an idle machine
+    found = open_sweep(tmp_path / "out")["snr"].to_numpy()
+    inputs = inputs_of(plan)
+    for index in (0, 1234, 262143):
+        system = system_of(plan, plan.point(index), inputs)
+        link = link_of(system, Part(name="own", detector=system.detector))
+        signal, background = link.signal_e_per_s(0.5, 5.0), link.background_e_per_s(0.5)
+        time_s, read = (
+            system.acquisition.integration_time_s.value,
+            system.readout.read_noise_e.value,
+        )
+        expected = signal * time_s / noise_e(signal, background, time_s, read)
+        assert found[index] == pytest.approx(expected, rel=1e-10)
+
+
+def test_curves_are_integrated_for_each_wavelength(study, tmp_path: Path) -> None:
+    """Behind a vendor's curve a line's place counts by itself: half way down the curve's edge the
+    share is that of its transmission, 0.4 at 1550 nm and 0.2 at 1575 nm for a narrow line.
+    """
+    (tmp_path / "edge.csv").write_text("nm,T\n1500,0.8\n1600,0.0\n")
+    path = study(
+        '[set]\n"system.filter.transmission_csv" = "edge.csv"\n'
+        '"system.emitter.line_fwhm_m" = 1e-9\n'
+        '[grid]\n"system.emitter.peak_wavelength_m" = [1550e-9, 1575e-9]\n'
+        '"system.optics.transmission" = [0.9, 0.45]\n',
+        CLOSED.replace('"snr"', '"signal_e_per_s"'),
+    )
+    sweep(path, out=tmp_path / "out")
+    data = open_sweep(tmp_path / "out")["signal_e_per_s"]
+    signal = data.transpose("system.emitter.peak_wavelength_m", "system.optics.transmission")
+    relative = signal.to_numpy() / float(signal[0, 0])
+    np.testing.assert_allclose(relative, [[1.0, 0.5], [0.5, 0.25]], rtol=1e-6)
 
 
 @pytest.mark.parametrize("kills_tried", [3, pytest.param(50, marks=pytest.mark.slow)])
@@ -305,6 +361,31 @@ def test_a_running_scheduler_is_used_by_its_address(study, tmp_path: Path) -> No
     sweep(path, out=tmp_path / "near", workers=1)
     far, near = (open_sweep(tmp_path / name).load() for name in ("far", "near"))
     xarray.testing.assert_equal(far.drop_vars("error"), near.drop_vars("error"))
+
+
+def test_a_scheduler_without_workers_is_said(
+    study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At once, with what to do, and an end to it; a worker that comes in time is taken."""
+    from threading import Timer
+
+    from distributed import LocalCluster
+
+    path = study('[grid]\n"link.distance_m" = [1.0, 2.0]\n', CLOSED)
+    monkeypatch.setattr("twin.sweep.workers._WITHOUT_WORKERS_S", 1.0)
+    quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50, "threads_per_worker": 1}
+    with LocalCluster(n_workers=0, processes=False, **quiet) as cluster:
+        with pytest.raises(InputError, match="no workers for 1 s; start one: dask worker"):
+            sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)
+        assert "no workers; waiting" in capsys.readouterr().err
+        monkeypatch.setattr("twin.sweep.workers._WITHOUT_WORKERS_S", 60.0)
+        monkeypatch.setattr("twin.sweep.workers._LOOK_S", 0.1)
+        late = Timer(0.5, cluster.scale, [1])
+        late.start()
+        done = sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)
+        late.join()
+    assert done.n_failed == 0
+    assert "no workers; waiting" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_failed_points_end_in_their_reasons_and_status_1(tmp_path: Path) -> None
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "3 points, 2 failed" in done.stdout
-    assert "failed: 1 points: ValueError: system.optics.f_number = -1.0" in done.stderr
+    assert "failed: 1 points: InputError: system: optics.f_number.value = -1.0" in done.stderr
     assert "Traceback" not in done.stderr
     path = write(tmp_path, '[grid]\n"system.optics.f_number" = [1.0, 2.0]\n', CLOSED)
     command[-1] = str(tmp_path / "well")

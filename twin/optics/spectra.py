@@ -9,9 +9,11 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from twin.files import InputError
 from twin.system import Detector, Emitter, Filter, Sky
@@ -39,7 +41,7 @@ class SunInBand:
 
 def sun_in_band(sky: Sky, band: Filter, angle_deg: float = 0.0) -> SunInBand:
     """Illuminance and band irradiance of a sky, on the plane normal to the sun; light meets the
-    filter at ``angle_deg``.
+    filter at ``angle_deg``. Illuminance and flat band may hold arrays that broadcast.
     """
     if sky.sun_elevation_deg is not None:
         nm, spectrum = clear_sun(sky.sun_elevation_deg.value)
@@ -92,16 +94,18 @@ def air_mass(elevation_deg: float) -> float:
 def in_band_fraction(emitter: Emitter, band: Filter, angle_deg: float = 0.0) -> float:
     """Share of the emitter's line that the filter's shape lets through at an angle.
 
-    A Gaussian line of 100 nm full width at half maximum through 1550 +/- 6 nm: 0.112.
+    A Gaussian line of 100 nm full width at half maximum through 1550 +/- 6 nm: 0.112. Line and flat
+    band may hold arrays that broadcast.
     """
-    nm, line = emitter_line(emitter)
     if emitter.spectrum_csv is None and band.transmission_csv is None:
         sigma = emitter.line_fwhm_m.value / math.sqrt(8 * math.log(2))
         center = band.center_wavelength_m.value * angle_shift(band, angle_deg)
         offset = center - emitter.peak_wavelength_m.value
         half = band.width_m.value * angle_shift(band, angle_deg) / 2
         edges = [(offset + side * half) / (math.sqrt(2) * sigma) for side in (-1, 1)]
-        return (math.erf(edges[1]) - math.erf(edges[0])) / 2
+        share: float = (erf(edges[1]) - erf(edges[0])) / 2
+        return share
+    nm, line = emitter_line(emitter)
     fine, through = _passed(nm, line, band, angle_deg)
     return float(np.trapezoid(through, fine) / np.trapezoid(line, nm))
 
@@ -254,10 +258,21 @@ def _through(nm: Array, spectrum: Array, band: Filter, angle_deg: float) -> floa
     return float(np.trapezoid(passed, fine))
 
 
-def _integral(nm: Array, spectrum: Array, low: float, high: float) -> float:
-    inside = nm[(nm > low) & (nm < high)]
-    band = np.concatenate([[low], inside, [high]])
-    return float(np.trapezoid(np.interp(band, nm, spectrum), band))
+def _integral(nm: Array, spectrum: Array, low: Any, high: Any) -> Any:
+    """Integral of a spectrum, linear between its points, from ``low`` to ``high``: numbers or
+    arrays.
+    """
+    ends = np.clip(np.stack(np.broadcast_arrays(low, high)), nm[0], nm[-1])
+    at = np.interp(ends, nm, spectrum)
+    # First point after low, last before high; without any between them one trapezium is all.
+    first = np.searchsorted(nm, ends[0], side="right")
+    last = np.searchsorted(nm, ends[1], side="left") - 1
+    steps = np.concatenate([[0.0], np.cumsum(np.diff(nm) * (spectrum[1:] + spectrum[:-1]) / 2)])
+    i, j = np.minimum(first, len(nm) - 1), np.maximum(last, 0)
+    before = (nm[i] - ends[0]) * (at[0] + spectrum[i]) / 2
+    after = (ends[1] - nm[j]) * (at[1] + spectrum[j]) / 2
+    alone = (ends[1] - ends[0]) * (at[0] + at[1]) / 2
+    return np.where(first <= last, before + steps[j] - steps[i] + after, alone)[()]
 
 
 def _illuminance(nm: Array, spectrum: Array) -> float:

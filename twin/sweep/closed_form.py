@@ -1,11 +1,12 @@
 """Points of the closed form, all at once: one pixel's link as arrays.
 
-Fields that enter the link as they are become arrays; what needs a spectrum is integrated once for
-every combination of its values.
+A system whose swept fields hold one number per point goes through the same formulas as one that
+holds a number. Text, and what is integrated over a vendor's curve, is taken value by value.
 """
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import groupby, product
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,47 +23,62 @@ from twin.sweep.inputs import Inputs
 from twin.sweep.setup import changed, system_of
 from twin.sweep.study import Study, Value
 from twin.system import Part, System
-from twin.system.optics import FASTEST_F_NUMBER
+from twin.toml import Entry, Sourced
 
 Array = NDArray[Any]
+Columns = Mapping[str, Array]
+E = TypeVar("E", bound=Entry)
 
-#: Parameters that are a factor or a term of the link themselves.
-_DIRECT = {
-    "system.emitter.radiant_intensity_w_per_sr": "radiant_intensity_w_per_sr",
-    "system.optics.f_number": "f_number",
-    "system.detector.dark_current_a": "dark_current_a",
-}
-_OF_THE_POINT = (
-    "link.distance_m",
-    "link.reflectance",
-    "system.acquisition.integration_time_s",
-    "system.readout.read_noise_e",
+#: Numbers of a system that its link takes as arrays.
+_ARRAYS = (
+    "system.emitter.radiant_intensity_w_per_sr",
+    "system.optics.f_number",
+    "system.optics.transmission",
+    "system.filter.transmission",
+    "system.detector.width_m",
+    "system.detector.height_m",
+    "system.detector.responsivity_a_per_w",
+    "system.detector.dark_current_a",
+    "system.detector.gain",
+    "system.detector.excess_noise_factor",
+    "system.detector.ionisation_ratio",
+    "system.sky.illuminance_lx",
 )
+#: The same, but where a vendor's curve has to be integrated.
+_WAVELENGTHS = (
+    "system.emitter.peak_wavelength_m",
+    "system.emitter.line_fwhm_m",
+    "system.filter.center_wavelength_m",
+    "system.filter.width_m",
+)
+#: Numbers that are no part of the link: whether each may be 0, and the most it may be.
+_OF_THE_POINT = {
+    "link.distance_m": (False, np.inf),
+    "link.reflectance": (True, 1.0),
+    "system.acquisition.integration_time_s": (False, np.inf),
+    "system.readout.read_noise_e": (True, np.inf),
+}
 
 
-def closed_form(study: Study, columns: Mapping[str, Array], inputs: Inputs) -> dict[str, Array]:
+def closed_form(study: Study, columns: Columns, inputs: Inputs) -> dict[str, Array]:
     """Metrics of points, (n,) each. ``columns``: what is set in the points, by parameter.
 
     Without ``link.distance_m`` it is 5 m, without ``link.reflectance`` 0.5.
-    Raises InputError naming the parameter of a combination that can't be.
+    Raises ValueError naming the parameter of a combination that can't be.
     """
     n = len(next(iter(columns.values())))
-    free = [name for name in columns if name not in _DIRECT and name not in _OF_THE_POINT]
-    inverse, found = _combinations(study, columns, free, n, inputs)
-    systems, links = [system for system, _ in found], [link for _, link in found]
-    values = {
-        name: np.array([getattr(link, name) for link in links])[inverse]
-        for name in Link.__dataclass_fields__
-    }
-    for parameter, field in _DIRECT.items():
-        if parameter in columns:
-            values[field] = columns[parameter].astype(np.float64)
     _check(columns)
+    values = {name: np.empty(n) for name in (*Link.__dataclass_fields__, "time", "read")}
+    for points, system, link in _links(study, columns, inputs):
+        for name in Link.__dataclass_fields__:
+            values[name][points] = getattr(link, name)
+        values["time"][points] = system.acquisition.integration_time_s.value
+        values["read"][points] = system.readout.read_noise_e.value
+    time = columns.get("system.acquisition.integration_time_s", values.pop("time"))
+    read = columns.get("system.readout.read_noise_e", values.pop("read"))
     link = Link(**values)
     distance = columns.get("link.distance_m", np.float64(5.0))
     reflectance = columns.get("link.reflectance", np.float64(0.5))
-    time = _own(columns, "system.acquisition.integration_time_s", systems, inverse)
-    read = _own(columns, "system.readout.read_noise_e", systems, inverse)
     signal = link.signal_e_per_s(reflectance, distance)
     background = link.background_e_per_s(reflectance)
     shot = {"shot_variance": link.shot_variance}
@@ -78,22 +94,40 @@ def closed_form(study: Study, columns: Mapping[str, Array], inputs: Inputs) -> d
     return {name: np.broadcast_to(results[name], (n,)) for name in study.metrics}
 
 
-def _combinations(
-    study: Study, columns: Mapping[str, Array], names: list[str], n: int, inputs: Inputs
-) -> tuple[Array, list[tuple[System, Link]]]:
-    """Which system each point has, and the different systems with their links."""
-    index = np.zeros(n, dtype=np.int64)
+def _links(study: Study, columns: Columns, inputs: Inputs) -> Iterator[tuple[Array, System, Link]]:
+    """Points that share all but numbers, their system, and their links as one of arrays."""
+    free = [name for name in columns if name not in _OF_THE_POINT]
+    arrays = [n for n in free if n in (*_ARRAYS, *_WAVELENGTHS) and columns[n].dtype.kind in "if"]
+    for points in _alike(columns, [name for name in free if name not in arrays]):
+        first = {name: columns[name][points[0]].item() for name in free}
+        single = _WAVELENGTHS if _has_curves(*_made(study, first, inputs)) else ()
+        for some in _alike(columns, [name for name in arrays if name in single], points):
+            own = {name: columns[name][some] for name in arrays if name not in single}
+            first = {name: columns[name][some[0]].item() for name in free}
+            system, part = _made(study, first, inputs)
+            for corner in _corners(own):
+                _made(study, first | corner, inputs)
+            link = link_of(_filled(system, own), _filled(part, own))
+            yield some, system, link
+
+
+def _alike(columns: Columns, names: list[str], points: Array | None = None) -> Iterator[Array]:
+    """Indices of points (of ``points``) that have the same values, group by group."""
+    if points is None:
+        points = np.arange(len(next(iter(columns.values()))))
+    if not names:
+        yield points
+        return
+    index = np.zeros(len(points), dtype=np.int64)
     for name in names:
-        _, place = np.unique(columns[name], return_inverse=True)
-        index = index * (place.max() + 1) + place
-    _, first, inverse = np.unique(index, return_index=True, return_inverse=True)
-    return inverse, [
-        _link(study, {name: columns[name][i].item() for name in names}, inputs) for i in first
-    ]
+        _, place = np.unique(columns[name][points], return_inverse=True)
+        _, index = np.unique(index * (place.max() + 1) + place, return_inverse=True)
+    order = np.argsort(index, kind="stable")
+    yield from np.split(points[order], np.flatnonzero(np.diff(index[order])) + 1)
 
 
-def _link(study: Study, values: dict[str, Value], inputs: Inputs) -> tuple[System, Link]:
-    """System and link. The detector stands alone: one pixel of a line sensor is a pixel too."""
+def _made(study: Study, values: dict[str, Value], inputs: Inputs) -> tuple[System, Part]:
+    """System and detector. The detector stands alone: one pixel of a line sensor is a pixel too."""
     own = {n: v for n, v in values.items() if n.startswith("system.detector.")}
     system = system_of(study, {n: v for n, v in values.items() if n not in own}, inputs)
     if system.weather is not None:
@@ -103,34 +137,56 @@ def _link(study: Study, values: dict[str, Value], inputs: Inputs) -> tuple[Syste
     part = Part(name=system.name, detector=system.detector)
     if own:
         part = changed(part, tuple((n.removeprefix("system."), v) for n, v in own.items()), inputs)
-    return system, link_of(system, part)
+    return system, part
 
 
-def _own(
-    columns: Mapping[str, Array], parameter: str, systems: list[System], inverse: Array
-) -> Array:
-    """A parameter's column, or each system's own value."""
-    if parameter in columns:
-        return columns[parameter].astype(np.float64)
-    _, section, field = parameter.split(".")
-    return np.array([getattr(getattr(s, section), field).value for s in systems])[inverse]
+def _has_curves(system: System, part: Part) -> bool:
+    files = (system.emitter.spectrum_csv, system.filter.transmission_csv)
+    return any((*files, part.detector is not None and part.detector.responsivity_csv))
 
 
-def _check(columns: Mapping[str, Array]) -> None:
-    """Raise ValueError where an array holds what the fields themselves would refuse."""
-    for name in (*_DIRECT, *_OF_THE_POINT):
+def _corners(own: Columns) -> Iterator[dict[str, float]]:
+    """Smallest and largest of the numbers of each section, in every combination: what a section
+    asks of them is linear, so what holds there holds between.
+    """
+    for _, names in groupby(sorted(own), key=_section):
+        ends = {name: sorted({own[name].min().item(), own[name].max().item()}) for name in names}
+        for values in product(*ends.values()):
+            yield dict(zip(ends, values, strict=True))
+
+
+def _section(name: str) -> str:
+    return name.split(".")[1]
+
+
+def _filled(entry: E, own: Columns) -> E:
+    """An entry whose swept fields hold arrays; those of sections it lacks are left out."""
+    sections = {}
+    for section, names in groupby(sorted(own), key=_section):
+        part = getattr(entry, section, None)
+        if part is not None:
+            sections[section] = part.model_copy(update=dict(_fields(names, own)))
+    return entry.model_copy(update=sections)
+
+
+def _fields(names: Iterable[str], own: Columns) -> Iterator[tuple[str, Any]]:
+    for name in names:
+        held: Any = Sourced.model_construct(
+            value=own[name].astype(np.float64), source=None, assumed="swept"
+        )
+        yield name.rpartition(".")[2], held
+
+
+def _check(columns: Columns) -> None:
+    """Raise ValueError for a number of a point that can't be."""
+    for name, (may_be_zero, most) in _OF_THE_POINT.items():
         if name not in columns:
             continue
         column = columns[name]
-        may_be_zero = name.endswith(("_e", "_a", "reflectance", "w_per_sr"))
-        bad = ~(np.isfinite(column) & ((column >= 0) if may_be_zero else (column > 0)))
-        if name == "link.reflectance":
-            bad |= column > 1
-        if name == "system.optics.f_number":
-            bad |= column < FASTEST_F_NUMBER
-        if bad.any():
-            wanted = {
-                "link.reflectance": "0 to 1",
-                "system.optics.f_number": f"{FASTEST_F_NUMBER:g} or more",
-            }.get(name, "a positive number")
-            raise ValueError(f"{name} = {column[bad][0]}: expected {wanted}")
+        if column.dtype.kind not in "if":
+            raise ValueError(f"{name} = {column[0]}: expected a number")
+        good = np.isfinite(column) & (column <= most)
+        good &= (column >= 0) if may_be_zero else (column > 0)
+        if not good.all():
+            wanted = "0 to 1" if most == 1 else "a positive number"
+            raise ValueError(f"{name} = {column[~good][0]}: expected {wanted}")

@@ -12,7 +12,7 @@ _CLOSED_FORM = re.compile(
     r"system\.filter\.(part|center_wavelength_m|width_m|transmission|transmission_csv)|"
     r"system\.optics\.(part|f_number|transmission)|"
     r"system\.detector\.(part|shape|width_m|height_m|responsivity_a_per_w|responsivity_csv|"
-    r"dark_current_a)|"
+    r"dark_current_a|gain|excess_noise_factor|ionisation_ratio)|"
     r"system\.readout\.(part|read_noise_e)|system\.acquisition\.(part|integration_time_s)|"
     r"system\.sky\.(part|illuminance_lx|sun_elevation_deg)"
 )

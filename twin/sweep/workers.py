@@ -59,7 +59,7 @@ def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
             n_workers=n,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # None still takes port 8787, or warns of it
             silence_logs=50,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,

@@ -3,6 +3,7 @@
 import math
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 from scipy import constants
 
@@ -68,14 +69,20 @@ class Detector(Strict):
         return k * m + (1 - k) * (2 - 1 / m)
 
     def check_quantum_limit(self, responsivity_a_per_w: float, wavelength_m: float) -> None:
-        """Raise ValueError for more than one electron a photon before multiplication."""
-        most = self.multiplication * quantum_limit_a_per_w(wavelength_m)
-        if responsivity_a_per_w > most * (1 + 1e-6):
+        """Raise ValueError for more than one electron a photon before multiplication, anywhere in
+        arrays of designs.
+        """
+        limit = quantum_limit_a_per_w(wavelength_m)
+        designs = np.broadcast_arrays(
+            responsivity_a_per_w, wavelength_m, limit, self.multiplication
+        )
+        worst = np.argmax(designs[0] / (designs[2] * designs[3]))
+        found, at_m, electron, gain = (float(column.flat[worst]) for column in designs)
+        if found > gain * electron * (1 + 1e-6):
             raise ValueError(
-                f"detector.responsivity_a_per_w = {responsivity_a_per_w:g}: at "
-                f"{wavelength_m * 1e9:g} nm one electron a photon is "
-                f"{quantum_limit_a_per_w(wavelength_m):.4g} A/W"
-                + (f", {most:.4g} A/W with a gain of {self.multiplication:g}" if self.gain else "")
+                f"detector.responsivity_a_per_w = {found:g}: at {at_m * 1e9:g} nm one electron a "
+                f"photon is {electron:.4g} A/W"
+                + (f", {gain * electron:.4g} A/W with a gain of {gain:g}" if self.gain else "")
                 + "; more needs detector.gain and its excess_noise_factor or ionisation_ratio"
             )
 
