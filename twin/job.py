@@ -67,8 +67,8 @@ def run(
     scene
         Bundled scene, folder with ``scene.xml``, or Mitsuba XML file.
     system, compare
-        Bundled system or TOML file (None: no camera, the radar alone); the second is shown beside
-        the first (None: nothing is).
+        Bundled system or TOML file (None: no camera, the radar alone, in air that does not
+        attenuate); the second is shown beside the first (None: nothing is).
     radar
         Bundled radar or TOML file (None: no radar).
     pose

@@ -55,8 +55,7 @@ class Capture:
     in the mean (a line sensor's columns side by side): what reconstructions are compared with.
     ``cells_error_e`` is their Monte-Carlo standard error. ``snr`` is cells_e over the noise of a
     reconstructed pixel (inverse transform of the patterns shown), 0 where the detector stands at a
-    rail. ``background_w`` is the sun's
-    power on one detector, mean over the detectors.
+    rail. ``background_w`` is the sun's power on one detector, mean over the detectors.
     """
 
     record: SpiRecord

@@ -19,7 +19,7 @@ class Detector(Strict):
 
     An avalanche photodiode multiplies by ``gain``, and adds the noise of doing so: by the
     ``excess_noise_factor`` at that gain, or by the ``ionisation_ratio`` k of its two carriers, of
-    which F = k M + (1 - k) (2 - 1 / M) (McIntyre, IEEE Trans. Electron Devices 13, 1966, eq. 20).
+    which F = k M + (1 - k) (2 - 1 / M) (McIntyre, IEEE Trans. Electron Devices 13, 1966, p. 164).
     Responsivity and dark current are then those at the terminals, gain included; all of the dark
     current is taken to be multiplied.
     """
