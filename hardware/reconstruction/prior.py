@@ -43,8 +43,13 @@ def cell_variance(rows: int, columns: int) -> Array:
 
 def mean_square(spectrum: Array) -> Array:
     """Variance of each cell for variances of the cosine coefficients, ``(n_cells,)``."""
-    down, along = (dct_matrix(n) ** 2 for n in spectrum.shape)
+    down, along = (_squared_cosines(n) for n in spectrum.shape)
     return np.asarray((down.T @ spectrum @ along).ravel())
+
+
+@lru_cache(maxsize=8)
+def _squared_cosines(n: int) -> Array:
+    return _kept(dct_matrix(n) ** 2)
 
 
 @lru_cache(maxsize=8)

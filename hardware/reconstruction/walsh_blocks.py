@@ -20,7 +20,7 @@ from hardware.reconstruction.prior import cell_variance, prior_spectrum, walsh_t
 #: What the blocks of a subset may take.
 MOST_BYTES = 2**32
 #: Relative error of a posterior variance from noise levels being interpolated.
-_INTERPOLATION = 1e-9
+_INTERPOLATION = 1e-5
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.intp]
@@ -101,11 +101,20 @@ class WalshBlocks:
             w[b.place] = linalg.cho_solve(factor, values[b.place], check_finite=False)
         return w
 
-    def variance(self, ratio: float) -> Array:
-        """Variance of each cell after the measurement, without the mean, for a unit prior."""
+    def errors(self, ratio: float) -> tuple[Array, float]:
+        """Mean square error of each cell by detail, ``(n_cells,)``, per variance of the prior; and
+        of all cells by noise, per variance of a measurement. Without the mean.
+
+        Noise differs by less than a tenth between cells, and is given as one number.
+        """
         nodes, shares = self._explained
-        explained = shares @ (nodes / (nodes + max(ratio, self._floor)))
-        return cell_variance(*self.shape) - explained[self._quarter_of]
+        left = max(ratio, self._floor) / (nodes + max(ratio, self._floor))
+        detail = cell_variance(*self.shape) - self._mirrored(shares @ (1 - left**2))
+        return detail, float(self._mean_shares @ ((1 - left) ** 2 / nodes))
+
+    @cached_property
+    def _mean_shares(self) -> Array:
+        return np.asarray(self._explained[1].mean(axis=0))
 
     @cached_property
     def _floor(self) -> float:
@@ -124,11 +133,12 @@ class WalshBlocks:
         values = np.concatenate([block.eigenvalues for block in self.blocks])
         return compressed(values, np.hstack(parts))
 
-    @cached_property
-    def _quarter_of(self) -> Integers:
-        """Place of each cell, or of its mirror image, in the first quarter."""
-        down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in self.shape)
-        return np.asarray((down[:, None] * -(-self.shape[1] // 2) + along).ravel())
+    def _mirrored(self, quarter: Array) -> Array:
+        """All cells ``(n_cells,)`` from those of the first quarter and their mirror images."""
+        down, along = self.shape
+        first = quarter.reshape(-(-down // 2), -1)
+        half = np.concatenate([first, first[: down // 2][::-1]])
+        return np.concatenate([half, half[:, : along // 2][:, ::-1]], axis=1).ravel()
 
 
 def compressed(values: Array, shares: Array) -> tuple[Array, Array]:

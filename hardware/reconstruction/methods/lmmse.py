@@ -25,9 +25,11 @@ from hardware.reconstruction.prior import (
     mean_square,
     prior_scale,
     prior_spectrum,
+    walsh_variance,
 )
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
+from hardware.reconstruction.standard_error import activity, calibration, detail_scale
 from hardware.reconstruction.walsh_blocks import WalshBlocks
 
 #: Values of a matrix from measurements to cells, up to which it is faster than the transforms.
@@ -38,15 +40,21 @@ _DENSE = 2**17
 def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, Array]:
     """Linear minimum mean-square error under a 1/f^2 prior.
 
-    The prior's scale comes from the measurements themselves. The standard error is the
-    posterior's: noise and unseen detail together.
+    The prior's scale comes from the measurements themselves. The standard error holds noise and
+    unseen detail (`hardware.reconstruction.standard_error`, where its coverage stands).
     """
     plan = lmmse_plan(sensing)
     scale = plan.scale(values, noise_variance)
     if scale == 0:  # noiseless and without structure
         return plan.flat(values), np.zeros(sensing.n_cells)
     ratio = noise_variance / scale
-    return plan.image(values, ratio), np.sqrt(scale * plan.variance(ratio))
+    cells = plan.image(values, ratio)
+    detail, noise = plan.errors(ratio)
+    unseen = detail_scale(*plan.structure(values), noise_variance, ratio)
+    detail *= activity(cells, sensing)
+    detail *= unseen * calibration(sensing.count) ** 2
+    detail += noise_variance * noise
+    return cells, np.sqrt(detail, out=detail)
 
 
 @lru_cache(maxsize=16)
@@ -87,10 +95,15 @@ class SubsetPlan:
         weight = 1 / (eigenvalues + max(ratio, self._floor))
         return mean + cells @ (weight * (eigenvectors @ values))
 
-    def variance(self, ratio: float) -> Array:
-        """Posterior variance of each cell, for a prior of scale 1."""
-        mean = ratio / self.sensing.n_cells**2 if self.blocks.mean_at.size else 0.0
-        return np.maximum(self.blocks.variance(ratio) + mean, 0.0)
+    def errors(self, ratio: float) -> tuple[Array, float]:
+        """Mean square errors by detail and by noise, see `WalshBlocks.errors`."""
+        detail, noise = self.blocks.errors(ratio)
+        mean = 1 / self.sensing.n_cells**2 if self.blocks.mean_at.size else 0.0
+        return np.maximum(detail, 0.0), noise + mean
+
+    def structure(self, values: Array) -> tuple[Array, Array]:
+        """Measurements without the mean, and their variances for a prior of scale 1."""
+        return values, walsh_variance(*self.sensing.shape)[self.sensing.patterns.indices]
 
     def flat(self, values: Array) -> Array:
         """The image when there is no structure: its mean."""
@@ -148,10 +161,15 @@ class FullPlan:
         weight[0, 0] = 1.0  # the mean
         return filtered(self.sensing.adjoint(values) / self.sensing.n_cells, weight)
 
-    def variance(self, ratio: float) -> Array:
-        """Posterior variance of each cell, for a prior of scale 1."""
-        left = mean_square(self.spectrum * (1 - self._weight(ratio)))
-        return left + ratio / self.sensing.n_cells**2
+    def errors(self, ratio: float) -> tuple[Array, float]:
+        """Mean square errors by detail and by noise, see `WalshBlocks.errors`."""
+        weight, n = self._weight(ratio), self.sensing.n_cells
+        detail = mean_square(self.spectrum * (1 - weight) ** 2)
+        return detail, (float(np.vdot(weight, weight)) + 1) / n**2
+
+    def structure(self, values: Array) -> tuple[Array, Array]:
+        """Measurements without the mean, and their variances for a prior of scale 1."""
+        return values, walsh_variance(*self.sensing.shape)[self.sensing.patterns.indices]
 
     def flat(self, values: Array) -> Array:
         """The image when there is no structure: its mean."""
@@ -178,9 +196,7 @@ class MixedPlan:
 
     def scale(self, values: Array, noise_variance: float) -> float:
         """Scale of the prior, from what a flat image does not explain."""
-        flat = self.flat_image
-        power = float(flat @ flat)
-        left = values - flat * (float(flat @ values) / power) if power else values
+        left = self._without_flat(values)
         return prior_scale(float(left @ left), len(values), noise_variance, self.expected)
 
     def image(self, values: Array, ratio: float) -> Array:
@@ -192,21 +208,35 @@ class MixedPlan:
         mean = float(flat @ (weight * y)) / precision if precision else 0.0
         return mean + self.cells @ (weight * (y - flat * mean))
 
-    def variance(self, ratio: float) -> Array:
-        """Posterior variance of each cell, for a prior of scale 1."""
+    def errors(self, ratio: float) -> tuple[Array, Array]:
+        """Mean square errors by detail and by noise of each cell, see `WalshBlocks.errors`."""
         weight = 1 / (self.eigenvalues + max(ratio, self.floor))
         flat = self.eigenvectors.T @ self.flat_image
         precision = float(flat @ (weight * flat))
-        variance = self.prior_variance - self.cells_squared @ weight
-        if precision:
-            variance += (1 - self.cells @ (weight * flat)) ** 2 / precision
-        return np.maximum(variance, 0.0)
+        detail = self.prior_variance - self.cells_squared @ (
+            weight * (2 - self.eigenvalues * weight)
+        )
+        noise = self.cells_squared @ weight**2
+        if precision:  # the error of the mean, and what it is in each cell
+            each = ((1 - self.cells @ (weight * flat)) / precision) ** 2
+            detail += each * float((weight * flat) ** 2 @ self.eigenvalues)
+            noise += each * float((weight * flat) ** 2 @ np.ones_like(weight))
+        return np.maximum(detail, 0.0), noise
+
+    def structure(self, values: Array) -> tuple[Array, Array]:
+        """Independent measurements without the mean, their variances for a prior of scale 1."""
+        return self.eigenvectors.T @ self._without_flat(values), self.eigenvalues
 
     def flat(self, values: Array) -> Array:
         """The image when there is no structure: its mean."""
         power = float(self.flat_image @ self.flat_image)
         mean = float(self.flat_image @ values) / power if power else 0.0
         return np.full(len(self.cells), mean)
+
+    def _without_flat(self, values: Array) -> Array:
+        flat = self.flat_image
+        power = float(flat @ flat)
+        return values - flat * (float(flat @ values) / power) if power else values
 
 
 def mixed_plan(sensing: Sensing) -> MixedPlan:
