@@ -145,6 +145,26 @@ class PatternSet:
             return index
         return ordered_indices(self.rows, self.columns, self.order)[: self.count]
 
+    @cached_property
+    def common_cells(self) -> NDArray[np.bool_]:
+        """Cells on which all patterns agree: lit in each, or (S-matrix) in none; ``(n_cells,)``.
+
+        Of a full set this is the first cell alone. Their light is one constant in all exposures,
+        as the background is.
+        """
+        shown = np.zeros(self.n_cells)
+        shown[self.indices] = 1.0
+        return np.asarray(fwht_in_place(shown) == self.count)
+
+    @property
+    def unmeasured_cells(self) -> NDArray[np.bool_]:
+        """Cells of which the exposures tell nothing, ``(n_cells,)``: the `common_cells` of a plain
+        set, which cannot be told from the background, and of an S-matrix, which are never lit.
+        """
+        if self.mode in ("plain", "s-matrix"):
+            return self.common_cells
+        return np.zeros(self.n_cells, np.bool_)
+
     @property
     def exposures(self) -> tuple[NDArray[np.intp], NDArray[np.int8]]:
         """Hadamard row and sign of each exposure: lit are the cells where sign x row is +1."""

@@ -144,7 +144,8 @@ def batch_fista(
         t, earlier = (1 + math.sqrt(1 + 4 * t * t)) / 2, t
         ahead = new + (earlier - 1) / t * (new - current)
         current = new
-    return synthesised(current)
+    radius = xp.sqrt(patterns.count * noise_variance)
+    return _allowed(synthesised(current), values, radius, patterns)
 
 
 def batch_total_variation(
@@ -167,11 +168,7 @@ def batch_total_variation(
         before = xp.concat([xp.zeros_like(q[:, :1, :]), q[:, :-1, :]], axis=1)
         flow = w_down * (p - above) + w_along * (q - before)
         moved = image + single_tv.STEP * xp.reshape(flow, image.shape)
-        misfit = y - _forward(moved, patterns)
-        size = xp.sqrt(xp.sum(misfit**2, axis=0))
-        excess = 1 - radius / xp.where(size > 0, size, xp.ones_like(size))
-        excess = xp.maximum(excess, xp.zeros_like(excess))
-        new = moved + _adjoint(misfit * excess, patterns) / patterns.n_cells
+        new = _allowed(moved, y, radius, patterns)
         x = xp.reshape(2 * new - image, shape)
         down = xp.concat([x[1:, ...] - x[:-1, ...], xp.zeros_like(x[:1, ...])], axis=0)
         along = xp.concat([x[:, 1:, :] - x[:, :-1, :], xp.zeros_like(x[:, :1, :])], axis=1)
@@ -181,6 +178,16 @@ def batch_total_variation(
         q = q + relaxation * (q_new / length - q)
         image = image + relaxation * (new - image)
     return new * spread
+
+
+def _allowed(cells: Any, values: Any, radius: Any, patterns: PatternSet) -> Any:
+    """Onto the images whose misfit is at most ``radius`` (n_images,), see `projection`."""
+    xp = _namespace(cells)
+    misfit = values - _forward(cells, patterns)
+    size = xp.sqrt(xp.sum(misfit**2, axis=0))
+    excess = 1 - radius / xp.where(size > 0, size, xp.ones_like(size))
+    excess = xp.maximum(excess, xp.zeros_like(excess))
+    return cells + _adjoint(misfit * excess, patterns) / patterns.n_cells
 
 
 def _forward(cells: Any, patterns: PatternSet) -> Any:

@@ -1,5 +1,6 @@
 """From a record to an image, by any method."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet
 from hardware.reconstruction.measurements import measurements
-from hardware.reconstruction.registry import METHODS, load_plugins
+from hardware.reconstruction.registry import METHODS, Array, Method, load_plugins
 from hardware.reconstruction.sensing import Mixing, Sensing
 from hardware.records import Flag, SpiRecord
 
@@ -26,9 +27,11 @@ class Reconstruction:
     """An image with its uncertainty.
 
     ``image`` and ``standard_error`` have shape ``(n_detectors, rows, columns)``, in the
-    photo-electrons that a cell, lit alone for one exposure, would give; ``standard_error`` is None
-    where the method gives none. ``noise_electrons`` is the noise of one measurement, as found in
-    the record itself.
+    photo-electrons that a cell, lit alone for one exposure, would give; NaN in cells that the
+    patterns do not measure (`PatternSet.unmeasured_cells`), of which a warning tells.
+    ``standard_error`` is None where the method gives none. ``noise_electrons`` is the noise of one
+    measurement, as found in the record itself; where it cannot be told from detail
+    (`hardware.reconstruction.measurements`), standard errors hold the most that it can be.
     """
 
     method: str
@@ -60,6 +63,10 @@ def reconstruct(
 
     Patterns that were lost on their way are left out, as if they had not been asked for.
 
+    The same record gives the same bits, as long as BLAS runs with as many threads: how it splits
+    sums over them changes LMMSE, and what starts from it (FISTA, TV, patches), by 1e-13 of the
+    image's range. ``OPENBLAS_NUM_THREADS=1`` fixes it.
+
     Raises ValueError for an unknown method, a mixing that does not fit, patterns whose matrices
     would not fit into memory, or a record in which too much is lost.
     """
@@ -70,28 +77,52 @@ def reconstruct(
     received = record.received
     solve, sensing = METHODS[method], Sensing(received.patterns, mixing)
     measured = measurements(received)
-    values, variance = measured.values, measured.noise_variance
-    if solve.joint:
-        cells, error = solve(values, variance, sensing)
-    else:
-        solved = [solve(y, float(s), sensing) for y, s in zip(values.T, variance, strict=True)]
-        cells = np.stack([cells for cells, _ in solved], axis=1)
-        errors = [error for _, error in solved if error is not None]
-        error = np.stack(errors, axis=1) if errors else None
-    shape = (-1, *sensing.shape)
+    variance, most = measured.noise_variance, measured.most_noise_variance
+    cells, error = _solved(solve, measured.values, variance, sensing)
+    if error is not None and (most > variance).any():
+        error = _solved(solve, measured.values, most, sensing)[1]
+    if error is not None and received.patterns.mode == "reference":
+        error = np.hypot(error, _error_of_the_references(most, sensing))
+    shape, told = (-1, *sensing.shape), sensing.measured[:, None]
     return Reconstruction(
         method=method,
-        image=cells.T.reshape(shape),
-        standard_error=None if error is None else error.T.reshape(shape),
+        image=np.where(told, cells, np.nan).T.reshape(shape),
+        standard_error=None if error is None else np.where(told, error, np.nan).T.reshape(shape),
         noise_electrons=np.sqrt(variance),
-        warnings=_warnings(record),
+        warnings=(*_flagged(record), *_unmeasured(sensing)),
     )
 
 
-def _warnings(record: SpiRecord) -> tuple[str, ...]:
+def _solved(
+    solve: Method, values: Array, variance: Array, sensing: Sensing
+) -> tuple[Array, Array | None]:
+    """Cells and standard errors of all detectors, ``(n_cells, n_detectors)``."""
+    if solve.joint:
+        return solve(values, variance, sensing)
+    solved = [solve(y, float(s), sensing) for y, s in zip(values.T, variance, strict=True)]
+    errors = [error for _, error in solved if error is not None]
+    cells = np.stack([cells for cells, _ in solved], axis=1)
+    return cells, np.stack(errors, axis=1) if errors else None
+
+
+def _error_of_the_references(variance: Array, sensing: Sensing) -> Array:
+    """What the noise of the two reference exposures adds, ``(n_cells, n_detectors)``.
+
+    One constant in all values, of half their variance, through the plain inverse: all of it meets
+    the cells on which all patterns agree.
+    """
+    constant = sensing.adjoint(np.ones(sensing.count)) / sensing.largest_squared
+    return np.asarray(np.abs(constant)[:, None] * np.sqrt(variance / 2))
+
+
+def _flagged(record: SpiRecord) -> Iterator[str]:
     n = record.flags.size
-    return tuple(
-        f"{bad} of {n} exposures are marked {flag.name.lower()}"
-        for flag in Flag
-        if flag.name and (bad := int(np.count_nonzero(record.flags & flag)))
-    )
+    for flag in Flag:
+        if flag.name and (bad := int(np.count_nonzero(record.flags & flag))):
+            yield f"{bad} of {n} exposures are marked {flag.name.lower()}"
+
+
+def _unmeasured(sensing: Sensing) -> Iterator[str]:
+    if unknown := int(np.count_nonzero(~sensing.measured)):
+        lit = "every pattern lights" if sensing.patterns.mode == "plain" else "no pattern lights"
+        yield f"{unknown} of {sensing.n_cells} cells have no value: what {lit} is not measured"

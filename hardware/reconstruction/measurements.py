@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet
-from hardware.reconstruction.prior import walsh_variance
+from hardware.reconstruction.noise import finest_patterns, noise_beside_detail, noise_of_sums
 from hardware.records import SpiRecord
 
 Array = NDArray[np.float64]
@@ -17,11 +17,13 @@ class Measurements:
     """What a set of patterns measured.
 
     ``values`` is H x in electrons, shape ``(count, n_images)``; ``noise_variance`` the variance
-    of one value, shape ``(n_images,)``. An image has one detector, or two when complementary.
+    of one value, shape ``(n_images,)``, and ``most_noise_variance`` the largest that the record
+    allows. An image has one detector, or two when complementary.
     """
 
     values: Array
     noise_variance: Array
+    most_noise_variance: Array
 
 
 def measurements(record: SpiRecord) -> Measurements:
@@ -29,67 +31,48 @@ def measurements(record: SpiRecord) -> Measurements:
 
     Differential, complementary: pattern minus complement. Their *sum* is the same for every pair
     (all cells lit once, plus background), so its scatter is the noise of the difference: no model,
-    no dark frame. Successive sums are differenced, which leaves slow drift of the background out.
-    The two arms of a complementary set are taken as equally sensitive; where they are not, the
-    noise comes out too high.
+    no dark frame (`hardware.reconstruction.noise.noise_of_sums`). The two arms of a complementary
+    set are taken as equally sensitive; where they are not, the noise comes out too high. What of
+    their 1/f noise is slower than an exposure is not in it.
 
     Reference: 2 (lit) - (all lit) - (all dark), free of background. The noise of the two reference
-    exposures is one constant in every value, which mostly meets the first cell.
+    exposures is one constant in every value, which is an error of the cells that are lit in every
+    pattern (`PatternSet.common_cells`).
 
     Plain: 2 (lit) - (all lit), which needs the first Hadamard row (all ones) among the patterns
-    and leaves the background as a constant in every value. The finest patterns, which carry least
-    of the scene, tell that constant by their mean and the noise by their scatter (an upper bound).
+    and leaves the background as a constant in every value. S-matrix: (dark frame) - 2 (lit), which
+    leaves the background and (all lit) as a constant. The finest patterns, which carry least of
+    the scene, tell that constant by their mean. Cells on which all patterns agree are a constant
+    in every value as well, and are therefore not measured.
 
-    S-matrix: (all lit) - 2 (lit - dark frame). All of them together light every cell n/2 times,
-    which gives (all lit); of a subset the finest patterns tell it by their mean.
+    Reference, plain and S-matrix sets show nothing twice. What tells noise from detail is then
+    their spectra (`hardware.reconstruction.noise.noise_beside_detail`), and the scatter of the
+    finest patterns is the most that noise can be.
     """
     electrons, patterns = record.electrons, record.patterns
-    if patterns.mode == "differential":
-        lit, complement = electrons[0::2], electrons[1::2]
-        return Measurements(lit - complement, _scatter(lit + complement))
-    if patterns.mode == "complementary":
-        lit, complement = np.split(electrons, 2, axis=1)
-        return Measurements(lit - complement, _scatter(lit + complement))
-    finest = _finest(patterns)
+    if patterns.mode in ("differential", "complementary"):
+        if patterns.mode == "differential":
+            lit, complement = electrons[0::2], electrons[1::2]
+        else:
+            lit, complement = np.split(electrons, 2, axis=1)
+        noise = noise_of_sums(lit + complement, in_turn=patterns.mode == "differential")
+        return Measurements(lit - complement, noise, noise)
+    finest = finest_patterns(patterns)
     if patterns.mode == "reference":
         values = 2 * electrons[2:] - electrons[0] - electrons[1]
-    elif patterns.mode == "s-matrix":
-        values = _from_s_matrix(electrons, patterns, finest)
     else:
-        values = _from_plain(electrons, patterns, finest)
-    return Measurements(
-        values, values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
-    )
+        values = _without_constant(electrons, patterns, finest)
+    most = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
+    quantisation = (2 * record.electrons_per_count) ** 2 / 12
+    noise = noise_beside_detail(values, patterns)
+    return Measurements(values, np.minimum(np.maximum(noise, quantisation), most), most)
 
 
-def _from_plain(electrons: Array, patterns: PatternSet, finest: NDArray[np.intp]) -> Array:
-    all_lit = np.flatnonzero(patterns.indices == 0)
-    if all_lit.size == 0:
+def _without_constant(electrons: Array, patterns: PatternSet, finest: NDArray[np.intp]) -> Array:
+    """Values of a plain set or an S-matrix, the constant they share told by the finest patterns."""
+    whole = np.flatnonzero(patterns.indices == 0)
+    if whole.size == 0:
         raise ValueError("patterns: a plain set needs the all-lit pattern among its patterns")
-    values = 2 * electrons - electrons[all_lit[0]]
+    lit = electrons if patterns.mode == "plain" else -electrons
+    values = 2 * lit - lit[whole[0]]
     return values - values[finest].mean(axis=0) if finest.size else values
-
-
-def _from_s_matrix(electrons: Array, patterns: PatternSet, finest: NDArray[np.intp]) -> Array:
-    dark = int(np.flatnonzero(patterns.indices == 0)[0])
-    lit = electrons - electrons[dark]
-    if patterns.count == patterns.n_cells:
-        total = 2 * lit.sum(axis=0) / patterns.n_cells
-    else:
-        total = 2 * lit[finest].mean(axis=0) if finest.size else np.zeros(lit.shape[1])
-    return np.asarray(total - 2 * lit)
-
-
-def _finest(patterns: PatternSet) -> NDArray[np.intp]:
-    """Where the eighth of the patterns stands that carries least of a natural image."""
-    variance = walsh_variance(patterns.rows, patterns.columns)[patterns.indices]
-    variance = np.where(patterns.indices == 0, np.inf, variance)
-    order = np.argsort(variance, kind="stable")[: max(2, (patterns.count - 1) // 8)]
-    return order[np.isfinite(variance[order])]
-
-
-def _scatter(constant: Array) -> Array:
-    """Variance of values whose mean is constant or drifts slowly; 0 when there is only one."""
-    if len(constant) < 2:
-        return np.zeros(constant.shape[1])
-    return np.asarray(np.mean(np.diff(constant, axis=0) ** 2, axis=0) / 2)

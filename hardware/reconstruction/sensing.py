@@ -1,7 +1,7 @@
 """The linear map from an image to its measurements: H x, or H M x with a calibrated mixing M."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,11 @@ class Sensing:
         return fwht_in_place(coefficients)
 
     @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Cells of which the measurements tell anything, ``(n_cells,)``."""
+        return _measured(self)
+
+    @property
     def matrix(self) -> Array:
         """The dense matrix ``(count, n_cells)``."""
         if self.mixing:
@@ -107,3 +112,12 @@ class Sensing:
         return fwht_in_place(np.array(self.mixing.matrix, np.float64, order="C"))[
             self.patterns.indices
         ]
+
+
+@lru_cache(maxsize=16)
+def _measured(sensing: Sensing) -> NDArray[np.bool_]:
+    told = ~sensing.patterns.unmeasured_cells
+    if sensing.mixing:
+        told = (sensing.mixing.matrix[told] != 0).any(axis=0)
+    told.flags.writeable = False
+    return told

@@ -5,7 +5,8 @@
 FISTA: Beck and Teboulle, SIAM J. Imaging Sci. 2, 2009. The thresholds t_k fall with the standard
 deviation w_k that coefficient k has under the 1/f^2 prior: t_k = noise variance / (u w_k), u the
 prior's scale as measured, never below a small share of it, so that coefficients which were not
-measured stay small where there is no noise. Warm-started from LMMSE.
+measured stay small where there is no noise. Warm-started from LMMSE; the last step goes to the
+images that the measurements allow.
 """
 
 import math
@@ -15,6 +16,7 @@ import numpy as np
 
 from hardware.reconstruction.dictionaries import DICTIONARIES, prior_deviation
 from hardware.reconstruction.methods.lmmse import lmmse_plan
+from hardware.reconstruction.projection import allowed
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
 
@@ -51,7 +53,7 @@ def fista(
         t, earlier = (1 + np.sqrt(1 + 4 * t * t)) / 2, t
         ahead = new + (earlier - 1) / t * (new - current)
         current = new
-    return (down.T @ current @ along).ravel(), None
+    return allowed((down.T @ current @ along).ravel(), values, noise_variance, sensing), None
 
 
 def threshold(noise_variance: Any, scale: Any, lipschitz: float, n_cells: int, xp: Any = np) -> Any:

@@ -3,6 +3,9 @@
 Atoms are A d_k w_k with w_k the standard deviation of the coefficient under the 1/f^2 prior. Never
 normalise them to one: low-sequency patterns see almost nothing of fine atoms, which naive
 normalisation would amplify, and the pursuit collapses by 5 dB.
+
+What the chosen atoms leave unexplained beyond the noise, because their number is bounded, goes to
+the nearest image that the measurements allow.
 """
 
 from collections.abc import Iterator
@@ -13,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.reconstruction.dictionaries import DICTIONARIES, prior_deviation
+from hardware.reconstruction.projection import allowed
 from hardware.reconstruction.pursuit import batch_omp
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
@@ -108,4 +112,4 @@ def _pursue(values: Array, noise_variance: float, sensing: Sensing, dictionary: 
     cells = (down.T @ coefficients.reshape(len(down), -1) @ along).ravel()
     if power:  # what the atoms leave of the flat image's direction is the mean
         cells += float(plan.flat @ (values - sensing.forward(cells))) / power
-    return cells
+    return allowed(cells, values, noise_variance, sensing)

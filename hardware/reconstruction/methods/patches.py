@@ -17,7 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from hardware.reconstruction.cosine import dct_matrix
 from hardware.reconstruction.methods.fista import fista
 from hardware.reconstruction.methods.lmmse import lmmse_plan
-from hardware.reconstruction.methods.total_variation import MISFIT, projection, total_variation
+from hardware.reconstruction.methods.total_variation import MISFIT, total_variation
+from hardware.reconstruction.projection import projection
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
 

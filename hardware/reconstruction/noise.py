@@ -1,0 +1,125 @@
+"""The noise of one Hadamard measurement, from the measurements themselves."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.patterns import PatternSet
+from hardware.reconstruction.prior import walsh_variance
+
+Array = NDArray[np.float64]
+
+#: Pairs between the sums whose difference tells 1/f noise; the statistical error of the estimate
+#: is 1.1 times that of successive sums alone.
+_LAG = 8
+#: What 1/f noise leaves in the difference of a pair, and in half the squared difference of the
+#: sums of pairs that are 1 and `_LAG` pairs apart, per density at one cycle an exposure. With
+#: Cin(x), the integral of (1 - cos t) / t from 0 to x: 2 Cin(pi), and at m pairs
+#: 2 Cin(2 m pi) + Cin((2 m + 1) pi) + Cin((2 m - 1) pi) - 2 Cin(pi).
+_IN_PAIR, _SUCCESSIVE, _APART = 3.29655528, 6.03696679, 14.67765865
+#: Exponents of the prior's spectrum that detail may have. Amplitudes of natural scenes fall as
+#: f^-0.6 to f^-1.6 (Tolhurst, Tadmor and Chao, Ophthal. Physiol. Opt. 12, 1992), powers of the
+#: 1/f^2 prior by as much; steeper ones are smooth objects.
+_EXPONENTS = np.arange(0.5, 3.01, 0.25)
+#: Share that detail may have in the variance of the finest patterns; the steps bound the error.
+_DETAIL = np.concatenate([np.arange(1.0, 0.09, -0.05), np.geomspace(0.05, 1e-8, 24)])
+#: Prior variances within this factor are taken as one.
+_BIN = 1.25
+
+
+def noise_of_sums(constant: Array, *, in_turn: bool) -> Array:
+    """Variance of a pair's difference, from the scatter of the pairs' sums, ``(n_images,)``.
+
+    Parameters
+    ----------
+    constant : (n_pairs, n_images)
+        Pattern plus complement: the same for each pair but for noise and slow drift.
+    in_turn
+        Whether the two of a pair are exposed one after the other. Then 1/f noise is less in their
+        difference than between successive sums, and half the squared difference of sums D(m), m
+        pairs apart, tells how much: D is constant for white noise and grows with m for 1/f noise,
+        both in known proportion to the noise of a pair, which is therefore a D(1) - b D(8).
+        From records of up to 16 pairs 1/f noise cannot be told, and D(1) is taken.
+
+    0 where there is only one pair.
+    """
+    if len(constant) < 2:
+        return np.zeros(constant.shape[1])
+    successive = _half_square(constant, 1)
+    if not in_turn or len(constant) <= 2 * _LAG:
+        return successive
+    share = (_SUCCESSIVE - _IN_PAIR) / (_APART - _SUCCESSIVE)
+    found = successive - share * (_half_square(constant, _LAG) - successive)
+    return np.asarray(np.maximum(found, _IN_PAIR / _SUCCESSIVE * successive))  # all of it 1/f
+
+
+def _half_square(constant: Array, lag: int) -> Array:
+    return np.asarray(np.mean((constant[lag:] - constant[:-lag]) ** 2, axis=0) / 2)
+
+
+def finest_patterns(patterns: PatternSet) -> NDArray[np.intp]:
+    """Where the eighth of the patterns stands that carries least of a natural image."""
+    order = _fine_to_coarse(patterns)
+    return order[: max(2, (patterns.count - 1) // 8)]
+
+
+def noise_beside_detail(values: Array, patterns: PatternSet) -> Array:
+    """Variance of the noise in values ``(count, n_images)`` that hold detail too, ``(n_images,)``.
+
+    Detail has a variance that falls with the prior's, noise the same in every value: a w^g + s,
+    with a, g and s of greatest likelihood (normal values of mean 0). g is common to all images, and
+    so is the share of noise in the finest values; noise below a twentieth of the finest detail's
+    variance cannot be told from none, and is given as 0. A scene whose detail falls more slowly
+    than 1/f is taken for noise.
+    """
+    bins = _bins(patterns)
+    if bins is None:
+        return np.zeros(values.shape[1])
+    squares = np.add.reduceat(values[bins.order] ** 2, bins.starts, axis=0)
+    scale = bins.inverse @ squares / len(bins.order)  # (n_models, n_images)
+    log_scale = np.log(np.maximum(scale, np.finfo(float).tiny))
+    misfit = len(bins.order) * log_scale.sum(axis=1) + values.shape[1] * bins.logarithm
+    best = int(np.argmin(misfit))
+    return np.asarray(scale[best] * bins.noise[best])
+
+
+@dataclass(frozen=True, eq=False)
+class _Bins:
+    """Patterns by falling prior variance in bins that begin at ``starts``; a row per model.
+
+    ``inverse`` (n_models, n_bins) of a value's variance, ``logarithm`` (n_models,) of it summed
+    over all values, ``noise`` (n_models,) its share of noise, for unit variance of the finest.
+    """
+
+    order: NDArray[np.intp]
+    starts: NDArray[np.intp]
+    inverse: Array
+    logarithm: Array
+    noise: Array
+
+
+@lru_cache(maxsize=16)
+def _bins(patterns: PatternSet) -> _Bins | None:
+    """None where fewer than two patterns tell more than the mean."""
+    order = _fine_to_coarse(patterns)[::-1]
+    if order.size < 2:
+        return None
+    variance = walsh_variance(patterns.rows, patterns.columns)[patterns.indices][order]
+    step = np.floor(np.log(variance[0] / variance) / np.log(_BIN) + 1e-9)
+    starts = np.flatnonzero(np.diff(step, prepend=-1.0))
+    sizes = np.diff(starts, append=order.size)
+    finest = np.exp(np.log(variance[-max(2, order.size // 8) :]).mean())
+    relative = np.add.reduceat(variance, starts) / sizes / finest
+    detail = _DETAIL[None, :, None] * relative ** _EXPONENTS[:, None, None]
+    model = (detail + (1 - _DETAIL)[None, :, None]).reshape(-1, len(starts))
+    noise = np.tile(1 - _DETAIL, len(_EXPONENTS))
+    return _Bins(order, starts, 1 / model, np.log(model) @ sizes, noise)
+
+
+def _fine_to_coarse(patterns: PatternSet) -> NDArray[np.intp]:
+    """Places of all patterns but the mean, by rising prior variance."""
+    variance = walsh_variance(patterns.rows, patterns.columns)[patterns.indices]
+    order = np.argsort(np.where(patterns.indices == 0, np.inf, variance), kind="stable")
+    return order[: patterns.count - int(np.count_nonzero(patterns.indices == 0))]
