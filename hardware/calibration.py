@@ -70,7 +70,7 @@ class CameraCalibration:
         unlit, lit = (
             reconstruct(r, "zero-fill").image / r.integration_time_s for r in (dark, flat)
         )
-        if unlit.shape != lit.shape or not (lit > unlit).all():
+        if unlit.shape != lit.shape or (lit <= unlit).any():
             raise ValueError("flat: a cell is no brighter than in the dark, or is missing there")
         return cls(flat.device, time.time_ns(), unlit, lit, target)
 

@@ -33,7 +33,8 @@ def process(
 ) -> Outcome:
     """Append the image of a camera's record, or each burst's detections of a radar's.
 
-    Images are in electrons or, with a calibration, reflectance at the target's distance. The
+    Images are in electrons or, with a calibration, reflectance at the target's distance; NaN where
+    cells are not measured. The
     radar's are those of `hardware.radar.process.process`, as ``ugv detect`` lists them, as `cloud`.
 
     Raises ValueError for a calibration of another device.
@@ -60,7 +61,9 @@ def _image(
     stamp = stamp_ns(received)
     picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
     log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
-    return Outcome((f"image {cells.min():.3g} to {cells.max():.3g} {unit}",), image.warnings)
+    return Outcome(
+        (f"image {np.nanmin(cells):.3g} to {np.nanmax(cells):.3g} {unit}",), image.warnings
+    )
 
 
 def _detections(

@@ -53,13 +53,15 @@ def reconstruct(
         f"{rows} x {columns}"
     )
     print(
-        f"{method}: {1e3 * elapsed:.3g} ms; cells {found.image.min():.3g} to "
-        f"{found.image.max():.3g} e-"
+        f"{method}: {1e3 * elapsed:.3g} ms; cells {np.nanmin(found.image):.3g} to "
+        f"{np.nanmax(found.image):.3g} e-"
     )
     print(f"noise of one measurement: {float(np.median(found.noise_electrons)):.3g} e- (median)")
     arrays = {"image": found.image, "noise_electrons": found.noise_electrons}
     if found.standard_error is not None:
-        print(f"standard error of a cell: {float(np.median(found.standard_error)):.3g} e- (median)")
+        print(
+            f"standard error of a cell: {float(np.nanmedian(found.standard_error)):.3g} e- (median)"
+        )
         arrays["standard_error"] = found.standard_error
     if ranged:
         print(_distances(loaded, ranged))

@@ -9,7 +9,7 @@ neighbouring ones hold of a cell tells where in them it lies (`hardware.reconstr
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,8 @@ class RangeImage:
 
     ``amplitude`` in photo-electrons of a cell lit alone for one exposure: of taps, half the
     modulated light (contrast included), mean over the frequencies; of gates, the whole echo.
-    ``distance_m`` is half the way from emitter to detector, NaN where no light is.
+    ``distance_m`` is half the way from emitter to detector, NaN where no light is. Cells that the
+    patterns do not measure have NaN for both.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
     ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat, or
     no gate is open.
@@ -63,9 +64,13 @@ def range_image(
     taken = [reconstruct(tap, method, mixing=mixing) for tap in record.by_shutter]
     images = np.stack([found.image for found in taken])
     errors = np.stack([_error(found, record.patterns.count) for found in taken])
+    told = np.isfinite(images[0])
+    images, errors = np.nan_to_num(images), np.nan_to_num(errors)  # no light: no distance
     if systems:
-        return _from_phases(method, images, errors, systems)
-    return _from_gates(method, images, errors, record)
+        found = _from_phases(method, images, errors, systems)
+    else:
+        found = _from_gates(method, images, errors, record)
+    return replace(found, amplitude=np.where(told, found.amplitude, np.nan))
 
 
 def _error(found: Reconstruction, count: int) -> Array:

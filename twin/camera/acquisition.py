@@ -79,6 +79,15 @@ class Capture:
         return judge(self.cells_e, self.snr, self.warnings)
 
     @property
+    def measured_cells_e(self) -> Array:
+        """``cells_e``, NaN in cells that the patterns do not measure."""
+        patterns = self.record.patterns
+        unknown = patterns.unmeasured_cells.reshape(patterns.rows, patterns.columns)
+        return np.where(
+            np.tile(unknown, self.cells_e.shape[1] // patterns.columns), np.nan, self.cells_e
+        )
+
+    @property
     def void(self) -> bool:
         """Whether the record holds nothing that an image could be made of."""
         return is_void(self.warnings)
@@ -140,8 +149,10 @@ def measure(
     nearest_m = float(rendered.truth.depth_m.min())
     sky = chain.sky
     record = chain.record(scene.rig.pose, counts, flags)
-    # At a rail the response's slope is zero, and so is what can be told of the light.
-    snr = np.where(blind(record)[:, None], 0.0, cells_e / of_image[:, None])
+    # At a rail the response's slope is zero, and so is what can be told of the light; as it is of
+    # cells that the patterns do not measure.
+    lost = blind(record)[:, None] | record.patterns.unmeasured_cells
+    snr = np.where(lost, 0.0, cells_e / of_image[:, None])
     budget = chain.noise(signal_w, sun_w)
     return Capture(
         record=record,

@@ -65,23 +65,29 @@ def evaluate(
     record = capture.record
     shown = [name for name in SHOWN if fits_in_memory(name, record.patterns)]
     images = reconstructions or [reconstruct(record, name) for name in shown]
-    scored = [(image, score(capture.cells_e, image.picture)) for image in images]
+    truth = capture.measured_cells_e
+    scored = [(image, score(truth, image.picture)) for image in images]
     scored.sort(key=lambda pair: -pair[1].psnr_db)
     return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))
 
 
 def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:
-    """PSNR and SSIM (Wang 2004, 7 x 7 windows) of an image in the unit of its truth."""
+    """PSNR and SSIM (Wang 2004, 7 x 7 windows) of an image in the unit of its truth.
+
+    Cells whose truth is NaN are left out: they are not measured, whatever the image says of them.
+    """
     from skimage.metrics import structural_similarity
 
     if truth.shape != image.shape:
         raise ValueError(f"image: shape {image.shape}, the truth has {truth.shape}")
-    peak = float(truth.max())
-    error = float(np.mean((image - truth) ** 2))
+    known = np.isfinite(truth)
+    peak = float(truth[known].max(initial=0.0))
+    error = float(np.mean((image - truth)[known] ** 2))
     if peak == 0 or error == 0:
         return Score(np.inf if error == 0 else -np.inf, 1.0 if error == 0 else 0.0)
     window = min(7, *(side - 1 + side % 2 for side in truth.shape))
     similar = np.nan  # undefined on images narrower than the smallest window
     if window >= 3:
-        similar = structural_similarity(truth, image, data_range=peak, win_size=window)
+        pair = (np.where(known, picture, 0.0) for picture in (truth, image))
+        similar = structural_similarity(*pair, data_range=peak, win_size=window)
     return Score(float(10 * np.log10(peak**2 / error)), float(similar))

@@ -25,7 +25,8 @@ class Metric:
         As it stands in baselines and messages.
     of
         From truth and result of one seed to a number. Truth and result are images in electrons
-        (rows, columns) for a camera, the visible `TrueTarget`s and an `Echo` for a radar.
+        (rows, columns) for a camera, the truth NaN in cells that the patterns do not measure; the
+        visible `TrueTarget`s and an `Echo` for a radar.
     tolerance
         Mean loss that does not matter: rounding, another order of sums. In ``unit``.
     higher_is_better
@@ -63,7 +64,7 @@ def ssim(truth: Image, image: Image) -> float:
 
 def rmse_e(truth: Image, image: Image) -> float:
     """Root mean square error, electrons."""
-    return float(np.sqrt(np.mean((image - truth) ** 2)))
+    return float(np.sqrt(np.mean((image - truth)[np.isfinite(truth)] ** 2)))
 
 
 def range_error_m(truth: tuple[TrueTarget, ...], found: Echo) -> float:

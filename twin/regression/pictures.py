@@ -22,7 +22,7 @@ def image_example(outcome: Outcome) -> dict[str, Any]:
     """The first seed's image as a small PNG: the square root of its share of the brightest cell."""
     from PIL import Image
 
-    top = float(outcome.truth.max()) or 1.0
+    top = float(np.nanmax(outcome.truth)) or 1.0
     grey = np.rint(255 * _grey(np.nan_to_num(outcome.results[0]) / top)).astype(np.uint8)
     picture = Image.fromarray(grey)
     picture.thumbnail((_LARGEST_SIDE, _LARGEST_SIDE), Image.Resampling.BOX)
@@ -47,7 +47,7 @@ def draw_images(
     """Truth, image before and now, what is wrong now, and the figures."""
     figure, axes = _figure(4, verdicts)
     truth, image = outcome.truth, outcome.results[0]
-    top = float(truth.max()) or 1.0
+    top = float(np.nanmax(truth)) or 1.0
     aspect = truth.shape[1] / truth.shape[0]
     shown = (_grey(truth / top), _decoded(example), _grey(image / top))
     for axis, picture, title in zip(

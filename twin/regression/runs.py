@@ -65,8 +65,9 @@ def records(
 
 
 def true_cells(scene: Scene, system: System, light: Rendered) -> Array:
-    """Electrons of every cell, what images are compared with."""
-    return measure(scene, system, light, rng=np.random.default_rng(0), noise="none").cells_e
+    """Electrons of every cell, what images are compared with; NaN in cells not measured."""
+    rng = np.random.default_rng(0)
+    return measure(scene, system, light, rng=rng, noise="none").measured_cells_e
 
 
 def run_camera(

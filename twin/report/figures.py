@@ -124,8 +124,11 @@ def _panels(rows: int, columns: int, side: float) -> tuple[Figure, list[Any]]:
 
 
 def _image(axis: Any, image: Array, title: str) -> None:
-    """Grey picture, square-root scale from 0 to its 99.5th percentile; noise around 0 as it is."""
-    top = float(np.percentile(image, 99.5))
+    """Grey picture, square-root scale from 0 to its 99.5th percentile; noise around 0 as it is.
+
+    Cells without a value are left blank.
+    """
+    top = float(np.nanpercentile(image, 99.5))
     shown = np.sqrt(np.clip(image / top, 0, 1)) if top > 0 else np.zeros_like(image)
     aspect = _aspect(image)
     axis.imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest", aspect=aspect)

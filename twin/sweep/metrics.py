@@ -39,7 +39,7 @@ class Outcome:
     @cached_property
     def score(self) -> Score:
         """The image against its noise-free truth."""
-        return score(self.capture.cells_e, self.reconstruction.picture)
+        return score(self.capture.measured_cells_e, self.reconstruction.picture)
 
     @cached_property
     def radar(self) -> RadarEvaluation:
