@@ -39,6 +39,7 @@ Method = Literal["ca", "go", "os"]
 _QUANTILE = 0.75  # of the training cells, for os
 _MOST_ORDERED = 96  # cells that os sorts
 _TILE = 4  # cells along each side
+_QUIETER = 0.4  # of its threshold, down to which a map's quietest tenth is trusted
 _MOST_GATHERED = 2000  # cells looked at one by one
 _MOST_RANGES = 1024  # that tell the noise of a rate
 _UNLIKE = 1.5  # times their standard error, by which medians must differ to be followed
@@ -62,7 +63,7 @@ class Cfar:
     """
 
     false_alarm: float = 1e-8
-    method: Method = "ca"
+    method: Method = "os"
     guard: tuple[int, int] = (6, 6)
     training: tuple[int, int] = (16, 12)
     shape: float | Literal["fitted"] = float("inf")
@@ -131,11 +132,19 @@ def possible(
     """Rows and columns of all cells above their threshold, and of few others.
 
     A lower bound of the training cells' sum, from tiles that lie among them wherever in its own
-    tile a cell is, rules most cells out at a small part of the cost.
+    tile a cell is, rules most cells out at a small part of the cost. For ``os`` the bound is 0.4
+    of the threshold in the map's quietest tenth: where it is quieter still by more than that, the
+    threshold is the bound.
     """
     cfar = fitted(power, cfar, n_channels)
     regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
-    if rank or any(size % _TILE for size in power.shape):
+    if rank:
+        white = white_threshold(
+            power.shape, cfar, window=window, n_channels=n_channels, oversampling=oversampling
+        )
+        rows, columns = np.nonzero(power > _QUIETER * white * _floor(power, n_channels))
+        return rows, columns
+    if any(size % _TILE for size in power.shape):
         rows, columns = np.nonzero(power > 0)
         return rows, columns
     least = np.max([_least(power, region) for region in regions], axis=0)
@@ -144,6 +153,30 @@ def possible(
     bound = (least * (1 - 1e-5)).astype(power.dtype)
     rows, columns = np.nonzero(power > np.repeat(np.repeat(bound, _TILE, 0), _TILE, 1))
     return rows, columns
+
+
+def _floor(power: Power, n_channels: int) -> float:
+    """Mean of the noise, from the map's quietest tenth (of every seventh cell of a large map)."""
+    from scipy.special import gammaincinv
+
+    cells = power.ravel(order="K")[:: 7 if power.size > 2**18 else 1]
+    tenth = np.partition(cells, len(cells) // 10)[len(cells) // 10]
+    return float(tenth / gammaincinv(n_channels, 0.1) * n_channels)
+
+
+def white_threshold(
+    shape: tuple[int, ...],
+    cfar: Cfar,
+    *,
+    window: str = "boxcar",
+    n_channels: int = 1,
+    oversampling: int = 1,
+) -> float:
+    """Threshold over the mean of noise, where it is the same all over a map."""
+    from scipy.special import gammaincinv
+
+    _, factor, rank = _rule(shape, cfar, window, n_channels, oversampling)
+    return float(factor * gammaincinv(n_channels, _QUANTILE) / n_channels) if rank else factor
 
 
 def _rule(

@@ -2,19 +2,23 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.cfar import Cfar, cfar_threshold, possible
+from hardware.radar.cfar import Cfar
 from hardware.radar.demodulation import Complex
+from hardware.radar.peaks import Peaks, peaks_above
 from hardware.radar.range_doppler import RangeDopplerMap, check_channel
-from hardware.radar.refinement import Blocks, amplitudes, blocks_about, highest
+from hardware.radar.refinement import Blocks, amplitudes, blocks_about, highest, left_over
+from hardware.radar.sensitivity import side_lobe, weak_echoes
 from hardware.radar.windows import frequency_variance, taper
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
+
+_OVER_LOBES = 20.0  # of an echo's power over the side lobes of others that may stand there
+_ON_TAPERED = 0.2  # of the false alarms; the rest are of the map without a window
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,10 @@ class Detection:
     rcs_m2: float = float("nan")
 
 
+#: A detection, and its amplitude on every channel, (n_channels,), in root watts.
+Measured = tuple[Detection, NDArray[np.complex128]]
+
+
 def detect(
     channel: Complex,
     waveform: OfdmWaveform,
@@ -57,13 +65,13 @@ def detect(
     channel, waveform, image
         As `range_doppler` took and gave them.
     false_alarm, guard, training
-        See `Cfar`; for other methods than the mean use `detected`.
+        See `Cfar`; for other methods than its own use `detected`.
     window
         The one of ``image``.
     at_most
         Detections returned.
     """
-    cfar = Cfar(false_alarm, "ca", guard, training)
+    cfar = Cfar(false_alarm, guard=guard, training=training)
     return [found for found, _ in detected(channel, waveform, image, cfar, window, at_most)]
 
 
@@ -74,70 +82,94 @@ def detected(
     cfar: Cfar,
     window: str = "blackmanharris",
     at_most: int = 64,
-) -> list[tuple[Detection, NDArray[np.complex128]]]:
-    """Find targets, strongest first, each with its amplitude on every channel, (n_channels,)."""
+) -> list[Measured]:
+    """Find targets, strongest first, each with its amplitude on every channel, (n_channels,).
+
+    A map with a window shows what is strong, and the weak beside it; what is weak and alone is
+    found without one, see `weak_echoes`. The two share the false alarms.
+    """
     check_channel(channel, waveform)
     cells = tuple(s * image.oversampling for s in channel.shape[-2:])
     if image.power_w.shape != cells:
         raise ValueError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")
-    rows, columns = peaks_above(image, cfar, window)
-    strongest = np.argsort(-image.power_w[rows, columns], kind="stable")[:at_most]
-    if not len(strongest):
-        return []
-    rows, columns = rows[strongest], columns[strongest]
-    found = [
-        _measured(blocks, waveform, image.noise_w, window)
-        for blocks in blocks_about(
-            channel, waveform, window, image.range_m[rows], image.range_rate_m_per_s[columns]
-        )
+    if all(size <= 2 * g + 1 for size, g in zip(cells, cfar.guard, strict=True)):
+        return []  # nothing but guard cells: nothing to tell the noise from
+    if window == "boxcar":
+        peaks = peaks_above(image, cfar, window).strongest(at_most)
+        return distinct(_measured_at(channel, waveform, window, peaks, image.noise_w), waveform)
+    shares = [share * cfar.false_alarm for share in (_ON_TAPERED, 1 - _ON_TAPERED)]
+    strong = peaks_above(image, replace(cfar, false_alarm=shares[0]), window).strongest(at_most)
+    weak, noise_w = weak_echoes(
+        channel, waveform, image, replace(cfar, false_alarm=shares[1]), window
+    )
+    weak = weak.strongest(at_most)
+    places = [np.concatenate(place) for place in zip(strong.places, weak.places, strict=True)]
+    blocks = blocks_about(channel, waveform, "boxcar", *places)
+    found, crowded = _isolated(blocks[: len(strong)], waveform, window, strong, noise_w)
+    found += _measured_at(channel, waveform, window, crowded, image.noise_w)
+    found += _weak(blocks[len(strong) :], waveform, noise_w, found)
+    return distinct(found, waveform)[:at_most]
+
+
+def _isolated(
+    blocks: Sequence[Blocks], waveform: OfdmWaveform, window: str, peaks: Peaks, noise_w: float
+) -> tuple[list[Measured], Peaks]:
+    """Peaks of a tapered map that are measured better without the window, and the others.
+
+    Without one, noise does least and errors reach their bound, but the side lobes of other echoes
+    come in. What is left around an echo once it is taken away tells by how much.
+    """
+    size = max(waveform.n_subcarriers, waveform.n_slots)
+    worse = frequency_variance(taper(window, size)) / frequency_variance(np.ones(size))
+    found, crowded = [], []
+    for i, about in enumerate(blocks):
+        step = highest(about)
+        around_w = left_over(about, step)
+        if around_w < worse * peaks.noise_w[i]:
+            found.append(_measured(about, step, waveform, noise_w, "boxcar", around_w))
+        else:
+            crowded.append(i)
+    return found, peaks[np.array(crowded, dtype=np.intp)]
+
+
+def _measured_at(
+    channel: Complex, waveform: OfdmWaveform, window: str, peaks: Peaks, noise_w: float
+) -> list[Measured]:
+    """Peaks as the window of their map shows them."""
+    blocks = blocks_about(channel, waveform, window, *peaks.places)
+    return [
+        _measured(about, highest(about), waveform, noise_w, window, float(around_w))
+        for about, around_w in zip(blocks, peaks.noise_w, strict=True)
     ]
-    return distinct(found, waveform)
 
 
-def peaks_above(
-    image: RangeDopplerMap, cfar: Cfar, window: str
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the cells above their threshold and above the cells around them."""
-    power = image.power_w
-    if all(size <= 2 * g + 1 for size, g in zip(power.shape, cfar.guard, strict=True)):
-        none = np.zeros(0, dtype=np.intp)
-        return none, none  # nothing but guard cells: nothing to tell the noise from
-    made: dict[str, Any] = {
-        "window": window,
-        "n_channels": image.n_channels,
-        "oversampling": image.oversampling,
-    }
-    rows, columns = possible(power, cfar, **made)
-    peak = _are_peaks(power, rows, columns)
-    rows, columns = rows[peak], columns[peak]
-    above = power[rows, columns] > cfar_threshold(power, cfar, at=(rows, columns), **made)
-    return rows[above], columns[above]
-
-
-def _are_peaks(
-    power: NDArray[np.floating[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> NDArray[np.bool_]:
-    """Whether cells are the highest of the 5 x 5 around them; the map wraps around."""
-    from scipy.ndimage import maximum_filter
-
-    sizes = [min(5, size) for size in power.shape]
-    if len(rows) > power.size // 25:
-        top = maximum_filter(power, sizes, mode="wrap")[rows, columns]
-    else:
-        reach = [np.arange(size) - size // 2 for size in sizes]
-        around = power[
-            (rows[:, None, None] + reach[0][:, None]) % power.shape[0],
-            (columns[:, None, None] + reach[1]) % power.shape[1],
-        ]
-        top = around.max(axis=(1, 2))
-    return np.asarray((power[rows, columns] >= top) & (top > 0))
+def _weak(
+    blocks: Sequence[Blocks], waveform: OfdmWaveform, noise_w: float, strong: Sequence[Measured]
+) -> list[Measured]:
+    """Weak echoes, strongest first, less those that may be side lobes of stronger ones."""
+    cells = np.array([waveform.n_subcarriers, waveform.n_slots])
+    kept: list[Measured] = []
+    for about in blocks:
+        step = highest(about)
+        weak = _measured(about, step, waveform, noise_w, "boxcar", left_over(about, step))
+        lobes_w = sum(
+            other.power_w * np.prod(side_lobe(_cells_apart(weak[0], other, waveform), cells))
+            for other, _ in (*strong, *kept)
+        )
+        if weak[0].power_w > _OVER_LOBES * lobes_w:
+            kept.append(weak)
+    return kept
 
 
 def _measured(
-    blocks: Blocks, waveform: OfdmWaveform, noise_w: float, window: str
-) -> tuple[Detection, NDArray[np.complex128]]:
-    step = highest(blocks)
-    return measurement(blocks, step, amplitudes(blocks, step), waveform, noise_w, window)
+    blocks: Blocks,
+    step: Array,
+    waveform: OfdmWaveform,
+    noise_w: float,
+    window: str,
+    around_w: float,
+) -> Measured:
+    return measurement(blocks, step, amplitudes(blocks, step), waveform, noise_w, window, around_w)
 
 
 def measurement(
@@ -147,15 +179,24 @@ def measurement(
     waveform: OfdmWaveform,
     noise_w: float,
     window: str,
-) -> tuple[Detection, NDArray[np.complex128]]:
-    """A detection at cells from the middle of blocks."""
+    around_w: float = 0.0,
+) -> Measured:
+    """A detection at cells from the middle of blocks.
+
+    ``noise_w``: of the map, for the SNR; ``around_w``: what is around the echo, counted as noise
+    in its errors if it is more. Along an axis of one sample nothing is measured: NaN.
+    """
     power = float(np.mean(np.abs(amplitude) ** 2))
     snr = power / noise_w if noise_w else np.inf
-    range_error, rate_error = standard_errors(waveform, window, snr * len(amplitude))
+    disturbed = power / max(noise_w, around_w) if noise_w else np.inf
+    range_error, rate_error = standard_errors(waveform, window, disturbed * len(amplitude))
     delay = blocks.delay_s + step[0] * blocks.cell[0]
+    rate = C_M_PER_S / 2 * (blocks.delay_rate + step[1] * blocks.cell[1])
     found = Detection(
-        range_m=float(C_M_PER_S / 2 * delay) % waveform.max_range_m,
-        range_rate_m_per_s=float(C_M_PER_S / 2 * (blocks.delay_rate + step[1] * blocks.cell[1])),
+        range_m=float(C_M_PER_S / 2 * delay) % waveform.max_range_m
+        if waveform.n_subcarriers > 1
+        else float("nan"),
+        range_rate_m_per_s=float(rate) if waveform.n_slots > 1 else float("nan"),
         power_w=power,
         snr_db=float(10 * np.log10(snr)) if snr else -np.inf,
         range_error_m=range_error,
@@ -164,29 +205,37 @@ def measurement(
     return found, amplitude
 
 
-def distinct(
-    found: Sequence[tuple[Detection, NDArray[np.complex128]]], waveform: OfdmWaveform
-) -> list[tuple[Detection, NDArray[np.complex128]]]:
+def distinct(found: Sequence[Measured], waveform: OfdmWaveform) -> list[Measured]:
     """Strongest first, without those that climbed the same peak: nearer than 0.3 cells."""
-    kept: list[tuple[Detection, NDArray[np.complex128]]] = []
+    kept: list[Measured] = []
     for candidate in sorted(found, key=lambda pair: -pair[0].power_w):
-        if all(_apart(candidate[0], other[0], waveform) > 0.3 for other in kept):
+        if all(_cells_apart(candidate[0], other, waveform).max() > 0.3 for other, _ in kept):
             kept.append(candidate)
     return kept
 
 
-def _apart(a: Detection, b: Detection, waveform: OfdmWaveform) -> float:
-    by_range = abs(a.range_m - b.range_m) / waveform.range_cell_m
-    by_rate = abs(a.range_rate_m_per_s - b.range_rate_m_per_s) / waveform.velocity_cell_m_per_s
-    return max(by_range, by_rate)
+def _cells_apart(a: Detection, b: Detection, waveform: OfdmWaveform) -> Array:
+    """Cells between two detections along range and rate (2,); 0 along what is not measured."""
+    cells = np.array(
+        [
+            (a.range_m - b.range_m) / waveform.range_cell_m,
+            (a.range_rate_m_per_s - b.range_rate_m_per_s) / waveform.velocity_cell_m_per_s,
+        ]
+    )
+    sizes = np.array([waveform.n_subcarriers, waveform.n_slots])
+    cells = np.abs(np.nan_to_num(cells))
+    return np.minimum(cells, np.abs(sizes - cells))  # the map wraps around
 
 
 def standard_errors(waveform: OfdmWaveform, window: str, snr: float) -> tuple[float, float]:
-    """Standard errors of range and range rate at an image SNR (after all processing)."""
+    """Standard errors of range and range rate at an image SNR (after all processing).
+
+    NaN along an axis of one sample.
+    """
     if not snr:
         return float("inf"), float("inf")
     spread = [
-        np.sqrt(frequency_variance(taper(window, n)) / snr)
+        np.sqrt(frequency_variance(taper(window, n)) / snr) if n > 1 else np.nan
         for n in (waveform.n_subcarriers, waveform.n_slots)
     ]
     return (

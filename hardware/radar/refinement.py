@@ -56,6 +56,8 @@ def blocks_about(
     ``channel`` (..., n_subcarriers, n_slots) is not tapered yet. Sums are scaled so that an echo of
     power P at the middle has a total of sqrt(P).
     """
+    if not len(range_m):
+        return []
     n, m = channel.shape[-2:]
     delay = 2 / C_M_PER_S * range_m
     rate = 2 / C_M_PER_S * rate_m_per_s
@@ -146,3 +148,34 @@ def amplitudes(blocks: Blocks, step: Array) -> NDArray[np.complex128]:
     a, b = blocks.turns
     turn = np.exp(1j * (a * step[0] + b * step[1]))
     return np.asarray(np.sum(blocks.sums * turn, axis=(1, 2)))
+
+
+def unit_echoes(blocks: Blocks, steps: Array) -> NDArray[np.complex128]:
+    """Block sums (n_targets, n_f, n_t) of targets of unit amplitude, without a window.
+
+    ``steps`` (n_targets, 2): cells from the middle.
+    """
+    a, b = blocks.turns
+    turn = a * steps[:, 0, None, None] + b * steps[:, 1, None, None]
+    # What turning within a block leaves of its sum.
+    along_f = blocks.share_f * np.sinc(steps[:, :1] * blocks.share_f)
+    along_t = blocks.share_t * np.sinc(steps[:, 1:] * blocks.share_t)
+    return np.asarray(np.exp(-1j * turn) * along_f[:, :, None] * along_t[:, None])
+
+
+def left_over(blocks: Blocks, step: Array, reach: int = 3) -> float:
+    """Mean power of the cells around a target once it is taken away: of noise, and of what else
+    there is.
+
+    ``blocks`` without a window; the mean is over ``reach`` cells to each side, and over channels.
+    """
+    atom = unit_echoes(blocks, step[None])[0]
+    amplitude = np.sum(blocks.sums * atom.conj(), axis=(1, 2)) / np.sum(np.abs(atom) ** 2)
+    rest = blocks.sums - amplitude[:, None, None] * atom
+    by_delay, by_rate = blocks.turns
+    cells = [
+        np.arange(-min(reach, (n - 1) // 2), min(reach, (n - 1) // 2) + 1) for n in rest[0].shape
+    ]
+    across = np.exp(1j * np.outer(step[0] + cells[0], by_delay))
+    along = np.exp(1j * np.outer(by_rate[len(by_rate) // 2], step[1] + cells[1]))
+    return float(np.mean(np.abs(across @ rest @ along) ** 2))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
 from hardware.radar.detection import Detection, measurement
-from hardware.radar.refinement import Blocks, blocks_about
+from hardware.radar.refinement import Blocks, blocks_about, unit_echoes
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def resolve(
     )[0]
     reached = reach, max(reach / 3, 1.0)
     fixed = _steps_of(others, blocks)
-    known = _atoms(blocks, fixed)
+    known = unit_echoes(blocks, fixed)
     rest = blocks.sums - _explained(known, blocks.sums)[1]
     steps = np.zeros((0, 2))
     amplitudes = np.zeros((0, len(blocks.sums)), dtype=np.complex128)
@@ -78,7 +78,9 @@ def resolve(
         if _closest(np.vstack([tried, fixed])) < _CLOSEST or np.abs(tried[:, 0]).max() > reach + 1:
             break
         steps = tried
-        every, explained = _explained(np.concatenate([_atoms(blocks, steps), known]), blocks.sums)
+        every, explained = _explained(
+            np.concatenate([unit_echoes(blocks, steps), known]), blocks.sums
+        )
         amplitudes, rest = every[: len(steps)], blocks.sums - explained
     results = [
         measurement(blocks, step, amplitude, waveform, noise_w, "boxcar")
@@ -111,16 +113,6 @@ def _strongest(
     return float(power[row, column]), np.array([axes[0][row], axes[1][column]])
 
 
-def _atoms(blocks: Blocks, steps: Array) -> NDArray[np.complex128]:
-    """Block sums (n_targets, n_f, n_t) of targets of unit amplitude."""
-    a, b = blocks.turns
-    turn = a * steps[:, 0, None, None] + b * steps[:, 1, None, None]
-    # What turning within a block leaves of its sum.
-    along_f = blocks.share_f * np.sinc(steps[:, :1] * blocks.share_f)
-    along_t = blocks.share_t * np.sinc(steps[:, 1:] * blocks.share_t)
-    return np.asarray(np.exp(-1j * turn) * along_f[:, :, None] * along_t[:, None])
-
-
 def _steps_of(others: Sequence[Detection], blocks: Blocks) -> Array:
     """Cells (n, 2) from the middle of blocks to other detections."""
     delay = np.array([2 * found.range_m / C_M_PER_S for found in others])
@@ -151,7 +143,7 @@ def _fitted(start: Array, blocks: Blocks, known: NDArray[np.complex128]) -> Arra
     scale = np.linalg.norm(blocks.sums) or 1.0
 
     def misfit(flat: Array) -> Array:
-        atoms = np.concatenate([_atoms(blocks, flat.reshape(-1, 2)), known])
+        atoms = np.concatenate([unit_echoes(blocks, flat.reshape(-1, 2)), known])
         rest = (blocks.sums - _explained(atoms, blocks.sums)[1]).ravel() / scale
         return np.concatenate([rest.real, rest.imag])
 

@@ -1,0 +1,78 @@
+"""Cells of a range-Doppler map that stand out of the noise around them."""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.cfar import Cfar, cfar_threshold, possible, white_threshold
+from hardware.radar.range_doppler import RangeDopplerMap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """Cells that stand out, (n,) each: where, how high, and the mean noise around."""
+
+    range_m: Array
+    range_rate_m_per_s: Array
+    power_w: NDArray[np.floating[Any]]
+    noise_w: Array
+
+    @property
+    def places(self) -> tuple[Array, Array]:
+        """Ranges and rates."""
+        return self.range_m, self.range_rate_m_per_s
+
+    def __len__(self) -> int:
+        return len(self.power_w)
+
+    def __getitem__(self, which: NDArray[np.intp]) -> "Peaks":
+        return Peaks(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def strongest(self, at_most: int) -> "Peaks":
+        """The highest few, highest first."""
+        return self[np.argsort(-self.power_w, kind="stable")[:at_most]]
+
+
+def peaks_above(image: RangeDopplerMap, cfar: Cfar, window: str) -> Peaks:
+    """Cells above their threshold and above the cells around them."""
+    power = image.power_w
+    made: dict[str, Any] = {
+        "window": window,
+        "n_channels": image.n_channels,
+        "oversampling": image.oversampling,
+    }
+    rows, columns = possible(power, cfar, **made)
+    peak = _are_peaks(power, rows, columns)
+    rows, columns = rows[peak], columns[peak]
+    threshold = cfar_threshold(power, cfar, at=(rows, columns), **made)
+    above = power[rows, columns] > threshold
+    rows, columns, threshold = rows[above], columns[above], threshold[above]
+    return Peaks(
+        range_m=image.range_m[rows],
+        range_rate_m_per_s=image.range_rate_m_per_s[columns],
+        power_w=power[rows, columns],
+        noise_w=threshold / white_threshold(power.shape, cfar, **made),
+    )
+
+
+def _are_peaks(
+    power: NDArray[np.floating[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Whether cells are the highest of the 5 x 5 around them; the map wraps around."""
+    from scipy.ndimage import maximum_filter
+
+    sizes = [min(5, size) for size in power.shape]
+    if len(rows) > power.size // 25:
+        top = maximum_filter(power, sizes, mode="wrap")[rows, columns]
+    else:
+        reach = [np.arange(size) - size // 2 for size in sizes]
+        around = power[
+            (rows[:, None, None] + reach[0][:, None]) % power.shape[0],
+            (columns[:, None, None] + reach[1]) % power.shape[1],
+        ]
+        top = around.max(axis=(1, 2))
+    return np.asarray((power[rows, columns] >= top) & (top > 0))
