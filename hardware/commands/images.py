@@ -43,7 +43,7 @@ def reconstruct(
     found = to_image(loaded, method, mixing=calibrated)
     ranged = range_image(loaded, method, mixing=calibrated) if loaded.shutters.any() else None
     elapsed = time.perf_counter() - start
-    for warning in found.warnings:
+    for warning in (*found.warnings, *(ranged.warnings if ranged else ())):
         print(f"warning: {record}: {warning}", file=sys.stderr)
     detectors, rows, columns = found.image.shape
     patterns = loaded.patterns

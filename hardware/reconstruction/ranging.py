@@ -23,6 +23,12 @@ from hardware.records import SpiRecord
 Array = NDArray[np.float64]
 
 
+PULSE_UNKNOWN = (
+    "pulse_width_s is not stated: distances from gates hold to half a gate only, for any pulse up to "
+    "the gate's length"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class RangeImage:
     """Amplitude and distance of every cell; arrays ``(n_detectors, rows, columns)``.
@@ -33,7 +39,7 @@ class RangeImage:
     patterns do not measure have NaN for both.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
     ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat, or
-    no gate is open.
+    no gate is open. ``warnings``: what makes distances less sure than they could be.
     """
 
     method: str
@@ -42,6 +48,7 @@ class RangeImage:
     standard_error_m: Array
     confidence: Array
     longest_m: float
+    warnings: tuple[str, ...] = ()
 
 
 def range_image(
@@ -121,12 +128,9 @@ def _from_phases(
 
 
 def _from_gates(method: str, images: Array, errors: Array, record: SpiRecord) -> RangeImage:
-    gates = record.shutters[:, 2:]
+    gates, stated = record.shutters[:, 2:], record.pulse_width_s > 0
     flat = images.reshape(len(images), -1), errors.reshape(len(images), -1)
-    if record.pulse_width_s:
-        found = echo(*flat, gates, record.pulse_width_s)
-    else:
-        found = _brightest(*flat, gates)
+    found = echo(*flat, gates, record.pulse_width_s) if stated else _brightest(*flat, gates)
     lit = found.amplitude > 0
     distance, error, confidence, amplitude = (
         values.reshape(images.shape[1:])
@@ -144,6 +148,7 @@ def _from_gates(method: str, images: Array, errors: Array, record: SpiRecord) ->
         standard_error_m=error,
         confidence=confidence,
         longest_m=float(C_M_PER_S / 2 * gates.sum(axis=1).max()),
+        warnings=() if stated else (PULSE_UNKNOWN,),
     )
 
 

@@ -12,6 +12,7 @@ from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.reconstruction import METHODS, range_image
 from hardware.reconstruction.depth import C_M_PER_S
 from hardware.reconstruction.gating import echo
+from hardware.reconstruction.ranging import PULSE_UNKNOWN
 
 TWO = (10e6, 13e6)
 
@@ -214,6 +215,7 @@ def test_a_pulse_that_is_not_stated_may_be_any() -> None:
     for pulse in (1e-12, 10e-9, 20e-9):
         found = range_image(gated(np.arange(15) * width, width, pulse, stated=False), "zero-fill")
         errors.append((found.distance_m[0] - distance) / found.standard_error_m[0])
+        assert found.warnings == (PULSE_UNKNOWN,)
     assert np.sqrt(np.mean(np.square(errors))) < 1.1
     assert np.abs(errors).max() < 2.2
 

@@ -126,7 +126,9 @@ def test_patterns_by_name_or_uploaded_are_the_same(firmware: Any, order: str, mo
         else PatternSet(4, 8, 20, order, mode)  # type: ignore[arg-type]
     )
     shutters = ((1e7, 0.0, 0.0, 0.0), (1e7, 1.0, 0.0, 0.0))
-    settings = SpiSettings(patterns, 10e-6, shutters=shutters, exposures_per_frame=7)
+    settings = SpiSettings(
+        patterns, 10e-6, shutters=shutters, pulse_width_s=2e-8, exposures_per_frame=7
+    )
     with firmware.running("--fast") as path:
         with SpiCamera(path, settings, patience=QUICK) as camera:
             named = camera.acquire()
@@ -135,6 +137,7 @@ def test_patterns_by_name_or_uploaded_are_the_same(firmware: Any, order: str, mo
     expected = np.repeat(firmware.counts(patterns), 2, axis=0)
     np.testing.assert_array_equal(named.counts, expected)
     np.testing.assert_array_equal(uploaded.counts, expected)
+    assert named.pulse_width_s == 2e-8
 
 
 def test_an_earlier_portion_again_takes_nothing_away(firmware: Any) -> None:

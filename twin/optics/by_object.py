@@ -15,7 +15,7 @@ from twin.engine import mitsuba
 from twin.optics.devices import Grid, Role
 from twin.optics.paths import Light, Quality
 from twin.optics.scattering import Medium
-from twin.optics.transport import Gathered, Kind, Task, blocks, found
+from twin.optics.transport import Gathered, Kind, Task, blocks, path_values
 from twin.optics.weather import Air
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def _of_shapes(task: Task, samples: int, kind: Kind, seed: tuple[int, ...]) -> A
     camera = task.camera
     sums = []
     for block in blocks(camera, samples):
-        value, hit = found(task, samples, kind, seed, block)
+        value, hit = path_values(task, samples, kind, seed, block)
         value, which = mitsuba().Float64(value), hit.shape
         dr.eval(value, which)
         sums.append(

@@ -103,7 +103,7 @@ class _Pass:
             value, link = next_event(self.scene, hit, ray, connect, rng, active, first)
             value *= throughput
             if medium:
-                value *= medium.kept(length + link.length)
+                value *= medium.unabsorbed(length + link.length)
             arrived = [_cell(self.other, left, up) for _, left, up in link.places]
             parts = [
                 (value * fill if share is None else value * share * fill, cell)

@@ -155,7 +155,7 @@ class _DeviceConnector:
         off_left, off_up, arrives = displaced(mi, medium, distance, rng)
         per_tangent = dr.rcp(dr.opaque(mi.Float, device.tan_half_field))
         to_left, to_up = left + off_left * per_tangent, up + off_up * per_tangent
-        straight = medium.straight(distance)
+        straight = medium.unscattered(distance)
         first = dr.select(inside(device, left, up), straight, 0)
         other = dr.select(arrives & inside(device, to_left, to_up), 1 - straight, 0)
         seen = first + other

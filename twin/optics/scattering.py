@@ -1,15 +1,15 @@
 """Scattering by the air on the way to a surface and back: where light that leaves its ray arrives.
 
 Each leg is taken order by order. From a device to the first surface the path is followed through
-all its scatterings, over the scene as it is. From a surface to the other device the way is known
-before the scatterings are: one at the share x of it, counted from the surface, by the angle a, lets
-the light arrive from a direction that is off by x tan(a), which several add up. That is exact for
-one scattering by a small angle; against all orders of a random walk, in fog with a field of 20
-degrees, what arrives is within 0.7 % up to an optical depth of 0.8. Light turned by more than 90
-degrees on the way back is lost.
+all its scatterings (`twin.optics.travel`). From a surface to the other device the whole way is
+known beforehand: a scattering by the angle a at the share x of it, counted from the surface, lets
+the light arrive from a direction that is off by x tan(a), and several add up. That is exact for one
+scattering by a small angle; in fog, with a field of 20 degrees, all that arrives is within 0.5 % of
+a random walk up to an optical depth of 0.8. Light turned by more than 90 degrees on its way back is
+lost.
 
-The light that comes straight through is never drawn at random: it has the weight exp(-depth), what
-is scattered at least once the rest.
+Light that comes straight through is never drawn at random where a single value is wanted: it has
+the weight exp(-depth), light that is scattered once or more the rest.
 """
 
 from typing import Any
@@ -43,11 +43,11 @@ class Medium:
         )
         self.orders = dr.opaque(mi.UInt32, orders)
 
-    def kept(self, length: Any) -> Any:
+    def unabsorbed(self, length: Any) -> Any:
         """What absorption leaves of the light on a way of this length."""
         return dr.exp(-self.absorption * length)
 
-    def straight(self, length: Any) -> Any:
+    def unscattered(self, length: Any) -> Any:
         """Share that is not scattered on a way of this length."""
         return dr.exp(-self.scattering * length)
 
@@ -57,7 +57,7 @@ class Medium:
 
     def free_path_within(self, length: Any, rng: Any) -> Any:
         """The same, where it is less than ``length``."""
-        return -dr.log(1 - rng.next_float32() * (1 - self.straight(length))) / self.scattering
+        return -dr.log(1 - rng.next_float32() * (1 - self.unscattered(length))) / self.scattering
 
     def cosine(self, rng: Any) -> Any:
         """Cosine of a scattering angle, from the phase function of `Air`."""

@@ -108,7 +108,7 @@ def trace_paths(
         length = dr.select(value > 0, travelled + link.length, 0)
         value *= throughput
         if medium:
-            value *= medium.kept(length)
+            value *= medium.unabsorbed(length)
         throughput = throughput * albedo(hit, active)
         ray = bounce(hit, ray, rng)
         dr.eval(value, length, throughput, ray, active, travelled, rng)

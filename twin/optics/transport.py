@@ -129,8 +129,8 @@ def gather(
         direct, error = direct + scattered, np.hypot(error, further)
     if quality.max_depth == 1:
         return Gathered(direct, np.zeros_like(direct), error)
-    kind = quality.max_depth
-    indirect, further = _passes(task, quality.further_samples, kind, (seed, 1))
+    bounces = quality.max_depth
+    indirect, further = _passes(task, quality.further_samples, bounces, (seed, 1))
     return Gathered(direct, indirect, np.hypot(error, further))
 
 
@@ -144,8 +144,8 @@ class Task(NamedTuple):
     medium: Medium | None
 
 
-#: Light that comes straight to the first surface it meets, or is scattered before; or the light of
-#: further bounces, up to their number.
+#: Light that comes straight to the first surface it meets, or is scattered before; or, by their
+#: greatest number, light of further bounces.
 Kind = Literal["direct", "scattered"] | int
 
 
@@ -155,7 +155,7 @@ def _passes(task: Task, samples: int, kind: Kind, seed: tuple[int, ...]) -> tupl
     means, errors = [], []
     for block in blocks(camera, samples):
         # Sums per cell, in float64: the kernel's own numbers have 24 bits.
-        value = mitsuba().Float64(found(task, samples, kind, seed, block)[0])
+        value = mitsuba().Float64(path_values(task, samples, kind, seed, block)[0])
         sums = [dr.block_reduce(dr.ReduceOp.Add, x, samples) for x in (value, value * value)]
         mean, square = (np.array(s) / samples for s in sums)
         means.append(mean)
@@ -171,7 +171,7 @@ def blocks(camera: Grid, samples: int) -> Iterator[tuple[int, int]]:
         yield top, min(top + per_block, camera.rows)
 
 
-def found(
+def path_values(
     task: Task, samples: int, kind: Kind, seed: tuple[int, ...], block: tuple[int, int]
 ) -> tuple[Any, Any]:
     """Light of one kind that every path of some rows finds, and the surface that it met."""
@@ -198,9 +198,9 @@ def _direct(
     hit, ray, active, length = travel(scene, ray, None, rng, active, first=True)
     value, link = next_event(scene, hit, ray, connect, rng, active, True)
     if medium:
-        value *= medium.kept(length + link.length)
+        value *= medium.unabsorbed(length + link.length)
         if medium.scatters:
-            value *= medium.straight(length)
+            value *= medium.unscattered(length)
     return value, hit
 
 
@@ -210,7 +210,7 @@ def _scattered(
     """Light that the air scatters before it meets a surface; and the hit."""
     hit, ray, active, length, share = scattered_once_or_more(scene, ray, medium, rng, active)
     value, link = next_event(scene, hit, ray, connect, rng, active, False)
-    return value * share * medium.kept(length + link.length), hit
+    return value * share * medium.unabsorbed(length + link.length), hit
 
 
 @dr.syntax
@@ -235,7 +235,7 @@ def _indirect(
         length += further
         value, link = next_event(scene, hit, ray, connect, rng, active, False)
         if dr.hint(medium is not None, mode="scalar"):
-            value *= medium.kept(length + link.length)
+            value *= medium.unabsorbed(length + link.length)
         total += throughput * value
         throughput *= albedo(hit, active)
         active &= throughput > 0

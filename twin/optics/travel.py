@@ -41,7 +41,7 @@ def scattered_once_or_more(
     hit = meet(scene, ray, True, active)
     straight = dr.select(hit.is_valid(), hit.t, dr.inf)
     t = medium.free_path_within(straight, rng)
-    share = 1 - medium.straight(straight)
+    share = 1 - medium.unscattered(straight)
     return *_walk(mi, scene, ray, hit, t, medium, rng, active), share
 
 

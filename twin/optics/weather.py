@@ -61,13 +61,13 @@ class Air:
 
     @property
     def surface_extinction_per_m(self) -> float:
-        """What light to and from surfaces loses: extinction less the forward peak, scattering x
-        g^2, whose light goes on as if nothing had been in its way (delta scaling; Joseph, Wiscombe
-        and Weinman, J. Atmos. Sci. 33, 1976).
+        """What light to and from surfaces loses where its scatterings are not followed: extinction
+        less the forward peak, scattering x g^2, whose light goes on as if nothing had been in its
+        way (delta scaling; Joseph, Wiscombe and Weinman, J. Atmos. Sci. 33, 1976).
 
-        Error against all orders of scattering: within 2 % up to an optical depth of 0.5 one way,
-        where plain Beer-Lambert is 33 % too dark; 11 % too dark at 1, 33 % at 2 (fog, a wall at
-        10 m, a field of 20 degrees).
+        That keeps a picture's mean level, and not its contrast: light scattered forward stays in
+        its own cell. Error of the contrast of fine stripes, in fog at 10 m over a field of 20
+        degrees: 1.16 times too high at an optical depth of 0.20, 1.8 times at 0.78.
         """
         return self.extinction_per_m - self.scattering_per_m * self.asymmetry**2
 
