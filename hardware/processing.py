@@ -103,7 +103,8 @@ def calibrated(
 
 def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:
     """Columns of a point cloud: ``x``, ``y``, ``z`` in the antenna's frame, and every number of a
-    `Detection` under its own name, (n_detections,) each.
+    `Detection` under its own name, (n_detections,) each; ``range_rate_alternatives`` is how many
+    other range rates the record cannot exclude.
 
     What was not measured is NaN: x and y without an azimuth, z without an elevation; x and y are
     then those of a target at the antenna's height.
@@ -112,6 +113,8 @@ def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:
     for name in (field.name for field in fields(Detection) if field.type is float):
         values = np.array([getattr(one, name) for one in detections], np.float64)
         columns[name] = np.where(np.isfinite(values), values, np.nan)
+    others = [len(one.range_rate_alternatives_m_per_s) for one in detections]
+    columns["range_rate_alternatives"] = np.array(others, np.float64)
     range_m, azimuth, elevation = (
         columns[name] for name in ("range_m", "azimuth_rad", "elevation_rad")
     )

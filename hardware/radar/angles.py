@@ -1,27 +1,32 @@
 """Direction of a target from its amplitude on every pair of transmitter and receiver.
 
 Each pair acts as one antenna at the sum of their places (the virtual array). Transmitters take
-turns, so a moving target turns the phase between them: that is taken out with its rate, and as the
-turns fold the rate, every rate that folds to the same is tried.
+turns, so a moving target turns the phase between them: that is taken out with its rate. As the
+turns fold the rate, every rate that the migration through range cells left open is tried.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from hardware.radar.ambiguity import CERTAIN
 from hardware.radar.burst import Burst
 from hardware.waveform import C_M_PER_S
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+_UNEVEN = 1e-3  # power that channels, unevenly calibrated, take from a lone target's beam
+
 
 @dataclass(frozen=True)
 class Direction:
-    """Direction cosines to the left and up, their standard errors, and the unfolded rate.
+    """Direction cosines to the left and up, their standard errors, and the range rate.
 
-    NaN along an axis on which the array has no extent.
+    NaN along an axis on which the array has no extent. ``alternatives_m_per_s``: range rates that
+    the phases across the transmitters' turns cannot exclude, likeliest first; the direction holds
+    for ``range_rate_m_per_s``.
     """
 
     left: float
@@ -29,6 +34,7 @@ class Direction:
     left_error: float
     up_error: float
     range_rate_m_per_s: float
+    alternatives_m_per_s: tuple[float, ...] = ()
 
     @property
     def elevation_rad(self) -> float:
@@ -53,7 +59,7 @@ class Direction:
         return float(self.up_error / max(np.cos(self.elevation_rad), 1e-9))
 
 
-def direction(amplitude: Complex, burst: Burst, range_rate_m_per_s: float, snr: float) -> Direction:
+def direction(amplitude: Complex, burst: Burst, rates_m_per_s: ArrayLike, snr: float) -> Direction:
     """Direction of a lone target by beamforming: maximum likelihood in white noise.
 
     Parameters
@@ -62,27 +68,52 @@ def direction(amplitude: Complex, burst: Burst, range_rate_m_per_s: float, snr: 
         Of the target, from `detected`.
     burst
         Places and turns of the channels.
-    range_rate_m_per_s
-        As the turns fold it.
+    rates_m_per_s : (n_rates,) or one
+        Range rates that the target may have, likeliest first.
     snr
         Of the target on one channel, after all processing.
     """
+    rates = np.atleast_1d(np.asarray(rates_m_per_s, dtype=np.float64))
     places = virtual_places(burst)[:, 1:] / burst.waveform.wavelength_m
     seen = extents(places) > 1e-3
-    best: tuple[float, float, Array] = (-1.0, range_rate_m_per_s, np.zeros(2))
-    for rate in unfolded_rates(burst, range_rate_m_per_s):
+    cosines = np.empty((len(rates), 2))
+    share = np.empty(len(rates))  # of the power that one direction explains
+    for i, rate in enumerate(rates):
         still = compensated(amplitude, burst, rate)
-        cosines = _strongest(still, places, seen)
-        power = float(np.abs(np.vdot(steering(places, cosines), still)))
-        if power > best[0] * (1 + 1e-6):
-            best = power, rate, cosines
-    _, rate, cosines = best
+        cosines[i] = _strongest(still, places, seen)
+        beam = np.vdot(steering(places, cosines[i]), still)
+        share[i] = np.abs(beam) ** 2 / max(len(still) * np.vdot(still, still).real, 1e-300)
+    best = int(np.argmax(share * (1 - 1e-6 * np.arange(len(rates)))))
     centred = places[:, seen] - places[:, seen].mean(axis=0)
     information = 2 * snr * (2 * np.pi) ** 2 * centred.T @ centred
     errors = np.full(2, np.nan)
     errors[seen] = np.sqrt(np.diag(np.linalg.pinv(information))) if seen.any() else np.nan
-    left, up = np.where(seen, cosines, np.nan)
-    return Direction(float(left), float(up), float(errors[0]), float(errors[1]), float(rate))
+    left, up = np.where(seen, cosines[best], np.nan)
+    left_open = _left_open(share, snr * len(amplitude), len(amplitude))
+    left_open[best] = False
+    return Direction(
+        float(left),
+        float(up),
+        float(errors[0]),
+        float(errors[1]),
+        float(rates[best]),
+        tuple(float(rate) for rate in rates[left_open]),
+    )
+
+
+def _left_open(share: Array, snr: float, n_channels: int) -> NDArray[np.bool_]:
+    """Which rates (n_rates,) the phases cannot exclude, by the shares one direction explains.
+
+    A lone target leaves nothing but noise, a chi-squared variable of 2 n - 4 degrees of freedom
+    over 2. Where more is left, several echoes share the cell and the phases exclude nothing.
+    """
+    from scipy.stats import chi2
+
+    left_over = snr * (1 - share.max())
+    freedom = max(2 * n_channels - 4, 1)
+    if left_over > chi2.isf(1e-3, freedom) / 2 + _UNEVEN * snr:
+        return np.ones(len(share), dtype=bool)
+    return np.asarray(snr * (share.max() - share) < CERTAIN)
 
 
 def virtual_places(burst: Burst) -> Array:
@@ -101,16 +132,6 @@ def steering(places: Array, cosines: Array) -> Complex:
     Path lengths shorten towards the target: +2 pi times places in wavelengths.
     """
     return np.asarray(np.exp(2j * np.pi * (cosines @ places.T)))
-
-
-def unfolded_rates(burst: Burst, range_rate_m_per_s: float) -> Array:
-    """Rates that the transmitters' turns cannot tell apart, those of the slots' ambiguity."""
-    turns = len(np.unique(burst.late_s))
-    fold = 2 * burst.waveform.max_velocity_m_per_s
-    rates = range_rate_m_per_s + fold * np.arange(-turns, turns + 1)
-    # The slots themselves fold at `turns` times the rate; the nearest to standstill wins a tie.
-    rates = rates[np.abs(rates) <= turns * fold / 2 * (1 + 1e-9)]
-    return np.asarray(rates[np.argsort(np.abs(rates), kind="stable")])
 
 
 def compensated(amplitude: Complex, burst: Burst, range_rate_m_per_s: float) -> Complex:

@@ -28,6 +28,8 @@ class Detection:
     ``power_w`` is what one antenna received. Standard errors follow from the SNR and the window:
     with a rectangular one they are the Cramer-Rao bounds. Azimuth (positive: left), elevation and
     cross-section are NaN where array or antenna do not tell them.
+    ``range_rate_alternatives_m_per_s``: other range rates that the record cannot exclude, likeliest
+    first; the error of the range rate, and the direction, hold if it is none of them.
     """
 
     range_m: float
@@ -41,6 +43,7 @@ class Detection:
     elevation_rad: float = float("nan")
     elevation_error_rad: float = float("nan")
     rcs_m2: float = float("nan")
+    range_rate_alternatives_m_per_s: tuple[float, ...] = ()
 
 
 #: A detection, and its amplitude on every channel, (n_channels,), in root watts.

@@ -36,8 +36,10 @@ def write_detections(path: Path, found: Iterable[tuple[int, Detection]]) -> None
         writer.writerows([burst, *map(cell, astuple(detection))] for burst, detection in found)
 
 
-def cell(value: float) -> float | str:
-    """A number as a table has it: empty where it is none."""
+def cell(value: float | tuple[float, ...]) -> float | str:
+    """A number as a table has it: empty where it is none; several, with semicolons between."""
+    if isinstance(value, tuple):
+        return ";".join(f"{each:.6g}" for each in value)
     return "" if np.isnan(value) else value
 
 
@@ -62,6 +64,12 @@ def rows_of(found: Sequence[Detection], most: int = 20) -> Iterable[str]:
         yield (
             f"{d.range_m:11.4f} {d.range_error_m:6.4f} {d.range_rate_m_per_s:+11.3f} "
             f"{d.range_rate_error_m_per_s:6.3f} {azimuth:>14} {d.snr_db:9.1f} {rcs:>11}"
+            f"{_alternatives(d)}"
         )
     if len(found) > most:
         yield f"  ... and {len(found) - most} more"
+
+
+def _alternatives(found: Detection) -> str:
+    others = ", ".join(f"{rate:+.3f}" for rate in found.range_rate_alternatives_m_per_s)
+    return f"  rate ambiguous, or {others}" if others else ""

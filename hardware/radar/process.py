@@ -7,22 +7,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.ambiguity import unfolded
 from hardware.radar.angles import compensated, direction, extents, virtual_places
 from hardware.radar.burst import Burst, demodulate
 from hardware.radar.cfar import Cfar, fitted
 from hardware.radar.clutter import without_static
-from hardware.radar.demodulation import Precision
-from hardware.radar.detection import Detection, detected, distinct, with_cross_section
+from hardware.radar.demodulation import Complex, Precision
+from hardware.radar.detection import (
+    Detection,
+    Measured,
+    detected,
+    distinct,
+    with_cross_section,
+)
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.music import music
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.superresolution import resolve
+from hardware.radar.windows import noise_gain
 from hardware.waveform import OfdmWaveform
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
 
-Found = tuple[Detection, NDArray[np.complex128]]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,9 @@ class Processing:
         Targets of one range and rate that `music` tells apart by angle; 1 is plain beamforming.
     reference_delay_s, range_rate_m_per_s
         For carrier steps, see `stitch`.
+    fastest_m_per_s
+        Up to which targets may approach or recede; range rates beyond the Doppler ambiguity are
+        told apart, or listed, up to there, see `unfolded`.
     """
 
     window: str = "blackmanharris"
@@ -61,6 +72,7 @@ class Processing:
     per_cell: int = 1
     reference_delay_s: float | None = None
     range_rate_m_per_s: float = 0.0
+    fastest_m_per_s: float = 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,22 +119,13 @@ def process(
     cfar = fitted(image.power_w, how.cfar, image.n_channels)
     # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
     found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
-    warnings = (*taken.warnings, *_warnings(burst, len(found), how, clutter))
-    found = found[: how.at_most]
+    plain_noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
+    rated = unfolded(channel, taken.waveform, found, plain_noise_w, how.fastest_m_per_s)
+    warnings = (*taken.warnings, *_warnings(burst, len(rated), how, clutter))
+    rated = rated[: how.at_most]
     if how.resolve:
-        plain = range_doppler(channel, taken.waveform, "boxcar").noise_w
-        parts = []
-        for i, (detection, _) in enumerate(found):
-            parts += resolve(
-                channel,
-                taken.waveform,
-                detection,
-                plain,
-                false_alarm=how.cfar.false_alarm,
-                others=[other for other, _ in found[:i] + found[i + 1 :]],
-            )
-        found = distinct(parts, taken.waveform)
-    points = [point for pair in found for point in _points(pair, taken, how.per_cell)]
+        rated = _resolved(rated, channel, taken.waveform, plain_noise_w, how.cfar.false_alarm)
+    points = [point for one in rated for point in _points(*one, taken, how.per_cell)]
     return Frame(
         burst=burst,
         detections=tuple(
@@ -138,7 +141,7 @@ def process(
         image=image,
         waveform=taken.waveform,
         whole=taken.whole,
-        warnings=warnings,
+        warnings=(*warnings, *_ambiguous(points)),
         clutter=clutter,
     )
 
@@ -178,15 +181,38 @@ def frames(
         yield frame
 
 
-def _points(pair: Found, taken: Burst, per_cell: int) -> list[Detection]:
-    """A detection with its direction, or several from `music`."""
-    found, amplitude = pair
+def _resolved(
+    rated: list[tuple[Measured, Array]],
+    channel: Complex,
+    waveform: OfdmWaveform,
+    noise_w: float,
+    false_alarm: float,
+) -> list[tuple[Measured, Array]]:
+    """Each detection split into its targets, which share the range rates that are left open."""
+    left_open: list[Array] = []
+    parts: list[Measured] = []
+    for i, ((found, _), rates) in enumerate(rated):
+        others = [other for (other, _), _ in rated[:i] + rated[i + 1 :]]
+        split = resolve(channel, waveform, found, noise_w, false_alarm=false_alarm, others=others)
+        parts += split
+        left_open += [rates] * len(split)
+    kept = distinct(parts, waveform)
+    return [(one, left_open[next(i for i, p in enumerate(parts) if p is one)]) for one in kept]
+
+
+def _points(found: Measured, rates: Array, taken: Burst, per_cell: int) -> list[Detection]:
+    """A detection with its direction, or several from `music`.
+
+    ``rates``: range rates that migration leaves open, which the array may tell apart.
+    """
+    point, amplitude = found
     if not np.any(extents(virtual_places(taken))[1:] > 0):
-        return [found]
-    way = direction(amplitude, taken, found.range_rate_m_per_s, 10 ** (found.snr_db / 10))
+        return [replace(point, range_rate_alternatives_m_per_s=tuple(map(float, rates[1:])))]
+    way = direction(amplitude, taken, rates, 10 ** (point.snr_db / 10))
     point = replace(
-        found,
+        point,
         range_rate_m_per_s=way.range_rate_m_per_s,
+        range_rate_alternatives_m_per_s=way.alternatives_m_per_s,
         azimuth_rad=way.azimuth_rad,
         azimuth_error_rad=way.azimuth_error_rad,
         elevation_rad=way.elevation_rad,
@@ -196,3 +222,11 @@ def _points(pair: Found, taken: Burst, per_cell: int) -> list[Detection]:
         return [point]
     still = compensated(amplitude, taken, way.range_rate_m_per_s)
     return [replace(point, azimuth_rad=float(a)) for a in music(still, taken, per_cell)]
+
+
+def _ambiguous(points: list[Detection]) -> list[str]:
+    """A warning where range rates are not told apart."""
+    count = sum(bool(point.range_rate_alternatives_m_per_s) for point in points)
+    if not count:
+        return []
+    return [f"range rate: ambiguous for {count} of {len(points)} detections, alternatives listed"]

@@ -17,6 +17,11 @@ def taper(name: str, size: int) -> Array:
     return np.asarray(window / window.mean(), dtype=np.float64)
 
 
+def noise_gain(name: str, sizes: tuple[int, ...]) -> float:
+    """Noise power of a cell over that without a window, for one along each axis of a size."""
+    return float(np.prod([np.mean(taper(name, size) ** 2) for size in sizes]))
+
+
 def correlation(window: Array, oversampling: int = 1) -> Array:
     """Squared modulus of the correlation between cells, by their distance, (cells,).
 

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 
 PULSE_UNKNOWN = (
-    "pulse_width_s is not stated: distances from gates hold to half a gate only, for any pulse up "
-    "to the gate's length"
+    "pulse_width_s is not stated: distances from gates hold to half a gate only, for any pulse "
+    "up to the gate's length"
 )
 
 

@@ -201,11 +201,15 @@ def test_a_record_comes_back_from_its_file(name: str, tmp_path: Path) -> None:
     )
 
 
-def test_a_fast_target_wraps_where_the_array_wraps() -> None:
-    radar = ideal("hybrid-79-mimo", waveform__n_subcarriers=64)
+def test_a_target_beyond_the_arrays_ambiguity_has_its_own_rate() -> None:
+    """10 m/s where turns of three transmitters fold at 8.1: one span is 16 m/s, 1.2 cells here."""
+    radar = ideal("hybrid-79-mimo", waveform__n_subcarriers=1024)
     taken = radar_capture(world(target((20.0, 0, 0), (10.0, 0, 0))), radar, fidelity=FREE)
     assert any("beyond the unambiguous +/- 8.10" in w for w in taken.warnings)
-    assert taken.truth[0].seen_at[1] == pytest.approx(10.0 - 2 * 8.0957, abs=1e-3)
+    evaluation = evaluate_radar(radar, taken)
+    assert evaluation.detections[0].range_rate_m_per_s == pytest.approx(10.0, abs=0.02)
+    assert evaluation.detections[0].range_rate_alternatives_m_per_s == ()
+    assert evaluation.matches[0] is taken.truth[0]
 
 
 # Traced, and reported.

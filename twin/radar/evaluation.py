@@ -85,14 +85,18 @@ def _joinable(record: RadarRecord) -> RadarRecord:
 def match_detections(
     detections: Sequence[Detection], truth: tuple[TrueTarget, ...], waveform: OfdmWaveform
 ) -> tuple[TrueTarget | None, ...]:
-    """Nearest true target within two cells in range and rate; each target goes to one detection."""
+    """Nearest true target within two cells in range and rate; each target goes to one detection.
+
+    Of an ambiguous rate any alternative counts.
+    """
     free = list(truth)
     matches: list[TrueTarget | None] = []
     for found in detections:
         best, nearest = None, 2.0
         for target in free:
-            off_range = abs(found.range_m - target.seen_at[0]) / waveform.range_cell_m
-            off_rate = abs(found.range_rate_m_per_s - target.seen_at[1])
+            off_range = abs(found.range_m - target.wrapped_range_m) / waveform.range_cell_m
+            rates = np.array([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
+            off_rate = float(np.abs(rates - target.range_rate_m_per_s).min())
             off = max(off_range, off_rate / waveform.velocity_cell_m_per_s)
             if off <= nearest:
                 best, nearest = target, off
@@ -118,7 +122,7 @@ def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
 
 def write_truth_table(truth: Sequence[TrueTarget], path: Path) -> None:
     """``truth.csv``: one row per true target."""
-    names = [f.name for f in fields(TrueTarget) if f.name != "seen_at"]
+    names = [f.name for f in fields(TrueTarget) if f.name != "wrapped_range_m"]
     _write(path, names, ({name: getattr(t, name) for name in names} for t in truth))
 
 

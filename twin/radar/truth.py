@@ -15,8 +15,8 @@ class TrueTarget:
     """One target at the first burst. ``received_w`` is the direct path's at the first carrier, air
     and slot loss included.
 
-    ``visible``: a direct path exists, or its mesh is heard. ``seen_at`` is range and rate as an
-    unambiguous radar would wrap them.
+    ``visible``: a direct path exists, or its mesh is heard. ``wrapped_range_m`` is the range as
+    the subcarriers' spacing wraps it.
     """
 
     name: str
@@ -26,7 +26,7 @@ class TrueTarget:
     rcs_m2: float
     received_w: float
     visible: bool
-    seen_at: tuple[float, float]
+    wrapped_range_m: float
 
 
 def true_targets(
@@ -47,7 +47,6 @@ def _true(
     wave = radar.ofdm
     gain = float(wave.slot_gain(np.array(2 * rate / wave.wavelength_m)))
     gain *= float(air.amplitude(np.array(2 * distance), wave.carrier_hz))
-    fastest = radar.channel_waveform.max_velocity_m_per_s
     power = radar.received_power_w(distance, target.rcs_m2, (ahead, left, up))
     return TrueTarget(
         name=target.name,
@@ -58,5 +57,5 @@ def _true(
         received_w=power * gain**2,
         visible=any(path.via == (target.name,) for path in found.paths)
         or any(heard.name == target.object for heard in found.heard),
-        seen_at=(distance % wave.max_range_m, (rate + fastest) % (2 * fastest) - fastest),
+        wrapped_range_m=distance % wave.max_range_m,
     )

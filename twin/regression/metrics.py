@@ -73,7 +73,7 @@ def range_error_m(truth: tuple[TrueTarget, ...], found: Echo) -> float:
     So losing a target never improves it.
     """
     off = {
-        target.name: abs(detection.range_m - target.seen_at[0])
+        target.name: abs(detection.range_m - target.wrapped_range_m)
         for detection, target in zip(found.detections, found.matches, strict=True)
         if target is not None
     }

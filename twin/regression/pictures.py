@@ -75,7 +75,8 @@ def draw_echoes(
     earlier = np.array(example["detections"]).reshape(-1, 2)
     found: Echo = outcome.results[0]
     now = np.array([(d.range_m, d.range_rate_m_per_s) for d in found.detections]).reshape(-1, 2)
-    true = np.array([t.seen_at for t in outcome.truth]).reshape(-1, 2)
+    places = [(t.wrapped_range_m, t.range_rate_m_per_s) for t in outcome.truth]
+    true = np.array(places).reshape(-1, 2)
     for axis, points, title in zip(axes, (earlier, now), ("before", "now"), strict=False):
         axis.plot(*true.T, "o", ms=11, mfc="none", color=GREY, label="visible target")
         axis.plot(*points.T, "x", color=ORANGE, label="detection")

@@ -1,5 +1,6 @@
 """Figures of the radar report."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -49,7 +50,8 @@ def radar_cuts(evaluation: RadarEvaluation) -> Figure:
     left, right = figure.subplots(1, 2)
     left.plot(image.range_m[shown], _dbm(image.power_w[shown].max(axis=1)), color=BLUE, lw=0.8)
     for target in evaluation.capture.truth:
-        left.plot(target.seen_at[0], _dbm(np.array(target.received_w)), "+", color=ORANGE, ms=9)
+        level = _dbm(np.array(target.received_w))
+        left.plot(target.wrapped_range_m, level, "+", color=ORANGE, ms=9)
     left.set_xlabel("range (m)")
     left.set_title("range cut; crosses: radar equation at the true targets")
     row = _mover_row(evaluation)
@@ -98,15 +100,16 @@ def track_image(picture: TrackPicture) -> Figure:
 def _mark(axis: Any, evaluation: RadarEvaluation) -> None:
     plot = axis.plot
     ranges = [d.range_m for d in evaluation.detections]
-    rates = [d.range_rate_m_per_s for d in evaluation.detections]
+    rates = _on_map(evaluation, [d.range_rate_m_per_s for d in evaluation.detections])
     plot(rates, ranges, "o", mfc="none", mec="white", ms=10, label="detection", ls="none")
     truth = evaluation.capture.truth
-    seen = [t.seen_at for t in truth]
-    plot([s[1] for s in seen], [s[0] for s in seen], "+", color=ORANGE, label="true target")
-    for target in truth:
+    true_rates = _on_map(evaluation, [t.range_rate_m_per_s for t in truth])
+    true_ranges = [t.wrapped_range_m for t in truth]
+    plot(true_rates, true_ranges, "+", color=ORANGE, label="true target")
+    for target, rate, range_m in zip(truth, true_rates, true_ranges, strict=True):
         axis.annotate(
             target.name,
-            (target.seen_at[1], target.seen_at[0]),
+            (rate, range_m),
             xytext=(8, -3),
             textcoords="offset points",
             color="white",
@@ -115,10 +118,16 @@ def _mark(axis: Any, evaluation: RadarEvaluation) -> None:
     axis.legend(loc="upper right", facecolor="#00204d", labelcolor="white")
 
 
+def _on_map(evaluation: RadarEvaluation, rates_m_per_s: Sequence[float]) -> np.ndarray:
+    """Range rates as the slots fold them: where the map shows them."""
+    fastest = evaluation.waveform.max_velocity_m_per_s
+    return (np.array(rates_m_per_s) + fastest) % (2 * fastest) - fastest
+
+
 def _shown_ranges(evaluation: RadarEvaluation) -> slice:
     """From 0 to a third beyond the farthest target or echo."""
     found = evaluation.capture.propagation
-    far = [t.seen_at[0] for t in evaluation.capture.truth]
+    far = [t.wrapped_range_m for t in evaluation.capture.truth]
     far += [p.range_m for p in found.paths]
     far += [float(found.echoes.delay_s.max()) * C_M_PER_S / 2] if found.echoes.delay_s.size else []
     top = 1.33 * max(far, default=evaluation.image.range_m[-1])

@@ -138,10 +138,10 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
                 "range": f"{target.range_m:.4f} m",
                 "rate": f"{target.range_rate_m_per_s:+.3f} m/s",
                 "power": f"{_db(target.received_w * 1e3):.1f} dBm",
-                "found_range": f"{1e3 * (found.range_m - target.seen_at[0]):+.2f} mm"
+                "found_range": f"{1e3 * (found.range_m - target.wrapped_range_m):+.2f} mm"
                 if found
                 else "not detected",
-                "found_rate": f"{found.range_rate_m_per_s - target.seen_at[1]:+.4f} m/s"
+                "found_rate": f"{found.range_rate_m_per_s - target.range_rate_m_per_s:+.4f} m/s"
                 if found
                 else "",
                 "found_power": f"{_db(found.power_w / target.received_w):+.2f} dB" if found else "",

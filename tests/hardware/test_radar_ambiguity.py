@@ -1,0 +1,145 @@
+"""Range rates beyond the Doppler ambiguity: solved where migration or phases tell, else listed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hardware.radar.ambiguity import folded_rates, rate_evidence
+from hardware.radar.process import process
+from hardware.radar.refinement import blocks_about
+from hardware.waveform import OfdmWaveform
+from tests.hardware.radar_cubes import MIMO, WIDE, Echo, cube
+
+C = 299_792_458.0
+#: One span of the ambiguity, 12.1 m/s, moves a target by 3.1 cells.
+SLOW = replace(WIDE, slot_period_s=156.25e-6)
+#: 16 MHz of band: by 0.01 cells.
+NARROW = OfdmWaveform(79e9, 64, 0.25e6, 64, 156.25e-6, 8, 4e-6)
+
+
+def echoes(wave: OfdmWaveform, range_m, rate: float, amplitude) -> np.ndarray:
+    """Channel (n_channels, n_subcarriers, n_slots) of points that move alike, by definition."""
+    f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
+    total = np.zeros((len(amplitude), wave.n_subcarriers, wave.n_slots), dtype=complex)
+    for own, strengths in zip(range_m, amplitude.T, strict=True):
+        moved = 2 / C * rate * t
+        cycles = wave.carrier_hz * moved % 1.0 + f * (2 / C * own + moved)
+        total += strengths[:, None, None] * np.exp(-2j * np.pi * cycles)
+    return total
+
+
+def noisy(channel: np.ndarray, snr_db: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """With white noise, so that a unit echo has an SNR after processing; and a cell's noise."""
+    cell = 10 ** (-snr_db / 10)
+    noise = rng.normal(size=(*channel.shape, 2)).view(np.complex128)[..., 0]
+    return channel + noise * np.sqrt(cell * channel[0].size / 2), cell
+
+
+def test_a_wrong_rate_leaves_what_the_smear_leaves() -> None:
+    """Against the sum over all subcarriers and slots, the highest of cells around the target: the
+    mean of exp(2 pi j f (t 2 span / c + delay)).
+    """
+    rates = folded_rates(SLOW, 3.0, 40.0)
+    assert 3.0 in np.round(rates, 9)
+    np.testing.assert_allclose(
+        np.sort(rates), 3.0 + 2 * SLOW.max_velocity_m_per_s * np.arange(-3, 4), rtol=1e-12
+    )
+    channel = echoes(SLOW, [5.0], 3.0, np.ones((1, 1)))
+    (blocks,) = blocks_about(channel, SLOW, "boxcar", np.array([5.0]), np.array([3.0]))
+    seen = rate_evidence(blocks, rates, 1e-3)  # 30 dB
+    f, t = SLOW.frequency_offsets_hz, SLOW.slot_times_s
+    delays = np.arange(-8, 9) / 2 / SLOW.bandwidth_hz
+    left = [
+        max(
+            abs(np.mean(np.exp(2j * np.pi * f[:, None] * (2 / C * (rate - 3.0) * t + delay)))) ** 2
+            for delay in delays
+        )
+        for rate in rates
+    ]
+    assert left[0] == pytest.approx(1)
+    np.testing.assert_allclose(1e-3 * seen.log_likelihood[:3], left[:3], rtol=0.02)
+    assert left[1] < 0.12  # or the test would tell nothing
+    assert list(seen.possible) == [True] + 6 * [False]
+
+
+@pytest.mark.parametrize("n_points", [1, 20])
+@pytest.mark.parametrize("n_channels", [1, 8])
+def test_no_rate_is_given_wrongly(n_points: int, n_channels: int) -> None:
+    """60 points at 16 dB, or bodies of 20 points over 1.5 m: the rate is right, and hardly ever
+    left open. An error in a thousand is allowed for: three or more in 240 come at 2e-3.
+    """
+    rng = np.random.default_rng(n_points + n_channels)
+    wrong, left_open = 0, 0
+    for _ in range(60):
+        rate = rng.uniform(-50, 50)
+        ranges = 5.0 + (rng.uniform(-0.75, 0.75, n_points) if n_points > 1 else np.zeros(1))
+        strengths = rng.normal(size=(n_channels, n_points, 2)).view(np.complex128)[..., 0]
+        strengths = strengths if n_points > 1 else strengths / np.abs(strengths)
+        channel, cell = noisy(echoes(SLOW, ranges, rate, strengths), 16.0, rng)
+        near = ranges[np.argmax(np.abs(strengths).sum(axis=0))]
+        rates = folded_rates(SLOW, rate, 50.0)
+        (blocks,) = blocks_about(channel, SLOW, "boxcar", np.array([near]), rates[:1])
+        possible = rates[rate_evidence(blocks, rates, cell).possible]
+        wrong += np.abs(possible - rate).min() > 1
+        left_open += len(possible) > 1
+    assert wrong == 0
+    assert left_open <= 6
+
+
+@pytest.mark.parametrize("rate", [-41.0, -17.6, 1.4, 22.0, 36.5])
+def test_a_target_beyond_the_ambiguity_has_its_true_rate(rate: float) -> None:
+    """One transmitter, slots that fold at 6.07 m/s; range and level are those of a slow one."""
+    record = cube(SLOW, [Echo((5.0, 0, 0), velocity_m_per_s=(rate, 0, 0))], noise_w=1e-8)
+    (found,) = process(record).detections
+    assert found.range_rate_m_per_s == pytest.approx(rate, abs=5 * found.range_rate_error_m_per_s)
+    assert found.range_m == pytest.approx(5.0, abs=5 * found.range_error_m + 1e-4)
+    assert found.power_w == pytest.approx(1e-9, rel=0.05)
+    assert found.range_rate_alternatives_m_per_s == ()
+
+
+def test_an_array_in_turns_knows_the_rate_of_an_extended_target() -> None:
+    """A body of six points across 1.2 m, at several angles, so that no one direction explains the
+    phases; each of its detections has the body's rate, beyond the turns' 12.1 m/s.
+    """
+    rng = np.random.default_rng(2)
+    body = [
+        Echo((5 + x, y, 0), 1e-9, (17.6, 0, 0), phase)
+        for x, y, phase in zip(
+            rng.uniform(0, 0.3, 6), rng.uniform(-0.6, 0.6, 6), rng.uniform(0, 6.28, 6), strict=True
+        )
+    ]
+    found = process(cube(WIDE, body, noise_w=1e-9, **MIMO)).detections
+    assert found
+    for one in found:
+        assert one.range_rate_m_per_s == pytest.approx(17.6, abs=0.4)
+
+
+def test_what_cannot_be_told_apart_is_listed() -> None:
+    """In a narrow band nothing migrates: the nearest rate is given, all others beside it."""
+    record = cube(NARROW, [Echo((50.0, 0, 0), velocity_m_per_s=(15.0, 0, 0))], noise_w=1e-8)
+    found = process(record).detections[0]
+    told = np.sort([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
+    np.testing.assert_allclose(told, np.sort(folded_rates(NARROW, 15.0, 50.0)), atol=0.05)
+    assert np.abs(told - 15.0).min() < 0.05
+
+
+def test_phases_across_turns_tell_a_lone_target_only() -> None:
+    """Narrow band, two transmitters: one target's rate is found by the array; of two at one range
+    and rate, 57 degrees apart, it is left open.
+    """
+    wave = replace(NARROW, slot_period_s=78.125e-6, repeats=4)
+    places = {**MIMO, "transmitters_m": MIMO["transmitters_m"]}
+    ahead = Echo((50.0, 0, 0), 1e-9, (9.0, 0, 0))
+    lone = process(cube(wave, [ahead], noise_w=1e-9, **places)).detections[0]
+    assert lone.range_rate_m_per_s == pytest.approx(9.0, abs=0.05)
+    assert lone.azimuth_rad == pytest.approx(0.0, abs=5e-3)
+    spans = 2 * wave.max_velocity_m_per_s
+    for other in lone.range_rate_alternatives_m_per_s:  # whole spans of the slots themselves
+        assert (other - 9.0) / spans == pytest.approx(round((other - 9.0) / spans), abs=0.01)
+    aside = 50 * np.array([np.cos(1.0), np.sin(1.0), 0.0])
+    both = [ahead, Echo(tuple(aside), 0.7e-9, tuple(9.0 * aside / 50))]
+    two = process(cube(wave, both, noise_w=1e-9, **places)).detections[0]
+    told = [two.range_rate_m_per_s, *two.range_rate_alternatives_m_per_s]
+    assert np.abs(np.array(told) - 9.0).min() < 0.05
+    assert len(told) > len(lone.range_rate_alternatives_m_per_s) + 1
