@@ -18,4 +18,7 @@ def test_the_moving_car_has_its_own_rate() -> None:
     for one in movers:
         assert one.range_rate_m_per_s == pytest.approx(1.438, abs=0.1)
         assert one.range_rate_alternatives_m_per_s == ()
-    assert not any(abs(d.range_rate_m_per_s) > 6 for d in evaluation.detections)
+    # Nothing in the yard is faster; a false alarm may be, and then its rate is left open.
+    fast = [d for d in evaluation.detections if abs(d.range_rate_m_per_s) > 6]
+    assert len(fast) <= 1
+    assert all(d.range_rate_alternatives_m_per_s for d in fast)
