@@ -16,6 +16,7 @@ from twin.optics.devices import Device
 from twin.optics.paths import Quality
 from twin.optics.time_of_flight import Paths, gate, phase_tap, trace_paths
 from twin.optics.transport import transport
+from twin.optics.weather import Air
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
@@ -237,9 +238,9 @@ def test_air_takes_its_share_of_every_path() -> None:
             (16, 16),
             quality=Quality(16, 1),
             seed=1,
-            extinction_per_m=sigma,
+            air=air,
         ).total
-        for sigma in (0.0, 0.02)
+        for air in (None, Air(extinction_per_m=0.02, scattering_per_m=0.0, asymmetry=0.0))
     )
     u = 20.0 * TAN * (1 - (2 * np.arange(16) + 1) / 16)
     length = 2 * np.sqrt(400 + u[None, :] ** 2 + u[:, None] ** 2)
