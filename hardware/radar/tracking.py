@@ -1,9 +1,11 @@
 """Tracks of detections over frames: a Kalman filter each, detections assigned by likelihood.
 
 Assignment is SciPy's (linear_sum_assignment), by all that a detection measured: range, azimuth and
-range rate, so that targets which meet at one place keep their tracks by their rates. The filter
-libraries that exist (filterpy, Stone Soup) bring matplotlib, which has no place on the vehicle;
-Stone Soup judges the filter in the tests.
+range rate, so that targets which meet at one place keep their tracks by their rates. Of a range
+rate with alternatives, and of the azimuth that goes with it, a track takes what its own motion
+leaves possible; while that is more than one, the range alone. The filter libraries that exist
+(filterpy, Stone Soup) bring matplotlib, which has no place on the vehicle; Stone Soup judges the
+filter in the tests.
 """
 
 from collections.abc import Sequence
@@ -25,6 +27,9 @@ from hardware.radar.filtering import (
 )
 
 Array = NDArray[np.float64]
+
+#: Of one detection, likeliest first; more than one where its range rate is ambiguous.
+Readings = tuple[Measurement, ...]
 
 _NEVER = 1e9  # cost of a pair that is out of the question; far above any other
 
@@ -103,19 +108,20 @@ class Tracker:
         from scipy.optimize import linear_sum_assignment
 
         antenna = _antenna(pose, velocity_m_per_s)
-        seen = [one for one in map(_measurement, detections) if one.known[0]]
+        seen = [_measurements(found) for found in detections]
+        seen = [readings for readings in seen if readings[0].known[0]]
         moved = [self._predicted(track, elapsed_s) for track in self.tracks]
         updates = self._updates(moved, seen, antenna)
         cost = np.full((len(moved), len(seen)), _NEVER)
-        for pair, update in updates.items():
+        for pair, (update, _) in updates.items():
             cost[pair] = update.cost
         pairs = zip(*(axis.tolist() for axis in linear_sum_assignment(cost)), strict=True)
         partner = {i: j for i, j in pairs if (i, j) in updates}
         kept: list[Track] = []
         for i, track in enumerate(moved):
             if i in partner:
-                found = updates[i, partner[i]].estimate
-                measured = seen[partner[i]]
+                update, measured = updates[i, partner[i]]
+                found = update.estimate
                 if measured.known[1] and not found.placed:  # its first azimuth
                     found = begun(measured, antenna, self.first_speed_m_per_s)
                 kept.append(replace(track.with_estimate(found), hits=track.hits + 1, missed=0))
@@ -137,25 +143,34 @@ class Tracker:
         )
 
     def _updates(
-        self, tracks: Sequence[Track], seen: Sequence[Measurement], antenna: Antenna
-    ) -> dict[tuple[int, int], Update]:
-        """Updates of those pairs of track and measurement that lie within the gate."""
+        self, tracks: Sequence[Track], seen: Sequence[Readings], antenna: Antenna
+    ) -> dict[tuple[int, int], tuple[Update, Measurement]]:
+        """Updates of those pairs of track and detection that lie within the gate, each with the
+        reading of the detection that it takes in.
+        """
         from scipy.special import gammaincinv
 
         # Quantiles of chi-squared with 1, 2 and 3 degrees of freedom.
         limits = (2 * gammaincinv(np.arange(1, 4) / 2, self.gate)).tolist()
-        ranges = np.array([(one.value[0], one.variance[0]) for one in seen]).reshape(-1, 2)
+        ranges = np.array([(one[0].value[0], one[0].variance[0]) for one in seen]).reshape(-1, 2)
         found = {}
         for i, track in enumerate(tracks):
             for j in np.flatnonzero(_near(track.estimate, ranges, antenna, limits[-1])).tolist():
-                update = updated(track.estimate, seen[j], antenna)
-                if update.distance <= limits[update.n_measured - 1]:
-                    found[i, j] = update
+                pairs = [(updated(track.estimate, one, antenna), one) for one in seen[j]]
+                fitting = [
+                    pair for pair in pairs if pair[0].distance <= limits[pair[0].n_measured - 1]
+                ]
+                if len(fitting) > 1:  # still open
+                    least = _range_alone(seen[j])
+                    fitting = [(updated(track.estimate, least, antenna), least)]
+                if fitting:
+                    found[i, j] = fitting[0]
         return found
 
-    def _new(self, measured: Measurement, antenna: Antenna) -> Track:
+    def _new(self, readings: Readings, antenna: Antenna) -> Track:
         self._started += 1
-        estimate = begun(measured, antenna, self.first_speed_m_per_s)
+        sure = readings[0] if len(readings) == 1 else _range_alone(readings)
+        estimate = begun(sure, antenna, self.first_speed_m_per_s)
         return Track(self._started, estimate.state, estimate.covariance, 1, 0)
 
 
@@ -171,11 +186,19 @@ def _near(estimate: Estimate, ranges: Array, antenna: Antenna, limit: float) -> 
     return np.asarray(np.abs(ranges[:, 0] - value[0]) <= reach)
 
 
-def _measurement(found: Detection) -> Measurement:
-    return Measurement(
-        np.array([found.range_m, found.azimuth_rad, found.range_rate_m_per_s]),
-        np.array([found.range_error_m, found.azimuth_error_rad, found.range_rate_error_m_per_s]),
-    )
+def _measurements(found: Detection) -> Readings:
+    """What a detection may have measured, likeliest first: another range rate, where the record
+    leaves some open, goes with another azimuth, which is not known.
+    """
+    error = np.array([found.range_error_m, found.azimuth_error_rad, found.range_rate_error_m_per_s])
+    values = [(found.range_m, found.azimuth_rad, found.range_rate_m_per_s)]
+    values += [(found.range_m, np.nan, rate) for rate in found.range_rate_alternatives_m_per_s]
+    return tuple(Measurement(np.array(value), error) for value in values)
+
+
+def _range_alone(readings: Readings) -> Measurement:
+    """What all readings of a detection have in common."""
+    return replace(readings[0], value=np.array([readings[0].value[0], np.nan, np.nan]))
 
 
 def _antenna(pose: Array | None, velocity_m_per_s: Sequence[float] | Array) -> Antenna:

@@ -280,6 +280,33 @@ def test_without_a_rate_the_speed_follows_from_the_places() -> None:
     assert deviation[2] < 1.0
 
 
+@pytest.mark.parametrize("likeliest", ["true", "folded"])
+def test_an_ambiguous_rate_is_settled_by_the_track(likeliest: str) -> None:
+    """12 m/s away from the radar, listed beside its fold of one span (16.2 m/s), at -4.2 m/s.
+
+    Begun with the range alone; in the second frame the range has moved by 1.2 m. Whichever was
+    taken for the likeliest, the rate comes out true, and a place is claimed where the azimuth
+    belongs to the true rate.
+    """
+    rng, tracker, error = np.random.default_rng(9), Tracker(), errors(20)
+    span = 2 * RADAR.max_velocity_m_per_s
+    for k in range(12):
+        truth = np.array([20.0 + 1.2 * k, 0.0, 12.0, 0.0])
+        found = seen(truth, error, rng)
+        rates = [found.range_rate_m_per_s, found.range_rate_m_per_s - span]
+        if likeliest == "folded":
+            rates, found = rates[::-1], replace(found, azimuth_rad=found.azimuth_rad + 0.3)
+        found = replace(
+            found, range_rate_m_per_s=rates[0], range_rate_alternatives_m_per_s=(rates[1],)
+        )
+        tracker.update([found], 0.1)
+        assert tracker.tracks[0].state.shape == ((4,) if likeliest == "true" and k > 0 else (2,))
+    (track,) = tracker.tracks
+    assert track.hits == 12
+    rate = track.state[2] if likeliest == "true" else track.state[1]
+    assert rate == pytest.approx(12.0, abs=0.05)
+
+
 # The antenna in the world.
 
 
