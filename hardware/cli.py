@@ -5,6 +5,7 @@ import sys
 import typer
 
 from hardware.commands import images, log, radar
+from hardware.files import said
 
 app = typer.Typer(
     name="ugv",
@@ -26,8 +27,12 @@ def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
     try:
         sys.exit(app(sys.argv[1:] or ["--help"], standalone_mode=False))
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        message = said(error)
+    except ValueError as error:
         message = str(error)
+    except MemoryError as error:
+        message = f"out of memory ({error})" if str(error) else "out of memory"
     except Exception as error:
         if not hasattr(error, "format_message"):  # how usage errors are told from faults
             raise

@@ -6,6 +6,7 @@ import sys
 
 import typer
 
+from hardware.files import said
 from twin.commands import catalogue, figures, scenes, serving, studies
 from twin.engine import EngineError
 from twin.progress import interrupts
@@ -51,8 +52,12 @@ def main() -> None:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         if not interrupts:
             sys.exit(code)
-    except (InputError, OSError, EngineError) as error:
+    except OSError as error:
+        message = said(error)
+    except (InputError, EngineError) as error:
         message = str(error)
+    except MemoryError as error:
+        message = f"out of memory ({error})" if str(error) else "out of memory"
     except Exception as error:
         if not interrupts:
             if not hasattr(error, "format_message"):  # how usage errors are told from faults

@@ -76,6 +76,10 @@ def _with_variant(name: str) -> ModuleType:
     loaded = sys.modules.get("mitsuba")
     if loaded is not None and loaded.variant() == name:
         return loaded
+    try:
+        Path.cwd()
+    except OSError as error:  # Mitsuba would abort the process
+        raise EngineError(f"the working directory is gone ({error.strerror})") from error
     if name.startswith("llvm"):
         ensure_llvm()
     import mitsuba as mi

@@ -1,11 +1,12 @@
 """Files and folders: where bundled data lies, and output that appears whole or not at all."""
 
-import glob
 import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from hardware.files import naming, partial_path, remove_leftovers
 
 _HERE = Path(__file__).parent
 
@@ -29,20 +30,23 @@ def catalog_folder() -> Path:
 def whole_folder(out: Path) -> Iterator[Path]:
     """A folder to write in, whose files move to ``out`` only when everything is written.
 
-    On any failure, ctrl-C included, everything is as it was. Files of an earlier run are replaced,
-    other files stay. Raises InputError when ``out`` can't be written.
+    On any failure, ctrl-C included, everything is as it was; what a kill leaves is removed by the
+    next one. Files of an earlier run are replaced, other files stay. Raises InputError when ``out``
+    can't be written.
     """
     out = Path(out).absolute()
-    partial = out.parent / f".{out.name}.{os.getpid()}.partial"
+    partial = partial_path(out)
     created = [folder for folder in out.parents if not folder.exists()]
     try:
         if out.exists() and not (out.is_dir() and os.access(out, os.W_OK)):
             raise InputError(f"{out}: expected a folder that can be written to")
+        remove_leftovers(out)
         try:
             partial.mkdir(parents=True)
         except OSError as error:
             raise InputError(f"{out}: can't be written to ({error.strerror})") from error
-        yield partial
+        with naming(out):
+            yield partial
         written = list(partial.iterdir())
         for path in written:
             if (out / path.name).is_dir():
@@ -67,10 +71,8 @@ def new_folder(out: Path) -> Iterator[Path]:
     out = Path(out).absolute()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        for left in out.parent.glob(f".{glob.escape(out.name)}.*.partial"):
-            if not _is_running(left.suffixes[-2][1:]):
-                shutil.rmtree(left, ignore_errors=True)
-        partial = out.parent / f".{out.name}.{os.getpid()}.partial"
+        remove_leftovers(out)
+        partial = partial_path(out)
         partial.mkdir()
         try:
             yield partial
@@ -79,13 +81,3 @@ def new_folder(out: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
         raise InputError(f"{out}: {error.strerror or error}") from error
-
-
-def _is_running(pid: str) -> bool:
-    try:
-        os.kill(int(pid), 0)
-    except (ValueError, ProcessLookupError):
-        return False
-    except PermissionError:
-        pass
-    return True

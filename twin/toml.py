@@ -1,12 +1,12 @@
 """Typed TOML files: values with their source, and errors that name file, field and value."""
 
-import tomllib
 from collections.abc import Container
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from hardware.files import read_toml as read_checked
 from twin.files import InputError
 
 T = TypeVar("T")
@@ -97,9 +97,9 @@ def _fault(fault: Any) -> str:
 def read_toml(path: Path) -> dict[str, Any]:
     """Content of a TOML file; InputError with line and column where it is malformed."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: no valid TOML: {error}") from error
+        return read_checked(path)
+    except ValueError as error:
+        raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{path}: can't be read ({error.strerror})") from error
 

@@ -110,9 +110,11 @@ def _mixing(path: Path) -> "Mixing":
     from hardware.reconstruction import Mixing
 
     try:
-        matrix = np.load(path)
-    except ValueError as error:
+        # Mapped: a file that promises more than it holds is refused before memory is taken.
+        matrix = np.load(path, mmap_mode="r")
+    except (ValueError, EOFError) as error:
         raise ValueError(f"{path}: {error}") from error
-    if matrix.ndim != 3:
-        raise ValueError(f"{path}: shape {matrix.shape}, expected (n_emitters, rows, columns)")
+    if not isinstance(matrix, np.ndarray) or matrix.ndim != 3 or matrix.dtype.kind not in "fiu":
+        shape = getattr(matrix, "shape", "of an archive")
+        raise ValueError(f"{path}: shape {shape}, expected numbers of (n_emitters, rows, columns)")
     return Mixing(matrix.reshape(len(matrix), -1).astype(np.float64), *matrix.shape[1:])

@@ -4,7 +4,6 @@ import itertools
 import math
 import sys
 import time
-import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -70,11 +69,12 @@ def capture(
 ) -> None:
     """Record what sensors send."""
     from hardware.capture import capture as run
+    from hardware.files import read_toml
     from hardware.interruption import asked_to_end
     from hardware.recording import Log
 
     loaded, setup = _settings(settings), _setup(radar_setup)
-    extrinsics = tomllib.loads(rig.read_text(encoding="utf-8")) if rig else {}
+    extrinsics = read_toml(rig) if rig else {}
     n, missed, begun = Counter[str](), Counter[str](), time.monotonic()
     with asked_to_end() as over, Log(out, extrinsics=extrinsics) as log:
         incoming = run(urls, log, loaded, setup, duration_s=duration, records=records, over=over)

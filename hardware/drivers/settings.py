@@ -1,12 +1,12 @@
 """What a camera is to measure, as it is given or from a TOML file."""
 
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hardware.drivers.messages import MAX_SHUTTERS
+from hardware.files import read_toml
 from hardware.patterns import PatternSet
 
 
@@ -71,8 +71,8 @@ def read_settings(path: str | Path) -> SpiSettings:
 
     Raises FileNotFoundError; ValueError naming the file and the field.
     """
+    fields = read_toml(path)
     try:
-        fields = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         patterns = PatternSet(**_tuples(fields.pop("patterns", {})))
         return SpiSettings(patterns, **_tuples(fields))
     except (TypeError, ValueError) as error:

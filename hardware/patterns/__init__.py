@@ -42,6 +42,10 @@ Order = Literal[
 Mode = Literal["differential", "plain", "reference", "s-matrix", "complementary"]
 
 
+#: Of a virtual image: a file or a device that claims more is not believed.
+MOST_CELLS = 2**26
+
+
 @dataclass(frozen=True)
 class PatternSet:
     """A set of Hadamard patterns, by name and parameters.
@@ -80,6 +84,10 @@ class PatternSet:
             size = getattr(self, name)
             if size < 1 or size & (size - 1):
                 raise ValueError(f"{name}: {size} is not a power of two")
+        if self.n_cells > MOST_CELLS:
+            raise ValueError(
+                f"rows, columns: {self.rows} x {self.columns} cells, at most {MOST_CELLS} are known"
+            )
         if not 1 <= self.count <= self.n_cells:
             raise ValueError(f"count: {self.count} is not between 1 and {self.n_cells}")
         if self.order not in get_args(Order):

@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from hardware.drivers.clock import ClockModel
+from hardware.files import naming
 from hardware.recording import ros
 from hardware.recording.kinds import Record, kind_of
 from hardware.recording.ros import Definition
@@ -109,13 +110,14 @@ class Log:
                 topic, "cdr", self._schema(definition)
             )
             self._sequence[topic] = 0
-        self._writer.add_message(
-            self._channels[topic],
-            log_ns,
-            message,
-            max(publish_ns, 0),
-            self._sequence[topic] % 2**32,
-        )
+        with naming(self.path):
+            self._writer.add_message(
+                self._channels[topic],
+                log_ns,
+                message,
+                max(publish_ns, 0),
+                self._sequence[topic] % 2**32,
+            )
         self._sequence[topic] += 1
         self.tick()
 
@@ -126,14 +128,19 @@ class Log:
 
     def flush(self) -> None:
         """Close the chunk and give it to the system."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        with naming(self.path):
+            self._writer.flush()  # type: ignore[no-untyped-call]
         self._flushed_s = time.monotonic()
 
     def close(self) -> None:
         """Finish the file; any number of times."""
-        if not self._file.closed:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._file.close()
+        if self._file.closed:
+            return
+        with naming(self.path):
+            try:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+            finally:
+                self._file.close()
 
     def _schema(self, definition: Definition) -> int:
         if definition.name not in self._schemas:

@@ -6,13 +6,16 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
 from hardware.drivers.clock import ClockModel
+from hardware.files import naming, partial_path, remove_leftovers
 from hardware.recording.kinds import BY_NAME, Record
 
 _log = logging.getLogger(__name__)
@@ -56,7 +59,8 @@ class Ending:
 def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Logged]:
     """Messages in the order of writing, as far as the file is whole; ``ending`` is filled in.
 
-    Raises FileNotFoundError; ValueError for a file that is no MCAP.
+    Raises FileNotFoundError; ValueError for a file that is no MCAP, or with a chunk that is too
+    large or packed in a way that is not known.
     """
     path, ending = Path(path), ending or Ending()
     schemas: dict[int, Schema] = {}
@@ -79,6 +83,8 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
                     yield Logged(channel.topic, schemas[channel.schema_id], found)
                 elif isinstance(found, Footer):
                     ending.fault = None
+        except _RefusedError as error:
+            raise ValueError(f"{path}: {error}") from error
         except (EndOfFile, EOFError, struct.error):
             ending.fault = "it ends within a record"
         except KeyError as error:
@@ -91,16 +97,40 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
             ending.fault = str(error)
 
 
+class _RefusedError(ValueError):
+    """What is not read at all, whatever else the file holds."""
+
+
 def _within_chunks(records: Iterator[McapRecord]) -> Iterator[McapRecord]:
-    """Records, those in a chunk one by one. Raises ValueError for a chunk that is too large."""
+    """Records, those in a chunk one by one, without holding them all."""
     for found in records:
         if isinstance(found, Chunk):
-            size = max(found.uncompressed_size, _told_size(found))
-            if size > _MOST_CHUNK_BYTES:
-                raise ValueError(f"a chunk of {size} bytes, expected at most {_MOST_CHUNK_BYTES}")
-            yield from breakup_chunk(found, validate_crc=True)
+            yield from _in_chunk(found)
         else:
             yield found
+
+
+def _in_chunk(chunk: Chunk) -> Iterator[McapRecord]:
+    size = max(chunk.uncompressed_size, _told_size(chunk))
+    if size > _MOST_CHUNK_BYTES:
+        raise _RefusedError(f"a chunk of {size} bytes, expected at most {_MOST_CHUNK_BYTES}")
+    if chunk.compression not in ("", "zstd", "lz4"):
+        raise _RefusedError(
+            f"a chunk compressed by {chunk.compression!r:.20}, expected zstd or lz4"
+        )
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    while stream.count < length:
+        kind, size = stream.read1(), stream.read8()
+        if kind == Opcode.MESSAGE:
+            yield Message.read(stream, size)
+        elif kind == Opcode.CHANNEL:
+            yield Channel.read(stream)
+        elif kind == Opcode.SCHEMA:
+            yield Schema.read(stream)
+        elif kind == 0:
+            raise ValueError("a record of no kind")
+        else:
+            stream.read(size)
 
 
 def _told_size(chunk: Chunk) -> int:
@@ -154,38 +184,46 @@ def recover(path: str | Path, out: str | Path | None = None) -> tuple[int, str |
     Returns
     -------
     Messages kept, and what was wrong (None: nothing was, and the file stays as it is).
+
+    Raises as `read_messages`; then too the file stays as it is.
     """
     path, ending = Path(path), Ending()
     target = Path(out) if out else path
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    partial = partial_path(target)
+    with naming(target):
+        remove_leftovers(target)
+        try:
+            with partial.open("xb") as file:
+                kept = _copy(read_messages(path, ending), file)
+            if ending.fault is not None or out:
+                os.replace(partial, target)
+        finally:
+            partial.unlink(missing_ok=True)
+    return kept, ending.fault
+
+
+def _copy(messages: Iterator[Logged], file: IO[bytes]) -> int:
+    """Write messages as a whole log; how many they were."""
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
-    kept = 0
-    try:
-        with partial.open("xb") as file:
-            writer = Writer(file, 1 << 20, CompressionType.ZSTD)
-            writer.start(profile="ros2", library="ugv recover")
-            for found in read_messages(path, ending):
-                schema, message = found.schema, found.message
-                if schema.name not in schemas:
-                    schemas[schema.name] = writer.register_schema(
-                        schema.name, schema.encoding, schema.data
-                    )
-                if found.topic not in channels:
-                    channels[found.topic] = writer.register_channel(
-                        found.topic, "cdr", schemas[schema.name]
-                    )
-                writer.add_message(
-                    channels[found.topic],
-                    message.log_time,
-                    message.data,
-                    message.publish_time,
-                    message.sequence,
-                )
-                kept += 1
-            writer.finish()  # type: ignore[no-untyped-call]
-        if ending.fault is not None or out:
-            os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
-    return kept, ending.fault
+    n = 0
+    writer = Writer(file, 1 << 20, CompressionType.ZSTD)
+    writer.start(profile="ros2", library="ugv recover")
+    for found in messages:
+        n += 1
+        schema, message = found.schema, found.message
+        if schema.name not in schemas:
+            schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+        if found.topic not in channels:
+            channels[found.topic] = writer.register_channel(
+                found.topic, "cdr", schemas[schema.name]
+            )
+        writer.add_message(
+            channels[found.topic],
+            message.log_time,
+            message.data,
+            message.publish_time,
+            message.sequence,
+        )
+    writer.finish()  # type: ignore[no-untyped-call]
+    return n

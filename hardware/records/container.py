@@ -1,6 +1,5 @@
 """The file behind every record: HDF5 with a format name and a schema version."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntFlag
@@ -9,6 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
+
+from hardware.files import whole_file
+
+#: Bytes that an array may unpack to, over those that it takes in the file: deflate's limit.
+_MOST_RATIO = 1032
 
 
 class Flag(IntFlag):
@@ -52,26 +56,26 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
     """
     import h5py
 
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with h5py.File(partial, "w") as file:
-            file.attrs["format"] = layout.format
-            file.attrs["schema_version"] = layout.version
-            for name in layout.settings:
-                file.attrs[name] = getattr(record, name)
-            group = file.create_group(layout.group)
-            for name in layout.parameters:
-                group.attrs[name] = getattr(getattr(record, layout.group), name)
-            for name in layout.optional:
-                if (value := getattr(getattr(record, layout.group), name)) is not None:
-                    group.create_dataset(name, data=np.asarray(value, dtype=np.int64))
-            for name, (dtype, meaning) in layout.arrays.items():
-                data = np.asarray(getattr(record, name), dtype=dtype)
-                file.create_dataset(name, data=data).attrs["meaning"] = meaning
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    # In memory first: where the disk fills up, HDF5 cannot close its file and takes the process
+    # with it.
+    with h5py.File("record", "w", driver="core", backing_store=False) as file:
+        file.attrs["format"] = layout.format
+        file.attrs["schema_version"] = layout.version
+        for name in layout.settings:
+            file.attrs[name] = getattr(record, name)
+        group = file.create_group(layout.group)
+        for name in layout.parameters:
+            group.attrs[name] = getattr(getattr(record, layout.group), name)
+        for name in layout.optional:
+            if (value := getattr(getattr(record, layout.group), name)) is not None:
+                group.create_dataset(name, data=np.asarray(value, dtype=np.int64))
+        for name, (dtype, meaning) in layout.arrays.items():
+            data = np.asarray(getattr(record, name), dtype=dtype)
+            file.create_dataset(name, data=data).attrs["meaning"] = meaning
+        file.flush()
+        image = file.id.get_file_image()
+    with whole_file(path) as partial:
+        partial.write_bytes(image)
 
 
 def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -88,18 +92,21 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
         with h5py.File(path, "r") as file:
             version = _check(layout, file.attrs)
             there = [n for n in layout.settings if layout.has(n, version)]
-            fields = {n: _plain(file.attrs[n]) for n in there}
+            fields = {n: _plain(n, file.attrs[n]) for n in there}
             for name, (dtype, _) in layout.arrays.items():
                 if layout.has(name, version):
-                    fields[name] = file[name][()].astype(dtype)
-            group = file[layout.group]
-            parameters = {name: _plain(group.attrs[name]) for name in layout.parameters}
+                    fields[name] = _array(file, name, np.dtype(dtype))
+            group = _inside(file, layout.group)
+            if not isinstance(group, h5py.Group):
+                raise ValueError(f"{layout.group}: expected a group")
+            parameters = {name: _plain(name, group.attrs[name]) for name in layout.parameters}
             for name in layout.optional:
                 if name in group:
-                    parameters[name] = tuple(group[name][()].tolist())
+                    parameters[name] = tuple(_array(group, name, np.dtype(np.int64)).tolist())
             return fields, parameters
     except (OSError, KeyError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
+        raise ValueError(f"{path}: {text}") from error
 
 
 def check_shapes(record: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
@@ -121,11 +128,49 @@ def _check(layout: Layout, attributes: Mapping[str, Any]) -> int:
     """The file's schema version, if it can be read."""
     if attributes.get("format") != layout.format:
         raise ValueError(f"not a {layout.format}: its format is {attributes.get('format')!r}")
-    version = int(attributes["schema_version"])
+    version = _plain("schema_version", attributes["schema_version"])
+    if not isinstance(version, int):
+        raise ValueError(f"schema_version: {version!r:.40} is no whole number")
     if not 1 <= version <= layout.version:
         raise ValueError(f"schema version {version}, this software reads 1 to {layout.version}")
     return version
 
 
-def _plain(value: Any) -> Any:
+def _inside(group: Any, name: str) -> Any:
+    """What stands in the file itself under a name: no link leads out of it."""
+    import h5py
+
+    if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+        raise ValueError(f"{name}: stands in another file, expected it in this one")
+    return group[name]
+
+
+def _array(group: Any, name: str, dtype: "np.dtype[Any]") -> Any:
+    """An array of a type, if the file holds it: neither empty promises nor another file's bytes."""
+    import h5py
+
+    found = _inside(group, name)
+    if not isinstance(found, h5py.Dataset) or not np.can_cast(found.dtype, dtype, "same_kind"):
+        kind = getattr(found, "dtype", "a group")
+        raise ValueError(f"{name}: {kind}, expected an array of {dtype}")
+    if found.is_virtual or found.external:
+        raise ValueError(f"{name}: stands in another file, expected it in this one")
+    held = found.id.get_storage_size()
+    if found.nbytes > _MOST_RATIO * held:
+        raise ValueError(
+            f"{name}: {found.nbytes} bytes of shape {found.shape}, but the file holds {held}"
+        )
+    return found[()].astype(dtype)
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A single number or text. Raises ValueError for anything else."""
+    if np.ndim(value) > 0:
+        raise ValueError(f"{name}: an array of shape {np.shape(value)}, expected one value")
+    if isinstance(value, bytes | str):
+        try:  # h5py gives what is no UTF-8 as surrogates, or as bytes
+            text = value if isinstance(value, bytes) else value.encode("utf-8", "surrogateescape")
+            return text.decode("utf-8")
+        except UnicodeError as error:
+            raise ValueError(f"{name}: {error}") from error
     return value.item() if isinstance(value, np.generic) else value

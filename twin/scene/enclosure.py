@@ -1,8 +1,24 @@
-"""Whether a point is inside a closed mesh."""
+"""Whether a point is inside a closed mesh, or in its surface."""
 
 import numpy as np
 
 from twin.scene.model import Array, SceneObject
+
+#: A float32 step of coordinates of some ten metres: nearer to a surface no side of it is in front.
+_TOUCH_M = 1e-6
+
+
+def touches(item: SceneObject, point_m: Array) -> bool:
+    """Whether a point lies in one of an object's triangles, to a micrometre."""
+    from trimesh.triangles import closest_point
+
+    corners = item.vertices_m[item.faces] - point_m
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    near = corners[((low <= _TOUCH_M) & (high >= -_TOUCH_M)).all(axis=1)]
+    if not len(near):
+        return False
+    away = np.linalg.norm(closest_point(near, np.zeros((len(near), 3))), axis=1)
+    return bool(away.min() <= _TOUCH_M)
 
 
 def encloses(item: SceneObject, point_m: Array) -> bool:

@@ -1,5 +1,6 @@
 """Meshes in float64: read from files, tessellated from primitives, validated."""
 
+import json
 import logging
 import re
 import warnings
@@ -7,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +69,8 @@ def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
     """
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise InputError(f"{path}: {path.suffix!r} is none of {', '.join(FORMATS)}")
-    if path.suffix.lower() == ".obj":
-        _check_obj(path)
+    if check := _CHECKS.get(path.suffix.lower()):
+        check(path)
     logger = logging.getLogger("trimesh")
     logger.addHandler(logging.NullHandler())
     logger.propagate = False
@@ -84,12 +86,48 @@ def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
 
 
 def _check_obj(path: Path) -> None:
-    """OBJ counts vertices from 1 (or from the end, negative); readers take 0 for the last one."""
+    """What readers bend into shape: too few numbers in a line, which they take from the next one;
+    vertex 0, for which they take the last (OBJ counts from 1, or from the end, negative).
+    """
     zero = re.compile(rb"^f\s+(?:\S+\s+)*0(?:[/\s]|$)")
+    before = b""
     with path.open("rb") as file:
         for number, line in enumerate(file, 1):
-            if zero.match(line.rstrip()):
+            line = before + line.rstrip()
+            before = b""
+            if line.endswith(b"\\"):  # goes on in the next one
+                before = line[:-1] + b" "
+                continue
+            if line[:2] in (b"v ", b"v\t", b"f ", b"f\t") and len(line.split(None, 3)) < 4:
+                raise InputError(f"{path}: line {number}: {line[:40]!r}, expected three or more")
+            if zero.match(line):
                 raise InputError(f"{path}: line {number}: vertex 0, but OBJ counts from 1")
+
+
+def _check_gltf(path: Path) -> None:
+    """An accessor may promise any number of zeros: no more are taken than there are bytes."""
+    data = path.read_bytes()
+    if data[:4] == b"glTF":  # binary: a header of 12 bytes, then the JSON with its length
+        size = int.from_bytes(data[12:16], "little")
+        data = data[20 : 20 + size]
+    try:
+        content = json.loads(data)
+        held = path.stat().st_size
+        for buffer in content.get("buffers", ()):
+            if isinstance(uri := buffer.get("uri"), str) and not uri.startswith("data:"):
+                beside = path.parent / unquote(uri)
+                held += beside.stat().st_size if beside.is_file() else 0
+        counts = [accessor.get("count") for accessor in content.get("accessors", ())]
+    except (AttributeError, OSError, RecursionError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: no valid glTF ({error!s:.200})") from error
+    for number, count in enumerate(counts):
+        if not isinstance(count, int) or not 0 <= count <= held:
+            raise InputError(
+                f"{path}: accessor {number}: {count!r:.40} elements in a model of {held} bytes"
+            )
+
+
+_CHECKS = {".obj": _check_obj, ".gltf": _check_gltf, ".glb": _check_gltf}
 
 
 def validate(mesh: Mesh, place: str) -> Mesh:
@@ -98,6 +136,9 @@ def validate(mesh: Mesh, place: str) -> Mesh:
     Raises InputError, beginning with ``place``, on an index outside the vertices, a coordinate
     that is no number, or when no face has an area.
     """
+    for name in ("vertices", "faces"):
+        if (shape := getattr(mesh, name).shape)[1:] != (3,):
+            raise InputError(f"{place}: {name} of shape {shape}, expected three numbers each")
     bad = np.argwhere((mesh.faces < 0) | (mesh.faces >= len(mesh.vertices)))
     if len(bad):
         face, corner = bad[0]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from twin.engine import mitsuba
 from twin.files import InputError
+from twin.scene.markup import check_markup
 from twin.scene.texture import Reflectance, Texture
 
 _WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
@@ -70,13 +71,14 @@ class Document:
 
 def read_xml(path: Path) -> Document:
     """Parse a scene file with its includes. Raises InputError naming file and line."""
+    check_markup(path)
     mi = mitsuba()
     config = mi.parser.ParserConfig(mi.variant())
     try:
         state = mi.parser.parse_file(config, str(path))
         mi.parser.transform_upgrade(config, state)
         mi.parser.transform_resolve_references(config, state)
-    except RuntimeError as error:
+    except (RuntimeError, UnicodeDecodeError) as error:  # a name in another encoding than UTF-8
         raise InputError(_readable(path, str(error))) from error
     return _Reader(state, path.parent).document()
 

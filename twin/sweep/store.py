@@ -18,6 +18,7 @@ import numpy as np
 from numpy.lib.format import open_memmap
 from pydantic import ValidationError
 
+from hardware.files import read_json
 from twin.digest import versions
 from twin.files import InputError, new_folder
 from twin.sweep.dataset import Progress, dataset
@@ -179,7 +180,7 @@ def _check(out: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
 def _read_plan(out: Path) -> dict[str, Any]:
     path = out / "study.json"
     try:
-        plan: dict[str, Any] = json.loads(path.read_text())
+        plan: dict[str, Any] = read_json(path)
         missing = {"study", "folder", "versions", "inputs", "labels", "chunk"} - plan.keys()
     except (OSError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: can't be read as a sweep's ({error})") from error

@@ -2,12 +2,12 @@
 
 import json
 import math
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from hardware.drivers.radio.schedule import FrontEnd, Schedule
+from hardware.files import read_json, whole_file
 from hardware.waveform import OfdmWaveform
 
 FORMAT, VERSION = "ugv-radio-setup", 1
@@ -18,15 +18,10 @@ _PLACES = ("transmitters_m", "receivers_m")
 
 def write_setup(schedule: Schedule, front_end: FrontEnd, path: str | Path) -> None:
     """Write both to one file, whole or not at all; what is unknown (NaN) is null in it."""
-    path = Path(path)
     known = {k: None if v != v else v for k, v in asdict(front_end).items()}
     content = {"format": FORMAT, "version": VERSION, "schedule": asdict(schedule)}
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as partial:
         partial.write_text(json.dumps({**content, "front_end": known}, indent=1) + "\n")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_setup(path: str | Path) -> tuple[Schedule, FrontEnd]:
@@ -38,8 +33,8 @@ def read_setup(path: str | Path) -> tuple[Schedule, FrontEnd]:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such setup")
+    content = read_json(path)
     try:
-        content = json.loads(path.read_text())
         found = (content.get("format"), content.get("version"))
         if found != (FORMAT, VERSION):
             raise ValueError(f"format and version {found}, expected {(FORMAT, VERSION)}")

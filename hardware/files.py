@@ -1,0 +1,105 @@
+"""Files of a user: text formats read with errors that name the file, and output that is whole."""
+
+import glob
+import json
+import os
+import platform
+import re
+import shutil
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises OSError where it cannot be read; ValueError, one line that begins with the file, where
+    it is no TOML, no UTF-8, or nested too deeply.
+    """
+    content: dict[str, Any] = _parsed(path, "TOML", tomllib.loads)
+    return content
+
+
+def read_json(path: str | Path) -> Any:
+    """Content of a JSON file. Raises as `read_toml`."""
+    return _parsed(path, "JSON", json.loads)
+
+
+def _parsed(path: str | Path, kind: str, parse: Callable[[str], Any]) -> Any:
+    try:
+        return parse(Path(path).read_bytes().decode("utf-8"))
+    except RecursionError:
+        raise ValueError(f"{path}: no valid {kind}: nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: no valid {kind}: {error}") from error
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """A place to write to, beside ``path``, which takes its name at the end, or is removed.
+
+    What killed processes of this machine left of the same file is removed too. An OSError names
+    ``path``.
+    """
+    path = Path(path)
+    partial = partial_path(path)
+    with naming(path):
+        remove_leftovers(path)
+        try:
+            yield partial
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """OSErrors that name no file (a full disk's, met in a write) name this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def said(error: OSError) -> str:
+    """An OSError in words: the file, and what is wrong with it."""
+    if error.filename is None or error.strerror is None:
+        return str(error)
+    return f"{os.fsdecode(error.filename)}: {error.strerror}"
+
+
+def partial_path(path: Path) -> Path:
+    """Where this process writes a file or folder until it is whole."""
+    return path.with_name(f".{path.name}.{_machine()}-{os.getpid()}.partial")
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what processes of this machine that run no more left at their `partial_path`."""
+    ours = re.compile(re.escape(f".{path.name}.{_machine()}-") + r"(\d+)\.partial")
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
+        found = ours.fullmatch(left.name)
+        if found and not _runs(int(found[1])):
+            if left.is_dir():
+                shutil.rmtree(left, ignore_errors=True)
+            else:
+                left.unlink(missing_ok=True)
+
+
+def _machine() -> str:
+    """Process numbers mean something on one machine only, folders may be shared by several."""
+    return re.sub(r"[^\w-]", "", platform.node())[:32] or "machine"
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass  # another user's
+    return True

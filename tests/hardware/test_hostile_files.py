@@ -1,0 +1,283 @@
+"""Files that lie, on the vehicle: one line of error each, in no more memory than they are worth."""
+
+import os
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from struct import pack
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import zstandard
+
+from hardware import PatternSet, SpiRecord
+from hardware.drivers.radio.setup import read_setup
+from hardware.drivers.settings import read_settings
+from hardware.files import naming, partial_path, whole_file
+from hardware.recording import read_messages, recover
+from hardware.records import read_record, write_record
+
+#: None of the files below is larger; what they promise is 256 MiB and more.
+_FILE_BYTES, _MEMORY_BYTES = 1 << 18, 1 << 24
+
+
+@contextmanager
+def refused(path: Path, because: str) -> Iterator[None]:
+    """One line that begins with the file and says why, without taking the memory it asks for."""
+    assert path.stat().st_size <= _FILE_BYTES
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=because) as caught:
+            yield
+        assert tracemalloc.get_traced_memory()[1] < _MEMORY_BYTES
+    finally:
+        tracemalloc.stop()
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+
+
+# Records.
+
+
+@pytest.fixture
+def record() -> SpiRecord:
+    patterns = PatternSet(8, 8, 64, "natural", "plain")
+    return SpiRecord(
+        counts=np.arange(64, dtype=np.int32)[:, None],
+        device_time_ns=np.arange(64, dtype=np.int64),
+        sequence=np.arange(64, dtype=np.uint32),
+        flags=np.zeros(64, np.uint8),
+        patterns=patterns,
+        integration_time_s=1e-4,
+        electrons_per_count=1.0,
+        offset_counts=0.0,
+        adc_bits=16,
+        device="camera",
+        pose=np.array([0, 0, 0, 1.0, 0, 0, 0]),
+    )
+
+
+def promised(file: h5py.File) -> None:
+    file.create_dataset("counts", shape=(2**36, 1), dtype="i4", chunks=(1024, 1))
+
+
+def unpacked(file: h5py.File) -> None:
+    """256 MiB of which a part is there: 16 MiB of zeros in 16 kB."""
+    made = file.create_dataset("counts", (2**26, 1), "i4", chunks=(2**20, 1), compression="gzip")
+    made[: 2**22] = np.zeros((2**22, 1), np.int32)
+
+
+def linked(file: h5py.File) -> None:
+    file["counts"] = h5py.ExternalLink("other.h5", "/counts")
+
+
+def stored_elsewhere(file: h5py.File) -> None:
+    file.create_dataset("counts", (64, 1), "i4", external=[("raw.bin", 0, 256)])
+
+
+def virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((64, 1), "i4")
+    layout[:] = h5py.VirtualSource("other.h5", "counts", (64, 1))
+    file.create_virtual_dataset("counts", layout)
+
+
+def group(file: h5py.File) -> None:
+    file.create_group("counts")
+
+
+def complex_counts(file: h5py.File) -> None:
+    file["counts"] = np.zeros((64, 1), complex)
+
+
+def array_for_a_number(file: h5py.File) -> None:
+    file["counts"] = np.zeros((64, 1), np.int32)
+    file.attrs["integration_time_s"] = np.zeros(5)
+
+
+def array_for_the_version(file: h5py.File) -> None:
+    file.attrs["schema_version"] = np.arange(3)
+
+
+def no_text(file: h5py.File) -> None:
+    file["counts"] = np.zeros((64, 1), np.int32)
+    file.attrs["device"] = np.bytes_(b"\xff\xfe")
+
+
+def too_many_cells(file: h5py.File) -> None:
+    file["counts"] = np.zeros((64, 1), np.int32)
+    file["patterns"].attrs["rows"] = file["patterns"].attrs["columns"] = 2**30
+
+
+def patterns_elsewhere(file: h5py.File) -> None:
+    file["counts"] = np.zeros((64, 1), np.int32)
+    del file["patterns"]
+    file["patterns"] = h5py.ExternalLink("other.h5", "/")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "because"),
+    [
+        (promised, "counts: 274877906944 bytes of shape .*, but the file holds 0"),
+        (unpacked, "counts: 268435456 bytes of shape .*, but the file holds"),
+        (linked, "counts: stands in another file"),
+        (stored_elsewhere, "counts: stands in another file"),
+        (virtual, "counts: stands in another file"),
+        (group, "counts: a group, expected an array of int32"),
+        (complex_counts, "counts: complex128, expected an array of int32"),
+        (array_for_a_number, "integration_time_s: an array of shape"),
+        (array_for_the_version, "schema_version: an array of shape"),
+        (no_text, "device: 'utf-8' codec can't decode"),
+        (too_many_cells, "rows, columns: 1073741824 x 1073741824 cells"),
+        (patterns_elsewhere, "patterns: stands in another file"),
+    ],
+)
+def test_a_record_holds_what_it_says_and_nothing_of_other_files(
+    spoil: Callable[[h5py.File], None],
+    because: str,
+    record: SpiRecord,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with h5py.File("other.h5", "w") as other:
+        other["counts"] = np.full((64, 1), 7, np.int32)
+    np.full((64, 1), 7, np.int32).tofile("raw.bin")
+    write_record(record, path := tmp_path / "record.h5")
+    np.testing.assert_array_equal(read_record(path).counts, record.counts)
+    with h5py.File(path, "r+") as file:
+        del file["counts"]
+        spoil(file)
+    with refused(path, because):
+        read_record(path)
+
+
+def test_a_compressed_record_is_read(record: SpiRecord, tmp_path: Path) -> None:
+    """As other tools may repack it: by deflate, which packs at most 1032 to 1."""
+    write_record(record, path := tmp_path / "record.h5")
+    with h5py.File(path, "r+") as file:
+        del file["counts"]
+        file.create_dataset("counts", data=record.counts, compression="gzip")
+    np.testing.assert_array_equal(read_record(path).counts, record.counts)
+
+
+def test_a_full_disk_is_told_by_the_files_name_and_leaves_nothing(
+    record: SpiRecord, tmp_path: Path
+) -> None:
+    """In a process whose files may not grow: HDF5, met by that at its own end, would take the
+    process with it.
+    """
+    write_record(record, tmp_path / "before.h5")
+    program = (
+        "import resource, signal\n"
+        "from hardware.records import read_record, write_record\n"
+        "from hardware.files import said\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"record = read_record({str(tmp_path / 'before.h5')!r})\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+        "try:\n"
+        f"    write_record(record, {str(tmp_path / 'after.h5')!r})\n"
+        "except OSError as error:\n"
+        "    print(said(error))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.strip() == f"{tmp_path / 'after.h5'}: File too large"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["before.h5"]
+
+
+# Logs.
+
+
+def mcap_record(kind: int, body: bytes) -> bytes:
+    return bytes([kind]) + pack("<Q", len(body)) + body
+
+
+def text(value: str) -> bytes:
+    return pack("<I", len(value)) + value.encode()
+
+
+def chunk(claimed: int, packing: str, data: bytes) -> bytes:
+    head = pack("<QQQI", 0, 0, claimed, 0) + text(packing) + pack("<Q", len(data))
+    return b"\x89MCAP0\r\n" + mcap_record(1, text("") * 2) + mcap_record(6, head + data)
+
+
+def zeros(size: int) -> bytes:
+    """So many zero bytes, packed; the frame says how many there are."""
+    packer = zstandard.ZstdCompressor(level=1).compressobj(size=size)
+    return b"".join(packer.compress(bytes(1 << 20)) for _ in range(size >> 20)) + packer.flush()
+
+
+@pytest.mark.parametrize("claimed", [1 << 30, 100], ids=["told", "hidden"])
+def test_a_chunk_that_unpacks_to_a_gigabyte_is_not_unpacked(claimed: int, tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(chunk(claimed, "zstd", zeros(1 << 30)))
+    for read in (lambda: list(read_messages(path)), lambda: recover(path)):
+        with refused(path, "a chunk of 1073741824 bytes, expected at most 536870912"):
+            read()
+    assert [found.name for found in tmp_path.iterdir()] == ["bomb.mcap"]
+
+
+def test_a_chunk_of_an_unknown_packing_is_no_reason_to_replace_the_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(data := chunk(100, "brotli", b"abc"))
+    with refused(path, "a chunk compressed by 'brotli', expected zstd or lz4"):
+        recover(path)
+    assert path.read_bytes() == data
+
+
+# Settings.
+
+_DEEP = 100_000
+
+
+@pytest.mark.parametrize(
+    ("read", "content", "because"),
+    [
+        (read_settings, b"a = " + b"[" * _DEEP, "no valid TOML: nested too deeply"),
+        (read_settings, b"a = " + b"{a = " * 3000, "no valid TOML: nested too deeply"),
+        (read_settings, b"a = " + b"9" * 5000, "no valid TOML: Exceeds the limit"),
+        (read_settings, b'a = "caf\xe9"', "no valid TOML: 'utf-8' codec can't decode"),
+        (read_setup, b"[" * _DEEP, "no valid JSON: nested too deeply"),
+        (read_setup, b'"caf\xe9"', "no valid JSON: 'utf-8' codec can't decode"),
+    ],
+)
+def test_settings_are_read_or_told_in_one_line(
+    read: Callable[[Path], Any], content: bytes, because: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "settings"
+    path.write_bytes(content)
+    with refused(path, because):
+        read(path)
+
+
+# What is written.
+
+
+def test_what_a_kill_left_goes_with_the_next_writing(tmp_path: Path) -> None:
+    """Only this machine's, of processes that run no more, and of the same file."""
+    path = tmp_path / "record.h5"
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"],
+                           capture_output=True, text=True, check=True)  # fmt: skip
+    ours, dead = partial_path(path), int(ended.stdout)
+    left = ours.with_name(ours.name.replace(f"-{os.getpid()}.", f"-{dead}."))
+    others = [
+        ours.with_name(ours.name.replace(f"-{os.getpid()}.", f"-{os.getppid()}.")),
+        ours.with_name(f".record.h5.elsewhere-{dead}.partial"),
+        ours.with_name(left.name.replace("record", "other")),
+    ]
+    for one in (left, *others):
+        one.write_bytes(b"half")
+    with whole_file(path) as partial:
+        partial.write_bytes(b"whole")
+    assert sorted(tmp_path.iterdir()) == sorted([path, *others])
+
+
+def test_an_error_of_a_write_names_the_file() -> None:
+    with pytest.raises(OSError, match=r"No space left on device: 'run\.mcap'"), naming("run.mcap"):
+        os.write(os.open("/dev/full", os.O_WRONLY), b"x")

@@ -1,0 +1,221 @@
+"""Files that lie, in a scene: one line of error each, and the process lives."""
+
+import base64
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from struct import pack
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twin
+from twin.files import InputError, new_folder, whole_folder
+from twin.scene import load_scene
+from twin.scene.importing import import_model
+from twin.scene.meshes import read_mesh
+from twin.toml import read_toml
+
+HEAD = '<scene version="3.0.0"><bsdf type="diffuse" id="concrete"/>'
+WALL = (
+    '<shape type="rectangle" id="wall"><transform name="to_world"><scale value="5"/></transform>'
+    '<ref id="concrete"/></shape></scene>'
+)
+TOML = """
+[rig]
+position_m = [{}, {}, {}]
+[sun]
+azimuth_deg = 0.0
+elevation_deg = 30.0
+illuminance_lx = 1e5
+"""
+
+LOADER = """
+import sys
+from pathlib import Path
+from twin.files import InputError
+from twin.scene import load_scene
+
+for path in sys.argv[1:]:
+    try:
+        load_scene(path)
+    except InputError as error:
+        print(error)
+"""
+
+SCENES = {
+    "deep": (
+        HEAD.encode() + b'<bsdf type="twosided">' * 200_000 + b"</bsdf>" * 200_000 + b"</scene>",
+        "elements are nested more than 64 deep",
+    ),
+    "closed never": (b"<scene>" * 200_000, "elements are nested more than 64 deep"),
+    "latin": ((HEAD + '<shape type="rectangle" id="wand-süd"/></scene>').encode("latin-1"),
+              "no valid XML: not well-formed"),
+    "itself": ((HEAD + '<include filename="scene.xml"/></scene>').encode(), "includes itself"),
+    "deep include": (
+        (HEAD + '<default name="n" value="deep"/><include filename="../$n/scene.xml"/></scene>')
+        .encode(), "deep/scene.xml: line 1",
+    ),
+    "entities": (
+        b'<!DOCTYPE l [<!ENTITY a "aaaaaaaaaa">' + b"".join(
+            b'<!ENTITY a%d "%b">' % (i, (b"&a%d;" % (i - 1) if i else b"&a;") * 10)
+            for i in range(10)
+        ) + b"]><scene>&a9;</scene>", "no valid XML: limit on input amplification",
+    ),
+    "id": ((HEAD + f'<shape type="rectangle" id="{"x" * 10**6}"/></scene>').encode(),
+           "id is longer than 200 characters"),
+}  # fmt: skip
+
+
+def test_scene_files_that_would_end_the_process(tmp_path: Path) -> None:
+    """Each gets its line, from a process that is there for the next."""
+    for name, (content, _) in SCENES.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.xml").write_bytes(content)
+    command = [sys.executable, "-c", LOADER, *(str(tmp_path / name) for name in SCENES)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(SCENES)
+    for (name, (_, because)), line in zip(SCENES.items(), lines, strict=True):
+        assert because in line, name
+        assert line.startswith(str(tmp_path))
+        assert len(line) < 500
+
+
+@pytest.mark.parametrize(
+    ("position", "touched"),
+    [((0, 0, 0), True), ((0, -5, 0), True), ((0, 4.9, 0), True),
+     ((0, 20, 0), False), ((0, 0, 1e-3), False)],
+)  # fmt: skip
+def test_a_rig_in_a_surface_is_refused_where_the_scene_is_read(
+    position: tuple[float, float, float], touched: bool, tmp_path: Path
+) -> None:
+    """In the wall, whichever way it looks, the way to it is zero long and its light no number;
+    beside the wall in the same plane, or a millimetre before it, all is well.
+    """
+    (tmp_path / "scene.xml").write_text(HEAD + WALL)
+    (tmp_path / "scene.toml").write_text(TOML.format(*position))
+    if not touched:
+        load_scene(tmp_path)
+        return
+    with pytest.raises(InputError, match=r"rig: its emitter stands in the surface of 'wall'"):
+        load_scene(tmp_path)
+
+
+MODELS = {
+    "too few.obj": (b"v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n", "line 2: b'v 1 0'"),
+    # As many numbers as whole vertices have, with the second line's end in the third.
+    "shifted.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 1\nv 1 1 0 1\nf 1 2 3\n", "line 4: b'v 0 1'"),
+    "edge.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2\n", "line 5: b'f 1 2'"),
+    "deep.gltf": (b"[" * 200_000, "no valid glTF"),
+    "cut.glb": (b"glTF" + pack("<III", 2, 2**31, 2**31 - 1) + b"JSON{", "no valid glTF"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_broken_models_are_told_in_one_line(name: str, tmp_path: Path) -> None:
+    content, because = MODELS[name]
+    (tmp_path / name).write_bytes(content)
+    for read in (
+        lambda: read_mesh(tmp_path / name),
+        lambda: import_model(tmp_path / name, tmp_path / "scene"),
+    ):
+        with pytest.raises(InputError) as caught:
+            read()
+        assert because in str(caught.value)
+        assert str(caught.value).startswith(str(tmp_path / name))
+        assert "\n" not in str(caught.value)
+
+
+def test_lines_of_an_obj_may_go_on_in_the_next(tmp_path: Path) -> None:
+    (tmp_path / "x.obj").write_bytes(b"v 0 0 0\nv 1 0 \\\n0\nv 0 1 0\nf 1 2 \\\n3\n")
+    mesh = read_mesh(tmp_path / "x.obj")
+    np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2]])
+
+
+def triangle() -> dict[str, Any]:
+    data = pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0) + pack("<3H", 0, 1, 2)
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    return {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "buffers": [{"byteLength": len(data), "uri": uri}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": 36},
+            {"buffer": 0, "byteOffset": 36, "byteLength": 6},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
+        ],
+    }
+
+
+def test_a_gltf_promises_no_more_vertices_than_it_has_bytes(tmp_path: Path) -> None:
+    """Without a buffer an accessor means zeros: ten thousand million of them in half a kilobyte."""
+    (path := tmp_path / "model.gltf").write_text(json.dumps(content := triangle()))
+    assert read_mesh(path).faces.shape == (1, 3)
+    del content["accessors"][0]["bufferView"]
+    content["accessors"][0]["count"] = 10**10
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="accessor 0: 10000000000 elements in a model of"):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "because"),
+    [
+        (b"a = " + b"[" * 100_000, "nested too deeply"),
+        (b"a = " + b"9" * 5000, "Exceeds the limit"),
+        (b'a = "caf\xe9"', "can't decode byte 0xe9"),
+    ],
+)
+def test_toml_is_read_or_told_in_one_line(content: bytes, because: str, tmp_path: Path) -> None:
+    (path := tmp_path / "x.toml").write_bytes(content)
+    with pytest.raises(InputError, match=f"^{path}: no valid TOML: .*{because}"):
+        read_toml(path)
+
+
+def test_a_working_directory_that_is_gone_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    program = (
+        "import os, sys\n"
+        f"os.chdir({str(tmp_path / 'gone')!r}); os.rmdir({str(tmp_path / 'gone')!r})\n"
+        "sys.argv = ['twin', 'check', 'yard']\n"
+        "from twin.cli import main\n"
+        "main()\n"
+    )
+    # The package is found from where it lies: the folder is no place to look in.
+    environment = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parents[1])}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 2
+    assert done.stderr.startswith("twin: error: the working directory is gone")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("folder", [whole_folder, new_folder])
+def test_a_folder_that_a_kill_left_half_goes_with_the_next(folder: Any, tmp_path: Path) -> None:
+    program = (
+        "import os, signal\n"
+        "from pathlib import Path\n"
+        "from twin.files import new_folder, whole_folder\n"
+        f"with {folder.__name__}(Path({str(tmp_path / 'out')!r})) as partial:\n"
+        "    (partial / 'half').write_text('half')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=False)
+    (left,) = tmp_path.iterdir()
+    assert left.name.endswith(".partial")
+    with folder(tmp_path / "out") as partial:
+        (partial / "whole").write_text("whole")
+    assert os.listdir(tmp_path) == ["out"]
+    assert os.listdir(tmp_path / "out") == ["whole"]
