@@ -5,10 +5,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.files import InputError
 from twin.optics.devices import Device
 from twin.optics.emission import lobe_exponent
 from twin.optics.radiometry import Collection, collection
 from twin.scene import Scene
+from twin.scene.enclosure import touches
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -38,6 +40,19 @@ def devices(scene: Scene, system: System) -> tuple[Device, Device, Collection]:
         focus_m=optics.focus_m.value if optics.focus_m else math.inf,
     )
     return emitter, detector, lens
+
+
+def check_clear(scene: Scene) -> None:
+    """Raise InputError where emitter or detector stand in a surface: the way to it is zero long,
+    and its light no number.
+    """
+    for name in ("emitter", "detector"):
+        place = scene.rig.position_m + scene.rig.device(name)[0]
+        if blocked := next((item.name for item in scene.objects if touches(item, place)), None):
+            raise InputError(
+                f"{scene.path}: rig: its {name}, at {place.round(6).tolist()} m, stands in the "
+                f"surface of {blocked!r}: move the rig"
+            )
 
 
 def _tan(angle_deg: float) -> float:

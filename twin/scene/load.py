@@ -8,7 +8,7 @@ import numpy as np
 from twin.files import InputError, scenes_folder
 from twin.scene import xml
 from twin.scene.defaults import default_pose, default_sun
-from twin.scene.enclosure import encloses, touches
+from twin.scene.enclosure import encloses
 from twin.scene.materials import find_materials, load_materials, row_of
 from twin.scene.meshes import Mesh, primitive, read_mesh, validate
 from twin.scene.model import Pose, Rig, Scene, SceneObject
@@ -67,13 +67,6 @@ def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
     objects = tuple(
         _object(path, shape, meshes[shape.name], materials, settings) for shape in document.shapes
     )
-    for name in ("emitter", "detector"):
-        place = rig.position_m + rig.device(name)[0]
-        if blocked := next((item.name for item in objects if touches(item, place)), None):
-            raise InputError(
-                f"{toml if settings and not pose else path}: rig: its {name} stands in the surface "
-                f"of {blocked!r}, where no light can be computed: move the rig"
-            )
     inside = tuple(item.name for item in objects if encloses(item, rig.position_m))
     if inside:
         warnings.append(f"the rig stands inside {_list(inside)}")

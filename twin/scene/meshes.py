@@ -119,7 +119,9 @@ def _check_gltf(path: Path) -> None:
                 held += beside.stat().st_size if beside.is_file() else 0
         counts = [accessor.get("count") for accessor in content.get("accessors", ())]
     except (AttributeError, OSError, RecursionError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: no valid glTF ({error!s:.200})") from error
+        raise InputError(
+            f"{path}: can't be read as a mesh (no valid glTF: {error!s:.200})"
+        ) from error
     for number, count in enumerate(counts):
         if not isinstance(count, int) or not 0 <= count <= held:
             raise InputError(
