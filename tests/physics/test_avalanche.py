@@ -276,9 +276,18 @@ def test_a_radio_band_ascends(tmp_path: Path) -> None:
         load_materials(tmp_path / "materials.toml")
 
 
-def test_arrays_of_the_closed_form_are_refused_as_fields_are() -> None:
-    from twin.sweep.closed_form import _check
+def test_arrays_of_the_closed_form_are_refused_as_fields_are(tmp_path: Path) -> None:
+    """A pupil faster than f/0.5 and 9.4 A/W without a gain fail; the points beside them do not."""
+    from twin.sweep import load_study
+    from twin.sweep.evaluate import evaluate_chunk
 
-    _check({"system.optics.f_number": np.array([0.5, 4.0])})
-    with pytest.raises(ValueError, match=r"f_number = 0\.4: expected 0\.5 or more"):
-        _check({"system.optics.f_number": np.array([0.4, 4.0])})
+    (tmp_path / "study.toml").write_text(
+        'scene = "yard"\nmodel = "closed-form"\nmetrics = ["snr"]\n[grid]\n'
+        '"system.optics.f_number" = [0.4, 0.5]\n'
+        '"system.detector.responsivity_a_per_w" = [1.2, 9.4]\n'
+    )
+    chunk = evaluate_chunk(load_study(tmp_path / "study.toml"), 0, 4)
+    assert set(chunk.errors) == {0, 1, 3}
+    assert "optics.f_number.value = 0.4" in chunk.errors[0]
+    assert "one electron a photon is 1.25 A/W" in chunk.errors[3]
+    assert np.isfinite(chunk.values["snr"]).tolist() == [False, False, True, False]
