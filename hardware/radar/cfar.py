@@ -142,8 +142,7 @@ def possible(
         white = white_threshold(
             power.shape, cfar, window=window, n_channels=n_channels, oversampling=oversampling
         )
-        rows, columns = np.nonzero(power > _QUIETER * white * _floor(power, n_channels))
-        return rows, columns
+        return cells_above(power, _QUIETER * white * _floor(power, n_channels))
     if any(size % _TILE for size in power.shape):
         rows, columns = np.nonzero(power > 0)
         return rows, columns
@@ -152,6 +151,16 @@ def possible(
     # Rounding of single precision must not rule a cell out.
     bound = (least * (1 - 1e-5)).astype(power.dtype)
     rows, columns = np.nonzero(power > np.repeat(np.repeat(bound, _TILE, 0), _TILE, 1))
+    return rows, columns
+
+
+def cells_above(power: Power, level: float) -> Cells:
+    """Rows and columns of the cells above a level."""
+    above = (power > level).ravel(order="K")  # in one dimension it is ten times as fast
+    if power.flags.f_contiguous:
+        columns, rows = np.divmod(np.flatnonzero(above), len(power))
+    else:
+        rows, columns = np.divmod(np.flatnonzero(above), power.shape[1])
     return rows, columns
 
 
@@ -179,6 +188,7 @@ def white_threshold(
     return float(factor * gammaincinv(n_channels, _QUANTILE) / n_channels) if rank else factor
 
 
+@lru_cache(maxsize=64)
 def _rule(
     shape: tuple[int, ...], cfar: Cfar, window: str, n_channels: int, oversampling: int
 ) -> tuple[list[Mask], float, int]:
@@ -201,7 +211,9 @@ def _by_rate(power: Power, window: str, n_channels: int) -> Array:
     """Noise at each rate over the mean of all, (n_rates,); ones where only chance differs."""
     stride = max(1, len(power) // _MOST_RANGES)
     rows = power[::stride]
-    medians = np.median(rows, axis=0).astype(np.float64)
+    middle = len(rows) // 2
+    columns = np.ascontiguousarray(rows.T)
+    medians = np.partition(columns, middle, axis=1)[:, middle].astype(np.float64)
     if not np.all(medians > 0):
         return np.ones(len(medians))
     # Of the median of gamma distributed cells, of which a window makes some alike.

@@ -21,7 +21,7 @@ _ECHO = 100.0  # times the median, from which a cell and its surroundings are ta
 _BESIDE = 8  # cells around it
 _SHAPES = np.geomspace(0.1, 100.0, 31)
 _LOG_X = np.linspace(-16, 9, 401)
-_MOST = 2**18  # cells counted, about
+_MOST = 2**17  # cells counted, about
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,10 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     from scipy.ndimage import maximum_filter
 
     rows = min(_ROWS, len(power))
-    stripes = power[: len(power) // rows * rows].reshape(-1, rows * power.shape[1])
-    stripes = stripes[:: max(1, power.size // _MOST)]
+    # Few stripes are taken before they are copied: maps come transposed.
+    columns = power[: len(power) // rows * rows].T.reshape(power.shape[1], -1, rows)
+    some = columns[:, :: max(1, power.size // _MOST)]
+    stripes = np.moveaxis(some, 0, -1).reshape(some.shape[1], rows * power.shape[1])
     middle = stripes.shape[1] // 2
     median = np.partition(stripes, middle, axis=1)[:, middle]
     silent = median <= 0

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.cfar import Cells, Cfar, cfar_threshold, white_threshold
+from hardware.radar.cfar import Cells, Cfar, cells_above, cfar_threshold, white_threshold
 from hardware.radar.demodulation import Complex
 from hardware.radar.peaks import Peaks
 from hardware.radar.range_doppler import RangeDopplerMap, amplitudes, mean_power, noise_level
@@ -61,7 +61,7 @@ def weak_echoes(
     )
     factor = _white_threshold(cfar.false_alarm, looks)
     least = max(_ON_CELLS * factor, _white_threshold(_MOST_CANDIDATES, looks)) * noise_w
-    rows, columns = np.nonzero(power > least)
+    rows, columns = cells_above(power, least)
     lobes = _side_lobes(tapered, window, factor, (n, m))[rows // _TILE, columns // _TILE]
     clear = power[rows, columns] > _ON_CELLS * factor * (noise_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
@@ -134,7 +134,7 @@ def _side_lobes(
     """
     fine = tapered.oversampling
     # Twice the threshold: an echo below leaves no side lobe that stands out of noise.
-    rows, columns = np.nonzero(tapered.power_w > 2 * factor * tapered.noise_w)
+    rows, columns = cells_above(tapered.power_w, 2 * factor * tapered.noise_w)
     tiles = np.zeros([-(-size // _TILE) for size in shape])
     at = rows // (fine * _TILE), columns // (fine * _TILE)
     np.add.at(tiles, at, tapered.power_w[rows, columns])

@@ -1,20 +1,25 @@
 """Windows along subcarriers and slots, and what they cost: noise, accuracy, correlated cells."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
 
+@lru_cache(maxsize=64)
 def taper(name: str, size: int) -> Array:
-    """Window of mean 1: peaks keep their power, noise grows by the mean square.
+    """Window of mean 1: peaks keep their power, noise grows by the mean square. Read-only.
 
     Raises ValueError for a name that SciPy does not know.
     """
     from scipy.signal import get_window
 
     window = get_window(name, size, fftbins=False)
-    return np.asarray(window / window.mean(), dtype=np.float64)
+    window = np.asarray(window / window.mean(), dtype=np.float64)
+    window.setflags(write=False)
+    return window
 
 
 def noise_gain(name: str, sizes: tuple[int, ...]) -> float:
