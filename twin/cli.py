@@ -6,7 +6,6 @@ import sys
 
 import typer
 
-from hardware.files import said
 from twin.commands import catalogue, figures, scenes, serving, studies
 from twin.engine import EngineError
 from twin.progress import interrupts
@@ -53,6 +52,8 @@ def main() -> None:
         if not interrupts:
             sys.exit(code)
     except OSError as error:
+        from hardware.files import said
+
         message = said(error)
     except (InputError, EngineError) as error:
         message = str(error)
