@@ -216,5 +216,11 @@ def test_a_capture_says_how_fog_is_taken(tmp_path: Path) -> None:
     )
     assert any("every scattering" in text for text in taken.assumptions)
     assert any("hazier" in str(warning) for warning in taken.warnings)
+    crisp = Fidelity(1, 1, air_orders=0)
+    left = capture(
+        striped(10.0, 8), foggy(tmp_path, '[weather]\npart = "fog-50m"\n'), fidelity=crisp
+    )
+    assert any("contrast of fine detail is too high" in str(warning) for warning in left.warnings)
+    assert not any("too high" in str(warning) for warning in taken.warnings)
     clear = capture(striped(10.0, 8), load_system("workable"), fidelity=Fidelity(1, 1))
     assert not any("scattering" in text for text in clear.assumptions)

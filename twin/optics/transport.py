@@ -69,6 +69,8 @@ def transport(
     The power that cell i puts on the detector is I tau A_pupil times the value of its pixel, with
     the radiant intensity I that the cell has inside its solid angle. Cosines of surface and pupil,
     shadowing and the outline of the detector's field are in it. Row 0 is the top, column 0 left.
+    Air dims and spreads it (`twin.optics.scattering`); what the air itself sends back is not in it
+    (`twin.optics.veil`).
     """
     return gather(
         scene,
