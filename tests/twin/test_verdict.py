@@ -1,6 +1,7 @@
 """What a record is worth: the same words in Python, on the terminal and in the report."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -212,3 +213,24 @@ def test_the_all_lit_exposure_alone_is_no_reason() -> None:
     assert (told.kind, told.void) == ("saturated", False)
     counts[2 * first + 2] = 2**good.record.adc_bits - 1
     assert any(w.void for w in recorded(replace(good.record, counts=counts)))
+
+
+def test_sweeps_measure_lit_cells_too(tmp_path: Path) -> None:
+    """In front of nothing the median of all cells is dark: on ee37b06 SNR 0 and no time enough."""
+    from twin.sweep import load_study
+    from twin.sweep.evaluate import outcome_of
+    from twin.sweep.inputs import inputs_of
+    from twin.sweep.metrics import metric
+
+    (tmp_path / "study.toml").write_text(
+        'scene = "fig3b"\nmetrics = ["snr_median", "minimum_time_s", "maximum_distance_m"]\n'
+        "[set]\n"
+        '"fidelity.max_depth" = 1\n[grid]\n"system.optics.f_number" = [1.0, 2.0]\n'
+    )
+    study = load_study(tmp_path / "study.toml")
+    outcome = outcome_of(study, 0)
+    snr, time, distance = (metric(name, inputs_of(study))(outcome) for name in study.metrics)
+    assert snr == outcome.capture.verdict.snr_median > 100
+    assert 0 < time < outcome.setup.system.acquisition.integration_time_s.value
+    # Cylinders 0.9 m ahead, read at a hundred times the SNR that is needed.
+    assert 2 < distance < 100

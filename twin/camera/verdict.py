@@ -72,9 +72,14 @@ class Verdict:
         )
 
 
+def lit_cells(cells_e: Array) -> Bools:
+    """Cells that receive light, of those that each gives alone, alike shaped."""
+    return cells_e > LIT * cells_e.max(initial=0.0)
+
+
 def judge(cells_e: Array, snr: Array, warnings: Sequence[CaptureWarning]) -> Verdict:
     """Verdict on a picture of cells, their SNR, and what the record says against itself."""
-    lit = cells_e > LIT * cells_e.max(initial=0.0)
+    lit = lit_cells(cells_e)
     void = tuple(w for w in warnings if w.void)
     share = float(lit.mean())
     if is_void(warnings) or not lit.any():

@@ -9,6 +9,7 @@ import numpy as np
 from hardware.reconstruction import Reconstruction, reconstruct
 from twin.camera.acquisition import Capture
 from twin.camera.evaluation import Score, score
+from twin.camera.verdict import lit_cells
 from twin.radar.evaluation import RadarEvaluation
 from twin.sweep.inputs import Inputs
 from twin.sweep.setup import Setup
@@ -48,7 +49,7 @@ class Outcome:
 
 
 def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
-    """Of the median pixel: signal and all that is collected, e/s; constant noise and noise that
+    """Of the median lit pixel: signal and all that is collected, e/s; constant noise and noise that
     grows with time, both as what is left in a pixel: k^2 (collected T + constant^2 + (rate T)^2).
     """
     taken, system = outcome.capture, outcome.setup.system
@@ -62,7 +63,8 @@ def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
     # A transimpedance amplifier averages: its converter's step grows with time.
     (growing if has_tia else constant).append(noise["quantisation"])
     linear = [noise[name] for name in shot] + [noise["Johnson noise of the amplifier"]]
-    signal = float(np.median(taken.cells_e)) / factor / time
+    lit = taken.cells_e[lit_cells(taken.cells_e)]
+    signal = float(np.median(lit)) / factor / time if lit.size else 0.0
     return (
         signal,
         sum(x**2 for x in linear) / time,
@@ -72,7 +74,7 @@ def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
 
 
 def minimum_time_s(outcome: Outcome) -> float:
-    """Integration time at which the median pixel equals its noise; infinite where none does.
+    """Integration time at which the median lit pixel equals its noise; infinite where none does.
 
     (s T)^2 = c T + r^2 + (g T)^2, with the patterns, sun and readout of the point.
     """
@@ -84,13 +86,13 @@ def minimum_time_s(outcome: Outcome) -> float:
 
 
 def maximum_distance_m(outcome: Outcome) -> float:
-    """Distance at which the median pixel would equal its noise, its signal falling with 1 / z^2.
+    """Distance at which the median lit pixel would equal its noise.
 
-    The sun's part stays. Nothing in the field: not a number.
+    Its signal falls with 1 / z^2, the sun's part stays. Nothing in the field: not a number.
     """
     s, c, r, g = _pixel_terms(outcome)
     taken = outcome.capture
-    depth = taken.truth.depth_m[np.isfinite(taken.truth.depth_m)]
+    depth = taken.truth.depth_m[np.isfinite(taken.truth.depth_m) & lit_cells(taken.cells_e)]
     if not depth.size or s <= 0:
         return math.nan
     time = outcome.setup.system.acquisition.integration_time_s.value
@@ -115,8 +117,8 @@ def _detected(outcome: Outcome) -> float:
 
 
 _MEASURES: dict[str, Callable[[Outcome], float]] = {
-    "snr_median": lambda o: float(np.median(o.capture.snr)),
-    "snr_above_1": lambda o: float(np.mean(o.capture.snr >= 1)),
+    "snr_median": lambda o: o.capture.verdict.snr_median,
+    "snr_above_1": lambda o: o.capture.verdict.above_noise_share,
     "signal_e": lambda o: o.capture.noise.signal_e,
     "background_e": lambda o: o.capture.noise.background_e,
     "noise_e": lambda o: o.capture.noise.total_noise_e,

@@ -18,8 +18,8 @@ class Named:
 
 
 RENDERED = {
-    "snr_median": Named("1", "signal over noise per pixel, median"),
-    "snr_above_1": Named("1", "share of pixels above their noise"),
+    "snr_median": Named("1", "signal over noise per pixel, median of those that are lit"),
+    "snr_above_1": Named("1", "share of lit pixels above their noise"),
     "signal_e": Named("e", "signal of one average exposure"),
     "background_e": Named("e", "sun in one exposure"),
     "noise_e": Named("e", "noise of one exposure"),
@@ -27,8 +27,8 @@ RENDERED = {
     "in_band": Named("1", "share of the emitter's line inside the filter"),
     "psnr_db": Named("dB", "peak signal-to-noise ratio of the image", of_image=True),
     "ssim": Named("1", "structural similarity of the image", of_image=True),
-    "minimum_time_s": Named("s", "integration for SNR 1 in the median pixel"),
-    "maximum_distance_m": Named("m", "distance for SNR 1 in the median pixel"),
+    "minimum_time_s": Named("s", "integration for SNR 1 in the median lit pixel"),
+    "maximum_distance_m": Named("m", "distance for SNR 1 in the median lit pixel"),
     "frame_rate_hz": Named("Hz", "frames per second, acquisition alone"),
     "range_error_m": Named("m", "largest range error of a detected target", of_radar=True),
     "detections": Named("1", "true targets that are detected", of_radar=True),
