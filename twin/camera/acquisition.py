@@ -146,8 +146,7 @@ def measure(
     to_e = (1 - dark_share(system)) * chain.front_end.electrons_per_watt
     cells_e = to_e * power.cells_w.sum(axis=0)
     of_image = np.sqrt(len(chain.taps)) * np.array(noise_e)
-    nearest_m = float(rendered.truth.depth_m.min())
-    sky = chain.sky
+    sky, depth_m = chain.sky, rendered.truth.depth_m
     record = chain.record(scene.rig.pose, counts, flags)
     # At a rail the response's slope is zero, and so is what can be told of the light; as it is of
     # cells that the patterns do not measure.
@@ -169,7 +168,7 @@ def measure(
         illuminance_lx=sky.illuminance_lx,
         assumptions=_assumptions(scene, system),
         warnings=(
-            *_warnings(system, record, budget, float(sky.emitter.max()), cells_e, nearest_m),
+            *_warnings(system, record, budget, float(sky.emitter.max()), cells_e, depth_m),
             *_diffraction(system, chain.lens),
             *rendered.warnings,
         ),
@@ -226,20 +225,20 @@ def _diffraction(system: System, lens: Collection) -> list[CaptureWarning]:
     ]
 
 
-def _thick_air(system: System, distance_m: float) -> list[CaptureWarning]:
-    air = air_of_system(system)
-    if air is None or not np.isfinite(distance_m):
+def _thick_air(system: System, depth_m: Array) -> list[CaptureWarning]:
+    air, seen = air_of_system(system), depth_m[np.isfinite(depth_m)]
+    if air is None or not seen.size:
         return []
-    depth = air.extinction_per_m * distance_m
+    depth = air.extinction_per_m * float(np.median(seen))
     if depth < _THICK:
         return []
     return [
         CaptureWarning(
             "model",
-            f"the nearest surface stands behind an optical depth of {depth:.2g}: light that meets "
-            "no surface and is scattered by the air more than once is left out; it lies evenly "
-            "over the picture, in fog some 3 % of all light at 0.5, 6 % at 1 and 10 % at 2: the "
-            "real picture is hazier",
+            f"half of the surfaces stand behind an optical depth of {depth:.2g} or more: light "
+            "that meets no surface and is scattered by the air more than once is left out; it lies "
+            "evenly over the picture, in fog some 3 % of all light at 0.5, 6 % at 1 and 10 % at 2; "
+            "the real picture is hazier",
         )
     ]
 
@@ -258,15 +257,15 @@ def _warnings(
     noise: NoiseBudget,
     in_band: float,
     cells_e: Array,
-    distance_m: float,
+    depth_m: Array,
 ) -> tuple[CaptureWarning, ...]:
     return (
         *recorded(record),
         *coarse(noise),
         *_no_light(system, in_band, cells_e),
         *_narrow_filter(system, in_band),
-        *_thick_air(system, distance_m),
-        *_crosstalk(system, distance_m),
+        *_thick_air(system, depth_m),
+        *_crosstalk(system, float(depth_m.min())),
     )
 
 
