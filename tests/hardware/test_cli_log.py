@@ -142,7 +142,7 @@ def test_each_burst_becomes_a_cloud_of_its_own_time(tmp_path: Path) -> None:
     on the host's clock, a target at 6.0 and 5.5 m.
     """
     pose = np.array([[0, 0, 0, 1, 0, 0, 0], [0.5, 0, 0, 1, 0, 0, 0.0]])
-    made = cube(WIDE, [Echo((6.0, 0.0, 0.0))], pose=pose, noise_w=1e-12)
+    made = cube(WIDE, [Echo((6.0, 0.0, 0.0))], pose=pose, noise_w=1e-10)
     with Log(tmp_path / "run.mcap") as log:
         log.record("/radar/record", made, host_ns=9, clock=ClockModel(0, -(10**9), 0.0, 1.0))
     done = ugv("process", tmp_path / "run.mcap", "-o", tmp_path / "out.mcap")
