@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from hardware.files import naming, partial_path, remove_leftovers
-
 _HERE = Path(__file__).parent
 
 
@@ -34,6 +32,8 @@ def whole_folder(out: Path) -> Iterator[Path]:
     next one. Files of an earlier run are replaced, other files stay. Raises InputError when ``out``
     can't be written.
     """
+    from hardware.files import naming, partial_path, remove_leftovers
+
     out = Path(out).absolute()
     partial = partial_path(out)
     created = [folder for folder in out.parents if not folder.exists()]
@@ -68,6 +68,8 @@ def new_folder(out: Path) -> Iterator[Path]:
     ``out`` does not exist yet, or is empty. On any failure nothing of it is left; what a kill
     leaves is removed by the next one. Raises InputError when ``out`` can't be written.
     """
+    from hardware.files import partial_path, remove_leftovers
+
     out = Path(out).absolute()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
