@@ -135,6 +135,22 @@ def test_a_grid_is_the_whole_of_what_it_describes() -> None:
         sensitivities(grid * 0, "m")
 
 
+def test_gaps_in_a_grid_confuse_nothing() -> None:
+    """Y = 10 a with the highest a missing at the highest b: b moves nothing, though its conditional
+    means differ; and an effect of b alone is b's.
+    """
+    a, b = np.arange(3.0)[:, None], np.arange(4.0)
+    for y, cause, other in ((10 * a + 0 * b, "a", "b"), (0 * a + 10 * b, "b", "a")):
+        table = y.copy()
+        table[2, 3] = np.nan
+        grid = xarray.Dataset({"m": (("a", "b"), table)}, {"a": np.arange(3), "b": np.arange(4)})
+        shares = sensitivities(grid, "m")
+        assert shares[other].first == pytest.approx(0.0, abs=1e-12)
+        assert shares[other].total == pytest.approx(0.0, abs=1e-12)
+        assert shares[cause].first == pytest.approx(1.0)
+        assert shares[cause].total == pytest.approx(1.0, abs=0.15)  # one line is shorter
+
+
 def test_a_grid_beside_a_sample(tmp_path: Path) -> None:
     """Reflectance on a grid of 0.2, 0.5, 0.8 (variance 0.06) instead of drawn; the rest as before:
     shares follow from the same product, and sum to less than one by the interaction.

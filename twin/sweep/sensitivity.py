@@ -5,6 +5,7 @@ it takes part in (Sobol, Math. Comput. Simul. 55, 2001). The estimators are SALi
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -39,10 +40,14 @@ class Share:
 
     def __str__(self) -> str:
         """Both orders with their errors."""
-        told = f"first {self.first:6.3f} +/- {self.first_error:.3f}"
+        told = f"first {self.first:6.3f}{_interval(self.first_error)}"
         if np.isnan(self.total):
             return f'{told}, total: needs method = "saltelli"'
-        return f"{told}, total {self.total:6.3f} +/- {self.total_error:.3f}"
+        return f"{told}, total {self.total:6.3f}{_interval(self.total_error)}"
+
+
+def _interval(error: float) -> str:
+    return f" +/- {error:.3f}" if error else ""
 
 
 @dataclass(frozen=True)
@@ -135,14 +140,13 @@ def _of_grid(
     and is drawn again for the intervals.
     """
     _varying(values, table)
-    shares = np.array([_anova(table, axis) for axis in range(len(grid))]).reshape(-1, 2)
+    if not grid:
+        return {}
+    shares = _anova(table, len(grid))
     error = np.zeros_like(shares)
-    if seed is not None and grid:
+    if seed is not None:
         rng, n = np.random.default_rng(seed), table.shape[-1]
-        again = [
-            [_anova(table[..., rng.integers(0, n, n)], axis) for axis in range(len(grid))]
-            for _ in range(_resamples(n))
-        ]
+        again = [_anova(table[..., rng.integers(0, n, n)], len(grid)) for _ in range(_resamples(n))]
         error = _Z95 * np.std(again, axis=0)
     found = {}
     for dimension, (first, total), (first_error, total_error) in zip(
@@ -154,21 +158,52 @@ def _of_grid(
     return found
 
 
-def _anova(table: Array, axis: int) -> tuple[float, float]:
-    """First and total order of one dimension: variance of the mean over all others, and mean of
-    the variance along it, over all variance.
+def _anova(table: Array, grid: int) -> Array:
+    """First and total order (grid, 2) of the first dimensions of a table; others are repetitions.
+
+    First: variance of a main effect over all variance, total: mean variance along lines over all
+    variance. Effects are fitted together, so that in a table with gaps, too, none takes another's
+    for its own.
     """
     known = np.isfinite(table)
-    lines, count = np.moveaxis(table, axis, 0), np.moveaxis(known, axis, 0)
-    flat, n = lines.reshape(len(lines), -1), count.reshape(len(count), -1)
-    weight = n.sum(axis=1)
-    mean = np.nansum(flat, axis=1) / np.maximum(weight, 1)
-    whole = np.nansum(flat) / n.sum()
-    first = float(weight @ (mean - whole) ** 2 / weight.sum())
-    along = np.nansum(flat, axis=0) / np.maximum(n.sum(axis=0), 1)
-    total = float(np.nansum((flat - along) ** 2) / n.sum())
-    variance = float(np.nanvar(table))
-    return first / variance, total / variance
+    places = np.nonzero(known)[:grid]
+    effects, rest = _main_effects(table[known], places, table.shape[:grid])
+    first = np.array([effect.var() for effect in effects])
+    total = np.empty(grid)
+    for axis in range(grid):
+        lines = np.moveaxis(table, axis, 0)
+        n = np.isfinite(lines).sum(axis=0)
+        several = n > 1
+        mean = np.nansum(lines, axis=0)[several] / n[several]
+        square = np.nansum((lines[:, several] - mean) ** 2)
+        # Of a line with gaps the variance is estimated; of a whole one it is that of its points.
+        free = float((n[several] - 1).sum())
+        total[axis] = square / free * (1 - 1 / len(lines)) if free else 0.0
+    return np.stack([first, total], axis=1) / (first.sum() + rest)
+
+
+def _main_effects(
+    y: Array, places: Sequence[NDArray[np.intp]], shape: Sequence[int]
+) -> tuple[list[Array], float]:
+    """Effect of each level of each parameter that has points, by least squares, and the variance
+    that they leave.
+    """
+    from scipy.sparse import csr_array, hstack
+
+    row, one = np.arange(len(y)), np.ones(len(y))
+    columns = [
+        csr_array((one, (row, place)), shape=(len(y), n))
+        for place, n in zip(places, shape, strict=True)
+    ]
+    indicator = hstack(columns, format="csr")
+    centred = y - y.mean()
+    normal = (indicator.T @ indicator).toarray()
+    fitted = np.linalg.lstsq(normal, indicator.T @ centred, rcond=1e-10)[0]
+    rest = float(np.mean((centred - indicator @ fitted) ** 2))
+    seen = normal.diagonal() > 0
+    ends = np.cumsum(shape)[:-1]
+    levels = zip(np.split(fitted, ends), np.split(seen, ends), strict=True)
+    return [effect[some] for effect, some in levels], rest
 
 
 def _of_sample(table: Array, design: _Design, variance: float, seed: int) -> dict[str, Share]:

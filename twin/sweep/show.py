@@ -3,7 +3,8 @@
 Points whose record is void are left out, unless ``void``; the title says how many.
 """
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +33,7 @@ def plot_plane(
     left_out = _left_out(data, values)
     axes = [_axis(data, name) for name in (x, y) if name is not None]
     others = [name for name in values.dims if name not in [a.dims[0] for a in axes]]
-    values = values.median(others) if others else values
+    values = _median(values, others) if others else values
     figure = new_figure((6.4, 4.2))
     axis = figure.subplots()
     rest = f", median over {', '.join(map(str, others))}" if others else ""
@@ -57,6 +58,13 @@ def plot_plane(
     axis.set_ylabel(_label(axes[1]))
     figure.colorbar(image, label=_label(data[metric]))
     return figure
+
+
+def _median(values: "xarray.DataArray", over: Sequence[Hashable]) -> "xarray.DataArray":
+    """Median over dimensions; no number where none of the points has one."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
+        return values.median(over).compute()
 
 
 def plot_front(data: "xarray.Dataset", first: str, second: str, *, void: bool = False) -> Figure:
