@@ -13,7 +13,7 @@ array whose transmitters take turns, the phases across them may (`hardware.radar
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,9 +111,9 @@ def unfolded(
     found: Sequence[Measured],
     noise_w: float,
     fastest_m_per_s: float,
-) -> list[tuple[Measured, Array]]:
-    """Detections with the likeliest of the range rates that fold to theirs, strongest first, each
-    with all rates (n,) that the channel leaves open, likeliest first.
+) -> list[Measured]:
+    """Detections with the likeliest of the range rates that fold to theirs, strongest first; other
+    rates that the channel leaves open stand with them as alternatives.
 
     Parameters
     ----------
@@ -125,19 +125,22 @@ def unfolded(
         Up to which targets may approach or recede.
     """
     if waveform.n_slots == 1 or not found:
-        return [(one, np.array([one[0].range_rate_m_per_s])) for one in found]
+        return list(found)
     places = np.array([(one.range_m, one.range_rate_m_per_s) for one, _ in found]).T
-    left_open: dict[int, Array] = {}
     measured = []
     for one, blocks in zip(found, blocks_about(channel, waveform, "boxcar", *places), strict=True):
-        rates = folded_rates(waveform, one[0].range_rate_m_per_s, fastest_m_per_s)
+        folded = one[0].range_rate_m_per_s
+        rates = folded_rates(waveform, folded, fastest_m_per_s)
         rates = rate_evidence(blocks, rates, noise_w).rates_left_open
-        if abs(rates[0] - one[0].range_rate_m_per_s) > waveform.max_velocity_m_per_s:
+        if abs(rates[0] - folded) > waveform.max_velocity_m_per_s:
             one = _measured_again(channel, waveform, one, rates[0], noise_w)
-        left_open[id(one)] = rates
-        measured.append(one)
+        detection, amplitude = one
+        others = detection.range_rate_m_per_s + (rates[1:] - rates[0])
+        alternatives = tuple(float(rate) for rate in others)
+        detection = replace(detection, range_rate_alternatives_m_per_s=alternatives)
+        measured.append((detection, amplitude))
     # Cells of a smear all lead to the target that made it.
-    return [(one, left_open[id(one)]) for one in distinct(measured, waveform)]
+    return distinct(measured, waveform)
 
 
 def _measured_again(

@@ -120,12 +120,12 @@ def process(
     # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
     found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
     plain_noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
-    rated = unfolded(channel, taken.waveform, found, plain_noise_w, how.fastest_m_per_s)
-    warnings = (*taken.warnings, *_warnings(burst, len(rated), how, clutter))
-    rated = rated[: how.at_most]
+    found = unfolded(channel, taken.waveform, found, plain_noise_w, how.fastest_m_per_s)
+    warnings = (*taken.warnings, *_warnings(burst, len(found), how, clutter))
+    found = found[: how.at_most]
     if how.resolve:
-        rated = _resolved(rated, channel, taken.waveform, plain_noise_w, how.cfar.false_alarm)
-    points = [point for one in rated for point in _points(*one, taken, how.per_cell)]
+        found = _resolved(found, channel, taken.waveform, plain_noise_w, how.cfar.false_alarm)
+    points = [point for one in found for point in _points(one, taken, how.per_cell)]
     return Frame(
         burst=burst,
         detections=tuple(
@@ -182,32 +182,34 @@ def frames(
 
 
 def _resolved(
-    rated: list[tuple[Measured, Array]],
+    found: list[Measured],
     channel: Complex,
     waveform: OfdmWaveform,
     noise_w: float,
     false_alarm: float,
-) -> list[tuple[Measured, Array]]:
-    """Each detection split into its targets, which share the range rates that are left open."""
-    left_open: list[Array] = []
+) -> list[Measured]:
+    """Each detection split into its targets, whose range rate is as ambiguous as its own."""
     parts: list[Measured] = []
-    for i, ((found, _), rates) in enumerate(rated):
-        others = [other for (other, _), _ in rated[:i] + rated[i + 1 :]]
-        split = resolve(channel, waveform, found, noise_w, false_alarm=false_alarm, others=others)
-        parts += split
-        left_open += [rates] * len(split)
-    kept = distinct(parts, waveform)
-    return [(one, left_open[next(i for i, p in enumerate(parts) if p is one)]) for one in kept]
+    for i, (one, _) in enumerate(found):
+        others = [other for other, _ in found[:i] + found[i + 1 :]]
+        split = resolve(channel, waveform, one, noise_w, false_alarm=false_alarm, others=others)
+        alternatives = one.range_rate_alternatives_m_per_s
+        parts += [
+            (replace(part, range_rate_alternatives_m_per_s=alternatives), amplitude)
+            for part, amplitude in split
+        ]
+    return distinct(parts, waveform)
 
 
-def _points(found: Measured, rates: Array, taken: Burst, per_cell: int) -> list[Detection]:
+def _points(found: Measured, taken: Burst, per_cell: int) -> list[Detection]:
     """A detection with its direction, or several from `music`.
 
-    ``rates``: range rates that migration leaves open, which the array may tell apart.
+    The array may tell range rates apart that migration leaves open.
     """
     point, amplitude = found
     if not np.any(extents(virtual_places(taken))[1:] > 0):
-        return [replace(point, range_rate_alternatives_m_per_s=tuple(map(float, rates[1:])))]
+        return [point]
+    rates = (point.range_rate_m_per_s, *point.range_rate_alternatives_m_per_s)
     way = direction(amplitude, taken, rates, 10 ** (point.snr_db / 10))
     point = replace(
         point,
