@@ -1,5 +1,6 @@
 """Baselines: figures of a method, seed by seed, with the reasons for every change, as JSON."""
 
+import hashlib
 import json
 import os
 import re
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.files import InputError
 
-_FORMAT = 1
+_FORMAT = 2
 _DIGITS = 10
 
 
@@ -24,6 +25,8 @@ class Baseline:
         Scene, design, fidelity, seeds, metrics: what has to be the same for figures to compare.
     figures
         By metric, one number per seed.
+    records
+        Digest of the records that they are of.
     example
         The first seed's result, to be shown beside a later one.
     history
@@ -33,6 +36,7 @@ class Baseline:
 
     setup: dict[str, Any]
     figures: dict[str, list[float]]
+    records: str
     example: dict[str, Any]
     history: tuple[dict[str, Any], ...]
 
@@ -51,30 +55,42 @@ def rounded(value: Any) -> float:
 
 
 def read_baseline(path: Path) -> Baseline | None:
-    """A baseline, or None where there is none. Raises InputError for a file that is none."""
+    """A baseline, or None where there is none.
+
+    Raises InputError for a file that is none, or is not as `write_baseline` left it: its digest is
+    of all else that it holds, so that whatever was edited or lost shows in one way.
+    """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_bytes())
     except FileNotFoundError:
         return None
-    except ValueError as error:
-        raise InputError(f"{path}: no valid JSON: {error}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read as a baseline: {error}") from error
     if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
         raise InputError(f"{path}: is no baseline of format {_FORMAT}")
-    try:
-        content["history"] = tuple(content["history"])
-        return Baseline(**content)
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: is no whole baseline ({error})") from error
+    if content.pop("digest", None) != _digest(content):
+        raise InputError(
+            f"{path}: is not as it was written: its digest does not fit; take it from version "
+            "control, or make it anew"
+        )
+    return Baseline(**content | {"history": tuple(content["history"])})
 
 
 def write_baseline(baseline: Baseline, path: Path) -> None:
     """Write it whole or not at all; the numbers of a list stand on one line."""
-    text = json.dumps({"format": _FORMAT, **asdict(baseline)}, indent=1, ensure_ascii=False)
+    content = asdict(baseline)
+    whole = {"format": _FORMAT, "digest": _digest(content), **content}
+    text = json.dumps(whole, indent=1, ensure_ascii=False)
     text = re.sub(r"\[[^][{}\"]*\]", lambda found: " ".join(found[0].split()), text)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(f".{os.getpid()}.partial")
     partial.write_text(text + "\n", encoding="utf-8")
     partial.replace(path)
+
+
+def _digest(content: dict[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:

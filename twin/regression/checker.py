@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from twin.digest import digest, versions
 from twin.fidelity import Fidelity
+from twin.files import InputError
 from twin.radar import RadarDesign, load_radar
 from twin.regression.baseline import (
     Baseline,
@@ -93,7 +94,9 @@ class Regression:
         image_method(method)  # a wrong name is told before the render
         numbers, fidelity = _seeds(seeds), fidelity or Fidelity()
         light = self.truths.light(loaded, design, fidelity)
-        outcome = run_camera(loaded, design, light, method, numbers, metrics, fidelity.noise)
+        outcome = run_camera(
+            loaded, design, light, method, numbers, metrics, fidelity.noise, mirrored=True
+        )
         setup = _setup("camera", loaded, design, fidelity, seeds, metrics)
         what = method if isinstance(method, str) else _function_name(method)
         example = image_example(outcome)
@@ -144,7 +147,13 @@ class Regression:
         self._named.add(name)
         stem = f"{self.test}-{name}" if name else self.test
         path = self.baselines / f"{stem}.json"
-        known = read_baseline(path)
+        known, fault = None, ""
+        try:
+            known = read_baseline(path)
+        except InputError as error:
+            fault = str(error)
+        if fault and self.reason is None:  # with a reason it is replaced
+            pytest.fail(f"{fault}: {self._remedy('why')}", pytrace=False)
         if self.reason is not None:
             self._update(path, known, outcome, metrics, false_alarm, setup, method, example)
             return ()
@@ -161,7 +170,8 @@ class Regression:
                 f"{self._remedy('why it changed')}",
                 pytrace=False,
             )
-        verdicts = compare(metrics, known.arrays(), outcome.figures, false_alarm)
+        same = known.records == outcome.records
+        verdicts = compare(metrics, known.arrays(), outcome.figures, false_alarm, same_records=same)
         if any(verdict.worse for verdict in verdicts):
             picture = self.pictures / f"{stem}.png"
             save(draw(outcome, known.example, known.figures, verdicts), picture)
@@ -192,7 +202,11 @@ class Regression:
                     pytrace=False,
                 )
         figures = {n: [rounded(v) for v in values] for n, values in outcome.figures.items()}
-        if known and (known.setup, known.figures) == (setup, figures):
+        if known and (known.setup, known.figures, known.records) == (
+            setup,
+            figures,
+            outcome.records,
+        ):
             self.notes.append(f"{path}: as before, left alone")
             return
         finds = {
@@ -201,7 +215,7 @@ class Regression:
             )
             for m in metrics
         }
-        made = Baseline(setup, figures, example, ())
+        made = Baseline(setup, figures, outcome.records, example, ())
         entry = {
             "reason": self.reason,
             "method": method,
@@ -248,7 +262,8 @@ def _setup(
     metrics: Sequence[Metric],
 ) -> dict[str, Any]:
     """What must not differ, in words where there are some; content by the start of its digest."""
-    return {
+    truths = {"truths": ["as rendered", "mirrored"]} if kind == "camera" else {}
+    return truths | {
         "kind": kind,
         "scene": f"{scene.name} {digest(scene)[:12]}",
         "design": f"{design.name} {digest(design)[:12]}",

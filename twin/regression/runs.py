@@ -1,5 +1,6 @@
 """A method run over seeds of the sensor's noise, on one render."""
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware import SpiRecord, reconstruct
+from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.radar import Detection
 from hardware.radar.process import process
 from hardware.reconstruction import METHODS
 from hardware.records import RadarRecord
 from twin.camera.acquisition import measure
-from twin.camera.chain import Chain
+from twin.camera.chain import Chain, Powers
 from twin.camera.light import Rendered
 from twin.fidelity import Noise
 from twin.files import InputError
@@ -34,11 +35,15 @@ Detector = Callable[[RadarRecord], Sequence[Detection]]
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Figures by metric, (n_seeds,) each, with the truth and every seed's result."""
+    """Figures by metric, (n_seeds,) each, with the first seed's truth and every seed's result.
+
+    ``records`` is a digest of what all records hold.
+    """
 
     figures: dict[str, Array]
     truth: Any
     results: list[Any]
+    records: str
 
 
 def image_method(method: Method) -> Callable[[SpiRecord], Array]:
@@ -54,20 +59,43 @@ def image_method(method: Method) -> Callable[[SpiRecord], Array]:
 
 
 def records(
-    scene: Scene, system: System, light: Rendered, seeds: Sequence[int], noise: Noise = "full"
+    scene: Scene,
+    system: System,
+    light: Rendered,
+    seeds: Sequence[int],
+    noise: Noise = "full",
+    *,
+    mirrored: bool = False,
 ) -> Iterator[SpiRecord]:
-    """One record per seed: what `measure` gives, with everything but the draw worked out once."""
+    """One record per seed: what `measure` gives, with everything but the draw worked out once.
+
+    ``mirrored``: every other record is of the scene's mirror image.
+    """
     chain = Chain.of(system, scene.sun)
     power = chain.powers(light)
-    for seed in seeds:
-        _, counts, flags = chain.take(power, rng=np.random.default_rng(seed), noise=noise)
+    powers = [power, _mirror(power, chain.patterns) if mirrored else power]
+    for place, seed in enumerate(seeds):
+        rng = np.random.default_rng(seed)
+        _, counts, flags = chain.take(powers[place % 2], rng=rng, noise=noise)
         yield chain.record(scene.rig.pose, counts, flags)
 
 
-def true_cells(scene: Scene, system: System, light: Rendered) -> Array:
+def _mirror(power: Powers, patterns: PatternSet) -> Powers:
+    """Left and right exchanged, of cells and of the detectors side by side."""
+
+    def flipped(cells: Array) -> Array:
+        picture = cells.reshape(*cells.shape[:-1], patterns.rows, patterns.columns)
+        return picture[..., ::-1, :, ::-1].reshape(cells.shape)
+
+    return Powers(flipped(power.cells_w), flipped(power.error_w), power.sun_w[::-1])
+
+
+def true_cells(scene: Scene, system: System, light: Rendered, *, mirrored: bool = False) -> Array:
     """Electrons of every cell, what images are compared with; NaN in cells not measured."""
-    rng = np.random.default_rng(0)
-    return measure(scene, system, light, rng=rng, noise="none").measured_cells_e
+    found = measure(scene, system, light, rng=np.random.default_rng(0), noise="none")
+    if mirrored:
+        found = replace(found, cells_e=np.fliplr(found.cells_e))
+    return found.measured_cells_e
 
 
 def run_camera(
@@ -78,14 +106,30 @@ def run_camera(
     seeds: Sequence[int],
     metrics: Sequence[Metric],
     noise: Noise = "full",
+    *,
+    mirrored: bool = False,
 ) -> Outcome:
-    """A reconstruction over noise seeds. Raises InputError for an image on another grid."""
+    """A reconstruction over noise seeds, every other one of the scene ``mirrored``: an image that
+    does not come from its own record is wrong in half of them.
+
+    Raises InputError for an image on another grid, or not of real numbers.
+    """
     solve, truth = image_method(method), true_cells(scene, system, light)
-    images = [solve(record) for record in records(scene, system, light, seeds, noise)]
-    for image in images:
-        if image.shape != truth.shape:
-            raise InputError(f"method: gave an image {image.shape}, expected {truth.shape}")
-    return Outcome(_figures(metrics, truth, images), truth, images)
+    other = true_cells(scene, system, light, mirrored=True) if mirrored else truth
+    images, content = [], hashlib.sha256()
+    for record in records(scene, system, light, seeds, noise, mirrored=mirrored):
+        content.update(record.counts.tobytes() + record.flags.tobytes())
+        images.append(_checked(solve(record), truth.shape))
+    truths = [(truth, other)[place % 2] for place in range(len(images))]
+    return Outcome(_figures(metrics, truths, images), truth, images, content.hexdigest())
+
+
+def _checked(image: Array, shape: tuple[int, ...]) -> Array:
+    if image.shape != shape:
+        raise InputError(f"method: gave an image {image.shape}, expected {shape}")
+    if image.dtype.kind not in "fiu":
+        raise InputError(f"method: gave an image of {image.dtype}, expected real numbers")
+    return image.astype(np.float64)
 
 
 def run_radar(
@@ -99,16 +143,18 @@ def run_radar(
     """A detector over noise seeds, judged by the targets that have a direct path."""
     truth = tuple(target for target in capture.truth if target.visible)
     quiet = [received(burst, radar, capture.air, nufft_tolerance) for burst in capture.bursts]
-    found = []
+    found, content = [], hashlib.sha256()
     for seed in seeds:
         rng = np.random.default_rng(seed)
         taken = [digitize(burst, radar, rng=rng) for burst in quiet]
         iq, flags = (np.stack([burst[i] for burst in taken]) for i in (0, 1))
         record = replace(capture.record, iq=iq, flags=flags)
+        content.update(np.ascontiguousarray(iq).tobytes() + flags.tobytes())
         detections = tuple(detector(record))
         matches = match_detections(detections, truth, radar.channel_waveform)
         found.append(Echo(detections, matches, radar.ofdm.range_cell_m))
-    return Outcome(_figures(metrics, truth, found), truth, found)
+    figures = _figures(metrics, [truth] * len(found), found)
+    return Outcome(figures, truth, found, content.hexdigest())
 
 
 def vehicle_detector(record: RadarRecord) -> list[Detection]:
@@ -116,5 +162,8 @@ def vehicle_detector(record: RadarRecord) -> list[Detection]:
     return list(process(record).detections)
 
 
-def _figures(metrics: Sequence[Metric], truth: Any, results: Sequence[Any]) -> dict[str, Array]:
-    return {m.name: np.array([m.of(truth, result) for result in results]) for m in metrics}
+def _figures(
+    metrics: Sequence[Metric], truths: Sequence[Any], results: Sequence[Any]
+) -> dict[str, Array]:
+    pairs = list(zip(truths, results, strict=True))
+    return {m.name: np.array([m.of(truth, result) for truth, result in pairs]) for m in metrics}
