@@ -1,7 +1,8 @@
 """Light that the air sends back: the emitter's own (single backscatter), and the sun's (airlight).
 
-Single scattering only: light that the air scatters twice, or between a surface and the air, is not
-in it. `twin.optics.reference` has all of it, at the price of a path tracer.
+Single scattering only: light that meets no surface and is scattered more than once is not in it;
+what meets one is `twin.optics.transport`'s. `twin.optics.reference` has all of it, at the price of
+a path tracer.
 """
 
 from typing import Any
