@@ -33,6 +33,8 @@ def test_two_cylinders_are_told_apart(centre_ghz: float) -> None:
     """From the meshes to the picture, random phase at every retune included: within 1 cm across."""
     picture = pictured(load_scene("fig3b"), prototype(1e9 * centre_ghz))
     left, right = picture.seen
+    assert len(picture.told_apart) == 2
+    assert "2 of 2 targets, within" in str(picture)  # the headline
     assert left.cross_range_m == pytest.approx(0.075, abs=0.01)
     assert right.cross_range_m == pytest.approx(-0.075, abs=0.01)
     # The front of a body, blurred by a range cell of 0.3 m and drawn towards the leakage.

@@ -70,11 +70,7 @@ def run(
         tables = [a.name for a in result.radar.capture.propagation.roles if a.role is Role.TABLE]
         if tables:
             print(f"{result.radar.radar.name}: tables stand for {', '.join(tables)}")
-        hit = sum(target is not None for target in result.radar.matches)
-        print(
-            f"{result.radar.radar.name}: {hit} of {len(result.radar.capture.truth)} targets "
-            f"among {len(result.radar.detections)} detections"
-        )
+        print(result.radar)
         if result.radar.picture:
             for seen in result.radar.picture.seen:
                 print(

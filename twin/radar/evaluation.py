@@ -19,11 +19,15 @@ from twin.radar.propagation.paths import Path as RadioPath
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene
 
+_CELLS = 2.0  # by which a detection may lie beside a target, in range and rate
+
 
 @dataclass(frozen=True, eq=False)
 class RadarEvaluation:
     """One radar's capture, what the vehicle makes of its first burst, which true target each
     detection is (or None), and what a track sees over all bursts.
+
+    Printed, it says what was achieved.
     """
 
     radar: RadarDesign
@@ -47,6 +51,45 @@ class RadarEvaluation:
     def detections(self) -> tuple[Detection, ...]:
         """Of the first burst, strongest first."""
         return self.frame.detections
+
+    @property
+    def further(self) -> tuple[TrueTarget | None, ...]:
+        """Of each detection that is no target by itself, the target whose object it is part of."""
+        return further_echoes(self.detections, self.matches, self.capture.truth, self.waveform)
+
+    @property
+    def missed(self) -> tuple[TrueTarget, ...]:
+        """True targets without a detection."""
+        names = {match.name for match in self.matches if match}
+        return tuple(target for target in self.capture.truth if target.name not in names)
+
+    def expectation(self, target: TrueTarget) -> str:
+        """What was to be expected of a target, in words."""
+        if not target.visible:
+            return "no direct echo"
+        snr_db = 10 * np.log10(max(target.received_w, 1e-300) / self.image.noise_w)
+        return f"{snr_db:.1f} dB over the map's noise expected"
+
+    def __str__(self) -> str:
+        """What was achieved, a line each: over a track, on the map, and what is missing."""
+        name, truth = self.radar.name, self.capture.truth
+        lines = [f"{name}: {self.picture}"] if self.picture else []
+        lines.append(f"{name}: {self.headline}")
+        if self.missed:
+            told = ", ".join(f"{t.name} ({self.expectation(t)})" for t in self.missed)
+            where = " on the map" if self.picture else ""
+            lines.append(f"{name}: missed{where}: {told}")
+        return "\n".join(lines if truth else lines[-1:])
+
+    @property
+    def headline(self) -> str:
+        """How many targets the map of the first burst shows."""
+        hit = len(self.capture.truth) - len(self.missed)
+        parts = sum(target is not None for target in self.further)
+        told = f"{hit} of {len(self.capture.truth)} targets among {len(self.detections)} detections"
+        if parts:
+            told += f", {parts} of them further echoes of the same objects"
+        return f"map of the first burst: {told}" if self.picture else told
 
 
 def evaluate_radar(
@@ -85,14 +128,17 @@ def _joinable(record: RadarRecord) -> RadarRecord:
 def match_detections(
     detections: Sequence[Detection], truth: tuple[TrueTarget, ...], waveform: OfdmWaveform
 ) -> tuple[TrueTarget | None, ...]:
-    """Nearest true target within two cells in range and rate; each target goes to one detection.
+    """Which true target each detection is; each target goes to one detection.
 
-    Of an ambiguous rate any alternative counts.
+    The nearest target within two cells in range and rate of its declared place, strongest detection
+    first. A target without one, such as a ball of which the centre is declared, goes to the
+    strongest detection within two cells of its object's extent in range and rate. Of an ambiguous
+    rate any alternative counts.
     """
     free = list(truth)
     matches: list[TrueTarget | None] = []
     for found in detections:
-        best, nearest = None, 2.0
+        best, nearest = None, _CELLS
         for target in free:
             off_range = abs(found.range_m - target.wrapped_range_m) / waveform.range_cell_m
             rates = np.array([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
@@ -103,7 +149,38 @@ def match_detections(
         if best is not None:
             free.remove(best)
         matches.append(best)
+    for target in free:
+        for i, found in enumerate(detections):
+            if matches[i] is None and _within(found, target, waveform):
+                matches[i] = target
+                break
     return tuple(matches)
+
+
+def further_echoes(
+    detections: Sequence[Detection],
+    matches: Sequence[TrueTarget | None],
+    truth: Sequence[TrueTarget],
+    waveform: OfdmWaveform,
+) -> tuple[TrueTarget | None, ...]:
+    """Of each detection that is no target by itself, the target within two cells of whose extent in
+    range and rate it lies, the nearest of several.
+    """
+    parts: list[TrueTarget | None] = []
+    for found, match in zip(detections, matches, strict=True):
+        near = [t for t in truth if match is None and _within(found, t, waveform)]
+        parts.append(min(near, key=lambda t: abs(found.range_m - t.wrapped_range_m), default=None))
+    return tuple(parts)
+
+
+def _within(found: Detection, target: TrueTarget, waveform: OfdmWaveform) -> bool:
+    """Whether a detection lies within two cells of a target's object."""
+    rates = np.array([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
+    off_range, off_rate = target.beside(found.range_m, rates)
+    return (
+        off_range <= _CELLS * waveform.range_cell_m
+        and off_rate <= _CELLS * waveform.velocity_cell_m_per_s
+    )
 
 
 def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
@@ -114,10 +191,13 @@ def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
         {
             **{name: cell(value) for name, value in asdict(found).items()},
             "target": target.name if target else "",
+            "further_echo_of": part.name if part else "",
         }
-        for found, target in zip(evaluation.detections, evaluation.matches, strict=True)
+        for found, target, part in zip(
+            evaluation.detections, evaluation.matches, evaluation.further, strict=True
+        )
     )
-    _write(path, [*(f.name for f in fields(Detection)), "target"], rows)
+    _write(path, [*(f.name for f in fields(Detection)), "target", "further_echo_of"], rows)
 
 
 def write_truth_table(truth: Sequence[TrueTarget], path: Path) -> None:

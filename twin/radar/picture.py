@@ -23,13 +23,15 @@ _MARGIN_M = 0.4  # around the true targets
 class Seen:
     """The highest point of the picture near a true target, and the cross-section it stands for.
 
-    ``off_m`` is its distance from the target: of a body, which reflects with its front, not zero.
+    ``off_m`` is its distance from the target: of a body, which reflects with its front, not zero;
+    ``cross_off_m`` across alone.
     """
 
     name: str
     down_range_m: float
     cross_range_m: float
     off_m: float
+    cross_off_m: float
     rcs_m2: float
     declared_rcs_m2: float
 
@@ -44,6 +46,27 @@ class TrackPicture:
     image: RadarImage
     outlines: dict[str, Array]
     seen: tuple[Seen, ...]
+
+    @property
+    def told_apart(self) -> tuple[Seen, ...]:
+        """Targets with a peak of their own, within a resolution cell, across within half of one."""
+        peaks = [(s.down_range_m, s.cross_range_m) for s in self.seen]
+        return tuple(
+            s
+            for s, peak in zip(self.seen, peaks, strict=True)
+            if peaks.count(peak) == 1
+            and abs(s.cross_off_m) <= self.image.cross_resolution_m / 2
+            and s.off_m <= max(self.image.down_resolution_m, self.image.cross_resolution_m)
+        )
+
+    def __str__(self) -> str:
+        """What the picture shows."""
+        resolution = f"{100 * self.image.cross_resolution_m:.1f} cm"
+        told = f"image over the track: {len(self.told_apart)} of {len(self.seen)} targets"
+        if not self.told_apart:
+            return f"{told} (resolution across {resolution})"
+        worst = max(abs(s.cross_off_m) for s in self.told_apart)
+        return f"{told}, within {1e3 * worst:.0f} mm across (resolution {resolution})"
 
 
 def track_picture(scene: Scene, radar: RadarDesign, record: RadarRecord) -> TrackPicture | None:
@@ -114,6 +137,7 @@ def _seen(focused: RadarImage, place: Array, target: Target, unit_wave: float) -
         down_range_m=float(down[best]),
         cross_range_m=float(cross[best]),
         off_m=float(off[best]),
+        cross_off_m=float(cross[best] - place[1]),
         rcs_m2=float(power[rows[best], columns[best]] / unit_wave**2),
         declared_rcs_m2=target.rcs_m2,
     )

@@ -3,11 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.paths import Propagation
 from twin.scene import Scene, Target
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -16,7 +19,8 @@ class TrueTarget:
     and slot loss included.
 
     ``visible``: a direct path exists, or its mesh is heard. ``wrapped_range_m`` is the range as
-    the subcarriers' spacing wraps it.
+    the subcarriers' spacing wraps it. ``nearer_m`` and ``farther_m``: by how much the surface of
+    its object comes closer and reaches beyond; ``slower`` and ``faster`` the same of its rates.
     """
 
     name: str
@@ -27,6 +31,23 @@ class TrueTarget:
     received_w: float
     visible: bool
     wrapped_range_m: float
+    nearer_m: float = 0.0
+    farther_m: float = 0.0
+    slower_m_per_s: float = 0.0
+    faster_m_per_s: float = 0.0
+
+    def beside(self, range_m: float, range_rates_m_per_s: Array) -> tuple[float, float]:
+        """By how much a range and the nearest of several rates lie beyond those of its object.
+
+        In m and m/s; 0 for rates that are not measured.
+        """
+        off = range_m - self.wrapped_range_m
+        rates = np.nan_to_num(range_rates_m_per_s - self.range_rate_m_per_s)
+        off_rates = np.maximum(-rates - self.slower_m_per_s, rates - self.faster_m_per_s)
+        return (
+            max(-off - self.nearer_m, off - self.farther_m, 0.0),
+            max(float(off_rates.min()), 0.0),
+        )
 
 
 def true_targets(
@@ -48,6 +69,7 @@ def _true(
     gain = float(wave.slot_gain(np.array(2 * rate / wave.wavelength_m)))
     gain *= float(air.amplitude(np.array(2 * distance), wave.carrier_hz))
     power = radar.received_power_w(distance, target.rcs_m2, (ahead, left, up))
+    ranges, rates = _spans(target, scene, scene.rig.position_m + offset)
     return TrueTarget(
         name=target.name,
         range_m=distance,
@@ -58,4 +80,39 @@ def _true(
         visible=any(path.via == (target.name,) for path in found.paths)
         or any(heard.name == target.object for heard in found.heard),
         wrapped_range_m=distance % wave.max_range_m,
+        nearer_m=max(0.0, distance - ranges[0]),
+        farther_m=max(0.0, ranges[1] - distance),
+        slower_m_per_s=max(0.0, rate - rates[0]),
+        faster_m_per_s=max(0.0, rates[1] - rate),
     )
+
+
+def _spans(target: Target, scene: Scene, radar_m: Array) -> tuple[Array, Array]:
+    """Least and most range and range rate (2,) of the surface of a target's object; of a target
+    without one, infinite and of no extent.
+    """
+    item = next((item for item in scene.objects if item.name == target.object), None)
+    if item is None or not len(item.faces):
+        return np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
+    way = item.vertices_m - radar_m
+    ranges = np.linalg.norm(way, axis=1)
+    rates = way @ np.asarray(item.velocity_m_per_s) / ranges
+    nearest = _nearest(way[item.faces])
+    return np.array([nearest, ranges.max()]), np.array([rates.min(), rates.max()])
+
+
+def _nearest(triangles_m: Array) -> float:
+    """Least distance of triangles (n, 3 corners, 3) from the origin."""
+    edges = np.roll(triangles_m, -1, axis=1) - triangles_m
+    lengths = np.maximum(np.sum(edges**2, axis=-1), 1e-300)
+    along = np.clip(-np.sum(triangles_m * edges, axis=-1) / lengths, 0, 1)
+    to_edges = np.linalg.norm(triangles_m + along[..., None] * edges, axis=-1)
+    normal = np.cross(edges[:, 0], edges[:, 1])
+    size = np.linalg.norm(normal, axis=1)
+    normal /= np.maximum(size, 1e-300)[:, None]
+    height = np.sum(normal * triangles_m[:, 0], axis=1)
+    # The foot of the perpendicular lies within where it is on the same side of all edges.
+    foot = height[:, None, None] * normal[:, None] - triangles_m
+    side = np.sum(np.cross(edges, foot) * normal[:, None], axis=-1)
+    inside = (side >= 0).all(axis=1) & (size > 0)
+    return float(min(to_edges.min(), np.abs(height[inside]).min(initial=np.inf)))

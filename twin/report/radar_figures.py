@@ -34,7 +34,7 @@ def radar_map(evaluation: RadarEvaluation) -> Figure:
     figure.colorbar(drawn, ax=axis, label="received power (dBm per cell)")
     _mark(axis, evaluation)
     axis.set_ylim(0, image.range_m[shown][-1])
-    hit = sum(match is not None for match in evaluation.matches)
+    hit = len(evaluation.capture.truth) - len(evaluation.missed)
     axis.set_title(
         f"{evaluation.radar.name}: {hit} of {len(evaluation.capture.truth)} targets detected"
     )

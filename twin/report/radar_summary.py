@@ -5,8 +5,11 @@ from typing import Any
 import numpy as np
 from scipy import constants
 
+from hardware.radar import Detection
 from twin.radar.evaluation import RadarEvaluation
 from twin.report.style import si
+
+_CFAR = {"ca": "cell-averaging", "go": "greatest-of", "os": "ordered-statistic"}
 
 
 def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
@@ -17,6 +20,9 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "waveform": _waveform(evaluation),
         "budget": _budget(evaluation),
         "targets": _targets(evaluation),
+        "headlines": str(evaluation).splitlines(),
+        "missed": [f"{t.name}: {evaluation.expectation(t)}" for t in evaluation.missed],
+        "further": _further(evaluation),
         "others": _others(evaluation),
         "roles": [
             (a.name, str(a.role), f"{a.over_fresnel_zone:.3g}")
@@ -25,6 +31,7 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "assumptions": evaluation.capture.assumptions,
         "window": evaluation.how.window,
         "false_alarm": evaluation.how.cfar.false_alarm,
+        "cfar": _CFAR[evaluation.how.cfar.method],
         "picture": _picture(evaluation),
         "n_paths": len(evaluation.capture.propagation.paths),
     }
@@ -151,12 +158,34 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
     return rows
 
 
-def _others(evaluation: RadarEvaluation) -> list[str]:
+def _further(evaluation: RadarEvaluation) -> list[str]:
+    """Echoes of other parts of the targets' objects."""
     return [
-        f"{found.range_m:.3f} m, {found.range_rate_m_per_s:+.3f} m/s, {found.snr_db:.1f} dB"
-        for found, target in zip(evaluation.detections, evaluation.matches, strict=True)
-        if target is None
+        f"{part.name}: {_place(found)}"
+        for found, part in zip(evaluation.detections, evaluation.further, strict=True)
+        if part
     ]
+
+
+def _others(evaluation: RadarEvaluation) -> list[str]:
+    """Detections within no target's extent."""
+    return [
+        _place(found)
+        for found, target, part in zip(
+            evaluation.detections, evaluation.matches, evaluation.further, strict=True
+        )
+        if target is None and part is None
+    ]
+
+
+def _place(found: Detection) -> str:
+    """Where a detection is, as far as it is measured."""
+    parts = [
+        "" if np.isnan(found.range_m) else f"{found.range_m:.3f} m",
+        "" if np.isnan(found.range_rate_m_per_s) else f"{found.range_rate_m_per_s:+.3f} m/s",
+        f"{found.snr_db:.1f} dB",
+    ]
+    return ", ".join(part for part in parts if part)
 
 
 def _db(ratio: float) -> float:
