@@ -81,7 +81,8 @@ def _detections(
         stamp = stamp_ns(received, frame.burst)
         points = ros.points(cloud(found), stamp, sensor.strip("/"))
         log.message(f"{sensor}/detections", ros.POINTS, points, received.host_ns, stamp)
-        strongest = f", the strongest at {found[0].range_m:.3f} m" if found else ""
+        ranged = bool(found) and not np.isnan(found[0].range_m)
+        strongest = f", the strongest at {found[0].range_m:.3f} m" if ranged else ""
         lines.append(f"burst {frame.burst}: {len(found)} detections{strongest}")
         warnings += frame.warnings
     return Outcome(tuple(lines), tuple(warnings))

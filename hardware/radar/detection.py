@@ -26,8 +26,9 @@ class Detection:
     """One target: where, how fast (positive: receding), how strong.
 
     ``power_w`` is what one antenna received. Standard errors follow from the SNR and the window:
-    with a rectangular one they are the Cramer-Rao bounds. Azimuth (positive: left), elevation and
-    cross-section are NaN where array or antenna do not tell them.
+    without one they are the Cramer-Rao bounds. What is not measured is NaN: the rate of a single
+    slot, the range of a single subcarrier; azimuth (positive: left), elevation and cross-section
+    where array or antenna do not tell them.
     ``range_rate_alternatives_m_per_s``: other range rates that the record cannot exclude, likeliest
     first; the error of the range rate, and the direction, hold if it is none of them.
     """
@@ -256,11 +257,12 @@ def with_cross_section(
 ) -> Detection:
     """A detection with its cross-section by the radar equation in free space, at the boresight.
 
-    What averaging over a slot takes from a moving target's echo is put back.
+    What averaging over a slot takes from a moving target's echo is put back, where its rate is
+    measured. NaN without a range.
     """
     gain = 10 ** (antenna_gain_dbi / 10)
     loss = 10 ** (losses_db / 10)
-    doppler = 2 * found.range_rate_m_per_s / waveform.wavelength_m
+    doppler = 2 * np.nan_to_num(found.range_rate_m_per_s) / waveform.wavelength_m
     kept = float(waveform.slot_gain(np.array(doppler))) ** 2
     spread = (4 * np.pi) ** 3 * found.range_m**4 * loss
     sent = transmit_power_w * gain**2 * waveform.wavelength_m**2 * kept

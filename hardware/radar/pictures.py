@@ -59,15 +59,20 @@ def rows_of(found: Sequence[Detection], most: int = 20) -> Iterable[str]:
     """Detections as a table for a terminal."""
     yield "   range, m    +/-   rate, m/s    +/-   azimuth, deg   SNR, dB   RCS, m^2"
     for d in found[:most]:
-        azimuth = f"{np.degrees(d.azimuth_rad):+.2f}" if np.isfinite(d.azimuth_rad) else "-"
-        rcs = f"{d.rcs_m2:.3g}" if np.isfinite(d.rcs_m2) else "-"
         yield (
-            f"{d.range_m:11.4f} {d.range_error_m:6.4f} {d.range_rate_m_per_s:+11.3f} "
-            f"{d.range_rate_error_m_per_s:6.3f} {azimuth:>14} {d.snr_db:9.1f} {rcs:>11}"
-            f"{_alternatives(d)}"
+            f"{_told(d.range_m, '.4f', 11)} {_told(d.range_error_m, '.4f', 6)} "
+            f"{_told(d.range_rate_m_per_s, '+.3f', 11)} "
+            f"{_told(d.range_rate_error_m_per_s, '.3f', 6)} "
+            f"{_told(np.degrees(d.azimuth_rad), '+.2f', 14)} {d.snr_db:9.1f} "
+            f"{_told(d.rcs_m2, '.3g', 11)}{_alternatives(d)}"
         )
     if len(found) > most:
         yield f"  ... and {len(found) - most} more"
+
+
+def _told(value: float, form: str, width: int) -> str:
+    """A number in its column; a dash where it is not measured."""
+    return f"{'-' if np.isnan(value) else format(value, form):>{width}}"
 
 
 def _alternatives(found: Detection) -> str:

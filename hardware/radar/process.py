@@ -209,11 +209,12 @@ def _points(found: Measured, taken: Burst, per_cell: int) -> list[Detection]:
     point, amplitude = found
     if not np.any(extents(virtual_places(taken))[1:] > 0):
         return [point]
-    rates = (point.range_rate_m_per_s, *point.range_rate_alternatives_m_per_s)
+    measured = not np.isnan(point.range_rate_m_per_s)
+    rates = (point.range_rate_m_per_s if measured else 0.0, *point.range_rate_alternatives_m_per_s)
     way = direction(amplitude, taken, rates, 10 ** (point.snr_db / 10))
     point = replace(
         point,
-        range_rate_m_per_s=way.range_rate_m_per_s,
+        range_rate_m_per_s=way.range_rate_m_per_s if measured else float("nan"),
         range_rate_alternatives_m_per_s=way.alternatives_m_per_s,
         azimuth_rad=way.azimuth_rad,
         azimuth_error_rad=way.azimuth_error_rad,

@@ -54,13 +54,14 @@ def blocks_about(
     """Blocks about each of several ranges and rates, (n,) each, from one pass over the channel.
 
     ``channel`` (..., n_subcarriers, n_slots) is not tapered yet. Sums are scaled so that an echo of
-    power P at the middle has a total of sqrt(P).
+    power P at the middle has a total of sqrt(P). Ranges or rates that are not measured, NaN, are
+    taken as 0.
     """
     if not len(range_m):
         return []
     n, m = channel.shape[-2:]
-    delay = 2 / C_M_PER_S * range_m
-    rate = 2 / C_M_PER_S * rate_m_per_s
+    delay = 2 / C_M_PER_S * np.nan_to_num(range_m)
+    rate = 2 / C_M_PER_S * np.nan_to_num(rate_m_per_s)
     f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
     along_f = np.exp(2j * np.pi * np.outer(delay, f)) * (taper(window, n) / n)
     along_t = np.exp(2j * np.pi * waveform.carrier_hz * np.outer(rate, t)) * (taper(window, m) / m)

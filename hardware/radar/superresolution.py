@@ -118,7 +118,7 @@ def _steps_of(others: Sequence[Detection], blocks: Blocks) -> Array:
     delay = np.array([2 * found.range_m / C_M_PER_S for found in others])
     rate = np.array([2 * found.range_rate_m_per_s / C_M_PER_S for found in others])
     off = np.stack([delay - blocks.delay_s, rate - blocks.delay_rate], axis=-1)
-    return np.asarray(off / blocks.cell)
+    return np.nan_to_num(off / blocks.cell)  # NaN is not measured
 
 
 def _closest(steps: Array) -> float:

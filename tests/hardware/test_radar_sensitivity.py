@@ -2,15 +2,17 @@
 is measured, and what strong ones do to it. Statistical bounds hold at 1e-4 or rarer.
 """
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from radar_cubes import WIDE, C
+from radar_cubes import WIDE, C, Echo, cube
 from scipy import stats
 
 from hardware.radar import Cfar, Detection, OfdmWaveform, range_doppler
 from hardware.radar.detection import detected, standard_errors
+from hardware.radar.pictures import rows_of, write_detections
+from hardware.radar.process import Processing, process
 from hardware.radar.sensitivity import on_a_cell, side_lobe
 
 SMALL = replace(WIDE, n_slots=32)  # 2^13 cells
@@ -152,3 +154,37 @@ def test_side_lobes_stay_below_their_bound() -> None:
         cells = np.arange(0, size / 2, 0.05)
         kernel = np.abs(np.sinc(cells) / np.sinc(cells / size)) ** 2
         assert np.all(kernel <= side_lobe(cells, size) * (1 + 1e-12))
+
+
+# What is not measured is empty.
+
+
+@pytest.mark.parametrize(("n_subcarriers", "n_slots"), [(256, 1), (1, 64)])
+@pytest.mark.parametrize("resolve", [False, True])
+def test_what_is_not_measured_is_nan(
+    n_subcarriers: int, n_slots: int, resolve: bool, tmp_path
+) -> None:
+    """One slot has no rate, one subcarrier no range and no cross-section; nothing is infinite."""
+    wave = replace(WIDE, n_subcarriers=n_subcarriers, n_slots=n_slots)
+    record = cube(wave, [Echo((4.0, 0.0, 0.0), velocity_m_per_s=(2.0, 0.0, 0.0))], noise_w=1e-12)
+    found = process(record, 0, Processing(cfar=Cfar(1e-3), resolve=resolve)).detections
+    assert found
+    for one in found:
+        ranged, rated = n_subcarriers > 1, n_slots > 1
+        assert np.isfinite([one.range_m, one.range_error_m]).all() == ranged
+        assert np.isnan([one.range_m, one.range_error_m, one.rcs_m2]).all() != ranged
+        assert np.isnan([one.range_rate_m_per_s, one.range_rate_error_m_per_s]).all() != rated
+        assert not np.isinf([value for value in astuple(one) if isinstance(value, float)]).any()
+    write_detections(tmp_path / "d.csv", [(0, one) for one in found])
+    for text in ((tmp_path / "d.csv").read_text(), *list(rows_of(found))[1:]):
+        assert "nan" not in text
+        assert "inf" not in text
+
+
+def test_a_single_slot_of_an_array_has_a_direction_and_no_rate() -> None:
+    receivers = np.array([[0, i * WIDE.wavelength_m / 2, 0] for i in range(4)])
+    place = (4.0 * np.cos(0.3), 4.0 * np.sin(0.3), 0.0)
+    record = cube(replace(WIDE, n_slots=1), [Echo(place)], noise_w=1e-9, receivers_m=receivers)
+    strongest = process(record, 0, Processing(cfar=Cfar(1e-3))).detections[0]
+    assert strongest.azimuth_rad == pytest.approx(0.3, abs=0.05)
+    assert np.isnan(strongest.range_rate_m_per_s)

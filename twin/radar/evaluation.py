@@ -143,7 +143,8 @@ def match_detections(
             off_range = abs(found.range_m - target.wrapped_range_m) / waveform.range_cell_m
             rates = np.array([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
             off_rate = float(np.abs(rates - target.range_rate_m_per_s).min())
-            off = max(off_range, off_rate / waveform.velocity_cell_m_per_s)
+            # What is not measured, NaN, tells nothing against a target.
+            off = float(np.nanmax([off_range, off_rate / waveform.velocity_cell_m_per_s, 0.0]))
             if off <= nearest:
                 best, nearest = target, off
         if best is not None:

@@ -39,9 +39,9 @@ class TrueTarget:
     def beside(self, range_m: float, range_rates_m_per_s: Array) -> tuple[float, float]:
         """By how much a range and the nearest of several rates lie beyond those of its object.
 
-        In m and m/s; 0 for rates that are not measured.
+        In m and m/s; 0 for what is not measured, NaN.
         """
-        off = range_m - self.wrapped_range_m
+        off = float(np.nan_to_num(range_m - self.wrapped_range_m))
         rates = np.nan_to_num(range_rates_m_per_s - self.range_rate_m_per_s)
         off_rates = np.maximum(-rates - self.slower_m_per_s, rates - self.faster_m_per_s)
         return (

@@ -99,7 +99,7 @@ def track_image(picture: TrackPicture) -> Figure:
 
 def _mark(axis: Any, evaluation: RadarEvaluation) -> None:
     plot = axis.plot
-    ranges = [d.range_m for d in evaluation.detections]
+    ranges = np.nan_to_num([d.range_m for d in evaluation.detections])  # not measured: the only row
     rates = _on_map(evaluation, [d.range_rate_m_per_s for d in evaluation.detections])
     plot(rates, ranges, "o", mfc="none", mec="white", ms=10, label="detection", ls="none")
     truth = evaluation.capture.truth
@@ -119,9 +119,9 @@ def _mark(axis: Any, evaluation: RadarEvaluation) -> None:
 
 
 def _on_map(evaluation: RadarEvaluation, rates_m_per_s: Sequence[float]) -> np.ndarray:
-    """Range rates as the slots fold them: where the map shows them."""
+    """Range rates as the slots fold them: where the map shows them; not measured: at 0."""
     fastest = evaluation.waveform.max_velocity_m_per_s
-    return (np.array(rates_m_per_s) + fastest) % (2 * fastest) - fastest
+    return (np.nan_to_num(rates_m_per_s) + fastest) % (2 * fastest) - fastest
 
 
 def _shown_ranges(evaluation: RadarEvaluation) -> slice:

@@ -145,10 +145,12 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
                 "range": f"{target.range_m:.4f} m",
                 "rate": f"{target.range_rate_m_per_s:+.3f} m/s",
                 "power": f"{_db(target.received_w * 1e3):.1f} dBm",
-                "found_range": f"{1e3 * (found.range_m - target.wrapped_range_m):+.2f} mm"
+                "found_range": _off(found.range_m - target.wrapped_range_m, 1e3, "+.2f", "mm")
                 if found
                 else "not detected",
-                "found_rate": f"{found.range_rate_m_per_s - target.range_rate_m_per_s:+.4f} m/s"
+                "found_rate": _off(
+                    found.range_rate_m_per_s - target.range_rate_m_per_s, 1.0, "+.4f", "m/s"
+                )
                 if found
                 else "",
                 "found_power": f"{_db(found.power_w / target.received_w):+.2f} dB" if found else "",
@@ -156,6 +158,10 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
             }
         )
     return rows
+
+
+def _off(value: float, scale: float, form: str, unit: str) -> str:
+    return "not measured" if np.isnan(value) else f"{scale * value:{form}} {unit}"
 
 
 def _further(evaluation: RadarEvaluation) -> list[str]:
