@@ -234,3 +234,18 @@ def test_sweeps_measure_lit_cells_too(tmp_path: Path) -> None:
     assert 0 < time < outcome.setup.system.acquisition.integration_time_s.value
     # Cylinders 0.9 m ahead, read at a hundred times the SNR that is needed.
     assert 2 < distance < 100
+
+
+def test_the_veil_of_fog_is_no_signal(tmp_path: Path) -> None:
+    """Signal over noise falls with the air's transmission there and back, and no faster than the
+    light that fog scatters forward explains; an empty field in fog is not lit.
+    """
+    path = tmp_path / "fog.toml"
+    path.write_text('base = "workable"\n[weather]\npart = "fog-200m"\n')
+    clear = capture(load_scene("yard"), load_system("workable"), seed=1)
+    foggy = capture(load_scene("yard"), load_system(path), seed=1)
+    assert np.median(foggy.veil_e) > 0.2 * np.median(foggy.cells_e)
+    np.testing.assert_allclose(foggy.scene_e + foggy.veil_e, foggy.cells_e)
+    assert foggy.verdict.snr_median < clear.verdict.snr_median
+    assert foggy.verdict.lit_share == pytest.approx(clear.verdict.lit_share, abs=0.1)
+    assert not clear.veil_e.any()

@@ -53,7 +53,8 @@ class Capture:
 
     ``cells_e`` (rows, columns) are the electrons that each cell, lit alone for one exposure, gives
     in the mean (a line sensor's columns side by side): what reconstructions are compared with.
-    ``cells_error_e`` is their Monte-Carlo standard error. ``snr`` is cells_e over the noise of a
+    ``cells_error_e`` is their Monte-Carlo standard error; ``veil_e`` the part of them that the air
+    sent back. ``snr`` is what the scene sent back, cells_e less veil_e, over the noise of a
     reconstructed pixel (inverse transform of the patterns shown), 0 where the detector stands at a
     rail. ``background_w`` is the sun's power on one detector, mean over the detectors.
     """
@@ -62,6 +63,7 @@ class Capture:
     truth: Truth
     cells_e: Array
     cells_error_e: Array
+    veil_e: Array
     snr: Array
     noise: NoiseBudget
     lens: Collection
@@ -76,7 +78,12 @@ class Capture:
     @property
     def verdict(self) -> Verdict:
         """What an image made of the record can show."""
-        return judge(self.cells_e, self.snr, self.warnings)
+        return judge(self.scene_e, self.snr, self.warnings)
+
+    @property
+    def scene_e(self) -> Array:
+        """Electrons that each cell has from the scene: ``cells_e`` without the air's veil."""
+        return self.cells_e - self.veil_e
 
     @property
     def measured_cells_e(self) -> Array:
@@ -151,13 +158,15 @@ def measure(
     # At a rail the response's slope is zero, and so is what can be told of the light; as it is of
     # cells that the patterns do not measure.
     lost = blind(record)[:, None] | record.patterns.unmeasured_cells
-    snr = np.where(lost, 0.0, cells_e / of_image[:, None])
+    veil_e = to_e * power.veil_w.sum(axis=0)
+    snr = np.where(lost, 0.0, (cells_e - veil_e) / of_image[:, None])
     budget = chain.noise(signal_w, sun_w)
     return Capture(
         record=record,
         truth=rendered.truth,
         cells_e=_picture(cells_e, system),
         cells_error_e=_picture(to_e * power.error_w, system),
+        veil_e=_picture(veil_e, system),
         snr=_picture(snr, system),
         noise=budget,
         lens=chain.lens,

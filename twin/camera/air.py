@@ -46,13 +46,17 @@ class Veil:
     value: Array
     length_m: Array
 
+    @property
+    def paths(self) -> Paths:
+        """Its ways; of one detector, and only with time of flight."""
+        value, length = self.value.astype(np.float32), self.length_m.astype(np.float32)
+        return Paths(value, length, (len(value), 1))
+
     def added_to(self, paths: Paths) -> Paths:
         """Paths to surfaces, and those to the air."""
-        value, length = (
-            np.hstack([known, added.astype(np.float32)])
-            for known, added in ((paths.value, self.value), (paths.length_m, self.length_m))
-        )
-        return Paths(value, length, paths.shape)
+        own = self.paths
+        value = np.hstack([paths.value, own.value])
+        return Paths(value, np.hstack([paths.length_m, own.length_m]), paths.shape)
 
 
 def veil_of(system: System, air: Air, emitter: Device, detector: Device, depth_m: Array) -> Veil:

@@ -18,6 +18,7 @@ from twin.optics.emission import cell_gains
 from twin.optics.passband import Passband, passband
 from twin.optics.radiometry import Collection, collection
 from twin.optics.spectra import responsivity_a_per_w
+from twin.optics.time_of_flight import Paths
 from twin.scene import Pose, Sun
 from twin.system import Sky, System
 from twin.toml import Sourced
@@ -28,12 +29,14 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class Powers:
     """On the detectors, W: from each cell lit alone, (n_shutters, n_detectors, n_cells), with its
-    Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,).
+    Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,). ``veil_w``: what of
+    ``cells_w`` the air sent back, which shows nothing of the scene.
     """
 
     cells_w: Array
     error_w: Array
     sun_w: Array
+    veil_w: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,20 +83,19 @@ class Chain:
         if not system.emitter.has_lens:  # every LED lights the whole field
             passed = np.full_like(passed, passed.mean())
         watt = system.emitter.radiant_intensity_w_per_sr.value * collected * passed * self.gains
-        lights = [self._through(tap, rendered) for tap in self.taps]
+        lights = [_through(tap, rendered.light.cells, rendered.paths) for tap in self.taps]
+        veil = np.zeros_like(lights)
+        if rendered.veil:
+            own = rendered.veil
+            veil = np.stack([_through(tap, own.light, own.paths) for tap in self.taps])
         sun = collected * rendered.sun * self.sky.sun_at(sun_angle)
         one = system.n_detectors == 1
         return Powers(
             cells_w=watt * np.stack(lights),
             error_w=watt * rendered.light.error,
             sun_w=sun.sum(keepdims=True).reshape(1) if one else sun.sum(axis=0),
+            veil_w=watt * veil,
         )
-
-    def _through(self, tap: Shutter, rendered: Rendered) -> Array:
-        if tap.response is None:
-            return rendered.light.cells
-        assert rendered.paths is not None  # rendered for a system with time of flight
-        return rendered.paths.light(tap.response).reshape(1, -1) * tap.light_share
 
     def steady(self, power: Powers) -> Array:
         """Signal before anything fluctuates, (n_exposures, n_shutters, n_detectors) in W."""
@@ -149,6 +151,14 @@ class Chain:
             device=f"twin {__version__}: {system.name}",
             pose=np.array([*pose.position_m, w, x, y, z]),
         )
+
+
+def _through(tap: Shutter, cells: Array, paths: Paths | None) -> Array:
+    """Light (n_detectors, n_cells) that a shutter lets in."""
+    if tap.response is None:
+        return cells
+    assert paths is not None  # rendered for a system with time of flight
+    return paths.light(tap.response).reshape(1, -1) * tap.light_share
 
 
 def _by_detector(picture: Array, system: System) -> Array:

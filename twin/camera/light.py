@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.air import glow, veil_of, where_air_scatters
+from twin.camera.air import Veil, glow, veil_of, where_air_scatters
 from twin.camera.limits import cut_off, grazing, unsampled, unspread
 from twin.camera.mounting import check_clear, devices, field_points
 from twin.camera.truth import Truth, incidence_cosines, render_truth
@@ -54,8 +54,9 @@ class Rendered:
 
     ``sun``: irradiance on the pupil per irradiance of the sun, by part of the detector's field,
     (rows, columns); each detector of a line sensor is a column. ``truth`` lies on the grid of the
-    virtual image. ``paths``: with their lengths, for time of flight. ``emitter``, ``detector``:
-    what was rendered from, and to. ``warnings``: what rendering leaves uncertain, with the error.
+    virtual image. ``paths``: with their lengths, for time of flight. ``veil``: the share of light
+    and paths that the air sent back. ``emitter``, ``detector``: what was rendered from, and to.
+    ``warnings``: what rendering leaves uncertain, with the error.
     """
 
     light: Light
@@ -64,6 +65,7 @@ class Rendered:
     emitter: Device
     detector: Device
     paths: Paths | None = None
+    veil: Veil | None = None
     warnings: tuple[CaptureWarning, ...] = ()
 
     def angles_deg(self) -> tuple[Array, Array]:
@@ -139,7 +141,7 @@ def render_light(
     )
     shape = (system.emitter.rows.value, system.emitter.columns.value)
     first, second = (int(seed.generate_state(1)[0]) for seed in seeds)
-    paths = None
+    paths = veil = None
     with stage("transport"):
         light = emitter_light(
             world,
@@ -178,7 +180,7 @@ def render_light(
             light = replace(light, cells=light.cells + veil.light)
             paths = paths and veil.added_to(paths)
             sun = sun + glow(air, world, detector, sun.shape, sun_direction)
-    return Rendered(light, sun, truth, emitter, detector, paths)
+    return Rendered(light, sun, truth, emitter, detector, paths, veil)
 
 
 def emitter_light(

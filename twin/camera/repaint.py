@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.air import glow, veil_of, where_air_scatters
+from twin.camera.air import Veil, glow, veil_of, where_air_scatters
 from twin.camera.light import SUN_PARTS, Light, Rendered
 from twin.camera.limits import grazing, unsampled
 from twin.camera.mounting import check_clear, devices
@@ -47,7 +47,7 @@ class Unpainted:
     depth_m: Array
     emitter: Device
     detector: Device
-    veil: Array
+    veil: Veil | None
     glow: Array
     cosines: Array
     warnings: tuple[CaptureWarning, ...]
@@ -59,14 +59,17 @@ class Unpainted:
         )
         light = self.emitter_parts.gathered(reflectance)
         sun = self.sun_parts.gathered(reflectance).total
+        cells = light.total.reshape(1, -1)
         return Rendered(
             light=Light(
-                light.total.reshape(1, -1) + self.veil, light.standard_error.reshape(1, -1)
+                cells + self.veil.light if self.veil else cells,
+                light.standard_error.reshape(1, -1),
             ),
             sun=sun + self.glow,
             truth=Truth(np.tensordot(reflectance, self.shares, axes=1), self.depth_m),
             emitter=self.emitter,
             detector=self.detector,
+            veil=self.veil,
             warnings=(
                 *self.warnings,
                 *grazing(light.total.reshape(self.cosines.shape), self.cosines),
@@ -117,7 +120,7 @@ def render_unpainted(
         depth_m=depth,
         emitter=emitter,
         detector=detector,
-        veil=veil_of(system, air, emitter, detector, depth).light if air else nothing,
+        veil=veil_of(system, air, emitter, detector, depth) if air else None,
         glow=glow(air, world, detector, parts, direction) if air else nothing,
         cosines=incidence_cosines(world, emitter, shape),
         warnings=tuple(unsampled(scene, emitter, shape[0] * shape[1] * fidelity.samples)),

@@ -87,7 +87,9 @@ def _mirror(power: Powers, patterns: PatternSet) -> Powers:
         picture = cells.reshape(*cells.shape[:-1], patterns.rows, patterns.columns)
         return picture[..., ::-1, :, ::-1].reshape(cells.shape)
 
-    return Powers(flipped(power.cells_w), flipped(power.error_w), power.sun_w[::-1])
+    return Powers(
+        flipped(power.cells_w), flipped(power.error_w), power.sun_w[::-1], flipped(power.veil_w)
+    )
 
 
 def true_cells(scene: Scene, system: System, light: Rendered, *, mirrored: bool = False) -> Array:

@@ -63,7 +63,7 @@ def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
     # A transimpedance amplifier averages: its converter's step grows with time.
     (growing if has_tia else constant).append(noise["quantisation"])
     linear = [noise[name] for name in shot] + [noise["Johnson noise of the amplifier"]]
-    lit = taken.cells_e[lit_cells(taken.cells_e)]
+    lit = taken.scene_e[lit_cells(taken.scene_e)]
     signal = float(np.median(lit)) / factor / time if lit.size else 0.0
     return (
         signal,
@@ -92,7 +92,7 @@ def maximum_distance_m(outcome: Outcome) -> float:
     """
     s, c, r, g = _pixel_terms(outcome)
     taken = outcome.capture
-    depth = taken.truth.depth_m[np.isfinite(taken.truth.depth_m) & lit_cells(taken.cells_e)]
+    depth = taken.truth.depth_m[np.isfinite(taken.truth.depth_m) & lit_cells(taken.scene_e)]
     if not depth.size or s <= 0:
         return math.nan
     time = outcome.setup.system.acquisition.integration_time_s.value
