@@ -22,6 +22,7 @@ _ROOMS = (
     "radar_signal",
     "radar_tables",
     "radar_processing",
+    "false_alarms",
     "rcs",
     "regression",
     "sweep",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.clutter import without_fluctuation, without_leakage
+from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import Complex, Precision, demodulated
 from hardware.radar.demodulation import samples as measured
 from hardware.radar.integrity import usable
@@ -36,6 +36,9 @@ class Burst:
         By how much a channel's slots come after the mean of all.
     transmitter_m, receiver_m : (n_channels, 3)
         Phase centres in the antenna's frame.
+    noise_by_range : (n_subcarriers,)
+        Mean noise over range, of mean 1, from what differs between the slots of carrier steps;
+        None for one step.
     whole
         False when a gap or an overflow cut the burst short; ``warnings`` say where.
     """
@@ -47,6 +50,7 @@ class Burst:
     receiver_m: Array
     whole: bool
     warnings: tuple[str, ...]
+    noise_by_range: Array | None = None
 
 
 def demodulate(
@@ -93,10 +97,11 @@ def demodulate(
         if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
             samples = [without_phase_noise(samples[0], wave, record.leakage_delay_s, turns)]
     cube = [_channels(step, turns, wave, record.root_watt_per_count) for step in samples]
-    motion = None
+    motion = noise_by_range = None
     if len(record.carriers_hz) == 1:
         joined, wide = cube[0], own
     else:
+        noise_by_range = _noise_by_range(cube)
         stitched = stitch(
             np.stack(cube, axis=1).astype(np.complex128),
             own,
@@ -108,7 +113,6 @@ def demodulate(
         joined, wide, motion = stitched.channel, stitched.waveform, stitched.motion
     if leakage and np.isfinite(record.leakage_delay_s):
         joined = without_leakage(joined, wide, record.leakage_delay_s)
-        joined = without_fluctuation(joined, wide, record.leakage_delay_s)
     if motion is not None:
         joined = joined * motion[:, None]
     used = record.transmitter[turns[:, 0]]
@@ -121,7 +125,28 @@ def demodulate(
         receiver_m=np.tile(record.receivers_m, (n_transmitters, 1)),
         whole=part.whole,
         warnings=part.warnings,
+        noise_by_range=noise_by_range,
     )
+
+
+def _noise_by_range(steps: list[Complex]) -> Array | None:
+    """Mean noise at every range of the joined steps (n_channels, n_subcarriers, n_slots).
+
+    Phase noise differs from step to step and from slot to slot, and all its power lies in the few
+    range cells of one step: the joined map's noise is as uneven over range as theirs, with which it
+    repeats. What differs between the slots of a step tells it; echoes of tens of microseconds do
+    not.
+    """
+    n_slots = steps[0].shape[-1]
+    if n_slots < 4:
+        return None
+    n_ranges = len(steps) * steps[0].shape[1]
+    power = np.zeros(n_ranges)
+    for step in steps:
+        change = step - step.mean(axis=-1, keepdims=True)
+        power += np.mean(np.abs(np.fft.ifft(change, n_ranges, axis=1)) ** 2, axis=(0, 2))
+    mean = power.mean()
+    return np.asarray(power / mean) if power.min() > 0 else None
 
 
 def even_turns(transmitter: NDArray[np.uint8]) -> NDArray[np.intp]:

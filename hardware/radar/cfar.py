@@ -76,7 +76,7 @@ class Cfar:
         for name in ("guard", "training"):
             if min(getattr(self, name)) < 0:
                 raise ValueError(f"{name}: {getattr(self, name)} is negative")
-        if self.shape != "fitted" and not self.shape > 0:
+        if self.shape != "fitted" and (isinstance(self.shape, str) or not self.shape > 0):
             raise ValueError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
 
 
@@ -87,6 +87,7 @@ def cfar_threshold(
     window: str = "boxcar",
     n_channels: int = 1,
     oversampling: int = 1,
+    noise_by_range: Array | None = None,
     at: Cells | None = None,
 ) -> Array:
     """Threshold of every cell, or of those at rows and columns ``at``; the map wraps around.
@@ -99,9 +100,19 @@ def cfar_threshold(
         What is asked for.
     window, n_channels, oversampling
         How the map was made: they set how alike its cells are, and how they scatter.
+    noise_by_range : (n_ranges,)
+        Mean noise over range, in any unit, where it is known to change within the training cells.
 
     Raises ValueError when the map leaves no cells to tell the noise from.
     """
+    made: dict[str, Any] = {
+        "window": window,
+        "n_channels": n_channels,
+        "oversampling": oversampling,
+    }
+    if noise_by_range is not None:
+        level = cfar_threshold(power / noise_by_range[:, None], cfar, at=at, **made)
+        return level * (noise_by_range[:, None] if at is None else noise_by_range[at[0]])
     cfar = fitted(power, cfar, n_channels)
     regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
     by_rate = _by_rate(power, window, n_channels)
@@ -127,7 +138,13 @@ def fitted(power: Power, cfar: Cfar, n_channels: int = 1) -> Cfar:
 
 
 def possible(
-    power: Power, cfar: Cfar, *, window: str = "boxcar", n_channels: int = 1, oversampling: int = 1
+    power: Power,
+    cfar: Cfar,
+    *,
+    window: str = "boxcar",
+    n_channels: int = 1,
+    oversampling: int = 1,
+    noise_by_range: Array | None = None,
 ) -> Cells:
     """Rows and columns of all cells above their threshold, and of few others.
 
@@ -136,6 +153,8 @@ def possible(
     of the threshold in the map's quietest tenth: where it is quieter still by more than that, the
     threshold is the bound.
     """
+    if noise_by_range is not None:
+        power = power / noise_by_range.astype(power.dtype)[:, None]
     cfar = fitted(power, cfar, n_channels)
     regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
     if rank:

@@ -98,7 +98,7 @@ def detected(
         raise ValueError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")
     if all(size <= 2 * g + 1 for size, g in zip(cells, cfar.guard, strict=True)):
         return []  # nothing but guard cells: nothing to tell the noise from
-    if window == "boxcar":
+    if window == "boxcar" or cfar.shape != float("inf"):  # what is between cells is known of noise
         peaks = peaks_above(image, cfar, window).strongest(at_most)
         return distinct(_measured_at(channel, waveform, window, peaks, image.noise_w), waveform)
     shares = [share * cfar.false_alarm for share in (_ON_TAPERED, 1 - _ON_TAPERED)]

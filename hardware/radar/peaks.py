@@ -45,10 +45,11 @@ def peaks_above(image: RangeDopplerMap, cfar: Cfar, window: str) -> Peaks:
         "n_channels": image.n_channels,
         "oversampling": image.oversampling,
     }
-    rows, columns = possible(power, cfar, **made)
+    uneven = {"noise_by_range": image.noise_by_range}
+    rows, columns = possible(power, cfar, **made, **uneven)
     peak = _are_peaks(power, rows, columns)
     rows, columns = rows[peak], columns[peak]
-    threshold = cfar_threshold(power, cfar, at=(rows, columns), **made)
+    threshold = cfar_threshold(power, cfar, at=(rows, columns), **made, **uneven)
     above = power[rows, columns] > threshold
     rows, columns, threshold = rows[above], columns[above], threshold[above]
     return Peaks(

@@ -27,24 +27,46 @@ Power = NDArray[np.floating]
 
 _RARE = 1e-9  # chance that thermal noise alone passes for an echo, per cell
 _BEYOND = 8.0  # times the expected power, from which a cell's own power shows an echo
-_SMOOTHED = 9  # range cells over which the noise's level is averaged
+_SMOOTHED = 33  # range cells, over which the noise's level changes little
+# Rates and ranges that are looked at together: an echo's cell, its side lobes along either axis.
+_POOLED = ((1, 1), (1, 33), (9, 1), (33, 1))
 
 
 def with_steady_phase(samples: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:
-    """Samples (n_slots, n_receivers, n_subcarriers) less the phase that each slot shares.
+    """Samples (n_slots, n_receivers, n_subcarriers) less the phase that each slot shares, and less
+    its slope within the slot.
 
-    Separate oscillators for sending and receiving turn every path of a slot by the same angle. The
-    phase of the path at ``delay_s`` tells it, to one part in the root of its energy over the
-    noise's; of a shared oscillator next to nothing is found and nothing changes. A window keeps
-    echoes a few range cells away out of it.
+    Separate oscillators for sending and receiving turn every path of a slot alike. The path at
+    ``delay_s`` tells by how much, to one part in the root of its energy over the noise's; of a
+    shared oscillator next to nothing is found and nothing changes. A window keeps echoes a few
+    range cells away out of the phase. What all slots have in common stays.
     """
-    path = _leak(waveform, delay_s, taper("blackmanharris", waveform.n_subcarriers))
-    share = np.einsum("mrt,t->mr", samples, path.conj().astype(samples.dtype))
-    mean = share.mean(axis=0)
-    turn = share @ mean.conj()
+    n = waveform.n_subcarriers
+    path = _leak(waveform, delay_s, taper("blackmanharris", n)).conj().astype(samples.dtype)
+    share = np.einsum("mrt,t->mr", samples, path)
+    level = share.mean(axis=0).conj()
+    turn = share @ level
     if not np.all(turn):
         return samples
-    return np.asarray(samples * (turn.conj() / np.abs(turn)).astype(samples.dtype)[:, None, None])
+    turn = turn.conj() / np.abs(turn)
+    path = _leak(waveform, delay_s, np.ones(n)).conj().astype(samples.dtype)
+    path *= turn.dtype.type(n / np.sum(np.abs(level) ** 2))
+    sine = np.imag(
+        np.einsum("mrt,r->mt", samples, level.astype(samples.dtype)) * path * turn[:, None]
+    )
+    time = np.linspace(-0.5, 0.5, n)
+    steady = turn[:, None] * np.exp(-1j * np.outer(_slopes(sine - sine.mean(axis=0), time), time))
+    return np.asarray(samples * steady.astype(samples.dtype)[:, None])
+
+
+def _slopes(phase: Array, time: Array) -> Array:
+    """Slope of each slot's phase (n_slots, n_samples) by generalised least squares: frequencies
+    count by how little of their power over all slots is anything else's.
+    """
+    spectrum, ramp = np.fft.rfft(phase)[:, 1:], np.fft.rfft(time)[1:]
+    power = np.mean(np.abs(spectrum) ** 2, axis=0)
+    weight = ramp.conj() / np.maximum(power, 1e-300)
+    return np.asarray(np.real(spectrum @ weight) / np.real(ramp @ weight))
 
 
 def without_phase_noise(
@@ -88,16 +110,18 @@ def phase_noise(spectra: Complex) -> Complex:
     """Least-squares phase noise of spectra (n_transmitters, n_rates, n_ranges), the leakage at
     the origin; the result has N(-k, -v) = -conj N(k, v).
     """
-    from scipy.ndimage import uniform_filter1d
+    from scipy.ndimage import median_filter, uniform_filter
     from scipy.special import gammainccinv
 
     mirrored = -np.roll(spectra[:, ::-1, ::-1], (1, 1), (1, 2)).conj()
     odd, even = (spectra + mirrored) / 2, (spectra - mirrored) / 2
 
     def level(part: Complex) -> Array:
-        """Mean noise power (n_ranges,): echoes fill few rates, so that the median skips them."""
+        """Mean noise power (n_ranges,): echoes fill few rates, strong ones few ranges: medians
+        skip both.
+        """
         median = np.median(np.abs(part) ** 2, axis=(0, 1)) / np.log(2)
-        smooth = uniform_filter1d(median, min(_SMOOTHED, len(median)), mode="wrap")
+        smooth = median_filter(median, min(_SMOOTHED, len(median)), mode="wrap")
         return np.asarray((smooth + np.roll(smooth[::-1], 1)) / 2, dtype=np.float64)
 
     thermal = 2 * level(even)
@@ -105,33 +129,42 @@ def phase_noise(spectra: Complex) -> Complex:
     thermal = np.maximum(thermal, 1e-300)
     found = odd * (excess / (excess + thermal / 2)).astype(odd.real.dtype)
     n = len(spectra)
-    both = np.mean(np.abs(even) ** 2, axis=0)
-    rates, ranges = np.nonzero(both > thermal / 2 * (gammainccinv(n, _RARE) / n))
-    if len(rates):
-        cell, image = spectra[:, rates, ranges], mirrored[:, rates, ranges]
-        echoes = 4 * both[rates, ranges] - 2 * thermal[ranges]
-        found[:, rates, ranges] = _beside_echoes(
-            cell, image, echoes, thermal[ranges], excess[ranges]
+    power = [
+        np.mean(np.abs(part) ** 2, axis=0, dtype=np.float64) for part in (even, spectra, mirrored)
+    ]
+    strength, odds = np.zeros(power[0].shape), np.zeros(power[0].shape)
+    suspect = np.zeros(power[0].shape, dtype=np.bool_)
+    for size in _POOLED:
+        both, here, there = (uniform_filter(part, size, mode="wrap") for part in power)
+        looks = n * np.prod(size)
+        suspect |= both > thermal / 2 * (gammainccinv(looks, _RARE) / looks)
+        strength = np.maximum(strength, 4 * both - 2 * thermal)
+        more = looks * (here - there) / (excess + thermal)
+        odds = np.where(np.abs(more) > np.abs(odds), more, odds)
+    at = np.nonzero(suspect)
+    if len(at[0]):
+        every = (slice(None), *at)
+        found[every] = _beside_echoes(
+            spectra[every], mirrored[every], strength[at], odds[at], thermal[at[1]], excess[at[1]]
         )
     return np.asarray(found)
 
 
 def _beside_echoes(
-    cell: Complex, image: Complex, echoes: Power, thermal: Array, excess: Array
+    cell: Complex, image: Complex, strength: Array, odds: Array, thermal: Array, excess: Array
 ) -> Complex:
     """Phase noise (n_transmitters, n_cells) where a cell, its mirror image or both hold an echo.
 
     Both are looks at the same phase noise, each with its own echo and thermal noise: the mean of
-    both is weighted by what else they hold. ``echoes`` (n_cells,) is the power of both echoes.
+    both is weighted by what else they hold. ``strength`` (n_cells,) is the power of both echoes,
+    ``odds`` the log of those that the cell holds them, against its mirror image.
     """
-    own = [np.mean(np.abs(part) ** 2, axis=0) for part in (cell, image)]
-    expected = excess + thermal
-    odds = len(cell) * (own[0] - own[1]) / expected
     here = 1 / (1 + np.exp(-np.clip(odds, -60, 60)))
     weights = []
-    for power, share in zip(own, (here, 1 - here), strict=True):
-        certain = np.where(power > _BEYOND * expected, power, 0.0)
-        weights.append(1 / (np.maximum(share * echoes, certain) + thermal))
+    for part, share in ((cell, here), (image, 1 - here)):
+        power = np.mean(np.abs(part) ** 2, axis=0)
+        certain = np.where(power > _BEYOND * (excess + thermal), power, 0.0)
+        weights.append(1 / (np.maximum(share * strength, certain) + thermal))
     prior = 1 / np.maximum(excess, 1e-300)
     mean = (cell * weights[0] + image * weights[1]) / (prior + weights[0] + weights[1])
     return np.asarray(mean.astype(cell.dtype))

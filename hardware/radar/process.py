@@ -114,7 +114,13 @@ def process(
         range_rate_m_per_s=how.range_rate_m_per_s,
     )
     channel = without_static(taken.channel) if how.moving_only else taken.channel
-    image = range_doppler(channel, taken.waveform, how.window, oversampling=how.oversampling)
+    image = range_doppler(
+        channel,
+        taken.waveform,
+        how.window,
+        oversampling=how.oversampling,
+        noise_by_range=taken.noise_by_range,
+    )
     clutter = fit(image.power_w, image.n_channels)
     cfar = fitted(image.power_w, how.cfar, image.n_channels)
     # Twice as many: peaks that turn out to be one must not hide that the cap cuts.

@@ -31,6 +31,7 @@ class RangeDopplerMap:
     ``effective_looks``: as how many independent channels the noise of all scatters. Where they are
     fewer than ``n_channels`` the channels were made independent, see `whitened`: ``power_w`` is
     then that of an echo in the mean over directions, less where all channels share the noise.
+    ``noise_by_range`` (n_ranges,): mean noise over range where it is known, of mean 1.
     """
 
     power_w: Power
@@ -40,6 +41,7 @@ class RangeDopplerMap:
     n_channels: int = 1
     oversampling: int = 1
     effective_looks: float = 1.0
+    noise_by_range: Array | None = None
 
 
 def range_doppler(
@@ -48,6 +50,7 @@ def range_doppler(
     window: str = "blackmanharris",
     *,
     oversampling: int = 1,
+    noise_by_range: Array | None = None,
 ) -> RangeDopplerMap:
     """Range-Doppler map of a channel, or of several, their powers averaged.
 
@@ -63,6 +66,9 @@ def range_doppler(
     oversampling
         Cells per resolution cell along each axis. Bounds what a target between cells loses: with
         ``boxcar`` 3.9 dB per axis for 1, 0.9 for 2; with ``blackmanharris`` 0.8 for 1.
+
+    noise_by_range : (n_subcarriers,)
+        Mean noise over range, where it is known, see `Burst`.
 
     Raises ValueError for a channel that is not the waveform's.
     """
@@ -81,6 +87,7 @@ def range_doppler(
         n_channels=len(parts),
         oversampling=oversampling,
         effective_looks=looks,
+        noise_by_range=None if noise_by_range is None else np.repeat(noise_by_range, oversampling),
     )
 
 

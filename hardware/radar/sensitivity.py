@@ -69,7 +69,14 @@ def weak_echoes(
     clear = level > _FROM_NEXT * factor * (noise_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
     level = _between_cells(images, (rows, columns), _REACH)
-    threshold = cfar_threshold(power, cfar, n_channels=looks, at=(rows, columns))
+    uneven = tapered.noise_by_range
+    threshold = cfar_threshold(
+        power,
+        cfar,
+        n_channels=looks,
+        noise_by_range=None if uneven is None else uneven[:: tapered.oversampling],
+        at=(rows, columns),
+    )
     clear = level > threshold + factor * lobes
     rows, columns, level, threshold = rows[clear], columns[clear], level[clear], threshold[clear]
     peaks = Peaks(

@@ -1,0 +1,157 @@
+"""False alarms of every bundled radar with its own faults: measured rate over the rate asked for.
+
+Oscillator, leakage, I/Q imbalance and converter are the radar's; nothing is before it, or a few
+strong targets. Cells of a target are not counted: its window's main lobe along range and rate. What
+its side lobes and its own phase noise raise is counted. ``python -m benchmarks false_alarms``.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.timing import Figure
+from hardware.radar import Cfar, RangeDopplerMap, cfar_threshold
+from hardware.radar.burst import demodulate
+from hardware.radar.process import Processing, process
+from hardware.radar.range_doppler import range_doppler
+from hardware.records import RadarRecord
+from hardware.waveform import C_M_PER_S
+from twin.radar import load_radar
+from twin.radar.device.burst import burst_channel
+from twin.radar.device.design import RadarDesign
+from twin.radar.device.front_end import digitize
+from twin.radar.synthesis import Contributions
+
+RADARS = ("hybrid-79", "hybrid-79-slow", "hybrid-79-mimo", "paper-80", "prototype")
+RATES = (1e-4, 1e-6)
+#: Range (m), range rate (m/s), cross-section (m^2), azimuth (rad). At 8 and 60 m straight ahead,
+#: where an echo is on all receivers what the leakage's phase noise is.
+STRONG = ((8.0, 0.0, 30.0, 0.0), (25.0, 0.0, 1000.0, 0.3), (60.0, 3.0, 1000.0, 0.0))
+#: A radar that steps its carrier needs a moving target's rate to focus it, see `stitch`.
+STILL = tuple((range_m, 0.0, rcs, azimuth) for range_m, _, rcs, azimuth in STRONG)
+_MAIN_LOBE = 6  # cells either side of a target
+
+
+def figures() -> Iterator[Figure]:
+    """Rates over maps that show a few alarms at the rarer rate."""
+    for name in RADARS:
+        maps = 200 if name == "prototype" else 12
+        strong = STILL if name == "prototype" else STRONG
+        for scene, targets in (("empty", ()), ("strong targets", strong)):
+            alarms, cells = count(name, range(maps), targets, RATES)
+            for asked, seen in zip(RATES, alarms, strict=True):
+                what = f"{name}, {scene}: false alarms over {asked:g}"
+                yield f"{what} ({seen} in {cells} cells)", seen / cells / asked, ""
+        found = sum(len(process(record(name, seed)).detections) for seed in range(maps))
+        yield f"{name}, empty: detections at 1e-8 in {maps} maps", found, ""
+
+
+def count(
+    name: str,
+    seeds: range,
+    targets: tuple[tuple[float, float, float, float], ...],
+    rates: tuple[float, ...],
+    processing: Processing | None = None,
+) -> tuple[list[int], int]:
+    """Cells above their threshold at each rate, and all cells that were looked at."""
+    how = processing or Processing()
+    alarms, cells = np.zeros(len(rates), dtype=int), 0
+    for seed in seeds:
+        taken = demodulate(record(name, seed, targets), precision=how.precision)
+        image = range_doppler(
+            taken.channel, taken.waveform, how.window, noise_by_range=taken.noise_by_range
+        )
+        counted = _empty(image, taken.waveform.max_range_m, targets)
+        cells += int(counted.sum())
+        for i, rate in enumerate(rates):
+            asked = replace(how.cfar, false_alarm=rate)
+            alarms[i] += np.sum(above(image, asked, how.window) & counted)
+    return [int(n) for n in alarms], cells
+
+
+def above(image: RangeDopplerMap, cfar: Cfar, window: str) -> NDArray[np.bool_]:
+    """Cells above their threshold."""
+    threshold = cfar_threshold(
+        image.power_w,
+        cfar,
+        window=window,
+        n_channels=image.n_channels,
+        noise_by_range=image.noise_by_range,
+    )
+    return np.asarray(image.power_w > threshold)
+
+
+def _empty(
+    image: RangeDopplerMap, max_range_m: float, targets: tuple[tuple[float, ...], ...]
+) -> NDArray[np.bool_]:
+    """Cells outside of every target's main lobe, and of what its rate moves it within a burst."""
+    counted = np.ones(image.power_w.shape, dtype=np.bool_)
+    for range_m, rate, *_ in targets:
+        rates = image.range_rate_m_per_s
+        cells = [image.range_m[1], rates[1] - rates[0] if len(rates) > 1 else 1.0]
+        span = cells[1] * len(rates)
+        away = [
+            np.abs(image.range_m - range_m % max_range_m) / cells[0],
+            np.abs((rates - rate + span / 2) % span - span / 2) / cells[1],
+        ]
+        reach = _MAIN_LOBE + abs(rate) * 0.01 / cells[0]
+        counted[np.ix_(away[0] <= reach, away[1] <= _MAIN_LOBE)] = False
+    return counted
+
+
+def record(
+    name: str, seed: int, targets: tuple[tuple[float, float, float, float], ...] = ()
+) -> RadarRecord:
+    """A burst with targets in free space, and the leakage."""
+    radar = load_radar(name)
+    burst, wave = radar.burst, radar.ofdm
+    echoes = _echoes(radar, targets)
+    there = burst_channel(echoes, burst)
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 8]))
+    iq, flags, scale = digitize(there, radar, rng=rng)
+    steps = burst.step_times_s - burst.step_times_s[0]
+    times = steps[:, None] + np.arange(wave.n_slots) * wave.slot_period_s
+    return RadarRecord(
+        iq=iq[None],
+        device_time_ns=np.rint(1e9 * times)[None].astype(np.int64),
+        flags=flags[None],
+        carriers_hz=burst.carriers_hz,
+        transmitter=burst.transmitter,
+        transmitters_m=burst.transmitters_m,
+        receivers_m=burst.receivers_m,
+        waveform=wave,
+        root_watt_per_count=scale,
+        transmit_power_w=radar.front_end.transmit_power_w.value,
+        antenna_gain_dbi=radar.antenna.ahead_dbi,
+        losses_db=radar.front_end.losses_db.value,
+        leakage_delay_s=radar.leakage.delay_s.value if radar.leakage else float("nan"),
+        device=name,
+        pose=np.array([[0.0, 0, 0, 1, 0, 0, 0]]),
+    )
+
+
+def _echoes(radar: RadarDesign, targets: tuple[tuple[float, ...], ...]) -> Contributions:
+    """Point targets by the radar equation, and the leakage, at every carrier step."""
+    carriers = radar.burst.carriers_hz
+    amplitude, delay, rates, ways = [], [], [], []
+    for range_m, rate, rcs, azimuth in targets:
+        power = radar.received_power_w(range_m, rcs) / radar.front_end.transmit_power_w.value
+        amplitude.append(np.sqrt(power))
+        delay.append(2 * range_m / C_M_PER_S)
+        rates.append(2 * rate / C_M_PER_S)
+        ways.append([np.cos(azimuth), np.sin(azimuth), 0.0])
+    if radar.leakage:
+        amplitude.append(10 ** (radar.leakage.level_db.value / 20))
+        delay.append(radar.leakage.delay_s.value)
+        rates.append(0.0)
+        ways.append([0.0, 0.0, 0.0])
+    way = np.array(ways).reshape(-1, 3)
+    return Contributions(
+        amplitude=np.tile(np.array(amplitude, dtype=np.complex128), (len(carriers), 1)),
+        delay_s=np.array(delay),
+        delay_rate=np.array(rates),
+        departure=way,
+        arrival=way,
+    )
