@@ -76,7 +76,8 @@ class Cfar:
         for name in ("guard", "training"):
             if min(getattr(self, name)) < 0:
                 raise ValueError(f"{name}: {getattr(self, name)} is negative")
-        if self.shape != "fitted" and (isinstance(self.shape, str) or not self.shape > 0):
+        shape: object = self.shape
+        if shape != "fitted" and not (isinstance(shape, int | float) and shape > 0):
             raise ValueError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
 
 

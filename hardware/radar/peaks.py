@@ -45,7 +45,7 @@ def peaks_above(image: RangeDopplerMap, cfar: Cfar, window: str) -> Peaks:
         "n_channels": image.n_channels,
         "oversampling": image.oversampling,
     }
-    uneven = {"noise_by_range": image.noise_by_range}
+    uneven: dict[str, Any] = {"noise_by_range": image.noise_by_range}
     rows, columns = possible(power, cfar, **made, **uneven)
     peak = _are_peaks(power, rows, columns)
     rows, columns = rows[peak], columns[peak]

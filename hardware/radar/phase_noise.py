@@ -28,8 +28,9 @@ Power = NDArray[np.floating]
 _RARE = 1e-9  # chance that thermal noise alone passes for an echo, per cell
 _BEYOND = 8.0  # times the expected power, from which a cell's own power shows an echo
 _SMOOTHED = 33  # range cells, over which the noise's level changes little
+_FAINT = 0.3  # of thermal noise: side lobes below do no harm on the other side
 # Rates and ranges that are looked at together: an echo's cell, its side lobes along either axis.
-_POOLED = ((1, 1), (1, 33), (9, 1), (33, 1))
+_POOLED = ((1, 1), (1, 33), (9, 1))
 
 
 def with_steady_phase(samples: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:
@@ -129,45 +130,48 @@ def phase_noise(spectra: Complex) -> Complex:
     thermal = np.maximum(thermal, 1e-300)
     found = odd * (excess / (excess + thermal / 2)).astype(odd.real.dtype)
     n = len(spectra)
-    power = [
-        np.mean(np.abs(part) ** 2, axis=0, dtype=np.float64) for part in (even, spectra, mirrored)
-    ]
-    strength, odds = np.zeros(power[0].shape), np.zeros(power[0].shape)
-    suspect = np.zeros(power[0].shape, dtype=np.bool_)
+    here, there, both = (
+        np.mean(np.abs(part) ** 2, axis=0, dtype=np.float64) for part in (spectra, mirrored, even)
+    )
+    expected = excess + thermal
+    certain = np.where(here > _BEYOND * expected, here, 0.0)
+    lobes = _side_lobes(certain)
+    opposite = np.roll(lobes[::-1, ::-1], (1, 1), (0, 1))
+    suspect = np.maximum(lobes, opposite) > _FAINT * thermal
+    strength, odds = np.zeros(here.shape), np.zeros(here.shape)
     for size in _POOLED:
-        both, here, there = (uniform_filter(part, size, mode="wrap") for part in power)
         looks = n * np.prod(size)
-        suspect |= both > thermal / 2 * (gammainccinv(looks, _RARE) / looks)
-        strength = np.maximum(strength, 4 * both - 2 * thermal)
-        more = looks * (here - there) / (excess + thermal)
+        a, b, c = (uniform_filter(part, size, mode="wrap") for part in (here, there, both))
+        suspect |= c > thermal / 2 * (gammainccinv(looks, _RARE) / looks)
+        strength = np.maximum(strength, 4 * c - 2 * thermal)
+        more = looks * (a - b) / expected
         odds = np.where(np.abs(more) > np.abs(odds), more, odds)
+    share = 1 / (1 + np.exp(-np.clip(odds, -60, 60)))
     at = np.nonzero(suspect)
-    if len(at[0]):
-        every = (slice(None), *at)
-        found[every] = _beside_echoes(
-            spectra[every], mirrored[every], strength[at], odds[at], thermal[at[1]], excess[at[1]]
-        )
+    for i in range(n if len(at[0]) else 0):
+        # Cell and mirror image show the same phase noise, each with its own echo and thermal noise:
+        # the mean of both is weighted by what else they hold.
+        weights = [
+            1 / (np.maximum(part * strength, other)[at] + thermal[at[1]])
+            for part, other in ((share, np.maximum(certain, lobes)), (1 - share, opposite))
+        ]
+        prior = 1 / np.maximum(excess[at[1]], 1e-300)
+        mean = spectra[i][at] * weights[0] + mirrored[i][at] * weights[1]
+        found[i][at] = mean / (prior + weights[0] + weights[1])
     return np.asarray(found)
 
 
-def _beside_echoes(
-    cell: Complex, image: Complex, strength: Array, odds: Array, thermal: Array, excess: Array
-) -> Complex:
-    """Phase noise (n_transmitters, n_cells) where a cell, its mirror image or both hold an echo.
-
-    Both are looks at the same phase noise, each with its own echo and thermal noise: the mean of
-    both is weighted by what else they hold. ``strength`` (n_cells,) is the power of both echoes,
-    ``odds`` the log of those that the cell holds them, against its mirror image.
-    """
-    here = 1 / (1 + np.exp(-np.clip(odds, -60, 60)))
-    weights = []
-    for part, share in ((cell, here), (image, 1 - here)):
-        power = np.mean(np.abs(part) ** 2, axis=0)
-        certain = np.where(power > _BEYOND * (excess + thermal), power, 0.0)
-        weights.append(1 / (np.maximum(share * strength, certain) + thermal))
-    prior = 1 / np.maximum(excess, 1e-300)
-    mean = (cell * weights[0] + image * weights[1]) / (prior + weights[0] + weights[1])
-    return np.asarray(mean.astype(cell.dtype))
+def _side_lobes(power: Array) -> Array:
+    """Power (n_rates, n_ranges) that echoes on cells leave along their own axes, at most."""
+    total = power.copy()
+    for axis, size in enumerate(power.shape):
+        away = np.minimum(np.arange(size), size - np.arange(size))
+        fall = 1 / np.maximum(size * np.sin(np.pi * away / size), 1.0) ** 2
+        fall[0] = 0
+        kernel = np.fft.rfft(fall).reshape((-1, 1) if axis == 0 else (1, -1))
+        spread = np.fft.irfft(np.fft.rfft(power, axis=axis) * kernel, size, axis=axis)
+        total += np.maximum(spread, 0)
+    return total
 
 
 def _leak(waveform: OfdmWaveform, delay_s: float, weight: Array) -> Complex:
