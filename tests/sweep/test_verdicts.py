@@ -121,6 +121,20 @@ def test_failed_points_end_in_their_reasons_and_status_1(tmp_path: Path) -> None
     assert subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
+@pytest.mark.slow  # a worker is started anew some eight times
+def test_a_point_that_kills_its_worker_is_a_row_with_its_error(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import os\n\n\ndef deadly(outcome):\n"
+        "    return 1.0 if outcome.setup.system.optics.f_number.value < 2 else os._exit(1)\n"
+    )
+    head = SMALL.replace('"snr_median", "psnr_db"', '"mine:deadly"')
+    path = write(tmp_path, '[grid]\n"system.optics.f_number" = [1.0, 2.0, 1.5]\n', head)
+    assert sweep(path, out=tmp_path / "out", workers=1).n_failed == 1
+    data = open_sweep(tmp_path / "out").load()
+    np.testing.assert_array_equal(data["mine:deadly"], [1.0, np.nan, 1.0])
+    assert "died" in str(data["error"].to_numpy()[1])
+
+
 @pytest.mark.parametrize(
     ("text", "head", "complaint"),
     [

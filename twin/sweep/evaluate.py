@@ -1,6 +1,6 @@
 """A run of points: rendered once per light, measured for each point."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,6 +37,27 @@ class Chunk:
     warnings: dict[str, dict[int, str]] = field(default_factory=dict)
     void: dict[str, list[int]] = field(default_factory=dict)
     renders: int = 0
+
+
+def joined(chunks: Sequence[Chunk]) -> Chunk:
+    """Runs of points that follow each other as one."""
+    first, last = chunks[0], chunks[-1]
+    whole = Chunk(first.start, last.stop, {}, renders=sum(chunk.renders for chunk in chunks))
+    for name in first.values:
+        whole.values[name] = np.concatenate([chunk.values[name] for chunk in chunks])
+    for chunk in chunks:
+        whole.errors |= chunk.errors
+        for kind, said in chunk.warnings.items():
+            whole.warnings.setdefault(kind, {}).update(said)
+        for side, points in chunk.void.items():
+            whole.void.setdefault(side, []).extend(points)
+    return whole
+
+
+def failed(study: Study, index: int, why: str) -> Chunk:
+    """A point that failed."""
+    nothing = {name: np.array([np.nan]) for name in study.metrics}
+    return Chunk(index, index + 1, nothing, {index: why})
 
 
 _LIGHT, _RADAR = Held(32), Held(32)  # per process, by content
@@ -103,14 +124,11 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
         raise
     except ValueError as error:
         if stop - start == 1:
-            nothing = {name: np.array([np.nan]) for name in study.metrics}
-            return Chunk(start, stop, nothing, {start: f"{type(error).__name__}: {error}"})
+            return failed(study, start, f"{type(error).__name__}: {error}")
     # Some point can't be: halve until it stands alone.
     middle = (start + stop) // 2
-    first = _closed_form(study, start, middle, inputs)
-    second = _closed_form(study, middle, stop, inputs)
-    joined = {n: np.concatenate([first.values[n], second.values[n]]) for n in study.metrics}
-    return Chunk(start, stop, joined, first.errors | second.errors)
+    halves = ((start, middle), (middle, stop))
+    return joined([_closed_form(study, *half, inputs) for half in halves])
 
 
 def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcome:

@@ -4,8 +4,8 @@
 ``system.weather.FIELD``; ``scene``, ``scene.rig.x_m`` (y, z; yaw, pitch, roll in deg),
 ``scene.sun.FIELD``, ``scene.objects.NAME.reflectance`` and ``.shift_x_m`` (y, z; NAME may be
 ``*``), ``scene.targets.NAME.rcs_m2``; ``fidelity.KNOB``, ``fidelity.preset``;
-``radar.SECTION.FIELD``; ``processing.method``; ``link.distance_m`` and ``link.reflectance`` of
-the closed form.
+``radar.SECTION.FIELD``; ``seed``; ``processing.method``; ``link.distance_m`` and
+``link.reflectance`` of the closed form.
 """
 
 import difflib

@@ -12,12 +12,12 @@ from twin.files import InputError
 from twin.progress import interrupts
 from twin.sweep.dataset import labels
 from twin.sweep.effects import check_points, without_effect
-from twin.sweep.evaluate import Chunk, evaluate_chunk
+from twin.sweep.evaluate import Chunk, evaluate_chunk, failed, joined
 from twin.sweep.inputs import Inputs, inputs_of
 from twin.sweep.names import is_own
 from twin.sweep.store import Store, begin
 from twin.sweep.study import Study, load_study
-from twin.sweep.workers import Submit, dask, here
+from twin.sweep.workers import Submit, WorkerDiedError, dask, here
 
 #: Points in a run: what a kill loses at most, for each worker.
 _RENDERED_CHUNK, _CLOSED_CHUNK = 16, 32_768
@@ -106,15 +106,30 @@ def _summary(store: Store) -> Summary:
 
 def _in_flight(submit: Submit, study: Study, store: Store, inputs: Inputs) -> Iterator[Chunk]:
     """Results as they come, never more than a few runs ahead of the slowest worker."""
-    waiting: deque[Any] = deque()
+    waiting: deque[tuple[int, int, Any]] = deque()
     for start, stop in store.todo():
-        waiting.append(submit(evaluate_chunk, study, start, stop, inputs))
+        waiting.append((start, stop, submit(evaluate_chunk, study, start, stop, inputs)))
         if len(waiting) >= submit.ahead:
-            yield submit.result(waiting.popleft())
+            yield _result(submit, study, inputs, *waiting.popleft())
     while waiting:
-        yield submit.result(waiting.popleft())
+        yield _result(submit, study, inputs, *waiting.popleft())
     if interrupts:
         raise KeyboardInterrupt
+
+
+def _result(
+    submit: Submit, study: Study, inputs: Inputs, start: int, stop: int, handle: Any
+) -> Chunk:
+    """Result of a run of points; where workers died of it, of each point by itself."""
+    try:
+        found: Chunk = submit.result(handle)
+    except WorkerDiedError as error:
+        if stop - start == 1:
+            return failed(study, start, f"{type(error).__name__}: {error}")
+        each = [submit(evaluate_chunk, study, i, i + 1, inputs) for i in range(start, stop)]
+        alone = [_result(submit, study, inputs, i, i + 1, h) for i, h in enumerate(each, start)]
+        return joined(alone)
+    return found
 
 
 @contextmanager

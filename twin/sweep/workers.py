@@ -15,9 +15,15 @@ _AHEAD = 3  # runs waiting for each worker: memory stays bounded whatever the nu
 _WITHOUT_WORKERS_S, _LOOK_S = 60.0, 2.0
 
 
+class WorkerDiedError(RuntimeError):
+    """A piece of work ended the process of every worker that tried it."""
+
+
 @dataclass(frozen=True)
 class Submit:
-    """Starts work, up to ``ahead`` pieces at a time, and waits for its results."""
+    """Starts work, up to ``ahead`` pieces at a time, and waits for its results; `WorkerDiedError`
+    where there is none.
+    """
 
     send: Callable[..., Any]
     result: Callable[[Any], Any]
@@ -65,7 +71,7 @@ def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
         Client(cluster, set_as_default=False) as client,
     ):
         client.run(_use_threads, threads)
-        yield Submit(_pure(client), lambda future: future.result(), _AHEAD * n)
+        yield Submit(_pure(client), _result, _AHEAD * n)
 
 
 class _Watch:
@@ -100,9 +106,18 @@ class _Watch:
 
         while True:
             try:
-                return future.result(timeout=_LOOK_S)
+                return _result(future, _LOOK_S)
             except NotYetError:
                 self.wait()
+
+
+def _result(future: Any, timeout_s: float | None = None) -> Any:
+    from distributed import KilledWorker
+
+    try:
+        return future.result(timeout=timeout_s)
+    except KilledWorker as error:
+        raise WorkerDiedError("the worker's process died") from error
 
 
 def _pure(client: Any) -> Callable[..., Any]:
