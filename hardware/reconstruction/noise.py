@@ -25,6 +25,9 @@ _IN_PAIR, _SUCCESSIVE, _APART = 3.29655528, 6.03696679, 14.67765865
 _EXPONENTS = np.arange(0.5, 3.01, 0.25)
 #: Share that detail may have in the variance of the finest patterns; the steps bound the error.
 _DETAIL = np.concatenate([np.arange(1.0, 0.09, -0.05), np.geomspace(0.05, 1e-8, 24)])
+#: What noise must add to twice the log-likelihood of a full set, which no smoothing improves where
+#: there is none: a chi-square test with 1 % of false alarms.
+_EVIDENCE = 6.63
 #: Prior variances within this factor are taken as one.
 _BIN = 1.25
 
@@ -70,9 +73,9 @@ def noise_beside_detail(values: Array, patterns: PatternSet) -> Array:
 
     Detail has a variance that falls with the prior's, noise the same in every value: a w^g + s,
     with a, g and s of greatest likelihood (normal values of mean 0). g is common to all images, and
-    so is the share of noise in the finest values; noise below a twentieth of the finest detail's
-    variance cannot be told from none, and is given as 0. A scene whose detail falls more slowly
-    than 1/f is taken for noise.
+    so is the share of noise in the finest values. Noise of less than a twentieth of the finest
+    detail's variance, and of a full set noise without evidence, is given as 0. A scene whose detail
+    falls more slowly than 1/f is taken for noise.
     """
     bins = _bins(patterns)
     if bins is None:
@@ -82,6 +85,9 @@ def noise_beside_detail(values: Array, patterns: PatternSet) -> Array:
     log_scale = np.log(np.maximum(scale, np.finfo(float).tiny))
     misfit = len(bins.order) * log_scale.sum(axis=1) + values.shape[1] * bins.logarithm
     best = int(np.argmin(misfit))
+    full = patterns.count == patterns.n_cells
+    if full and misfit[bins.noise == 0].min() - misfit[best] < _EVIDENCE:
+        return np.zeros(values.shape[1])
     return np.asarray(scale[best] * bins.noise[best])
 
 
