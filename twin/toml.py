@@ -159,7 +159,7 @@ def _with_base(
     if path in seen:
         raise InputError(f"{path}: base: {kind}s build on each other in a circle")
     sibling = path.parent / base
-    found = sibling if sibling.is_file() else _find(base, kind, folder)
+    found = sibling if sibling.is_file() else _find(base, f"{path}: base", folder)
     below = _with_base(found, kind, folder, model, (*seen, path))
     for section, value in content.items():
         if isinstance(value, dict) and isinstance(below.get(section), dict):

@@ -13,6 +13,7 @@ from hardware.files import whole_file
 
 #: Bytes that an array may unpack to, over those that it takes in the file: deflate's limit.
 _MOST_RATIO = 1032
+_MOST_ATTRIBUTE_BYTES = 1 << 16
 
 
 class Flag(IntFlag):
@@ -90,21 +91,21 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
         raise FileNotFoundError(f"{path}: no such record")
     try:
         with h5py.File(path, "r") as file:
-            version = _check(layout, file.attrs)
+            version = _check(layout, file)
             there = [n for n in layout.settings if layout.has(n, version)]
-            fields = {n: _plain(n, file.attrs[n]) for n in there}
+            fields = {n: _value(file, n) for n in there}
             for name, (dtype, _) in layout.arrays.items():
                 if layout.has(name, version):
                     fields[name] = _array(file, name, np.dtype(dtype))
             group = _inside(file, layout.group)
             if not isinstance(group, h5py.Group):
                 raise ValueError(f"{layout.group}: expected a group")
-            parameters = {name: _plain(name, group.attrs[name]) for name in layout.parameters}
+            parameters = {name: _value(group, name) for name in layout.parameters}
             for name in layout.optional:
                 if name in group:
                     parameters[name] = tuple(_array(group, name, np.dtype(np.int64)).tolist())
             return fields, parameters
-    except (OSError, KeyError, ValueError) as error:
+    except (KeyError, OSError, RuntimeError, TypeError, ValueError) as error:  # HDF5 has them all
         text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
         raise ValueError(f"{path}: {text}") from error
 
@@ -124,11 +125,12 @@ def check_positive(record: Any, *names: str) -> None:
             raise ValueError(f"{name}: {value} is not a positive number")
 
 
-def _check(layout: Layout, attributes: Mapping[str, Any]) -> int:
+def _check(layout: Layout, file: Any) -> int:
     """The file's schema version, if it can be read."""
-    if attributes.get("format") != layout.format:
-        raise ValueError(f"not a {layout.format}: its format is {attributes.get('format')!r}")
-    version = _plain("schema_version", attributes["schema_version"])
+    found = _value(file, "format") if "format" in file.attrs else None
+    if found != layout.format:
+        raise ValueError(f"not a {layout.format}: its format is {found!r:.60}")
+    version = _value(file, "schema_version")
     if not isinstance(version, int):
         raise ValueError(f"schema_version: {version!r:.40} is no whole number")
     if not 1 <= version <= layout.version:
@@ -155,7 +157,7 @@ def _array(group: Any, name: str, dtype: "np.dtype[Any]") -> Any:
         raise ValueError(f"{name}: {kind}, expected an array of {dtype}")
     if found.is_virtual or found.external:
         raise ValueError(f"{name}: stands in another file, expected it in this one")
-    held = found.id.get_storage_size()
+    held = min(found.id.get_storage_size(), found.file.id.get_filesize())
     if found.nbytes > _MOST_RATIO * held:
         raise ValueError(
             f"{name}: {found.nbytes} bytes of shape {found.shape}, but the file holds {held}"
@@ -163,10 +165,21 @@ def _array(group: Any, name: str, dtype: "np.dtype[Any]") -> Any:
     return found[()].astype(dtype)
 
 
-def _plain(name: str, value: Any) -> Any:
-    """A single number or text. Raises ValueError for anything else."""
-    if np.ndim(value) > 0:
-        raise ValueError(f"{name}: an array of shape {np.shape(value)}, expected one value")
+def _value(group: Any, name: str) -> Any:
+    """A single number or text among the attributes. Raises ValueError for anything else."""
+    import h5py
+
+    held = h5py.h5a.open(group.id, name.encode())
+    if shape := held.get_space().shape:
+        raise ValueError(f"{name}: an array of shape {shape}, expected one value")
+    # Of other types (sequences, references) a broken file ends the process in HDF5 itself.
+    if held.get_type().get_class() not in _plain_types():
+        raise ValueError(f"{name}: neither a number nor a text")
+    if (size := held.get_storage_size()) > _MOST_ATTRIBUTE_BYTES:
+        raise ValueError(
+            f"{name}: a text of {size} bytes, at most {_MOST_ATTRIBUTE_BYTES} are read"
+        )
+    value = group.attrs[name]
     if isinstance(value, bytes | str):
         try:  # h5py gives what is no UTF-8 as surrogates, or as bytes
             text = value if isinstance(value, bytes) else value.encode("utf-8", "surrogateescape")
@@ -174,3 +187,9 @@ def _plain(name: str, value: Any) -> Any:
         except UnicodeError as error:
             raise ValueError(f"{name}: {error}") from error
     return value.item() if isinstance(value, np.generic) else value
+
+
+def _plain_types() -> set[int]:
+    from h5py import h5t
+
+    return {h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM}

@@ -89,10 +89,10 @@ class RadarRecord:
                 f"{len(self.transmitters_m)}"
             )
         if not (np.isfinite(self.carriers_hz).all() and (self.carriers_hz > 0).all()):
-            raise ValueError(f"carriers_hz: {self.carriers_hz} holds what is no frequency")
+            raise ValueError("carriers_hz: a value is no positive number")
         for name in ("transmitters_m", "receivers_m", "pose"):
             if not np.isfinite(getattr(self, name)).all():
-                raise ValueError(f"{name}: {getattr(self, name)} holds what is not a number")
+                raise ValueError(f"{name}: a value is no number")
         container.check_positive(self, "root_watt_per_count", "transmit_power_w")
 
     @property

@@ -89,7 +89,7 @@ class SpiRecord:
         if not np.isfinite(self.offset_counts):
             raise ValueError(f"offset_counts: {self.offset_counts} is not a number")
         if not np.isfinite(self.pose).all():
-            raise ValueError(f"pose: {self.pose} holds what is not a number")
+            raise ValueError("pose: a value is no number")
 
     @property
     def received(self) -> "SpiRecord":

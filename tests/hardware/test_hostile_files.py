@@ -109,6 +109,14 @@ def no_text(file: h5py.File) -> None:
     file.attrs["device"] = np.bytes_(b"\xff\xfe")
 
 
+def sequence_for_a_text(file: h5py.File) -> None:
+    """One flipped bit makes it of a text."""
+    file["counts"] = np.zeros((64, 1), np.int32)
+    del file.attrs["device"]
+    kind = h5py.h5t.py_create(h5py.vlen_dtype(np.int32), logical=True)
+    h5py.h5a.create(file.id, b"device", kind, h5py.h5s.create(h5py.h5s.SCALAR))
+
+
 def too_many_cells(file: h5py.File) -> None:
     file["counts"] = np.zeros((64, 1), np.int32)
     file["patterns"].attrs["rows"] = file["patterns"].attrs["columns"] = 2**30
@@ -133,6 +141,7 @@ def patterns_elsewhere(file: h5py.File) -> None:
         (array_for_a_number, "integration_time_s: an array of shape"),
         (array_for_the_version, "schema_version: an array of shape"),
         (no_text, "device: 'utf-8' codec can't decode"),
+        (sequence_for_a_text, "device: neither a number nor a text"),
         (too_many_cells, "rows, columns: 1073741824 x 1073741824 cells"),
         (patterns_elsewhere, "patterns: stands in another file"),
     ],

@@ -52,7 +52,9 @@ def _check(path: Path, defaults: dict[str, str], within: tuple[Path, ...]) -> No
     reader.StartElementHandler, reader.EndElementHandler = begin, end
     try:
         reader.Parse(path.read_bytes(), True)
-    except expat.ExpatError as error:
+    except InputError:
+        raise
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter two: its encoding
         raise InputError(f"{path}: no valid XML: {error}") from error
     except OSError as error:
         raise InputError(f"{path}: can't be read ({error.strerror})") from error

@@ -12,6 +12,7 @@ import difflib
 import re
 from dataclasses import fields
 from functools import lru_cache
+from tokenize import TokenError
 from types import UnionType
 from typing import Any, get_args
 
@@ -94,7 +95,14 @@ def check_value(name: str, value: Value) -> Value:
     try:
         # Digits that conversion does not blur: 12 nm is 1.2e-8 m.
         return float(f"{registry.Quantity(value).to(unit).magnitude:.15g}")
-    except (pint.PintError, TypeError, AttributeError, ValueError) as error:
+    except (
+        pint.PintError,
+        TypeError,
+        AttributeError,
+        ValueError,
+        SyntaxError,
+        TokenError,
+    ) as error:
         raise ValueError(
             f"{name} = {value!r}: expected a number or a quantity in {unit}"
         ) from error
