@@ -19,8 +19,9 @@ from hardware.records import Flag
 #: 3 us a pattern, of which this firmware computes 4096 cells for two detectors: tens of times that.
 OVERLOAD = SpiSettings(PatternSet(64, 64, 4096, "natural", "plain"), 1e-6)
 PATIENT = Patience(reply_s=1.0, attempts=1, reconnect_s=5.0)
-#: The firmware's buffer of exposures (host.c), and what a busy test machine may add.
+#: The firmware's buffer of exposures, and what a busy test machine may add.
 BACKLOG_S, BUSY_S = 0.25, 0.5
+SHALLOW = ("--backlog", "250")
 
 
 def test_an_overloaded_camera_answers_stops_and_tells_what_it_left_out(firmware: Any) -> None:
@@ -28,7 +29,7 @@ def test_an_overloaded_camera_answers_stops_and_tells_what_it_left_out(firmware:
     first exposure after a gap says so, and no frame is older than the buffer.
     """
     with (
-        firmware.running() as path,
+        firmware.running(*SHALLOW) as path,
         SpiCamera(path, OVERLOAD, patience=PATIENT) as camera,
     ):
         records, ages, waits = [], [], []
@@ -56,7 +57,7 @@ def test_an_overloaded_camera_answers_stops_and_tells_what_it_left_out(firmware:
 def test_a_run_of_so_many_sets_ends_in_time_however_slow_the_camera(firmware: Any) -> None:
     """100 sets of 4096 patterns of 3 us take 1.2 s, of which most is left out, and no longer."""
     with (
-        firmware.running() as path,
+        firmware.running(*SHALLOW) as path,
         SpiCamera(path, OVERLOAD, patience=PATIENT) as camera,
     ):
         begun = time.monotonic()

@@ -1,6 +1,6 @@
 /* The device on a workstation: behind a pseudo-terminal, looking at a picture of its own.
  *
- *   device [--fast] [--reset-after FRAMES] [--stall-after FRAMES]
+ *   device [--fast] [--reset-after FRAMES] [--stall-after FRAMES] [--backlog MS]
  *                        prints the terminal's path, serves until its standard input closes
  *   device --encode      hex lines of type, tag and payload -> hex lines as on the wire
  *   device --decode      the other way; a broken line gives an empty one
@@ -88,7 +88,7 @@ static uint8_t expose(const struct patterns *p, uint32_t exposure, const struct 
 static double electrons_per_count(uint8_t gain) { return 1.0 / (1 << gain); }
 static double offset_counts(uint8_t gain) { return (void)gain, 100.0; }
 
-static const struct platform platform = {
+static struct platform platform = {
     .name = "ugv reference firmware 1",
     .adc_bits = 16,
     .detectors = 2,
@@ -96,7 +96,7 @@ static const struct platform platform = {
     .min_integration_time_s = 1e-6,
     .max_integration_time_s = 1.0,
     .readout_time_s = 2e-6,
-    .backlog_ns = 250000000,
+    .backlog_ns = 2000000000, /* a workstation may be busy with other things */
     .now_ns = now_ns,
     .send = send_bytes,
     .expose = expose,
@@ -217,9 +217,11 @@ int main(int n, char **arguments)
             reset_after = strtoull(arguments[++i], 0, 10);
         else if (!strcmp(arguments[i], "--stall-after") && i + 1 < n)
             stall_after = strtoull(arguments[++i], 0, 10);
+        else if (!strcmp(arguments[i], "--backlog") && i + 1 < n)
+            platform.backlog_ns = (int64_t)strtoul(arguments[++i], 0, 10) * 1000000;
         else {
             fprintf(stderr, "usage: device [--fast] [--reset-after FRAMES] [--stall-after FRAMES] "
-                            "| --encode | --decode\n");
+                            "[--backlog MS] | --encode | --decode\n");
             return 2;
         }
     }
