@@ -121,13 +121,17 @@ def process(
         oversampling=how.oversampling,
         noise_by_range=taken.noise_by_range,
     )
-    clutter = fit(image.power_w, image.n_channels)
-    cfar = fitted(image.power_w, how.cfar, image.n_channels)
+    even = image.power_w
+    if image.noise_by_range is not None:
+        even = even / image.noise_by_range[:, None]
+    # Cells that a window makes exceed a level together: 7 for blackmanharris, 1 without one.
+    clutter = fit(even, image.n_channels, noise_gain(how.window, channel.shape[-2:]) ** 1.4)
+    cfar = fitted(even, how.cfar, image.n_channels)
     # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
     found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
     plain_noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
     found = unfolded(channel, taken.waveform, found, plain_noise_w, how.fastest_m_per_s)
-    warnings = (*taken.warnings, *_warnings(burst, len(found), how, clutter))
+    warnings = (*taken.warnings, *_warnings(burst, len(found), image.n_channels, how, clutter))
     found = found[: how.at_most]
     if how.resolve:
         found = _resolved(found, channel, taken.waveform, plain_noise_w, how.cfar.false_alarm)
@@ -152,7 +156,9 @@ def process(
     )
 
 
-def _warnings(burst: int, n_found: int, how: Processing, clutter: ClutterFit) -> list[str]:
+def _warnings(
+    burst: int, n_found: int, n_channels: int, how: Processing, clutter: ClutterFit
+) -> list[str]:
     """What of the detections is not as it should be."""
     told = []
     if n_found > how.at_most:
@@ -164,8 +170,9 @@ def _warnings(burst: int, n_found: int, how: Processing, clutter: ClutterFit) ->
         told.append(
             f"burst {burst}: the map is no noise: {clutter.exceedance:.2g} times as many cells as "
             f"noise has stand far above their median, as in K-distributed clutter of shape "
-            f"{clutter.shape:.2g}; false alarms come more often than asked for (a CFAR with its "
-            "shape fitted holds the rate)"
+            f"{clutter.shape:.2g}; there are "
+            f"{clutter.false_alarms(how.cfar.false_alarm, n_channels):.2g} times as many false "
+            "alarms as asked for (a CFAR with its shape fitted holds the rate)"
         )
     return told
 
