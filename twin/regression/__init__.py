@@ -25,9 +25,9 @@ and after:
 
 A test fails when any figure became worse by more than its metric's ``tolerance``, in the mean or at
 single seeds, at a false-alarm probability of 1 % for all figures together
-(`twin.regression.statistics`). Pictures before and
-after are then in ``regression-pictures/``. Nothing is rounded in one's favour: a missing baseline
-fails, and so does one that was made with another scene, system or number of seeds.
+(`twin.regression.statistics`). Pictures before and after are then in ``regression-pictures/``.
+Nothing is rounded in one's favour: a missing baseline fails, and so does one that was made with
+another scene, system or number of seeds, or was edited.
 
 ``twin_truth`` gives the rendered light alone: ``twin_truth.light(scene, system)`` is what
 `twin.camera.acquisition.measure` takes.
