@@ -8,7 +8,7 @@ import numpy as np
 from scipy.constants import c as light_speed
 
 from benchmarks.timing import Figure, timed
-from hardware.radar import channel, detect, range_doppler
+from hardware.radar.process import process
 from twin.radar import load_radar, radar_capture
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.propagation.sionna_paths import sionna_paths
@@ -63,7 +63,7 @@ def _synthesis() -> Iterator[Figure]:
 
 
 def _free_space() -> Iterator[Figure]:
-    """10 m^2 receding at 2 m/s, rectangular window: level, range and rate against truth."""
+    """10 m^2 receding at 2 m/s, by default: level, range and rate against truth."""
     radar = load_radar("hybrid-79")
     loss = float(radar.ofdm.slot_gain(np.array(4.0 / radar.ofdm.wavelength_m))) ** 2
     rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
@@ -71,9 +71,7 @@ def _free_space() -> Iterator[Figure]:
     for distance in (10.0, 50.0, 140.0):
         target = Target("t", (distance, 0.0, 0.0), (2.0, 0.0, 0.0), 10.0, "declared")
         record = radar_capture(replace(empty, targets=(target,)), radar, seed=4).record
-        received = channel(record)
-        image = range_doppler(received, radar.ofdm, "boxcar")
-        found = detect(received, radar.ofdm, image, window="boxcar", at_most=1)[0]
+        found = process(record).detections[0]
         expected = radar.received_power_w(distance, 10.0) * loss
         level = 10 * np.log10(found.power_w / expected)
         yield f"10 m^2 at {distance:g} m: level less radar equation", float(level), "dB"

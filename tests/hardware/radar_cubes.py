@@ -136,12 +136,14 @@ def two_targets(rng: np.random.Generator, wave: OfdmWaveform, snr_db: float, cel
 
 
 def resolved(channel: np.ndarray, wave: OfdmWaveform, ranges: np.ndarray) -> bool:
-    """Whether there are two detections, each within half a cell of its target."""
-    image = range_doppler(channel, wave, "boxcar", oversampling=2)
-    found = detected(channel, wave, image, Cfar(1e-6, guard=(8, 4)), "boxcar", 1)
+    """Whether there are two detections, each within half a cell of its target.
+
+    By default but for `resolve`, which a user asks for.
+    """
+    found = detected(channel, wave, range_doppler(channel, wave), Cfar(1e-6))
     if not found:
         return False
-    parts = resolve(channel, wave, found[0][0], image.noise_w)
+    parts = resolve(channel, wave, found[0][0], range_doppler(channel, wave, "boxcar").noise_w)
     off = [abs(p.range_m - r) for (p, _), r in zip(parts, ranges, strict=False)]
     return len(parts) == 2 and max(off) < wave.range_cell_m / 2
 
