@@ -128,22 +128,31 @@ def process(
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only)
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
-    n, ending = 0, Ending(fault=None)
+    n, failed, ending = 0, False, Ending(fault=None)
     with asked_to_end() as over, Log(target) as log:
         incoming = _records(source, settings, radar_setup, over, ending)
         for received in itertools.islice(incoming, records or None):
+            if over.is_set():
+                break
+            try:
+                outcome = run(received, log, method=method, how=how, camera=camera, radar=radar)
+            except ValueError as error:
+                if not received.record.flags.any():
+                    raise
+                # Too little of this record arrived; the next one may be whole.
+                failed = True
+                print(f"warning: {received.topic}: not processed: {error}", file=sys.stderr)
+                continue
             n += 1
-            outcome = run(received, log, method=method, how=how, camera=camera, radar=radar)
             for warning in outcome.warnings:
                 print(f"warning: {received.topic}: {warning}", file=sys.stderr)
             for line in outcome.lines:
                 print(f"{received.topic}: {line}")
-            if over.is_set():
-                print("stopped")
-                break
+        if over.is_set():
+            print("stopped")
         if not n:
             why = f" ({ending.fault})" if ending.fault else ""
-            raise ValueError(f"{source}: no record in it{why}")
+            raise ValueError(f"{source}: no {'whole ' if failed else ''}record in it{why}")
     print(f"written: {target}")
     if ending.fault:
         print(f"warning: {source}: {ending.advice(source)}", file=sys.stderr)
