@@ -12,21 +12,19 @@ Where the migration of a span is less than about a cell the rates cannot be told
 array whose transmitters take turns, the phases across them may (`hardware.radar.angles`).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.demodulation import Complex
-from hardware.radar.detection import Measured, distinct, measurement
-from hardware.radar.refinement import Blocks, amplitudes, blocks_about, highest, left_over
+from hardware.radar.refinement import Blocks
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 
 #: Log-likelihood ratio from which a rate is taken for certain: an error in a thousand.
 CERTAIN = float(np.log(1e3))
+_USUAL_M_PER_S = 10.0  # standard deviation of range rates before anything is measured
 _MODEL = 0.1  # of the likeliest rate's level: what an echo of several points may add to a wrong one
 
 
@@ -46,9 +44,12 @@ class RateEvidence:
 
     @property
     def rates_left_open(self) -> Array:
-        """Range rates (n,) that the data cannot exclude, likeliest first."""
-        likeliest = np.argsort(-self.log_likelihood, kind="stable")
-        return self.range_rate_m_per_s[likeliest[self.possible[likeliest]]]
+        """Range rates (n,) that the data cannot exclude, likeliest first: where the data hardly
+        tell, that is the slowest.
+        """
+        rates, likelihood = self.range_rate_m_per_s, self.log_likelihood
+        likeliest = np.argsort((rates / _USUAL_M_PER_S) ** 2 / 2 - likelihood, kind="stable")
+        return np.asarray(rates[likeliest[self.possible[likeliest]]])
 
     @property
     def possible(self) -> NDArray[np.bool_]:
@@ -103,54 +104,3 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     floor = max(noise_w, np.finfo(float).tiny)
     level = np.maximum(powers.sum(axis=1) / floor - len(blocks.sums) * len(steps), 0.0)
     return RateEvidence(rates_m_per_s, powers.max(axis=1) / floor, level)
-
-
-def unfolded(
-    channel: Complex,
-    waveform: OfdmWaveform,
-    found: Sequence[Measured],
-    noise_w: float,
-    fastest_m_per_s: float,
-) -> list[Measured]:
-    """Detections with the likeliest of the range rates that fold to theirs, strongest first; other
-    rates that the channel leaves open stand with them as alternatives.
-
-    Parameters
-    ----------
-    channel, waveform, found
-        As `detected` took and gave them.
-    noise_w
-        Mean noise power of a cell without a window.
-    fastest_m_per_s
-        Up to which targets may approach or recede.
-    """
-    if waveform.n_slots == 1 or not found:
-        return list(found)
-    places = np.array([(one.range_m, one.range_rate_m_per_s) for one, _ in found]).T
-    measured = []
-    for one, blocks in zip(found, blocks_about(channel, waveform, "boxcar", *places), strict=True):
-        folded = one[0].range_rate_m_per_s
-        rates = folded_rates(waveform, folded, fastest_m_per_s)
-        rates = rate_evidence(blocks, rates, noise_w).rates_left_open
-        if abs(rates[0] - folded) > waveform.max_velocity_m_per_s:
-            one = _measured_again(channel, waveform, one, rates[0], noise_w)
-        detection, amplitude = one
-        others = detection.range_rate_m_per_s + (rates[1:] - rates[0])
-        alternatives = tuple(float(rate) for rate in others)
-        detection = replace(detection, range_rate_alternatives_m_per_s=alternatives)
-        measured.append((detection, amplitude))
-    # Cells of a smear all lead to the target that made it.
-    return distinct(measured, waveform)
-
-
-def _measured_again(
-    channel: Complex, waveform: OfdmWaveform, found: Measured, rate: float, noise_w: float
-) -> Measured:
-    """A detection about another range rate, with the migration that belongs to it."""
-    place = np.array([found[0].range_m]), np.array([rate])
-    (blocks,) = blocks_about(channel, waveform, "boxcar", *place)
-    step = highest(blocks)
-    around_w = left_over(blocks, step)
-    return measurement(
-        blocks, step, amplitudes(blocks, step), waveform, noise_w, "boxcar", around_w
-    )

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.ambiguity import unfolded
 from hardware.radar.angles import compensated, direction, extents, virtual_places
 from hardware.radar.burst import Burst, demodulate
 from hardware.radar.cfar import Cfar, fitted
@@ -58,7 +57,7 @@ class Processing:
         For carrier steps, see `stitch`.
     fastest_m_per_s
         Up to which targets may approach or recede; range rates beyond the Doppler ambiguity are
-        told apart, or listed, up to there, see `unfolded`.
+        told apart, or listed, up to there, see `detected`.
     """
 
     window: str = "blackmanharris"
@@ -125,16 +124,18 @@ def process(
     if image.noise_by_range is not None:
         even = even / image.noise_by_range[:, None]
     # Cells that a window makes exceed a level together: 7 for blackmanharris, 1 without one.
-    clutter = fit(even, image.n_channels, noise_gain(how.window, channel.shape[-2:]) ** 1.4)
+    windows_gain = noise_gain(how.window, channel.shape[-2:])
+    clutter = fit(even, image.n_channels, windows_gain**1.4)
     cfar = fitted(even, how.cfar, image.n_channels)
     # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
-    found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
-    plain_noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
-    found = unfolded(channel, taken.waveform, found, plain_noise_w, how.fastest_m_per_s)
+    found = detected(
+        channel, taken.waveform, image, cfar, how.window, 2 * how.at_most, how.fastest_m_per_s
+    )
     warnings = (*taken.warnings, *_warnings(burst, len(found), image.n_channels, how, clutter))
     found = found[: how.at_most]
     if how.resolve:
-        found = _resolved(found, channel, taken.waveform, plain_noise_w, how.cfar.false_alarm)
+        noise_w = image.noise_w / windows_gain
+        found = _resolved(found, channel, taken.waveform, noise_w, how.cfar.false_alarm)
     points = [point for one in found for point in _points(one, taken, how.per_cell)]
     return Frame(
         burst=burst,
