@@ -3,21 +3,35 @@
 Slots a period T apart know the Doppler shift modulo 1 / T: range rates a span of lambda / (2 T)
 apart look alike in phase. They differ in migration: within the interval of M slots one span moves a
 target by M B / fc range cells (B the bandwidth, fc the carrier). So every rate that folds to the
-measured one is tried on the channel itself. With the right one an echo stays in its range cell;
-with another it is smeared over the cells between, and only part of it remains at that Doppler.
-(Keystone and hypothesis tests: Perry, DiPietro and Fante, IEEE Trans. Aerosp. Electron. Syst. 35,
-1999.)
+measured one is tried on the channel itself. With the right one an echo stands in one cell; with
+another it is smeared over as many cells of range and of rate as the two differ in migration, and a
+detection stands on a fragment of it. So each rate is tried over all cells to which its echo may
+have been smeared. (Keystone and hypothesis tests: Perry, DiPietro and Fante, IEEE Trans. Aerosp.
+Electron. Syst. 35, 1999.)
+
+A strong echo is smeared by a wrong rate, too, over the weak ones beside it: echoes are taken in the
+order of their strength, and each is taken away before the next is weighed.
 
 Where the migration of a span is less than about a cell the rates cannot be told apart so; of an
 array whose transmitters take turns, the phases across them may (`hardware.radar.angles`).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.refinement import Blocks
+from hardware.radar.demodulation import Complex
+from hardware.radar.detection import Detection, Measured, distinct, measurement
+from hardware.radar.refinement import (
+    Blocks,
+    amplitudes,
+    blocks_about,
+    highest,
+    left_over,
+    unit_echoes,
+)
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -26,30 +40,35 @@ Array = NDArray[np.float64]
 CERTAIN = float(np.log(1e3))
 _USUAL_M_PER_S = 10.0  # standard deviation of range rates before anything is measured
 _MODEL = 0.1  # of the likeliest rate's level: what an echo of several points may add to a wrong one
+_FARTHEST = 9  # cells to each side that are searched: a quarter of the blocks' own reach
+_COARSE = 32  # blocks along each axis of the search; a target at its edge loses 1.2 dB
+_SEARCHED = (2 * _FARTHEST + 1) ** 2  # cells
+_FELT = 0.1  # of a cell's noise: what others leave at an echo and need not be taken away
 
 
 @dataclass(frozen=True, eq=False)
 class RateEvidence:
     """What speaks for each of the range rates that fold to the measured one.
 
-    ``range_rate_m_per_s`` (n_rates,), nearest to standstill first. ``log_likelihood`` (n_rates,):
-    of a point target in white noise, up to a constant. ``level`` (n_rates,): signal that remains
-    within a few range cells at that Doppler, over noise, which is largest for the true rate of an
-    extended target, too.
+    ``range_rate_m_per_s`` (n_rates,). ``log_likelihood`` (n_rates,): of a point target in white
+    noise anywhere in the cells that were searched, up to a constant. ``level`` (n_rates,): signal
+    over noise that stands in the best row of one rate, which is largest for the true rate of an
+    extended target, too. ``step`` (n_rates, 2): cells of delay and rate to the highest power.
     """
 
     range_rate_m_per_s: Array
     log_likelihood: Array
     level: Array
+    step: Array
 
     @property
-    def rates_left_open(self) -> Array:
-        """Range rates (n,) that the data cannot exclude, likeliest first: where the data hardly
+    def left_open(self) -> NDArray[np.intp]:
+        """Rates (n,) by number that the data cannot exclude, likeliest first: where the data hardly
         tell, that is the slowest.
         """
         rates, likelihood = self.range_rate_m_per_s, self.log_likelihood
         likeliest = np.argsort((rates / _USUAL_M_PER_S) ** 2 / 2 - likelihood, kind="stable")
-        return np.asarray(rates[likeliest[self.possible[likeliest]]])
+        return np.asarray(likeliest[self.possible[likeliest]])
 
     @property
     def possible(self) -> NDArray[np.bool_]:
@@ -81,26 +100,156 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     Parameters
     ----------
     blocks
-        The channel about the detection, see `blocks_about`, at one of the rates.
+        The channel about the detection without a window, see `blocks_about`, at one of the rates.
     rates_m_per_s : (n_rates,)
         Range rates a multiple of the Doppler ambiguity's span from the blocks' own.
     noise_w
-        Mean noise power of a cell, of the blocks' window.
+        Mean noise power of a cell.
     """
+    from scipy.special import logsumexp
+
+    sums, f_hz, t_s = _coarser(blocks)
     extra = 2 / C_M_PER_S * rates_m_per_s - blocks.delay_rate
     duration = 1 / (blocks.cell[1] * blocks.carrier_hz)
-    between = np.abs(np.diff(np.sort(extra))).min(initial=np.inf)
-    crossed = between * duration / blocks.cell[0] if len(extra) > 1 else 0.0
-    reach = int(np.clip(np.ceil(crossed), 1, len(blocks.f_hz) // 8 + 1))
-    # Half cells, so that a target between two cells loses little.
-    steps = np.arange(-2 * reach, 2 * reach + 1) / 2
-    across = np.exp(1j * np.outer(steps, blocks.turns[0]))
-    powers = np.empty((len(extra), len(steps)))
-    for i, more in enumerate(extra):
+    smeared = np.abs(extra).max() * duration / blocks.cell[0] / 2
+    reach = int(min(np.ceil(smeared) + 1, _FARTHEST))
+    steps = (
+        np.arange(-2 * reach, 2 * reach + 1) / 2
+    )  # half cells: between two a target loses 0.9 dB
+    across = np.exp(2j * np.pi * blocks.cell[0] * np.outer(steps, f_hz))
+    along = np.exp(2j * np.pi * blocks.cell[1] * blocks.carrier_hz * np.outer(t_s, steps))
+    found = []
+    for more in extra:
         # The carrier's own turn folds to none over whole slots; the band's is the migration.
-        still = np.exp(2j * np.pi * np.outer(blocks.f_hz, blocks.t_s) * more)
-        profiles = np.einsum("cft,ft->cf", blocks.sums, still) @ across.T
-        powers[i] = np.sum(np.abs(profiles) ** 2, axis=0)
-    floor = max(noise_w, np.finfo(float).tiny)
-    level = np.maximum(powers.sum(axis=1) / floor - len(blocks.sums) * len(steps), 0.0)
-    return RateEvidence(rates_m_per_s, powers.max(axis=1) / floor, level)
+        still = sums * np.exp(2j * np.pi * np.outer(f_hz, t_s) * more)
+        power = np.sum(np.abs(across @ still @ along) ** 2, axis=0)  # by delay and rate
+        # What stronger echoes leave over all these cells is no echo.
+        noise = max(noise_w, float(np.median(power)) / len(sums), np.finfo(float).tiny)
+        row, column = np.unravel_index(np.argmax(power), power.shape)
+        rows = np.maximum(power / noise - len(sums), 0).sum(axis=0)
+        found.append((logsumexp(power / noise), rows.max(), (steps[row], steps[column])))
+    return RateEvidence(rates_m_per_s, *map(np.array, zip(*found, strict=True)))
+
+
+def _coarser(blocks: Blocks) -> tuple[NDArray[np.complex128], Array, Array]:
+    """Sums (n_channels, n_f, n_t) over neighbouring blocks, their frequencies and times."""
+    sums, axes = blocks.sums, []
+    for axis, values in ((1, blocks.f_hz), (2, blocks.t_s)):
+        share = blocks.share_f if axis == 1 else blocks.share_t
+        edges = np.linspace(0, len(values), min(_COARSE, len(values)) + 1).astype(int)[:-1]
+        sums = np.add.reduceat(sums, edges, axis=axis)
+        axes.append(np.add.reduceat(values * share, edges) / np.add.reduceat(share, edges))
+    return sums, axes[0], axes[1]
+
+
+def unfolded(
+    channel: Complex,
+    waveform: OfdmWaveform,
+    found: Sequence[Measured],
+    noise_w: float,
+    fastest_m_per_s: float,
+) -> list[Measured]:
+    """Detections with the likeliest of the range rates that fold to theirs, strongest first; other
+    rates that the channel leaves open stand with them as alternatives.
+
+    Parameters
+    ----------
+    channel, waveform, found
+        As `detected` took and gave them.
+    noise_w
+        Mean noise power of a cell without a window.
+    fastest_m_per_s
+        Up to which targets may approach or recede.
+    """
+    from scipy.special import gammainccinv
+
+    one_rate = len(folded_rates(waveform, 0.0, fastest_m_per_s)) == 1
+    if waveform.n_slots == 1 or one_rate or not found:
+        return list(found)
+    places = np.array([(one.range_m, one.range_rate_m_per_s) for one, _ in found]).T
+    about = blocks_about(channel, waveform, "boxcar", *places)
+    looks = len(found[0][1])
+    least_w = noise_w * float(gammainccinv(looks, np.exp(-CERTAIN) / _SEARCHED)) / looks
+    kept: list[Measured] = []
+    moved: list[Measured] = []
+    for one, blocks in zip(found, about, strict=True):
+        if moved and _explained(blocks, one, moved):
+            continue  # a fragment of what stands elsewhere with its own rate
+        solved = _solved(
+            channel, waveform, one, _without(blocks, kept, noise_w), kept, noise_w, fastest_m_per_s
+        )
+        if _other_fold(solved[0].range_rate_m_per_s, one[0], waveform):
+            if solved[0].power_w < least_w:
+                continue  # no echo, but what is left of those before it
+            moved.append(solved)
+        kept.append(solved)
+    return distinct(kept, waveform)
+
+
+def _solved(
+    channel: Complex,
+    waveform: OfdmWaveform,
+    one: Measured,
+    blocks: Blocks,
+    others: Sequence[Measured],
+    noise_w: float,
+    fastest_m_per_s: float,
+) -> Measured:
+    """A detection with its likeliest range rate, measured again where that is another; ``blocks``
+    about it are free of the ``others``.
+    """
+    detection, amplitude = one
+    rates = folded_rates(waveform, detection.range_rate_m_per_s, fastest_m_per_s)
+    evidence = rate_evidence(blocks, rates, noise_w)
+    best, *rest = evidence.left_open
+    if _other_fold(float(rates[best]), detection, waveform):
+        range_m = detection.range_m + evidence.step[best, 0] * waveform.range_cell_m
+        rate = rates[best] + evidence.step[best, 1] * waveform.velocity_cell_m_per_s
+        place = np.array([range_m]), np.array([rate])
+        (again,) = blocks_about(channel, waveform, "boxcar", *place)
+        again = _without(again, others, noise_w)
+        step = highest(again)
+        detection, amplitude = measurement(
+            again,
+            step,
+            amplitudes(again, step),
+            waveform,
+            noise_w,
+            "boxcar",
+            left_over(again, step),
+        )
+    alternatives = detection.range_rate_m_per_s + (rates[rest] - rates[best])
+    told = tuple(float(rate) for rate in alternatives)
+    return replace(detection, range_rate_alternatives_m_per_s=told), amplitude
+
+
+def _other_fold(rate_m_per_s: float, detection: Detection, waveform: OfdmWaveform) -> bool:
+    """Whether a rate is another than a detection's by at least half a span."""
+    return abs(rate_m_per_s - detection.range_rate_m_per_s) > waveform.max_velocity_m_per_s
+
+
+def _without(blocks: Blocks, others: Sequence[Measured], noise_w: float) -> Blocks:
+    """Blocks less what other echoes leave in them."""
+    if not others:
+        return blocks
+    echoes = unit_echoes(blocks, np.array([_steps(one, blocks) for one, _ in others]))
+    reach = (
+        np.array([np.mean(np.abs(a) ** 2) for _, a in others])
+        * np.abs(echoes).sum(axis=(1, 2)) ** 2
+    )
+    felt = reach > _FELT * noise_w
+    strength = np.array([amplitude for _, amplitude in others])[felt]
+    return replace(blocks, sums=blocks.sums - np.einsum("kc,kft->cft", strength, echoes[felt]))
+
+
+def _explained(blocks: Blocks, one: Measured, moved: Sequence[Measured]) -> bool:
+    """Whether most of an echo is gone once echoes that moved elsewhere are taken away."""
+    left = amplitudes(_without(blocks, moved, 0.0), np.array(_steps(one[0], blocks)))
+    return bool(np.mean(np.abs(left) ** 2) < 0.25 * one[0].power_w)
+
+
+def _steps(one: Detection, blocks: Blocks) -> tuple[float, float]:
+    """Cells of delay and rate from the middle of blocks to an echo."""
+    delay = 2 / C_M_PER_S * one.range_m - blocks.delay_s
+    rate = 2 / C_M_PER_S * one.range_rate_m_per_s - blocks.delay_rate
+    return delay / blocks.cell[0], rate / blocks.cell[1]

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.ambiguity import folded_rates, rate_evidence
 from hardware.radar.cfar import Cfar
 from hardware.radar.demodulation import Complex
 from hardware.radar.peaks import Peaks, peaks_above
 from hardware.radar.range_doppler import RangeDopplerMap, check_channel
 from hardware.radar.refinement import Blocks, amplitudes, blocks_about, highest, left_over
 from hardware.radar.sensitivity import side_lobe, weak_echoes
-from hardware.radar.windows import frequency_variance, noise_gain, taper
+from hardware.radar.windows import frequency_variance, taper
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -87,15 +86,11 @@ def detected(
     cfar: Cfar,
     window: str = "blackmanharris",
     at_most: int = 64,
-    fastest_m_per_s: float = 0.0,
 ) -> list[Measured]:
     """Find targets, strongest first, each with its amplitude on every channel, (n_channels,).
 
     A map with a window shows what is strong, and the weak beside it; what is weak and alone is
     found without one, see `weak_echoes`. The two share the false alarms.
-
-    Range rates up to ``fastest_m_per_s`` that fold to a detection's are weighed by their migration,
-    see `rate_evidence`: the likeliest is given, with those that are left open beside it.
     """
     check_channel(channel, waveform)
     cells = tuple(s * image.oversampling for s in channel.shape[-2:])
@@ -105,53 +100,25 @@ def detected(
         return []  # nothing but guard cells: nothing to tell the noise from
     if window == "boxcar" or cfar.shape != float("inf"):  # what is between cells is known of noise
         peaks = peaks_above(image, cfar, window).strongest(at_most)
-        noise_w = image.noise_w / noise_gain(window, channel.shape[-2:])
-        blocks = _unfolded(channel, waveform, *peaks.places, noise_w, fastest_m_per_s)
-        return distinct(
-            _measured_at(channel, waveform, window, blocks, peaks, image.noise_w), waveform
-        )
+        return distinct(_measured_at(channel, waveform, window, peaks, image.noise_w), waveform)
     shares = [share * cfar.false_alarm for share in (_ON_TAPERED, 1 - _ON_TAPERED)]
     strong = peaks_above(image, replace(cfar, false_alarm=shares[0]), window).strongest(at_most)
     weak, noise_w = weak_echoes(
         channel, waveform, image, replace(cfar, false_alarm=shares[1]), window
     )
     weak = weak.strongest(at_most)
-    ranges, rates = (np.concatenate(p) for p in zip(strong.places, weak.places, strict=True))
-    blocks = _unfolded(channel, waveform, ranges, rates, noise_w, fastest_m_per_s)
+    places = [np.concatenate(place) for place in zip(strong.places, weak.places, strict=True)]
+    blocks = blocks_about(channel, waveform, "boxcar", *places)
     found, crowded = _isolated(blocks[: len(strong)], waveform, window, strong, noise_w)
-    around = [blocks[i] for i in crowded]
-    found += _measured_at(channel, waveform, window, around, strong[crowded], image.noise_w)
+    found += _measured_at(channel, waveform, window, crowded, image.noise_w)
     found += _weak(blocks[len(strong) :], waveform, noise_w, found)
     return distinct(found, waveform)[:at_most]
 
 
-def _unfolded(
-    channel: Complex,
-    waveform: OfdmWaveform,
-    range_m: Array,
-    rate_m_per_s: Array,
-    noise_w: float,
-    fastest_m_per_s: float,
-) -> list[Blocks]:
-    """Blocks without a window about places (n,), each about the likeliest range rate of those that
-    fold to its own; the others that are left open stand with it.
-    """
-    blocks = blocks_about(channel, waveform, "boxcar", range_m, rate_m_per_s)
-    if waveform.n_slots == 1 or not fastest_m_per_s:
-        return blocks
-    for i, about in enumerate(blocks):
-        rates = folded_rates(waveform, float(rate_m_per_s[i]), fastest_m_per_s)
-        rates = rate_evidence(about, rates, noise_w).rates_left_open
-        if abs(rates[0] - rate_m_per_s[i]) > waveform.max_velocity_m_per_s:
-            (about,) = blocks_about(channel, waveform, "boxcar", range_m[[i]], rates[:1])
-        blocks[i] = replace(about, alternatives_m_per_s=rates[1:] - rates[0])
-    return blocks
-
-
 def _isolated(
     blocks: Sequence[Blocks], waveform: OfdmWaveform, window: str, peaks: Peaks, noise_w: float
-) -> tuple[list[Measured], NDArray[np.intp]]:
-    """Peaks of a tapered map that are measured better without the window, and which are not.
+) -> tuple[list[Measured], Peaks]:
+    """Peaks of a tapered map that are measured better without the window, and the others.
 
     Without one, noise does least and errors reach their bound, but the side lobes of other echoes
     come in. What is left around an echo once it is taken away tells by how much.
@@ -166,25 +133,18 @@ def _isolated(
             found.append(_measured(about, step, waveform, noise_w, "boxcar", around_w))
         else:
             crowded.append(i)
-    return found, np.array(crowded, dtype=np.intp)
+    return found, peaks[np.array(crowded, dtype=np.intp)]
 
 
 def _measured_at(
-    channel: Complex,
-    waveform: OfdmWaveform,
-    window: str,
-    plain: Sequence[Blocks],
-    peaks: Peaks,
-    noise_w: float,
+    channel: Complex, waveform: OfdmWaveform, window: str, peaks: Peaks, noise_w: float
 ) -> list[Measured]:
-    """Peaks as the window of their map shows them; ``plain``: blocks about them without one."""
-    places = C_M_PER_S / 2 * np.array([(b.delay_s, b.delay_rate) for b in plain]).reshape(-1, 2)
-    found = []
-    blocks = blocks_about(channel, waveform, window, *places.T)
-    for about, own, around_w in zip(blocks, plain, peaks.noise_w, strict=True):
-        about = replace(about, alternatives_m_per_s=own.alternatives_m_per_s)
-        found.append(_measured(about, highest(about), waveform, noise_w, window, float(around_w)))
-    return found
+    """Peaks as the window of their map shows them."""
+    blocks = blocks_about(channel, waveform, window, *peaks.places)
+    return [
+        _measured(about, highest(about), waveform, noise_w, window, float(around_w))
+        for about, around_w in zip(blocks, peaks.noise_w, strict=True)
+    ]
 
 
 def _weak(
@@ -245,7 +205,6 @@ def measurement(
         snr_db=float(10 * np.log10(snr)) if snr else -np.inf,
         range_error_m=range_error,
         range_rate_error_m_per_s=rate_error,
-        range_rate_alternatives_m_per_s=tuple(map(float, rate + blocks.alternatives_m_per_s)),
     )
     return found, amplitude
 

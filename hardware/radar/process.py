@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.ambiguity import unfolded
 from hardware.radar.angles import compensated, direction, extents, virtual_places
 from hardware.radar.burst import Burst, demodulate
 from hardware.radar.cfar import Cfar, fitted
@@ -57,7 +58,7 @@ class Processing:
         For carrier steps, see `stitch`.
     fastest_m_per_s
         Up to which targets may approach or recede; range rates beyond the Doppler ambiguity are
-        told apart, or listed, up to there, see `detected`.
+        told apart, or listed, up to there, see `unfolded`.
     """
 
     window: str = "blackmanharris"
@@ -128,13 +129,12 @@ def process(
     clutter = fit(even, image.n_channels, windows_gain**1.4)
     cfar = fitted(even, how.cfar, image.n_channels)
     # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
-    found = detected(
-        channel, taken.waveform, image, cfar, how.window, 2 * how.at_most, how.fastest_m_per_s
-    )
+    found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
+    noise_w = image.noise_w / windows_gain
+    found = unfolded(channel, taken.waveform, found, noise_w, how.fastest_m_per_s)
     warnings = (*taken.warnings, *_warnings(burst, len(found), image.n_channels, how, clutter))
     found = found[: how.at_most]
     if how.resolve:
-        noise_w = image.noise_w / windows_gain
         found = _resolved(found, channel, taken.waveform, noise_w, how.cfar.false_alarm)
     points = [point for one in found for point in _points(one, taken, how.per_cell)]
     return Frame(

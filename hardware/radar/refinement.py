@@ -6,7 +6,7 @@ in blocks first, which leaves a small, slowly turning array. Of several channels
 added: each has its own phase.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +28,6 @@ class Blocks:
     ``sums`` (n_channels, n_f, n_t) at mean frequencies ``f_hz`` and times ``t_s``; ``cell`` holds
     one cell of delay (s) and of delay rate (s/s). ``delay_s`` and ``delay_rate`` are the middle.
     ``share_f`` and ``share_t``: each block's share of all subcarriers and slots.
-    ``alternatives_m_per_s``: other range rates that are possible, relative to the middle's.
     """
 
     sums: NDArray[np.complex128]
@@ -40,7 +39,6 @@ class Blocks:
     delay_s: float
     delay_rate: float
     cell: Array
-    alternatives_m_per_s: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def turns(self) -> tuple[Array, Array]:
