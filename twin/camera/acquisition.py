@@ -31,6 +31,9 @@ _THICK = 0.25
 #: Radius of the Airy disc over half the field from which it is warned of.
 _SMEARED = 0.05
 
+#: Of a cell's light: what sums in float64 may be off.
+_ROUNDING = 1e-13
+
 #: Holds for every capture through air.
 AIR_ASSUMPTION = (
     "air: alike everywhere, with two lobes after Henyey and Greenstein; light to a surface is "
@@ -52,9 +55,9 @@ class Capture:
     """A record with everything the twin knows about it. Only ``record`` exists on the vehicle.
 
     ``cells_e`` (rows, columns) are the electrons that each cell, lit alone for one exposure, gives
-    in the mean (a line sensor's columns side by side): what reconstructions are compared with.
-    ``cells_error_e`` is their Monte-Carlo standard error; ``veil_e`` the part of them that the air
-    sent back. ``snr`` is what the scene sent back, cells_e less veil_e, over the noise of a
+    in the mean (a line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo
+    standard error; ``veil_e`` the part of them that the air sent back. ``snr`` is ``scene_e``, what
+    the scene sent back and reconstructions are compared with, over the noise of a
     reconstructed pixel (inverse transform of the patterns shown), 0 where the detector stands at a
     rail. ``background_w`` is the sun's power on one detector, mean over the detectors.
     """
@@ -83,15 +86,15 @@ class Capture:
     @property
     def scene_e(self) -> Array:
         """Electrons that each cell has from the scene: ``cells_e`` without the air's veil."""
-        return self.cells_e - self.veil_e
+        return _without(self.cells_e, self.veil_e)
 
     @property
-    def measured_cells_e(self) -> Array:
-        """``cells_e``, NaN in cells that the patterns do not measure."""
+    def measured_scene_e(self) -> Array:
+        """``scene_e``, NaN in cells that the patterns do not measure."""
         patterns = self.record.patterns
         unknown = patterns.unmeasured_cells.reshape(patterns.rows, patterns.columns)
         return np.where(
-            np.tile(unknown, self.cells_e.shape[1] // patterns.columns), np.nan, self.cells_e
+            np.tile(unknown, self.cells_e.shape[1] // patterns.columns), np.nan, self.scene_e
         )
 
     @property
@@ -159,7 +162,8 @@ def measure(
     # cells that the patterns do not measure.
     lost = blind(record)[:, None] | record.patterns.unmeasured_cells
     veil_e = to_e * power.veil_w.sum(axis=0)
-    snr = np.where(lost, 0.0, (cells_e - veil_e) / of_image[:, None])
+    scene_e = _without(cells_e, veil_e)
+    snr = np.where(lost, 0.0, scene_e / of_image[:, None])
     budget = chain.noise(signal_w, sun_w)
     return Capture(
         record=record,
@@ -177,11 +181,17 @@ def measure(
         illuminance_lx=sky.illuminance_lx,
         assumptions=_assumptions(scene, system),
         warnings=(
-            *_warnings(system, record, budget, float(sky.emitter.max()), cells_e, depth_m),
+            *_warnings(system, record, budget, float(sky.emitter.max()), scene_e, depth_m),
             *_diffraction(system, chain.lens),
             *rendered.warnings,
         ),
     )
+
+
+def _without(cells_e: Array, veil_e: Array) -> Array:
+    """Light of the scene; what is left of it by rounding alone is none."""
+    rest = cells_e - veil_e
+    return np.where(rest > _ROUNDING * cells_e, rest, 0.0)
 
 
 def _picture(by_detector: Array, system: System) -> Array:
@@ -265,23 +275,27 @@ def _warnings(
     record: SpiRecord,
     noise: NoiseBudget,
     in_band: float,
-    cells_e: Array,
+    scene_e: Array,
     depth_m: Array,
 ) -> tuple[CaptureWarning, ...]:
     return (
         *recorded(record),
         *coarse(noise),
-        *_no_light(system, in_band, cells_e),
+        *_no_light(system, in_band, scene_e, depth_m),
         *_narrow_filter(system, in_band),
         *_thick_air(system, depth_m),
         *_crosstalk(system, float(depth_m.min())),
     )
 
 
-def _no_light(system: System, in_band: float, cells_e: Array) -> list[CaptureWarning]:
+def _no_light(
+    system: System, in_band: float, scene_e: Array, depth_m: Array
+) -> list[CaptureWarning]:
     if in_band == 0 or system.emitter.radiant_intensity_w_per_sr.value == 0:
         text = "no light of the emitter passes the filter, or it emits none"
-    elif not cells_e.any():
+    elif not scene_e.any() and system.weather and np.isfinite(depth_m).any():
+        text = "no light of the emitter comes back: the air lets none through"
+    elif not scene_e.any():
         text = "no light of the emitter comes back: nothing in the field of view"
     else:
         return []

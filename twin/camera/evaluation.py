@@ -1,4 +1,10 @@
-"""How good an image is: reconstructions of one capture against its noise-free truth."""
+"""How good an image is: reconstructions of one capture against its noise-free truth.
+
+The truth is the light of the scene. Fog lays a veil over an image, which is neither that nor noise:
+its expectation, which the twin knows, is taken from the image before it is scored. So a score falls
+with the light that fog leaves of the scene and with the noise of the veil, and gains nothing from
+the veil's brightness.
+"""
 
 from dataclasses import dataclass
 
@@ -16,7 +22,7 @@ SHOWN = ("zero-fill", "lmmse")
 
 @dataclass(frozen=True)
 class Score:
-    """Peak signal-to-noise ratio and structural similarity, peak = brightest true cell."""
+    """Peak signal-to-noise ratio and structural similarity, peak = the scene's brightest cell."""
 
     psnr_db: float
     ssim: float
@@ -65,10 +71,15 @@ def evaluate(
     record = capture.record
     shown = [name for name in SHOWN if fits_in_memory(name, record.patterns)]
     images = reconstructions or [reconstruct(record, name) for name in shown]
-    truth = capture.measured_cells_e
-    scored = [(image, score(truth, image.picture)) for image in images]
+    scored = [(image, score_of(capture, image.picture)) for image in images]
     scored.sort(key=lambda pair: -pair[1].psnr_db)
     return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))
+
+
+def score_of(capture: Capture, picture: NDArray[np.float64]) -> Score:
+    """`score` of a picture of a capture, less the air's veil, against the light of the scene."""
+    truth = capture.measured_scene_e
+    return score(truth, picture - capture.veil_e if picture.shape == truth.shape else picture)
 
 
 def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:

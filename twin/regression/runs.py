@@ -92,12 +92,17 @@ def _mirror(power: Powers, patterns: PatternSet) -> Powers:
     )
 
 
-def true_cells(scene: Scene, system: System, light: Rendered, *, mirrored: bool = False) -> Array:
-    """Electrons of every cell, what images are compared with; NaN in cells not measured."""
+def true_cells(
+    scene: Scene, system: System, light: Rendered, *, mirrored: bool = False
+) -> tuple[Array, Array]:
+    """Electrons of every cell from the scene, what images are compared with, NaN in cells not
+    measured; and from the air, which is taken from an image before.
+    """
     found = measure(scene, system, light, rng=np.random.default_rng(0), noise="none")
     if mirrored:
-        found = replace(found, cells_e=np.fliplr(found.cells_e))
-    return found.measured_cells_e
+        flipped = {name: np.fliplr(getattr(found, name)) for name in ("cells_e", "veil_e")}
+        found = replace(found, **flipped)
+    return found.measured_scene_e, found.veil_e
 
 
 def run_camera(
@@ -116,14 +121,15 @@ def run_camera(
 
     Raises InputError for an image on another grid, or not of real numbers.
     """
-    solve, truth = image_method(method), true_cells(scene, system, light)
-    other = true_cells(scene, system, light, mirrored=True) if mirrored else truth
-    images, content = [], hashlib.sha256()
-    for record in records(scene, system, light, seeds, noise, mirrored=mirrored):
+    solve, straight = image_method(method), true_cells(scene, system, light)
+    other = true_cells(scene, system, light, mirrored=True) if mirrored else straight
+    truths, images, content = [], [], hashlib.sha256()
+    for place, record in enumerate(records(scene, system, light, seeds, noise, mirrored=mirrored)):
         content.update(record.counts.tobytes() + record.flags.tobytes())
-        images.append(_checked(solve(record), truth.shape))
-    truths = [(truth, other)[place % 2] for place in range(len(images))]
-    return Outcome(_figures(metrics, truths, images), truth, images, content.hexdigest())
+        truth, veil = (straight, other)[place % 2]
+        images.append(_checked(solve(record), truth.shape) - veil)
+        truths.append(truth)
+    return Outcome(_figures(metrics, truths, images), straight[0], images, content.hexdigest())
 
 
 def _checked(image: Array, shape: tuple[int, ...]) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hardware.reconstruction import Reconstruction, reconstruct
 from twin.camera.acquisition import Capture
-from twin.camera.evaluation import Score, score
+from twin.camera.evaluation import Score, score_of
 from twin.camera.verdict import lit_cells
 from twin.radar.evaluation import RadarEvaluation
 from twin.sweep.inputs import Inputs
@@ -39,8 +39,8 @@ class Outcome:
 
     @cached_property
     def score(self) -> Score:
-        """The image against its noise-free truth."""
-        return score(self.capture.measured_cells_e, self.reconstruction.picture)
+        """The image, less the air's veil, against the light of the scene."""
+        return score_of(self.capture, self.reconstruction.picture)
 
     @cached_property
     def radar(self) -> RadarEvaluation:
