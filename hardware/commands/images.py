@@ -43,13 +43,13 @@ def reconstruct(
     found = to_image(loaded, method, mixing=calibrated)
     ranged = range_image(loaded, method, mixing=calibrated) if loaded.shutters.any() else None
     elapsed = time.perf_counter() - start
-    for warning in (*found.warnings, *(ranged.warnings if ranged else ())):
+    for warning in dict.fromkeys((*found.warnings, *(ranged.warnings if ranged else ()))):
         print(f"warning: {record}: {warning}", file=sys.stderr)
     detectors, rows, columns = found.image.shape
     patterns = loaded.patterns
     print(
-        f"{record}: {patterns.count} of {patterns.n_cells} patterns ({patterns.order}, "
-        f"{patterns.mode}), {detectors} image{'s' if detectors > 1 else ''} of "
+        f"{record}: {loaded.received.patterns.count} of {patterns.n_cells} patterns "
+        f"({patterns.order}, {patterns.mode}), {detectors} image{'s' if detectors > 1 else ''} of "
         f"{rows} x {columns}"
     )
     print(

@@ -7,10 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet
-from hardware.reconstruction.measurements import measurements
+from hardware.reconstruction.measurements import measurements, with_level
 from hardware.reconstruction.registry import METHODS, Array, Method, load_plugins
 from hardware.reconstruction.sensing import Mixing, Sensing
 from hardware.records import Flag, SpiRecord
+
+LEVEL_UNKNOWN = (
+    "the level of the image is unknown, its mean is set to 0: the pattern that lights all cells "
+    "is not among those received"
+)
 
 
 def fits_in_memory(name: str, patterns: PatternSet) -> bool:
@@ -32,12 +37,15 @@ class Reconstruction:
     ``standard_error`` is None where the method gives none. ``noise_electrons`` is the noise of one
     measurement, as found in the record itself; where it cannot be told from detail
     (`hardware.reconstruction.measurements`), standard errors hold the most that it can be.
+    ``level_error_electrons``, by detector, is what all cells of an image may be too low by
+    together, where no pattern tells their mean; else 0.
     """
 
     method: str
     image: NDArray[np.float64]
     standard_error: NDArray[np.float64] | None
     noise_electrons: NDArray[np.float64]
+    level_error_electrons: NDArray[np.float64]
     warnings: tuple[str, ...]
 
     @property
@@ -61,7 +69,11 @@ def reconstruct(
     mixing
         Calibrated map from image cells to emitter elements, where these are no clean grid.
 
-    Patterns that were lost on their way are left out, as if they had not been asked for.
+    Patterns that were lost on their way are left out, as if they had not been asked for. Where the
+    one that lights all cells is missing (Hadamard row 0), the level of the image is unknown: its
+    mean is 0, a warning says so, and the standard error holds the most that the level can be, all
+    light that arrived. Of reference sets the all-lit reference stands for it; plain sets and
+    S-matrices need it.
 
     The same record gives the same bits, as long as BLAS runs with as many threads: how it splits
     sums over them changes LMMSE, and what starts from it (FISTA, TV, patches), by 1e-13 of the
@@ -74,7 +86,7 @@ def reconstruct(
         load_plugins()
     if method not in METHODS:
         raise ValueError(f"method: {method!r} is none of {', '.join(METHODS)}")
-    received = record.received
+    received = with_level(record.received)
     solve, sensing = METHODS[method], Sensing(received.patterns, mixing)
     measured = measurements(received)
     variance, most = measured.noise_variance, measured.most_noise_variance
@@ -83,12 +95,15 @@ def reconstruct(
         error = _solved(solve, measured.values, most, sensing)[1]
     if error is not None and received.patterns.mode == "reference":
         error = np.hypot(error, _error_of_the_references(most, sensing))
+    if not sensing.measures_level and error is not None:
+        error = np.hypot(error, measured.most_level)
     shape, told = (-1, *sensing.shape), sensing.measured[:, None]
     return Reconstruction(
         method=method,
         image=np.where(told, cells, np.nan).T.reshape(shape),
         standard_error=None if error is None else np.where(told, error, np.nan).T.reshape(shape),
         noise_electrons=np.sqrt(variance),
+        level_error_electrons=measured.most_level * (not sensing.measures_level),
         warnings=(*_flagged(record), *_unmeasured(sensing)),
     )
 
@@ -123,6 +138,8 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
 
 
 def _unmeasured(sensing: Sensing) -> Iterator[str]:
+    if not sensing.measures_level:
+        yield LEVEL_UNKNOWN
     if unknown := int(np.count_nonzero(~sensing.measured)):
         lit = "every pattern lights" if sensing.patterns.mode == "plain" else "no pattern lights"
         yield f"{unknown} of {sensing.n_cells} cells have no value: what {lit} is not measured"

@@ -1,6 +1,6 @@
 """Hadamard measurements and their noise, from raw counts alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,38 @@ class Measurements:
 
     ``values`` is H x in electrons, shape ``(count, n_images)``; ``noise_variance`` the variance
     of one value, shape ``(n_images,)``, and ``most_noise_variance`` the largest that the record
-    allows. An image has one detector, or two when complementary.
+    allows. ``most_level`` is the most that the mean of the cells can be, ``(n_images,)``: that of
+    all light, the background's with it. An image has one detector, or two when complementary.
     """
 
     values: Array
     noise_variance: Array
     most_noise_variance: Array
+    most_level: Array
+
+
+def with_level(record: SpiRecord) -> SpiRecord:
+    """A record of a reference set in which row 0 stands, all cells lit; any other record itself.
+
+    Row 0 lights all cells, as the first of the two references does: where it is lost or was not
+    asked for, that exposure stands for it, 2 (all lit) - (all lit) - (all dark).
+    """
+    patterns = record.patterns
+    if patterns.mode != "reference" or (patterns.indices == 0).any():
+        return record
+    n = len(record.shutters)
+    exposures = np.arange(patterns.n_exposures * n).reshape(-1, n)
+    rows = np.concatenate([exposures[:2], exposures[:1], exposures[2:]]).ravel()
+    return replace(
+        record,
+        patterns=PatternSet.of(
+            patterns.rows, patterns.columns, (0, *patterns.indices.tolist()), "reference"
+        ),
+        counts=record.counts[rows],
+        device_time_ns=record.device_time_ns[rows],
+        sequence=record.sequence[rows],
+        flags=record.flags[rows],
+    )
 
 
 def measurements(record: SpiRecord) -> Measurements:
@@ -56,7 +82,8 @@ def measurements(record: SpiRecord) -> Measurements:
         else:
             lit, complement = np.split(electrons, 2, axis=1)
         noise = noise_of_sums(lit + complement, in_turn=patterns.mode == "differential")
-        return Measurements(lit - complement, noise, noise)
+        level = np.abs((lit + complement).mean(axis=0)) / patterns.n_cells
+        return Measurements(lit - complement, noise, noise, level)
     finest = finest_patterns(patterns)
     if patterns.mode == "reference":
         values = 2 * electrons[2:] - electrons[0] - electrons[1]
@@ -65,7 +92,8 @@ def measurements(record: SpiRecord) -> Measurements:
     most = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
     quantisation = (2 * record.electrons_per_count) ** 2 / 12
     noise = noise_beside_detail(values, patterns)
-    return Measurements(values, np.minimum(np.maximum(noise, quantisation), most), most)
+    level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
+    return Measurements(values, np.minimum(np.maximum(noise, quantisation), most), most, level)
 
 
 def _without_constant(electrons: Array, patterns: PatternSet, finest: NDArray[np.intp]) -> Array:

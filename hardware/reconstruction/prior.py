@@ -3,7 +3,8 @@
 Natural images have power spectra near 1/f^2 (Field, J. Opt. Soc. Am. A 4, 1987). The covariance C
 is diagonal in the cosine transform: an image goes on beyond its edge as its own mirror image. A
 circulant one, diagonal in Fourier space, would tie each edge to the opposite one, with which it
-has nothing to do; that costs 0.2 to 0.5 dB. The mean is measured, not guessed: it stays out of it.
+has nothing to do; that costs 0.2 to 0.5 dB. The mean is measured, not guessed: it stays out of it,
+and where no pattern measures it, `hardware.reconstruct` says so.
 """
 
 from functools import lru_cache

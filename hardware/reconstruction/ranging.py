@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hardware.reconstruction.depth import C_M_PER_S, depth
 from hardware.reconstruction.gating import Echo, echo
-from hardware.reconstruction.imaging import Reconstruction, reconstruct
+from hardware.reconstruction.imaging import LEVEL_UNKNOWN, Reconstruction, reconstruct
 from hardware.reconstruction.sensing import Mixing
 from hardware.records import SpiRecord
 
@@ -77,7 +77,9 @@ def range_image(
         found = _from_phases(method, images, errors, systems)
     else:
         found = _from_gates(method, images, errors, record)
-    return replace(found, amplitude=np.where(told, found.amplitude, np.nan))
+    level = tuple(warning for warning in taken[0].warnings if warning == LEVEL_UNKNOWN)
+    amplitude = np.where(told, found.amplitude, np.nan)
+    return replace(found, amplitude=amplitude, warnings=(*found.warnings, *level))
 
 
 def _error(found: Reconstruction, count: int) -> Array:
@@ -85,7 +87,7 @@ def _error(found: Reconstruction, count: int) -> Array:
     if found.standard_error is not None:
         return found.standard_error
     n_cells = found.image[0].size
-    each = found.noise_electrons * np.sqrt(count) / n_cells
+    each = np.hypot(found.noise_electrons * np.sqrt(count) / n_cells, found.level_error_electrons)
     return np.broadcast_to(each[:, None, None], found.image.shape)
 
 

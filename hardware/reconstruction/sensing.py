@@ -93,6 +93,13 @@ class Sensing:
         return _measured(self)
 
     @property
+    def measures_level(self) -> bool:
+        """Whether any measurement depends on a constant added to all cells: of Hadamard rows only
+        row 0 does, all cells lit.
+        """
+        return _measures_level(self)
+
+    @property
     def matrix(self) -> Array:
         """The dense matrix ``(count, n_cells)``."""
         if self.mixing:
@@ -121,3 +128,11 @@ def _measured(sensing: Sensing) -> NDArray[np.bool_]:
         told = (sensing.mixing.matrix[told] != 0).any(axis=0)
     told.flags.writeable = False
     return told
+
+
+@lru_cache(maxsize=16)
+def _measures_level(sensing: Sensing) -> bool:
+    if sensing.mixing is None:
+        return bool((sensing.patterns.indices == 0).any())
+    flat = sensing.forward(np.ones(sensing.n_cells))
+    return bool(np.abs(flat).max() > 1e-9 * np.abs(sensing.mixing.matrix).sum())
