@@ -7,7 +7,8 @@ from typing import Literal, get_args
 #:
 #: Of the record: ``saturated`` (upper rail of the converter, or a full well), ``black`` (its lower
 #: rail), ``underexposed`` (counts do not move), ``quantisation`` (the converter's step hides what
-#: noise would let through), ``overrun``, ``reset`` and ``lost`` (flags of exposures or slots),
+#: noise would let through), ``lag`` (what the exposure before leaves in the next one), ``overrun``,
+#: ``reset`` and ``lost`` (flags of exposures or slots),
 #: ``no-light`` and ``no-echo`` (nothing comes back).
 #: Of the truth: ``hidden`` (a target out of sight), ``ambiguous`` (beyond what range or rate is
 #: unambiguous to).
@@ -18,6 +19,7 @@ Kind = Literal[
     "black",
     "underexposed",
     "quantisation",
+    "lag",
     "overrun",
     "reset",
     "lost",

@@ -76,24 +76,38 @@ def measurements(record: SpiRecord) -> Measurements:
     finest patterns is the most that noise can be.
     """
     electrons, patterns = record.electrons, record.patterns
+    values = hadamard_values(electrons, patterns)
     if patterns.mode in ("differential", "complementary"):
-        if patterns.mode == "differential":
-            lit, complement = electrons[0::2], electrons[1::2]
-        else:
-            lit, complement = np.split(electrons, 2, axis=1)
+        lit, complement = _pairs(electrons, patterns)
         noise = noise_of_sums(lit + complement, in_turn=patterns.mode == "differential")
         level = np.abs((lit + complement).mean(axis=0)) / patterns.n_cells
-        return Measurements(lit - complement, noise, noise, level)
+        return Measurements(values, noise, noise, level)
     finest = finest_patterns(patterns)
-    if patterns.mode == "reference":
-        values = 2 * electrons[2:] - electrons[0] - electrons[1]
-    else:
-        values = _without_constant(electrons, patterns, finest)
     most = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
     quantisation = (2 * record.electrons_per_count) ** 2 / 12
     noise = noise_beside_detail(values, patterns)
     level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
     return Measurements(values, np.minimum(np.maximum(noise, quantisation), most), most, level)
+
+
+def hadamard_values(electrons: Array, patterns: PatternSet) -> Array:
+    """Hadamard measurements (count, n_images) of exposures (n_exposures, n_detectors), as
+    `measurements` explains them; linear in the exposures.
+    """
+    if patterns.mode in ("differential", "complementary"):
+        lit, complement = _pairs(electrons, patterns)
+        return lit - complement
+    if patterns.mode == "reference":
+        return np.asarray(2 * electrons[2:] - electrons[0] - electrons[1])
+    return _without_constant(electrons, patterns, finest_patterns(patterns))
+
+
+def _pairs(electrons: Array, patterns: PatternSet) -> tuple[Array, Array]:
+    """Exposures to the patterns, and those to their complements."""
+    if patterns.mode == "differential":
+        return electrons[0::2], electrons[1::2]
+    lit, complement = np.split(electrons, 2, axis=1)
+    return lit, complement
 
 
 def _without_constant(electrons: Array, patterns: PatternSet, finest: NDArray[np.intp]) -> Array:

@@ -35,6 +35,7 @@ _LEFT_OUT = {
     "emitter.blur_rms_deg": "its blur",
     "emitter.fill_factor": "its fill factor",
     "emitter.switching_time_s": "its switching time",
+    "readout.bandwidth_hz": "the amplifier's settling",
     "optics.edge_illumination": "vignetting beyond cos^4",
     "optics.blur_rms_deg": "the lens's blur",
     "optics.focus_m": "its defocus",

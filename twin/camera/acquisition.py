@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain
-from twin.camera.illumination import dark_share
+from twin.camera.distortion import distortions
+from twin.camera.illumination import amplifier_residue, dark_share, residual_share
 from twin.camera.light import Rendered, Stage, render
 from twin.camera.truth import Truth
-from twin.camera.verdict import Verdict, blind, coarse, judge, recorded
+from twin.camera.verdict import Verdict, blind, coarse, judge, lagging, recorded
 from twin.detector import NoiseBudget
 from twin.fidelity import Fidelity, Noise
 from twin.optics.emission import emission_matrix, independent_patterns
@@ -46,7 +47,7 @@ MODEL_ASSUMPTIONS = (
     "surfaces are Lambertian, two-sided and flat-shaded",
     SUN_ASSUMPTION,
     "nothing moves during a frame",
-    "amplifier: full settling within each exposure, linear up to the rails",
+    "amplifier: linear up to the rails",
 )
 
 
@@ -56,10 +57,11 @@ class Capture:
 
     ``cells_e`` (rows, columns) are the electrons that each cell, lit alone for one exposure, gives
     in the mean (a line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo
-    standard error; ``veil_e`` the part of them that the air sent back. ``snr`` is ``scene_e``, what
-    the scene sent back and reconstructions are compared with, over the noise of a
-    reconstructed pixel (inverse transform of the patterns shown), 0 where the detector stands at a
-    rail. ``background_w`` is the sun's power on one detector, mean over the detectors.
+    standard error; ``veil_e`` the part of them that the air sent back. ``snr`` is what an image
+    keeps of ``scene_e``, what the scene sent back and reconstructions are compared with, over noise
+    and distortion of a reconstructed pixel (inverse transform of the patterns shown): what
+    exposures leave in the next ones and what rails cut off (`Distortion`); 0 where the detector
+    stands at a rail. ``background_w`` is the sun's power on one detector, mean over the detectors.
     """
 
     record: SpiRecord
@@ -160,10 +162,13 @@ def measure(
     record = chain.record(scene.rig.pose, counts, flags)
     # At a rail the response's slope is zero, and so is what can be told of the light; as it is of
     # cells that the patterns do not measure.
-    lost = blind(record)[:, None] | record.patterns.unmeasured_cells
+    found = distortions(chain, power)
+    gone = blind(record) | found.total.hides(of_image)
+    kept = np.maximum(found.total.kept, 0)[:, None]
+    off = np.hypot(of_image, found.total.error_e)[:, None]
     veil_e = to_e * power.veil_w.sum(axis=0)
     scene_e = _without(cells_e, veil_e)
-    snr = np.where(lost, 0.0, scene_e / of_image[:, None])
+    snr = np.where(gone[:, None] | record.patterns.unmeasured_cells, 0.0, kept * scene_e / off)
     budget = chain.noise(signal_w, sun_w)
     return Capture(
         record=record,
@@ -181,7 +186,9 @@ def measure(
         illuminance_lx=sky.illuminance_lx,
         assumptions=_assumptions(scene, system),
         warnings=(
-            *_warnings(system, record, budget, float(sky.emitter.max()), scene_e, depth_m),
+            *recorded(record, found.clipping, of_image),
+            *lagging(found.lag, of_image, _left_over(system)),
+            *_warnings(system, budget, float(sky.emitter.max()), scene_e, depth_m),
             *_diffraction(system, chain.lens),
             *rendered.warnings,
         ),
@@ -222,6 +229,7 @@ def _idealised(system: System) -> tuple[str, ...]:
         "it images sharply": optics.blur_rms_deg,
         "its pupil is a point, in focus everywhere": optics.focus_m,
         "amplifier: white noise": system.readout.flicker_corner_hz,
+        "it settles within each exposure": system.readout.bandwidth_hz,
         "there is no air": system.weather,
     }
     taken = [what for what, given in left_out.items() if given is None]
@@ -272,20 +280,27 @@ def _assumed(system: System) -> tuple[str, ...]:
 
 def _warnings(
     system: System,
-    record: SpiRecord,
     noise: NoiseBudget,
     in_band: float,
     scene_e: Array,
     depth_m: Array,
 ) -> tuple[CaptureWarning, ...]:
     return (
-        *recorded(record),
         *coarse(noise),
         *_no_light(system, in_band, scene_e, depth_m),
         *_narrow_filter(system, in_band),
         *_thick_air(system, depth_m),
         *_crosstalk(system, float(depth_m.min())),
     )
+
+
+def _left_over(system: System) -> dict[str, float]:
+    """Share of the exposure before in each one, by the field that it comes from."""
+    shares = {
+        "emitter.switching_time_s": residual_share(system),
+        "readout.bandwidth_hz": amplifier_residue(system),
+    }
+    return {field: share for field, share in shares.items() if share}
 
 
 def _no_light(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hardware.patterns import PatternSet
 from hardware.records import SpiRecord
 from twin import __version__
-from twin.camera.illumination import shown, steady
+from twin.camera.illumination import amplifier_residue, shown, steady
 from twin.camera.light import Rendered
 from twin.camera.shutters import Shutter, shutters
 from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
@@ -115,10 +115,23 @@ class Chain:
         """
         fluctuating = None if noise == "none" else rng
         signal_w = shown(self.system, power.cells_w, rng=fluctuating, steady_w=steady_w)
-        power_w = signal_w + self.open_share[:, None] * power.sun_w
-        exposed = power_w.reshape(-1, power_w.shape[-1])
+        exposed = self.settled(self.exposed(signal_w, power.sun_w), power.sun_w)
         counts, flags = expose(exposed, self.front_end, rng=rng, noise=noise)
         return signal_w, counts, flags
+
+    def exposed(self, signal_w: Array, sun_w: Array) -> Array:
+        """Signal and sun of every exposure in turn, (n_exposures x n_shutters, n_detectors), W."""
+        power_w = signal_w + self.open_share[:, None] * sun_w
+        return np.asarray(power_w.reshape(-1, power_w.shape[-1]))
+
+    def settled(self, exposed_w: Array, sun_w: Array) -> Array:
+        """What of these the amplifier shows: its pole carries a share of each into the next one."""
+        left_over = amplifier_residue(self.system)
+        if not left_over:
+            return exposed_w
+        dark_w = self.open_share[-1] * sun_w  # before the frame no cell is lit
+        before = np.concatenate([dark_w[None], exposed_w[:-1]])
+        return exposed_w + left_over * (before - exposed_w)
 
     def noise(self, signal_w: Array, sun_w: Array) -> NoiseBudget:
         """Budget at the mean of exposures."""

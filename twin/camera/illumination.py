@@ -10,15 +10,20 @@ from twin.system import System
 Array = NDArray[np.float64]
 
 
-def steady(system: System, cells_w: Array) -> Array:
-    """Signal power of every exposure, (n_exposures, n_shutters, n_detectors), W, before it
-    fluctuates.
+def prompt(system: System, cells_w: Array) -> Array:
+    """Signal power of every exposure, (n_exposures, n_shutters, n_detectors), W, of an emitter that
+    switches at once and does not fluctuate.
 
     ``cells_w`` (n_shutters, n_detectors, n_cells): power of each cell, lit alone.
     """
     ideal = system.patterns.signal(np.moveaxis(cells_w, -1, 0))
     dark = dark_share(system)
-    signal = (1 - dark) * ideal + dark * cells_w.sum(axis=-1) if dark else ideal
+    return np.asarray((1 - dark) * ideal + dark * cells_w.sum(axis=-1) if dark else ideal)
+
+
+def steady(system: System, cells_w: Array) -> Array:
+    """The same of an emitter that switches as fast as it does."""
+    signal = prompt(system, cells_w)
     left_over = residual_share(system)
     if left_over:
         # The pattern before still glows; it does so while its successor's first shutter is open.
@@ -35,7 +40,7 @@ def shown(
     rng: np.random.Generator | None,
     steady_w: Array | None = None,
 ) -> Array:
-    """The same of one frame, that fluctuates; not without ``rng``.
+    """The same of one frame, which fluctuates; not without ``rng``.
 
     ``steady_w``: what `steady` gives, when it is at hand already.
     """
@@ -61,3 +66,13 @@ def residual_share(system: System) -> float:
     if switching is None or switching.value == 0:
         return 0.0
     return system.acquisition.residue(switching.value / math.log(9))
+
+
+def amplifier_residue(system: System) -> float:
+    """Share of an exposure's charge that is still the exposure before's: the amplifier's one pole
+    decays with tau = 1 / (2 pi bandwidth).
+    """
+    bandwidth = system.readout.bandwidth_hz
+    if bandwidth is None:
+        return 0.0
+    return system.acquisition.residue(1 / (2 * math.pi * bandwidth.value))

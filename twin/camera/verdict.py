@@ -6,23 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import PatternSet
 from hardware.records import Flag, SpiRecord
+from twin.camera.distortion import Distortion
 from twin.detector import NoiseBudget
 from twin.warned import CaptureWarning, Kind, is_void
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: Share of the exposures at the upper rail from which an image is void. The brightest exposures
-#: are the coarse patterns, which hold most of the picture: clipping the brightest 0.1 % costs 9 to
-#: 40 dB of PSNR on `yard`, `table1` and `fig3b` (`test_verdict`). The all-lit exposure is left out:
-#: it holds the mean alone.
-VOID_HIGH = 5e-4
-
-#: Share at the lower rail from which it is void. Electrons are never negative, so that what is cut
-#: off there is noise; from the median on there is no slope left.
-VOID_LOW = 0.5
+#: Share of the exposures at a rail from which an image is void: from the median on the response
+#: has no slope. What fewer of them cost is told by `Distortion`.
+VOID_SHARE = 0.5
 
 #: A cell receives light above this share of the brightest one's: blur and the renderer's stray
 #: paths leave less than that in an empty background.
@@ -32,13 +26,17 @@ LIT = 1e-6
 #: normal distribution of half a step leaves 1 % of a sawtooth.
 _COARSE = 2.0
 
+#: Error over noise per pixel up to which noise hides it (it adds half a percent to it), and share
+#: of the signal that may be lost without a word.
+_HIDDEN, _LOST = 0.1, 0.01
+
 
 @dataclass(frozen=True)
 class Verdict:
     """What an image made of a record can show.
 
-    ``snr_median``, ``snr_best``: signal over noise per pixel, over the cells that receive light;
-    nan where the record is void. ``lit_share``: of all cells, those that receive light.
+    ``snr_median``, ``snr_best``: signal over noise and distortion per pixel, over the cells that
+    receive light; nan where the record is void. ``lit_share``: of all cells, these.
     ``above_noise_share``: of these, the ones whose signal exceeds their noise. ``void_because``:
     the warnings that leave nothing to see.
     """
@@ -93,23 +91,35 @@ def judge(cells_e: Array, snr: Array, warnings: Sequence[CaptureWarning]) -> Ver
     )
 
 
-def recorded(record: SpiRecord) -> Iterator[CaptureWarning]:
-    """What the counts and flags of a record say against it."""
+def recorded(
+    record: SpiRecord, clipping: Distortion | None = None, noise_e: Array | None = None
+) -> Iterator[CaptureWarning]:
+    """What the counts and flags of a record say against it.
+
+    ``clipping``, ``noise_e`` (n_detectors,): what being cut off costs the image, and its noise per
+    pixel, where the twin knows them.
+    """
     n, rails = len(record.counts), _Rails(record)
     blinded = bool((rails.blind_high | rails.blind_low).all())
+    gone, cost = np.zeros(record.counts.shape[1], np.bool_), ""
+    if clipping is not None and noise_e is not None:
+        gone = clipping.hides(noise_e)
+        cost = f"; {_cost(clipping, noise_e)}" if _matters(clipping, noise_e) else ""
+    high = rails.blind_high | gone
+    too_high = f"saturate the ADC: readout: its gain is too high{cost}"
+    too_low = "read 0: readout: adc_offset_v is too low, or the converter's step too coarse"
+    full = f"fill the well: readout.full_well_e{cost}"
     found: tuple[tuple[Kind, Bools, Bools, str], ...] = (
-        (
-            "saturated",
-            rails.high,
-            rails.blind_high,
-            "saturate the ADC: readout: its gain is too high",
-        ),
-        ("saturated", rails.full, rails.blind_high, "fill the well: readout.full_well_e"),
-        ("black", rails.low, rails.blind_low, "are cut off at 0: readout: adc_offset_v is too low"),
+        ("saturated", rails.high, high, too_high),
+        ("saturated", rails.full, high, full),
+        ("black", rails.low, rails.blind_low, too_low),
     )
     for kind, at_rail, blind, text in found:
         if hits := int(at_rail.any(axis=1).sum()):
-            yield CaptureWarning(kind, f"{hits} of {n} exposures {text}", void=bool(blind.all()))
+            of = _on_detectors(at_rail)
+            yield CaptureWarning(
+                kind, f"{hits} of {n} exposures{of} {text}", void=bool(blind.all())
+            )
     if n > 1 and not blinded and np.ptp(record.counts, axis=0).max() <= 1:
         text = "the counts of all exposures differ by one step at most: too little light, or gain"
         yield CaptureWarning("underexposed", text, void=True)
@@ -117,6 +127,21 @@ def recorded(record: SpiRecord) -> Iterator[CaptureWarning]:
     for kind, flag in flags.items():
         if bad := int(np.count_nonzero(record.flags & flag)):
             yield CaptureWarning(kind, f"{bad} of {n} exposures are marked {kind}", void=bad == n)
+
+
+def lagging(
+    lag: Distortion, noise_e: Array, left_over: dict[str, float]
+) -> Iterator[CaptureWarning]:
+    """What the exposures before leave, where it is not hidden by noise per pixel (n_detectors,).
+
+    ``left_over``: share of the exposure before in each one, by the field that says how fast.
+    """
+    gone = bool(lag.hides(noise_e).all())
+    if not gone and not _matters(lag, noise_e):
+        return
+    shares = " and ".join(f"{100 * share:.3g} % ({field})" for field, share in left_over.items())
+    text = f"of the exposure before {shares} is left in each one; {_cost(lag, noise_e)}"
+    yield CaptureWarning("lag", text, void=gone)
 
 
 def blind(record: SpiRecord) -> Bools:
@@ -138,6 +163,24 @@ def coarse(noise: NoiseBudget) -> Iterator[CaptureWarning]:
         yield CaptureWarning("quantisation", text)
 
 
+def _matters(distortion: Distortion, noise_e: Array) -> bool:
+    lost = bool((np.abs(distortion.kept - 1) > _LOST).any())
+    return lost or distortion.over(noise_e) > _HIDDEN
+
+
+def _cost(distortion: Distortion, noise_e: Array) -> str:
+    kept = max(float(distortion.kept.mean()), 0)
+    return (
+        f"the image keeps {100 * kept:.3g} % of its signal, and false signal is "
+        f"{distortion.over(noise_e):.2g} times its noise"
+    )
+
+
+def _on_detectors(at_rail: Bools) -> str:
+    n, hit = at_rail.shape[1], int(at_rail.any(axis=0).sum())
+    return f" of {hit} of {n} detectors" if n > 1 else ""
+
+
 def _two_digits(value: float) -> str:
     return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
@@ -155,14 +198,5 @@ class _Rails:
         # A full well stands below the converter's rail; the flag does not say whose it is.
         alone = flagged & ~(self.high | self.low).any(axis=1)
         self.full = np.repeat(alone[:, None], counts.shape[1], axis=1)
-        holds_picture = ~np.repeat(_uniform(record.patterns), len(record.shutters))[:, None]
-        lost = (self.high | self.full) & holds_picture
-        self.blind_high = lost.sum(axis=0) > VOID_HIGH * len(counts)
-        self.blind_low = self.low.sum(axis=0) > VOID_LOW * len(counts)
-
-
-def _uniform(patterns: PatternSet) -> Bools:
-    """Exposures whose cells are all lit or all dark, (n_exposures,)."""
-    head = np.ones(2 if patterns.mode == "reference" else 0, dtype=bool)
-    each = 2 if patterns.mode == "differential" else 1
-    return np.concatenate([head, np.repeat(patterns.indices == 0, each)])
+        self.blind_high = (self.high | self.full).sum(axis=0) > VOID_SHARE * len(counts)
+        self.blind_low = self.low.sum(axis=0) > VOID_SHARE * len(counts)

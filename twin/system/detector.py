@@ -105,8 +105,8 @@ class Readout(Strict):
     A transimpedance amplifier (``transimpedance_ohm``) averages the current over the integration
     time; a capacitive one (``feedback_capacitance_f``, CTIA) collects the charge, up to
     ``full_well_e``, and has its reset noise in ``read_noise_e``. Below ``flicker_corner_hz`` the
-    amplifier's noise density grows as 1/f. ``bandwidth_hz``: of the amplifier's one pole; default:
-    wide enough to settle.
+    amplifier's noise density grows as 1/f. ``bandwidth_hz``: of the amplifier's one pole, which
+    carries a share of each exposure into the next; default: wide enough to settle.
     """
 
     alternatives: ClassVar = (("transimpedance_ohm",), ("feedback_capacitance_f", "full_well_e"))

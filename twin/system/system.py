@@ -1,6 +1,5 @@
 """One complete optical system: its sections, and what must fit between them."""
 
-import math
 from pathlib import Path
 
 from pydantic import model_validator
@@ -42,7 +41,7 @@ class System(Entry):
 
     @model_validator(mode="after")
     def _physics_allows_it(self) -> "System":
-        acquisition, readout = self.acquisition, self.readout
+        acquisition = self.acquisition
         self.detector.check_quantum_limit(
             self.detector.responsivity_a_per_w.value, self.emitter.peak_wavelength_m.value
         )
@@ -52,14 +51,6 @@ class System(Entry):
                 f"acquisition.pattern_period_s = {period:g}: detector.line_rate_hz allows "
                 f"{rate.value:g} readouts per second, one in {1 / rate.value:.3g} s"
             )
-        if readout.bandwidth_hz is not None:
-            left = acquisition.residue(1 / (2 * math.pi * readout.bandwidth_hz.value))
-            if left > 0.5 / 2**readout.adc_bits.value:
-                raise ValueError(
-                    f"readout.bandwidth_hz = {readout.bandwidth_hz.value:g}: {100 * left:.2g} % of "
-                    "the exposure before is left in each one, more than half a step of "
-                    f"readout.adc_bits = {readout.adc_bits.value}"
-                )
         tof = self.time_of_flight
         if tof is not None and tof.modulation_hz is not None:
             slowest = min(tof.modulation_hz.value)
