@@ -3,11 +3,12 @@
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+from hardware.files import read_json
 from twin import __version__
 from twin.fidelity import PRESETS, Fidelity
 from twin.files import whole_folder
@@ -34,7 +35,9 @@ def run_folder(out: Path, settings: Mapping[str, Any]) -> Iterator[Path]:
         (partial / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
         stale = _listed(Path(out) / INDEX) - {*written, INDEX}
     for name in stale:
-        (Path(out) / name).unlink(missing_ok=True)
+        # The run is written: what cannot be removed stays.
+        with suppress(OSError, ValueError):
+            (Path(out) / name).unlink(missing_ok=True)
 
 
 def settings_of(
@@ -115,9 +118,10 @@ def _number(value: float) -> str:
 def _listed(index: Path) -> set[str]:
     """Files of the run that wrote a list; none where there is no list that can be read."""
     try:
-        content = json.loads(index.read_text(encoding="utf-8"))
+        content = read_json(index)
         if content["format"] != _FORMAT:
             return set()
-        return {name for name in content["files"] if Path(name).name == name}
+        names: set[str] = set(content["files"])
+        return {name for name in names if Path(name).name == name}
     except (OSError, ValueError, KeyError, TypeError):
         return set()

@@ -14,7 +14,10 @@ import pytest
 
 import twin
 from twin.camera.acquisition import capture
-from twin.camera.mounting import check_clear
+from twin.camera.mounting import check_clear, check_rig
+from twin.camera.repaint import render_unpainted
+from twin.camera.stream import frames
+from twin.fidelity import Fidelity
 from twin.files import InputError, new_folder, whole_folder
 from twin.scene import load_scene
 from twin.scene.importing import import_model
@@ -108,6 +111,41 @@ def test_no_light_is_computed_for_a_rig_in_a_surface(
         return
     with pytest.raises(InputError, match=r"rig: its emitter, at .* in the surface of 'wall'"):
         capture(scene, system)
+
+
+@pytest.mark.parametrize(
+    ("offset", "fits"),
+    [((0, 0, 0), False), ((0, 0.1, 0), True), ((-0.1, 0, 0), True), ((1, 0.1, 0), False),
+     ((1, 0.2, 0), True)],
+)  # fmt: skip
+def test_air_wants_the_detector_beside_the_beam(
+    offset: tuple[float, float, float], fits: bool, tmp_path: Path
+) -> None:
+    """Light scattered back right before emitter and detector grows as one over their distance:
+    without one, or inside the beam of 20 deg (0.176 m wide on each side after 1 m), it has no
+    bound. Air that is not there asks for nothing.
+    """
+    (tmp_path / "scene.xml").write_text(HEAD + WALL)
+    (tmp_path / "scene.toml").write_text(
+        TOML.format(0, 0, 1).replace("[sun]", f"[rig.detector]\noffset_m = {list(offset)}\n[sun]")
+    )
+    (tmp_path / "fog.toml").write_text('base = "workable"\n[weather]\npart = "fog-50m"\n')
+    scene, foggy = load_scene(tmp_path), load_system(tmp_path / "fog.toml")
+    check_rig(scene, load_system("workable"))
+    if fits:
+        check_rig(scene, foggy)
+        return
+    expected = rf"scene.toml: rig\.detector\.offset_m = \[{float(offset[0])}, .* expected a place"
+    for refused in (
+        lambda: capture(scene, foggy),
+        lambda: next(frames(scene, foggy, [scene.rig.pose])),
+        lambda: render_unpainted(
+            scene, foggy, fidelity=Fidelity(1, 1), seed=np.random.SeedSequence(0)
+        ),
+    ):
+        with pytest.raises(InputError, match=expected) as told:
+            refused()
+        assert "\n" not in str(told.value)
 
 
 MODELS = {

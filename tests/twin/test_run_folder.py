@@ -126,6 +126,27 @@ def test_a_list_reaches_into_no_other_folder(tmp_path: Path) -> None:
     assert (tmp_path / "outside").exists()
 
 
+@pytest.mark.parametrize(
+    "listed", ["a\\u0000b", "folder", "n" * 5000, "a/b", "\\ud800", None], ids=lambda x: str(x)[:9]
+)
+def test_what_cannot_be_removed_stays_and_the_new_run_is_kept(
+    listed: str | None, tmp_path: Path
+) -> None:
+    """Names that no file can have, a folder's, and a list nested deeper than any parser goes."""
+    (tmp_path / "folder").mkdir()
+    text = (
+        f'{{"format": "ugv-twin-run", "files": ["old", "{listed}"]}}' if listed else "[" * 200_000
+    )
+    (tmp_path / "old").write_text("old")
+    (tmp_path / "run.json").write_text(text)
+    with run_folder(tmp_path, settings()) as partial:
+        (partial / "new").write_text("new")
+    assert (tmp_path / "new").read_text() == "new"
+    assert (tmp_path / "folder").is_dir()
+    assert (tmp_path / "old").exists() is (listed is None)
+    assert json.loads((tmp_path / "run.json").read_text())["files"] == ["new"]
+
+
 def test_a_run_that_fails_leaves_the_one_before(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with run_folder(out, {"seed": 1}) as partial:

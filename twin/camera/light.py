@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twin.camera.air import Veil, glow, veil_of, where_air_scatters
 from twin.camera.limits import cut_off, grazing, unsampled, unspread
-from twin.camera.mounting import check_clear, devices, field_points
+from twin.camera.mounting import check_rig, devices, field_points
 from twin.camera.truth import Truth, incidence_cosines, render_truth
 from twin.fidelity import Fidelity, Start
 from twin.optics.devices import Device, Grid
@@ -93,7 +93,7 @@ def render(
     stage: Stage = lambda name: nullcontext(),
 ) -> Rendered:
     """Render a scene for a system; ``world`` is `mitsuba_scene(scene)`, when it is at hand."""
-    check_clear(scene)
+    check_rig(scene, system)
     emitter, detector, _ = devices(scene, system)
     with stage("scene"):
         world = mitsuba_scene(scene) if world is None else world

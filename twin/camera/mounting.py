@@ -1,6 +1,7 @@
 """Emitter and detector of a system where a scene's rig holds them."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +10,15 @@ from twin.files import InputError
 from twin.optics.devices import Device
 from twin.optics.emission import lobe_exponent
 from twin.optics.radiometry import Collection, collection
+from twin.optics.weather import air_of_system
 from twin.scene import Scene
 from twin.scene.enclosure import touches
 from twin.system import System
 
 Array = NDArray[np.float64]
+
+#: Devices nearer than this are at one place.
+_APART_M = 1e-9
 
 
 def devices(scene: Scene, system: System) -> tuple[Device, Device, Collection]:
@@ -40,6 +45,28 @@ def devices(scene: Scene, system: System) -> tuple[Device, Device, Collection]:
         focus_m=optics.focus_m.value if optics.focus_m else math.inf,
     )
     return emitter, detector, lens
+
+
+def check_rig(scene: Scene, system: System) -> None:
+    """Raise InputError where light of a rig is no number: its emitter or detector stand in a
+    surface, to which the way is zero long; or, in air that scatters, the detector stands in the
+    emitter's own beam, whose veil is infinite there.
+    """
+    check_clear(scene)
+    if (air := air_of_system(system)) is None or not air.scattering_per_m:
+        return
+    emitter, detector, _ = devices(scene, system)
+    ahead, *across = emitter.axes @ (detector.origin_m - emitter.origin_m)
+    beside = max(abs(step) for step in across) > max(emitter.tan_half_field * ahead, _APART_M)
+    if ahead < -_APART_M or beside:
+        return
+    offset = scene.rig.device("detector")[0]
+    raise InputError(
+        f"{Path(scene.path).with_name('scene.toml')}: rig.detector.offset_m = {offset.tolist()}: the detector stands in the "
+        f"emitter's beam (rig.emitter.offset_m = {scene.rig.device('emitter')[0].tolist()}), where "
+        f"the light that air scatters back is infinite: with the weather of system "
+        f"{system.name!r}, expected a place beside it"
+    )
 
 
 def check_clear(scene: Scene) -> None:

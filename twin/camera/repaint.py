@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twin.camera.air import Veil, glow, veil_of, where_air_scatters
 from twin.camera.light import SUN_PARTS, Light, Rendered
 from twin.camera.limits import grazing, unsampled
-from twin.camera.mounting import check_clear, devices
+from twin.camera.mounting import check_rig, devices
 from twin.camera.truth import Truth, depths, incidence_cosines, object_shares
 from twin.fidelity import Fidelity
 from twin.optics.by_object import ByObject, gather_by_object
@@ -86,7 +86,7 @@ def render_unpainted(
     """
     if not can_repaint(system, fidelity):
         raise ValueError("fidelity: only direct light on one bucket can be repainted")
-    check_clear(scene)
+    check_rig(scene, system)
     emitter, detector, _ = devices(scene, system)
     world = mitsuba_scene(_white(scene))
     shape = system.picture_shape

@@ -12,7 +12,7 @@ import numpy as np
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain
 from twin.camera.light import Rendered, render, render_light
-from twin.camera.mounting import devices
+from twin.camera.mounting import check_rig, devices
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Fidelity
 from twin.optics.paths import Quality
@@ -50,6 +50,7 @@ def frames(
     seed
         Frame i is drawn from (seed, i): the same whatever came before.
     """
+    check_rig(scene, system)
     world, chain = mitsuba_scene(scene), Chain.of(system, scene.sun)
     mounted = devices(scene.at(Pose((0.0, 0.0, 0.0))), system)[:2]
     unknown = Truth(np.zeros(system.picture_shape), np.full(system.picture_shape, np.inf))
