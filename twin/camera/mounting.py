@@ -60,12 +60,12 @@ def check_rig(scene: Scene, system: System) -> None:
     beside = max(abs(step) for step in across) > max(emitter.tan_half_field * ahead, _APART_M)
     if ahead < -_APART_M or beside:
         return
-    offset = scene.rig.device("detector")[0]
+    path = Path(scene.path).with_name("scene.toml")
+    there, here = (scene.rig.device(name)[0].tolist() for name in ("detector", "emitter"))
     raise InputError(
-        f"{Path(scene.path).with_name('scene.toml')}: rig.detector.offset_m = {offset.tolist()}: the detector stands in the "
-        f"emitter's beam (rig.emitter.offset_m = {scene.rig.device('emitter')[0].tolist()}), where "
-        f"the light that air scatters back is infinite: with the weather of system "
-        f"{system.name!r}, expected a place beside it"
+        f"{path}: rig.detector.offset_m = {there}: the detector stands in the emitter's beam "
+        f"(rig.emitter.offset_m = {here}), where the light that air scatters back is infinite: "
+        f"with the weather of system {system.name!r}, expected a place beside it"
     )
 
 
