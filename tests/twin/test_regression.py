@@ -433,6 +433,50 @@ def test_a_seed_lost_for_a_seed_won_is_no_failure() -> None:
     assert not compare([one("missed")], *figures, same_records=True)[0].worse
 
 
+@pytest.mark.parametrize(("lost", "won", "worse"), [(5, 1, True), (2, 1, True), (3, 3, False)])
+def test_seeds_won_make_up_for_as_many_lost_and_no_more(lost: int, won: int, worse: bool) -> None:
+    """Counted one for one, on the same records: five targets lost for one won is a loss of four.
+    On ee37b06 no number lost is one, whatever it is, as soon as one is won.
+    """
+    before, after = np.zeros(16), np.zeros(16)
+    before[:won], after[8 : 8 + lost] = 1.0, 1.0
+    figures = {"missed": before}, {"missed": after}
+    verdict = compare([one("missed")], *figures, same_records=True)[0]
+    assert verdict.worse == worse
+    assert verdict.failed == (tuple(range(8, 8 + lost)) if worse else ())
+
+
+def test_a_false_alarm_more_in_a_quarter_of_the_seeds_is_not_made_up_for_by_one_less() -> None:
+    """The yard's baseline has one in seeds 0, 10 and 12; that of seed 0 goes, three others come."""
+    before = np.isin(np.arange(16), (0, 10, 12)).astype(float)
+    after = np.isin(np.arange(16), (10, 12, 1, 5, 9, 13)).astype(float)
+    figures = {"unmatched": before}, {"unmatched": after}
+    assert compare([one("unmatched")], *figures, same_records=True)[0].worse
+
+
+def test_seeds_whose_figure_is_no_number_are_named() -> None:
+    before = np.random.default_rng(0).normal(30, 1, 8)
+    after = np.where(np.isin(np.arange(8), (2, 5)), [np.inf, np.nan] * 4, before)
+    verdict = compare([one()], {"psnr_db": before}, {"psnr_db": after})[0]
+    assert str(verdict) == "psnr_db: no number at 2 seeds: 2, 5: WORSE"
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (None, "gave a NoneType"),
+        (3, "gave a int"),
+        ("picture", "gave a str"),
+        ([[1.0], [1.0, 2.0]], "gave a list"),
+        (np.ma.zeros((32, 32)), "gave a masked array"),
+    ],
+)
+def test_a_result_that_is_no_image_is_named(yard, given: object, told: str) -> None:
+    scene, system, light = yard
+    with pytest.raises(InputError, match=re.escape(told)):
+        run_camera(scene, system, light, lambda _: given, range(1), CAMERA_METRICS)
+
+
 def test_a_changed_offset_is_worse_either_way() -> None:
     """And never better: a bias that brings echoes nearer to declared centres is still a bias."""
     metric = one("range_offset_m")
@@ -504,6 +548,9 @@ def test_what_a_detector_loses_or_shifts_fails_the_test(twin_truth, tmp_path: Pa
     cell = load_radar(RADAR).ofdm.range_cell_m
     radar(vehicle_detector, "first of all")
     radar(vehicle_detector)
+    for given, told in ((None, "gave a NoneType"), ([1, 2], "gave a int, expected hardware's")):
+        with pytest.raises(InputError, match=told):
+            radar(lambda _, given=given: given)
     for wrong, metric in ((without_the_nearest, "missed"), (with_one_more, "unmatched")):
         with pytest.raises(pytest.fail.Exception, match=rf"{metric}: .*WORSE at 1 seeds: 2"):
             radar(Counted(vehicle_detector, wrong, [2]))

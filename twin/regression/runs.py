@@ -1,7 +1,7 @@
 """A method run over seeds of the sensor's noise, on one render."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -46,8 +46,10 @@ class Outcome:
     records: str
 
 
-def image_method(method: Method) -> Callable[[SpiRecord], Array]:
+def image_method(method: Method) -> Callable[[SpiRecord], Any]:
     """A method as a function from a record to a picture, detectors side by side, in electrons.
+
+    What a function of one's own gives is not checked here.
 
     Raises InputError for a name that is no method.
     """
@@ -55,7 +57,7 @@ def image_method(method: Method) -> Callable[[SpiRecord], Array]:
         if method not in METHODS:
             raise InputError(f"method: {method!r} is none of {', '.join(METHODS)}")
         return lambda record: reconstruct(record, method).picture
-    return lambda record: np.asarray(getattr(result := method(record), "picture", result))
+    return lambda record: getattr(result := method(record), "picture", result)
 
 
 def records(
@@ -132,12 +134,20 @@ def run_camera(
     return Outcome(_figures(metrics, truths, images), straight[0], images, content.hexdigest())
 
 
-def _checked(image: Array, shape: tuple[int, ...]) -> Array:
-    if image.shape != shape:
-        raise InputError(f"method: gave an image {image.shape}, expected {shape}")
-    if image.dtype.kind not in "fiu":
-        raise InputError(f"method: gave an image of {image.dtype}, expected real numbers")
-    return image.astype(np.float64)
+def _checked(image: Any, shape: tuple[int, ...]) -> Array:
+    expected = f"expected real numbers, {shape}"
+    if np.ma.isMaskedArray(image):
+        raise InputError(f"method: gave a masked array, whose mask no metric knows; {expected}")
+    try:
+        array = np.asarray(image)
+    except ValueError as error:  # lists of unequal lengths
+        raise InputError(f"method: gave a {type(image).__name__}: {error}; {expected}") from error
+    if array.ndim == 0 or array.dtype.kind not in "fiu":
+        what = f"an image of {array.dtype}" if array.ndim else f"a {type(image).__name__}"
+        raise InputError(f"method: gave {what}, {expected}")
+    if array.shape != shape:
+        raise InputError(f"method: gave an image {array.shape}, expected {shape}")
+    return array.astype(np.float64)
 
 
 def run_radar(
@@ -148,7 +158,10 @@ def run_radar(
     metrics: Sequence[Metric],
     nufft_tolerance: float,
 ) -> Outcome:
-    """A detector over noise seeds, judged by the targets that have a direct path."""
+    """A detector over noise seeds, judged by the targets that have a direct path.
+
+    Raises InputError where it gives something other than detections.
+    """
     truth = tuple(target for target in capture.truth if target.visible)
     quiet = [received(burst, radar, capture.air, nufft_tolerance) for burst in capture.bursts]
     found, content = [], hashlib.sha256()
@@ -158,11 +171,23 @@ def run_radar(
         iq, flags = (np.stack([burst[i] for burst in taken]) for i in (0, 1))
         record = replace(capture.record, iq=iq, flags=flags)
         content.update(np.ascontiguousarray(iq).tobytes() + flags.tobytes())
-        detections = tuple(detector(record))
+        detections = _detections(detector(record))
         matches = match_detections(detections, truth, radar.channel_waveform)
         found.append(Echo(detections, matches, radar.ofdm.range_cell_m))
     figures = _figures(metrics, [truth] * len(found), found)
     return Outcome(figures, truth, found, content.hexdigest())
+
+
+def _detections(found: Any) -> tuple[Detection, ...]:
+    if not isinstance(found, Iterable):
+        raise InputError(f"detector: gave a {type(found).__name__}, expected detections")
+    detections = tuple(found)
+    for one in detections:
+        if not isinstance(one, Detection):
+            raise InputError(
+                f"detector: gave a {type(one).__name__}, expected hardware's Detection"
+            )
+    return detections
 
 
 def vehicle_detector(record: RadarRecord) -> list[Detection]:
