@@ -106,8 +106,6 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     noise_w
         Mean noise power of a cell.
     """
-    from scipy.special import logsumexp
-
     sums, f_hz, t_s = _coarser(blocks)
     extra = 2 / C_M_PER_S * rates_m_per_s - blocks.delay_rate
     duration = 1 / (blocks.cell[1] * blocks.carrier_hz)
@@ -118,16 +116,20 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     )  # half cells: between two a target loses 0.9 dB
     across = np.exp(2j * np.pi * blocks.cell[0] * np.outer(steps, f_hz))
     along = np.exp(2j * np.pi * blocks.cell[1] * blocks.carrier_hz * np.outer(t_s, steps))
+    sums, across, along = (x.astype(np.complex64) for x in (sums, across, along))
     found = []
     for more in extra:
         # The carrier's own turn folds to none over whole slots; the band's is the migration.
-        still = sums * np.exp(2j * np.pi * np.outer(f_hz, t_s) * more)
-        power = np.sum(np.abs(across @ still @ along) ** 2, axis=0)  # by delay and rate
+        still = sums * np.exp(2j * np.pi * np.outer(f_hz, t_s) * more).astype(np.complex64)
+        cells = across @ still @ along  # by delay and rate
+        power = np.asarray(np.sum(cells.real**2 + cells.imag**2, axis=0, dtype=np.float64))
         # What stronger echoes leave over all these cells is no echo.
         noise = max(noise_w, float(np.median(power)) / len(sums), np.finfo(float).tiny)
         row, column = np.unravel_index(np.argmax(power), power.shape)
         rows = np.maximum(power / noise - len(sums), 0).sum(axis=0)
-        found.append((logsumexp(power / noise), rows.max(), (steps[row], steps[column])))
+        highest_w = float(power[row, column])
+        spread = np.log(np.sum(np.exp((power - highest_w) / noise)))
+        found.append((highest_w / noise + spread, rows.max(), (steps[row], steps[column])))
     return RateEvidence(rates_m_per_s, *map(np.array, zip(*found, strict=True)))
 
 
