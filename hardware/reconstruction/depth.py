@@ -23,8 +23,11 @@ class Depth:
     ``amplitude`` in the phasors' unit: mean over the frequencies. ``standard_error_m`` is the
     Cramer-Rao bound for the noise given, if the unwrapping is right; ``confidence`` the posterior
     probability that it is, among all distances up to ``longest_m``, each cell taken to hold one
-    surface. Cells without light have NaN for distance and 0 for confidence. A distance may lie
-    below 0 by its error.
+    surface. Where no one surface explains the phases and amplitudes of all frequencies (two in a
+    cell, air that sends light back), confidence falls with the probability of that by chance, and
+    the error grows by the root of chi^2 over its degrees of freedom. One frequency cannot
+    contradict itself: what it says of such cells stands unwarned. Cells without light have NaN for
+    distance and 0 for confidence. A distance may lie below 0 by its error.
     """
 
     amplitude: Array
@@ -40,6 +43,7 @@ def depth(
     noise: ArrayLike,
     *,
     longest_m: float | None = None,
+    tolerance: float = 0.005,
 ) -> Depth:
     """Amplitude and distance of every cell.
 
@@ -54,6 +58,9 @@ def depth(
         ``(n_frequencies,)`` or ``(n_frequencies, n_cells)``.
     longest_m
         Farthest distance to consider; default, and at most, where all frequencies wrap at once.
+    tolerance
+        What a device's own contrasts, relative, and phases, rad, may differ by from frequency to
+        frequency: frequencies that differ by no more do not contradict each other.
 
     Raises ValueError for shapes that do not fit, frequencies that are not positive, or values
     that are not numbers.
@@ -79,10 +86,13 @@ def depth(
     precision = (4 * np.pi * f[:, None] / C_M_PER_S / phase_error) ** 2  # of distance, 1/m^2
     distance, confidence = _unwrapped(np.angle(z), f, precision, longest, longest >= limit)
     seen = (size > 0).all(axis=0)
+    loose = np.hypot(np.maximum(sigma, least), tolerance * size)
+    scale, doubt = contradiction(_misfit(z, f, distance, loose), 2 * (len(f) - 1))
+    confidence = confidence * doubt
     return Depth(
         amplitude=size.mean(axis=0),
         distance_m=np.where(seen, distance, np.nan),
-        standard_error_m=np.where(seen, 1 / np.sqrt(precision.sum(axis=0)), np.inf),
+        standard_error_m=np.where(seen, scale / np.sqrt(precision.sum(axis=0)), np.inf),
         confidence=np.where(seen, confidence, 0.0),
         longest_m=longest,
     )
@@ -92,6 +102,31 @@ def common_range_m(modulation_hz: ArrayLike) -> float:
     """Distance after which all frequencies repeat: c / (2 gcd), the gcd taken to 1 Hz."""
     whole = np.rint(np.atleast_1d(modulation_hz)).astype(np.int64)
     return float(C_M_PER_S / (2 * np.gcd.reduce(whole)))
+
+
+def contradiction(chi2: Array, freedom: int) -> tuple[Array, Array]:
+    """What errors grow by where data contradict their model, and what confidence is multiplied by.
+
+    Both are 1 where chance alone gives such a chi^2 once in a thousand times or more often; beyond,
+    the root of chi^2 over its degrees of freedom, and a thousand times that probability.
+    """
+    if freedom < 1:
+        return np.ones_like(chi2), np.ones_like(chi2)
+    from scipy.special import chdtrc  # takes 0.1 s to import
+
+    doubt = np.minimum(chdtrc(freedom, chi2) / 1e-3, 1.0)
+    return np.where(doubt < 1, np.sqrt(np.maximum(chi2 / freedom, 1)), 1.0), doubt
+
+
+def _misfit(z: NDArray[np.complex128], f: Array, distance_m: Array, sigma: Array) -> Array:
+    """chi^2 of phasors against one echo at a distance whose amplitude all frequencies share: of
+    their parts in phase with it, and of those across.
+    """
+    turned = z * np.exp(4j * np.pi * f[:, None] * distance_m / C_M_PER_S)
+    weight = np.divide(1, sigma**2, out=np.zeros(sigma.shape), where=sigma > 0)
+    total = np.maximum(weight.sum(axis=0), np.finfo(float).tiny)
+    amplitude = (weight * turned.real).sum(axis=0) / total
+    return np.asarray((weight * np.abs(turned - amplitude) ** 2).sum(axis=0))
 
 
 def _unwrapped(

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.reconstruction.depth import contradiction
+
 Array = NDArray[np.float64]
 
 _PER_SEGMENT = 16  # points of the first search between two corners of the gates' responses
@@ -21,6 +23,8 @@ _LOOKS = 5  # each narrows the range at least 20 times, where the data do
 _AT_ONCE = 2**22  # points of all cells in memory
 #: Relative error that images are taken to have at least: that of a pulse's and a gate's own shape.
 _LEAST = 1e-6
+#: Share of an echo that gates may differ by from a rectangular pulse's without contradicting it.
+_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +61,10 @@ def echo(images: Array, errors: Array, gates: Array, pulse_width_s: float) -> Ec
     The mean and the standard deviation are those of the posterior within reach of the gate that
     holds most of the likeliest echo, all beginnings alike before; what is left of one gate alone is
     its whole reach. Where the gates contradict each other (two surfaces in a cell, a pulse that is
-    no rectangle), errors grow by the root of chi^2 over its degrees of freedom. ``confidence`` is
-    the posterior probability of that reach, "no echo at all" being as probable before as all
-    beginnings together.
+    no rectangle, air that sends light back), errors grow by the root of chi^2 over its degrees of
+    freedom. ``confidence`` is the posterior probability of that reach, "no echo at all" being as
+    probable before as all beginnings together; where gates differ from one echo by more than 2 % of
+    it, it falls with the probability of that by chance.
     """
     errors = np.maximum(errors, _LEAST * np.abs(images).max(initial=0.0) or 1.0)
     place, step = _search(gates, pulse_width_s)
@@ -79,6 +84,7 @@ def _echo(
     images: Array, errors: Array, gates: Array, pulse_width_s: float, place: Array, step: Array
 ) -> tuple[Array, Array, Array, Array]:
     """The fields of `Echo` for some of the cells."""
+    own = errors
     responses = np.stack([share(place, d, g, pulse_width_s) for d, g in gates])
     gain = _gain(responses, images, errors)
     nearest = gates[responses[:, gain.argmax(axis=1)].argmax(axis=0)]
@@ -98,7 +104,10 @@ def _echo(
     amplitude = np.divide(
         wanted, ((there / errors) ** 2).sum(axis=0), out=np.zeros_like(mean), where=wanted > 0
     )
-    return amplitude, mean, spread, confidence
+    loose = np.hypot(own, _TOLERANCE * amplitude)
+    chi2 = (((images - amplitude * there) / loose) ** 2).sum(axis=0)
+    _, doubt = contradiction(chi2, len(gates) - 2)
+    return amplitude, mean, spread, confidence * doubt
 
 
 def _search(gates: Array, pulse_width_s: float) -> tuple[Array, Array]:

@@ -18,11 +18,12 @@ from hardware.reconstruction.depth import C_M_PER_S, depth
 from hardware.reconstruction.gating import Echo, echo
 from hardware.reconstruction.imaging import LEVEL_UNKNOWN, Reconstruction, reconstruct
 from hardware.reconstruction.sensing import Mixing
-from hardware.records import SpiRecord
+from hardware.records import Flag, SpiRecord
 
 Array = NDArray[np.float64]
 
 
+AT_RAIL = "most exposures stand at the converter's rails or are marked saturated: no distance"
 PULSE_UNKNOWN = (
     "pulse_width_s is not stated: distances from gates hold to half a gate only, for any pulse "
     "up to the gate's length"
@@ -39,7 +40,8 @@ class RangeImage:
     patterns do not measure have NaN for both.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
     ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat, or
-    no gate is open. ``warnings``: what makes distances less sure than they could be.
+    no gate is open. A detector most of whose exposures are saturated is not confident of anything.
+    ``warnings``: what makes distances less sure than they could be.
     """
 
     method: str
@@ -78,8 +80,25 @@ def range_image(
     else:
         found = _from_gates(method, images, errors, record)
     level = tuple(warning for warning in taken[0].warnings if warning == LEVEL_UNKNOWN)
-    amplitude = np.where(told, found.amplitude, np.nan)
-    return replace(found, amplitude=amplitude, warnings=(*found.warnings, *level))
+    blind = _blind(record)
+    return replace(
+        found,
+        amplitude=np.where(told, found.amplitude, np.nan),
+        standard_error_m=np.where(blind[:, None, None], np.inf, found.standard_error_m),
+        confidence=np.where(blind[:, None, None], 0.0, found.confidence),
+        warnings=(*found.warnings, *level, *((AT_RAIL,) if blind.any() else ())),
+    )
+
+
+def _blind(record: SpiRecord) -> NDArray[np.bool_]:
+    """Detectors (n_detectors,) of which more than half of the exposures stand at a rail: what is
+    left moves with the rail, not with the light.
+    """
+    at_rail = (record.counts == 2**record.adc_bits - 1) | (record.counts == 0)
+    flagged = (record.flags & Flag.SATURATED) != 0
+    # The flag does not say whose well is full: of all, where no detector stands at a rail.
+    at_rail |= (flagged & ~at_rail.any(axis=1))[:, None]
+    return np.asarray(at_rail.mean(axis=0) > 0.5)
 
 
 def _error(found: Reconstruction, count: int) -> Array:

@@ -110,3 +110,40 @@ def test_unequal_noise_is_weighed() -> None:
     low, high = stats.chi2.ppf([5e-7, 1 - 5e-7], n) / n
     ratio = np.mean((found.distance_m - 21.0) ** 2 / found.standard_error_m**2)
     assert low < ratio < high * 1.005  # sigma squared, the next order, is 1e-3
+
+
+@pytest.mark.parametrize("places", [(10.1, 3.0), (5.0, 12.0), (11.0, 14.0)])
+def test_frequencies_that_contradict_each_other_are_not_trusted(
+    places: tuple[float, float],
+) -> None:
+    """Two equal echoes in a cell, noise a thousandth of them: no distance fits both frequencies, so
+    either an echo lies within three claimed errors or the claim is not confident.
+    """
+    rng = np.random.default_rng(5)
+    frequencies = [10e6, 11e6]
+    both = sum(phasors(np.full(200, d), 0.5, frequencies) for d in places)
+    noise = rng.normal(size=(2, 2, 200)) * 1e-3
+    found = depth(both + noise[0] + 1j * noise[1], frequencies, 1e-3)
+    off = np.min([np.abs(found.distance_m - d) for d in places], axis=0)
+    assert ((off < 3 * found.standard_error_m) | (found.confidence < 0.6)).all()
+
+
+def test_chance_alone_is_no_contradiction() -> None:
+    """Of 1e5 cells of one surface 0.1 % claim more than the Cramer-Rao bound (three frequencies,
+    noise a fiftieth; binomial bounds at five standard deviations, wider by half as noise of a
+    phasor is not quite normal in phase).
+    """
+    rng = np.random.default_rng(6)
+    n, frequencies = 100_000, [10e6, 12e6, 15e6]
+    noise = rng.normal(size=(2, 3, n)) * 0.02
+    z = phasors(np.full(n, 7.0), 1.0, frequencies) + noise[0] + 1j * noise[1]
+    claimed = depth(z, frequencies, 0.02, tolerance=0.0).standard_error_m
+    share = np.mean(claimed > 1.5 * np.median(claimed))
+    assert abs(share - 1e-3) < 5 * np.sqrt(1e-3 / n) + 5e-4
+
+
+def test_what_a_device_may_differ_by_is_no_contradiction() -> None:
+    """Contrasts 0.5 % apart and noise of 1e-5: still one surface."""
+    frequencies = [10e6, 11e6]
+    z = phasors(np.linspace(1, 100, 50), 1.0, frequencies) * [[1.0], [1.005]]
+    assert (depth(z, frequencies, 1e-5).confidence > 0.999).all()

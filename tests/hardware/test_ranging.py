@@ -12,7 +12,8 @@ from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.reconstruction import METHODS, range_image
 from hardware.reconstruction.depth import C_M_PER_S
 from hardware.reconstruction.gating import echo
-from hardware.reconstruction.ranging import PULSE_UNKNOWN
+from hardware.reconstruction.ranging import AT_RAIL, PULSE_UNKNOWN
+from hardware.records import Flag
 
 TWO = (10e6, 13e6)
 
@@ -205,6 +206,21 @@ def test_two_surfaces_in_a_cell_widen_the_claim() -> None:
     one = echo(seen(30.0)[:, None], errors, gates, width)
     two = echo((seen(30.0) + seen(36.0))[:, None] / 2, errors, gates, width)
     assert two.error_s > 30 * one.error_s
+    assert one.confidence > 0.99
+    assert two.confidence < 0.01
+
+
+@pytest.mark.parametrize("frequencies", [[10e6], [10e6, 11e6]])
+def test_a_saturated_record_tells_no_distance(frequencies: list[float]) -> None:
+    """Every exposure full: the counts hold the rail alone."""
+    record = lock_in(tuple(frequencies), 4)
+    full = np.full_like(record.counts, 2**record.adc_bits - 1)
+    found = range_image(replace(record, counts=full), "zero-fill")
+    assert not found.confidence.any()
+    assert np.isinf(found.standard_error_m).all()
+    assert found.warnings == (AT_RAIL,)
+    marked = replace(record, flags=np.full_like(record.flags, Flag.SATURATED))
+    assert not range_image(marked, "zero-fill").confidence.any()
 
 
 def test_a_pulse_that_is_not_stated_may_be_any() -> None:
