@@ -5,17 +5,28 @@ import numpy as np
 from hardware.radar.demodulation import Complex
 from hardware.waveform import OfdmWaveform
 
+_DEGREE = 4  # of the leakage's amplitude over the band
+_SMOOTH = 1e-9  # of its power, up to which what changes over the band is the leakage's own
+
 
 def without_leakage(channel: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:
     """A channel (..., n_subcarriers, n_slots) less a constant path of known delay.
 
     Its amplitude is the least-squares one, so a static echo at the same delay goes with it; one a
-    cell of range apart loses nothing, one between less.
+    cell of range apart loses nothing, one between less. How the amplitude changes over the band (a
+    polynomial of degree 4) is taken away where that is no more than 90 dB below it: an echo within
+    two cells of the leakage that stands still and is weaker than that cannot be told from it.
     """
-    path = np.exp(-2j * np.pi * waveform.frequency_offsets_hz * delay_s).astype(channel.dtype)
-    amplitude = np.einsum("...nm,n->...", channel, path.conj())
-    amplitude /= channel.shape[-2] * channel.shape[-1]
-    return np.asarray(channel - amplitude[..., None, None] * path[:, None])
+    n = channel.shape[-2]
+    path = np.exp(-2j * np.pi * waveform.frequency_offsets_hz * delay_s)
+    place = np.polynomial.legendre.legvander(np.linspace(-1, 1, n), _DEGREE if n > 16 else 0)
+    over_band = np.linalg.qr(place)[0]
+    gain = (channel.mean(axis=-1) * path.conj()) @ over_band
+    power = np.abs(gain) ** 2
+    smooth = power[..., 1:].sum(axis=-1) < _SMOOTH * power[..., 0]
+    gain[..., 1:] *= smooth[..., None]
+    leakage = (gain @ over_band.T * path).astype(channel.dtype)
+    return np.asarray(channel - leakage[..., None])
 
 
 def without_static(channel: Complex) -> Complex:

@@ -27,6 +27,8 @@ Power = NDArray[np.floating]
 
 _RARE = 1e-9  # chance that thermal noise alone passes for an echo, per cell
 _BEYOND = 8.0  # times the expected power, from which a cell's own power shows an echo
+_LOW = 0.16  # quantile that tells how noise scatters
+_MANY = 9  # cells, from which pooled noise is far from exponential
 _SMOOTHED = 33  # range cells, over which the noise's level changes little
 _FAINT = 0.3  # of thermal noise: side lobes below do no harm on the other side
 # Rates and ranges that are looked at together: an echo's cell, its side lobes along either axis.
@@ -112,7 +114,6 @@ def phase_noise(spectra: Complex) -> Complex:
     the origin; the result has N(-k, -v) = -conj N(k, v).
     """
     from scipy.ndimage import median_filter, uniform_filter
-    from scipy.special import gammainccinv
 
     mirrored = -np.roll(spectra[:, ::-1, ::-1], (1, 1), (1, 2)).conj()
     odd, even = (spectra + mirrored) / 2, (spectra - mirrored) / 2
@@ -134,7 +135,8 @@ def phase_noise(spectra: Complex) -> Complex:
         np.mean(np.abs(part) ** 2, axis=0, dtype=np.float64) for part in (spectra, mirrored, even)
     )
     expected = excess + thermal
-    certain = np.where(here > _BEYOND * expected, here, 0.0)
+    # Phase noise alone, however high, leaves nothing in the half that is free of it, an echo 1/4.
+    certain = np.where((here > _BEYOND * expected) & (both > here / 8), here, 0.0)
     lobes = _side_lobes(certain)
     opposite = np.roll(lobes[::-1, ::-1], (1, 1), (0, 1))
     suspect = np.maximum(lobes, opposite) > _FAINT * thermal
@@ -142,7 +144,7 @@ def phase_noise(spectra: Complex) -> Complex:
     for size in _POOLED:
         looks = n * np.prod(size)
         a, b, c = (uniform_filter(part, size, mode="wrap") for part in (here, there, both))
-        suspect |= c > thermal / 2 * (gammainccinv(looks, _RARE) / looks)
+        suspect |= c > thermal / 2 * _rare(c / thermal, float(looks))
         strength = np.maximum(strength, 4 * c - 2 * thermal)
         more = looks * (a - b) / expected
         odds = np.where(np.abs(more) > np.abs(odds), more, odds)
@@ -159,6 +161,26 @@ def phase_noise(spectra: Complex) -> Complex:
         mean = spectra[i][at] * weights[0] + mirrored[i][at] * weights[1]
         found[i][at] = mean / (prior + weights[0] + weights[1])
     return np.asarray(found)
+
+
+def _rare(pooled: Array, looks: float) -> Array:
+    """Level over the mean that noise exceeds with a chance of `_RARE` at every range, (n_ranges,).
+
+    Neighbouring ranges of noise that fills a part of the band only are alike: their mean scatters
+    as that of fewer cells. How many is told by the lower half of its distribution over the ranges
+    around, where no echo is.
+    """
+    from scipy.ndimage import uniform_filter1d
+    from scipy.special import gammainccinv, gammaincinv
+
+    if looks < _MANY:
+        return np.full(pooled.shape[1], gammainccinv(looks, _RARE) / looks)
+    low, middle = np.quantile(pooled, (_LOW, 0.5), axis=0)
+    low, middle = (uniform_filter1d(q, _SMOOTHED, mode="wrap") for q in (low, middle))
+    of_looks = np.geomspace(1, looks, 100)
+    spread = gammaincinv(of_looks, _LOW) / gammaincinv(of_looks, 0.5)
+    alike = np.interp(low / np.maximum(middle, 1e-300), spread, of_looks)
+    return np.asarray(gammainccinv(alike, _RARE) / alike)
 
 
 def _side_lobes(power: Array) -> Array:
