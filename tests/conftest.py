@@ -60,13 +60,24 @@ class Firmware:
         return np.rint(patterns.signal(picture)).astype(np.int64) * 2**gain + 100
 
 
-@pytest.fixture(scope="session")
-def firmware(tmp_path_factory: pytest.TempPathFactory) -> Firmware:
+def _compiled(folder: Path, *options: str) -> Firmware:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         pytest.skip("no C compiler: the reference firmware cannot be built")
-    program = tmp_path_factory.mktemp("firmware") / "device"
+    program = folder / "device"
     sources = sorted(map(str, _SOURCES.glob("*.c")))
     assert sources
-    subprocess.run([compiler, *_STRICT, "-o", str(program), *sources, "-lm"], check=True)
+    subprocess.run([compiler, *_STRICT, *options, "-o", str(program), *sources, "-lm"], check=True)
     return Firmware(program)
+
+
+@pytest.fixture(scope="session")
+def firmware(tmp_path_factory: pytest.TempPathFactory) -> Firmware:
+    return _compiled(tmp_path_factory.mktemp("firmware"))
+
+
+@pytest.fixture(scope="session")
+def checked_firmware(tmp_path_factory: pytest.TempPathFactory) -> Firmware:
+    """The same, which ends itself where it writes outside its memory or computes nonsense."""
+    checks = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wno-error")
+    return _compiled(tmp_path_factory.mktemp("checked"), *checks)

@@ -13,7 +13,20 @@ from asking import asking
 
 from hardware import PatternSet
 from hardware.drivers import Patience, SpiCamera, SpiSettings
-from hardware.drivers.messages import Configure, Refusal, Refused, State, Stop
+from hardware.drivers.framing import Deframer, encode
+from hardware.drivers.messages import (
+    Arm,
+    Configure,
+    Measurement,
+    Query,
+    Refusal,
+    Refused,
+    Start,
+    State,
+    Stop,
+    from_frame,
+    to_frame,
+)
 from hardware.records import Flag
 
 #: 3 us a pattern, of which this firmware computes 4096 cells for two detectors: tens of times that.
@@ -67,6 +80,39 @@ def test_a_run_of_so_many_sets_ends_in_time_however_slow_the_camera(firmware: An
     assert (status.state, status.frames) == (State.ARMED, 100 * 64)
     assert 0 < n <= 100
     assert 1.2 < took_s < 1.2 + BACKLOG_S + 4 * BUSY_S
+
+
+@pytest.mark.parametrize(("cells", "mode"), [(1, 0), (2, 4)], ids=["1 x 1, plain", "2 x 2, sums"])
+def test_measurements_that_do_not_fit_are_dropped_whole(
+    checked_firmware: Any, cells: int, mode: int
+) -> None:
+    """While nobody reads, frames of one exposure fill the queue of 65536 bytes, and answers stand
+    in the room that is kept for them; whatever comes next is counted as dropped. Frames that came
+    and frames that were dropped are together all that were made (Status), one by one.
+    """
+    with checked_firmware.running() as path, serial.Serial(path, timeout=2) as line:
+        ask = asking(line)
+        made = ask(Configure(cells, cells, cells**2, 0, mode, 0, 1, 1e-6, 0.0))
+        ask(Arm(made.table_crc))
+        ask(Start(5, 0))
+        time.sleep(0.5)
+        for tag in range(1, 60):
+            line.write(encode(to_frame(Query(), tag)))
+            time.sleep(0.005)
+        frames = Deframer()
+        line.write(encode(to_frame(Stop(), 200)))
+        heard: list[Any] = []
+        while not any(frame.tag == 200 for frame in heard):
+            data = line.read(max(1, line.in_waiting))
+            assert data, "the device is silent"
+            heard += frames.feed(data)
+        messages = [from_frame(frame) for frame in heard]
+    end = messages[-1]
+    numbers = [m.sequence for m in messages if isinstance(m, Measurement)]
+    assert end.state == State.ARMED
+    assert end.dropped > 0
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) + end.dropped == end.frames
 
 
 @pytest.mark.parametrize(

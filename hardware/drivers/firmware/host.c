@@ -53,7 +53,7 @@ static bool send_bytes(const uint8_t *data, size_t size, bool measurement)
 {
     size_t reserved = measurement ? 2 * (FRAME_ENCODED_MOST + 1) : 0; /* for answers */
     flush();
-    if (size > sizeof waiting - reserved - n_waiting)
+    if (n_waiting + size + reserved > sizeof waiting) /* answers may stand in what is reserved */
         return false;
     memcpy(waiting + n_waiting, data, size);
     n_waiting += size;
