@@ -16,6 +16,8 @@ Positive = Annotated[Finite, Field(gt=0)]
 NonNegative = Annotated[Finite, Field(ge=0)]
 Fraction = Annotated[Finite, Field(gt=0, le=1)]
 Count = Annotated[int, Field(strict=True, ge=1, le=2**20)]
+#: Something is said.
+Words = Annotated[str, Field(pattern=r"\S")]
 Name = Annotated[str, Field(pattern=r"^[\w .,+()-]{1,80}$")]
 
 
@@ -40,8 +42,8 @@ class Sourced(Strict, Generic[T]):
     """A value with where it comes from: a source, or the reason why it is assumed."""
 
     value: T
-    source: str | None = None
-    assumed: str | None = None
+    source: Words | None = None
+    assumed: Words | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -122,9 +124,13 @@ def load_entry(
         content = _with_base(path, kind, folder, model)
         if parts:
             content = {k: _with_part(k, v, path, parts, model) for k, v in content.items()}
-        return model.model_validate(content)
+        entry = model.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
+    for field, value in entry.values():
+        if field.endswith(("_csv", "_file")) and not Path(value.value).is_file():
+            raise InputError(f"{path}: {field} = {value.value!r}: expected a file, there is none")
+    return entry
 
 
 def bundled(folder: Path) -> list[str]:

@@ -12,11 +12,13 @@ from scipy import constants, stats
 
 from hardware import reconstruct
 from twin.budget import link_of
+from twin.budget.design import wall_rows
 from twin.budget.link import maximum_distance_m, minimum_time_s, noise_e
 from twin.camera import capture
 from twin.detector import FrontEnd, expose, noise_budget
 from twin.fidelity import Fidelity
 from twin.files import InputError
+from twin.optics.radiometry import collection
 from twin.scene import load_scene
 from twin.scene.materials import load_materials
 from twin.system import System, load_part, load_system
@@ -201,12 +203,45 @@ def test_one_electron_a_photon() -> None:
             "gate_delays_s = [0.0, 9.9e-7]",
             "when the next pulse is under way",
         ),
+        ("[detector]\ngain = 1.0\nexcess_noise_factor = 2.0", "gain of 1 multiplies nothing"),
+        (
+            "[time_of_flight]\npulse_width_s = 2e-8\npulse_rate_hz = 1.0\ngate_width_s = 2e-8\n"
+            "gate_delays_s = [0.0]",
+            r"pulse_rate_hz = 1: less than one pulse in acquisition\.integration_time_s",
+        ),
+        ("[acquisition]\ncolumns = 4", r"acquisition\.columns = 4: belongs to a line sensor"),
+        ("[optics.f_number]\nvalue = 1.0\nsource = ''", r"optics\.f_number\.source = ''"),
+        ("[optics.f_number]\nvalue = 1.0\nassumed = ' '", r"optics\.f_number\.assumed = ' '"),
+        (
+            "[readout]\ntransimpedance_ohm = 1e6\nfeedback_capacitance_f = 1e-12",
+            "either transimpedance_ohm or feedback_capacitance_f",
+        ),
+        ("[detector]\nresponsivity_csv = 'no.csv'", r"detector\.responsivity_csv = .*no\.csv'"),
+        ("[emitter]\nspectrum_csv = 'no.csv'", "spectrum_csv = .* expected a file, there is none"),
     ],
 )
 def test_what_physics_forbids_is_refused(system, text: str, expected: str) -> None:
     with pytest.raises(InputError, match=expected) as caught:
         system(text + "\n")
     assert "\n" not in str(caught.value)
+
+
+def test_a_lens_is_focused_beyond_its_focal_length(system) -> None:
+    """An object nearer than that has no image: in budget and capture alike."""
+    focal_m = collection(system("")).focal_length_m
+    assert collection(system(f"[optics]\nfocus_m = {1.01 * focal_m}\n")).focal_length_m == focal_m
+    near = system(f"[optics]\nfocus_m = {0.99 * focal_m}\n")
+    for use in (
+        lambda: wall_rows(near, [10.0], [0.8]),
+        lambda: capture(load_scene("table1"), near, fidelity=Fidelity(1, 1)),
+    ):
+        with pytest.raises(InputError, match=r"optics\.focus_m = .* more than the focal length"):
+            use()
+
+
+def test_a_gain_of_one_is_no_avalanche(system) -> None:
+    assert system("[detector]\ngain = 1.0\nexcess_noise_factor = 1.0\n").detector.excess_noise == 1
+    assert system("[detector]\ngain = 1.0\nionisation_ratio = 0.4\n").detector.excess_noise == 1
 
 
 def test_a_stated_gain_is_accepted(system) -> None:

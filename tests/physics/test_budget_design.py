@@ -9,6 +9,7 @@ import pytest
 
 from twin import cli
 from twin.budget import wall_rows
+from twin.budget.design import left_out
 from twin.budget.report import write_design
 from twin.camera import capture
 from twin.fidelity import Fidelity
@@ -132,3 +133,17 @@ def test_the_papers_table_is_another_view(monkeypatch, capsys) -> None:
         assert code == 2
         assert len(errors.splitlines()) == 1
         assert expected in errors
+
+
+def test_what_the_closed_form_leaves_out_is_said(tmp_path) -> None:
+    """Each of these makes the camera's record another than the budget's."""
+    text = (
+        'base = "workable"\n[optics]\nfield_stop = "detector"\nedge_illumination = 0.4\n'
+        "[emitter]\nswitching_time_s = 1e-6\n[readout]\nbandwidth_hz = 1e6\n"
+        '[weather]\npart = "fog-50m"\n'
+    )
+    (tmp_path / "much.toml").write_text(text)
+    said = "; ".join(left_out(load_system(tmp_path / "much.toml")))
+    for what in ("outline", "vignetting", "switching", "settling", "the air"):
+        assert what in said
+    assert not left_out(load_system("workable"))

@@ -83,7 +83,10 @@ def wall_rows(
 def left_out(system: System) -> list[str]:
     """What the system says and the closed form leaves out."""
     said = {name for name, _ in system.values()} | ({"weather"} if system.weather else set())
-    return [what for name, what in _LEFT_OUT.items() if name in said]
+    missing = [what for name, what in _LEFT_OUT.items() if name in said]
+    if system.optics.field_stop.value == "detector":
+        missing.append("the field's outline (the SNR is the mean over all cells, unseen ones too)")
+    return missing
 
 
 @dataclass(frozen=True, eq=False)

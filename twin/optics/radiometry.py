@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from twin.files import InputError
 from twin.system import System
 
 Outline = Literal["square", "disc"]
@@ -36,7 +37,10 @@ class Collection:
 
 
 def collection(system: System) -> Collection:
-    """Lens, field stop and filter of a system, as one collector."""
+    """Lens, field stop and filter of a system, as one collector.
+
+    Raises InputError for a lens focused no farther than its focal length, where it has no image.
+    """
     detector, optics = system.detector, system.optics
     square = optics.field_stop.value == "matched" or detector.shape.value == "square"
     outline: Outline = "square" if square else "disc"
@@ -45,6 +49,11 @@ def collection(system: System) -> Collection:
     # A line sensor sees the field with all its pixels together.
     area = detector.area_m2 * (detector.pixels.value if detector.pixels else 1)
     focal_length = math.sqrt(area / field_area)
+    if optics.focus_m is not None and optics.focus_m.value <= focal_length:
+        raise InputError(
+            f"system {system.name!r}: optics.focus_m = {optics.focus_m.value:g}: expected more "
+            f"than the focal length of its lens, {focal_length:.3g} m"
+        )
     n = optics.f_number.value
     return Collection(
         outline=outline,

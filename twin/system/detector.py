@@ -51,6 +51,11 @@ class Detector(Strict):
             raise ValueError("excess_noise_factor and ionisation_ratio belong to a gain")
         if self.gain is not None and (stated[0] is None) == (stated[1] is None):
             raise ValueError("gain needs either excess_noise_factor or ionisation_ratio")
+        if self.multiplication == 1 and self.excess_noise > 1:
+            raise ValueError(
+                f"excess_noise_factor = {self.excess_noise:g}: a gain of 1 multiplies nothing and "
+                "adds no noise, expected 1"
+            )
         return self
 
     @property

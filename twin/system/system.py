@@ -51,13 +51,19 @@ class System(Entry):
                 f"acquisition.pattern_period_s = {period:g}: detector.line_rate_hz allows "
                 f"{rate.value:g} readouts per second, one in {1 / rate.value:.3g} s"
             )
+        exposure_s = acquisition.integration_time_s.value
         tof = self.time_of_flight
+        if tof is not None and tof.pulse_rate_hz and tof.pulse_rate_hz.value * exposure_s < 1:
+            raise ValueError(
+                f"time_of_flight.pulse_rate_hz = {tof.pulse_rate_hz.value:g}: less than one pulse "
+                f"in acquisition.integration_time_s = {exposure_s:g}"
+            )
         if tof is not None and tof.modulation_hz is not None:
             slowest = min(tof.modulation_hz.value)
-            if slowest * acquisition.integration_time_s.value < 1:
+            if slowest * exposure_s < 1:
                 raise ValueError(
                     f"time_of_flight.modulation_hz = {slowest:g}: less than one period in "
-                    f"acquisition.integration_time_s = {acquisition.integration_time_s.value:g}"
+                    f"acquisition.integration_time_s = {exposure_s:g}"
                 )
         return self
 
@@ -75,6 +81,12 @@ class System(Entry):
     @model_validator(mode="after")
     def _line_sensor_fits(self) -> "System":
         if self.detector.pixels is None or self.detector.pixels.value == 1:
+            columns = self.acquisition.columns
+            if columns is not None and columns.value > 1:
+                raise ValueError(
+                    f"acquisition.columns = {columns.value}: belongs to a line sensor "
+                    "(detector.pixels), expected 1 or none"
+                )
             return self
         if self.detector.pixels.value % self.n_detectors:
             raise ValueError(
