@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from hardware.drivers.clock import ClockFilter
-from hardware.recording.reading import Received, read_records
+from hardware.recording.reading import Ending, Received, read_records
 
 if TYPE_CHECKING:
     from hardware.drivers import SpiSettings
@@ -69,12 +69,21 @@ def open_source(
     return _camera(url, settings, over)
 
 
-def replay(path: str | Path, *, speed: float = 1.0, over: threading.Event | None = None) -> Records:
-    """Records of a log at the pace at which they came, times ``speed``, until ``over`` is set."""
+def replay(
+    path: str | Path,
+    *,
+    speed: float = 1.0,
+    over: threading.Event | None = None,
+    ending: Ending | None = None,
+) -> Records:
+    """Records of a log at the pace at which they came, times ``speed``, until ``over`` is set.
+
+    ``ending`` and what is raised: as `read_records`.
+    """
     if not speed > 0:
         raise ValueError(f"speed: {speed} is not positive")
     over, first_ns, begun_s = over or threading.Event(), None, time.monotonic()
-    for received in read_records(path):
+    for received in read_records(path, ending):
         first_ns = received.host_ns if first_ns is None else first_ns
         due_s = begun_s + (received.host_ns - first_ns) * 1e-9 / speed
         while (left_s := due_s - time.monotonic()) > 0 and not over.is_set():

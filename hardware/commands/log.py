@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from hardware.recording.reading import Ending
 
 _Kind = TypeVar("_Kind")
+#: Exit status of a command that did its work on what of a log is whole, while some is lost.
+_DATA_LOST = 1
 _Settings = Annotated[
     Path | None, typer.Option("--settings", help="TOML file: patterns and times of a camera.")
 ]
@@ -151,11 +153,10 @@ def process(
         if over.is_set():
             print("stopped")
         if not n:
-            why = f" ({ending.fault})" if ending.fault else ""
-            raise ValueError(f"{source}: no {'whole ' if failed else ''}record in it{why}")
+            whole = "whole " if failed else ""
+            raise ValueError(f"{source}: no {whole}record in it{_because(ending)}")
     print(f"written: {target}")
-    if ending.fault:
-        print(f"warning: {source}: {ending.advice(source)}", file=sys.stderr)
+    _tell(source, ending)
 
 
 def replay(
@@ -163,13 +164,17 @@ def replay(
     speed: Annotated[float, typer.Option(help="Times the recorded pace.")] = 1.0,
 ) -> None:
     """Play a log at its own pace: a line for each record as it comes."""
+    from hardware.recording.reading import Ending
     from hardware.sources import replay as play
 
-    first_ns = None
-    for received in play(path, speed=speed):
+    first_ns, ending = None, Ending()
+    for received in play(path, speed=speed, ending=ending):
         first_ns = received.host_ns if first_ns is None else first_ns
         since_s = (received.host_ns - first_ns) * 1e-9
         print(f"{since_s:10.3f} s  {received.topic}  {_flags(received)}", flush=True)
+    if first_ns is None:
+        raise ValueError(f"{path}: no record in it{_because(ending)}")
+    _tell(path, ending)
 
 
 def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
@@ -185,6 +190,8 @@ def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
         if received := unpacked(path, found):
             flags.update(_flag_counts(received.record.flags))
             devices.add(received.record.device)
+    if ending.fault and not counts:
+        raise ValueError(f"{path}: no whole message in it: {ending.fault}")
     length_s = max(times[1] - times[0], 0) * 1e-9 if counts else 0.0
     print(f"{path}: {sum(counts.values())} messages over {length_s:.3f} s")
     for topic, n in sorted(counts.items()):
@@ -194,6 +201,8 @@ def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
     print("  flags: " + (", ".join(f"{n} {name}" for name, n in flags.items()) or "none"))
     if ending.fault:
         print(f"  {ending.advice(path)}")
+    if ending.lost:
+        raise typer.Exit(_DATA_LOST)
 
 
 def recover(
@@ -202,11 +211,18 @@ def recover(
         Path | None, typer.Option("--out", "-o", help="Instead of in its own place.")
     ] = None,
 ) -> None:
-    """Finish a log whose writer was killed."""
+    """Finish a log whose writer was killed, or that is damaged. Exit status 1: data was lost; the
+    file as it was then stays beside it.
+    """
     from hardware.recording import recover as run
 
-    kept, fault = run(path, out)
-    print(f"{out or path}: {kept} messages; {fault or 'nothing was wrong'}")
+    found = run(path, out)
+    print(f"{out or path}: {found.kept} messages; {found.ending.fault or 'nothing was wrong'}")
+    if found.original:
+        print(f"as it was: {found.original}")
+    if found.ending.lost:
+        print(f"warning: {path}: {found.ending.lost}", file=sys.stderr)
+        raise typer.Exit(_DATA_LOST)
 
 
 def export(
@@ -214,16 +230,21 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the SigMF recordings.")],
 ) -> None:
     """Write the radar records of a log as SigMF."""
+    from hardware.recording import read_records
+    from hardware.recording.reading import Ending
     from hardware.records import RadarRecord
     from hardware.records.sigmf import export_sigmf
 
-    out.mkdir(parents=True, exist_ok=True)
-    n = 0
-    for received in _records(str(path), None):
+    n, ending = 0, Ending()
+    for received in read_records(path, ending):
         if isinstance(received.record, RadarRecord):
+            out.mkdir(parents=True, exist_ok=True)
             export_sigmf(received.record, out / f"radar-{n:06d}")
             n += 1
+    if not n:
+        raise ValueError(f"{path}: no radar record in it{_because(ending)}")
     print(f"{out}: {n} recordings")
+    _tell(path, ending)
 
 
 def calibrate_camera(
@@ -279,6 +300,18 @@ def _records(
     if ":" not in source and source.endswith(".mcap"):
         return read_records(source, ending)
     return open_source(source, _settings(settings), _setup(radar_setup), over=over)
+
+
+def _because(ending: "Ending") -> str:
+    return f" ({ending.fault})" if ending.fault else ""
+
+
+def _tell(path: str | Path, ending: "Ending") -> None:
+    """Warn of a log that is not whole; where data of it are lost, the exit status says so."""
+    if ending.fault:
+        print(f"warning: {path}: {ending.advice(path)}", file=sys.stderr)
+    if ending.lost:
+        raise typer.Exit(_DATA_LOST)
 
 
 def _first(incoming: "Iterator[Received]", source: str, kind: type[_Kind]) -> _Kind:

@@ -1,17 +1,20 @@
-"""A log read back, whole or cut short, and finished where its writer could not."""
+"""A log read back, whole, cut short or damaged, and finished where its writer could not."""
 
+import itertools
 import logging
 import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import IO
 
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.records import Channel, Chunk, Message, MessageIndex, Schema
+from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
 from hardware.drivers.clock import ClockModel
@@ -47,70 +50,183 @@ class Received:
 
 @dataclass
 class Ending:
-    """How a log ends: ``fault`` says why it could not be read on; None: it was finished."""
+    """How a log was read.
+
+    Parameters
+    ----------
+    fault
+        Why it is not whole; None: it was finished and every chunk of it is.
+    lost_bytes
+        Of the file, in chunks and messages that are broken or cut off; the rest is read.
+    lost_messages
+        In those, as far as the index behind each broken chunk tells.
+    """
 
     fault: str | None = "it ends before its footer"
+    lost_bytes: int = 0
+    lost_messages: int = 0
+
+    @property
+    def lost(self) -> str:
+        """What cannot be read, in words; empty: nothing is lost."""
+        if not self.lost_bytes:
+            return ""
+        return f"lost: {self.lost_bytes} bytes, {self.lost_messages or 'unknown'} messages"
 
     def advice(self, path: str | Path) -> str:
-        """Why the log at a path is not finished, and what finishes it."""
+        """Why the log at a path is not whole, and what finishes it."""
+        if self.lost:
+            return f"damaged: {self.fault}; {self.lost}; `ugv recover {path}` keeps the rest"
         return f"not finished: {self.fault}; `ugv recover {path}` finishes it"
 
 
 def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Logged]:
-    """Messages in the order of writing, as far as the file is whole; ``ending`` is filled in.
+    """Messages in the order of writing; ``ending`` is filled in.
 
-    Raises FileNotFoundError; ValueError for a file that is no MCAP, or with a chunk that is too
-    large or packed in a way that is not known.
+    A chunk that is broken is passed over, what stands behind it is read; a file that was cut short
+    is read to where it ends.
+
+    Raises FileNotFoundError; ValueError for a file that is no MCAP, or of which nothing is read
+    because a chunk is too large or packed in a way that is not known.
     """
     path, ending = Path(path), ending or Ending()
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
     with path.open("rb") as file:
         if not _MAGIC.startswith(file.read(len(_MAGIC))):
             raise ValueError(f"{path}: no MCAP file")
-        file.seek(0)
-        reader = StreamReader(
-            file, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size
-        )
-        try:
-            for found in _within_chunks(reader.records):
-                if isinstance(found, Schema):
-                    schemas[found.id] = found
-                elif isinstance(found, Channel):
-                    channels[found.id] = found
-                elif isinstance(found, Message):
-                    channel = channels[found.channel_id]
-                    yield Logged(channel.topic, schemas[channel.schema_id], found)
-                elif isinstance(found, Footer):
-                    ending.fault = None
-        except _RefusedError as error:
-            raise ValueError(f"{path}: {error}") from error
-        except (EndOfFile, EOFError, struct.error):
-            ending.fault = "it ends within a record"
-        except KeyError as error:
-            ending.fault = f"a message refers to channel or schema {error}, which is not there"
-        except (McapError, ValueError, OSError) as error:
-            ending.fault = str(error) or type(error).__name__
-        except Exception as error:
-            if type(error).__module__.split(".")[0] not in ("zstandard", "lz4"):
-                raise
-            ending.fault = str(error)
+        walk, n = _Walk(file, path.stat().st_size, ending), 0
+        for found in walk.messages():
+            n += 1
+            yield found
+        if walk.refused and not n:
+            raise ValueError(f"{path}: {walk.refused}")
 
 
 class _RefusedError(ValueError):
-    """What is not read at all, whatever else the file holds."""
+    """A chunk that is not read at all, whatever it holds."""
 
 
-def _within_chunks(records: Iterator[McapRecord]) -> Iterator[McapRecord]:
-    """Records, those in a chunk one by one, without holding them all."""
-    for found in records:
-        if isinstance(found, Chunk):
-            yield from _in_chunk(found)
-        else:
-            yield found
+class _Walk:
+    """Through the records of a file, from one to the next by their lengths."""
+
+    def __init__(self, file: IO[bytes], size: int, ending: Ending) -> None:
+        self._file, self._size, self._ending = file, size, ending
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._searched = False
+        self.refused: str | None = None
+
+    def messages(self) -> Iterator[Logged]:
+        """Every message that can be read."""
+        broken, finished = None, False
+        given: int | None = None  # messages of the broken chunk just passed; None: none is broken
+        for kind, at, length in self._heads():
+            whole = at + length <= self._size
+            if kind == Opcode.FOOTER and whole:
+                finished = True
+                break
+            if not whole:
+                self._ending.fault = "it ends within a record"
+                if kind not in _WITHOUT_MESSAGES:
+                    self._ending.lost_bytes += self._size - at
+                break
+            if kind == Opcode.MESSAGE_INDEX:
+                if given is not None:
+                    indexed = self._indexed(at, length)
+                    self._ending.lost_messages += max(indexed - given, 0)
+                    given = max(given - indexed, 0)
+                continue
+            given = None
+            if kind not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+                continue
+            here = 0
+            try:
+                for found in self._in_record(kind, self._body(at, length)):
+                    here += 1
+                    yield found
+            except Exception as error:
+                if not _of_the_data(error):
+                    raise
+                if isinstance(error, _RefusedError):
+                    self.refused = str(error)
+                broken, given = broken or _in_words(error), here
+                self._ending.lost_bytes += length
+        if finished:
+            self._ending.fault = broken
+        elif broken:
+            self._ending.fault = f"{broken}; {self._ending.fault}"
+
+    def _heads(self, at: int = len(_MAGIC)) -> Iterator[tuple[int, int, int]]:
+        """Kind of each record, where its content begins, and how long it says that is."""
+        while at < self._size:
+            self._file.seek(at)
+            head = self._file.read(9)
+            if len(head) < 9:
+                self._ending.fault = "it ends within a record"
+                return
+            length = int.from_bytes(head[1:], "little")
+            yield head[0], at + 9, length
+            at += 9 + length
+
+    def _body(self, at: int, length: int) -> bytes:
+        if length > _MOST_CHUNK_BYTES:
+            raise _RefusedError(f"a record of {length} bytes, expected at most {_MOST_CHUNK_BYTES}")
+        self._file.seek(at)
+        return self._file.read(length)
+
+    def _in_record(self, kind: int, body: bytes) -> Iterator[Logged]:
+        stream = ReadDataStream(BytesIO(body))
+        within = (
+            _in_chunk(Chunk.read(stream))
+            if kind == Opcode.CHUNK
+            else (_one(kind, stream, len(body)),)
+        )
+        for found in within:
+            if isinstance(found, Schema):
+                self._schemas[found.id] = found
+            elif isinstance(found, Channel):
+                self._channels[found.id] = found
+            elif isinstance(found, Message):
+                if found.channel_id not in self._channels:
+                    self._search()
+                channel = self._channels[found.channel_id]
+                yield Logged(channel.topic, self._schemas[channel.schema_id], found)
+
+    def _search(self) -> None:
+        """Take channels and schemas from the summary: the chunk that defined them is broken."""
+        if self._searched:
+            return
+        self._searched = True
+        for kind, at, length in self._heads():
+            if kind in (Opcode.SCHEMA, Opcode.CHANNEL) and at + length <= self._size:
+                for _ in self._in_record(kind, self._body(at, length)):
+                    pass
+
+    def _indexed(self, at: int, length: int) -> int:
+        """Messages that an index says are in its chunk."""
+        try:
+            return len(MessageIndex.read(ReadDataStream(BytesIO(self._body(at, length)))).records)
+        except (EndOfFile, struct.error):
+            return 0
 
 
-def _in_chunk(chunk: Chunk) -> Iterator[McapRecord]:
+_WITHOUT_MESSAGES = set(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
+
+
+def _of_the_data(error: Exception) -> bool:
+    """Whether an error is of spoilt data (zstandard has classes of its own, lz4 RuntimeError)."""
+    known = (McapError, EOFError, KeyError, OSError, RuntimeError, ValueError, struct.error)
+    return isinstance(error, known) or type(error).__module__.split(".")[0] == "zstandard"
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, KeyError):
+        return f"a message refers to channel or schema {error}, which is not there"
+    if isinstance(error, (EOFError, EndOfFile, struct.error)):
+        return "a record ends too early"
+    return str(error) or type(error).__name__
+
+
+def _in_chunk(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
     size = max(chunk.uncompressed_size, _told_size(chunk))
     if size > _MOST_CHUNK_BYTES:
         raise _RefusedError(f"a chunk of {size} bytes, expected at most {_MOST_CHUNK_BYTES}")
@@ -121,16 +237,21 @@ def _in_chunk(chunk: Chunk) -> Iterator[McapRecord]:
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     while stream.count < length:
         kind, size = stream.read1(), stream.read8()
-        if kind == Opcode.MESSAGE:
-            yield Message.read(stream, size)
-        elif kind == Opcode.CHANNEL:
-            yield Channel.read(stream)
-        elif kind == Opcode.SCHEMA:
-            yield Schema.read(stream)
-        elif kind == 0:
+        if kind == 0:
             raise ValueError("a record of no kind")
-        else:
-            stream.read(size)
+        if found := _one(kind, stream, size):
+            yield found
+
+
+def _one(kind: int, stream: ReadDataStream, size: int) -> Schema | Channel | Message | None:
+    if kind == Opcode.MESSAGE:
+        return Message.read(stream, size)
+    if kind == Opcode.CHANNEL:
+        return Channel.read(stream)
+    if kind == Opcode.SCHEMA:
+        return Schema.read(stream)
+    stream.read(size)
+    return None
 
 
 def _told_size(chunk: Chunk) -> int:
@@ -165,8 +286,9 @@ def unpacked(path: str | Path, found: Logged) -> Received | None:
 def read_records(path: str | Path, ending: Ending | None = None) -> Iterator[Received]:
     """Records in a log, bit for bit as they went in.
 
-    A log that was not finished gives what of it is whole. Then ``ending`` says so; without it a
-    warning is logged. Raises as `read_messages`, and ValueError for a broken message.
+    A log that was not finished, or is damaged, gives what of it is whole. Then ``ending`` says
+    so; without it a warning is logged. Raises as `read_messages`, and ValueError for a broken
+    message.
     """
     tell, ending = ending is None, ending or Ending()
     for found in read_messages(path, ending):
@@ -176,30 +298,51 @@ def read_records(path: str | Path, ending: Ending | None = None) -> Iterator[Rec
         _log.warning("%s: %s", path, ending.advice(path))
 
 
-def recover(path: str | Path, out: str | Path | None = None) -> tuple[int, str | None]:
-    """Finish a log that was cut short: all its whole messages, with index and footer.
+@dataclass(frozen=True)
+class Recovered:
+    """What `recover` did: messages kept, how the log was found, and where the damaged original
+    was put (None: it stayed where it was, or nothing of it was thrown away).
+    """
 
-    Written beside it and put in its place (or that of ``out``) at the very end.
+    kept: int
+    ending: Ending
+    original: Path | None = None
 
-    Returns
-    -------
-    Messages kept, and what was wrong (None: nothing was, and the file stays as it is).
 
-    Raises as `read_messages`; then too the file stays as it is.
+def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
+    """Finish a log that was cut short or damaged: all its whole messages, with index and footer.
+
+    Written beside it and put in its place (or that of ``out``) at the very end. Where anything is
+    thrown away, the file as it was stays beside it, as NAME-damaged. A log with which nothing was
+    wrong stays as it is.
+
+    Raises as `read_messages`, and ValueError where not one message can be read; then too the file
+    stays as it is.
     """
     path, ending = Path(path), Ending()
     target = Path(out) if out else path
-    partial = partial_path(target)
+    partial, original = partial_path(target), None
     with naming(target):
         remove_leftovers(target)
         try:
             with partial.open("xb") as file:
                 kept = _copy(read_messages(path, ending), file)
+            if ending.fault is not None and not kept:
+                raise ValueError(f"{path}: no whole message in it: {ending.fault}")
+            if ending.lost and not out:
+                original = _beside(path)
+                os.rename(path, original)
             if ending.fault is not None or out:
                 os.replace(partial, target)
         finally:
             partial.unlink(missing_ok=True)
-    return kept, ending.fault
+    return Recovered(kept, ending, original)
+
+
+def _beside(path: Path) -> Path:
+    """A name for the damaged original that no file has."""
+    names = (f"{path.stem}-damaged{n or ''}{path.suffix}" for n in itertools.count())
+    return next(free for name in names if not (free := path.with_name(name)).exists())
 
 
 def _copy(messages: Iterator[Logged], file: IO[bytes]) -> int:

@@ -96,6 +96,43 @@ def test_capture_process_info_recover_replay(firmware: Any, tmp_path: Path) -> N
     assert ugv("replay", run, "--speed", "100").stdout.count("/spi/record") == 5
 
 
+def test_exit_statuses_tell_what_became_of_a_damaged_log(tmp_path: Path) -> None:
+    """1: the command did its work on what is whole, some is lost. 2: nothing is there to work on."""
+    whole, run = tmp_path / "whole.mcap", tmp_path / "run.mcap"
+    with Log(whole, flush_s=1e9) as log:
+        for n in range(4):
+            log.record("/spi/record", record(np.full(64, 9.0)), host_ns=n)
+            log.flush()
+    data = bytearray(whole.read_bytes())
+    data[data.index(b"zstd") + 60] ^= 1
+    run.write_bytes(data)
+    for arguments in (
+        ["info", run],
+        ["replay", run],
+        ["process", run, "-o", tmp_path / "out.mcap"],
+        ["recover", run],
+    ):
+        done = ugv(*arguments)
+        assert done.returncode == 1, done.stderr
+        assert "2 messages" in done.stdout + done.stderr
+        assert "Traceback" not in done.stderr
+    assert len(list(read_records(run))) == 3
+    assert ugv("info", run).returncode == ugv("recover", run).returncode == 0
+    assert (tmp_path / "run-damaged.mcap").read_bytes() == data
+
+    empty, noise = tmp_path / "empty.mcap", tmp_path / "noise.mcap"
+    empty.write_bytes(b"")
+    noise.write_bytes(b"\x89MCAP0\r\n" + np.random.default_rng(0).bytes(20_000))
+    for path in (empty, noise):
+        for command in ("info", "replay", "recover", "export"):
+            more = ["-o", tmp_path / "iq"] if command == "export" else []
+            done = ugv(command, path, *more)
+            assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    done = ugv("export", whole, "-o", tmp_path / "iq")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert not (tmp_path / "iq").exists()
+
+
 def test_sources_at_once_keep_their_topics_and_their_records(firmware: Any, tmp_path: Path) -> None:
     """Two cameras and a log, all to the end of what was asked for; each camera is stopped."""
     (tmp_path / "camera.toml").write_text(SETTINGS)

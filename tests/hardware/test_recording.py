@@ -253,11 +253,88 @@ def test_every_cut_leaves_what_was_flushed_before_it(tmp_path: Path) -> None:
         assert n <= len(found) <= n + 1  # the chunk's index comes after its messages
         for seed, received in enumerate(found):
             assert_same(received.record, camera_record(seed))
-        kept, fault = recover(cut)
-        assert (kept, fault is None) == (2 * len(found), False)
+        if not found:
+            with pytest.raises(ValueError, match="no whole message"):
+                recover(cut)
+            assert cut.read_bytes() == data[:size]
+            continue
+        done = recover(cut)
+        kept = done.kept
+        assert (kept, done.ending.fault is None) == (2 * len(found), False)
+        if done.original:  # within a chunk: its bytes are not thrown away
+            assert done.original.read_bytes() == data[:size]
+        assert (done.original is None) == (done.ending.lost_bytes == 0)
         with cut.open("rb") as file:
             assert SeekingReader(file).get_summary().statistics.message_count == kept  # type: ignore[union-attr]
-        assert recover(cut) == (kept, None)
+        assert (recover(cut).kept, recover(cut).ending.fault) == (kept, None)
+
+
+def of_chunks(path: Path, n: int = 4) -> list[tuple[int, int]]:
+    """A log with one camera record in each of so many chunks; where each chunk's data begin, end.
+
+    Found from the layout in the MCAP specification: opcode 6, length u64, then the content.
+    """
+    with Log(path, flush_s=1e9) as log:
+        for seed in range(n):
+            log.record("/spi/record", camera_record(seed), host_ns=seed)
+            log.flush()
+    data, at, chunks = path.read_bytes(), 8, []
+    while at < len(data) - 8:
+        length = int.from_bytes(data[at + 1 : at + 9], "little")
+        if data[at] == 6:
+            chunks.append((at + 9, at + 9 + length))
+        at += 9 + length
+    assert len(chunks) == n
+    return chunks
+
+
+@pytest.mark.parametrize("broken", [0, 1, 3])
+def test_a_broken_chunk_takes_none_of_the_others_with_it(tmp_path: Path, broken: int) -> None:
+    """One bit of a chunk of four: the three others are read and recovered bit for bit, also where
+    the first, in which the topics are defined, is the broken one; what is lost is told; the file
+    as it was stays beside the recovered one.
+    """
+    path = tmp_path / "run.mcap"
+    begin, end = of_chunks(path)[broken]
+    data = bytearray(path.read_bytes())
+    data[(begin + end) // 2] ^= 1
+    path.write_bytes(data)
+    rest = [seed for seed in range(4) if seed != broken]
+    found = list(read_records(path))
+    assert [received.host_ns for received in found] == rest
+    for seed, received in zip(rest, found, strict=True):
+        assert_same(received.record, camera_record(seed))
+    done = recover(path)
+    assert done.kept == 2 * 3  # a record and its pose
+    assert (done.ending.lost_messages, done.ending.lost_bytes) == (2, end - begin)
+    assert done.original == tmp_path / "run-damaged.mcap"
+    assert done.original.read_bytes() == data
+    with path.open("rb") as file:
+        assert SeekingReader(file).get_summary().statistics.message_count == 6  # type: ignore[union-attr]
+    assert [received.host_ns for received in read_records(path)] == rest
+    again = recover(path)
+    assert (again.kept, again.ending.fault, again.original) == (6, None, None)
+
+
+def test_another_damaged_original_is_not_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    begin, end = of_chunks(path)[1]
+    data = bytearray(path.read_bytes())
+    data[(begin + end) // 2] ^= 1
+    for name in ("run-damaged.mcap", "run-damaged1.mcap"):
+        path.write_bytes(data)
+        assert recover(path).original == tmp_path / name
+
+
+def test_a_file_of_which_nothing_is_whole_is_left_as_it_is(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).bytes(20_000)
+    for data in (b"", b"\x89MCAP0\r\n" + noise):
+        path = tmp_path / "run.mcap"
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match=r"run\.mcap: no whole message in it"):
+            recover(path)
+        assert path.read_bytes() == data
+        assert list(tmp_path.iterdir()) == [path]
 
 
 def test_spoiled_bytes_end_the_log_with_a_reason(tmp_path: Path) -> None:
@@ -310,8 +387,9 @@ def kill_once(folder: Path, wait_s: float) -> None:
     assert kept == list(range(len(kept)))
     assert len(kept) > max(due, default=-1)
     if kept:
-        n, fault = recover(path)
-        assert fault is not None
+        done = recover(path)
+        n = done.kept
+        assert done.ending.fault is not None
         with path.open("rb") as file:
             assert sum(1 for _ in SeekingReader(file).iter_messages()) == n
         assert check_by_rosbags(path) == n
