@@ -116,11 +116,12 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     )  # half cells: between two a target loses 0.9 dB
     across = np.exp(2j * np.pi * blocks.cell[0] * np.outer(steps, f_hz))
     along = np.exp(2j * np.pi * blocks.cell[1] * blocks.carrier_hz * np.outer(t_s, steps))
-    sums, across, along = (x.astype(np.complex64) for x in (sums, across, along))
+    single = np.complex64
+    across, along, near = across.astype(single), along.astype(single), sums.astype(single)
     found = []
     for more in extra:
         # The carrier's own turn folds to none over whole slots; the band's is the migration.
-        still = sums * np.exp(2j * np.pi * np.outer(f_hz, t_s) * more).astype(np.complex64)
+        still = near * np.exp(2j * np.pi * np.outer(f_hz, t_s) * more).astype(single)
         cells = across @ still @ along  # by delay and rate
         power = np.asarray(np.sum(cells.real**2 + cells.imag**2, axis=0, dtype=np.float64))
         # What stronger echoes leave over all these cells is no echo.
