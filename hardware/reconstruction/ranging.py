@@ -69,16 +69,14 @@ def range_image(
         raise ValueError(
             "shutters: expected the taps of one or more modulation frequencies, or gates"
         )
-    systems = list(_phase_systems(record.shutters)) if modulated.all() else []
+    if modulated.all():
+        list(_phase_systems(record.shutters))  # refuses what no image could mend
     taken = [reconstruct(tap, method, mixing=mixing) for tap in record.by_shutter]
     images = np.stack([found.image for found in taken])
     errors = np.stack([_error(found, record.patterns.count) for found in taken])
     told = np.isfinite(images[0])
     images, errors = np.nan_to_num(images), np.nan_to_num(errors)  # no light: no distance
-    if systems:
-        found = _from_phases(method, images, errors, systems)
-    else:
-        found = _from_gates(method, images, errors, record)
+    found = distances(record, images, errors, method)
     level = tuple(warning for warning in taken[0].warnings if warning == LEVEL_UNKNOWN)
     blind = _blind(record)
     return replace(
@@ -88,6 +86,15 @@ def range_image(
         confidence=np.where(blind[:, None, None], 0.0, found.confidence),
         warnings=(*found.warnings, *level, *((AT_RAIL,) if blind.any() else ())),
     )
+
+
+def distances(record: SpiRecord, images: Array, errors: Array, method: str = "") -> RangeImage:
+    """`range_image` of images that are at hand: electrons by shutter and their standard errors,
+    (n_shutters, n_detectors, rows, columns), whatever the record's own counts are.
+    """
+    if (record.shutters[:, 0] > 0).all():
+        return _from_phases(method, images, errors, list(_phase_systems(record.shutters)))
+    return _from_gates(method, images, errors, record)
 
 
 def _blind(record: SpiRecord) -> NDArray[np.bool_]:

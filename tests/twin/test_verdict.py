@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from hardware import reconstruct
+from hardware.reconstruction import range_image
 from hardware.records import Flag
 from twin.camera.acquisition import Capture, capture
 from twin.camera.evaluation import evaluate, score
+from twin.camera.mounting import field_points
 from twin.camera.verdict import recorded
 from twin.fidelity import Fidelity
 from twin.scene import Scene, load_scene, parse_pose
@@ -326,6 +328,50 @@ def foggy_patch(tmp_path: Path, corners: str, visibility_m: float) -> tuple[Scen
         "[acquisition]\nn_patterns = 256\n" + (weather if visibility_m else "")
     )
     return load_scene(tmp_path), load_system(tmp_path / "system.toml")
+
+
+TAPS = "modulation_hz = [10e6]\nphase_steps = 4\ncontrast = 0.9\n"
+GATES = (
+    "pulse_width_s = 20e-9\npulse_rate_hz = 1e5\ngate_width_s = 20e-9\n"
+    "gate_delays_s = [0.0, 20e-9, 40e-9, 60e-9, 80e-9, 100e-9]\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("shutters", "intensity"), [(TAPS, 20.0), (GATES, 3e3)], ids=["taps", "gates"]
+)
+def test_what_fog_does_to_distances_is_told(
+    tmp_path: Path, shutters: str, intensity: float
+) -> None:
+    """A wall at 10 m, its way half the baseline longer at most, in a visibility of 200 m: what the
+    capture says of the median error is what the vehicle's own distances are off, to 20 % and the
+    noise; in clear air nothing is said.
+    """
+    wall = FACING + '<scale value="10"/><translate x="10"/>'
+    for visibility_m in (0.0, 200.0):
+        scene, _ = foggy_patch(tmp_path, wall, visibility_m)
+        path = tmp_path / "system.toml"
+        strong = path.read_text().replace(
+            "[emitter]", f"[emitter]\nradiant_intensity_w_per_sr = {intensity}"
+        )
+        path.write_text(strong + "[time_of_flight]\n" + shutters)
+        found = capture(scene, load_system(path), seed=1)
+        told = [w for w in found.warnings if "air's veil" in w]
+        if not visibility_m:
+            assert found.veiled is None
+            assert not told
+            continue
+        assert found.veiled is not None
+        assert found.veiled.matters
+        assert len(told) == 1
+        assert str(found.verdict).endswith(
+            f"distances {found.veiled.error_m:.2g} m off by the air's veil (median)"
+        )
+        seen = range_image(found.record, "zero-fill").distance_m[0]
+        left, up = field_points((16, 16), np.tan(np.radians(10.0)))
+        true = 10.0 * np.sqrt(1 + left**2 + up**2)
+        off = np.median(np.abs(seen - true))
+        assert found.veiled.error_m == pytest.approx(off, rel=0.2, abs=0.1)
 
 
 FACING = '<rotate y="1" angle="-90"/>'

@@ -13,6 +13,7 @@ from twin.camera.distortion import distortions
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
 from twin.camera.light import Rendered, Stage, render
 from twin.camera.truth import Truth
+from twin.camera.veiled import VeiledRange, veiled_range
 from twin.camera.verdict import Verdict, blind, coarse, judge, lagging, recorded
 from twin.detector import NoiseBudget
 from twin.fidelity import Fidelity, Noise
@@ -61,7 +62,8 @@ class Capture:
     keeps of ``scene_e``, what the scene sent back and reconstructions are compared with, over noise
     and distortion of a reconstructed pixel (inverse transform of the patterns shown): what
     exposures leave in the next ones and what rails cut off (`Distortion`); 0 where the detector
-    stands at a rail. ``background_w`` is the sun's power on one detector, mean over the detectors.
+    stands at a rail. ``veiled``: what the veil does to distances by time of flight, None where
+    there is none of it. ``background_w`` is the sun's power on one detector, their mean.
     """
 
     record: SpiRecord
@@ -79,11 +81,12 @@ class Capture:
     illuminance_lx: float
     assumptions: tuple[str, ...]
     warnings: tuple[CaptureWarning, ...]
+    veiled: VeiledRange | None = None
 
     @property
     def verdict(self) -> Verdict:
         """What an image made of the record can show."""
-        return judge(self.scene_e, self.snr, self.warnings)
+        return judge(self.scene_e, self.snr, self.warnings, self.veiled)
 
     @property
     def scene_e(self) -> Array:
@@ -169,6 +172,7 @@ def measure(
     veil_e = to_e * power.veil_w.sum(axis=0)
     scene_e = _without(cells_e, veil_e)
     snr = np.where(gone[:, None] | record.patterns.unmeasured_cells, 0.0, kept * scene_e / off)
+    veiled = veiled_range(record, to_e * power.cells_w, to_e * power.veil_w, np.array(noise_e))
     budget = chain.noise(signal_w, sun_w)
     return Capture(
         record=record,
@@ -190,8 +194,10 @@ def measure(
             *lagging(found.lag, of_image, _left_over(system)),
             *_warnings(system, budget, float(sky.emitter.max()), scene_e, depth_m),
             *_diffraction(system, chain.lens),
+            *(veiled.warnings if veiled else ()),
             *rendered.warnings,
         ),
+        veiled=veiled,
     )
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.records import Flag, SpiRecord
 from twin.camera.distortion import Distortion
+from twin.camera.veiled import VeiledRange
 from twin.detector import NoiseBudget
 from twin.warned import CaptureWarning, Kind, is_void
 
@@ -38,7 +39,7 @@ class Verdict:
     ``snr_median``, ``snr_best``: signal over noise and distortion per pixel, over the cells that
     receive light; nan where the record is void. ``lit_share``: of all cells, these.
     ``above_noise_share``: of these, the ones whose signal exceeds their noise. ``void_because``:
-    the warnings that leave nothing to see.
+    the warnings that leave nothing to see. ``veiled``: what the air does to distances.
     """
 
     snr_median: float
@@ -46,6 +47,7 @@ class Verdict:
     lit_share: float
     above_noise_share: float
     void_because: tuple[CaptureWarning, ...] = ()
+    veiled: VeiledRange | None = None
 
     @property
     def void(self) -> bool:
@@ -67,6 +69,7 @@ class Verdict:
         return (
             f"SNR per pixel {_two_digits(self.snr_median)} (median of the {which}; "
             f"{self.above_noise_share:.0%} of them above their noise)"
+            f"{f'; {self.veiled}' if self.veiled and self.veiled.matters else ''}"
         )
 
 
@@ -75,7 +78,12 @@ def lit_cells(cells_e: Array) -> Bools:
     return cells_e > LIT * cells_e.max(initial=0.0)
 
 
-def judge(cells_e: Array, snr: Array, warnings: Sequence[CaptureWarning]) -> Verdict:
+def judge(
+    cells_e: Array,
+    snr: Array,
+    warnings: Sequence[CaptureWarning],
+    veiled: VeiledRange | None = None,
+) -> Verdict:
     """Verdict on a picture of cells, their SNR, and what the record says against itself."""
     lit = lit_cells(cells_e)
     void = tuple(w for w in warnings if w.void)
@@ -88,6 +96,7 @@ def judge(cells_e: Array, snr: Array, warnings: Sequence[CaptureWarning]) -> Ver
         snr_best=float(seen.max()),
         lit_share=share,
         above_noise_share=float(np.mean(seen >= 1)),
+        veiled=veiled,
     )
 
 

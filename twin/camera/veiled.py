@@ -1,0 +1,89 @@
+"""What light that the air sends back does to distances by time of flight."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.reconstruction.ranging import distances
+from hardware.records import SpiRecord
+from twin.warned import CaptureWarning
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VeiledRange:
+    """The veil's part of the light by shutter, from the least to the most, and what it does to the
+    distance of cells with light of the scene: median error, m, beside the median of what noise
+    alone makes the vehicle claim, and the largest.
+    """
+
+    least_share: float
+    most_share: float
+    error_m: float
+    claimed_m: float
+    largest_m: float
+
+    @property
+    def matters(self) -> bool:
+        """Whether half of the distances are farther off than claimed."""
+        return self.error_m > self.claimed_m
+
+    def __str__(self) -> str:
+        """The finding in a few words."""
+        return f"distances {self.error_m:.2g} m off by the air's veil (median)"
+
+    @property
+    def warnings(self) -> tuple[CaptureWarning, ...]:
+        """In words, where it matters."""
+        if not self.matters:
+            return ()
+        return (
+            CaptureWarning(
+                "design",
+                f"the air's veil is {self.least_share:.0%} to {self.most_share:.0%} of the light "
+                f"by tap or gate: distances are {self.error_m:.2g} m off (median; up to "
+                f"{self.largest_m:.2g} m), where noise alone makes {self.claimed_m:.2g} m; "
+                "one modulation frequency cannot tell: time_of_flight, gates behind the veil can",
+            ),
+        )
+
+
+def veiled_range(
+    record: SpiRecord, cells_e: Array, veil_e: Array, noise_e: Array
+) -> VeiledRange | None:
+    """The vehicle's own distances of noise-free images with and without the veil.
+
+    Parameters
+    ----------
+    cells_e, veil_e
+        Electrons of each cell, and the air's part of them, (n_shutters, n_detectors, n_cells).
+    noise_e
+        Of a pixel of one shutter's image, (n_detectors,).
+
+    None without time of flight or veil, and where nothing of the scene comes back.
+    """
+    scene_e = cells_e - veil_e
+    lit = scene_e.sum(axis=0) > 1e-6 * scene_e.sum(axis=0).max(initial=0.0)
+    if not (record.shutters[:, [0, 3]].any() and veil_e.any() and lit.any()):
+        return None
+    shape = (*cells_e.shape[:2], record.patterns.rows, record.patterns.columns)
+    errors = np.broadcast_to(noise_e[:, None, None], shape)
+    seen, true = (distances(record, part.reshape(shape), errors) for part in (cells_e, scene_e))
+    off = np.abs(seen.distance_m - true.distance_m)
+    if record.shutters[:, 0].any():  # phases repeat
+        off = np.minimum(off, np.abs(seen.longest_m - off))
+    off, claimed = (x.ravel()[lit.ravel()] for x in (off, true.standard_error_m))
+    known = np.isfinite(off) & np.isfinite(claimed)
+    if not known.any():
+        return None
+    total = cells_e.sum(axis=(1, 2))
+    share = np.divide(veil_e.sum(axis=(1, 2)), total, out=np.zeros_like(total), where=total > 0)
+    return VeiledRange(
+        least_share=float(share.min()),
+        most_share=float(share.max()),
+        error_m=float(np.median(off[known])),
+        claimed_m=float(np.median(claimed[known])),
+        largest_m=float(off[known].max()),
+    )
