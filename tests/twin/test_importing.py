@@ -1,5 +1,6 @@
 """Model files of other people become scenes."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -220,3 +221,40 @@ def test_surfaces_that_are_simplified_are_told_object_by_object(tmp_path: Path) 
     assert "chrome, 0.27 (hood)" in warnings
     assert "simplified: " in warnings
     assert "(plain)" not in warnings.split("simplified: ")[1]
+
+
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 0 1\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+FACE = "usemtl Brick\nf 1/1 2/2 3/3 4/4\n"
+
+
+@pytest.mark.parametrize(
+    ("head", "library", "told"),
+    [
+        ("mtllib gone.mtl\n", None, "materials left out: 'gone.mtl' is not there (Brick"),
+        ("", None, "materials left out: the file names no mtllib (Brick"),
+        ("mtllib wall.mtl\n", "newmtl Brick\nmap_Kd gone.png\n", "picture 'gone.png' of wall.mtl"),
+    ],
+)
+def test_files_that_an_obj_misses_are_told(
+    tmp_path: Path, head: str, library: str | None, told: str
+) -> None:
+    (tmp_path / "wall.obj").write_text(head + SQUARE + FACE)
+    if library:
+        (tmp_path / "wall.mtl").write_text(library)
+    assert told in "\n".join(import_model(tmp_path / "wall.obj", tmp_path / "scene"))
+
+
+@pytest.mark.parametrize(
+    ("uri", "told"), [("gone.png", "it is not there"), ("tex%20one.png", "percent-encoded")]
+)
+def test_pictures_that_a_gltf_misses_are_told(tmp_path: Path, uri: str, told: str) -> None:
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(half_white("Concrete")))
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    content = json.loads(files["model.gltf"])
+    Image.new("RGB", (4, 4)).save(tmp_path / "tex one.png")
+    content["images"] = [{"uri": uri}]
+    (tmp_path / "wall.gltf").write_text(json.dumps(content))
+    notes = "\n".join(import_model(tmp_path / "wall.gltf", tmp_path / "scene"))
+    assert f"picture {uri!r} left out: " in notes
+    assert told in notes

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.files import InputError, whole_folder
 from twin.scene.appearance import Surfaces, appearance_of, texture_coordinates
+from twin.scene.beside import missing_files
 from twin.scene.materials import find_materials, load_materials
 from twin.scene.meshes import Mesh, load_quietly, validate
 from twin.scene.model import Array
@@ -85,7 +86,7 @@ def import_model(
         (partial / "scene.toml").write_text(_toml(model, low, high))
     size = ", ".join(f"{s:.3g}" for s in high - low)
     notes.append(f"{axis} taken as up, {scale:g} m per unit: the scene measures {size} m")
-    notes += surfaces.notes()
+    notes += [*surfaces.notes(), *missing_files(model)]
     notes.append("rig placed in front of the model, looking at it: see scene.toml")
     return notes
 
