@@ -244,6 +244,18 @@ def test_files_that_an_obj_misses_are_told(
     assert told in "\n".join(import_model(tmp_path / "wall.obj", tmp_path / "scene"))
 
 
+def test_a_picture_of_an_obj_is_taken(tmp_path: Path) -> None:
+    """A square of one face whose texture coordinates are those of its corners."""
+    Image.new("RGB", (4, 4), (200, 100, 50)).save(tmp_path / "plain.png")
+    (tmp_path / "wall.mtl").write_text("newmtl Brick\nKd 1 1 1\nmap_Kd plain.png\n")
+    (tmp_path / "wall.obj").write_text("mtllib wall.mtl\n" + SQUARE + FACE)
+    notes = import_model(tmp_path / "wall.obj", tmp_path / "scene", texture_as_reflectance=True)
+    assert "picture of visible light textures/brick.png taken as reflectance" in "\n".join(notes)
+    (wall,) = load_scene(tmp_path / "scene").objects
+    corner = np.column_stack([wall.vertices_m[:, 0], 1 - wall.vertices_m[:, 2]])
+    np.testing.assert_allclose(wall.uv, corner, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("uri", "told"), [("gone.png", "it is not there"), ("tex%20one.png", "percent-encoded")]
 )

@@ -60,7 +60,7 @@ def import_model(
     import trimesh
 
     _check(model, folder, scale, up, material)
-    loaded = load_quietly(model, trimesh.load_scene)
+    loaded = load_quietly(model, _load)
     axis = up or _UP.get(model.suffix.lower(), "z")
     place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
     table = load_materials(find_materials(folder))
@@ -89,6 +89,15 @@ def import_model(
     notes += [*surfaces.notes(), *missing_files(model)]
     notes.append("rig placed in front of the model, looking at it: see scene.toml")
     return notes
+
+
+def _load(path: Path, **settings: Any) -> Any:
+    """Vertices in any order: where it is kept, trimesh 5 loses the texture coordinates of an OBJ
+    whose faces name them.
+    """
+    import trimesh
+
+    return trimesh.load_scene(path, **{**settings, "maintain_order": False})
 
 
 def _check(model: Path, folder: Path, scale: float, up: str | None, material: str) -> None:
