@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware import reconstruct
+from hardware import PatternSet, reconstruct
+from hardware.patterns import fwht
 from hardware.processing import process
 from hardware.recording import Log, Received, read_messages
 from twin.camera.acquisition import Capture, capture
@@ -87,3 +88,22 @@ def test_the_regression_metrics_leave_the_cell_out() -> None:
     outcome = run_camera(scene, system, light, "zero-fill", range(2), CAMERA_METRICS)
     for metric in CAMERA_METRICS:
         assert np.isfinite(outcome.figures[metric.name]).all()
+
+
+@pytest.mark.parametrize("count", [64, 24])
+def test_noise_of_references_adds_up_in_cells_that_patterns_agree_on(count: int) -> None:
+    """Exposures of white noise alone, 4000 draws, through the inverse transform: the standard
+    deviation of each of 64 cells is known to 1.1 %, held to 5 of that.
+    """
+    from hardware.reconstruction.measurements import hadamard_values
+    from twin.detector import NoiseBudget
+
+    patterns = PatternSet(8, 8, count, mode="reference")
+    budget = NoiseBudget(0.0, 0.0, 0.0, {"read noise": 3.0})
+    electrons = np.random.default_rng(0).normal(0, 3.0, (patterns.n_exposures, 4000))
+    coefficients = np.zeros((64, 4000))
+    coefficients[patterns.indices] = hadamard_values(electrons, patterns)
+    found = (fwht(coefficients) / 64).std(axis=1)
+    expected = budget.cells_noise_e(patterns)
+    np.testing.assert_allclose(found, expected, rtol=0.055)
+    assert expected[0] == pytest.approx(budget.pixel_noise_e(patterns) * np.sqrt(1 + count / 2))

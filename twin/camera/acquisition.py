@@ -154,13 +154,14 @@ def measure(
     signal_w, counts, flags = chain.take(power, rng=rng, noise=noise)
     sun_w = float(chain.open_share.mean()) * power.sun_w
     noise_e = [
-        chain.noise(signal, sun).pixel_noise_e(system.patterns)
+        chain.noise(signal, sun).cells_noise_e(system.patterns)
         for signal, sun in zip(np.moveaxis(signal_w, -1, 0), sun_w, strict=True)
     ]
     # An image is the sum over all shutters; a dark cell's light is in every exposure alike.
     to_e = (1 - dark_share(system)) * chain.front_end.electrons_per_watt
     cells_e = to_e * power.cells_w.sum(axis=0)
-    of_image = np.sqrt(len(chain.taps)) * np.array(noise_e)
+    of_cells = np.sqrt(len(chain.taps)) * np.array(noise_e)
+    of_image = np.median(of_cells, axis=1)
     sky, depth_m = chain.sky, rendered.truth.depth_m
     record = chain.record(scene.rig.pose, counts, flags)
     # At a rail the response's slope is zero, and so is what can be told of the light; as it is of
@@ -168,7 +169,7 @@ def measure(
     found = distortions(chain, power)
     gone = blind(record) | found.total.hides(of_image)
     kept = np.maximum(found.total.kept, 0)[:, None]
-    off = np.hypot(of_image, found.total.error_e)[:, None]
+    off = np.hypot(of_cells, found.total.error_e[:, None])
     veil_e = to_e * power.veil_w.sum(axis=0)
     scene_e = _without(cells_e, veil_e)
     snr = np.where(gone[:, None] | record.patterns.unmeasured_cells, 0.0, kept * scene_e / off)

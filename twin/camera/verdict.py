@@ -113,7 +113,8 @@ def recorded(
     gone, cost = np.zeros(record.counts.shape[1], np.bool_), ""
     if clipping is not None and noise_e is not None:
         gone = clipping.hides(noise_e)
-        cost = f"; {_cost(clipping, noise_e)}" if _matters(clipping, noise_e) else ""
+        if _matters(clipping, noise_e) and not rails.blind_high.all():
+            cost = f"; {_cost(clipping, noise_e)}"
     high = rails.blind_high | gone
     too_high = f"saturate the ADC: readout: its gain is too high{cost}"
     too_low = "read 0: readout: adc_offset_v is too low, or the converter's step too coarse"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import PatternSet
+from hardware.patterns import PatternSet, fwht_in_place
 from twin.detector.front_end import FrontEnd
 
 Array = NDArray[np.float64]
@@ -32,6 +32,20 @@ class NoiseBudget:
         """
         per_value = np.sqrt(2.0) if patterns.mode == "differential" else 2.0
         return float(per_value * self.total_noise_e * np.sqrt(patterns.count) / patterns.n_cells)
+
+    def cells_noise_e(self, patterns: PatternSet) -> Array:
+        """The same of every cell, (n_cells,).
+
+        The two reference exposures are in every measurement alike, each once beside twice an
+        exposure: a cell whose entries in the patterns shown add up to t has 4 count + 2 t^2
+        variances in place of 4 count.
+        """
+        pixel = self.pixel_noise_e(patterns)
+        added = np.zeros(patterns.n_cells)
+        if patterns.mode == "reference":
+            added[patterns.indices] = 1.0
+            added = fwht_in_place(added)
+        return np.asarray(pixel * np.sqrt(1 + added**2 / (2 * patterns.count)))
 
 
 #: 2 x 4 x the integral of sin(u)^2 / u from 0 to pi/2: what the difference of two exposures in turn
