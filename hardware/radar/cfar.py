@@ -41,6 +41,7 @@ _MOST_ORDERED = 96  # cells that os sorts
 _TILE = 4  # cells along each side
 _QUIETER = 0.4  # of its threshold, down to which a map's quietest tenth is trusted
 _MOST_GATHERED = 2000  # cells looked at one by one
+_FEWEST_RANGES = 16  # whose median an echo among them does not raise
 _MOST_RANGES = 1024  # that tell the noise of a rate
 _UNLIKE = 1.5  # times their standard error, by which medians must differ to be followed
 
@@ -117,6 +118,7 @@ def cfar_threshold(
     cfar = fitted(power, cfar, n_channels)
     regions, factor, rank = _rule(power.shape, cfar, window, n_channels, oversampling)
     by_rate = _by_rate(power, window, n_channels)
+    power = _even(power, by_rate)
     whole = at is None
     if at is None and rank:
         rows, columns = np.unravel_index(np.arange(power.size), power.shape)
@@ -166,8 +168,9 @@ def possible(
     if any(size % _TILE for size in power.shape):
         rows, columns = np.nonzero(power > 0)
         return rows, columns
-    least = np.max([_least(power, region) for region in regions], axis=0)
-    least *= factor * _by_rate(power, window, n_channels).reshape(-1, _TILE).min(axis=1)
+    by_rate = _by_rate(power, window, n_channels)
+    least = np.max([_least(_even(power, by_rate), region) for region in regions], axis=0)
+    least *= factor * by_rate.reshape(-1, _TILE).min(axis=1)
     # Rounding of single precision must not rule a cell out.
     bound = (least * (1 - 1e-5)).astype(power.dtype)
     rows, columns = np.nonzero(power > np.repeat(np.repeat(bound, _TILE, 0), _TILE, 1))
@@ -229,6 +232,8 @@ def _rule(
 
 def _by_rate(power: Power, window: str, n_channels: int) -> Array:
     """Noise at each rate over the mean of all, (n_rates,); ones where only chance differs."""
+    if len(power) < _FEWEST_RANGES:
+        return np.ones(power.shape[1])
     stride = max(1, len(power) // _MOST_RANGES)
     rows = power[::stride]
     middle = len(rows) // 2
@@ -241,6 +246,13 @@ def _by_rate(power: Power, window: str, n_channels: int) -> Array:
     error = 1.44 * np.sqrt(max(alike, 1.0) / (n_channels * len(rows)))
     ratio = medians / medians.mean()
     return ratio if np.std(ratio) > _UNLIKE * error else np.ones(len(medians))
+
+
+def _even(power: Power, by_rate: Array) -> Power:
+    """Power over the noise of its rate: the training cells' rates are not those of their cell."""
+    if np.all(by_rate == 1):
+        return power
+    return np.asarray(power / by_rate.astype(power.dtype))
 
 
 @lru_cache(maxsize=64)

@@ -188,3 +188,12 @@ def test_a_single_slot_of_an_array_has_a_direction_and_no_rate() -> None:
     strongest = process(record, 0, Processing(cfar=Cfar(1e-3))).detections[0]
     assert strongest.azimuth_rad == pytest.approx(0.3, abs=0.05)
     assert np.isnan(strongest.range_rate_m_per_s)
+
+
+def test_one_strong_echo_makes_no_alarm_elsewhere() -> None:
+    """67 dB, between two cells of range: its side lobes fill one rate of 64, and the noise at the
+    other rates stays what it is. 40 maps at 1e-8 a cell hold 7e-3 false alarms; 6 maps had one.
+    """
+    for seed in range(40):
+        record = cube(WIDE, [Echo((6.0, 0.0, 0.0))], noise_w=3e-12, seed=seed)
+        assert len(process(record).detections) == 1
