@@ -5,7 +5,7 @@ import sys
 import typer
 
 from hardware.commands import images, log, radar
-from hardware.files import said
+from hardware.files import one_line, said
 
 app = typer.Typer(
     name="ugv",
@@ -40,5 +40,5 @@ def main() -> None:
     except KeyboardInterrupt:
         print("ugv: interrupted", file=sys.stderr)
         sys.exit(130)
-    print(f"ugv: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"ugv: error: {one_line(message)}", file=sys.stderr)
     sys.exit(2)

@@ -6,20 +6,45 @@ import os
 import platform
 import re
 import shutil
+import stat
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+#: Of a dotted key of TOML.
+_MOST_KEY_PARTS = 64
+#: Characters of an error; the longest of the tools' own are about half of that.
+_MOST_LINE = 3000
+
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Content of a TOML file.
 
     Raises OSError where it cannot be read; ValueError, one line that begins with the file, where
-    it is no TOML, no UTF-8, or nested too deeply.
+    it is no regular file, no TOML, no UTF-8, nested too deeply, or holds a whole number beyond the
+    64 bits of TOML 1.0.
     """
-    content: dict[str, Any] = _parsed(path, "TOML", tomllib.loads)
+    content: dict[str, Any] = _parsed(path, "TOML", _toml)
+    return content
+
+
+def _toml(text: str) -> dict[str, Any]:
+    # Each part of a key is a table within a table, and tomllib takes the square of their number.
+    for part in re.split(r"[=,{}\[\]\n]", re.sub(r"\.{2,}", "", text)):
+        if part.count(".") >= _MOST_KEY_PARTS:
+            raise ValueError(f"nested too deeply: more than {_MOST_KEY_PARTS} parts of a key")
+    content = tomllib.loads(text)
+    left: list[tuple[str, Any]] = list(content.items())
+    while left:
+        name, value = left.pop()
+        if isinstance(value, dict):
+            left += [(f"{name}.{key}"[:80], inner) for key, inner in value.items()]
+        elif isinstance(value, list):
+            left += [(name, inner) for inner in value]
+        elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise ValueError(f"{name}: a whole number of {value.bit_length()} bits, expected 64")
     return content
 
 
@@ -29,12 +54,29 @@ def read_json(path: str | Path) -> Any:
 
 
 def _parsed(path: str | Path, kind: str, parse: Callable[[str], Any]) -> Any:
+    content = read_regular(path)
     try:
-        return parse(Path(path).read_bytes().decode("utf-8"))
+        return parse(content.decode("utf-8"))
     except RecursionError:
         raise ValueError(f"{path}: no valid {kind}: nested too deeply") from None
     except ValueError as error:
         raise ValueError(f"{path}: no valid {kind}: {error}") from error
+
+
+def read_regular(path: str | Path) -> bytes:
+    """Content of a file. Raises OSError; ValueError for a device or pipe, which may never end."""
+    with Path(path).open("rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise ValueError(f"{path}: expected a regular file")
+        return file.read()
+
+
+def one_line(message: str) -> str:
+    """A message on one line that a terminal can show, its middle cut where it is very long."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in message).split())
+    if len(line) <= _MOST_LINE:
+        return line
+    return f"{line[: _MOST_LINE // 2]} ... {line[-_MOST_LINE // 2 :]}"
 
 
 @contextmanager

@@ -70,7 +70,9 @@ def main() -> None:
         print("twin: interrupted, nothing half-written is left", file=sys.stderr)
         sys.stderr.flush()
         os._exit(130)  # threads of a library that was still loading would abort an orderly exit
-    print(f"twin: error: {' '.join(message.split())}", file=sys.stderr)
+    from hardware.files import one_line
+
+    print(f"twin: error: {one_line(message)}", file=sys.stderr)
     sys.exit(2)
 
 

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from hardware.files import read_regular
+
 #: Words about values, not values: a better citation computes nothing new.
 _WORDS = {"description", "source", "assumed", "origin", "assumptions", "warnings", "path"}
 _ENGINES = ("numpy", "scipy", "mitsuba", "drjit", "sionna-rt", "finufft")
@@ -77,6 +79,6 @@ def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
     for name, value in told.items():
         yield f"{name}=".encode()
         if name.endswith(("_csv", "_file")):
-            yield hashlib.sha256(Path(value.value).read_bytes()).digest()
+            yield hashlib.sha256(read_regular(value.value)).digest()
         else:
             yield from _pieces(value)

@@ -72,8 +72,13 @@ def read_settings(path: str | Path) -> SpiSettings:
     Raises FileNotFoundError; ValueError naming the file and the field.
     """
     fields = read_toml(path)
+    table = fields.pop("patterns", {})
+    if not isinstance(table, dict):
+        raise ValueError(
+            f"{path}: patterns = {table!r:.60}: expected a table of rows, columns, count"
+        )
     try:
-        patterns = PatternSet(**_tuples(fields.pop("patterns", {})))
+        patterns = PatternSet(**_tuples(table))
         return SpiSettings(patterns, **_tuples(fields))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {str(error).replace('__init__()', 'it')}") from error

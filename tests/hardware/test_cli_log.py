@@ -97,7 +97,7 @@ def test_capture_process_info_recover_replay(firmware: Any, tmp_path: Path) -> N
 
 
 def test_exit_statuses_tell_what_became_of_a_damaged_log(tmp_path: Path) -> None:
-    """1: the command did its work on what is whole, some is lost. 2: nothing is there to work on."""
+    """1: done with what is whole, some is lost. 2: there is nothing to work on."""
     whole, run = tmp_path / "whole.mcap", tmp_path / "run.mcap"
     with Log(whole, flush_s=1e9) as log:
         for n in range(4):

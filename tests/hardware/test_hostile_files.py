@@ -18,7 +18,14 @@ import zstandard
 from hardware import PatternSet, SpiRecord
 from hardware.drivers.radio.setup import read_setup
 from hardware.drivers.settings import read_settings
-from hardware.files import naming, partial_path, whole_file
+from hardware.files import (
+    naming,
+    one_line,
+    partial_path,
+    read_regular,
+    read_toml,
+    whole_file,
+)
 from hardware.recording import read_messages, recover
 from hardware.records import read_record, write_record
 
@@ -252,6 +259,10 @@ _DEEP = 100_000
         (read_settings, b"a = " + b"{a = " * 3000, "no valid TOML: nested too deeply"),
         (read_settings, b"a = " + b"9" * 5000, "no valid TOML: Exceeds the limit"),
         (read_settings, b'a = "caf\xe9"', "no valid TOML: 'utf-8' codec can't decode"),
+        (read_settings, b"a" + b".a" * 50_000 + b" = 1", "no valid TOML: nested too deeply"),
+        (read_settings, b"a" + b" . 'a'" * 20_000 + b" = 1", "no valid TOML: nested too deeply"),
+        (read_settings, b"gain = 0x" + b"f" * 10_000, "gain: a whole number of 40000 bits"),
+        (read_settings, b"patterns = 5", "patterns = 5: expected a table"),
         (read_setup, b"[" * _DEEP, "no valid JSON: nested too deeply"),
         (read_setup, b'"caf\xe9"', "no valid JSON: 'utf-8' codec can't decode"),
     ],
@@ -263,6 +274,30 @@ def test_settings_are_read_or_told_in_one_line(
     path.write_bytes(content)
     with refused(path, because):
         read(path)
+
+
+def test_numbers_and_words_with_points_are_no_deep_keys(tmp_path: Path) -> None:
+    """Lists of numbers over lines, comments, and texts: more points than a key may have parts."""
+    numbers = ", ".join(["0.5"] * 200)
+    text = f"# {'. ' * 20}{'.' * 200}\na.b = [{numbers},\n{numbers}]\n"
+    text += f"b = '{'.' * 150}'\nc = {2**63 - 1}\n"
+    (path := tmp_path / "x.toml").write_text(text)
+    assert read_toml(path) == {"a": {"b": [0.5] * 400}, "b": "." * 150, "c": 2**63 - 1}
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no device files")
+def test_a_device_that_never_ends_is_no_file() -> None:
+    for read in (read_toml, read_regular):
+        with pytest.raises(ValueError, match=r"^/dev/zero: expected a regular file"):
+            read("/dev/zero")
+
+
+def test_an_error_is_one_line_that_a_terminal_can_show() -> None:
+    line = one_line("file: \x1b[2Jname" + "a" * 100_000 + "\n expected b")
+    assert line.isprintable()
+    assert line.startswith("file: [2Jname")
+    assert line.endswith(" expected b")
+    assert len(line) < 4000
 
 
 # What is written.

@@ -19,11 +19,13 @@ from twin.camera.repaint import render_unpainted
 from twin.camera.stream import frames
 from twin.fidelity import Fidelity
 from twin.files import InputError, new_folder, whole_folder
+from twin.optics.spectra import curves, read_curve
+from twin.radar.device.pattern import read_pattern
 from twin.scene import load_scene
 from twin.scene.importing import import_model
 from twin.scene.meshes import read_mesh
 from twin.system import load_system
-from twin.toml import read_toml
+from twin.toml import Sourced, read_toml
 
 HEAD = '<scene version="3.0.0"><bsdf type="diffuse" id="concrete"/>'
 WALL = (
@@ -224,6 +226,31 @@ def test_toml_is_read_or_told_in_one_line(content: bytes, because: str, tmp_path
     (path := tmp_path / "x.toml").write_bytes(content)
     with pytest.raises(InputError, match=f"^{path}: no valid TOML: .*{because}"):
         read_toml(path)
+
+
+def test_a_curve_that_is_none_is_one_line(tmp_path: Path) -> None:
+    """A device that never ends, and a field beyond the limit of the csv module (131 072)."""
+    (path := tmp_path / "x.csv").write_text("1550,0." + "5" * 200_000 + "\n1551,0.5\n")
+    for file, because in ((path, "field larger than"), (Path("/dev/zero"), "a regular file")):
+        for read in (read_curve, read_pattern):
+            with pytest.raises(InputError, match=f"^{file}: .*{because}"):
+                read(file)
+    with pytest.raises(InputError, match=r"^/dev/zero: expected a regular file"):
+        curves(Sourced[str](value="/dev/zero", assumed="here"))
+
+
+def test_the_pixels_of_a_texture_are_counted_before_they_are_decoded(tmp_path: Path) -> None:
+    """12 000 x 12 000 zeros, 18 MB of bits, in a PNG of few kB, would be 1.4 GB of light."""
+    from PIL import Image
+
+    Image.new("1", (12_000, 12_000)).save(tmp_path / "big.png")
+    text = HEAD.replace("<bsdf", '<texture type="bitmap" id="t"><string name="filename" '
+                        'value="big.png"/></texture><bsdf', 1)  # fmt: skip
+    text = text.replace('id="concrete"/>', 'id="concrete"><ref name="reflectance" id="t"/></bsdf>')
+    (tmp_path / "scene.xml").write_text(text + WALL)
+    (tmp_path / "scene.toml").write_text(TOML.format(0, 0, -2))
+    with pytest.raises(InputError, match=r"big\.png: more than 67108864 pixels"):
+        load_scene(tmp_path / "scene.xml")
 
 
 def test_a_working_directory_that_is_gone_is_one_line(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from hardware.files import read_regular
 from twin.files import InputError
 from twin.system import Detector, Emitter, Filter, Sky
 from twin.toml import Sourced
@@ -151,17 +152,21 @@ def read_curve(path: Path) -> tuple[Array, Array]:
     values are divided by 100 where a header says per cent or ``%``. Raises InputError.
     """
     try:
-        return _curve(path, path.read_bytes())
-    except (OSError, UnicodeDecodeError) as error:
+        return _curve(path, read_regular(path))
+    except InputError:
+        raise
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: can't be read as a CSV curve ({error})") from error
 
 
 def curves(*files: Sourced[str] | None) -> tuple[bytes, ...]:
     """What stands in files of curves: the part of a cache's key that their names do not tell."""
     try:
-        return tuple(Path(file.value).read_bytes() for file in files if file is not None)
+        return tuple(read_regular(file.value) for file in files if file is not None)
     except OSError as error:
         raise InputError(f"{error.filename}: can't be read ({error.strerror})") from error
+    except ValueError as error:
+        raise InputError(str(error)) from error
 
 
 @lru_cache(maxsize=32)

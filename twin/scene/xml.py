@@ -4,6 +4,7 @@ Transforms come in float64. Nothing is loaded or rendered here, so a broken scen
 """
 
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from twin.files import InputError
 from twin.scene.markup import check_markup
 from twin.scene.texture import Reflectance, Texture
 
+#: Of a texture: 8192 x 8192, 0.7 GB while it is read.
+_MOST_PIXELS = 1 << 26
 _WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
 _LAMBERTIAN = ("diffuse", "itu-radio-material", "radio-material", "none")
 _LOBES = ("metallic", "roughness", "alpha", "specular", "spec_trans", "clearcoat", "material")
@@ -222,6 +225,7 @@ class _Reader:
         if "filename" not in texture.props:
             raise InputError(f"{self._place(texture)}: bitmap: needs a filename")
         path = self.folder / str(texture.props["filename"])
+        _check_size(path)
         try:
             bitmap = mi.Bitmap(str(path))
         except (RuntimeError, OSError) as error:
@@ -235,6 +239,23 @@ class _Reader:
             str(texture.props.get("filter_type", "bilinear")),
             str(texture.props.get("wrap_mode", "repeat")),
         )
+
+
+def _check_size(path: Path) -> None:
+    """Few bytes may say many pixels: they are counted before they are decoded."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(path) as picture:
+                columns, rows = picture.size
+    except (UnidentifiedImageError, OSError):
+        return  # OpenEXR, or nothing at all: Mitsuba tells
+    except Image.DecompressionBombError:
+        columns, rows = 1 << 16, 1 << 16
+    if columns * rows > _MOST_PIXELS:
+        raise InputError(f"{path}: more than {_MOST_PIXELS} pixels, expected a smaller texture")
 
 
 def _readable(path: Path, message: str) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.files import read_regular
 from twin.files import InputError
 
 Array = NDArray[np.float64]
@@ -61,10 +62,13 @@ class Pattern:
 def read_pattern(path: Path) -> Pattern:
     """Pattern of a file. Raises InputError naming the file, and the line where there is one."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_regular(path).decode("utf-8-sig")
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: can't be read as text ({error})") from error
-    return _pattern(path, text)
+    try:
+        return _pattern(path, text)
+    except csv.Error as error:
+        raise InputError(f"{path}: can't be read as a table ({error})") from error
 
 
 @lru_cache(maxsize=16)
