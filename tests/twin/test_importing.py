@@ -223,6 +223,15 @@ def test_surfaces_that_are_simplified_are_told_object_by_object(tmp_path: Path) 
     assert "(plain)" not in warnings.split("simplified: ")[1]
 
 
+def test_a_truncated_glb_says_so(robot: trimesh.Scene, tmp_path: Path) -> None:
+    robot.export(tmp_path / "robot.glb")
+    whole = (tmp_path / "robot.glb").read_bytes()
+    for kept in (40, len(whole) // 2, len(whole) - 4):
+        (tmp_path / "cut.glb").write_bytes(whole[:kept])
+        with pytest.raises(InputError, match=rf"truncated, {kept} of {len(whole)} bytes"):
+            import_model(tmp_path / "cut.glb", tmp_path / "scene")
+
+
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 0 1\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 FACE = "usemtl Brick\nf 1/1 2/2 3/3 4/4\n"
 

@@ -4,9 +4,11 @@ Each leg is taken order by order. From a device to the first surface the path is
 all its scatterings (`twin.optics.travel`). From a surface to the other device the whole way is
 known beforehand: a scattering by the angle a at the share x of it, counted from the surface, lets
 the light arrive from a direction that is off by x tan(a), and several add up. That is exact for one
-scattering by a small angle; in fog, with a field of 20 degrees, all that arrives is within 0.5 % of
-a random walk up to an optical depth of 0.8. Light turned by more than 90 degrees on its way back is
-lost.
+scattering by a small angle; in fog, with a field of 20 degrees, all that arrives from a wall that
+is faced is within 0.5 % of a random walk up to an optical depth of 0.8. Levels along a wall slanted
+by 60 degrees, and the contrast of single bright cells, are within 3 % there; a wall seen between
+nearer posts, at a depth of 1.2, is 5 % too bright. Light turned by more than 90 degrees on its way
+back is lost.
 
 Light that comes straight through is never drawn at random where a single value is wanted: it has
 the weight exp(-depth), light that is scattered once or more the rest.

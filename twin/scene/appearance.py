@@ -127,8 +127,6 @@ def appearance_of(visual: Any) -> Appearance:
         kind = getattr(visual, "kind", None)
         return Appearance("", left_out=(f"{kind} colours left out",) if kind else ())
     name = str(getattr(material, "name", None) or "")
-    if not name and isinstance(own := getattr(material, "kwargs", None), dict):
-        name = str(own.get("name") or "")  # of an OBJ
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     factor = getattr(material, "baseColorFactor", None)
     if factor is None and image is None:

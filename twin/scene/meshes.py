@@ -109,6 +109,9 @@ def _check_gltf(path: Path) -> None:
     data = path.read_bytes()
     if data[:4] == b"glTF":  # binary: a header of 12 bytes, then the JSON with its length
         size = int.from_bytes(data[12:16], "little")
+        if (total := int.from_bytes(data[8:12], "little")) > len(data):
+            short = f"truncated, {len(data)} of {total} bytes"
+            raise InputError(f"{path}: can't be read as a mesh (no valid glTF: {short})")
         data = data[20 : 20 + size]
     try:
         content = json.loads(data)
