@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from hardware.reconstruction import Mixing, RangeImage
+    from hardware.reconstruction import Mixing, RangeImage, Reconstruction
     from hardware.records import SpiRecord
 
 
@@ -56,12 +56,12 @@ def reconstruct(
         f"{method}: {1e3 * elapsed:.3g} ms; cells {np.nanmin(found.image):.3g} to "
         f"{np.nanmax(found.image):.3g} e-"
     )
-    print(f"noise of one measurement: {float(np.median(found.noise_electrons)):.3g} e- (median)")
+    print(f"noise of one measurement: {_noise(found)}")
     arrays = {"image": found.image, "noise_electrons": found.noise_electrons}
     if found.standard_error is not None:
-        print(
-            f"standard error of a cell: {float(np.nanmedian(found.standard_error)):.3g} e- (median)"
-        )
+        known = found.standard_error[np.isfinite(found.standard_error)]
+        error = f"{float(np.median(known)):.3g} e- (median)" if known.size else "unknown"
+        print(f"standard error of a cell: {error}")
         arrays["standard_error"] = found.standard_error
     if ranged:
         print(_distances(loaded, ranged))
@@ -75,6 +75,17 @@ def reconstruct(
     with target.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
     print(f"written: {target}")
+
+
+def _noise(found: "Reconstruction") -> str:
+    import numpy as np
+
+    told = np.isfinite(found.noise_electrons)
+    if told.any():
+        return f"{float(np.median(found.noise_electrons[told])):.3g} e- (median)"
+    most = float(np.median(found.most_noise_electrons))
+    bound = f", at most {most:.3g} e- (median)" if np.isfinite(most) else ""
+    return f"not told by this record{bound}"
 
 
 def methods() -> None:

@@ -11,20 +11,29 @@ from hardware.records import SpiRecord
 
 Array = NDArray[np.float64]
 
+#: Noise of a full set that shows nothing twice, as a multiple of its photons' own variance, up to
+#: which it is believed and smoothed. More is a scene that is flatter than 1/f as often as it is a
+#: noisy detector, and is kept in the image. A photodiode's shot noise is 1; an avalanche diode's,
+#: 2 to 5 for each primary electron (McIntyre, IEEE Trans. Electron Devices 13, 1966).
+MOST_OVER_PHOTONS = 4.0
+
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """What a set of patterns measured.
 
-    ``values`` is H x in electrons, shape ``(count, n_images)``; ``noise_variance`` the variance
-    of one value, shape ``(n_images,)``, and ``most_noise_variance`` the largest that the record
-    allows. ``most_level`` is the most that the mean of the cells can be, ``(n_images,)``: that of
-    all light, the background's with it. An image has one detector, or two when complementary.
+    ``values`` is H x in electrons, shape ``(count, n_images)``. All others are ``(n_images,)``:
+    ``noise_variance`` the variance of one value, with which an image is smoothed;
+    ``most_noise_variance`` the largest that the record allows, at least that of rounding to counts,
+    NaN where no two exposures differ by noise or detail alone; ``noise_told`` whether the record
+    tells noise from detail; ``most_level`` the most that the mean of the cells can be, that of all
+    light, the background's with it. An image has one detector, or two when complementary.
     """
 
     values: Array
     noise_variance: Array
     most_noise_variance: Array
+    noise_told: NDArray[np.bool_]
     most_level: Array
 
 
@@ -73,21 +82,32 @@ def measurements(record: SpiRecord) -> Measurements:
 
     Reference, plain and S-matrix sets show nothing twice. What tells noise from detail is then
     their spectra (`hardware.reconstruction.noise.noise_beside_detail`), and the scatter of the
-    finest patterns is the most that noise can be.
+    finest patterns is the most that noise can be. Scenes may be as flat as noise: a single bright
+    cell, a checkerboard. So a full set is smoothed only by noise that its photons explain
+    (`MOST_OVER_PHOTONS`); what is more stays in the image. The finest patterns of a subset hold
+    detail whose amount is unknown: its noise is never told.
     """
     electrons, patterns = record.electrons, record.patterns
     values = hadamard_values(electrons, patterns)
     if patterns.mode in ("differential", "complementary"):
         lit, complement = _pairs(electrons, patterns)
         noise = noise_of_sums(lit + complement, in_turn=patterns.mode == "differential")
+        rounding = 2 * record.electrons_per_count**2 / 12
+        most = np.maximum(noise, rounding) if len(lit) > 1 else np.full_like(noise, np.nan)
         level = np.abs((lit + complement).mean(axis=0)) / patterns.n_cells
-        return Measurements(values, noise, noise, level)
+        return Measurements(values, noise, most, np.isfinite(most), level)
     finest = finest_patterns(patterns)
-    most = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
-    quantisation = (2 * record.electrons_per_count) ** 2 / 12
+    scatter = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
+    rounding = (2 * record.electrons_per_count) ** 2 / 12
+    most = np.maximum(scatter, rounding) if finest.size > 1 else np.full_like(scatter, np.nan)
     noise = noise_beside_detail(values, patterns)
+    if full := patterns.count == patterns.n_cells:
+        photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
+        noise = np.where(noise > MOST_OVER_PHOTONS * photons, 0.0, noise)
+    told = (noise > 0) & np.isfinite(most) & full
+    noise = np.minimum(np.maximum(noise, rounding), scatter)
     level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
-    return Measurements(values, np.minimum(np.maximum(noise, quantisation), most), most, level)
+    return Measurements(values, noise, most, told, level)
 
 
 def hadamard_values(electrons: Array, patterns: PatternSet) -> Array:

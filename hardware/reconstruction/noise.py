@@ -75,7 +75,8 @@ def noise_beside_detail(values: Array, patterns: PatternSet) -> Array:
     with a, g and s of greatest likelihood (normal values of mean 0). g is common to all images, and
     so is the share of noise in the finest values. Noise of less than a twentieth of the finest
     detail's variance, and of a full set noise without evidence, is given as 0. A scene whose detail
-    falls more slowly than 1/f is taken for noise.
+    falls more slowly than 1/f is taken for noise here; how much of it is believed is told by the
+    photons (`hardware.reconstruction.measurements.MOST_OVER_PHOTONS`).
     """
     bins = _bins(patterns)
     if bins is None:

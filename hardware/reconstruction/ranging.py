@@ -75,15 +75,17 @@ def range_image(
     images = np.stack([found.image for found in taken])
     errors = np.stack([_error(found, record.patterns.count) for found in taken])
     told = np.isfinite(images[0])
+    unsure = told & np.isnan(errors).any(axis=0)
     images, errors = np.nan_to_num(images), np.nan_to_num(errors)  # no light: no distance
     found = distances(record, images, errors, method)
     level = tuple(warning for warning in taken[0].warnings if warning == LEVEL_UNKNOWN)
     blind = _blind(record)
+    unknown = blind[:, None, None] | unsure
     return replace(
         found,
         amplitude=np.where(told, found.amplitude, np.nan),
-        standard_error_m=np.where(blind[:, None, None], np.inf, found.standard_error_m),
-        confidence=np.where(blind[:, None, None], 0.0, found.confidence),
+        standard_error_m=np.where(unknown, np.inf, found.standard_error_m),
+        confidence=np.where(unknown, 0.0, found.confidence),
         warnings=(*found.warnings, *level, *((AT_RAIL,) if blind.any() else ())),
     )
 
@@ -113,7 +115,9 @@ def _error(found: Reconstruction, count: int) -> Array:
     if found.standard_error is not None:
         return found.standard_error
     n_cells = found.image[0].size
-    each = np.hypot(found.noise_electrons * np.sqrt(count) / n_cells, found.level_error_electrons)
+    each = np.hypot(
+        found.most_noise_electrons * np.sqrt(count) / n_cells, found.level_error_electrons
+    )
     return np.broadcast_to(each[:, None, None], found.image.shape)
 
 

@@ -175,7 +175,7 @@ def test_a_dark_record_gives_a_dark_image() -> None:
 
 def test_flags_become_warnings() -> None:
     patterns = PatternSet(4, 4, 16)
-    record = record_of(np.zeros(32), patterns)
+    record = record_of(patterns.signal(np.arange(16.0)), patterns)
     record.flags[3:5] = Flag.SATURATED
     assert reconstruct(record).warnings == ("2 of 32 exposures are marked saturated",)
 

@@ -133,7 +133,11 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "electrons per exposure": f"signal {noise.signal_e:.3g}, sun {noise.background_e:.3g}, "
         f"dark {noise.dark_e:.3g}",
         "noise per exposure": f"{noise.total_noise_e:.4g} e- predicted, "
-        f"{found:.4g} e- found in the record",
+        + (
+            f"{found:.4g} e- found in the record"
+            if np.isfinite(found)
+            else "not told by the record"
+        ),
         "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
         "verdict": str(verdict),
         "best pixel": "none" if verdict.void else f"SNR {verdict.snr_best:.3g}",
