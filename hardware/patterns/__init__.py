@@ -114,8 +114,14 @@ class PatternSet:
     def of(
         cls, rows: int, columns: int, indices: Sequence[int], mode: Mode = "differential"
     ) -> "PatternSet":
-        """Any rows of the natural-order matrix, in the order given."""
-        subset = tuple(int(row) for row in indices)
+        """Any rows of the natural-order matrix, in the order given.
+
+        Raises ValueError for what is no whole number, and for what `PatternSet` refuses.
+        """
+        rows_shown = np.asarray(indices)
+        if rows_shown.size and rows_shown.dtype.kind not in "iu":
+            raise ValueError(f"indices: {rows_shown.dtype}, expected whole numbers")
+        subset = tuple(int(row) for row in rows_shown)
         return cls(rows, columns, len(subset), "custom", mode, subset)
 
     def __hash__(self) -> int:

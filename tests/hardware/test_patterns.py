@@ -264,3 +264,11 @@ def test_bad_subsets_are_refused(arguments: tuple) -> None:
 def test_an_s_matrix_needs_its_dark_frame() -> None:
     with pytest.raises(ValueError, match=r"^mode: 's-matrix' needs row 0"):
         PatternSet.of(4, 4, [1, 2], "s-matrix")
+
+
+@pytest.mark.parametrize("row", [1.5, 1.0, np.float64(2), "3", None])
+def test_rows_are_whole_numbers(row: object) -> None:
+    """On ee37b06 1.5 is row 1."""
+    with pytest.raises(ValueError, match=r"indices: .*, expected whole numbers"):
+        PatternSet.of(8, 8, (0, row))  # type: ignore[arg-type]
+    assert PatternSet.of(8, 8, np.array([0, 3], np.uint16)).subset == (0, 3)
