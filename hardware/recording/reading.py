@@ -4,6 +4,7 @@ import itertools
 import logging
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -136,6 +137,8 @@ class _Walk:
                     given = max(given - indexed, 0)
                 continue
             given = None
+            if kind == Opcode.DATA_END and not self._sums_up(at, length):
+                broken = broken or "the CRC-32 of the data is another"
             if kind not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
                 continue
             here = 0
@@ -200,6 +203,17 @@ class _Walk:
             if kind in (Opcode.SCHEMA, Opcode.CHANNEL) and at + length <= self._size:
                 for _ in self._in_record(kind, self._body(at, length)):
                     pass
+
+    def _sums_up(self, at: int, length: int) -> bool:
+        """Whether everything before this end of the data has the CRC-32 in it; 0 there: none."""
+        expected = int.from_bytes(self._body(at, length)[:4], "little")
+        if not expected:
+            return True
+        self._file.seek(0)
+        crc, left = 0, at - 9
+        while left and (part := self._file.read(min(left, 1 << 20))):
+            crc, left = zlib.crc32(part, crc), left - len(part)
+        return crc == expected
 
     def _indexed(self, at: int, length: int) -> int:
         """Messages that an index says are in its chunk."""

@@ -3,7 +3,7 @@
 import json
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from hardware.drivers.assembly import Assembly, ExposureSet
 from hardware.drivers.clock import ClockFilter
 from hardware.drivers.framing import MAX_ENCODED, MAX_PAYLOAD, Deframer, Frame
 from hardware.drivers.messages import Configured, Measurement, from_frame, to_frame
+from hardware.drivers.preparation import _possible
 from hardware.drivers.table import table_bytes
 from hardware.records import Flag
 
@@ -126,6 +127,19 @@ def test_any_payload_is_a_message_or_a_value_error(kind: int, payload: bytes) ->
     if isinstance(message, (messages.Configured, messages.Status, messages.Identity)):
         return  # reserved bytes are not looked at
     assert message.pack() == payload
+
+
+def test_times_that_no_device_has_are_refused() -> None:
+    """Device times are whole nanoseconds in 64 bits: a set of 1e9 s and more has none."""
+    identity = messages.Identity(1, 16, 2, 16, 64, 1, 1, 1, 1e-6, 1.0, "camera")
+    assert _possible(_MADE, identity, _MADE.exposures, 64)
+    for name in ("integration_time_s", "pattern_period_s", "electrons_per_count"):
+        for value in (0.0, -1.0, 1e300, np.inf, np.nan):
+            made = replace(_MADE, **{name: value})
+            assert not _possible(made, identity, _MADE.exposures, 64)
+    for value in (1e300, -1e300, np.nan):
+        made = replace(_MADE, offset_counts=value)
+        assert not _possible(made, identity, _MADE.exposures, 64)
 
 
 # A stream of measurements under faults.

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import SeekingReader
+from mcap.writer import Writer
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers.clock import ClockModel
 from hardware.recording import Log, read_messages, read_records, recover, ros
 from hardware.recording.kinds import KINDS, kind_of
+from hardware.recording.reading import Ending
 from hardware.records import RadarRecord
 from hardware.sources import open_source, replay
 from hardware.waveform import OfdmWaveform
@@ -314,6 +316,24 @@ def test_a_broken_chunk_takes_none_of_the_others_with_it(tmp_path: Path, broken:
     assert [received.host_ns for received in read_records(path)] == rest
     again = recover(path)
     assert (again.kept, again.ending.fault, again.original) == (6, None, None)
+
+
+def test_a_message_outside_chunks_is_covered_by_the_crc_of_the_data(tmp_path: Path) -> None:
+    """As other writers may lay out a log; one bit of the payload, and the reader says so."""
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False, enable_data_crcs=True)
+        writer.start()
+        channel = writer.register_channel("/x", "cdr", writer.register_schema("x", "ros2msg", b""))
+        writer.add_message(channel, 1, b"payload", 1)
+        writer.finish()
+    for data, fault in (
+        (path.read_bytes(), None),
+        (path.read_bytes().replace(b"payload", b"qayload"), "the CRC-32 of the data is another"),
+    ):
+        path.write_bytes(data)
+        assert len(list(read_messages(path, ending := Ending()))) == 1
+        assert ending.fault == fault
 
 
 def test_another_damaged_original_is_not_written_over(tmp_path: Path) -> None:
