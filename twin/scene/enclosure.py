@@ -5,11 +5,11 @@ import numpy as np
 from twin.scene.model import Array, SceneObject
 
 #: A float32 step of coordinates of some ten metres: nearer to a surface no side of it is in front.
-_TOUCH_M = 1e-6
+_TOUCH_M = 1e-7
 
 
 def touches(item: SceneObject, point_m: Array) -> bool:
-    """Whether a point lies in one of an object's triangles, to a micrometre."""
+    """Whether a point lies in one of an object's triangles, to a tenth of a micrometre."""
     from trimesh.triangles import closest_point
 
     corners = item.vertices_m[item.faces] - point_m
