@@ -4,7 +4,7 @@ import numpy as np
 
 from twin.scene.model import Array, SceneObject
 
-#: A float32 step of coordinates of some ten metres: nearer to a surface no side of it is in front.
+#: A float64 step of a rig 1e9 m from the origin: nearer to a surface no side of it is in front.
 _TOUCH_M = 1e-7
 
 
