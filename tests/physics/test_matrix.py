@@ -209,7 +209,7 @@ def test_an_empty_view_gives_zeros() -> None:
 @pytest.mark.parametrize("role", ["dual", "scatter"])
 def test_blocks_of_rows_land_where_they_belong(role, monkeypatch: pytest.MonkeyPatch) -> None:
     """Traced two rows at a time, the diagonal of a wall is the same but for noise."""
-    import twin.optics.matrix as module
+    import twin.optics.transport as module
 
     grid, world, quality = Grid(HERE, 8, 8), wall(5.0), Quality(256, 1)
     whole = transport_matrix(world, grid, grid, quality=quality, seed=1, role=role)

@@ -60,7 +60,7 @@ def veiled_range(
     cells_e, veil_e
         Electrons of each cell, and the air's part of them, (n_shutters, n_detectors, n_cells).
     noise_e
-        Of a pixel of one shutter's image, (n_detectors,).
+        Of each cell in one shutter's image, (n_detectors, n_cells).
 
     None without time of flight or veil, and where nothing of the scene comes back.
     """
@@ -69,7 +69,7 @@ def veiled_range(
     if not (record.shutters[:, [0, 3]].any() and veil_e.any() and lit.any()):
         return None
     shape = (*cells_e.shape[:2], record.patterns.rows, record.patterns.columns)
-    errors = np.broadcast_to(noise_e[:, None, None], shape)
+    errors = np.broadcast_to(noise_e.reshape(shape[1:]), shape)
     seen, true = (distances(record, part.reshape(shape), errors) for part in (cells_e, scene_e))
     off = np.abs(seen.distance_m - true.distance_m)
     if record.shutters[:, 0].any():  # phases repeat
