@@ -1,10 +1,15 @@
 """Files and folders: where bundled data lies, and output that appears whole or not at all."""
 
+import fcntl
 import os
+import platform
 import shutil
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 _HERE = Path(__file__).parent
 
@@ -83,3 +88,58 @@ def new_folder(out: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
         raise InputError(f"{out}: {error.strerror or error}") from error
+
+
+@contextmanager
+def locked(out: Path, work: str) -> Iterator[None]:
+    """A folder in which no other process does the same ``work`` meanwhile.
+
+    The lock is on a file beside the folder, which need not exist yet, and ends with the process
+    that holds it, however that ends. Raises InputError, which says who holds it, where another
+    does, and where ``out`` can't be written. What a file system can't lock is used with a warning.
+    """
+    out = Path(out).resolve()
+    path = out.parent / f".{out.name}.lock"
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        file = _locked_file(path)
+    except BlockingIOError as error:
+        raise InputError(f"{out}: another {work} works in it ({error})") from error
+    except OSError as error:
+        if not out.is_dir():
+            raise InputError(f"{out}: {error.strerror or error}") from error
+        print(f"warning: {path}: no lock ({error.strerror}); run one {work} only", file=sys.stderr)
+        yield
+        return
+    with file:
+        now = time.strftime("%Y-%m-%d %H:%M:%S")
+        file.write(f"process {os.getpid()} on {platform.node()}, since {now}")
+        file.flush()
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)  # still locked: who opened it meanwhile finds it gone
+
+
+def _locked_file(path: Path) -> IO[str]:
+    """A file, empty, that this process alone has locked.
+
+    Raises BlockingIOError, with what stands in it, where another has; OSError where it can't be.
+    """
+    while True:
+        file = path.open("a+", encoding="utf-8")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(path.stat(), os.fstat(file.fileno())):
+                file.truncate(0)
+                return file
+            file.close()  # its holder has removed it, and another made it anew
+        except FileNotFoundError:
+            file.close()  # its holder has removed it
+        except BlockingIOError:
+            with file:
+                file.seek(0)
+                raise BlockingIOError(file.read() or "it has just begun") from None
+        except OSError:
+            file.close()
+            raise

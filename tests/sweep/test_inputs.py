@@ -53,6 +53,33 @@ def test_a_sweep_that_is_killed_while_it_begins_begins_again(tmp_path: Path) -> 
     assert [item.name for item in out.parent.iterdir()] == ["out"]
 
 
+def test_two_sweeps_do_not_work_in_one_folder(tmp_path: Path) -> None:
+    """The second, also by another name of the folder, says which process is there; a lock does not
+    outlive the process that held it, even one that was killed, and leaves no file.
+    """
+    path, out = closed_form(tmp_path), tmp_path / "runs" / "out"
+    waits = (
+        "import time\nfrom twin.sweep import store, sweep\n"
+        "def wait(*_): print('first result', flush=True); time.sleep(600)\n"
+        f"store.Store.add = wait\nsweep({str(path)!r}, out={str(out)!r})\n"
+    )
+    first = subprocess.Popen([sys.executable, "-c", waits], stdout=subprocess.PIPE)
+    try:
+        assert first.stdout is not None
+        assert first.stdout.readline() == b"first result\n"
+        (tmp_path / "link").symlink_to(tmp_path / "runs")
+        for name in (out, tmp_path / "link" / "out"):
+            with pytest.raises(InputError, match=rf"another sweep works in it \(.*{first.pid} on"):
+                sweep(path, out=name)
+        sweep(path, out=tmp_path / "runs" / "other")
+    finally:
+        first.kill()
+        first.communicate()
+    sweep(path, out=out)
+    assert np.isfinite(signal(out))
+    assert sorted(item.name for item in out.parent.iterdir()) == ["other", "out"]
+
+
 def test_a_disk_that_is_full_at_the_beginning_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

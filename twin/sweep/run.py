@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twin.files import InputError
+from twin.files import InputError, locked
 from twin.progress import interrupts
 from twin.sweep.dataset import labels
 from twin.sweep.effects import check_points, without_effect
@@ -65,7 +65,8 @@ def sweep(
     yes
         Agree to more than 1e7 points.
 
-    Raises InputError for a study that can't be run, a folder of another one, a full disk.
+    Raises InputError for a study that can't be run, a folder of another one or in which another
+    sweep works, a full disk.
     """
     study = study if isinstance(study, Study) else load_study(study)
     if study.n_points > _MANY and not yes:
@@ -78,16 +79,17 @@ def sweep(
     check_points(study, inputs)
     own = {name: inputs.get("metric", name) for name in study.metrics if is_own(name)}
     chunk = _CLOSED_CHUNK if closed else _RENDERED_CHUNK
-    store = begin(study, out, chunk, inputs, labels(study, own))
-    if any(True for _ in store.todo()):
-        local = closed and scheduler is None and workers is None
-        pool = here() if local else dask(scheduler, workers)
-        with _bar(study, store) as advance, pool as submit:
-            for result in _in_flight(submit, study, store, inputs):
-                store.add(result)
-                advance(result.stop - result.start)
-    store.finish()
-    return _summary(store)
+    with locked(out, "sweep"):
+        store = begin(study, out, chunk, inputs, labels(study, own))
+        if any(True for _ in store.todo()):
+            local = closed and scheduler is None and workers is None
+            pool = here() if local else dask(scheduler, workers)
+            with _bar(study, store) as advance, pool as submit:
+                for result in _in_flight(submit, study, store, inputs):
+                    store.add(result)
+                    advance(result.stop - result.start)
+        store.finish()
+        return _summary(store)
 
 
 def _summary(store: Store) -> Summary:
