@@ -221,6 +221,17 @@ def test_closed_form_equals_the_budget_point_by_point(study, tmp_path: Path) -> 
     assert "f_number.value = -1.0" in str(data["error"].values.ravel()[-1])
 
 
+def test_what_is_of_noise_alone_says_so_beside_the_number(study, tmp_path: Path) -> None:
+    """A sweep's labels, which are the titles of its pictures too."""
+    path = study('[grid]\n"link.distance_m" = [1.0, 5.0]\n', CLOSED)
+    sweep(path, out=tmp_path / "out")
+    data = open_sweep(tmp_path / "out")
+    for name in ("snr", "minimum_time_s", "maximum_distance_m"):
+        assert "neither lag nor clipping is counted" in data[name].attrs["long_name"]
+        title = plot_plane(data, name, "link.distance_m").axes[0].get_title()
+        assert "neither lag nor clipping" in title
+
+
 def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_path: Path) -> None:
     path = study(
         '[sample]\nmethod = "latin-hypercube"\nn = 100000\n[sample.ranges]\n'
@@ -408,6 +419,19 @@ def test_a_scheduler_without_workers_is_said(
             "low below high",
         ),
         ("colour = 1\n", "colour"),
+        *(
+            (f'[grid]\n"{name}" = [1.0, {value}]\n', f"{name} = {told}: expected {wanted}")
+            for name, value, told, wanted in (
+                ("link.distance_m", "0.0", "0.0", "a positive number"),
+                ("link.distance_m", '"-20 cm"', "-0.2", "a positive number"),
+                ("link.reflectance", "1.5", "1.5", "0 to 1"),
+            )
+        ),
+        (
+            '[sample]\nmethod = "sobol"\nn = 4\n[sample.ranges]\n'
+            '"link.distance_m" = { low = -1.0, high = 4.0 }\n',
+            "link.distance_m = -1.0: expected a positive number",
+        ),
     ],
 )
 def test_bad_studies_are_named(study, text: str, complaint: str) -> None:

@@ -20,6 +20,7 @@ from twin.budget.link import (
 from twin.budget.table1 import link_of
 from twin.files import InputError
 from twin.sweep.inputs import Inputs
+from twin.sweep.parameters import LINK, check_bounds
 from twin.sweep.setup import changed, system_of
 from twin.sweep.study import Study, Value
 from twin.system import Part, System
@@ -52,9 +53,7 @@ _WAVELENGTHS = (
     "system.filter.width_m",
 )
 #: Numbers that are no part of the link: whether each may be 0, and the most it may be.
-_OF_THE_POINT = {
-    "link.distance_m": (False, np.inf),
-    "link.reflectance": (True, 1.0),
+_OF_THE_POINT = LINK | {
     "system.acquisition.integration_time_s": (False, np.inf),
     "system.readout.read_noise_e": (True, np.inf),
 }
@@ -179,14 +178,8 @@ def _fields(names: Iterable[str], own: Columns) -> Iterator[tuple[str, Any]]:
 
 def _check(columns: Columns) -> None:
     """Raise ValueError for a number of a point that can't be."""
-    for name, (may_be_zero, most) in _OF_THE_POINT.items():
-        if name not in columns:
-            continue
+    for name in columns.keys() & _OF_THE_POINT.keys():
         column = columns[name]
-        if column.dtype.kind not in "if":
-            raise ValueError(f"{name} = {column[0]}: expected a number")
-        good = np.isfinite(column) & (column <= most)
-        good &= (column >= 0) if may_be_zero else (column > 0)
-        if not good.all():
-            wanted = "0 to 1" if most == 1 else "a positive number"
-            raise ValueError(f"{name} = {column[~good][0]}: expected {wanted}")
+        ends = (column.min(), column.max()) if column.dtype.kind in "if" else column[:1]
+        for value in ends:
+            check_bounds(name, value.item(), *_OF_THE_POINT[name])

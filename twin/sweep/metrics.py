@@ -76,7 +76,8 @@ def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
 def minimum_time_s(outcome: Outcome) -> float:
     """Integration time at which the median lit pixel equals its noise; infinite where none does.
 
-    (s T)^2 = c T + r^2 + (g T)^2, with the patterns, sun and readout of the point.
+    (s T)^2 = c T + r^2 + (g T)^2, with the patterns, sun and readout of the point. What exposures
+    leave in the next ones and what rails cut off change with the time, and are not counted.
     """
     s, c, r, g = _pixel_terms(outcome)
     a = s * s - g * g
@@ -88,7 +89,8 @@ def minimum_time_s(outcome: Outcome) -> float:
 def maximum_distance_m(outcome: Outcome) -> float:
     """Distance at which the median lit pixel would equal its noise.
 
-    Its signal falls with 1 / z^2, the sun's part stays. Nothing in the field: not a number.
+    Its signal falls with 1 / z^2, the sun's part stays. Nothing in the field: not a number. Counts
+    noise as `minimum_time_s` does.
     """
     s, c, r, g = _pixel_terms(outcome)
     taken = outcome.capture

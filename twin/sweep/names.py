@@ -17,6 +17,8 @@ class Named:
     of_image: bool = False
 
 
+#: Said with what is solved for: at the time or distance found, either may be another.
+_NOISE_ALONE = "of noise alone: neither lag nor clipping is counted"
 RENDERED = {
     "snr_median": Named("1", "signal over noise per pixel, median of those that are lit"),
     "snr_above_1": Named("1", "share of lit pixels above their noise"),
@@ -27,8 +29,8 @@ RENDERED = {
     "in_band": Named("1", "share of the emitter's line inside the filter"),
     "psnr_db": Named("dB", "peak signal-to-noise ratio of the image", of_image=True),
     "ssim": Named("1", "structural similarity of the image", of_image=True),
-    "minimum_time_s": Named("s", "integration for SNR 1 in the median lit pixel"),
-    "maximum_distance_m": Named("m", "distance for SNR 1 in the median lit pixel"),
+    "minimum_time_s": Named("s", f"integration for SNR 1 in the median lit pixel, {_NOISE_ALONE}"),
+    "maximum_distance_m": Named("m", f"distance for SNR 1 in the median lit pixel, {_NOISE_ALONE}"),
     "frame_rate_hz": Named("Hz", "frames per second, acquisition alone"),
     "range_error_m": Named("m", "largest range error of a detected target", of_radar=True),
     "detections": Named("1", "true targets that are detected", of_radar=True),
@@ -36,9 +38,9 @@ RENDERED = {
 CLOSED_FORM = {
     "signal_e_per_s": Named("e/s", "photo-electrons of the emitter, all cells lit"),
     "background_e_per_s": Named("e/s", "photo-electrons of the sun, and dark current"),
-    "snr": Named("1", "signal over noise of one exposure with all cells lit"),
-    "minimum_time_s": Named("s", "integration for SNR 1"),
-    "maximum_distance_m": Named("m", "distance for SNR 1"),
+    "snr": Named("1", f"signal over noise of one exposure with all cells lit, {_NOISE_ALONE}"),
+    "minimum_time_s": Named("s", f"integration for SNR 1, {_NOISE_ALONE}"),
+    "maximum_distance_m": Named("m", f"distance for SNR 1, {_NOISE_ALONE}"),
 }
 
 

@@ -9,6 +9,7 @@
 """
 
 import difflib
+import math
 import re
 from dataclasses import fields
 from functools import lru_cache
@@ -28,6 +29,8 @@ Value = bool | int | float | str
 _POSE = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "roll_deg")
 _SUN = ("azimuth_deg", "elevation_deg", "illuminance_lx")
 _OBJECT = ("reflectance", "shift_x_m", "shift_y_m", "shift_z_m")
+#: The closed form's own: whether each may be 0, and the most it may be.
+LINK = {"link.distance_m": (False, math.inf), "link.reflectance": (True, 1.0)}
 _NAMED = re.compile(r"scene\.(objects|targets)\.(.+)\.(\w+)")
 #: Units that end a field's name, longest first.
 _UNITS = {
@@ -83,12 +86,30 @@ def check_name(name: str) -> None:
 def check_value(name: str, value: Value) -> Value:
     """A value in the SI unit of the parameter; text with a unit ("315 us") is converted.
 
-    Raises ValueError for an unknown parameter, and for a unit of another kind.
+    Raises ValueError for an unknown parameter, for a unit of another kind, and for a distance or
+    reflectance of the closed form that can't be.
     """
     check_name(name)
     unit = unit_of(name)
-    if not isinstance(value, str) or unit is None:
-        return value
+    if isinstance(value, str) and unit is not None:
+        value = _in_unit(name, value, unit)
+    if name in LINK:
+        check_bounds(name, value, *LINK[name])
+    return value
+
+
+def check_bounds(name: str, value: Value, may_be_zero: bool, most: float) -> None:
+    """Raise ValueError for what is no finite number above 0, or from 0, up to ``most``."""
+    if isinstance(value, bool | str):
+        raise ValueError(f"{name} = {value!r}: expected a number")
+    within = math.isfinite(value) and 0 <= value <= most
+    if not within or (value == 0 and not may_be_zero):
+        wanted = "0 to 1" if most == 1 else "a positive number"
+        raise ValueError(f"{name} = {value}: expected {wanted}")
+
+
+def _in_unit(name: str, value: str, unit: str) -> float:
+    """Text with a unit as a number of ``unit``."""
     import pint
 
     registry = _registry()
@@ -126,7 +147,7 @@ def _plain_names() -> tuple[str, ...]:
     names += [f"scene.rig.{field}" for field in _POSE]
     names += [f"scene.sun.{field}" for field in _SUN]
     names += [f"fidelity.{field.name}" for field in fields(Fidelity)]
-    names += ["link.distance_m", "link.reflectance"]
+    names += LINK
     for root, model in (("system", System), ("radar", RadarDesign)):
         for section, part in _sections(model).items():
             names += [f"{root}.{section}.{field}" for field in part.model_fields]
