@@ -238,6 +238,7 @@ def test_unequal_cells_are_drawn_once_and_for_all() -> None:
     ("content", "complaint"),
     [
         ('projection = "none"\n', "projection none needs pitch_m"),
+        ("pitch_m = 6e-3\n", "pitch_m = 0.006: expected none behind a lens"),
         ("contrast_ratio = 1.0\n", "contrast_ratio"),
         ("fill_factor = 1.5\n", "fill_factor"),
         ("blur_rms_deg = -1.0\n", "blur_rms_deg"),

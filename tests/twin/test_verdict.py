@@ -217,6 +217,22 @@ def test_a_picture_of_the_exposures_before_is_void(slow: dict[str, float]) -> No
     assert not found.snr.any()
 
 
+@pytest.mark.parametrize("excess", [1.2, 1.23])
+def test_lag_and_rails_that_hide_the_picture_together_are_void(
+    full_scale_ohm: float, excess: float
+) -> None:
+    """A switching time that alone leaves an SNR of 0.01 and a gain that alone leaves a picture:
+    with both nothing is above what is false, and SNR 0 is no finding but a void record.
+    """
+    gain = {"readout__transimpedance_ohm": excess * full_scale_ohm}
+    slow = {"emitter__switching_time_s": 1.6e-4}
+    assert not taken("table1", small(**gain)).void
+    assert not taken("table1", small(**slow)).void
+    found = taken("table1", small(**gain, **slow))
+    assert not found.snr.any()
+    assert str(found.verdict).startswith("void: lag and rails together hide the picture")
+
+
 def test_an_amplifiers_pole_is_the_integral_of_its_step() -> None:
     """Share of the exposure before by quadrature of exp(-2 pi B t) over the exposure."""
     from scipy import integrate

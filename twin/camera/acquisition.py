@@ -14,7 +14,15 @@ from twin.camera.illumination import amplifier_residue, dark_share, residual_sha
 from twin.camera.light import Rendered, Stage, render
 from twin.camera.truth import Truth
 from twin.camera.veiled import VeiledRange, veiled_range
-from twin.camera.verdict import Verdict, blind, coarse, judge, lagging, recorded
+from twin.camera.verdict import (
+    Verdict,
+    blind,
+    coarse,
+    hidden_by_both,
+    judge,
+    lagging,
+    recorded,
+)
 from twin.detector import NoiseBudget
 from twin.fidelity import Fidelity, Noise
 from twin.optics.emission import emission_matrix, independent_patterns
@@ -175,6 +183,10 @@ def measure(
     snr = np.where(gone[:, None] | record.patterns.unmeasured_cells, 0.0, kept * scene_e / off)
     veiled = veiled_range(record, to_e * power.cells_w, to_e * power.veil_w, np.array(noise_e))
     budget = chain.noise(signal_w, sun_w)
+    spoilt = (
+        *recorded(record, found.clipping, of_image),
+        *lagging(found.lag, of_image, _left_over(system)),
+    )
     return Capture(
         record=record,
         truth=rendered.truth,
@@ -191,8 +203,8 @@ def measure(
         illuminance_lx=sky.illuminance_lx,
         assumptions=_assumptions(scene, system),
         warnings=(
-            *recorded(record, found.clipping, of_image),
-            *lagging(found.lag, of_image, _left_over(system)),
+            *spoilt,
+            *hidden_by_both(found, of_image, gone, spoilt),
             *_warnings(system, budget, float(sky.emitter.max()), scene_e, depth_m),
             *_diffraction(system, chain.lens),
             *(veiled.warnings if veiled else ()),

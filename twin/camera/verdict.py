@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import Flag, SpiRecord
-from twin.camera.distortion import Distortion
+from twin.camera.distortion import Distortion, Distortions
 from twin.camera.veiled import VeiledRange
 from twin.detector import NoiseBudget
 from twin.warned import CaptureWarning, Kind, is_void
@@ -152,6 +152,17 @@ def lagging(
     shares = " and ".join(f"{100 * share:.3g} % ({field})" for field, share in left_over.items())
     text = f"of the exposure before {shares} is left in each one; {_cost(lag, noise_e)}"
     yield CaptureWarning("lag", text, void=gone)
+
+
+def hidden_by_both(
+    found: Distortions, noise_e: Array, gone: Bools, warnings: Sequence[CaptureWarning]
+) -> Iterator[CaptureWarning]:
+    """Where all detectors (n_detectors,) are gone though no warning of one cause says so: what
+    exposures leave in the next ones and what rails cut off hide the picture between them.
+    """
+    if gone.all() and not is_void(warnings):
+        text = f"lag and rails together hide the picture: {_cost(found.total, noise_e)}"
+        yield CaptureWarning("lag", text, void=True)
 
 
 def blind(record: SpiRecord) -> Bools:

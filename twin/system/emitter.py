@@ -74,6 +74,11 @@ class Emitter(Strict):
     @model_validator(mode="after")
     def _bare_leds_are_described(self) -> "Emitter":
         if self.has_lens:
+            if self.pitch_m is not None:
+                raise ValueError(
+                    f"pitch_m = {self.pitch_m.value:g}: expected none behind a lens, where the "
+                    "field of view says where cells are; bare LEDs have projection none"
+                )
             return self
         if self.rows.value * self.columns.value > _MOST_BARE:
             raise ValueError(f"rows x columns: at most {_MOST_BARE} elements without a lens")
