@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from hardware.recording import Log, Received
+from hardware.recording.reading import Ending
 from hardware.sources import Records, open_source
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def capture(
     duration_s: float = float("inf"),
     records: int = 0,
     over: threading.Event | None = None,
+    endings: dict[str, Ending] | None = None,
 ) -> Iterator[Received]:
     """Write what sources send to a log, and pass it on.
 
@@ -65,11 +67,17 @@ def capture(
     ``over`` is set. Each source is waited for by itself, as long as its own driver says: one that
     is silent or fails holds up none of the others, is logged as a warning, and its error is raised
     at the end, after everything that came is written. At the end the sources have 3 s to let go of
-    their devices; one that is still busy then is left behind, with a warning.
+    their devices; one that is still busy then is left behind, with a warning. ``endings`` is filled
+    in, by URL, with what is wrong with logs among the sources; without it warnings are logged.
     """
     shared, over = _Sources(), over or threading.Event()
+    if endings is not None:
+        endings |= {url: Ending() for url in urls}
     # Told before any thread runs: a URL of no known kind is an error of the call.
-    sources = [open_source(url, settings, setup, over=shared.over) for url in urls]
+    sources = [
+        open_source(url, settings, setup, over=shared.over, ending=(endings or {}).get(url))
+        for url in urls
+    ]
     threads = [
         threading.Thread(
             target=_feed, args=(url, source, _prefix(n), shared), name=url, daemon=True

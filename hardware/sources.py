@@ -33,6 +33,7 @@ def open_source(
     setup: "tuple[Schedule, FrontEnd] | None" = None,
     *,
     over: threading.Event | None = None,
+    ending: Ending | None = None,
 ) -> Records:
     """Records of a source, as they come; close the generator to end it.
 
@@ -48,6 +49,8 @@ def open_source(
         Ends the wait for a device that is silent: set it from another thread or a signal's
         handler. What the driver raises then means nothing. Sources of other packages end with
         their next record.
+    ending
+        Filled in with what is wrong with a log; without it a warning is logged.
 
     Raises ValueError for a URL of no known kind, a camera without settings, a radio without a
     setup; what a driver raises.
@@ -57,7 +60,8 @@ def open_source(
         path, _, query = rest.partition("?")
         if query not in ("", "pace=fast", "pace=real"):
             raise ValueError(f"{url}: {query!r} is neither 'pace=fast' nor 'pace=real'")
-        return replay(path, speed=float("inf") if query == "pace=fast" else 1.0, over=over)
+        speed = float("inf") if query == "pace=fast" else 1.0
+        return replay(path, speed=speed, over=over, ending=ending)
     if scheme in ("uhd", "zmq"):
         if setup is None:
             raise ValueError(f"{url}: a radio needs a setup")

@@ -5,9 +5,9 @@ import math
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -69,17 +69,22 @@ def capture(
     duration: Annotated[float, typer.Option(help="Seconds; default: until Ctrl-C.")] = math.inf,
     records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
 ) -> None:
-    """Record what sensors send."""
+    """Record what sensors send. Exit status 1: all was recorded that came, but a log among the
+    sources has lost some.
+    """
     from hardware.capture import capture as run
     from hardware.files import read_toml
     from hardware.interruption import asked_to_end
     from hardware.recording import Log
+    from hardware.recording.reading import Ending
 
     loaded, setup = _settings(settings), _setup(radar_setup)
     extrinsics = read_toml(rig) if rig else {}
     n, missed, begun = Counter[str](), Counter[str](), time.monotonic()
+    endings: dict[str, Ending] = {}
+    limits: dict[str, Any] = {"duration_s": duration, "records": records, "endings": endings}
     with asked_to_end() as over, Log(out, extrinsics=extrinsics) as log:
-        incoming = run(urls, log, loaded, setup, duration_s=duration, records=records, over=over)
+        incoming = run(urls, log, loaded, setup, over=over, **limits)
         try:
             for received in incoming:
                 n[received.topic] += 1
@@ -97,6 +102,7 @@ def capture(
                 "heard: the bursts reach the radio after their time. Give the setup more time "
                 "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
             )
+    _tell({url.removeprefix("replay:").partition("?")[0]: end for url, end in endings.items()})
 
 
 def process(
@@ -130,7 +136,7 @@ def process(
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only)
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
-    n, failed, ending = 0, False, Ending(fault=None)
+    n, failed, ending = 0, False, Ending()
     with asked_to_end() as over, Log(target) as log:
         incoming = _records(source, settings, radar_setup, over, ending)
         for received in itertools.islice(incoming, records or None):
@@ -156,7 +162,7 @@ def process(
             whole = "whole " if failed else ""
             raise ValueError(f"{source}: no {whole}record in it{_because(ending)}")
     print(f"written: {target}")
-    _tell(source, ending)
+    _tell({source.removeprefix("replay:").partition("?")[0]: ending})
 
 
 def replay(
@@ -174,22 +180,29 @@ def replay(
         print(f"{since_s:10.3f} s  {received.topic}  {_flags(received)}", flush=True)
     if first_ns is None:
         raise ValueError(f"{path}: no record in it{_because(ending)}")
-    _tell(path, ending)
+    _tell({path: ending})
 
 
 def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
     """Say what is in a log."""
     from hardware.recording.reading import Ending, read_messages, unpacked
+    from hardware.records import SpiRecord
+    from hardware.records.spi import exposures_between
 
     ending, counts, types = Ending(), Counter[str](), dict[str, str]()
     flags, devices, times = Counter[str](), set[str](), [math.inf, -math.inf]
+    missing, last = Counter[str](), dict[str, SpiRecord]()
     for found in read_messages(path, ending):
         counts[found.topic] += 1
         types[found.topic] = found.schema.name
         times = [min(times[0], found.message.log_time), max(times[1], found.message.log_time)]
         if received := unpacked(path, found):
-            flags.update(_flag_counts(received.record.flags))
-            devices.add(received.record.device)
+            record = received.record
+            flags.update(_flag_counts(record.flags))
+            devices.add(record.device)
+            if isinstance(record, SpiRecord):
+                missing[found.topic] += exposures_between(last.get(found.topic), record)
+                last[found.topic] = record
     if ending.fault and not counts:
         raise ValueError(f"{path}: no whole message in it: {ending.fault}")
     length_s = max(times[1] - times[0], 0) * 1e-9 if counts else 0.0
@@ -199,6 +212,9 @@ def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
     for device in sorted(devices):
         print(f"  device: {device}")
     print("  flags: " + (", ".join(f"{n} {name}" for name, n in flags.items()) or "none"))
+    for topic, n in sorted(missing.items()):
+        if n:
+            print(f"  missing: {n} exposures of {topic}, between its records")
     if ending.fault:
         print(f"  {ending.advice(path)}")
     if ending.lost:
@@ -244,7 +260,7 @@ def export(
     if not n:
         raise ValueError(f"{path}: no radar record in it{_because(ending)}")
     print(f"{out}: {n} recordings")
-    _tell(path, ending)
+    _tell({path: ending})
 
 
 def calibrate_camera(
@@ -299,18 +315,19 @@ def _records(
 
     if ":" not in source and source.endswith(".mcap"):
         return read_records(source, ending)
-    return open_source(source, _settings(settings), _setup(radar_setup), over=over)
+    return open_source(source, _settings(settings), _setup(radar_setup), over=over, ending=ending)
 
 
 def _because(ending: "Ending") -> str:
     return f" ({ending.fault})" if ending.fault else ""
 
 
-def _tell(path: str | Path, ending: "Ending") -> None:
-    """Warn of a log that is not whole; where data of it are lost, the exit status says so."""
-    if ending.fault:
-        print(f"warning: {path}: {ending.advice(path)}", file=sys.stderr)
-    if ending.lost:
+def _tell(endings: Mapping[str | Path, "Ending"]) -> None:
+    """Warn of logs that are not whole; where data of one are lost, the exit status says so."""
+    for path, ending in endings.items():
+        if ending.fault:
+            print(f"warning: {path}: {ending.advice(path)}", file=sys.stderr)
+    if any(ending.lost for ending in endings.values()):
         raise typer.Exit(_DATA_LOST)
 
 

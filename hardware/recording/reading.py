@@ -5,7 +5,8 @@ import logging
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -20,7 +21,7 @@ from mcap.writer import CompressionType, Writer
 
 from hardware.drivers.clock import ClockModel
 from hardware.files import naming, partial_path, remove_leftovers
-from hardware.recording.kinds import BY_NAME, Record
+from hardware.recording.kinds import BY_NAME, KINDS, Record
 
 _log = logging.getLogger(__name__)
 
@@ -28,6 +29,8 @@ _MAGIC = b"\x89MCAP0\r\n"
 #: Of one chunk when unpacked. `Log` closes one at 1 MiB and the message that goes beyond; more is
 #: not taken into memory, whatever a file claims.
 _MOST_CHUNK_BYTES = 1 << 29
+#: Of a broken chunk: how much is unpacked at a time, and how far definitions are looked for.
+_PIECE_BYTES, _MOST_DEFINITIONS_BYTES = 1 << 14, 1 << 25
 
 
 @dataclass(frozen=True)
@@ -56,14 +59,15 @@ class Ending:
     Parameters
     ----------
     fault
-        Why it is not whole; None: it was finished and every chunk of it is.
+        Why it is not whole; None: it was finished and every chunk of it is, or nothing was met so
+        far.
     lost_bytes
         Of the file, in chunks and messages that are broken or cut off; the rest is read.
     lost_messages
         In those, as far as the index behind each broken chunk tells.
     """
 
-    fault: str | None = "it ends before its footer"
+    fault: str | None = None
     lost_bytes: int = 0
     lost_messages: int = 0
 
@@ -106,19 +110,42 @@ class _RefusedError(ValueError):
     """A chunk that is not read at all, whatever it holds."""
 
 
+class _Definitions:
+    """Channels and schemas by their numbers."""
+
+    def __init__(self) -> None:
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+
+    def take(self, records: Iterable[object]) -> None:
+        """Keep those among records."""
+        for found in records:
+            if isinstance(found, Schema):
+                self._schemas[found.id] = found
+            elif isinstance(found, Channel):
+                self._channels[found.id] = found
+
+    def of(self, message: Message) -> tuple[str, Schema] | None:
+        """Topic and schema of a message, None where they are not known."""
+        channel = self._channels.get(message.channel_id)
+        schema = self._schemas.get(channel.schema_id) if channel else None
+        return (channel.topic, schema) if channel and schema else None
+
+
 class _Walk:
     """Through the records of a file, from one to the next by their lengths."""
 
     def __init__(self, file: IO[bytes], size: int, ending: Ending) -> None:
         self._file, self._size, self._ending = file, size, ending
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
+        self._known = _Definitions()
         self._searched = False
+        self._doubtful = _Definitions()
+        self._end = "it ends before its footer"
         self.refused: str | None = None
 
     def messages(self) -> Iterator[Logged]:
         """Every message that can be read."""
-        broken, finished = None, False
+        finished = False
         given: int | None = None  # messages of the broken chunk just passed; None: none is broken
         for kind, at, length in self._heads():
             whole = at + length <= self._size
@@ -126,7 +153,7 @@ class _Walk:
                 finished = True
                 break
             if not whole:
-                self._ending.fault = "it ends within a record"
+                self._end = "it ends within a record"
                 if kind not in _WITHOUT_MESSAGES:
                     self._ending.lost_bytes += self._size - at
                 break
@@ -138,7 +165,7 @@ class _Walk:
                 continue
             given = None
             if kind == Opcode.DATA_END and not self._sums_up(at, length):
-                broken = broken or "the CRC-32 of the data is another"
+                self._note("the CRC-32 of the data is another")
             if kind not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
                 continue
             here = 0
@@ -151,12 +178,18 @@ class _Walk:
                     raise
                 if isinstance(error, _RefusedError):
                     self.refused = str(error)
-                broken, given = broken or _in_words(error), here
+                self._note(_in_words(error))
                 self._ending.lost_bytes += length
-        if finished:
-            self._ending.fault = broken
-        elif broken:
-            self._ending.fault = f"{broken}; {self._ending.fault}"
+                given = here
+                if kind == Opcode.CHUNK and not isinstance(error, _RefusedError):
+                    self._doubtful.take(_unchecked(self._body(at, length)))
+        if not finished:
+            before = f"{self._ending.fault}; " if self._ending.fault else ""
+            self._ending.fault = before + self._end
+
+    def _note(self, fault: str) -> None:
+        """Of several faults the first is told."""
+        self._ending.fault = self._ending.fault or fault
 
     def _heads(self, at: int = len(_MAGIC)) -> Iterator[tuple[int, int, int]]:
         """Kind of each record, where its content begins, and how long it says that is."""
@@ -164,7 +197,7 @@ class _Walk:
             self._file.seek(at)
             head = self._file.read(9)
             if len(head) < 9:
-                self._ending.fault = "it ends within a record"
+                self._end = "it ends within a record"
                 return
             length = int.from_bytes(head[1:], "little")
             yield head[0], at + 9, length
@@ -184,25 +217,46 @@ class _Walk:
             else (_one(kind, stream, len(body)),)
         )
         for found in within:
-            if isinstance(found, Schema):
-                self._schemas[found.id] = found
-            elif isinstance(found, Channel):
-                self._channels[found.id] = found
-            elif isinstance(found, Message):
-                if found.channel_id not in self._channels:
-                    self._search()
-                channel = self._channels[found.channel_id]
-                yield Logged(channel.topic, self._schemas[channel.schema_id], found)
+            self._known.take([found])
+            if isinstance(found, Message) and (logged := self._logged(found)):
+                yield logged
+
+    def _logged(self, found: Message) -> Logged | None:
+        """A message with its topic and schema; None, and it is lost, where nothing tells them."""
+        if not self._known.of(found) and not self._searched:
+            self._searched = True
+            self._search()
+        told = self._known.of(found) or self._by_content(found) or self._doubtful.of(found)
+        if told:
+            return Logged(*told, found)
+        number = found.channel_id
+        self._note(f"a message refers to channel {number}, whose definition is lost or none")
+        self._ending.lost_bytes += len(found.data)
+        self._ending.lost_messages += 1
+        return None
 
     def _search(self) -> None:
-        """Take channels and schemas from the summary: the chunk that defined them is broken."""
-        if self._searched:
-            return
-        self._searched = True
+        """Take definitions from the summary: the chunk that held them is broken."""
         for kind, at, length in self._heads():
             if kind in (Opcode.SCHEMA, Opcode.CHANNEL) and at + length <= self._size:
                 for _ in self._in_record(kind, self._body(at, length)):
                     pass
+
+    def _by_content(self, found: Message) -> tuple[str, Schema] | None:
+        """Topic and schema of a record, which says itself what it is; the topic by the number of
+        its channel, unless what is left of a broken chunk names it.
+        """
+        for kind in KINDS:
+            try:
+                kind.unpack(found.data)
+            except (TypeError, ValueError, OverflowError):
+                continue
+            topic = f"/channel{found.channel_id}/record"
+            text = kind.definition.text.encode()
+            told = self._doubtful.of(found)
+            schema = Schema(0, text, "ros2msg", kind.definition.name)
+            return told[0] if told else topic, schema
+        return None
 
     def _sums_up(self, at: int, length: int) -> bool:
         """Whether everything before this end of the data has the CRC-32 in it; 0 there: none."""
@@ -228,13 +282,11 @@ _WITHOUT_MESSAGES = set(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
 
 def _of_the_data(error: Exception) -> bool:
     """Whether an error is of spoilt data (zstandard has classes of its own, lz4 RuntimeError)."""
-    known = (McapError, EOFError, KeyError, OSError, RuntimeError, ValueError, struct.error)
+    known = (McapError, EOFError, OSError, RuntimeError, ValueError, struct.error)
     return isinstance(error, known) or type(error).__module__.split(".")[0] == "zstandard"
 
 
 def _in_words(error: Exception) -> str:
-    if isinstance(error, KeyError):
-        return f"a message refers to channel or schema {error}, which is not there"
     if isinstance(error, (EOFError, EndOfFile, struct.error)):
         return "a record ends too early"
     return str(error) or type(error).__name__
@@ -249,6 +301,29 @@ def _in_chunk(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
             f"a chunk compressed by {chunk.compression!r:.20}, expected zstd or lz4"
         )
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    yield from _records(stream, length)
+
+
+def _unchecked(body: bytes) -> Iterator[Schema | Channel | Message]:
+    """Records of a broken chunk up to where they make no sense, whatever its CRC-32 says."""
+    with suppress(Exception):  # of spoilt bytes readers raise whatever there is
+        chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+        data = _unpacked(chunk.data) if chunk.compression == "zstd" else chunk.data
+        yield from _records(ReadDataStream(BytesIO(data)), len(data))
+
+
+def _unpacked(data: bytes) -> bytes:
+    """What of a broken zstd frame can be unpacked: all up to the broken block."""
+    import zstandard
+
+    unpacked, reader = bytearray(), zstandard.ZstdDecompressor().stream_reader(data)
+    with suppress(zstandard.ZstdError):
+        while (piece := reader.read(_PIECE_BYTES)) and len(unpacked) < _MOST_DEFINITIONS_BYTES:
+            unpacked += piece
+    return bytes(unpacked)
+
+
+def _records(stream: ReadDataStream, length: int) -> Iterator[Schema | Channel | Message]:
     while stream.count < length:
         kind, size = stream.read1(), stream.read8()
         if kind == 0:

@@ -147,6 +147,16 @@ class SpiRecord:
         return electrons.reshape(self.patterns.n_exposures, len(self.shutters), -1)
 
 
+def exposures_between(before: SpiRecord | None, after: SpiRecord) -> int:
+    """How many exposures a device numbered between two of its records: those of whole sets that
+    never came. 0 for the first record, for another device, and where numbers begin anew.
+    """
+    if before is None or before.device != after.device:
+        return 0
+    step = (int(after.sequence[0]) - int(before.sequence[-1]) - 1) % 2**32
+    return step if step < 2**31 else 0
+
+
 LAYOUT = container.Layout(
     format="ugv-spi-record",
     version=3,

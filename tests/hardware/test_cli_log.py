@@ -110,13 +110,15 @@ def test_exit_statuses_tell_what_became_of_a_damaged_log(tmp_path: Path) -> None
         ["info", run],
         ["replay", run],
         ["process", run, "-o", tmp_path / "out.mcap"],
+        ["process", f"replay:{run}?pace=fast", "-o", tmp_path / "again.mcap"],
+        ["capture", f"replay:{run}?pace=fast", "-o", tmp_path / "copy.mcap"],
         ["recover", run],
     ):
         done = ugv(*arguments)
         assert done.returncode == 1, done.stderr
         assert "2 messages" in done.stdout + done.stderr
         assert "Traceback" not in done.stderr
-    assert len(list(read_records(run))) == 3
+    assert len(list(read_records(run))) == len(list(read_records(tmp_path / "copy.mcap"))) == 3
     assert ugv("info", run).returncode == ugv("recover", run).returncode == 0
     assert (tmp_path / "run-damaged.mcap").read_bytes() == data
 
@@ -131,6 +133,39 @@ def test_exit_statuses_tell_what_became_of_a_damaged_log(tmp_path: Path) -> None
     done = ugv("export", whole, "-o", tmp_path / "iq")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert not (tmp_path / "iq").exists()
+
+
+def test_info_tells_of_sets_that_never_came(tmp_path: Path) -> None:
+    """Flags are of exposures that are there. Of a drive of four sets the second and third are
+    missing, by the device's own numbers; a device that starts anew, and wraps round, misses none.
+    """
+    made = record(np.full(64, 9.0))
+    n = len(made.sequence)
+    for starts, missing in (([0, 3 * n], 2 * n), ([0, n, 0, n], 0), ([2**32 - n, 0], 0)):
+        run = tmp_path / f"{missing}-{len(starts)}.mcap"
+        with Log(run) as log:
+            for host_ns, start in enumerate(starts):
+                numbers = (start + np.arange(n)).astype(np.uint32)
+                log.record("/spi/record", replace(made, sequence=numbers), host_ns=host_ns)
+        told = ugv("info", run).stdout
+        assert "flags: none" in told
+        expected = f"missing: {missing} exposures of /spi/record, between its records"
+        assert (expected in told) is (missing > 0)
+        assert ("missing" in told) is (missing > 0)
+
+
+def test_an_unfinished_log_is_told_where_it_is_replayed_from(tmp_path: Path) -> None:
+    """Cut at the end of a chunk nothing is lost: status 0, and what finishes the log is said."""
+    run = tmp_path / "run.mcap"
+    with Log(run, flush_s=1e9) as log:
+        log.record("/spi/record", record(np.full(64, 9.0)), host_ns=0)
+        log.flush()
+        flushed = run.stat().st_size
+    run.write_bytes(run.read_bytes()[:flushed])
+    for command, source in (("process", run), ("capture", f"replay:{run}?pace=fast")):
+        done = ugv(command, source, "-o", tmp_path / f"{command}.mcap")
+        assert done.returncode == 0, done.stderr
+        assert "not finished: it ends before its footer; `ugv recover" in done.stderr
 
 
 def test_sources_at_once_keep_their_topics_and_their_records(firmware: Any, tmp_path: Path) -> None:

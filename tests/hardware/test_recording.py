@@ -318,6 +318,36 @@ def test_a_broken_chunk_takes_none_of_the_others_with_it(tmp_path: Path, broken:
     assert (again.kept, again.ending.fault, again.original) == (6, None, None)
 
 
+@pytest.mark.parametrize("place", [0.1, 0.5, 0.99])
+def test_a_log_without_summary_and_first_chunk_keeps_the_others(
+    tmp_path: Path, place: float
+) -> None:
+    """Killed before its summary, and one bit of the chunk spoilt that alone defines the topics: the
+    three other records come back bit for bit, with their topic where it can be unpacked still, and
+    `recover` makes a log of them that names its topics itself.
+    """
+    path = tmp_path / "run.mcap"
+    chunks = of_chunks(path)
+    begin, end = chunks[0]
+    data = bytearray(path.read_bytes()[: chunks[-1][1]])
+    data[begin + int(place * (end - begin))] ^= 1
+    path.write_bytes(data)
+    found = list(read_records(path, ending := Ending()))
+    assert [received.host_ns for received in found] == [1, 2, 3]
+    for seed, received in enumerate(found, 1):
+        assert_same(received.record, camera_record(seed))
+    assert ending.fault is not None
+    assert ending.lost_bytes >= end - begin
+    if place > 0.1:  # the first block, which holds the definitions, is whole
+        assert {received.topic for received in found} == {"/spi/record"}
+    done = recover(path)
+    assert done.kept >= 3
+    assert done.original == tmp_path / "run-damaged.mcap"
+    again = Ending()
+    assert [received.host_ns for received in read_records(path, again)] == [1, 2, 3]
+    assert again.fault is None
+
+
 def test_a_message_outside_chunks_is_covered_by_the_crc_of_the_data(tmp_path: Path) -> None:
     """As other writers may lay out a log; one bit of the payload, and the reader says so."""
     path = tmp_path / "other.mcap"
