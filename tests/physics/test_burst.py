@@ -26,13 +26,16 @@ def echoes(n: int, n_steps: int, seed: int = 0, speed: float = 20.0) -> Contribu
         rng.normal(size=shape) + 1j * rng.normal(size=shape),
         rng.uniform(1e-9, 9e-7, n),
         2 * speed / light_speed * rng.uniform(-1, 1, n),
+        2 * speed**2 / 10 / light_speed * rng.uniform(0, 1, n),
         unit_vectors(rng, n),
         unit_vectors(rng, n),
     )
 
 
 def definition(part: Contributions, burst: Burst) -> np.ndarray:
-    """exp(-j 2 pi (fc + f) (tau + rate t - (d . p + a . q) / c)), in float64, nothing shared."""
+    """exp(-j 2 pi (fc + f) (tau + rate t + acceleration t^2 / 2 - (d . p + a . q) / c)), in
+    float64, nothing shared.
+    """
     wave = burst.waveform
     amplitude = np.broadcast_to(part.amplitude, (len(burst.carriers_hz), len(part.delay_s)))
     shape = (len(burst.carriers_hz), wave.n_slots, len(burst.receivers_m), wave.n_subcarriers)
@@ -42,6 +45,7 @@ def definition(part: Contributions, burst: Burst) -> np.ndarray:
         sender = burst.transmitters_m[slot % len(burst.transmitters_m)]
         length = part.departure @ sender + part.arrival @ burst.receivers_m[receiver]
         delay = part.delay_s + part.delay_rate * time - length / light_speed
+        delay += part.delay_acceleration_per_s * time**2 / 2
         f = (np.arange(wave.n_subcarriers) - wave.n_subcarriers // 2) * wave.subcarrier_spacing_hz
         cycles = (burst.carriers_hz[step] + f)[:, None] * delay
         found[step, slot, receiver] = np.exp(-2j * np.pi * (cycles % 1.0)) @ amplitude[step]
@@ -98,7 +102,8 @@ def test_one_step_and_one_antenna_is_the_plain_channel() -> None:
 def test_what_goes_straight_across_does_not_depend_on_places() -> None:
     """Leakage: no direction, so every pair of antennas has the same."""
     nowhere = np.zeros((1, 3))
-    part = Contributions(np.ones(1, complex), np.array([3e-9]), np.zeros(1), nowhere, nowhere)
+    still = np.zeros(1)
+    part = Contributions(np.ones(1, complex), np.array([3e-9]), still, still, nowhere, nowhere)
     found = burst_channel(part, BURSTS["array"])
     np.testing.assert_allclose(found, np.broadcast_to(found[:, :1, :1], found.shape), rtol=1e-12)
 
@@ -113,7 +118,8 @@ def test_a_targets_angle_is_in_the_phase_from_antenna_to_antenna() -> None:
     burst = Burst(WIDE, np.array([79e9]), np.zeros(1), line(3, 4 * half), line(4, half))
     azimuth = np.radians(17.0)
     towards = np.array([[np.cos(azimuth), np.sin(azimuth), 0.0]])
-    part = Contributions(np.ones(1, complex), np.array([2e-7]), np.zeros(1), towards, towards)
+    still = np.zeros(1)
+    part = Contributions(np.ones(1, complex), np.array([2e-7]), still, still, towards, towards)
     middle = WIDE.n_subcarriers // 2
     virtual = burst_channel(part, burst)[0, :3, :, middle].ravel()
     steps = np.angle(virtual[1:] / virtual[:-1])

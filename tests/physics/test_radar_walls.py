@@ -111,7 +111,7 @@ def test_a_point_behind_a_wall_at_every_subcarrier(
 
 def test_ringing_over_two_different_ways() -> None:
     """Out and home through walls that ring otherwise: both geometric series, multiplied out."""
-    one = Rays(*(np.ones(shape) for shape in (1, 1, 1, (1, 3), (1, 3), 1, 1, 1)))
+    one = Rays(*(np.ones(shape) for shape in (1, 1, 1, 1, (1, 3), (1, 3), 1, 1, 1)))
     first, second = 0.3 * np.exp(1j), 0.2 + 0j
     rings = [
         Ring(np.array([rho]), np.array([lag])) for rho, lag in ((first, 0.011), (second, 0.007))

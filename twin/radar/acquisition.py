@@ -246,6 +246,7 @@ def _of_leakage(radar: RadarDesign) -> Contributions:
         amplitude=np.full((len(radar.burst.carriers_hz), 1), level, dtype=np.complex128),
         delay_s=np.array([radar.leakage.delay_s.value]),
         delay_rate=np.zeros(1),
+        delay_acceleration_per_s=np.zeros(1),
         departure=nowhere,
         arrival=nowhere,
     )

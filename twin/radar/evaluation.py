@@ -215,12 +215,14 @@ def write_paths(paths: Sequence[RadioPath], path: Path) -> None:
             "range_m": p.range_m,
             "delay_s": p.delay_s,
             "delay_rate": p.delay_rate,
+            "delay_acceleration_per_s": p.delay_acceleration_per_s,
             "gain_db": 20 * np.log10(abs(p.amplitude)),
             "phase_rad": float(np.angle(p.amplitude)),
         }
         for p in paths
     )
-    _write(path, ["via", "range_m", "delay_s", "delay_rate", "gain_db", "phase_rad"], rows)
+    names = ["via", "range_m", "delay_s", "delay_rate", "delay_acceleration_per_s"]
+    _write(path, [*names, "gain_db", "phase_rad"], rows)
 
 
 def _write(path: Path, names: list[str], rows: Iterable[dict[str, Any]]) -> None:

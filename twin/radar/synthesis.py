@@ -1,14 +1,14 @@
 """Contributions to the channel: type-1 non-uniform FFTs with range migration.
 
-H[n, m] = sum_i a_i exp(-j 2 pi (fc + f_n) (tau_i + rate_i t_m))
+H[n, m] = sum_i a_i exp(-j 2 pi (fc + f_n) (tau_i + rate_i t_m + acceleration_i t_m^2 / 2))
 
-The carrier's phase is taken in float64 before anything else. Contributions of nearly the same rate
-move as one body: their bulk motion through Doppler and range cells (5 of them for 20 m/s in 10 ms
-at 4 GHz) is taken out in closed form. What is left of the motion is slow: transforms along
-frequency at a few times within the interval hold it all, and the slots in between are interpolated;
-a world at rest takes one. Where that would take too many, one transform along frequency and Doppler
-does it, with a short Taylor series for what still couples them. Where rates differ too much for
-bodies, one transform per slot is exact.
+The carrier's phase is taken in float64 before anything else. What is at rest, and contributions of
+nearly the same rate, are bodies: their bulk motion through Doppler and range cells (5 of them for
+20 m/s in 10 ms at 4 GHz) is taken out in closed form. What is left of the motion is slow:
+transforms along frequency at a few times within the interval hold it all, and the slots in between
+are interpolated; a world at rest takes one. Where that would take too many, one transform along
+frequency and Doppler does it, with a short Taylor series for what still couples them and for
+accelerations. Where rates differ too much for bodies, one transform per slot is exact.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _SERIES_RAD = 0.35  # coupled phase left to the series, at most
+_MOST_BENT_RAD = 4.0  # phase of accelerations beyond which a series of it is not worth it
 _MOST_BODIES = 6  # beyond that the exact way is faster
 _MANY_POINTS = 200_000  # from which several threads are used
 _HANDFUL = 64  # echoes times terms up to which their sum is a matrix product
@@ -35,7 +36,8 @@ _BLOCK = 64  # subcarriers whose migration shares its coarse steps
 
 @dataclass(frozen=True, eq=False)
 class Contributions:
-    """Echoes, each (n,): amplitude, delay in s, and its rate in s/s (positive: receding).
+    """Echoes, each (n,): amplitude, delay in s, its rate in s/s (positive: receding) and the rate's
+    rate in 1/s: a target that crosses at v in R has 2 v^2 / (R c).
 
     The amplitude is that of the wave relative to the sent one, without the phase of the delay; of a
     radar that steps its carrier it may be (n_steps, n).
@@ -48,14 +50,39 @@ class Contributions:
     amplitude: Complex
     delay_s: Array
     delay_rate: Array
+    delay_acceleration_per_s: Array
     departure: Array
     arrival: Array
 
     @staticmethod
-    def ahead(amplitude: Complex, delay_s: Array, delay_rate: Array) -> "Contributions":
-        """Echoes from straight ahead."""
+    def ahead(
+        amplitude: Complex,
+        delay_s: Array,
+        delay_rate: Array,
+        delay_acceleration_per_s: Array | None = None,
+    ) -> "Contributions":
+        """Echoes from straight ahead; without acceleration by default."""
         forward = np.tile([1.0, 0.0, 0.0], (len(delay_s), 1)).reshape(-1, 3)
-        return Contributions(amplitude, delay_s, delay_rate, forward, forward)
+        faster = np.zeros(len(delay_s))
+        if delay_acceleration_per_s is not None:
+            faster = delay_acceleration_per_s
+        return Contributions(amplitude, delay_s, delay_rate, faster, forward, forward)
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Whether the delay of each changes at all, (n,)."""
+        found: NDArray[np.bool_] = (self.delay_rate != 0) | (self.delay_acceleration_per_s != 0)
+        return found
+
+    def delays_at(self, time_s: float) -> Array:
+        """Delays at a time, (n,)."""
+        if time_s == 0:
+            return self.delay_s
+        moved = (time_s / 2) * self.delay_acceleration_per_s
+        moved += self.delay_rate
+        moved *= time_s
+        moved += self.delay_s
+        return moved
 
     @staticmethod
     def none() -> "Contributions":
@@ -87,12 +114,13 @@ def synthesize(
     tolerance
         Bounds the error relative to the channel's root mean square (NUFFT and Taylor series).
     """
-    bodies = _bodies(contributions, waveform)
-    if len(bodies) > _MOST_BODIES:
-        return _at_times(contributions, waveform.slot_times_s, waveform, tolerance)
     channel = np.zeros((waveform.n_subcarriers, waveform.n_slots), dtype=np.complex128)
-    for members in bodies:
-        channel += _body(_chosen(contributions, members), waveform, tolerance)
+    for members, is_body in _groups(contributions, waveform):
+        part = _chosen(contributions, members)
+        if is_body:
+            channel += _body(part, waveform, tolerance)
+        else:
+            channel += _at_times(part, waveform.slot_times_s, waveform, tolerance)
     return channel
 
 
@@ -103,77 +131,117 @@ def direct_sum(
     channel = np.zeros((len(frequencies_hz), len(times_s)), dtype=np.complex128)
     for start in range(0, len(contributions.delay_s), 4096):
         part = _chosen(contributions, slice(start, start + 4096))
-        moved = part.delay_s[:, None] + part.delay_rate[:, None] * times_s
+        moved = np.stack([part.delays_at(time) for time in times_s], axis=1)
         for row, frequency in enumerate(frequencies_hz):
             cycles = (carrier_hz + frequency) * moved
             channel[row] += part.amplitude @ np.exp(-2j * np.pi * (cycles % 1.0))
     return channel
 
 
-def _bodies(
+def _groups(
     contributions: Contributions, waveform: OfdmWaveform
-) -> "list[NDArray[np.intp] | slice]":
-    """Groups of contributions whose rates are so close that the series converges at once."""
-    rates = contributions.delay_rate
+) -> "list[tuple[NDArray[np.intp] | slice, bool]]":
+    """What is at rest; and what moves, as bodies of which the rates are so close that the series
+    converges at once. True: a body; False: what would make too many of them.
+    """
+    rates, is_moving = contributions.delay_rate, contributions.moving
     if not rates.size:
         return []
     half_band = waveform.bandwidth_hz / 2
     half_time = waveform.n_slots * waveform.slot_period_s / 2
     width = 2 * _SERIES_RAD / (2 * np.pi * half_band * half_time)
-    if np.ptp(rates) <= width:
-        return [slice(None)]
-    order = np.argsort(rates, kind="stable")
-    groups: list[NDArray[np.intp] | slice] = []
+    if not is_moving.any() or (is_moving.all() and np.ptp(rates) <= width):
+        return [(slice(None), True)]
+    at_rest, moving = np.flatnonzero(~is_moving), np.flatnonzero(is_moving)
+    rest: list[tuple[NDArray[np.intp] | slice, bool]] = [(at_rest, True)] if at_rest.size else []
+    order = moving[np.argsort(rates[moving], kind="stable")]
+    bodies: list[tuple[NDArray[np.intp] | slice, bool]] = []
     start, rates = 0, rates[order]
-    while start < len(order) and len(groups) <= _MOST_BODIES:
+    while start < len(order):
+        if len(bodies) == _MOST_BODIES:
+            return [*rest, (moving, False)]
         stop = int(np.searchsorted(rates, rates[start] + width, side="right"))
-        groups.append(order[start:stop])
+        bodies.append((order[start:stop], True))
         start = stop
-    return groups
+    return rest + bodies
 
 
 def _body(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Complex:
     """One group: bulk motion in closed form, the spread around it by the cheapest way."""
-    bulk = (part.delay_rate.max() + part.delay_rate.min()) / 2
-    spread = part.delay_rate - bulk
-    phase_per_hz = 2 * np.pi * float(np.abs(waveform.slot_times_s).max() * np.abs(spread).max())
-    highest = waveform.bandwidth_hz / 2
-    terms = _terms(phase_per_hz * highest, tolerance)
-    if len(spread) * terms <= _HANDFUL:
-        return _by_series(part, bulk, terms, _products, waveform, tolerance)
-    times = _times(phase_per_hz * (waveform.carrier_hz + highest), waveform, tolerance)
+    bulk = _middle(part.delay_rate), _middle(part.delay_acceleration_per_s)
+    spread = replace(
+        part,
+        delay_rate=part.delay_rate - bulk[0],
+        delay_acceleration_per_s=part.delay_acceleration_per_s - bulk[1],
+    )
+    latest, highest = float(np.abs(waveform.slot_times_s).max()), waveform.bandwidth_hz / 2
+    # Per Hz: phases at the interval's end that rates and accelerations leave.
+    linear = 2 * np.pi * latest * float(np.abs(spread.delay_rate).max())
+    square = np.pi * latest**2 * float(np.abs(spread.delay_acceleration_per_s).max())
+    top = waveform.carrier_hz + highest
+    terms = _terms(linear * highest, square * top, tolerance)
+    if terms and len(part.delay_s) * sum(terms) <= _HANDFUL:
+        return _by_series(part, spread, bulk, terms, _products, waveform, tolerance)
+    times = _times(linear * top, square * top, waveform, tolerance)
     n, cells = waveform.n_subcarriers, waveform.n_subcarriers * waveform.n_slots
-    if len(times) * (_ANEW * len(spread) + n) > terms * (len(spread) + cells):
-        return _by_series(part, bulk, terms, _grids, waveform, tolerance)
-    found = _at_times(replace(part, delay_rate=spread), times, waveform, tolerance)
+    points = len(part.delay_s)
+    if terms and len(times) * (_ANEW * points + n) > sum(terms) * (points + cells):
+        return _by_series(part, spread, bulk, terms, _grids, waveform, tolerance)
+    found = _at_times(spread, times, waveform, tolerance)
     if 1 < len(times) < waveform.n_slots:
         found = _product(found, _interpolation(times, waveform.slot_times_s))
-    return found * _migration(bulk, waveform, waveform.carrier_hz) if bulk else found
+    return found * _migration(bulk, waveform) if any(bulk) else found
+
+
+def _middle(values: Array) -> float:
+    return float(values.max() + values.min()) / 2
 
 
 def _by_series(
     part: Contributions,
-    bulk: float,
-    terms: int,
+    spread: Contributions,
+    bulk: tuple[float, float],
+    terms: Sequence[int],
     transform: Callable[[Contributions, Array, OfdmWaveform, float], Complex],
     waveform: OfdmWaveform,
     tolerance: float,
 ) -> Complex:
     """Transforms along frequency and Doppler, with what couples both as a series around the bulk.
 
-    exp(-j 2 pi f t d) = sum_k (-j 2 pi f t)^k d^k / k! with d a rate's distance from the bulk.
+    exp(-j 2 pi f t d) = sum_k (-j 2 pi f t)^k d^k / k! with d a rate's distance from the bulk, and
+    the same of accelerations in (fc + f) t^2 / 2. ``terms``: of the former with each power of the
+    latter; ``spread``: the part without its bulk motion.
     """
-    f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
-    spread = part.delay_rate - bulk
-    unit = max(float(np.abs(spread).max()), np.finfo(float).tiny)  # keeps powers of d near 1
-    powers = np.stack([(spread / unit) ** k / factorial(k) for k in range(terms)])
-    channel, *grids = transform(part, powers, waveform, tolerance)[::-1]
-    if grids:
-        coupling = (-2j * np.pi * unit * f)[:, None] * t
-        for grid in grids:  # Horner
-            channel *= coupling
+    carrier, f, t = waveform.carrier_hz, waveform.frequency_offsets_hz, waveform.slot_times_s
+    slow, rates = _scaled(spread.delay_rate)
+    bent, accelerations = _scaled(spread.delay_acceleration_per_s)
+    powers = [
+        rates**i / factorial(i) * (accelerations**k / factorial(k))
+        for k, count in enumerate(terms)
+        for i in range(count)
+    ]
+    grids = transform(part, np.stack(powers), waveform, tolerance)
+    series = np.split(grids, np.cumsum(terms)[:-1])
+    coupled = [_horner(some, -2j * np.pi * slow * f, t) for some in series]
+    channel = _horner(coupled, -1j * np.pi * bent * (carrier + f), t**2)
+    return channel * _migration(bulk, waveform, by_rate=False) if any(bulk) else channel
+
+
+def _horner(grids: list[Complex] | Complex, along_f: NDArray[Any], along_t: Array) -> Complex:
+    """Sum of grids times powers of a product of both."""
+    channel, *rest = grids[::-1]
+    if rest:
+        factor = along_f[:, None] * along_t
+        for grid in rest:
+            channel *= factor
             channel += grid
-    return channel * _migration(bulk, waveform) if bulk else channel
+    return channel
+
+
+def _scaled(values: Array) -> tuple[float, Array]:
+    """The largest of some values, and all of them over it: powers of these stay near 1."""
+    unit = max(float(np.abs(values).max()), np.finfo(float).tiny)
+    return unit, values / unit
 
 
 def _grids(part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float) -> Complex:
@@ -214,24 +282,28 @@ def _at_times(
     n, options = waveform.n_subcarriers, _options(tolerance, len(part.delay_s))
     found = np.empty((len(times), n), dtype=np.complex128)
     for row, time in zip(found, times, strict=True):
-        delay = part.delay_s + part.delay_rate * time
+        delay = part.delays_at(time)
         strengths = part.amplitude * _turned(-_wrapped(waveform.carrier_hz * delay))
         x = 2 * np.pi * _wrapped(waveform.subcarrier_spacing_hz * delay)
         row[:] = finufft.nufft1d1(x, strengths, n, **options)
     return found.T
 
 
-def _times(phase_rad: float, waveform: OfdmWaveform, tolerance: float) -> Array:
-    """Times that hold a motion of up to a phase either way from the interval's middle.
+def _times(linear_rad: float, square_rad: float, waveform: OfdmWaveform, tolerance: float) -> Array:
+    """Times that hold a motion of up to a phase either way from the interval's middle, linear and
+    square in time.
 
-    Chebyshev's points; K of them leave of exp(j phase x) at most 4 J_K(phase) on average, and
-    J_K(phase) <= (phase / 2)^K / K! (Trefethen, Approximation Theory and Practice, 2013, ch. 4).
-    The slots themselves where they are no more.
+    Chebyshev's points; K of them leave of exp(j a x) at most 4 J_K(a) on average, and
+    J_K(a) <= (a / 2)^K / K! (Trefethen, Approximation Theory and Practice, 2013, ch. 4). As
+    x^2 = (1 + T_2(x)) / 2, exp(j (a x + b x^2)) leaves at most the coefficient of z^K in
+    exp(a z / 2 + b z^2 / 4). The slots themselves where they are no more.
     """
-    count, rest = 1, 4 * phase_rad / 2
-    while rest > tolerance / 4 and count < waveform.n_slots:
+    count, last, rest = 1, 1.0, linear_rad / 2
+    following = (linear_rad / 2 * rest + square_rad / 2 * last) / 2
+    while 4 * max(rest, following) > tolerance / 4 and count < waveform.n_slots:
         count += 1
-        rest *= phase_rad / 2 / count
+        last, rest = rest, following
+        following = (linear_rad / 2 * rest + square_rad / 2 * last) / (count + 1)
     if count == waveform.n_slots:
         return waveform.slot_times_s
     nodes: Array = np.cos(np.pi * (np.arange(count) + 0.5) / count)
@@ -262,13 +334,20 @@ def _product(columns: Complex, weights: Array) -> Complex:
     return found
 
 
-def _migration(rate: float, waveform: OfdmWaveform, carrier_hz: float = 0.0) -> Complex:
-    """exp(-j 2 pi (carrier + f) rate t): coarse steps between blocks of subcarriers, fine ones
-    within.
+def _migration(
+    bulk: tuple[float, float], waveform: OfdmWaveform, *, by_rate: bool = True
+) -> Complex:
+    """exp(-j 2 pi (fc + f) (rate t + acceleration t^2 / 2)): coarse steps between blocks of
+    subcarriers, fine ones within.
+
+    ``by_rate``: also what the rate turns the carrier by.
     """
-    n, turns = waveform.n_subcarriers, -rate * waveform.slot_times_s
-    step = waveform.subcarrier_spacing_hz * turns
-    coarse = _turned(carrier_hz * turns + (np.arange(0, n, _BLOCK) - n // 2)[:, None] * step)
+    (rate, acceleration), t, n = bulk, waveform.slot_times_s, waveform.n_subcarriers
+    curved = acceleration / 2 * t**2
+    moved = rate * t + curved
+    turns = waveform.carrier_hz * (moved if by_rate else curved)
+    step = -waveform.subcarrier_spacing_hz * moved
+    coarse = _turned((np.arange(0, n, _BLOCK) - n // 2)[:, None] * step - turns)
     fine = _turned(np.arange(_BLOCK)[:, None] * step)
     return (coarse[:, None] * fine).reshape(-1, waveform.n_slots)[:n]
 
@@ -298,12 +377,22 @@ def _turned(cycles: Array) -> Complex:
     return phasor
 
 
-def _terms(phase_rad: float, tolerance: float) -> int:
-    """Terms of the series of exp(j phase) until the rest is below the tolerance."""
-    terms, rest = 1, phase_rad
-    while rest > tolerance / 2:
-        terms += 1
-        rest *= phase_rad / terms
+def _terms(coupled_rad: float, bent_rad: float, tolerance: float) -> list[int]:
+    """Terms of the series of exp(j coupled) with each power of the series of exp(j bent), until
+    the rest is below the tolerance; none where ``bent`` is too much for one.
+    """
+    terms: list[int] = []
+    if bent_rad > _MOST_BENT_RAD:
+        return terms
+    bent, enough = 1.0, tolerance / 2
+    while bent > enough:
+        count, rest = 1, bent * coupled_rad
+        while rest > enough:
+            count += 1
+            rest *= coupled_rad / count
+        terms.append(count)
+        bent *= bent_rad / len(terms)
+        enough = tolerance / 8  # several rests are left
     return terms
 
 
@@ -312,6 +401,7 @@ def _chosen(part: Contributions, which: "NDArray[np.intp] | slice") -> Contribut
         part.amplitude[which],
         part.delay_s[which],
         part.delay_rate[which],
+        part.delay_acceleration_per_s[which],
         part.departure[which],
         part.arrival[which],
     )

@@ -60,10 +60,13 @@ class Burst:
         nearer_m = echoes.departure @ self.transmitters_m[transmitter]
         nearer_m += echoes.arrival @ self.receivers_m[receiver]
         amplitude = echoes.amplitude if echoes.amplitude.ndim == 1 else echoes.amplitude[step]
+        faster = echoes.delay_acceleration_per_s * middle
+        moved = (echoes.delay_rate + faster / 2) * middle
         return replace(
             echoes,
             amplitude=amplitude,
-            delay_s=echoes.delay_s + echoes.delay_rate * middle - nearer_m / C_M_PER_S,
+            delay_s=echoes.delay_s + moved - nearer_m / C_M_PER_S,
+            delay_rate=echoes.delay_rate + faster,
         )
 
 

@@ -78,6 +78,7 @@ def _paths(
             amplitude=complex(found.amplitude[k]) * stage.wavelength_m,
             delay_s=float(found.delay_s[k]),
             delay_rate=float(found.delay_rate[k]),
+            delay_acceleration_per_s=float(found.delay_acceleration_per_s[k]),
             departure=_triple(found.departure[k]),
             arrival=_triple(found.arrival[k]),
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.points import between, point_legs
-from twin.radar.propagation.rays import Rays
+from twin.radar.propagation.rays import Rays, lengthening
 from twin.radar.scattering.kernel import turned
 from twin.scene import Target
 from twin.transfer import host, vector
@@ -43,10 +43,12 @@ def mirror_echoes(s: Station) -> Rays:
     (heard,) = host([turned(s.vertical, -s.boresight, vector(s.mi, exact.back, "Vector3d"))], count)
     amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * heard, axis=1)
     none = np.zeros(count, dtype=np.uint32)
+    rate, acceleration = lengthening(-exact.velocity, -exact.back, exact.length)
     return Rays(
         amplitude=amplitude,
         length_m=exact.length + nearest.extra,
-        rate_m_per_s=nearest.rate,
+        rate_m_per_s=rate,
+        acceleration_m_per_s2=acceleration,
         departure=exact.departure,
         arrival=exact.back,
         object=none,

@@ -5,6 +5,7 @@ import numpy as np
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.paths import Path, Propagation
+from twin.radar.propagation.rays import lengthening
 from twin.scene import Scene
 
 
@@ -23,14 +24,16 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
         received = radar.received_power_w(distance, target.rcs_m2, (ahead, left, up))
         if received == 0:
             continue
-        rate = float(np.asarray(target.velocity_m_per_s) @ towards) / distance
+        velocity = np.asarray(target.velocity_m_per_s)
+        rate, acceleration = lengthening(velocity, towards / distance, distance)
         paths.append(
             Path(
                 via=(target.name,),
                 target=target.name,
                 amplitude=complex(np.sqrt(received / sent)),
                 delay_s=2 * distance / C_M_PER_S,
-                delay_rate=2 * rate / C_M_PER_S,
+                delay_rate=2 * float(rate) / C_M_PER_S,
+                delay_acceleration_per_s=2 * float(acceleration) / C_M_PER_S,
                 departure=(ahead, left, up),
                 arrival=(ahead, left, up),
             )

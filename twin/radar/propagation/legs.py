@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.images import Image
+from twin.radar.propagation.rays import NEAREST_M
 from twin.radar.propagation.walls import Passage, Walls, cross, no_passage
 from twin.radar.propagation.world import Flat, Mesher
 from twin.radar.scattering.kernel import coefficients_at, reflected, turned
@@ -24,13 +25,16 @@ Array = NDArray[np.float64]
 #: Rays start this far off a surface, over the distance from the anchor: 16 steps of float32. Twice
 #: as much loses 0.4 dB of a corner reflector of 8 cm at 1 km.
 OFF_SURFACE = 1e-6
+#: Numbers per reflection in `Station.levels`: image before it, a point of the plane, its normal.
+LEVEL = 9
 
 
 @dataclass(frozen=True, eq=False)
 class Station:
     """What all legs share: the world, the antenna, the images, the coefficients of reflection.
 
-    ``order`` is the largest number of reflections; ``table`` that of `scattering.surface`.
+    ``order`` is the largest number of reflections; ``table`` that of `scattering.surface`;
+    ``positions`` and ``velocities`` (3 n) are those of the images.
     """
 
     mi: Any
@@ -44,6 +48,7 @@ class Station:
     table: Any
     orders: Any
     positions: Any
+    velocities: Any
     levels: Any
     marks: Any
     wavelength: Any
@@ -74,6 +79,7 @@ def station(
         table=table,
         orders=mi.UInt32(0),
         positions=mi.Float64(aligned(place)),
+        velocities=mi.Float64(aligned(np.zeros(3))),
         levels=mi.Float64(0),
         marks=mi.UInt32(0),
         wavelength=dr.opaque(mi.Float64, wavelength_m),
@@ -93,7 +99,7 @@ def with_images(
     velocities (n, 3) and surfaces (n,).
     """
     mi = s.mi
-    levels = np.zeros((len(images), order, 12))  # aim, plane, velocity
+    levels = np.zeros((len(images), order, LEVEL))
     levels[:, :, 6:9] = np.array(s.boresight).T  # any unit vector where there is no plane
     marks = np.zeros((len(images), order, 3), dtype=np.uint32)
     for row, image in enumerate(images):
@@ -102,7 +108,6 @@ def with_images(
             levels[row, level, 0:3] = image.places[level]
             levels[row, level, 3:6] = flat.point
             levels[row, level, 6:9] = flat.normal
-            levels[row, level, 9:12] = velocities[flat.object]
             marks[row, level] = number, surface_of_object[flat.object], flat.is_wall
     return replace(
         s,
@@ -110,9 +115,19 @@ def with_images(
         n_sources=len(images),
         orders=mi.UInt32(aligned(np.array([len(i.patches) for i in images], dtype=np.uint32))),
         positions=mi.Float64(aligned(np.concatenate([i.place for i in images]))),
+        velocities=mi.Float64(aligned(_velocities(images, flats, velocities).ravel())),
         levels=mi.Float64(aligned(levels if levels.size else np.zeros(1))),
         marks=mi.UInt32(aligned(marks if marks.size else np.zeros(1, dtype=np.uint32))),
     )
+
+
+def _velocities(images: Sequence[Image], flats: Sequence[Flat], velocities: Array) -> Array:
+    """Of the images (n, 3), by those of the objects, whose patches keep their normals."""
+    found = np.zeros((len(images), 3))
+    for velocity, image in zip(found, images, strict=True):
+        for flat in (flats[number] for number in image.patches):
+            velocity -= 2 * ((velocity - velocities[flat.object]) @ flat.normal) * flat.normal
+    return found
 
 
 def _vector(mi: Any, value: Array) -> Any:
@@ -125,8 +140,8 @@ class Leg:
 
     ``back`` and ``length``: unit vector and distance to the image; ``departure``: unit vector from
     the radar; ``field`` and ``field_im``: what a wave of amplitude 1 has become, apart from its
-    spreading and phase; ``rate``: velocity by which moving mirrors lengthen it; ``clear``; and what
-    the walls that it crosses do.
+    spreading and phase; ``velocity``: that of the image, which moving mirrors move; ``clear``; and
+    what the walls that it crosses do.
     """
 
     back: Any
@@ -134,7 +149,7 @@ class Leg:
     departure: Any
     field: Any
     field_im: Any
-    rate: Any
+    velocity: Any
     clear: Any
     passage: Passage
 
@@ -151,20 +166,20 @@ def leg(
     image = _gathered(mi, s.positions, 3 * source, active)
     towards = image - place
     length = dr.norm(towards)
-    back = towards / dr.maximum(length, 1e-12)
+    back = towards / dr.maximum(length, NEAREST_M)
     clear = mi.Bool(active)
 
     at, aim, start = place, image, place + off
-    inwards, normals, rates, surfaces, segments = [], [], [], [], []
+    inwards, normals, surfaces, segments = [], [], [], []
     for level in reversed(range(s.order)):
         has = active & (order > level)
         row = source * s.order + level
-        before, point, normal, velocity = (
-            _gathered(mi, s.levels, 12 * row + 3 * i, has) for i in range(4)
+        before, point, normal = (
+            _gathered(mi, s.levels, LEVEL * row + 3 * i, has) for i in range(3)
         )
         way = aim - at
         distance = dr.norm(way)
-        direction = way / dr.maximum(distance, 1e-12)
+        direction = way / dr.maximum(distance, NEAREST_M)
         slope = dr.dot(normal, direction)
         t = dr.dot(normal, point - at) / dr.select(slope != 0, slope, 1.0)
         mirror = at + t * direction
@@ -180,12 +195,11 @@ def leg(
         start = dr.select(has, mirror + facing * offset(mirror), start)
         inwards.append((has, direction))
         normals.append(facing)
-        rates.append(velocity)
         surfaces.append(surface)
 
     way = s.place - at
     distance = dr.norm(way)
-    home = way / dr.maximum(distance, 1e-12)
+    home = way / dr.maximum(distance, NEAREST_M)
     reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
     shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(home), reach, 0.0, [])
     untested = clear & (order > 0) if traced else mi.Bool(clear)
@@ -193,7 +207,7 @@ def leg(
 
     departure = -home
     field, field_im = turned(s.vertical, -s.boresight, departure), mi.Vector3d(0)
-    rate, travel = mi.Float64(0), departure
+    travel = departure
     passage = no_passage(mi)
 
     def cross_walls(begin: Any, along: Any, segment: Any, where: Any) -> None:
@@ -204,18 +218,25 @@ def leg(
             field, field_im = cross(mi, s.walls, passage, both, *way)
 
     cross_walls(s.place + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
-    for (has, direction), normal, velocity, surface, segment in zip(
-        inwards[::-1], normals[::-1], rates[::-1], surfaces[::-1], segments[::-1], strict=True
+    for (has, direction), normal, surface, segment in zip(
+        inwards[::-1], normals[::-1], surfaces[::-1], segments[::-1], strict=True
     ):
         cosine = -dr.dot(normal, travel)
         row = coefficients_at(mi, s.table, surface, cosine, has)
         out, out_im = reflected(field, field_im, travel, normal, row)
         field, field_im = dr.select(has, out, field), dr.select(has, out_im, field_im)
-        rate += dr.select(has, dr.dot(velocity, travel + direction), 0)
         travel = dr.select(has, -direction, travel)
         _, mirror, along, way_on = segment
         cross_walls(mirror, along, way_on, has & clear)
-    return Leg(back, length, departure, field, field_im, rate, clear, passage)
+    velocity = _gathered(mi, s.velocities, 3 * source, active)
+    return Leg(back, length, departure, field, field_im, velocity, clear, passage)
+
+
+def lengthening(velocity: Any, direction: Any, length: Any) -> tuple[Any, Any]:
+    """As `rays.lengthening`, on the device."""
+    rate = dr.dot(velocity, direction)
+    across = velocity - rate * direction
+    return rate, dr.squared_norm(across) / dr.maximum(length, NEAREST_M)
 
 
 def _first_meets(

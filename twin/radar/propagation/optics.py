@@ -125,6 +125,7 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
         amplitude=rays.amplitude * gain * loss,
         delay_s=rays.length_m / speed_of_light,
         delay_rate=rays.rate_m_per_s / speed_of_light,
+        delay_acceleration_per_s=rays.acceleration_m_per_s2 / speed_of_light,
         departure=departure,
         arrival=arrival,
     )

@@ -16,7 +16,8 @@ class Path:
     """One way from the radar and back.
 
     ``via`` names the objects in order; ``amplitude`` is the wave relative to the sent one, antenna
-    gains and losses included, without the phase of the delay. ``departure`` and ``arrival`` are
+    gains and losses included, without the phase of the delay; ``delay_rate`` (s/s) and
+    ``delay_acceleration_per_s`` are the delay's derivatives. ``departure`` and ``arrival`` are
     unit vectors from the antenna to the first and the last object, in its own frame.
     """
 
@@ -25,6 +26,7 @@ class Path:
     amplitude: complex
     delay_s: float
     delay_rate: float
+    delay_acceleration_per_s: float
     departure: tuple[float, float, float]
     arrival: tuple[float, float, float]
 
@@ -40,6 +42,7 @@ def contributions_of_paths(paths: Sequence[Path]) -> Contributions:
         amplitude=np.array([path.amplitude for path in paths], dtype=np.complex128),
         delay_s=np.array([path.delay_s for path in paths]),
         delay_rate=np.array([path.delay_rate for path in paths]),
+        delay_acceleration_per_s=np.array([path.delay_acceleration_per_s for path in paths]),
         departure=np.array([path.departure for path in paths]).reshape(-1, 3),
         arrival=np.array([path.arrival for path in paths]).reshape(-1, 3),
     )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.legs import Station, leg
-from twin.radar.propagation.rays import Rays, Ring, ringing
+from twin.radar.propagation.rays import Rays, Ring, lengthening, ringing
 from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ class PointLegs:
     extra: Array
     departure: Array
     field: NDArray[np.complex128]
-    rate: Array
+    velocity: Array
     clear: NDArray[np.bool_]
     ring: Ring
 
@@ -47,14 +47,14 @@ def point_legs(
     place, aside = (vector(mi, rows, "Vector3d") for rows in (places, off))
     way = leg(s, mi.UInt32(aligned(sources)), place, aside, mi.Bool(True))
     p = way.passage
-    back, length, extra, departure, re, im, rate, clear, *rings = host(
-        [way.back, way.length, p.extra, way.departure, way.field, way.field_im, way.rate, way.clear]
+    back, length, extra, departure, re, im, clear, *rings = host(
+        [way.back, way.length, p.extra, way.departure, way.field, way.field_im, way.clear]
         + [p.rho_re, p.rho_im, p.lag],
         n,
     )
-    field = re + 1j * im
+    field, velocity = re + 1j * im, np.array(s.velocities).reshape(-1, 3)[sources]
     return PointLegs(
-        sources, back, length, extra, departure, field, rate, clear, ring=Ring.of(*rings)
+        sources, back, length, extra, departure, field, velocity, clear, ring=Ring.of(*rings)
     )
 
 
@@ -74,10 +74,12 @@ def between(
     velocity, number
         Of the points, (n, 3) or (3,), and of the objects that they belong to, (n,).
     """
+    ways = [lengthening(velocity - leg.velocity, -leg.back, leg.length) for leg in (out, home)]
     once = Rays(
         amplitude=amplitude / (out.length * home.length),
         length_m=out.length + out.extra + home.length + home.extra,
-        rate_m_per_s=out.rate + home.rate - np.sum(velocity * (out.back + home.back), axis=1),
+        rate_m_per_s=ways[0][0] + ways[1][0],
+        acceleration_m_per_s2=ways[0][1] + ways[1][1],
         departure=out.departure,
         arrival=home.departure,
         object=np.asarray(number, dtype=np.uint32),

@@ -9,20 +9,25 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+#: Distances are taken to be no shorter where something is divided by them.
+NEAREST_M = 1e-12
+
 _MOST_TRIPS = 8  # within a wall
 _FAINTEST = 3e-3  # of the first: 0.03 dB
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Contributions, each (n,), in order: amplitude without the antenna's gain, path length and its
-    rate in m and m/s; departure and arrival (n, 3) as seen from the radar, in the world's axes;
-    object that is met last, and the images by which the wave goes out and back.
+    """Contributions, each (n,), in order: amplitude without the antenna's gain, path length with
+    its first and second derivative in time, in m, m/s and m/s^2; departure and arrival (n, 3) as
+    seen from the radar, in the world's axes; object that is met last, and the images by which the
+    wave goes out and back.
     """
 
     amplitude: NDArray[np.complex128]
     length_m: Array
     rate_m_per_s: Array
+    acceleration_m_per_s2: Array
     departure: Array
     arrival: Array
     object: NDArray[np.uint32]
@@ -40,6 +45,9 @@ class Rays:
             amplitude=np.concatenate([np.zeros(0, complex), *(p.amplitude for p in parts)]),
             length_m=np.concatenate([np.zeros(0), *(p.length_m for p in parts)]),
             rate_m_per_s=np.concatenate([np.zeros(0), *(p.rate_m_per_s for p in parts)]),
+            acceleration_m_per_s2=np.concatenate(
+                [np.zeros(0), *(p.acceleration_m_per_s2 for p in parts)]
+            ),
             departure=np.concatenate([np.zeros((0, 3)), *(p.departure for p in parts)]),
             arrival=np.concatenate([np.zeros((0, 3)), *(p.arrival for p in parts)]),
             **{
@@ -49,6 +57,18 @@ class Rays:
                 for name in ("object", "source", "receiver")
             },
         )
+
+
+def lengthening(velocity: Array, direction: Array, length_m: Array | float) -> tuple[Any, Any]:
+    """First and second derivative in time of the distance between two points that move uniformly.
+
+    ``velocity`` (..., 3) of one relative to the other, ``direction`` (..., 3) the unit vector from
+    the other to it, ``length_m`` (...) their distance: v . d in m/s, and |v - (v . d) d|^2 / r in
+    m/s^2, both (...).
+    """
+    rate = np.sum(velocity * direction, axis=-1)
+    across = velocity - rate[..., None] * direction
+    return rate, np.sum(across**2, axis=-1) / np.maximum(length_m, NEAREST_M)
 
 
 @dataclass(frozen=True, eq=False)

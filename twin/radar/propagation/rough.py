@@ -17,7 +17,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.legs import OFF_SURFACE, Station
+from twin.radar.propagation.legs import LEVEL, OFF_SURFACE, Station
 from twin.radar.propagation.points import PointLegs, between, point_legs
 from twin.radar.propagation.rays import Rays, and_reversed
 from twin.scene import SceneObject
@@ -197,7 +197,7 @@ def _ways(s: Station, rough: Rough, points: _Points, source: int) -> tuple[Point
     cosine = np.sum(towards * points.normal, axis=1)
     step = OFF_SURFACE * (np.linalg.norm(points.place, axis=1, keepdims=True) + 1e-3)
     if order := int(np.array(s.orders)[source]):
-        mirror = np.array(s.levels).reshape(s.n_sources, s.order, 12)[source, order - 1]
+        mirror = np.array(s.levels).reshape(s.n_sources, s.order, LEVEL)[source, order - 1]
         height = np.abs((points.place - mirror[3:6]) @ mirror[6:9])
         cosine[height < 2 * _BEYOND * step[:, 0]] = 0  # the mirror's own points: no way over it
     off = 2 * step * points.normal * np.sign(cosine)[:, None]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.grids import Launch
-from twin.radar.propagation.legs import Leg, Station, leg, offset
+from twin.radar.propagation.legs import LEVEL, Leg, Station, leg, lengthening, offset
 from twin.radar.propagation.rays import Rays, Ring, and_reversed, ringing
 from twin.radar.propagation.walls import Passage, no_passage
 from twin.radar.scattering.kernel import coefficients_at, followed, plane, radiating, reflected
@@ -67,8 +67,8 @@ def shoot(
 class _Front:
     """Rays between two bounces: where, whither, how far from the image, how wide, with what field.
 
-    ``nudge`` takes float32 rays off the surface where they begin; ``rate`` is that of the way so
-    far, without what the next direction adds.
+    ``nudge`` takes float32 rays off the surface where they begin; ``velocity`` is that of the image
+    of the radar that they seem to come from, ``path`` away.
     """
 
     origin: Any
@@ -80,7 +80,7 @@ class _Front:
     tube_b: Any
     field: Any
     field_im: Any
-    rate: Any
+    velocity: Any
     departure: Any
     source: Any
     passage: Passage
@@ -131,7 +131,7 @@ def _follow(
             active &= out_leg.clear
             front.path = out_leg.length
             front.field, front.field_im = out_leg.field, out_leg.field_im
-            front.rate, front.departure = out_leg.rate, out_leg.departure
+            front.velocity, front.departure = out_leg.velocity, out_leg.departure
             front.passage = out_leg.passage
         elif s.walls is not None:  # between bodies no wall lets through
             ray.maxt = hit.t
@@ -185,7 +185,7 @@ def _launched(s: Station, launched: Launch, row: Any, index: Any) -> tuple[_Fron
         order = dr.gather(mi.UInt32, s.orders, source)
         last = source * s.order + dr.maximum(order, 1) - 1
         point, normal = (
-            mi.Vector3d(*(dr.gather(mi.Float64, s.levels, 12 * last + k + i) for i in range(3)))
+            mi.Vector3d(*(dr.gather(mi.Float64, s.levels, LEVEL * last + k + i) for i in range(3)))
             for k in (3, 6)
         )
         slope = dr.dot(normal, direction)
@@ -196,7 +196,6 @@ def _launched(s: Station, launched: Launch, row: Any, index: Any) -> tuple[_Fron
         nudge = dr.select(order > 0, facing * offset(mirror), 0)
         weight = dr.select((order > 0) & (t <= 0), 0.0, weight)
     zero = dr.zeros(mi.Vector3d, dr.width(row))
-    none = dr.zeros(mi.Float64, dr.width(row))
     front = _Front(
         origin=origin,
         nudge=nudge,
@@ -207,7 +206,7 @@ def _launched(s: Station, launched: Launch, row: Any, index: Any) -> tuple[_Fron
         tube_b=second * (spacing / distance),
         field=mi.Vector3d(zero),
         field_im=mi.Vector3d(zero),
-        rate=none,
+        velocity=mi.Vector3d(zero),
         departure=mi.Vector3d(zero),
         source=source,
         passage=no_passage(mi),
@@ -255,7 +254,7 @@ class _Hits:
         return front, _Hits(front, *(_taken(value, kept) for value in self.everything()))
 
     def onwards(self, front: _Front) -> _Front:
-        """The rays after the bounce; their rate still lacks what the new direction adds."""
+        """The rays after the bounce."""
         across = 2 * self.normal
         return _Front(
             origin=front.origin,
@@ -267,7 +266,7 @@ class _Hits:
             tube_b=front.tube_b - dr.dot(self.normal, front.tube_b) * across,
             field=self.out,
             field_im=self.out_im,
-            rate=front.rate + dr.dot(self.velocity, front.direction - self.away),
+            velocity=front.velocity - dr.dot(self.normal, front.velocity - self.velocity) * across,
             departure=front.departure,
             source=front.source,
             passage=front.passage,
@@ -300,23 +299,35 @@ def _received(
     # a = -j / (8 pi) times the sum.
     scale /= 8 * dr.pi
     a_re, a_im = scale * im, -scale * re
-    rate = front.rate + home.rate + dr.dot(hits.velocity, front.direction - home.back)
+    there = lengthening(hits.velocity - front.velocity, front.direction, front.path)
+    again = lengthening(hits.velocity - home.velocity, -home.back, home.length)
+    rate, acceleration = there[0] + again[0], there[1] + again[1]
     length = front.path + home.length + front.passage.extra + home.passage.extra
     seen &= (a_re != 0) | (a_im != 0)
-    dr.eval(a_re, a_im, length, rate, home.departure, seen, *vars(home.passage).values())
+    numbers = (a_re, a_im, length, rate, acceleration)
+    dr.eval(*numbers, home.departure, seen, *vars(home.passage).values())
     chosen = dr.compress(seen)
     n = dr.width(chosen)
     if n == 0:
         return Rays.joined([])
 
-    values = [a_re, a_im, length, rate, front.departure, home.departure, hits.number, front.source]
+    values = [*numbers, front.departure, home.departure, hits.number, front.source]
     for p in (front.passage, home.passage):
         values += [p.rho_re, p.rho_im, p.lag]
-    re, im, length, rate, departure, arrival, number, source, *rings = host(
+    re, im, length, rate, acceleration, departure, arrival, number, source, *rings = host(
         [_taken(value, chosen) for value in values], n
     )
-    to = np.full(n, receiver, dtype=np.uint32)
-    one = Rays(re + 1j * im, length, rate, departure, arrival, number, source, to)
+    one = Rays(
+        amplitude=re + 1j * im,
+        length_m=length,
+        rate_m_per_s=rate,
+        acceleration_m_per_s2=acceleration,
+        departure=departure,
+        arrival=arrival,
+        object=number,
+        source=source,
+        receiver=np.full(n, receiver, dtype=np.uint32),
+    )
     if s.walls is not None:
         alike = (source == receiver) & (bounce == 0)
         one = ringing(one, Ring.of(*rings[:3]), Ring.of(*rings[3:]), alike)

@@ -21,6 +21,7 @@ from twin.engine import sionna
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.materials import radio_properties, surface_of
 from twin.radar.propagation.paths import Heard, Path, Propagation, contributions_of_paths
+from twin.radar.propagation.rays import lengthening
 from twin.radar.propagation.roles import Role, assign_roles
 from twin.radar.propagation.sionna_raw import TARGET, RawPath
 from twin.radar.propagation.tabulated import (
@@ -305,27 +306,31 @@ class _RadioWorld:
         if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in met):
             return None
         planes = [
-            self._plane(m, primitive) if isinstance(m, SceneObject) else None
+            (*self._plane(m, primitive), np.array(m.velocity_m_per_s))
+            if isinstance(m, SceneObject)
+            else None
             for m, primitive in zip(met, raw.primitives, strict=True)
         ]
         vertices = raw.vertices.copy()
         at = next((i for i, m in enumerate(met) if isinstance(m, Target)), None)
         if at is None:
-            length = float(np.linalg.norm(_image(np.zeros(3), planes)))
+            place, velocity = np.zeros(3), np.zeros(3)
+            legs = [planes]
         else:
-            vertices[at] = np.asarray(self.targets_met[raw.objects[at]].position_m) - self.origin
-            there, back = (_image(np.zeros(3), p) for p in (planes[:at], planes[:at:-1]))
-            length = float(
-                np.linalg.norm(vertices[at] - there) + np.linalg.norm(vertices[at] - back)
-            )
-        velocities = np.array([m.velocity_m_per_s for m in met])
+            place = np.asarray(self.targets_met[raw.objects[at]].position_m) - self.origin
+            velocity = np.array(met[at].velocity_m_per_s)
+            vertices[at] = place
+            legs = [planes[:at], planes[:at:-1]]
+        # Length with its first and second derivative, of both legs together.
+        length, rate, acceleration = np.sum([_leg_motion(place, velocity, p) for p in legs], axis=0)
         departure, arrival = self._direction(vertices[0]), self._direction(vertices[-1])
         return Path(
             via=tuple(m.name for m in met),
             target=None if at is None else met[at].name,
             amplitude=complex(raw.amplitude * self._gain(departure, arrival)),
-            delay_s=length / C_M_PER_S,
-            delay_rate=_lengthening(vertices, velocities) / C_M_PER_S,
+            delay_s=float(length) / C_M_PER_S,
+            delay_rate=float(rate) / C_M_PER_S,
+            delay_acceleration_per_s=float(acceleration) / C_M_PER_S,
             departure=departure,
             arrival=arrival,
         )
@@ -342,23 +347,18 @@ class _RadioWorld:
         return a, normal / np.linalg.norm(normal)
 
 
-def _lengthening(vertices: Array, velocities: Array) -> float:
-    """Rate at which a path from the radar over moving vertices (n, 3) and back grows, m/s.
-
-    Each vertex adds its velocity along (arriving - leaving) unit vectors: for a mirror that is
-    twice its normal component, for a target the sum over both legs.
+def _leg_motion(place: Array, velocity: Array, planes: "list[Any]") -> tuple[float, float, float]:
+    """Length of the way from the radar, where coordinates begin, over planes that move (a point,
+    the unit normal and the velocity each), the first one first, to a point that moves; with its
+    first and second derivative in time.
     """
-    stops = np.vstack([np.zeros(3), vertices, np.zeros(3)])
-    legs = np.diff(stops, axis=0)
-    along = legs / np.linalg.norm(legs, axis=1)[:, None]
-    return float(np.sum(velocities * (along[:-1] - along[1:])))
-
-
-def _image(point: Array, planes: "list[Any]") -> Array:
-    """Mirror image of a point in a sequence of planes, the first one first."""
-    for start, normal in planes:
-        point = point - 2 * ((point - start) @ normal) * normal
-    return point
+    image, drift = np.zeros(3), np.zeros(3)
+    for start, normal, moving in planes:
+        image = image - 2 * ((image - start) @ normal) * normal
+        drift = drift - 2 * ((drift - moving) @ normal) * normal
+    length = float(np.linalg.norm(place - image))
+    rate, acceleration = lengthening(velocity - drift, (place - image) / length, length)
+    return length, float(rate), float(acceleration)
 
 
 def _mesh(item: SceneObject, origin: Array) -> Any:
