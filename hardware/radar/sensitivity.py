@@ -30,11 +30,14 @@ Array = NDArray[np.float64]
 
 _TILE = 4  # cells along each side, for which side lobes are bounded at once
 # Of the threshold: below, a cell is not looked at more closely. An echo as high as the threshold
-# leaves a sixth of it on the nearest cell at worst; from the cells next to it its height is known
-# within 0.3 of it.
+# leaves a sixth of it on the nearest cell at worst; the cells next to it hold 0.73 of it at least,
+# and what they hold is known within 0.3 of it.
 _ON_CELLS = 0.28
-_FROM_NEXT = 0.65
-_REACH = 5  # cells to each side that tell the height: what is farther holds 4 % of it
+_FROM_NEXT = 0.47
+# Cells to each side that tell the height, and places between them where it is looked for: cells
+# farther away hold 7 % of it at most, and 1 % is lost between two places.
+_NEXT = (1, 7)
+_NEAR = (5, 13)
 _MOST_CANDIDATES = 0.05  # of all cells, in noise
 
 
@@ -65,10 +68,10 @@ def weak_echoes(
     lobes = _side_lobes(tapered, window, factor, (n, m))[rows // _TILE, columns // _TILE]
     clear = power[rows, columns] > _ON_CELLS * factor * (noise_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
-    level = _between_cells(images, (rows, columns))
+    level = _between_cells(images, (rows, columns), *_NEXT)
     clear = level > _FROM_NEXT * factor * (noise_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
-    level = _between_cells(images, (rows, columns), _REACH)
+    level = _between_cells(images, (rows, columns), *_NEAR)
     uneven = tapered.noise_by_range
     threshold = cfar_threshold(
         power,
@@ -161,14 +164,15 @@ def _tile_lobes(size: int, sources: NDArray[np.intp]) -> Array:
     return side_lobe(np.maximum(away - _TILE - (_TILE - 1), 0), size)
 
 
-def _between_cells(images: list[Complex], at: Cells, reach: int = 1) -> Array:
+def _between_cells(images: list[Complex], at: Cells, reach: int, n_places: int) -> Array:
     """Highest power near cells; 0 where a neighbour on the map is higher.
 
-    From the cells out to ``reach`` along both axes: the least-squares fit by an echo at any of
-    seven places along each. Neighbouring cells of one echo differ in phase by pi (1 - 1/N).
+    From the cells out to ``reach`` along both axes: the matched filter of an echo at any of
+    ``n_places`` along each. Noise has the power that it has on a cell; an echo loses what lies
+    farther away. Neighbouring cells of one echo differ in phase by pi (1 - 1/N).
     """
     m, n = images[0].shape
-    (by_range, down), (by_rate, across) = _weights(n, reach), _weights(m, reach)
+    (by_range, down), (by_rate, across) = (_weights(size, reach, n_places) for size in (n, m))
     rows = (at[0][:, None] + down) % n
     columns = (at[1][:, None] + across - (m - 1) // 2) % m
     on_cells = np.zeros((len(rows), len(down), len(across)))
@@ -183,10 +187,15 @@ def _between_cells(images: list[Complex], at: Cells, reach: int = 1) -> Array:
     return np.where(highest, between.max(axis=(1, 2), initial=0), 0.0)
 
 
-def _weights(size: int, reach: int) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
-    """Of a least-squares fit along an axis: weights (n_places, n_cells), and cells (n_cells,)."""
+def _weights(
+    size: int, reach: int, n_places: int
+) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
+    """Of a matched filter along an axis: weights (n_places, n_cells), whose squares sum to 1, and
+    cells (n_cells,).
+    """
     reach = min(reach, (size - 1) // 2)
     cells = np.arange(-reach, reach + 1)
-    echo = np.sinc(cells - np.linspace(-0.5, 0.5, 7 if reach else 1)[:, None] * (reach > 0))
+    places = np.linspace(-0.5, 0.5, n_places) if reach else np.zeros(1)
+    echo = np.sinc(cells - places[:, None])
     turn = np.exp(-1j * np.pi * cells * (size - 1) / size)
-    return turn * echo / np.sum(echo**2, axis=1, keepdims=True), cells
+    return turn * echo / np.linalg.norm(echo, axis=1, keepdims=True), cells
