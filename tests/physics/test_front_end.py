@@ -210,42 +210,55 @@ def oscillator(level: float = -110.0, *, slope: bool = False, shared: bool = Tru
     )
 
 
-def modelled(kind: Oscillator, wave: OfdmWaveform, delay: int, seed: int) -> np.ndarray:
+def modelled(
+    kind: Oscillator, wave: OfdmWaveform, delay: int, seed: int, sent: np.ndarray | None = None
+) -> np.ndarray:
     """One echo of unit amplitude, ``delay`` samples late: (n_slots, n_subcarriers) in time."""
+    sent = wave.sent() if sent is None else sent
     rng = np.random.default_rng(seed)
     f = np.arange(wave.n_subcarriers) - wave.n_subcarriers // 2
     late = np.exp(-2j * np.pi * f * delay / wave.n_subcarriers)
     one = draw(kind, wave, rng)
     other = one if kind.shared.value else draw(kind, wave, rng)
     alike = np.broadcast_to(late, (wave.n_slots, 1, wave.n_subcarriers))
-    return apply(alike, wave.sent(), wave, one, other)[:, 0]
+    return apply(alike, sent, wave, one, other)[:, 0]
 
 
-def brute_force(kind: Oscillator, wave: OfdmWaveform, delay: int, seed: int) -> np.ndarray:
-    """The same sample by sample: phase over the whole burst, every repeat by itself."""
+def brute_force(
+    kind: Oscillator, wave: OfdmWaveform, delay: int, seed: int, sent: np.ndarray | None = None
+) -> np.ndarray:
+    """The same sample by sample, four in the time of one of the record's: phase over the whole
+    burst, every repeat by itself, then the receiver's filter.
+    """
     rng = np.random.default_rng(seed)
-    n, rate = wave.n_subcarriers, wave.bandwidth_hz
-    total = round(wave.n_slots * wave.slot_period_s * rate)
-    f = np.fft.rfftfreq(total, 1 / rate)[1:]
-    symbol = np.fft.ifft(np.fft.ifftshift(wave.sent())) * n
+    sent = wave.sent() if sent is None else sent
+    n, fine = wave.n_subcarriers, 4 * wave.n_subcarriers
+    late = 4 * delay
+    total = 4 * round(wave.n_slots * wave.slot_period_s * wave.bandwidth_hz)
+    f = np.arange(1, total // 8) * (4 * wave.bandwidth_hz / total)  # to half the band
+    band = (np.arange(n) - n // 2) % fine
+    spectrum = np.zeros(fine, complex)
+    spectrum[band] = sent
+    symbol = np.fft.ifft(spectrum) * fine
 
     def phase() -> np.ndarray:
         lines = np.zeros(total // 2 + 1, complex)
-        lines[1:] = (rng.normal(size=(len(f), 2)) @ [1, 1j]) * np.sqrt(
-            kind.level(f) * rate / total / 2
+        lines[1 : len(f) + 1] = (rng.normal(size=(len(f), 2)) @ [1, 1j]) * np.sqrt(
+            kind.level(f) * f[0] / 2
         )
         return np.fft.irfft(lines, total) * total
 
     sending = phase()
     receiving = sending if kind.shared.value else phase()
-    found = np.zeros((wave.n_slots, n), complex)
-    for slot in range(wave.n_slots):
-        for repeat in range(wave.repeats):
-            at = round((slot * wave.slot_period_s + wave.prefix_s + repeat * wave.symbol_s) * rate)
-            index = (at + np.arange(n)) % total
-            sent = symbol[(np.arange(n) - delay) % n] * np.exp(1j * sending[index - delay])
-            found[slot] += sent * np.exp(-1j * receiving[index]) / wave.repeats
-    return found
+    found = np.zeros((wave.n_slots, fine), complex)
+    starts = np.arange(wave.n_slots)[:, None] * wave.slot_period_s + wave.prefix_s
+    starts = starts + np.arange(wave.repeats) * wave.symbol_s
+    for slot, repeat in np.ndindex(starts.shape):
+        index = (round(starts[slot, repeat] * 4 * wave.bandwidth_hz) + np.arange(fine)) % total
+        arriving = symbol[(np.arange(fine) - late) % fine] * np.exp(1j * sending[index - late])
+        found[slot] += arriving * np.exp(-1j * receiving[index]) / wave.repeats
+    filtered = np.fft.fft(found)[:, band] / fine
+    return np.fft.ifft(np.fft.ifftshift(filtered, axes=-1)) * n
 
 
 def error_power(found: np.ndarray, wave: OfdmWaveform, delay: int, *, turned: bool = True) -> float:
@@ -261,6 +274,7 @@ def error_power(found: np.ndarray, wave: OfdmWaveform, delay: int, *, turned: bo
 def test_range_correlation_is_brute_forces(delay: int, slope: bool) -> None:
     """Pedestal of an echo at several delays: model, sample-by-sample sum and closed form.
 
+    The receiver's filter cuts what phase noise moves out of the band: a quarter of white noise's.
     24 draws of 40 slots: 1 to 3 %, where slow lines dominate; 8 % leaves room for what the model
     leaves out.
     """
@@ -295,7 +309,7 @@ def test_separate_oscillators_do_not_cancel() -> None:
 
 def closed_form(kind: Oscillator, wave: OfdmWaveform, delay_s: float, line: np.ndarray):
     """Power of lines of the spectrum: phase noise of an echo, L(f) 4 sin^2(pi f tau), through the
-    averaging of all repeats and the transform over one symbol, together a Dirichlet kernel.
+    averaging of all repeats and the transform over one symbol, together a sinc.
 
     Sums over 40 points per width of the kernel, up to half the band.
     """
@@ -304,36 +318,39 @@ def closed_form(kind: Oscillator, wave: OfdmWaveform, delay_s: float, line: np.n
     f = np.arange(width / 2, wave.bandwidth_hz / 2, width)
     f = np.concatenate([-f[::-1], f])
     noise = kind.level(np.abs(f)) * 4 * np.sin(np.pi * f * delay_s) ** 2
-    x = np.pi * (f - line[:, None] * wave.subcarrier_spacing_hz) / wave.bandwidth_hz
-    return (noise * (np.sin(samples * x) / (samples * np.sin(x))) ** 2).sum(axis=1) * width
+    x = samples * (f - line[:, None] * wave.subcarrier_spacing_hz) / wave.bandwidth_hz
+    return (noise * np.sinc(x) ** 2).sum(axis=1) * width
 
 
-@pytest.mark.parametrize(("repeats", "tolerance"), [(8, 0.1), (1, 0.3)])
+@pytest.mark.parametrize("repeats", [8, 1])
 @pytest.mark.parametrize("delay", [8, 32, 64])
 @pytest.mark.parametrize("slope", [False, True])
 @pytest.mark.parametrize("make", [modelled, brute_force])
 def test_the_nulls_of_range_correlation_are_as_deep_as_the_averaging_time_lets_them_be(
-    make, slope: bool, delay: int, repeats: int, tolerance: float
+    make, slope: bool, delay: int, repeats: int
 ) -> None:
     """Echoes 1/16, 1/4 and 1/2 of a symbol late: every 16th, 4th and 2nd line is a null.
 
-    The nulls' mean and that of the lines half-way between, over the closed form: of the model, and
-    of the sum sample by sample. 12 draws of 40 slots scatter by 2 to 4 %. One repeat of a steep
-    spectrum is drawn without memory of the symbol before, which costs 25 %; without the symbol
-    before, nulls were 1e-2 to 1e-6 of what they are.
+    A tone is sent, so that all lines are within the receiver's band. The nulls' mean and that of
+    the lines half-way between, over the closed form: of the model, and of the sum sample by sample.
+    12 draws of 40 slots scatter by 2 to 4 %. The model joins a symbol to the one before by its mean
+    and slope only: up to 1.5 times too much where the spectrum is steep. Without the symbol before,
+    nulls were 1e-2 to 1e-6 of what they are.
     """
     wave = replace(WAVE, repeats=repeats)
     kind = oscillator(-125.0, slope=slope)
+    tone = np.zeros(wave.n_subcarriers)
+    tone[wave.n_subcarriers // 2] = 1.0  # at the carrier
     lines = np.zeros(wave.n_subcarriers)
     for seed in range(12):
-        found = make(kind, wave, delay, seed)
-        clean = np.roll(np.fft.ifft(np.fft.ifftshift(wave.sent())) * wave.n_subcarriers, delay)
-        lines += np.mean(np.abs(np.fft.fft(found / clean) / wave.n_subcarriers) ** 2, axis=0) / 12
+        found = make(kind, wave, delay, seed, tone)
+        lines += np.mean(np.abs(np.fft.fft(found) / wave.n_subcarriers) ** 2, axis=0) / 12
     period = wave.n_subcarriers // delay
     for first in (period, period // 2):  # nulls, and highest lines
         there = np.arange(first, wave.n_subcarriers // 2, period)
         exact = closed_form(kind, wave, delay / wave.bandwidth_hz, there)
-        assert np.mean(lines[there] / exact) == pytest.approx(1, abs=tolerance)
+        most = 1.5 if slope and make is modelled else 1.1
+        assert 0.9 < np.mean(lines[there] / exact) < most
 
 
 def test_phase_noise_leaves_the_thermal_noise_alone() -> None:
