@@ -16,9 +16,9 @@ leaks in. In time that is the symbol before the first repeat, of which an echo b
 tau long, in place of the last repeat's: it is drawn as a symbol of its own, joined to the next by
 its mean and slope only, for which nulls of steep spectra come out up to 1.5 times too high.
 
-The receiver's filter passes the band that is sent: what phase noise moves out of it is lost, 1 in
-N / k of what stands k of N subcarriers off. Products are formed on samples fine enough for nothing
-to come back in at the other edge (Orszag, J. Atmos. Sci. 28, 1971).
+The receiver's filter passes the band that is sent: what phase noise moves out of it is lost, a
+share k / N of what stands k of N subcarriers off. Products are formed on samples fine enough for
+nothing to come back in at the other edge (Orszag, J. Atmos. Sci. 28, 1971).
 
 Left out: offsets beyond half the band, and the square of what is left on each repeat, so that
 |phi|^2 / 2 should be small against 1 (`residual_rad` times the root of the repeats says how large
@@ -96,7 +96,7 @@ def apply(
 
     n, fine = wave.n_subcarriers, _fine(wave)
     band = (np.arange(n) - n // 2) % fine
-    clean = np.zeros((*np.broadcast_shapes(sent.shape[:-1]), fine), dtype=np.complex128)
+    clean = np.zeros((*sent.shape[:-1], fine), dtype=np.complex128)
     clean[..., band] = sent
     turned = ifft(clean, workers=-1) * np.exp(1j * sending.within_rad)
     stream = np.concatenate([turned * np.exp(1j * sending.earlier_rad), turned], axis=-1)
@@ -149,7 +149,7 @@ def _fine(wave: OfdmWaveform) -> int:
     """Samples of a symbol on which a signal that fills the band, times a phase of offsets up to
     half of it, does not come back into the band at its other edge.
     """
-    return 2 * wave.n_subcarriers
+    return wave.n_subcarriers + (wave.n_subcarriers + 1) // 2
 
 
 def _symbols(wave: OfdmWaveform) -> int:
