@@ -152,6 +152,7 @@ def _echoes(radar: RadarDesign, targets: tuple[tuple[float, ...], ...]) -> Contr
         amplitude=np.tile(np.array(amplitude, dtype=np.complex128), (len(carriers), 1)),
         delay_s=np.array(delay),
         delay_rate=np.array(rates),
+        delay_acceleration_per_s=np.zeros(len(rates)),
         departure=way,
         arrival=way,
     )
