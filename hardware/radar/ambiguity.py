@@ -31,6 +31,7 @@ from hardware.radar.refinement import (
     highest,
     left_over,
     unit_echoes,
+    within_blocks,
 )
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
@@ -106,43 +107,33 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     noise_w
         Mean noise power of a cell.
     """
-    sums, f_hz, t_s = _coarser(blocks)
+    sums, f_hz, t_s = blocks.sums, blocks.grid.f_hz, blocks.grid.t_s
     extra = 2 / C_M_PER_S * rates_m_per_s - blocks.delay_rate
-    duration = 1 / (blocks.cell[1] * blocks.carrier_hz)
-    smeared = np.abs(extra).max() * duration / blocks.cell[0] / 2
+    duration = 1 / (blocks.grid.cell[1] * blocks.grid.carrier_hz)
+    smeared = np.abs(extra).max() * duration / blocks.grid.cell[0] / 2
     reach = int(min(np.ceil(smeared) + 1, _FARTHEST))
     steps = (
         np.arange(-2 * reach, 2 * reach + 1) / 2
     )  # half cells: between two a target loses 0.9 dB
-    across = np.exp(2j * np.pi * blocks.cell[0] * np.outer(steps, f_hz))
-    along = np.exp(2j * np.pi * blocks.cell[1] * blocks.carrier_hz * np.outer(t_s, steps))
+    across = np.exp(2j * np.pi * blocks.grid.cell[0] * np.outer(steps, f_hz))
+    along = np.exp(2j * np.pi * blocks.grid.cell[1] * blocks.grid.carrier_hz * np.outer(t_s, steps))
     single = np.complex64
     across, along, near = across.astype(single), along.astype(single), sums.astype(single)
-    found = []
-    for more in extra:
-        # The carrier's own turn folds to none over whole slots; the band's is the migration.
-        still = near * np.exp(2j * np.pi * np.outer(f_hz, t_s) * more).astype(single)
-        cells = across @ still @ along  # by delay and rate
-        power = np.asarray(np.sum(cells.real**2 + cells.imag**2, axis=0, dtype=np.float64))
-        # What stronger echoes leave over all these cells is no echo.
-        noise = max(noise_w, float(np.median(power)) / len(sums), np.finfo(float).tiny)
-        row, column = np.unravel_index(np.argmax(power), power.shape)
-        rows = np.maximum(power / noise - len(sums), 0).sum(axis=0)
-        highest_w = float(power[row, column])
-        spread = np.log(np.sum(np.exp((power - highest_w) / noise)))
-        found.append((highest_w / noise + spread, rows.max(), (steps[row], steps[column])))
-    return RateEvidence(rates_m_per_s, *map(np.array, zip(*found, strict=True)))
-
-
-def _coarser(blocks: Blocks) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Sums (n_channels, n_f, n_t) over neighbouring blocks, their frequencies and times."""
-    sums, axes = blocks.sums, []
-    for axis, values in ((1, blocks.f_hz), (2, blocks.t_s)):
-        share = blocks.share_f if axis == 1 else blocks.share_t
-        edges = np.linspace(0, len(values), min(_COARSE, len(values)) + 1).astype(int)[:-1]
-        sums = np.add.reduceat(sums, edges, axis=axis)
-        axes.append(np.add.reduceat(values * share, edges) / np.add.reduceat(share, edges))
-    return sums, axes[0], axes[1]
+    # The carrier's own turn folds to none over whole slots; the band's is the migration.
+    still = near * blocks.grid.migration(extra).astype(single)[:, None]
+    cells = across @ still @ along  # by rate that is tried, channel, delay and rate
+    power = np.asarray(np.sum(cells.real**2 + cells.imag**2, axis=1, dtype=np.float64))
+    flat = power.reshape(len(power), -1)
+    # What stronger echoes leave over all these cells is no echo.
+    middle = flat.shape[1] // 2
+    least = max(noise_w, np.finfo(float).tiny)
+    noise = np.maximum(np.partition(flat, middle, axis=1)[:, middle] / len(sums), least)[:, None]
+    at = flat.argmax(axis=1)
+    highest_w = flat.max(axis=1, keepdims=True)
+    spread = np.log(np.sum(np.exp((flat - highest_w) / noise), axis=1))
+    rows = np.maximum(power / noise[..., None] - len(sums), 0).sum(axis=1)
+    step = steps[np.stack(np.divmod(at, len(steps)), axis=-1)]
+    return RateEvidence(rates_m_per_s, (highest_w / noise)[:, 0] + spread, rows.max(axis=1), step)
 
 
 def unfolded(
@@ -169,8 +160,9 @@ def unfolded(
     one_rate = len(folded_rates(waveform, 0.0, fastest_m_per_s)) == 1
     if waveform.n_slots == 1 or one_rate or not found:
         return list(found)
-    places = np.array([(one.range_m, one.range_rate_m_per_s) for one, _ in found]).T
-    about = blocks_about(channel, waveform, "boxcar", *places)
+    range_m = np.array([one.range_m for one, _ in found])
+    rate_m_per_s = np.array([one.range_rate_m_per_s for one, _ in found])
+    about = blocks_about(channel, waveform, "boxcar", range_m, rate_m_per_s, _COARSE)
     looks = len(found[0][1])
     least_w = noise_w * float(gammainccinv(looks, np.exp(-CERTAIN) / _SEARCHED)) / looks
     kept: list[Measured] = []
@@ -211,7 +203,7 @@ def _solved(
         place = np.array([range_m]), np.array([rate])
         (again,) = blocks_about(channel, waveform, "boxcar", *place)
         again = _without(again, others, noise_w)
-        step = highest(again)
+        (step,) = highest([again])
         detection, amplitude = measurement(
             again,
             step,
@@ -235,14 +227,13 @@ def _without(blocks: Blocks, others: Sequence[Measured], noise_w: float) -> Bloc
     """Blocks less what other echoes leave in them."""
     if not others:
         return blocks
-    echoes = unit_echoes(blocks, np.array([_steps(one, blocks) for one, _ in others]))
-    reach = (
-        np.array([np.mean(np.abs(a) ** 2) for _, a in others])
-        * np.abs(echoes).sum(axis=(1, 2)) ** 2
-    )
-    felt = reach > _FELT * noise_w
-    strength = np.array([amplitude for _, amplitude in others])[felt]
-    return replace(blocks, sums=blocks.sums - np.einsum("kc,kft->cft", strength, echoes[felt]))
+    steps = np.array([_steps(one, blocks) for one, _ in others])
+    along_f, along_t = within_blocks(blocks, steps)
+    amplitude = np.array([amplitude for _, amplitude in others])
+    most = np.abs(along_f).sum(axis=1) * np.abs(along_t).sum(axis=1)
+    felt = np.mean(np.abs(amplitude) ** 2, axis=1) * most**2 > _FELT * noise_w
+    echoes = unit_echoes(blocks, steps[felt])
+    return replace(blocks, sums=blocks.sums - np.tensordot(amplitude[felt].T, echoes, 1))
 
 
 def _explained(blocks: Blocks, one: Measured, moved: Sequence[Measured]) -> bool:
@@ -255,4 +246,4 @@ def _steps(one: Detection, blocks: Blocks) -> tuple[float, float]:
     """Cells of delay and rate from the middle of blocks to an echo."""
     delay = 2 / C_M_PER_S * one.range_m - blocks.delay_s
     rate = 2 / C_M_PER_S * one.range_rate_m_per_s - blocks.delay_rate
-    return delay / blocks.cell[0], rate / blocks.cell[1]
+    return delay / blocks.grid.cell[0], rate / blocks.grid.cell[1]

@@ -18,6 +18,7 @@ from hardware.waveform import C_M_PER_S, OfdmWaveform
 Array = NDArray[np.float64]
 
 _OVER_LOBES = 20.0  # of an echo's power over the side lobes of others that may stand there
+_WITHIN = 1  # cells of a tapered echo that a neighbour must reach to move it
 _ON_TAPERED = 0.2  # of the false alarms; the rest are of the map without a window
 
 
@@ -107,8 +108,10 @@ def detected(
         channel, waveform, image, replace(cfar, false_alarm=shares[1]), window
     )
     weak = weak.strongest(at_most)
-    places = [np.concatenate(place) for place in zip(strong.places, weak.places, strict=True)]
-    blocks = blocks_about(channel, waveform, "boxcar", *places)
+    range_m, rate_m_per_s = (
+        np.concatenate(place) for place in zip(strong.places, weak.places, strict=True)
+    )
+    blocks = blocks_about(channel, waveform, "boxcar", range_m, rate_m_per_s)
     found, crowded = _isolated(blocks[: len(strong)], waveform, window, strong, noise_w)
     found += _measured_at(channel, waveform, window, crowded, image.noise_w)
     found += _weak(blocks[len(strong) :], waveform, noise_w, found)
@@ -126,8 +129,7 @@ def _isolated(
     size = max(waveform.n_subcarriers, waveform.n_slots)
     worse = frequency_variance(taper(window, size)) / frequency_variance(np.ones(size))
     found, crowded = [], []
-    for i, about in enumerate(blocks):
-        step = highest(about)
+    for i, (about, step) in enumerate(zip(blocks, highest(blocks), strict=True)):
         around_w = left_over(about, step)
         if around_w < worse * peaks.noise_w[i]:
             found.append(_measured(about, step, waveform, noise_w, "boxcar", around_w))
@@ -139,12 +141,17 @@ def _isolated(
 def _measured_at(
     channel: Complex, waveform: OfdmWaveform, window: str, peaks: Peaks, noise_w: float
 ) -> list[Measured]:
-    """Peaks as the window of their map shows them."""
-    blocks = blocks_about(channel, waveform, window, *peaks.places)
-    return [
-        _measured(about, highest(about), waveform, noise_w, window, float(around_w))
-        for about, around_w in zip(blocks, peaks.noise_w, strict=True)
-    ]
+    """Peaks as the window of their map shows them.
+
+    Another echo that the window does not separate stands in no training cell, but in what is left.
+    """
+    range_m, rate_m_per_s = peaks.places
+    blocks = blocks_about(channel, waveform, window, range_m, rate_m_per_s)
+    found = []
+    for about, step, cfar_w in zip(blocks, highest(blocks), peaks.noise_w, strict=True):
+        around_w = max(float(cfar_w), left_over(about, step, _WITHIN))
+        found.append(_measured(about, step, waveform, noise_w, window, around_w))
+    return found
 
 
 def _weak(
@@ -153,13 +160,11 @@ def _weak(
     """Weak echoes, strongest first, less those that may be side lobes of stronger ones."""
     cells = np.array([waveform.n_subcarriers, waveform.n_slots])
     kept: list[Measured] = []
-    for about in blocks:
-        step = highest(about)
+    for about, step in zip(blocks, highest(blocks), strict=True):
         weak = _measured(about, step, waveform, noise_w, "boxcar", left_over(about, step))
-        lobes_w = sum(
-            other.power_w * np.prod(side_lobe(_cells_apart(weak[0], other, waveform), cells))
-            for other, _ in (*strong, *kept)
-        )
+        others = [other for other, _ in (*strong, *kept)]
+        lobes = np.prod(side_lobe(_cells_apart([weak[0]], others, waveform)[0], cells), axis=-1)
+        lobes_w = float(lobes @ [other.power_w for other in others])
         if weak[0].power_w > _OVER_LOBES * lobes_w:
             kept.append(weak)
     return kept
@@ -194,8 +199,8 @@ def measurement(
     snr = power / noise_w if noise_w else np.inf
     disturbed = power / max(noise_w, around_w) if noise_w else np.inf
     range_error, rate_error = standard_errors(waveform, window, disturbed * len(amplitude))
-    delay = blocks.delay_s + step[0] * blocks.cell[0]
-    rate = C_M_PER_S / 2 * (blocks.delay_rate + step[1] * blocks.cell[1])
+    delay = blocks.delay_s + step[0] * blocks.grid.cell[0]
+    rate = C_M_PER_S / 2 * (blocks.delay_rate + step[1] * blocks.grid.cell[1])
     found = Detection(
         range_m=float(C_M_PER_S / 2 * delay) % waveform.max_range_m
         if waveform.n_subcarriers > 1
@@ -211,23 +216,27 @@ def measurement(
 
 def distinct(found: Sequence[Measured], waveform: OfdmWaveform) -> list[Measured]:
     """Strongest first, without those that climbed the same peak: nearer than 0.3 cells."""
-    kept: list[Measured] = []
-    for candidate in sorted(found, key=lambda pair: -pair[0].power_w):
-        if all(_cells_apart(candidate[0], other, waveform).max() > 0.3 for other, _ in kept):
-            kept.append(candidate)
-    return kept
+    falling = sorted(found, key=lambda pair: -pair[0].power_w)
+    targets = [one for one, _ in falling]
+    near = _cells_apart(targets, targets, waveform).max(axis=-1) <= 0.3
+    kept: list[int] = []
+    for i in range(len(falling)):
+        if not near[i, kept].any():
+            kept.append(i)
+    return [falling[i] for i in kept]
 
 
-def _cells_apart(a: Detection, b: Detection, waveform: OfdmWaveform) -> Array:
-    """Cells between two detections along range and rate (2,); 0 along what is not measured."""
-    cells = np.array(
-        [
-            (a.range_m - b.range_m) / waveform.range_cell_m,
-            (a.range_rate_m_per_s - b.range_rate_m_per_s) / waveform.velocity_cell_m_per_s,
-        ]
+def _cells_apart(some: Sequence[Detection], others: Sequence[Detection], w: OfdmWaveform) -> Array:
+    """Cells between detections along range and rate (n_some, n_others, 2); 0 along what is not
+    measured.
+    """
+    here, there = (
+        np.array([(one.range_m, one.range_rate_m_per_s) for one in all_]).reshape(-1, 2)
+        for all_ in (some, others)
     )
-    sizes = np.array([waveform.n_subcarriers, waveform.n_slots])
-    cells = np.abs(np.nan_to_num(cells)) % sizes
+    cell = np.array([w.range_cell_m, w.velocity_cell_m_per_s])
+    sizes = np.array([w.n_subcarriers, w.n_slots])
+    cells = np.abs(np.nan_to_num((here[:, None] - there) / cell)) % sizes
     return np.minimum(cells, np.abs(sizes - cells))  # the map wraps around
 
 

@@ -6,7 +6,9 @@ in blocks first, which leaves a small, slowly turning array. Of several channels
 added: each has its own phase.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -19,43 +21,135 @@ from hardware.waveform import C_M_PER_S, OfdmWaveform
 Array = NDArray[np.float64]
 
 _BLOCKS = 64  # along each axis; half a cell turns a block's ends by pi / 128
+_SERIES = 5.0  # radians, up to which a series takes less time than exponentials
+_TERMS = 38  # of it
+_ROUNDING = 1e-17  # its first term that is left out
+_CLOSE = 1e-6  # cells: the square of this is left of an error in the next step
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
-    """A channel about one delay and rate, in sums over blocks.
+class Grid:
+    """Blocks of subcarriers and slots: mean frequencies ``f_hz`` (n_f,), mean times ``t_s`` (n_t,).
 
-    ``sums`` (n_channels, n_f, n_t) at mean frequencies ``f_hz`` and times ``t_s``; ``cell`` holds
-    one cell of delay (s) and of delay rate (s/s). ``delay_s`` and ``delay_rate`` are the middle.
-    ``share_f`` and ``share_t``: each block's share of all subcarriers and slots.
+    ``share_f`` and ``share_t``: each block's share of all subcarriers and slots; ``taper_f`` and
+    ``taper_t``: the window's mean over it. ``cell``: of delay (s) and of delay rate (s/s).
     """
 
-    sums: NDArray[np.complex128]
     f_hz: Array
     t_s: Array
     share_f: Array
     share_t: Array
+    taper_f: Array
+    taper_t: Array
     carrier_hz: float
-    delay_s: float
-    delay_rate: float
     cell: Array
 
-    @property
-    def turns(self) -> tuple[Array, Array]:
-        """Phase per cell of delay (n_f, 1) and of rate (n_f, n_t), in radians."""
-        by_delay = 2 * np.pi * self.cell[0] * self.f_hz[:, None]
-        by_rate = 2 * np.pi * self.cell[1] * (self.carrier_hz + self.f_hz[:, None]) * self.t_s
-        return by_delay, by_rate
+    @cached_property
+    def by_delay(self) -> Array:
+        """Phase per cell of delay (n_f,), in radians."""
+        return np.asarray(2 * np.pi * self.cell[0] * self.f_hz)
+
+    @cached_property
+    def by_rate(self) -> Array:
+        """Phase per cell of rate (n_t,), in radians, in the middle of the band."""
+        middle_hz = self.carrier_hz + self.f_hz[len(self.f_hz) // 2]
+        return np.asarray(2 * np.pi * self.cell[1] * middle_hz * self.t_s)
+
+    def turn(self, steps: Array) -> NDArray[np.complex128]:
+        """exp(j phase) (..., n_f, n_t) of steps of so many cells of delay and rate (..., 2)."""
+        rates = steps[..., 1] * self.cell[1]
+        along_f = np.exp(1j * steps[..., :1] * self.by_delay)
+        along_t = np.exp(2j * np.pi * self.carrier_hz * rates[..., None] * self.t_s)
+        return self.migration(rates, along_f, along_t)
+
+    def migration(
+        self,
+        rates: Array,
+        along_f: NDArray[np.complex128] | None = None,
+        along_t: NDArray[np.complex128] | None = None,
+    ) -> NDArray[np.complex128]:
+        """exp(2 pi j f rate t) (..., n_f, n_t): what delay rates (...) add to the carrier's turn;
+        times what turns along_f (..., n_f) and along_t (..., n_t).
+
+        A power series to rounding; of the fastest the exponentials, as it would take more terms.
+        """
+        scale, by_f, by_t = self._powers
+        phases = np.asarray(rates) * scale
+        most = float(np.abs(phases).max(initial=0.0))
+        if most > _SERIES:
+            turned = np.exp(2j * np.pi * np.multiply.outer(rates, np.outer(self.f_hz, self.t_s)))
+            turned = turned if along_f is None else turned * along_f[..., None]
+            return np.asarray(turned if along_t is None else turned * along_t[..., None, :])
+        numbers = np.arange(1, by_f.shape[1])
+        size = 1 + int(np.count_nonzero(np.cumprod(most / numbers) > _ROUNDING))
+        weights = np.ones((*phases.shape, size), dtype=np.complex128)
+        np.cumprod(1j * phases[..., None] / numbers[: size - 1], axis=-1, out=weights[..., 1:])
+        left, right = by_f[:, :size] * weights[..., None, :], by_t[:size]
+        left = left if along_f is None else left * along_f[..., None]
+        return np.asarray(left @ (right if along_t is None else right * along_t[..., None, :]))
+
+    @cached_property
+    def _powers(self) -> tuple[float, NDArray[np.complex128], NDArray[np.complex128]]:
+        """Largest phase of `migration` per delay rate; powers of f (n_f, n) and t (n, n_t), of
+        which a series up to that phase consists.
+        """
+        most = [float(np.abs(axis).max()) or 1.0 for axis in (self.f_hz, self.t_s)]
+        along = [
+            np.vander(axis / size, _TERMS, increasing=True).astype(np.complex128)
+            for axis, size in zip((self.f_hz, self.t_s), most, strict=True)
+        ]
+        return 2 * np.pi * most[0] * most[1], along[0], np.ascontiguousarray(along[1].T)
+
+    @cached_property
+    def derivatives(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128], Array]:
+        """Powers 0 to 2 of the phases u (3, n_f) per cell of delay and v (n_t, 3) per cell of rate
+        of the carrier; and (6, 9): which sums of u^p v^q make those of 1, u, w, u^2, u w and w^2,
+        where w = v (1 + r u) is 2 pi (fc + f) t per cell of rate.
+        """
+        by_rate = 2 * np.pi * self.cell[1] * self.carrier_hz * self.t_s
+        r = 1 / (2 * np.pi * self.cell[0] * self.carrier_hz)
+        #             1  v  v^2   u  uv  uv^2   u2 u2v u2v^2
+        combined = [
+            [1, 0, 0, 0, 0, 0, 0, 0, 0],
+            [0, 0, 0, 1, 0, 0, 0, 0, 0],
+            [0, 1, 0, 0, r, 0, 0, 0, 0],
+            [0, 0, 0, 0, 0, 0, 1, 0, 0],
+            [0, 0, 0, 0, 1, 0, 0, r, 0],
+            [0, 0, 1, 0, 0, 2 * r, 0, 0, r * r],
+        ]
+        return (
+            np.vander(self.by_delay, 3, increasing=True).T.astype(np.complex128),
+            np.vander(by_rate, 3, increasing=True).astype(np.complex128),
+            np.array(combined),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """A channel about the delay ``delay_s`` and its rate ``delay_rate``, in sums (n_channels, n_f,
+    n_t) over the blocks of a grid.
+    """
+
+    sums: NDArray[np.complex128]
+    grid: Grid
+    delay_s: float
+    delay_rate: float
 
 
 def blocks_about(
-    channel: Complex, waveform: OfdmWaveform, window: str, range_m: Array, rate_m_per_s: Array
+    channel: Complex,
+    waveform: OfdmWaveform,
+    window: str,
+    range_m: Array,
+    rate_m_per_s: Array,
+    at_most: int = _BLOCKS,
 ) -> list[Blocks]:
     """Blocks about each of several ranges and rates, (n,) each, from one pass over the channel.
 
     ``channel`` (..., n_subcarriers, n_slots) is not tapered yet. Sums are scaled so that an echo of
     power P at the middle has a total of sqrt(P). Ranges or rates that are not measured, NaN, are
-    taken as 0.
+    taken as 0. ``at_most``: blocks along each axis; an echo at half as many cells from the middle
+    loses 3.9 dB.
     """
     if not len(range_m):
         return []
@@ -63,120 +157,154 @@ def blocks_about(
     delay = 2 / C_M_PER_S * np.nan_to_num(range_m)
     rate = 2 / C_M_PER_S * np.nan_to_num(rate_m_per_s)
     f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
-    along_f = np.exp(2j * np.pi * np.outer(delay, f)) * (taper(window, n) / n)
-    along_t = np.exp(2j * np.pi * waveform.carrier_hz * np.outer(rate, t)) * (taper(window, m) / m)
+    windows = taper(window, n), taper(window, m)
+    along_f = _evenly_turned(delay, f) * (windows[0] / n)
+    along_t = _evenly_turned(waveform.carrier_hz * rate, t) * (windows[1] / m)
     # Slots first: the channel comes transposed, its subcarriers contiguous.
     parts = channel.reshape(-1, n, m).swapaxes(1, 2)
-    edges_f, f_mean = _edges(f)
-    edges_t, t_mean = _edges(t)
+    edges_f, f_mean = _edges(f, at_most)
+    edges_t, t_mean = _edges(t, at_most)
     along_f = along_f.astype(channel.dtype)
-    by_f = np.empty((len(parts), len(f_mean), len(delay), m), dtype=np.complex128)
+    sums = np.empty((len(parts), len(f_mean), len(t_mean), len(delay)), dtype=np.complex128)
     for i, (start, stop) in enumerate(pairwise(edges_f)):
-        by_f[:, i] = (parts[..., start:stop] @ along_f[:, start:stop].T).swapaxes(1, 2)
-    sums = np.add.reduceat(by_f * along_t, edges_t[:-1], axis=-1)
-    # Migration through range cells, which couples frequency and time.
-    sums *= np.exp(2j * np.pi * f_mean[:, None, None] * rate[:, None] * t_mean)
-    cell = np.array([1 / waveform.bandwidth_hz, 2 * waveform.velocity_cell_m_per_s / C_M_PER_S])
+        by_slot = (parts[..., start:stop] @ along_f[:, start:stop].T) * along_t.T
+        sums[:, i] = np.add.reduceat(by_slot, edges_t[:-1], axis=1)
+    grid = Grid(
+        f_mean,
+        t_mean,
+        np.diff(edges_f) / n,
+        np.diff(edges_t) / m,
+        np.add.reduceat(windows[0], edges_f[:-1]) / np.diff(edges_f),
+        np.add.reduceat(windows[1], edges_t[:-1]) / np.diff(edges_t),
+        waveform.carrier_hz,
+        np.array([1 / waveform.bandwidth_hz, 2 * waveform.velocity_cell_m_per_s / C_M_PER_S]),
+    )
     return [
-        Blocks(
-            sums[:, :, i],
-            f_mean,
-            t_mean,
-            np.diff(edges_f) / n,
-            np.diff(edges_t) / m,
-            waveform.carrier_hz,
-            delay[i],
-            rate[i],
-            cell,
-        )
+        # Migration through range cells couples frequency and time.
+        Blocks(sums[..., i] * grid.migration(rate[i]), grid, delay[i], rate[i])
         for i in range(len(delay))
     ]
 
 
-def _edges(axis: Array) -> tuple[NDArray[np.intp], Array]:
-    """Bounds of up to `_BLOCKS` blocks (n_blocks + 1,), and the blocks' means."""
-    edges = np.unique(np.linspace(0, len(axis), min(_BLOCKS, len(axis)) + 1).astype(np.intp))
+def _evenly_turned(cycles: Array, axis: Array) -> NDArray[np.complex128]:
+    """exp(2 pi j cycles axis) (n, len(axis)) along an evenly spaced axis, by products of fewer."""
+    coarse = np.exp(2j * np.pi * np.outer(cycles, axis[::_BLOCKS]))
+    fine = np.exp(2j * np.pi * np.outer(cycles, axis[:_BLOCKS] - axis[0]))
+    return (coarse[:, :, None] * fine[:, None]).reshape(len(cycles), -1)[:, : len(axis)]
+
+
+def _edges(axis: Array, at_most: int) -> tuple[NDArray[np.intp], Array]:
+    """Bounds of up to so many blocks (n_blocks + 1,), and the blocks' means."""
+    edges = np.unique(np.linspace(0, len(axis), min(at_most, len(axis)) + 1).astype(np.intp))
     return edges, np.add.reduceat(axis, edges[:-1]) / np.diff(edges)
 
 
-def highest(blocks: Blocks) -> Array:
-    """Cells of delay and rate (2,) from the middle to the highest power nearby."""
-    # Migration smears a peak of the map over as many range cells as the target crosses.
-    duration = 1 / (blocks.cell[1] * blocks.carrier_hz)
-    crossed = abs(blocks.delay_rate) * duration / blocks.cell[0]
-    return _climb(blocks, _best_of_grid(blocks, 1 + crossed))
+def highest(about: Sequence[Blocks]) -> Array:
+    """Cells of delay and rate (n, 2) from the middle of each to its highest power nearby.
+
+    Blocks of one grid.
+    """
+    steps = np.zeros((len(about), 2))
+    for i, blocks in enumerate(about):
+        # Migration smears a peak of the map over as many range cells as the target crosses.
+        duration = 1 / (blocks.grid.cell[1] * blocks.grid.carrier_hz)
+        crossed = abs(blocks.delay_rate) * duration / blocks.grid.cell[0]
+        steps[i] = _best_of_grid(blocks, 1 + crossed)
+    return _climb(about, steps)
 
 
 def _best_of_grid(blocks: Blocks, reach: float) -> Array:
     """Best of a grid of quarter cells out to ``reach`` cells: a start from which Newton climbs."""
     steps = np.arange(-np.ceil(4 * reach), np.ceil(4 * reach) + 1) / 4
-    by_delay, by_rate = blocks.turns
-    across = np.exp(1j * np.outer(steps, by_delay))
-    along = np.exp(1j * np.outer(by_rate[len(by_rate) // 2], steps))
+    across = np.exp(1j * np.outer(steps, blocks.grid.by_delay))
+    along = np.exp(1j * np.outer(blocks.grid.by_rate, steps))
     power = np.sum(np.abs(across @ blocks.sums @ along) ** 2, axis=0)
     row, column = np.unravel_index(np.argmax(power), power.shape)
-    return np.array([steps[row], steps[column]])
+    between = np.array([_vertex(power[:, column], int(row)), _vertex(power[row], int(column))])
+    return np.array([steps[row], steps[column]]) + between / 4
 
 
-def _climb(blocks: Blocks, step: Array) -> Array:
-    """Newton's method on the log of the summed power."""
-    a, b = blocks.turns
+def _vertex(power: Array, at: int) -> float:
+    """Place of a maximum from the highest sample, by the parabola through the logs of three."""
+    if not 0 < at < len(power) - 1 or not power[at - 1 : at + 2].all():
+        return 0.0
+    before, middle, after = np.log(power[at - 1 : at + 2])
+    bend = 2 * middle - before - after
+    return float((after - before) / bend / 2) if bend > 0 else 0.0
+
+
+def _climb(about: Sequence[Blocks], steps: Array) -> Array:
+    """Newton's method on the log of the summed power, all at once."""
+    moving = np.arange(len(about))
+    sums = np.array([blocks.sums for blocks in about])
     for _ in range(12):
-        turned = blocks.sums * np.exp(1j * (a * step[0] + b * step[1]))
-        gradient, hessian = _slope(turned, a, b)
-        change = -np.linalg.lstsq(hessian, gradient, rcond=None)[0]
-        step = step + np.clip(change, -0.25, 0.25)
-        if np.abs(change).max() < 1e-7:
+        if not moving.size:
             break
-    return step
+        change = _newton(about[0].grid, sums[moving], steps[moving])
+        steps[moving] += np.clip(change, -0.25, 0.25)
+        moving = moving[np.abs(change).max(axis=1) >= _CLOSE]
+    return steps
 
 
-def _slope(turned: NDArray[np.complex128], a: Array, b: Array) -> tuple[Array, Array]:
-    """Gradient and Hessian of log sum_channels |sum exp(j (a x + b y))|^2."""
-    by_a, by_b = turned * a, turned * b
-    s = turned.sum(axis=(1, 2))
-    first = 1j * np.array([by_a.sum(axis=(1, 2)), by_b.sum(axis=(1, 2))])
-    mixed = (by_a * b).sum(axis=(1, 2))
-    second = -np.array([[(by_a * a).sum(axis=(1, 2)), mixed], [mixed, (by_b * b).sum(axis=(1, 2))]])
-    power = np.sum(np.abs(s) ** 2)
-    gradient = 2 * np.real(first @ s.conj()) / power
-    curved = 2 * np.real(second @ s.conj() + first @ first.conj().T) / power
-    return gradient, curved - np.outer(gradient, gradient)
+def _newton(grid: Grid, sums: NDArray[np.complex128], steps: Array) -> Array:
+    """Newton's steps (n, 2) towards extrema of log sum_channels |sum exp(j (u x + w y))|^2.
+
+    ``sums`` (n, n_channels, n_f, n_t). The shortest where an axis of one sample tells nothing.
+    """
+    by_u, by_v, combined = grid.derivatives
+    moments = by_u @ (sums * grid.turn(steps)[:, None]) @ by_v
+    # Sums of 1, u, w, u^2, u w, w^2 by channel, and their products with those of 1, u, w.
+    found = moments.reshape(*moments.shape[:2], 9) @ combined.T
+    p = found.swapaxes(1, 2) @ found[..., :3].conj()
+    p /= p[:, :1, :1].real
+    x, y = -2 * p[:, 1, 0].imag, -2 * p[:, 2, 0].imag
+    xx = 2 * (p[:, 1, 1] - p[:, 3, 0]).real - x * x
+    xy = 2 * (p[:, 1, 2] - p[:, 4, 0]).real - x * y
+    yy = 2 * (p[:, 2, 2] - p[:, 5, 0]).real - y * y
+    determinant, trace = xx * yy - xy * xy, xx + yy
+    solvable = np.abs(determinant) > np.finfo(float).eps * trace**2
+    solved = np.stack([xy * y - yy * x, xy * x - xx * y], axis=1)
+    shortest = -np.stack([xx * x + xy * y, xy * x + yy * y], axis=1)
+    divisor = np.where(solvable, determinant, np.where(trace, trace**2, 1.0))
+    return np.where(solvable[:, None], solved, shortest) / divisor[:, None]
 
 
 def amplitudes(blocks: Blocks, step: Array) -> NDArray[np.complex128]:
     """Amplitude on every channel (n_channels,), in root watts, at cells from the middle."""
-    a, b = blocks.turns
-    turn = np.exp(1j * (a * step[0] + b * step[1]))
-    return np.asarray(np.sum(blocks.sums * turn, axis=(1, 2)))
+    return np.asarray(np.sum(blocks.sums * blocks.grid.turn(step), axis=(1, 2)))
+
+
+def within_blocks(blocks: Blocks, steps: Array) -> tuple[Array, Array]:
+    """What each block has of targets of unit amplitude, less what turning within it takes:
+    (n_targets, n_f) and (n_targets, n_t); their product is a target's.
+    """
+    grid = blocks.grid
+    along_f = grid.share_f * grid.taper_f * np.sinc(steps[:, :1] * grid.share_f)
+    along_t = grid.share_t * grid.taper_t * np.sinc(steps[:, 1:] * grid.share_t)
+    return along_f, along_t
 
 
 def unit_echoes(blocks: Blocks, steps: Array) -> NDArray[np.complex128]:
-    """Block sums (n_targets, n_f, n_t) of targets of unit amplitude, without a window.
+    """Block sums (n_targets, n_f, n_t) of targets of unit amplitude, with the blocks' window.
 
     ``steps`` (n_targets, 2): cells from the middle.
     """
-    a, b = blocks.turns
-    turn = a * steps[:, 0, None, None] + b * steps[:, 1, None, None]
-    # What turning within a block leaves of its sum.
-    along_f = blocks.share_f * np.sinc(steps[:, :1] * blocks.share_f)
-    along_t = blocks.share_t * np.sinc(steps[:, 1:] * blocks.share_t)
-    return np.asarray(np.exp(-1j * turn) * along_f[:, :, None] * along_t[:, None])
+    along_f, along_t = within_blocks(blocks, steps)
+    return blocks.grid.turn(-steps) * (along_f[:, :, None] * along_t[:, None])
 
 
 def left_over(blocks: Blocks, step: Array, reach: int = 3) -> float:
     """Mean power of the cells around a target once it is taken away: of noise, and of what else
     there is.
 
-    ``blocks`` without a window; the mean is over ``reach`` cells to each side, and over channels.
+    The mean is over ``reach`` cells to each side, and over channels.
     """
     atom = unit_echoes(blocks, step[None])[0]
     amplitude = np.sum(blocks.sums * atom.conj(), axis=(1, 2)) / np.sum(np.abs(atom) ** 2)
     rest = blocks.sums - amplitude[:, None, None] * atom
-    by_delay, by_rate = blocks.turns
     cells = [
         np.arange(-min(reach, (n - 1) // 2), min(reach, (n - 1) // 2) + 1) for n in rest[0].shape
     ]
-    across = np.exp(1j * np.outer(step[0] + cells[0], by_delay))
-    along = np.exp(1j * np.outer(by_rate[len(by_rate) // 2], step[1] + cells[1]))
+    across = np.exp(1j * np.outer(step[0] + cells[0], blocks.grid.by_delay))
+    along = np.exp(1j * np.outer(blocks.grid.by_rate, step[1] + cells[1]))
     return float(np.mean(np.abs(across @ rest @ along) ** 2))

@@ -104,10 +104,9 @@ def _strongest(
     rest: NDArray[np.complex128], blocks: Blocks, reach: tuple[float, float]
 ) -> tuple[float, Array]:
     """Mean power over channels, and cells (2,), of the highest point of a grid of eighths."""
-    by_delay, by_rate = blocks.turns
     axes = [np.linspace(-r, r, int(16 * r) + 1) for r in reach]
-    across = np.exp(1j * np.outer(axes[0], by_delay))
-    along = np.exp(1j * np.outer(by_rate[len(by_rate) // 2], axes[1]))
+    across = np.exp(1j * np.outer(axes[0], blocks.grid.by_delay))
+    along = np.exp(1j * np.outer(blocks.grid.by_rate, axes[1]))
     power = np.mean(np.abs(across @ rest @ along) ** 2, axis=0)
     row, column = np.unravel_index(np.argmax(power), power.shape)
     return float(power[row, column]), np.array([axes[0][row], axes[1][column]])
@@ -118,7 +117,7 @@ def _steps_of(others: Sequence[Detection], blocks: Blocks) -> Array:
     delay = np.array([2 * found.range_m / C_M_PER_S for found in others])
     rate = np.array([2 * found.range_rate_m_per_s / C_M_PER_S for found in others])
     off = np.stack([delay - blocks.delay_s, rate - blocks.delay_rate], axis=-1)
-    return np.nan_to_num(off / blocks.cell)  # NaN is not measured
+    return np.nan_to_num(off / blocks.grid.cell)  # NaN is not measured
 
 
 def _closest(steps: Array) -> float:

@@ -1,0 +1,60 @@
+"""Climbing to the place of an echo between the cells: against definitions and a plain search."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from radar_cubes import WIDE, C
+from scipy.optimize import minimize
+
+from hardware.radar.refinement import blocks_about, highest
+
+
+@pytest.mark.parametrize("phase", [0.0, 1e-3, 0.3, 2.0, 4.99, 5.01, 40.0])
+def test_migration_is_the_exponential(phase: float) -> None:
+    """exp(2 pi j f rate t) by series and by exponentials, for several rates at once and alone, to
+    the rounding of a series of terms up to exp(5); and a whole step with the carrier's turn.
+    """
+    (blocks,) = blocks_about(
+        np.ones((WIDE.n_subcarriers, WIDE.n_slots), complex), WIDE, "boxcar", *np.zeros((2, 1))
+    )
+    grid = blocks.grid
+    rate = phase / (2 * np.pi * np.abs(grid.f_hz).max() * np.abs(grid.t_s).max())
+    for rates in (np.array([rate]), np.array([-rate, 0.4 * rate])):
+        exact = np.exp(2j * np.pi * rates[:, None, None] * np.outer(grid.f_hz, grid.t_s))
+        np.testing.assert_allclose(grid.migration(rates), exact, atol=2e-13)
+    delay, rate = np.array([-1.7, rate / grid.cell[1]]) * grid.cell
+    cycles = delay * grid.f_hz[:, None] + rate * np.outer(grid.carrier_hz + grid.f_hz, grid.t_s)
+    step = np.array([delay, rate]) / grid.cell
+    np.testing.assert_allclose(grid.turn(step), np.exp(2j * np.pi * cycles), atol=1e-11)
+
+
+@pytest.mark.parametrize("n_slots", [48, 1])
+def test_peaks_are_those_of_a_search(n_slots: int) -> None:
+    """Of three echoes cells apart on two channels, climbed all at once: against SciPy's Nelder and
+    Mead on the power by its definition; with one slot, of the range alone.
+    """
+    rng = np.random.default_rng(4)
+    wave = replace(WIDE, n_subcarriers=64, n_slots=n_slots)
+    f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
+    places = np.array([[20.3, 5.2], [33.7, -11.4], [41.1, 7.9]]) * [1, n_slots > 1]  # cells
+    cell = np.array([wave.range_cell_m, wave.velocity_cell_m_per_s]) * 2 / C
+    strength = rng.normal(size=(2, 3, 2)).view(complex)[..., 0] + 2
+
+    def turn(place: np.ndarray) -> np.ndarray:
+        delay, rate = place * cell
+        return np.exp(-2j * np.pi * (delay * f + rate * (wave.carrier_hz + f) * t))
+
+    channel = np.tensordot(strength, [turn(place) for place in places], 1)
+    near = np.rint(places)
+    steps = highest(blocks_about(channel, wave, "boxcar", *(near * cell * C / 2).T))
+
+    def loss(place: np.ndarray) -> float:
+        power = np.abs(np.sum(channel * turn(place).conj(), axis=(1, 2))) ** 2
+        return -float(power.sum()) / channel.size**2
+
+    axes = slice(None) if n_slots > 1 else slice(1)
+    for found in near + steps:
+        search = minimize(loss, found + 0.1, method="Nelder-Mead", options={"xatol": 1e-7})
+        # Blocks of one subcarrier and one slot: the sums are exact.
+        np.testing.assert_allclose(found[axes], search.x[axes], atol=1e-5)
