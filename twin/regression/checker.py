@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +28,24 @@ from twin.regression.runs import (
     Method,
     Outcome,
     image_method,
+    in_turn,
+    repeated,
     run_camera,
     run_radar,
     vehicle_detector,
 )
-from twin.regression.statistics import Verdict, compare, smallest_loss
+from twin.regression.statistics import Verdict, compare, repeats, smallest_loss
 from twin.regression.truth import Truths
-from twin.scene import Scene, load_scene
+from twin.scene import Pose, Scene, load_scene
 from twin.system import System, load_system
 
+#: A method's outcome over seeds.
+_Run = Callable[[Sequence[int]], Outcome]
 #: Figure of a failure from outcome, example, figures before, verdicts.
 _Draw = Callable[[Outcome, dict[str, Any], dict[str, Any], Sequence[Verdict]], Figure]
+
+
+_DRAWS = "gives other figures of the same record each time; failures are counted, not paired"
 
 
 @dataclass
@@ -64,6 +72,7 @@ class Regression:
         *,
         method: Method = "lmmse",
         seeds: int = 48,
+        poses: Sequence[Pose] = (),
         fidelity: Fidelity | None = None,
         metrics: Sequence[Metric] = CAMERA_METRICS,
         false_alarm: float = 0.01,
@@ -80,6 +89,9 @@ class Regression:
             (rows, columns) in electrons, detectors side by side, or to a `Reconstruction`.
         seeds
             Of the sensor's noise: 0 to ``seeds - 1``. More find smaller losses.
+        poses
+            Places from which the scene is seen, in turn from seed to seed; a render each. Without,
+            the scene's own, and its mirror image every other seed.
         fidelity
             Knobs of the render and of the noise, each with the error it bounds.
         metrics
@@ -90,17 +102,29 @@ class Regression:
             Tells several comparisons of one test apart.
         """
         __tracebackhide__ = True
-        loaded, design = _scene(scene), load_system(system)
+        views, design = _views(scene, poses), load_system(system)
         image_method(method)  # a wrong name is told before the render
-        numbers, fidelity = _seeds(seeds), fidelity or Fidelity()
-        light = self.truths.light(loaded, design, fidelity)
-        outcome = run_camera(
-            loaded, design, light, method, numbers, metrics, fidelity.noise, mirrored=True
-        )
-        setup = _setup("camera", loaded, design, fidelity, seeds, metrics)
+        numbers, fidelity = _seeds(seeds, len(views)), fidelity or Fidelity()
+        light = [self.truths.light(view, design, fidelity) for view in views]
+
+        def run(view: int, numbers: Sequence[int]) -> Outcome:
+            return run_camera(
+                views[view],
+                design,
+                light[view],
+                method,
+                numbers,
+                metrics,
+                fidelity.noise,
+                mirrored=not poses,
+            )
+
+        setup = _setup("camera", views[0], poses, design, fidelity, seeds, metrics)
         what = method if isinstance(method, str) else _function_name(method)
-        example = image_example(outcome)
-        return self._hold(outcome, metrics, false_alarm, setup, what, example, draw_images, name)
+        outcomes = partial(in_turn, run, len(views))
+        return self._hold(
+            outcomes, numbers, metrics, false_alarm, setup, what, image_example, draw_images, name
+        )
 
     def radar(
         self,
@@ -109,6 +133,7 @@ class Regression:
         *,
         detector: Detector = vehicle_detector,
         seeds: int = 16,
+        poses: Sequence[Pose] = (),
         fidelity: Fidelity | None = None,
         metrics: Sequence[Metric] = RADAR_METRICS,
         false_alarm: float = 0.01,
@@ -119,23 +144,29 @@ class Regression:
         ``detector`` is a function from a `RadarRecord` to detections; all else as for `camera`.
         """
         __tracebackhide__ = True
-        loaded, design = _scene(scene), load_radar(radar)
-        numbers, fidelity = _seeds(seeds), fidelity or Fidelity()
-        capture = self.truths.echo(loaded, design, fidelity)
+        views, design = _views(scene, poses), load_radar(radar)
+        numbers, fidelity = _seeds(seeds, len(views)), fidelity or Fidelity()
+        captures = [self.truths.echo(view, design, fidelity) for view in views]
         accuracy = fidelity.nufft_tolerance
-        outcome = run_radar(capture, design, detector, numbers, metrics, accuracy)
-        setup = _setup("radar", loaded, design, fidelity, seeds, metrics)
-        what, example = _function_name(detector), echo_example(outcome)
-        return self._hold(outcome, metrics, false_alarm, setup, what, example, draw_echoes, name)
+
+        def run(view: int, numbers: Sequence[int]) -> Outcome:
+            return run_radar(captures[view], design, detector, numbers, metrics, accuracy)
+
+        setup = _setup("radar", views[0], poses, design, fidelity, seeds, metrics)
+        what, outcomes = _function_name(detector), partial(in_turn, run, len(views))
+        return self._hold(
+            outcomes, numbers, metrics, false_alarm, setup, what, echo_example, draw_echoes, name
+        )
 
     def _hold(
         self,
-        outcome: Outcome,
+        run: _Run,
+        seeds: Sequence[int],
         metrics: Sequence[Metric],
         false_alarm: float,
         setup: dict[str, Any],
         method: str,
-        example: dict[str, Any],
+        exemplify: Callable[[Outcome], dict[str, Any]],
         draw: _Draw,
         name: str,
     ) -> tuple[Verdict, ...]:
@@ -145,6 +176,7 @@ class Regression:
                 f"name: {name!r} is taken: one for each comparison of a test", pytrace=False
             )
         self._named.add(name)
+        outcome = run(seeds)
         stem = f"{self.test}-{name}" if name else self.test
         path = self.baselines / f"{stem}.json"
         known, fault = None, ""
@@ -155,6 +187,7 @@ class Regression:
         if fault and self.reason is None:  # with a reason it is replaced
             pytest.fail(f"{fault}: {self._remedy('why')}", pytrace=False)
         if self.reason is not None:
+            example = exemplify(outcome)
             self._update(path, known, outcome, metrics, false_alarm, setup, method, example)
             return ()
         if known is None:
@@ -170,8 +203,14 @@ class Regression:
                 f"{self._remedy('why it changed')}",
                 pytrace=False,
             )
-        same = known.records == outcome.records
-        verdicts = compare(metrics, known.arrays(), outcome.figures, false_alarm, same_records=same)
+        views = _n_views(setup)
+        judge = partial(compare, metrics, known.arrays(), outcome.figures, false_alarm, views=views)
+        verdicts = judge(paired=known.records == outcome.records)
+        failed = sorted({seed for verdict in verdicts for seed in verdict.failed})
+        times = repeats(len(seeds), len(metrics), false_alarm)
+        if known.records == outcome.records and not repeated(run, outcome, failed, times):
+            self.notes.append(f"{self.node}: {_DRAWS}")
+            verdicts = judge(paired=False)
         if any(verdict.worse for verdict in verdicts):
             picture = self.pictures / f"{stem}.png"
             save(draw(outcome, known.example, known.figures, verdicts), picture)
@@ -209,9 +248,10 @@ class Regression:
         ):
             self.notes.append(f"{path}: as before, left alone")
             return
+        views = _n_views(setup)
         finds = {
             m.name: float(
-                f"{smallest_loss(m, outcome.figures[m.name], len(metrics), false_alarm):.3g}"
+                f"{smallest_loss(m, outcome.figures[m.name], len(metrics), false_alarm, views):.3g}"
             )
             for m in metrics
         }
@@ -256,13 +296,16 @@ class Regression:
 def _setup(
     kind: str,
     scene: Scene,
+    poses: Sequence[Pose],
     design: System | RadarDesign,
     fidelity: Fidelity,
     seeds: int,
     metrics: Sequence[Metric],
 ) -> dict[str, Any]:
     """What must not differ, in words where there are some; content by the start of its digest."""
-    truths = {"truths": ["as rendered", "mirrored"]} if kind == "camera" else {}
+    truths: dict[str, Any] = {"poses": [str(pose) for pose in poses]} if poses else {}
+    if kind == "camera" and not poses:
+        truths = {"truths": ["as rendered", "mirrored"]}
     return truths | {
         "kind": kind,
         "scene": f"{scene.name} {digest(scene)[:12]}",
@@ -273,13 +316,21 @@ def _setup(
     }
 
 
-def _scene(scene: str | Path | Scene) -> Scene:
-    return scene if isinstance(scene, Scene) else load_scene(scene)
+def _n_views(setup: dict[str, Any]) -> int:
+    return len(setup.get("poses", [""]))
 
 
-def _seeds(seeds: int) -> range:
-    if seeds < 2:
-        raise ValueError(f"seeds: {seeds}: expected at least 2, a test needs their scatter")
+def _views(scene: str | Path | Scene, poses: Sequence[Pose]) -> list[Scene]:
+    """The scene from every pose, or as it is."""
+    if isinstance(scene, Scene):
+        return [scene.at(pose) for pose in poses] or [scene]
+    return [load_scene(scene, pose) for pose in poses] or [load_scene(scene)]
+
+
+def _seeds(seeds: int, n_views: int) -> range:
+    if seeds < 2 * n_views:
+        of = f" of each of {n_views} poses" if n_views > 1 else ""
+        raise ValueError(f"seeds: {seeds}: expected at least 2{of}, a test needs their scatter")
     return range(seeds)
 
 

@@ -2,7 +2,7 @@
 
 import os
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -37,6 +37,18 @@ def pytest_configure(config: pytest.Config) -> None:
             f"--update-baseline: {reason!r}: expected the reason, in words, which is stored"
         )
     config.stash[_NOTES] = []
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A worker of pytest-xdist has no terminal: its notes go to the process that has."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["twin_regression"] = session.config.stash[_NOTES]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take a worker's notes; one that died has none."""
+    node.config.stash[_NOTES] += getattr(node, "workeroutput", {}).get("twin_regression", [])
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -71,14 +71,14 @@ def records(
 ) -> Iterator[SpiRecord]:
     """One record per seed: what `measure` gives, with everything but the draw worked out once.
 
-    ``mirrored``: every other record is of the scene's mirror image.
+    ``mirrored``: records of odd seeds are of the scene's mirror image.
     """
     chain = Chain.of(system, scene.sun)
     power = chain.powers(light)
     powers = [power, _mirror(power, chain.patterns) if mirrored else power]
-    for place, seed in enumerate(seeds):
+    for seed in seeds:
         rng = np.random.default_rng(seed)
-        _, counts, flags = chain.take(powers[place % 2], rng=rng, noise=noise)
+        _, counts, flags = chain.take(powers[seed % 2], rng=rng, noise=noise)
         yield chain.record(scene.rig.pose, counts, flags)
 
 
@@ -118,17 +118,18 @@ def run_camera(
     *,
     mirrored: bool = False,
 ) -> Outcome:
-    """A reconstruction over noise seeds, every other one of the scene ``mirrored``: an image that
-    does not come from its own record is wrong in half of them.
+    """A reconstruction over noise seeds, odd ones of the scene ``mirrored``: an image that does not
+    come from its own record is wrong in half of them.
 
     Raises InputError for an image on another grid, or not of real numbers.
     """
     solve, straight = image_method(method), true_cells(scene, system, light)
     other = true_cells(scene, system, light, mirrored=True) if mirrored else straight
     truths, images, content = [], [], hashlib.sha256()
-    for place, record in enumerate(records(scene, system, light, seeds, noise, mirrored=mirrored)):
+    taken = records(scene, system, light, seeds, noise, mirrored=mirrored)
+    for seed, record in zip(seeds, taken, strict=True):
         content.update(record.counts.tobytes() + record.flags.tobytes())
-        truth, veil = (straight, other)[place % 2]
+        truth, veil = (straight, other)[seed % 2]
         images.append(_checked(solve(record), truth.shape) - veil)
         truths.append(truth)
     return Outcome(_figures(metrics, truths, images), straight[0], images, content.hexdigest())
@@ -176,6 +177,41 @@ def run_radar(
         found.append(Echo(detections, matches, radar.ofdm.range_cell_m))
     figures = _figures(metrics, [truth] * len(found), found)
     return Outcome(figures, truth, found, content.hexdigest())
+
+
+def in_turn(
+    run: Callable[[int, Sequence[int]], Outcome], n_views: int, seeds: Sequence[int]
+) -> Outcome:
+    """Outcomes of several views as one: seed i is of view i modulo their number, ``run(view,
+    seeds)`` gives those of one.
+    """
+    if n_views == 1:
+        return run(0, seeds)
+    of_view = [seed % n_views for seed in seeds]
+    parts = {k: run(k, [s for s in seeds if s % n_views == k]) for k in sorted(set(of_view))}
+    place = [of_view[:i].count(k) for i, k in enumerate(of_view)]
+    figures = {
+        name: np.array([parts[k].figures[name][i] for k, i in zip(of_view, place, strict=True)])
+        for name in next(iter(parts.values())).figures
+    }
+    results = [parts[k].results[i] for k, i in zip(of_view, place, strict=True)]
+    digests = "".join(part.records for part in parts.values())
+    first = parts[of_view[0]].truth
+    return Outcome(figures, first, results, hashlib.sha256(digests.encode()).hexdigest())
+
+
+def repeated(
+    run: Callable[[Sequence[int]], Outcome], outcome: Outcome, seeds: Sequence[int], times: int
+) -> bool:
+    """Whether a method gives the figures of ``outcome``, of seeds from 0 on, again at each of these
+    seeds, as many times.
+    """
+    for _ in range(times if seeds else 0):
+        again = run(seeds).figures
+        for name, values in outcome.figures.items():
+            if not np.allclose(again[name], values[list(seeds)], rtol=1e-9, atol=0, equal_nan=True):
+                return False
+    return True
 
 
 def _detections(found: Any) -> tuple[Detection, ...]:

@@ -10,7 +10,9 @@ A figure is worse when the lower confidence bound of the mean loss is above the 
     mean(l) - t(1 - 0.8 p/m, n - 1) std(l) / sqrt(n) > tolerance
 
 with m metrics (Bonferroni). With a true mean loss at or below the tolerance that happens with
-probability 0.8 p at most for all metrics together, as long as a mean of n losses is normal.
+probability 0.8 p at most for all metrics together, as long as a mean of n losses is normal. Where
+the seeds are of several views, each scatters about the mean of its own, with n less the number of
+views as degrees of freedom.
 
 Losses that are large but rare widen the scatter by as much as they move the mean, and no mean
 shows them. So seeds are looked at one by one too. With d_i the loss less the median loss, and S
@@ -19,18 +21,29 @@ the median of |d| over that of a standard normal variable, seed i fails where
     d_i > tolerance + t(1 - 0.2 p/mn, 0.37 (n - 1)) S
 
 which seeds of normal losses do with probability 0.2 p at most for all together (0.37 is the
-efficiency of S). Where both runs had the same records, a seed that fails is a fact about the
-method: one is enough, less the seeds that gained as much, counted one for one. That takes a method
-without draws of its own, or figures that are near normal: rare failures of a random method fall on
-other seeds each time, and alarm. Where records differ, l is the loss
-from the median of the figures before and S that of their own scatter, and as many seeds have to
-fail, where none did before, as chance alone gives with probability 0.2 p/m at most, whatever the
-probability q of a seed to fail: sup over q of (1 - q)^n P(Binomial(n, q) >= k).
+efficiency of S). What a count of such seeds tells depends on whether runs pair:
+
+*Paired*: both runs had the same records, and the method gives the same figure of the same record
+each time. A seed that fails is then a fact about the method: one is enough, less the seeds that
+gained as much, counted one for one. How likely chance alone gives as many of both, were each
+equally likely to be either (McNemar's exact test), is told beside.
+
+*Not paired*: l is the loss from the median of the figures before and S that of their own scatter.
+Failures of both runs are counted beyond the same limit, and are too many where Boschloo's exact
+test of two proportions gives a p-value of at most 0.2 p/m.
+
+Whether the method repeats itself is asked of the seeds that failed, each run `repeats` times anew.
+Where all of them give the same again, r times, runs pair. A method that fails at random, with any
+probability q up to a half, passes for one that repeats itself with probability 0.2 p/m at most: of
+n seeds F fail now and did not before, F binomial with q (1 - q), and the sup over q of
+E[q^(r F); F > 0] is that.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import count
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +68,8 @@ class Verdict:
 
     ``loss`` is positive when it became worse; ``low`` and ``high`` bound it, each one-sided.
     ``finds``: the smallest loss that would be found with `POWER` at this scatter. ``failed``: seeds
-    that are worse by themselves, enough of them to be no chance; ``no_number``: seeds whose
-    figure is none, of which nothing can be compared.
+    that are worse by themselves, enough of them to fail the test, and ``chance`` the p-value of
+    their number; ``no_number``: seeds whose figure is none, of which nothing can be compared.
     """
 
     metric: Metric
@@ -68,6 +81,7 @@ class Verdict:
     tolerance: float
     finds: float
     failed: tuple[int, ...] = ()
+    chance: float = 1.0
     no_number: tuple[int, ...] = ()
 
     @property
@@ -89,6 +103,7 @@ class Verdict:
             f"{self.metric.name}: {self.before:.6g} before, {self.after:.6g} after: loss "
             f"{self.loss:.3g}{unit} (at least {self.low:.3g}, tolerance {self.tolerance:.3g}; "
             f"finds {self.finds:.2g} with {POWER:.0%} power): {word}{_at(self.failed)}"
+            + (f" (p = {self.chance:.2g} by chance)" if self.failed else "")
         )
 
 
@@ -105,7 +120,8 @@ def compare(
     after: Mapping[str, Array],
     false_alarm: float = 0.01,
     *,
-    same_records: bool = False,
+    paired: bool = False,
+    views: int = 1,
 ) -> tuple[Verdict, ...]:
     """A verdict for each metric.
 
@@ -115,40 +131,46 @@ def compare(
         Figures by metric, (n_seeds,) each; ``before`` finite.
     false_alarm
         Probability that any of the verdicts is ``worse`` without cause.
-    same_records
-        Whether both runs had the same records, seed by seed.
+    paired
+        Whether both runs had the same records, seed by seed, of a method that repeats itself.
+    views
+        Seed i is of view i modulo this number.
 
-    Raises ValueError for fewer than two seeds, numbers of seeds that differ, no metrics, or a
-    probability that is none.
+    Raises ValueError for fewer than two seeds of a view, numbers of seeds that differ, no metrics,
+    or a probability that is none.
     """
     if not metrics:
         raise ValueError("metrics: none given, expected at least one")
     if not 0 < false_alarm < 1:
         raise ValueError(f"false_alarm: {false_alarm} is not between 0 and 1")
     each = false_alarm / len(metrics)
-    return tuple(_verdict(m, before[m.name], after[m.name], each, same_records) for m in metrics)
+    return tuple(_verdict(m, before[m.name], after[m.name], each, paired, views) for m in metrics)
 
 
-def smallest_loss(metric: Metric, figures: Array, n_metrics: int, false_alarm: float) -> float:
+def smallest_loss(
+    metric: Metric, figures: Array, n_metrics: int, false_alarm: float, views: int = 1
+) -> float:
     """Loss found with `POWER` when draws do not pair: each run scatters for itself."""
-    apart = np.std(figures, ddof=1) * np.sqrt(2 / len(figures))
+    n, within = len(figures), figures - _usual(figures, views, np.mean)
+    apart = np.sqrt(2 * (within @ within) / (n - views) / n)
     return _tolerance(metric, figures) + float(
         apart
         * (
-            _quantile(1 - _OF_MEAN * false_alarm / n_metrics, len(figures))
-            + _quantile(POWER, len(figures))
+            _quantile(1 - _OF_MEAN * false_alarm / n_metrics, n - views)
+            + _quantile(POWER, n - views)
         )
     )
 
 
 def _verdict(
-    metric: Metric, before: Array, after: Array, false_alarm: float, same_records: bool
+    metric: Metric, before: Array, after: Array, false_alarm: float, paired: bool, views: int
 ) -> Verdict:
     before, after = np.asarray(before, float), np.asarray(after, float)
     n = len(before)
-    if n < 2 or after.shape != before.shape:
+    if n < 2 * views or after.shape != before.shape:
         raise ValueError(
-            f"{metric.name}: {n} seeds before, {len(after)} after: expected as many, at least 2"
+            f"{metric.name}: {n} seeds before, {len(after)} after: expected as many, at least "
+            f"{2 * views}"
         )
     tolerance = _tolerance(metric, before)
     ends = (float(before.mean()), float(after.mean()))
@@ -160,35 +182,72 @@ def _verdict(
     if (bad := np.flatnonzero(~np.isfinite(loss))).size:
         unknown = (np.nan, np.nan, np.nan, tolerance, np.nan)
         return Verdict(metric, *ends, *unknown, no_number=tuple(bad.tolist()))
-    mean, error = float(loss.mean()), float(loss.std(ddof=1) / np.sqrt(n))
-    reach = _quantile(1 - _OF_MEAN * false_alarm, n) * error
-    finds = tolerance + reach + _quantile(POWER, n) * error
+    free = n - views
+    within = loss - _usual(loss, views, np.mean)
+    mean, error = float(loss.mean()), float(np.sqrt(within @ within / free / n))
+    reach = _quantile(1 - _OF_MEAN * false_alarm, free) * error
+    finds = tolerance + reach + _quantile(POWER, free) * error
     single = (1 - _OF_MEAN) * false_alarm
-    failed = _failed(sign * before, sign * after, tolerance, single, same_records)
+    failed, chance = _failed(sign * before, sign * after, tolerance, single, paired, views)
     high = np.inf if metric.either_way else mean + reach  # no change of it is a gain
-    return Verdict(metric, *ends, mean, mean - reach, high, tolerance, finds, failed)
+    return Verdict(metric, *ends, mean, mean - reach, high, tolerance, finds, failed, chance)
 
 
 def _failed(
-    before: Array, after: Array, tolerance: float, false_alarm: float, same_records: bool
-) -> tuple[int, ...]:
-    """Seeds that are worse by themselves, where they are enough; higher figures are worse."""
+    before: Array, after: Array, tolerance: float, false_alarm: float, paired: bool, views: int
+) -> tuple[tuple[int, ...], float]:
+    """Seeds that are worse by themselves, where they are too many, and how likely by chance; higher
+    figures are worse.
+    """
     n = len(before)
-    if same_records:
-        scattered = after - before
-        off = scattered - np.median(scattered)
+    if paired:
+        scattered = off = after - before - np.median(after - before)
     else:
-        scattered = before
-        off = after - np.median(before)
-    spread = np.median(np.abs(scattered - np.median(scattered))) / _NORMAL_MEDIAN
+        usual = _usual(before, views, np.median)
+        scattered, off = before - usual, after - usual
+    spread = np.median(np.abs(scattered)) / _NORMAL_MEDIAN
     limit = tolerance + _outlier(false_alarm / n, n) * spread
     failed = np.flatnonzero(off > limit)
-    if same_records:
-        enough = failed.size > int(np.count_nonzero(off < -limit))
-    else:
-        none_before = not (before - np.median(before) > limit).any()
-        enough = none_before and failed.size >= _enough(n, false_alarm)
-    return tuple(int(seed) for seed in failed) if enough else ()
+    others = int(np.count_nonzero((-off if paired else scattered) > limit))
+    if failed.size <= others:
+        return (), 1.0
+    chance = (_mcnemar if paired else _boschloo)(failed.size, others, n)
+    return tuple(failed.tolist()) if paired or chance <= false_alarm else (), chance
+
+
+@lru_cache(maxsize=256)
+def _mcnemar(failed: int, gained: int, _: int) -> float:
+    from scipy.stats import binomtest
+
+    return float(binomtest(failed, failed + gained, alternative="greater").pvalue)
+
+
+@lru_cache(maxsize=256)
+def _boschloo(after: int, before: int, n: int) -> float:
+    from scipy.stats import boschloo_exact
+
+    table = [[after, before], [n - after, n - before]]
+    return float(boschloo_exact(table, alternative="greater").pvalue)
+
+
+@lru_cache(maxsize=64)
+def repeats(n: int, n_metrics: int, false_alarm: float) -> int:
+    """How often to run each seed that failed anew, of n, to know a method that fails at random."""
+    q = np.linspace(0, 0.5, 501)
+    fails_now_only = q * (1 - q)
+    for r in count(1):
+        all_again = (1 - fails_now_only * (1 - q**r)) ** n - (1 - fails_now_only) ** n
+        if all_again.max() <= (1 - _OF_MEAN) * false_alarm / n_metrics:
+            return r
+    raise AssertionError  # count has no end
+
+
+def _usual(values: Array, views: int, middle: Callable[[Array], Any]) -> Array:
+    """For each seed the mean or median of its view: levels of views are no scatter."""
+    found = np.empty(len(values))
+    for view in range(views):
+        found[view::views] = middle(values[view::views])
+    return found
 
 
 def _tolerance(metric: Metric, before: Array) -> float:
@@ -204,19 +263,7 @@ def _outlier(false_alarm: float, n: int) -> float:
 
 
 @lru_cache(maxsize=64)
-def _enough(n: int, false_alarm: float) -> int:
-    """Failures of n seeds that chance does not give where there were none of n; n + 1: never."""
-    from scipy.stats import binom
-
-    q = np.linspace(0, 1, 1001)
-    for k in range(1, n + 1):
-        if np.max((1 - q) ** n * binom.sf(k - 1, n, q)) <= false_alarm:
-            return k
-    return n + 1
-
-
-@lru_cache(maxsize=64)
-def _quantile(probability: float, n: int) -> float:
+def _quantile(probability: float, free: int) -> float:
     from scipy.stats import t
 
-    return float(t.ppf(probability, n - 1))
+    return float(t.ppf(probability, free))

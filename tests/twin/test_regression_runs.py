@@ -1,0 +1,235 @@
+"""What the regression plugin runs: records, methods and detectors, and what of them it finds."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from yard_32x32 import RADAR, SYSTEM
+
+from hardware import reconstruct
+from twin.camera.acquisition import measure
+from twin.fidelity import PRESETS
+from twin.files import InputError
+from twin.radar import load_radar
+from twin.regression.checker import Regression
+from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
+from twin.regression.runs import records, run_camera, run_radar, vehicle_detector
+from twin.regression.statistics import compare
+from twin.scene import Pose, load_scene
+from twin.system import load_system
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (None, "gave a NoneType"),
+        (3, "gave a int"),
+        ("picture", "gave a str"),
+        ([[1.0], [1.0, 2.0]], "gave a list"),
+        (np.ma.zeros((32, 32)), "gave a masked array"),
+    ],
+)
+def test_a_result_that_is_no_image_is_named(yard, given: object, told: str) -> None:
+    scene, system, light = yard
+    with pytest.raises(InputError, match=re.escape(told)):
+        run_camera(scene, system, light, lambda _: given, range(1), CAMERA_METRICS)
+
+
+class Wrong:
+    """A method or detector that goes wrong with some of its records, told by their order."""
+
+    def __init__(self, right, wrong, records) -> None:
+        self.right, self.wrong, self.records, self.known = right, wrong, set(records), {}
+
+    def __call__(self, record):
+        content = (record.counts if hasattr(record, "counts") else record.iq).tobytes()
+        place = self.known.setdefault(content, len(self.known))
+        result = self.right(record)
+        return self.wrong(result) if place in self.records else result
+
+
+class AtRandom(Wrong):
+    """One that goes wrong in some of its runs, whatever the record."""
+
+    def __call__(self, record):
+        self.known[len(self.known)] = None
+        result = self.right(record)
+        return self.wrong(result) if len(self.known) - 1 in self.records else result
+
+
+def test_what_fails_in_few_seeds_fails_the_test(twin_truth, tmp_path: Path) -> None:
+    """End to end: a black image in 5 of 48, one that is stuck, one of complex numbers.
+
+    Five failures of a method that fails at random, against none before, are 1 in 32 by chance: no
+    alarm at 1 % can come of it.
+    """
+
+    def lmmse(record):
+        return reconstruct(record).picture
+
+    def camera(method, reason: str | None = None) -> None:
+        fixture = Regression(twin_truth, tmp_path, tmp_path, "test", "test", reason, [])
+        fixture.camera("yard", SYSTEM, method=method)
+
+    camera(lmmse, "first of all")
+    camera(lmmse)
+    with pytest.raises(pytest.fail.Exception, match=r"psnr_db.*WORSE at 5 seeds: 2, 9, 17, 30, 47"):
+        camera(Wrong(lmmse, np.zeros_like, [2, 9, 17, 30, 47]))
+    # The same number of failures, which do not come again with the same records.
+    camera(AtRandom(lmmse, np.zeros_like, [2, 9, 17, 30, 47]))
+    seen = []
+
+    def stuck(record):
+        seen.append(lmmse(record))
+        return seen[0]
+
+    with pytest.raises(pytest.fail.Exception, match=r"psnr_db.*WORSE"):
+        camera(stuck)
+    with pytest.raises(InputError, match="an image of complex128, expected real numbers"):
+        camera(lambda record: lmmse(record) + 0j)
+
+
+def test_what_a_detector_loses_or_shifts_fails_the_test(twin_truth, tmp_path: Path) -> None:
+    """One target in one of four records, one detection more in one, all a range cell farther: the
+    last reads nearer to the declared centres on the whole, and is no gain.
+    """
+
+    def radar(detector, reason: str | None = None) -> None:
+        fixture = Regression(twin_truth, tmp_path, tmp_path, "test", "test", reason, [])
+        fixture.radar("yard", RADAR, detector=detector, seeds=4)
+
+    def without_the_nearest(found):
+        return sorted(found, key=lambda d: d.range_m)[3:]
+
+    def with_one_more(found):
+        return [*found, replace(found[0], range_m=100.0)]
+
+    cell = load_radar(RADAR).ofdm.range_cell_m
+    radar(vehicle_detector, "first of all")
+    radar(vehicle_detector)
+    for given, told in ((None, "gave a NoneType"), ([1, 2], "gave a int, expected hardware's")):
+        with pytest.raises(InputError, match=told):
+            radar(lambda _, given=given: given)
+    for wrong, metric in ((without_the_nearest, "missed"), (with_one_more, "unmatched")):
+        with pytest.raises(pytest.fail.Exception, match=rf"{metric}: .*WORSE at 1 seeds: 2"):
+            radar(Wrong(vehicle_detector, wrong, [2]))
+    with pytest.raises(pytest.fail.Exception, match=r"range_offset_m: .*WORSE"):
+        radar(lambda r: [replace(d, range_m=d.range_m + cell) for d in vehicle_detector(r)])
+
+
+def test_records_are_those_of_measure(yard) -> None:
+    scene, system, light = yard
+    for seed, record in enumerate(records(scene, system, light, range(2))):
+        expected = measure(scene, system, light, rng=np.random.default_rng(seed)).record
+        np.testing.assert_array_equal(record.counts, expected.counts)
+        np.testing.assert_array_equal(record.pose, expected.pose)
+
+
+def test_a_name_and_a_function_are_the_same_method(yard) -> None:
+    scene, system, light = yard
+    runs = [
+        run_camera(scene, system, light, method, range(3), CAMERA_METRICS).figures
+        for method in ("lmmse", lambda record: reconstruct(record, "lmmse"))
+    ]
+    np.testing.assert_array_equal(runs[0]["psnr_db"], runs[1]["psnr_db"])
+
+
+def test_a_metric_of_ones_own(twin_truth, tmp_path: Path) -> None:
+    bias = Metric("bias", "electrons", lambda truth, image: abs((image - truth).mean()), 1.0)
+
+    def fixture(reason: str | None = None) -> Regression:
+        return Regression(twin_truth, tmp_path, tmp_path, "test", "test", reason, [])
+
+    fixture("first of all").camera("yard", SYSTEM, metrics=[bias], seeds=4)
+    (verdict,) = fixture().camera("yard", SYSTEM, metrics=[bias], seeds=4)
+    assert verdict.metric.name == "bias"
+    with pytest.raises(pytest.fail.Exception, match=r"bias: .* electrons .*WORSE"):
+        fixture().camera(
+            "yard", SYSTEM, metrics=[bias], seeds=4, method=lambda r: reconstruct(r).picture + 50
+        )
+
+
+def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
+    """A millimetre too far, the weakest target dropped, a ghost: each in the metric that is its.
+
+    Targets are points: bodies have several echoes, among which a millimetre is nothing.
+    """
+    scene, radar = load_scene("yard"), load_radar(RADAR)
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+
+    def too_far(record):
+        return [replace(d, range_m=d.range_m + 1e-3) for d in vehicle_detector(record)]
+
+    def forgetful(record):
+        return sorted(vehicle_detector(record), key=lambda d: d.range_m)[:-3]
+
+    def sees_ghosts(record):
+        found = vehicle_detector(record)
+        return [*found, replace(found[0], range_m=100.0)]
+
+    def figures(detector):
+        return run_radar(capture, radar, detector, range(3), RADAR_METRICS, 1e-6).figures
+
+    good = figures(vehicle_detector)
+    assert compare(RADAR_METRICS, good, figures(vehicle_detector))
+    assert not any(v.worse for v in compare(RADAR_METRICS, good, good))
+    for detector, expected in (
+        (too_far, {"range_error_m", "range_offset_m"}),
+        (forgetful, {"range_error_m", "missed"}),
+        (sees_ghosts, {"unmatched"}),
+    ):
+        verdicts = compare(RADAR_METRICS, good, figures(detector))
+        assert {v.metric.name for v in verdicts if v.worse} == expected, detector.__name__
+
+
+def test_a_detector_is_held_against_its_baseline(twin_truth, tmp_path: Path) -> None:
+    """One's own detector in one line: made, kept, then worse, with a picture of its detections."""
+
+    def fixture(reason: str | None = None) -> Regression:
+        folders = tmp_path / "baselines", tmp_path / "pictures"
+        return Regression(twin_truth, *folders, "test", "test.py::test", reason, [])
+
+    fixture("first of all").radar("yard", RADAR, seeds=2)
+    assert not any(v.worse for v in fixture().radar("yard", RADAR, seeds=2))
+    with pytest.raises(pytest.fail.Exception, match=r"missed: 0 before, 5 after.*WORSE"):
+        fixture().radar("yard", RADAR, seeds=2, detector=lambda record: [])
+    assert (tmp_path / "pictures" / "test.png").read_bytes().startswith(b"\x89PNG")
+    twice = fixture("again")
+    twice.radar("yard", RADAR, seeds=2)
+    with pytest.raises(pytest.fail.Exception, match="'' is taken"):
+        twice.radar("yard", RADAR, seeds=2)
+
+
+def test_several_poses_in_turn(twin_truth, tmp_path: Path) -> None:
+    """Seed i sees pose i modulo 2, what a capture from there sees; a method that is worse from one
+    of them alone, by a fifth of its image, is found, and another pose is another setup.
+    """
+    poses = [Pose((0.0, 0.0, 1.2)), Pose((0.5, 0.3, 1.2), yaw_deg=10.0)]
+    seen = []
+
+    def lmmse(record):
+        seen.append(record)
+        return reconstruct(record).picture
+
+    def dark_from_the_second(record):
+        image = lmmse(record)
+        return image if record.pose[0] == 0.0 else 0.8 * image
+
+    def camera(method, reason: str | None = None, poses=poses):
+        fixture = Regression(twin_truth, tmp_path, tmp_path, "test", "test", reason, [])
+        return fixture.camera("yard", SYSTEM, method=method, seeds=8, poses=poses)
+
+    camera(lmmse, "first of all")
+    scene, system = load_scene("yard", poses[1]), load_system(SYSTEM)
+    light = twin_truth.light(scene, system)
+    expected = measure(scene, system, light, rng=np.random.default_rng(3)).record
+    assert any(np.array_equal(record.counts, expected.counts) for record in seen)
+    assert not any(verdict.worse for verdict in camera(lmmse))
+    with pytest.raises(pytest.fail.Exception, match=r"psnr_db.*WORSE"):
+        camera(dark_from_the_second)
+    with pytest.raises(pytest.fail.Exception, match="another setup: poses"):
+        camera(lmmse, poses=poses[:1])
+    with pytest.raises(ValueError, match="at least 2 of each of 9 poses"):
+        camera(lmmse, poses=poses[:1] * 9)
