@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 VEHICLE := .venv-vehicle
 PEERS := .venv-peers
 PIP_FLAGS := -q --disable-pip-version-check
+# Files of tests side by side: fixtures that a file shares are made once.
+TOGETHER := -n 2 --dist loadfile
 
 .PHONY: demo test test-vehicle test-slow test-peers lint bench extremes install clean
 
@@ -12,12 +14,12 @@ demo: install
 	$(BIN)/twin run scenes/yard
 
 test: install lint test-vehicle
-	$(BIN)/pytest
+	$(BIN)/pytest $(TOGETHER)
 
 # The vehicle's part, as a package, where the simulator is not installed.
 test-vehicle: $(VEHICLE)/.installed
 	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-deps --no-build-isolation --force-reinstall .
-	cd tests/hardware && ../../$(VEHICLE)/bin/python -m pytest -c ../../pyproject.toml --rootdir ../.. -q .
+	cd tests/hardware && ../../$(VEHICLE)/bin/python -m pytest -c ../../pyproject.toml --rootdir ../.. -q $(TOGETHER) .
 
 # Long statistics.
 test-slow: install
@@ -54,7 +56,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 $(VEHICLE)/.installed: requirements.lock pyproject.toml $(VENV)/.installed
 	$(PYTHON) -m venv $(VEHICLE)
-	$(VEHICLE)/bin/pip install $(PIP_FLAGS) -c requirements.lock pytest pytest-timeout hypothesis hatchling
+	$(VEHICLE)/bin/pip install $(PIP_FLAGS) -c requirements.lock pytest pytest-timeout pytest-xdist hypothesis hatchling
 	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-build-isolation -c requirements.lock .
 	@touch $@
 

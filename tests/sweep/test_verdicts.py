@@ -1,13 +1,14 @@
 """What a sweep says of its points: void, warned of, failed; and what nothing depends on."""
 
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from studies import CLOSED, SMALL, write
 
+from twin import cli
 from twin.camera import capture
 from twin.files import InputError
 from twin.scene import load_scene
@@ -19,26 +20,8 @@ from twin.sweep.inputs import inputs_of
 from twin.sweep.sensitivity import sensitivities
 from twin.sweep.show import plot_front, plot_plane
 
-SMALL = """
-scene = "table1"
-metrics = ["snr_median", "psnr_db"]
-[set]
-"system.emitter.rows" = 16
-"system.emitter.columns" = 16
-"system.acquisition.n_patterns" = 256
-"fidelity.samples" = 4
-"fidelity.max_depth" = 1
-"""
-CLOSED = 'model = "closed-form"\nmetrics = ["snr", "minimum_time_s"]\n'
 
-
-def write(folder: Path, text: str, head: str = SMALL) -> Path:
-    path = folder / "study.toml"
-    path.write_text(head + text)
-    return path
-
-
-def test_void_points_are_marked_counted_and_left_out(tmp_path: Path) -> None:
+def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Path) -> None:
     """A 3 mm diode in 100 klx fills its converter, and its electrons would be the most: the largest
     diode and the brightest sky are void, said by name, and on no front, map or share of variance.
     """
@@ -48,7 +31,7 @@ def test_void_points_are_marked_counted_and_left_out(tmp_path: Path) -> None:
         '"system.sky.illuminance_lx" = [100, 1e5]\n',
         SMALL.replace("psnr_db", "signal_e"),
     )
-    summary = sweep(path, out=tmp_path / "out", workers=1)
+    summary = sweep(path, out=tmp_path / "out", scheduler=a_worker)
     data = open_sweep(tmp_path / "out").load()
     expected = np.array([[False, False], [False, True]])
     void = data["void"].transpose("system.detector.width_m", "system.sky.illuminance_lx")
@@ -108,17 +91,23 @@ def test_a_point_warns_as_a_capture_does(tmp_path: Path) -> None:
     assert chunk.void == ({"camera": [0]} if by_hand.void else {})
 
 
-def test_failed_points_end_in_their_reasons_and_status_1(tmp_path: Path) -> None:
-    path = write(tmp_path, '[grid]\n"system.optics.f_number" = [1.0, -1.0, -2.0]\n', CLOSED)
-    command = [sys.executable, "-m", "twin", "sweep", str(path), "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert "3 points, 2 failed" in done.stdout
-    assert "failed: 1 points: InputError: system: optics.f_number.value = -1.0" in done.stderr
-    assert "Traceback" not in done.stderr
-    path = write(tmp_path, '[grid]\n"system.optics.f_number" = [1.0, 2.0]\n', CLOSED)
-    command[-1] = str(tmp_path / "well")
-    assert subprocess.run(command, capture_output=True, check=False).returncode == 0
+def test_failed_points_end_in_their_reasons_and_status_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def status(f_numbers: list[float]) -> object:
+        path = write(tmp_path, f'[grid]\n"system.optics.f_number" = {f_numbers}\n', CLOSED)
+        out = str(tmp_path / f"out-{len(f_numbers)}")
+        monkeypatch.setattr(sys, "argv", ["twin", "sweep", str(path), "--out", out])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return ended.value.code or 0
+
+    assert status([1.0, -1.0, -2.0]) == 1
+    done = capsys.readouterr()
+    assert "3 points, 2 failed" in done.out
+    assert "failed: 1 points: InputError: system: optics.f_number.value = -1.0" in done.err
+    assert "Traceback" not in done.err
+    assert status([1.0, 2.0]) == 0
 
 
 @pytest.mark.slow  # a worker is started anew some eight times

@@ -9,6 +9,7 @@ import sys
 import time
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -64,11 +65,20 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "small.toml", folder / "short.toml"
 
 
+def no_longer_than_needed(patch: pytest.MonkeyPatch) -> None:
+    """As few runs of each rung as its errors take, of those of a second for its time: three of the
+    light's, over which its error is a mean, and of the radar's the one that is compared.
+    """
+    patch.setattr("twin.trade.meter._ENOUGH_S", 0.0)
+    patch.setattr("twin.trade.radar.metered", partial(metered, least=1))
+
+
 @pytest.fixture(scope="module")
 def walked(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
     out = tmp_path_factory.mktemp("trade") / "yard"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("twin.trade.camera._LEAST_PATHS", 2**16)  # 1024 for each of 64 cells
+        no_longer_than_needed(patch)
         found, folder = trade("yard", small[0], radar=small[1], out=out, seed=3)
     assert folder == out
     return found, out
@@ -196,6 +206,7 @@ def test_rows_of_leds_agree_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     the pattern's aspect. Mean of all patterns to 4 standard errors and 0.2 %, each to 6.
     """
     monkeypatch.setattr("twin.trade.camera._LEAST_PATHS", 1)
+    monkeypatch.setattr("twin.trade.camera._DEPTHS", ())  # the reference alone
     (tmp_path / "rows.toml").write_text(
         'base = "line-256x16"\nname = "rows"\n[acquisition]\ncolumns = 16\n'
     )
@@ -244,8 +255,9 @@ def test_without_noise_the_distribution_is_missed_altogether(walked: tuple[Trade
     assert full.over_noise == 0
 
 
-def test_a_missing_echo_is_as_far_above_noise_as_the_link_budget_says(small) -> None:
+def test_a_missing_echo_is_as_far_above_noise_as_the_link_budget_says(small, monkeypatch) -> None:
     """A sphere at 30 m: the whole channel over noise is the root of its image SNR."""
+    no_longer_than_needed(monkeypatch)
     radar = load_radar(small[1])
     rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
     target = Target("t", (30.0, 0.0, 0.0), (0.0, 0.0, 0.0), 10.0, "declared")
@@ -265,12 +277,9 @@ def test_a_missing_echo_is_as_far_above_noise_as_the_link_budget_says(small) -> 
     assert bins.columns.tolist() == list(range(16))
 
 
-def test_more_rays_are_nearer_to_the_reference(small: tuple[Path, Path]) -> None:
+def test_more_rays_are_nearer_to_the_reference(walked: tuple[Trade, Path]) -> None:
     """On the yard: rays by four, and what says nothing of the meshes is as far off as silence."""
-    found = {
-        (m.fidelity.radar, m.fidelity.radar_rays): m
-        for m in measure(load_scene("yard"), load_radar(small[1]))
-    }
+    found = {(m.fidelity.radar, m.fidelity.radar_rays): m for m in walked[0].of("radar")}
     rays = sorted(rays for rung, rays in found if rung == "optics")
     errors = [found["optics", number].error for number in rays]
     assert rays == [50_000, 200_000, 800_000]
@@ -373,6 +382,7 @@ def short_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.trade.camera._LEAST_PATHS", 1)
     monkeypatch.setattr("twin.trade.camera._DEPTHS", (1, 4))
     monkeypatch.setattr("twin.trade.brute_force._SEEDS", 3)
+    no_longer_than_needed(monkeypatch)
 
 
 def test_few_cells_need_more_paths_each() -> None:
