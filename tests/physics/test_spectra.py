@@ -13,12 +13,12 @@ from twin.optics.spectra import (
     clear_sun,
     in_band_fraction,
     passband,
-    read_curve,
     responsivity_a_per_w,
     sun_band_irradiance,
     sun_in_band,
 )
 from twin.system import Sky, load_part, load_system
+from twin.system.curves import read_curve
 from twin.toml import Sourced
 
 PAPER = load_system("paper")

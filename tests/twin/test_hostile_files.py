@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from struct import pack
 from typing import Any
@@ -19,12 +20,12 @@ from twin.camera.repaint import render_unpainted
 from twin.camera.stream import frames
 from twin.fidelity import Fidelity
 from twin.files import InputError, new_folder, whole_folder
-from twin.optics.spectra import curves, read_curve
 from twin.radar.device.pattern import read_pattern
 from twin.scene import load_scene
 from twin.scene.importing import import_model
 from twin.scene.meshes import read_mesh
 from twin.system import load_system
+from twin.system.curves import curves, read_curve
 from twin.toml import Sourced, read_toml
 
 HEAD = '<scene version="3.0.0"><bsdf type="diffuse" id="concrete"/>'
@@ -239,18 +240,105 @@ def test_a_curve_that_is_none_is_one_line(tmp_path: Path) -> None:
         curves(Sourced[str](value="/dev/zero", assumed="here"))
 
 
-def test_the_pixels_of_a_texture_are_counted_before_they_are_decoded(tmp_path: Path) -> None:
-    """12 000 x 12 000 zeros, 18 MB of bits, in a PNG of few kB, would be 1.4 GB of light."""
+def textured(folder: Path, picture: str) -> Path:
+    """A wall whose reflectance is a picture."""
+    text = HEAD.replace("<bsdf", '<texture type="bitmap" id="t"><string name="filename" '
+                        f'value="{picture}"/></texture><bsdf', 1)  # fmt: skip
+    text = text.replace('id="concrete"/>', 'id="concrete"><ref name="reflectance" id="t"/></bsdf>')
+    (folder / "scene.xml").write_text(text + WALL)
+    (folder / "scene.toml").write_text(TOML.format(0, 0, -2))
+    return folder / "scene.xml"
+
+
+@pytest.mark.parametrize("name", ["big.png", "big.exr"])
+def test_the_pixels_of_a_texture_are_counted_before_they_are_decoded(
+    tmp_path: Path, name: str
+) -> None:
+    """12 000 x 12 000 zeros, 18 MB of bits, in a PNG of few kB, would be 1.4 GB of light; an
+    OpenEXR file says its size before anything else, here 100 000 x 100 000 in a file of 4 x 4.
+    """
+    import mitsuba as mi
     from PIL import Image
 
-    Image.new("1", (12_000, 12_000)).save(tmp_path / "big.png")
-    text = HEAD.replace("<bsdf", '<texture type="bitmap" id="t"><string name="filename" '
-                        'value="big.png"/></texture><bsdf', 1)  # fmt: skip
-    text = text.replace('id="concrete"/>', 'id="concrete"><ref name="reflectance" id="t"/></bsdf>')
-    (tmp_path / "scene.xml").write_text(text + WALL)
-    (tmp_path / "scene.toml").write_text(TOML.format(0, 0, -2))
-    with pytest.raises(InputError, match=r"big\.png: more than 67108864 pixels"):
-        load_scene(tmp_path / "scene.xml")
+    if name == "big.png":
+        Image.new("1", (12_000, 12_000)).save(tmp_path / name)
+    else:
+        mi.Bitmap(np.zeros((4, 4), np.float32)).write(str(tmp_path / name))
+        window = b"dataWindow\0box2i\0\x10\0\0\0"
+        data = (tmp_path / name).read_bytes()
+        small, large = (np.array([0, 0, n - 1, n - 1], "<i4").tobytes() for n in (4, 100_000))
+        assert window + small in data
+        (tmp_path / name).write_bytes(data.replace(window + small, window + large))
+    with pytest.raises(InputError, match=rf"{name}: more than 67108864 pixels"):
+        load_scene(textured(tmp_path, name))
+
+
+@pytest.mark.parametrize("kept", [0, 300, -100])
+def test_a_broken_jpeg_is_one_line(
+    tmp_path: Path, kept: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Random bytes, and a picture cut in its header and in its light: libjpeg says nothing of its
+    own beside the error.
+    """
+    from PIL import Image
+
+    path, rng = tmp_path / "wall.jpg", np.random.default_rng(0)
+    Image.fromarray(rng.integers(0, 255, (64, 64), np.uint8)).save(path)
+    load_scene(textured(tmp_path, path.name))
+    path.write_bytes(path.read_bytes()[:kept] if kept else rng.bytes(5000))
+    with pytest.raises(InputError, match=r"wall\.jpg: texture can't be read"):
+        load_scene(textured(tmp_path, path.name))
+    assert capfd.readouterr().err == ""
+
+
+def test_a_long_curve_takes_the_memory_of_its_numbers(tmp_path: Path) -> None:
+    """200 000 rows, 4 MB of text: two columns of float64 are 3.2 MB, sorted once; a list of rows
+    and another of pairs took 110 MB.
+    """
+    import tracemalloc
+
+    nm = np.linspace(1000, 2000, 200_000)
+    np.savetxt(path := tmp_path / "x.csv", np.c_[nm, np.full_like(nm, 50)], "%.6f", ",", header="%")
+    tracemalloc.start()
+    try:
+        read, values = read_curve(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_allclose(read, nm, atol=1e-6)
+    assert (values == 0.5).all()
+    assert peak < 30e6
+
+
+def test_a_pattern_of_many_angles_with_few_gains_is_told_at_once(tmp_path: Path) -> None:
+    """20 000 thetas and phis, one gain each: 4e8 directions, of which one that lacks is enough."""
+    angles = np.linspace(1, 179, 20_000)
+    rows = "\n".join(f"{t:.6f},{2 * t:.6f},1" for t in angles)
+    (path := tmp_path / "x.csv").write_text(f"theta,phi,gain dBi\n{rows}\n")
+    begun = time.process_time()
+    with pytest.raises(InputError, match=r"x\.csv: theta 1, phi .* is missing"):
+        read_pattern(path)
+    assert time.process_time() - begun < 5
+
+
+@pytest.mark.parametrize(
+    ("section", "content", "because"),
+    [
+        ("filter.transmission_csv", "1500,0\n1550,80\n1600,0\n", "transmission 80"),
+        ("filter.transmission_csv", "here,be\ndragons,or\n", "expected two columns"),
+        ("emitter.spectrum_csv", "1500,1\n1500,2\n", "a wavelength stands twice"),
+        ("detector.responsivity_csv", "1500,9\n1600,9\n", "one electron a photon"),
+    ],
+)
+def test_a_curve_that_can_not_be_used_is_told_with_its_system(
+    tmp_path: Path, section: str, content: str, because: str
+) -> None:
+    """When the system is read, not when light first needs the curve."""
+    (tmp_path / "curve.csv").write_text(content)
+    part, field = section.split(".")
+    (tmp_path / "mine.toml").write_text(f'base = "workable"\n[{part}]\n{field} = "curve.csv"\n')
+    with pytest.raises(InputError, match=rf"curve\.csv: .*{because}"):
+        load_system(tmp_path / "mine.toml")
 
 
 def test_a_working_directory_that_is_gone_is_one_line(tmp_path: Path) -> None:

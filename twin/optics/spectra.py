@@ -1,10 +1,8 @@
 """Spectra against the filter's band: the sun by illuminance or elevation, the emitter's line.
 
-Everything is integrated over wavelength on a fine grid, except where a closed form exists. Vendors'
-curves come as CSV files, two columns: wavelength in nm (or um), value (or per cent).
+Everything is integrated over wavelength on a fine grid, except where a closed form exists.
 """
 
-import csv
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from hardware.files import read_regular
-from twin.files import InputError
 from twin.system import Detector, Emitter, Filter, Sky
-from twin.toml import Sourced
+from twin.system.curves import read_curve, read_responsivity, read_transmission
 
 Array = NDArray[np.float64]
 
@@ -143,87 +139,6 @@ def responsivity_a_per_w(detector: Detector, emitter: Emitter, band: Filter) -> 
     curve_nm, curve = read_responsivity(detector)
     current = np.trapezoid(passed * np.interp(nm, curve_nm, curve, left=0.0, right=0.0), nm)
     return float(current / power)
-
-
-def read_curve(path: Path) -> tuple[Array, Array]:
-    """A vendor's curve: wavelengths in nm, ascending, and values.
-
-    Lines that are no two numbers are skipped as headers. Wavelengths below 20 are taken as um, and
-    values are divided by 100 where a header says per cent or ``%``. Raises InputError.
-    """
-    try:
-        return _curve(path, read_regular(path))
-    except InputError:
-        raise
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"{path}: can't be read as a CSV curve ({error})") from error
-
-
-def curves(*files: Sourced[str] | None) -> tuple[bytes, ...]:
-    """What stands in files of curves: the part of a cache's key that their names do not tell."""
-    try:
-        return tuple(read_regular(file.value) for file in files if file is not None)
-    except OSError as error:
-        raise InputError(f"{error.filename}: can't be read ({error.strerror})") from error
-    except ValueError as error:
-        raise InputError(str(error)) from error
-
-
-@lru_cache(maxsize=32)
-def _curve(path: Path, content: bytes) -> tuple[Array, Array]:
-    rows = list(csv.reader(content.decode("utf-8-sig").splitlines()))
-    numbers = [pair for row in rows if (pair := _pair(row)) is not None]
-    header = " ".join(" ".join(row) for row in rows if _pair(row) is None).lower()
-    if len(numbers) < 2:
-        raise InputError(f"{path}: expected two columns of numbers, wavelength and value")
-    nm, values = np.array(sorted(numbers)).T
-    if not (np.isfinite(nm).all() and np.isfinite(values).all() and (values >= 0).all()):
-        raise InputError(f"{path}: a value is negative or no number")
-    if (np.diff(nm) == 0).any():
-        raise InputError(f"{path}: a wavelength stands twice")
-    if nm[-1] < 20:  # micrometres
-        nm = nm * 1e3
-    if not 100 <= nm[0] < nm[-1] <= 20_000:
-        raise InputError(
-            f"{path}: wavelengths {nm[0]:g} to {nm[-1]:g} nm: expected nm or um, 100 to 20 000 nm"
-        )
-    if not values.any():
-        raise InputError(f"{path}: every value is zero")
-    return nm, values / 100 if "%" in header or "per cent" in header else values
-
-
-def read_transmission(path: Path) -> tuple[Array, Array]:
-    """A curve whose values are shares. Raises InputError where one is above 1."""
-    nm, values = read_curve(path)
-    if values.max() > 1:
-        raise InputError(
-            f"{path}: transmission {values.max():g}: expected at most 1, or a header with %"
-        )
-    return nm, values
-
-
-def read_responsivity(detector: Detector) -> tuple[Array, Array]:
-    """Wavelengths in nm and A/W: the vendor's curve, or the one number over 900 to 1700 nm.
-
-    Raises InputError for a curve above one electron a photon times the detector's gain.
-    """
-    if detector.responsivity_csv is not None:
-        path = Path(detector.responsivity_csv.value)
-        nm, curve = read_curve(path)
-        worst = int(np.argmax(curve / nm))
-        try:
-            detector.check_quantum_limit(float(curve[worst]), float(nm[worst]) * 1e-9)
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from error
-        return nm, curve
-    return np.array([900.0, 1700.0]), np.full(2, detector.responsivity_a_per_w.value)
-
-
-def _pair(row: list[str]) -> tuple[float, float] | None:
-    try:
-        return float(row[0]), float(row[1])
-    except (ValueError, IndexError):
-        return None
 
 
 def emitter_line(emitter: Emitter) -> tuple[Array, Array]:

@@ -4,9 +4,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twin.files import InputError
-from twin.optics.spectra import clear_sun, emitter_line, passband, read_responsivity
+from twin.optics.spectra import clear_sun, emitter_line, passband
 from twin.report.style import BLUE, ORANGE, new_figure
 from twin.system import Part
+from twin.system.curves import read_responsivity
 
 
 def plot_part(part: Part) -> Figure:

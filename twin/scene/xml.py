@@ -4,6 +4,7 @@ Transforms come in float64. Nothing is loaded or rendered here, so a broken scen
 """
 
 import re
+import struct
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,11 @@ from twin.scene.texture import Reflectance, Texture
 
 #: Of a texture: 8192 x 8192, 0.7 GB while it is read.
 _MOST_PIXELS = 1 << 26
+#: OpenEXR: how a file begins, its attribute of 16 bytes with the corners of the pixels, and how far
+#: that is looked for.
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+_DATA_WINDOW = b"dataWindow\0box2i\0\x10\0\0\0"
+_MOST_HEAD_BYTES = 1 << 20
 _WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
 _LAMBERTIAN = ("diffuse", "itu-radio-material", "radio-material", "none")
 _LOBES = ("metallic", "roughness", "alpha", "specular", "spec_trans", "clearcoat", "material")
@@ -245,17 +251,48 @@ def _check_size(path: Path) -> None:
     """Few bytes may say many pixels: they are counted before they are decoded."""
     from PIL import Image, UnidentifiedImageError
 
+    kind = "JPEG" if path.suffix.lower() in (".jpg", ".jpeg") else None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(path) as picture:
-                columns, rows = picture.size
+                pixels, kind = picture.width * picture.height, picture.format
     except (UnidentifiedImageError, OSError):
-        return  # OpenEXR, or nothing at all: Mitsuba tells
+        pixels = _exr_pixels(path)  # 0: nothing at all, which Mitsuba tells
     except Image.DecompressionBombError:
-        columns, rows = 1 << 16, 1 << 16
-    if columns * rows > _MOST_PIXELS:
+        pixels = _MOST_PIXELS + 1
+    if pixels > _MOST_PIXELS:
         raise InputError(f"{path}: more than {_MOST_PIXELS} pixels, expected a smaller texture")
+    if kind == "JPEG":
+        _check_jpeg(path)
+
+
+def _check_jpeg(path: Path) -> None:
+    """Decoded once for its faults: Mitsuba's library writes them to the terminal by itself."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            picture.load()
+    except (OSError, SyntaxError) as error:
+        raise InputError(f"{path}: texture can't be read ({error!s:.80})") from error
+
+
+def _exr_pixels(path: Path) -> int:
+    """Pixels that an OpenEXR file says it has in its data window; 0 where it is none.
+
+    OpenEXR file layout: magic, version, attributes (name, type, size, value), an empty name.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(_MOST_HEAD_BYTES)
+    except OSError:
+        return 0
+    at = head.find(_DATA_WINDOW)
+    if not head.startswith(_EXR_MAGIC) or at < 0 or len(head) < at + len(_DATA_WINDOW) + 16:
+        return 0
+    left, top, right, bottom = struct.unpack_from("<4i", head, at + len(_DATA_WINDOW))
+    return max(right - left + 1, 0) * max(bottom - top + 1, 0)
 
 
 def _readable(path: Path, message: str) -> str:

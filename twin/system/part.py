@@ -5,6 +5,7 @@ from pathlib import Path
 from pydantic import model_validator
 
 from twin.files import catalog_folder
+from twin.system.curves import check_curves
 from twin.system.detector import Detector, Readout
 from twin.system.emitter import Emitter
 from twin.system.environment import Sky, Weather
@@ -44,9 +45,12 @@ class Part(Entry):
 def load_part(name: "str | Path | Part") -> Part:
     """A bundled part by name, or a user's own TOML file.
 
-    Raises InputError naming the file, the field, the value and what was expected.
+    Raises InputError naming the file, the field, the value and what was expected; a file of a curve
+    that it names is read too.
     """
-    return load_entry(Part, name, "part", PARTS)
+    part = load_entry(Part, name, "part", PARTS)
+    check_curves(part.emitter, part.filter, part.detector)
+    return part
 
 
 def part_names() -> list[str]:

@@ -7,6 +7,7 @@ from pydantic import model_validator
 from hardware.patterns import PatternSet
 from twin.files import catalog_folder
 from twin.system.acquisition import Acquisition, TimeOfFlight
+from twin.system.curves import check_curves
 from twin.system.detector import Detector, Readout
 from twin.system.emitter import Emitter
 from twin.system.environment import Sky, Weather
@@ -137,9 +138,12 @@ class System(Entry):
 def load_system(name: "str | Path | System") -> System:
     """A bundled system by name, or a user's own TOML file; a system is returned as it is.
 
-    Raises InputError naming the file, the field, the value and what was expected.
+    Raises InputError naming the file, the field, the value and what was expected; files of curves
+    that it names are read too.
     """
-    return load_entry(System, name, "system", catalog_folder() / "systems", PARTS)
+    system = load_entry(System, name, "system", catalog_folder() / "systems", PARTS)
+    check_curves(system.emitter, system.filter, system.detector)
+    return system
 
 
 def system_names() -> list[str]:

@@ -8,6 +8,7 @@ import csv
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -77,8 +78,8 @@ def _pattern(path: Path, text: str) -> Pattern:
 
 
 def _table(text: str, path: Path) -> Pattern:
-    rows = list(csv.reader(text.splitlines()))
-    names = [name.strip().lower() for name in rows[0]] if rows else []
+    rows = csv.reader(StringIO(text, newline=""))
+    names = [name.strip().lower() for name in next(rows, [])]
     kinds = {"theta": "theta", "phi": "phi", "gain": "gain"}
     columns = {k: [i for i, name in enumerate(names) if w in name] for k, w in kinds.items()}
     if any(len(found) != 1 for found in columns.values()):
@@ -90,7 +91,7 @@ def _table(text: str, path: Path) -> Pattern:
         raise InputError(f"{path}:1: column {names[columns['gain'][0]]!r}: expected a gain in dBi")
     order = [columns[kind][0] for kind in ("theta", "phi", "gain")]
     found: dict[tuple[float, float], float] = {}
-    for line, row in enumerate(rows[1:], start=2):
+    for line, row in enumerate(rows, start=2):
         if not row:
             continue
         theta, phi, gain = (_number(row, i, path, line) for i in order)
@@ -105,11 +106,11 @@ def _table(text: str, path: Path) -> Pattern:
     for pole in {0.0, 180.0} & set(thetas):  # one direction, whatever phi says
         gain = next(value for (theta, _), value in found.items() if theta == pole)
         found |= {(pole, phi): gain for phi in phis}
-    missing = [(t, p) for t in thetas for p in phis if (t, p) not in found]
+    missing = next(((t, p) for t in thetas for p in phis if (t, p) not in found), None)
     if missing or len(thetas) < 2 or len(phis) < 2:
         lacks = "too few points"
         if missing:
-            lacks = f"theta {missing[0][0]:g}, phi {missing[0][1]:g} is missing"
+            lacks = f"theta {missing[0]:g}, phi {missing[1]:g} is missing"
         raise InputError(f"{path}: {lacks}: expected a full grid of thetas and phis")
     if np.diff([*phis, phis[0] + 360]).max() > 180:
         raise InputError(f"{path}: phi {phis[0]:g} to {phis[-1]:g} deg: expected a whole turn")
