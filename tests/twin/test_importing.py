@@ -239,8 +239,13 @@ FACE = "usemtl Brick\nf 1/1 2/2 3/3 4/4\n"
 @pytest.mark.parametrize(
     ("head", "library", "told"),
     [
-        ("mtllib gone.mtl\n", None, "materials left out: 'gone.mtl' is not there (Brick"),
-        ("", None, "materials left out: the file names no mtllib (Brick"),
+        (
+            "mtllib gone.mtl\n",
+            None,
+            "pictures of Brick left out: gone.mtl is not there",
+        ),
+        ("", None, "colours and pictures of Brick left out: no material file defines them"),
+        ("mtllib wall.mtl\n", "newmtl Wood\n", "of Brick left out: no material file defines them"),
         ("mtllib wall.mtl\n", "newmtl Brick\nmap_Kd gone.png\n", "picture 'gone.png' of wall.mtl"),
     ],
 )
@@ -251,6 +256,8 @@ def test_files_that_an_obj_misses_are_told(
     if library:
         (tmp_path / "wall.mtl").write_text(library)
     assert told in "\n".join(import_model(tmp_path / "wall.obj", tmp_path / "scene"))
+    (wall,) = load_scene(tmp_path / "scene").objects
+    assert wall.material == "brick"  # the name is known, whatever defines it
 
 
 def test_a_picture_of_an_obj_is_taken(tmp_path: Path) -> None:
@@ -266,16 +273,139 @@ def test_a_picture_of_an_obj_is_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("uri", "told"), [("gone.png", "it is not there"), ("tex%20one.png", "percent-encoded")]
+    ("uri", "told"),
+    [("gone.png", "it is not there"), ("../far.png", "it lies outside the model's folder")],
 )
 def test_pictures_that_a_gltf_misses_are_told(tmp_path: Path, uri: str, told: str) -> None:
+    Image.new("RGB", (4, 4)).save(tmp_path / "far.png")
+    notes = "\n".join(import_model(with_picture(tmp_path, uri), tmp_path / "scene"))
+    assert f"picture {uri!r} left out: {told}" in notes
+
+
+def with_picture(tmp_path: Path, uri: str) -> Path:
+    """A glTF of a square, in a folder of its own, whose picture has another address."""
     files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(half_white("Concrete")))
+    (folder := tmp_path / "model").mkdir()
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    content = json.loads(files["model.gltf"])
+    content["images"] = [{"uri": uri}]
+    (folder / "wall.gltf").write_text(json.dumps(content))
+    return folder / "wall.gltf"
+
+
+def test_names_are_percent_encoded_in_a_gltf(tmp_path: Path) -> None:
+    """GlTF 2.0, section 2.8: URIs; the file is named as RFC 3986 decodes it."""
+    model = with_picture(tmp_path, "tex%20one%C3%A9.png")
+    Image.new("RGB", (4, 4), (200, 100, 50)).save(model.parent / "tex one\u00e9.png")
+    notes = "\n".join(import_model(model, tmp_path / "scene"))
+    assert "picture of visible light textures/concrete.png kept" in notes
+    picture = Image.open(tmp_path / "scene" / "textures" / "concrete.png")
+    assert picture.getpixel((0, 0)) == (200, 100, 50)
+
+
+def test_all_material_files_of_an_obj_are_read(tmp_path: Path) -> None:
+    """Two statements of two names; each defines one material, and one is half transparent."""
+    (tmp_path / "a.mtl").write_text("newmtl Brick\nKd 0.1 0.2 0.3\n")
+    (tmp_path / "b.mtl").write_text("newmtl Wood\nKd 0.4 0.5 0.6\nd 0.5\n")
+    (tmp_path / "c.mtl").write_text("newmtl Glass\nTr 0.9\n")
+    body = "usemtl Brick\nf 1 2 3\nusemtl Wood\nf 1 3 4\nusemtl Glass\nf 1 2 4\nl 1 2\np 3\np 4\n"
+    (tmp_path / "wall.obj").write_text("mtllib a.mtl\nmtllib b.mtl c.mtl\n" + SQUARE + body)
+    notes = import_model(tmp_path / "wall.obj", tmp_path / "scene")
+    materials = {o.material for o in load_scene(tmp_path / "scene").objects}
+    assert materials == {"brick", "wood", "glass"}
+    told = "\n".join(notes)
+    for colour in ("0.1, 0.2, 0.3", "0.4, 0.5, 0.6"):
+        assert f"visible colour {colour} left out" in told
+    (clear,) = [note for note in notes if "transparency: taken as opaque" in note]
+    assert "Wood" in clear
+    assert "Glass" in clear
+    assert "Brick" not in clear
+    assert "wall.obj: left out: points (2), lines (1)" in told
+
+
+def test_what_a_gltf_holds_beside_triangles_is_told(robot: trimesh.Scene, tmp_path: Path) -> None:
+    """One line that names the file."""
+    files = trimesh.exchange.gltf.export_gltf(robot)
     for name, data in files.items():
         (tmp_path / name).write_bytes(data)
     content = json.loads(files["model.gltf"])
-    Image.new("RGB", (4, 4)).save(tmp_path / "tex one.png")
-    content["images"] = [{"uri": uri}]
-    (tmp_path / "wall.gltf").write_text(json.dumps(content))
-    notes = "\n".join(import_model(tmp_path / "wall.gltf", tmp_path / "scene"))
-    assert f"picture {uri!r} left out: " in notes
-    assert told in notes
+    content["cameras"] = [{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]
+    content["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}] * 2}}
+    moved = {"index": 0, "extensions": {"KHR_texture_transform": {"offset": [0.5, 0]}}}
+    content["materials"] = [{"name": "Brick", "pbrMetallicRoughness": {"baseColorTexture": moved}}]
+    content["extensionsRequired"] = ["KHR_materials_unlit"]
+    edges = {key: content["meshes"][0]["primitives"][0][key] for key in ("attributes",)}
+    content["meshes"][0]["primitives"].append({**edges, "mode": 1})
+    content["animations"] = [{"channels": [], "samplers": []}]
+    (tmp_path / "robot.gltf").write_text(json.dumps(content))
+    (line,) = [
+        note
+        for note in import_model(tmp_path / "robot.gltf", tmp_path / "scene")
+        if note.startswith("robot.gltf: left out: ")
+    ]
+    for what in ("cameras (1)", "lights (2)", "parts of points or lines (1)", "animations (1)"):
+        assert what in line
+    assert "KHR_texture_transform of Brick" in line
+    assert "KHR_materials_unlit" in line
+
+
+@pytest.mark.parametrize(
+    ("nodes", "told"),
+    [
+        ([{"children": [0], "mesh": 0}], "are children of their own children"),
+        ([{"children": [1]}, {"children": [0], "mesh": 0}], "are children of their own children"),
+        (
+            [{"children": [2]}, {"children": [2]}, {"mesh": 0}],
+            "node 2: child of 2, expected",
+        ),
+        ([{"mesh": 0, "translation": [0, float("inf"), 0]}], "node 0: translation"),
+        ([{"mesh": 0, "scale": [1, 10**400, 1]}], "no valid glTF: int too large"),
+    ],
+)
+def test_nodes_are_trees_placed_by_numbers(
+    robot: trimesh.Scene, tmp_path: Path, nodes: list[dict], told: str
+) -> None:
+    """GlTF 2.0, section 3.5.1: disjoint strict trees; one line, without a warning of NumPy's."""
+    files = trimesh.exchange.gltf.export_gltf(robot)
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    content = json.loads(files["model.gltf"]) | {"nodes": nodes, "scenes": [{"nodes": [0]}]}
+    (tmp_path / "robot.gltf").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=rf"robot\.gltf: .*{told}"):
+        import_model(tmp_path / "robot.gltf", tmp_path / "scene")
+
+
+def test_compressed_triangles_are_told(robot: trimesh.Scene, tmp_path: Path) -> None:
+    files = trimesh.exchange.gltf.export_gltf(robot)
+    content = json.loads(files["model.gltf"])
+    content["extensionsRequired"] = ["EXT_meshopt_compression"]
+    (tmp_path / "robot.gltf").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"needs EXT_meshopt_compression: export it without"):
+        import_model(tmp_path / "robot.gltf", tmp_path / "scene")
+
+
+def test_a_scenes_obj_keeps_its_texture_coordinates(tmp_path: Path) -> None:
+    """Faces name their texture coordinates in another order than their vertices, in two materials
+    with pictures, as exporters write them: each corner has its own, as written.
+    """
+    for name in ("Brick", "Wood"):
+        Image.new("RGB", (4, 4)).save(tmp_path / f"{name}.png")
+    library = "".join(f"newmtl {name}\nmap_Kd {name}.png\n" for name in ("Brick", "Wood"))
+    (tmp_path / "wall.mtl").write_text(library)
+    texture = "vt 0.1 0.2\nvt 0.9 0.2\nvt 0.9 0.7\nvt 0.1 0.7\n"
+    corners = SQUARE.split("vt")[0]
+    faces = "usemtl Brick\nf 1/3 2/4 3/1\nusemtl Wood\nf 1/3 3/1 4/2\n"
+    (tmp_path / "wall.obj").write_text("mtllib wall.mtl\n" + corners + texture + faces)
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><shape type="obj" id="wall">'
+        '<string name="filename" value="wall.obj"/>'
+        '<boolean name="flip_tex_coords" value="false"/></shape></scene>'
+    )
+    (wall,) = load_scene(tmp_path / "scene.xml").objects
+    assert wall.uv is not None
+    assert len(wall.faces) == 2
+    expected = {(0, 0): (0.9, 0.7), (1, 0): (0.1, 0.7), (1, 1): (0.1, 0.2), (0, 1): (0.9, 0.2)}
+    for vertex, uv in zip(wall.vertices_m, wall.uv, strict=True):
+        corner = round(float(vertex[0])), round(float(vertex[2]))
+        np.testing.assert_allclose(uv, expected[corner], atol=1e-6)

@@ -1,6 +1,7 @@
 """What a model file says of its surfaces: names, pictures and colours, all of visible light."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -136,13 +137,24 @@ def appearance_of(visual: Any) -> Appearance:
         red, green, blue, opacity = (float(value) / 255 for value in (*factor, 255)[:4])
         colour = red, green, blue
     left_out = []
-    if getattr(material, "alphaMode", None) in ("MASK", "BLEND") or opacity < 1:
+    if getattr(material, "alphaMode", None) in ("MASK", "BLEND") or opacity < 1 or _clear(material):
         left_out.append("transparency: taken as opaque")
     if getattr(material, "metallicFactor", None):
         left_out.append(f"metallic {material.metallicFactor:g}: taken as Lambertian")
     if getattr(material, "normalTexture", None) is not None:
         left_out.append("normal map: taken as flat")
     return Appearance(name, image, colour, tuple(left_out))
+
+
+def _clear(material: Any) -> bool:
+    """Whether a material of an OBJ has an opacity ``d`` below 1, or one by picture."""
+    given = getattr(material, "kwargs", None) or {}
+    values = {"d": 1.0, "tr": 0.0}  # of an opaque one: Tr is 1 - d
+    for key, opaque in values.items():
+        with suppress(IndexError, TypeError, ValueError):
+            if float(given.get(key, [opaque])[-1]) != opaque:
+                return True
+    return "map_d" in given
 
 
 def coloured(appearance: Appearance) -> Any:

@@ -60,7 +60,7 @@ def import_model(
     import trimesh
 
     _check(model, folder, scale, up, material)
-    loaded = load_quietly(model, _load)
+    loaded = load_quietly(model, trimesh.load_scene)
     axis = up or _UP.get(model.suffix.lower(), "z")
     place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
     table = load_materials(find_materials(folder))
@@ -91,15 +91,6 @@ def import_model(
     return notes
 
 
-def _load(path: Path, **settings: Any) -> Any:
-    """Vertices in any order: where it is kept, trimesh 5 loses the texture coordinates of an OBJ
-    whose faces name them.
-    """
-    import trimesh
-
-    return trimesh.load_scene(path, **{**settings, "maintain_order": False})
-
-
 def _check(model: Path, folder: Path, scale: float, up: str | None, material: str) -> None:
     if not model.is_file():
         raise InputError(f"{model}: no such file")
@@ -126,7 +117,9 @@ def _parts(
     parts: dict[str, tuple[Mesh, str]] = {}
     skipped = 0
     for node in loaded.graph.nodes_geometry:
-        matrix, geometry = loaded.graph[node]
+        with np.errstate(all="ignore"):  # what comes of it is validated
+            matrix, geometry = loaded.graph[node]
+            matrix = place @ matrix
         mesh = loaded.geometry[geometry]
         if len(getattr(mesh, "faces", ())) == 0:
             skipped += 1
@@ -139,7 +132,7 @@ def _parts(
         uv = texture_coordinates(mesh.visual, len(mesh.vertices))
         raw = Mesh(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64), uv)
         where = f"{model}: part {node!r}"
-        placed = validate(validate(raw, where).transformed(place @ matrix), where)
+        placed = validate(validate(raw, where).transformed(matrix), where)
         parts[name] = placed, surfaces.bsdf(appearance_of(mesh.visual), name, uv is not None)
     if not parts:
         raise InputError(f"{model}: has no faces")

@@ -1,19 +1,19 @@
 """Meshes in float64: read from files, tessellated from primitives, validated."""
 
-import json
 import logging
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.files import InputError
+from twin.scene.beside import ModelFiles, model_file
+from twin.scene.gltf import check_gltf
 
 Array = NDArray[np.float64]
 
@@ -52,20 +52,38 @@ def read_mesh(path: Path) -> Mesh:
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
     loaded = load_quietly(path, trimesh.load)
-    if isinstance(loaded, trimesh.Scene):
-        loaded = loaded.to_geometry()
-    faces = getattr(loaded, "faces", None)
-    if faces is None or len(faces) == 0:
+    parts = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
+    meshes = [
+        Mesh(
+            np.array(part.vertices, dtype=np.float64),
+            np.array(part.faces, dtype=np.int64),
+            _texture_coordinates(part),
+        )
+        for part in parts
+        if len(getattr(part, "faces", ())) > 0
+    ]
+    if not meshes:
         raise InputError(f"{path}: has no faces")
-    vertices = np.array(loaded.vertices, dtype=np.float64)
-    return Mesh(vertices, np.array(faces, dtype=np.int64), _texture_coordinates(loaded))
+    return _joined(meshes)
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Several as one; trimesh would pack their pictures, and move the texture coordinates."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    uvs = [mesh.uv for mesh in meshes if mesh.uv is not None]
+    return Mesh(
+        np.vstack([mesh.vertices for mesh in meshes]),
+        np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]),
+        np.vstack(uvs) if len(uvs) == len(meshes) else None,
+    )
 
 
 def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
     """What one of trimesh's loaders makes of a file, unprocessed.
 
-    Raises InputError whatever the reader stumbles over; its own warnings and log are dropped, since
-    what matters is checked afterwards.
+    Vertices come in any order: where it is kept, trimesh 5 loses the texture coordinates of an OBJ
+    whose faces name them. Raises InputError whatever the reader stumbles over; its own warnings and
+    log are dropped, since what matters is checked afterwards.
     """
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise InputError(f"{path}: {path.suffix!r} is none of {', '.join(FORMATS)}")
@@ -77,7 +95,9 @@ def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            return loader(path, process=False, maintain_order=True)
+            file, kind = model_file(path)
+            files = ModelFiles(path)
+            return loader(file, file_type=kind, resolver=files, process=False, maintain_order=False)
     except MemoryError:
         raise
     except Exception as error:  # readers fail in every way there is on broken files
@@ -104,35 +124,7 @@ def _check_obj(path: Path) -> None:
                 raise InputError(f"{path}: line {number}: vertex 0, but OBJ counts from 1")
 
 
-def _check_gltf(path: Path) -> None:
-    """An accessor may promise any number of zeros: no more are taken than there are bytes."""
-    data = path.read_bytes()
-    if data[:4] == b"glTF":  # binary: a header of 12 bytes, then the JSON with its length
-        size = int.from_bytes(data[12:16], "little")
-        if (total := int.from_bytes(data[8:12], "little")) > len(data):
-            short = f"truncated, {len(data)} of {total} bytes"
-            raise InputError(f"{path}: can't be read as a mesh (no valid glTF: {short})")
-        data = data[20 : 20 + size]
-    try:
-        content = json.loads(data)
-        held = path.stat().st_size
-        for buffer in content.get("buffers", ()):
-            if isinstance(uri := buffer.get("uri"), str) and not uri.startswith("data:"):
-                beside = path.parent / unquote(uri)
-                held += beside.stat().st_size if beside.is_file() else 0
-        counts = [accessor.get("count") for accessor in content.get("accessors", ())]
-    except (AttributeError, OSError, RecursionError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path}: can't be read as a mesh (no valid glTF: {error!s:.200})"
-        ) from error
-    for number, count in enumerate(counts):
-        if not isinstance(count, int) or not 0 <= count <= held:
-            raise InputError(
-                f"{path}: accessor {number}: {count!r:.40} elements in a model of {held} bytes"
-            )
-
-
-_CHECKS = {".obj": _check_obj, ".gltf": _check_gltf, ".glb": _check_gltf}
+_CHECKS = {".obj": _check_obj, ".gltf": check_gltf, ".glb": check_gltf}
 
 
 def validate(mesh: Mesh, place: str) -> Mesh:
