@@ -61,8 +61,11 @@ def reconstruct(
     if found.standard_error is not None:
         known = found.standard_error[np.isfinite(found.standard_error)]
         error = f"{float(np.median(known)):.3g} e- (median)" if known.size else "unknown"
-        print(f"standard error of a cell: {error}")
+        print(
+            f"standard error of a cell: {error}; 95 % lie within {found.errors_in_95:.3g} of them"
+        )
         arrays["standard_error"] = found.standard_error
+        arrays["errors_in_95"] = np.array(found.errors_in_95)
     if ranged:
         print(_distances(loaded, ranged))
         arrays |= {

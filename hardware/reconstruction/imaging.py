@@ -37,7 +37,8 @@ class Reconstruction:
     ``image`` and ``standard_error`` have shape ``(n_detectors, rows, columns)``, in the
     photo-electrons that a cell, lit alone for one exposure, would give; NaN in cells that the
     patterns do not measure (`PatternSet.unmeasured_cells`), of which a warning tells.
-    ``standard_error`` is None where the method gives none. ``noise_electrons`` is the noise of one
+    ``standard_error`` is None where the method gives none; 95 % of the cells lie within
+    ``errors_in_95`` of them, 1.96 where errors are normal. ``noise_electrons`` is the noise of one
     measurement, as found in the record itself; NaN where the record does not tell it from detail
     (`hardware.reconstruction.measurements`). Standard errors hold ``most_noise_electrons``, the
     most that it can be; both are NaN, of which a warning tells, where no two exposures show it.
@@ -48,6 +49,7 @@ class Reconstruction:
     method: str
     image: NDArray[np.float64]
     standard_error: NDArray[np.float64] | None
+    errors_in_95: float
     noise_electrons: NDArray[np.float64]
     most_noise_electrons: NDArray[np.float64]
     level_error_electrons: NDArray[np.float64]
@@ -109,6 +111,7 @@ def reconstruct(
         method=method,
         image=np.where(told, cells, np.nan).T.reshape(shape),
         standard_error=None if error is None else np.where(told, error, np.nan).T.reshape(shape),
+        errors_in_95=solve.errors_in_95(sensing),
         noise_electrons=np.sqrt(np.where(measured.noise_told, variance, np.nan)),
         most_noise_electrons=np.sqrt(most),
         level_error_electrons=measured.most_level * (not sensing.measures_level),

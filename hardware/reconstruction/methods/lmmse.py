@@ -29,14 +29,19 @@ from hardware.reconstruction.prior import (
 )
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
-from hardware.reconstruction.standard_error import activity, calibration, detail_scale
+from hardware.reconstruction.standard_error import (
+    activity,
+    calibration,
+    detail_scale,
+    errors_in_95,
+)
 from hardware.reconstruction.walsh_blocks import WalshBlocks
 
 #: Values of a matrix from measurements to cells, up to which it is faster than the transforms.
 _DENSE = 2**17
 
 
-@method("lmmse")
+@method("lmmse", errors_in_95=errors_in_95)
 def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, Array]:
     """Linear minimum mean-square error under a 1/f^2 prior.
 
