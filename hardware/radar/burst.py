@@ -10,7 +10,7 @@ from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import Complex, Precision, demodulated
 from hardware.radar.demodulation import samples as measured
 from hardware.radar.integrity import usable
-from hardware.radar.phase_noise import with_steady_phase, without_phase_noise
+from hardware.radar.phase_noise import leakage_snr, with_steady_phase, without_phase_noise
 from hardware.radar.quadrature import without_images
 from hardware.radar.stitching import stitch
 from hardware.waveform import OfdmWaveform
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
 
 Array = NDArray[np.float64]
+
+_SEEN_IN_A_SLOT = 10.0  # times the noise: a slot's phase is known to 0.2 rad
+_SEEN = 12.0  # times the noise of all slots' mean: 6 is the highest of 64 delays of noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +95,19 @@ def demodulate(
     own = replace(wave, n_slots=n_turns, slot_period_s=wave.slot_period_s * n_transmitters)
     samples = [measured(record.iq[burst, step, : part.n_slots], precision) for step in steps]
     samples = without_images(samples, wave)
+    lacking: tuple[str, ...] = ()
+    seen = True
     if leakage and np.isfinite(record.leakage_delay_s):
-        samples = [with_steady_phase(step, wave, record.leakage_delay_s) for step in samples]
-        if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
-            samples = [without_phase_noise(samples[0], wave, record.leakage_delay_s, turns)]
+        if leakage_snr(samples, wave, record.leakage_delay_s) > _SEEN_IN_A_SLOT:
+            samples = [with_steady_phase(step, wave, record.leakage_delay_s) for step in samples]
+            if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
+                samples = [without_phase_noise(samples[0], wave, record.leakage_delay_s, turns)]
+        else:
+            means = [step.mean(axis=0, keepdims=True) for step in samples]
+            snr = leakage_snr(means, wave, record.leakage_delay_s)
+            seen = snr > _SEEN
+            if not seen:
+                lacking = (_unseen(burst, record.leakage_delay_s, snr, len(samples)),)
     cube = [_channels(step, turns, wave, record.root_watt_per_count) for step in samples]
     motion = noise_by_range = None
     if len(record.carriers_hz) == 1:
@@ -109,6 +121,7 @@ def demodulate(
             record.leakage_delay_s if reference_delay_s is None else reference_delay_s,
             step_times_s=1e-9 * record.device_time_ns[burst, : part.n_steps, 0].astype(np.float64),
             range_rate_m_per_s=range_rate_m_per_s,
+            reference_seen=seen or reference_delay_s is not None,
         )
         joined, wide, motion = stitched.channel, stitched.waveform, stitched.motion
     if leakage and np.isfinite(record.leakage_delay_s):
@@ -124,9 +137,20 @@ def demodulate(
         transmitter_m=np.repeat(record.transmitters_m[used], n_receivers, axis=0),
         receiver_m=np.tile(record.receivers_m, (n_transmitters, 1)),
         whole=part.whole,
-        warnings=part.warnings,
+        warnings=(*part.warnings, *lacking),
         noise_by_range=noise_by_range,
     )
+
+
+def _unseen(burst: int, delay_s: float, snr: float, n_steps: int) -> str:
+    """What follows from leakage that does not stand out of the noise."""
+    told = (
+        f"burst {burst}: no leakage is seen at its delay of {delay_s:.3g} s ({max(snr, 0):.2g} "
+        f"times the noise, expected {_SEEN:g} or more): "
+    )
+    if n_steps == 1:
+        return told + "phases that it would tell are left as they are"
+    return told + "nothing tells the phases of carrier steps, and echoes and ranges are not right"
 
 
 def _noise_by_range(steps: list[Complex]) -> Array | None:

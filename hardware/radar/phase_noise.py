@@ -15,6 +15,8 @@ one. An echo straight ahead that stands below the phase noise in its own cell ca
 its mirror image: there half its amplitude is left on either side.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,10 +31,30 @@ _RARE = 1e-9  # chance that thermal noise alone passes for an echo, per cell
 _BEYOND = 8.0  # times the expected power, from which a cell's own power shows an echo
 _LOW = 0.16  # quantile that tells how noise scatters
 _MANY = 9  # cells, from which pooled noise is far from exponential
+_MANY_SAMPLES = 2**18  # that tell whether there is leakage
 _SMOOTHED = 33  # range cells, over which the noise's level changes little
 _FAINT = 0.3  # of thermal noise: side lobes below do no harm on the other side
 # Rates and ranges that are looked at together: an echo's cell, its side lobes along either axis.
 _POOLED = ((1, 1), (1, 33), (9, 1))
+
+
+def leakage_snr(steps: Sequence[Complex], waveform: OfdmWaveform, delay_s: float) -> float:
+    """Energy of the path at ``delay_s`` in a slot over the noise's, all receivers added.
+
+    ``steps``: samples (n_slots, n_receivers, n_subcarriers) of every carrier step. The noise is
+    told by the median over delays. Of steps, which a retune may delay, the highest delay counts.
+    """
+    n = waveform.n_subcarriers
+    ahead = np.exp(2j * np.pi * waveform.frequency_offsets_hz * delay_s)
+    undone = np.fft.ifftshift(waveform.sent().conj() * ahead * taper("blackmanharris", n))
+    snr = []
+    for step in steps:
+        some = step[:: max(1, step.size // _MANY_SAMPLES)]
+        by_delay = np.fft.ifft(np.fft.fft(some) * undone.astype(step.dtype))
+        energy = np.mean(np.abs(by_delay) ** 2, axis=(0, 1), dtype=np.float64)
+        leakage = energy.max() if len(steps) > 1 else energy[0]
+        snr.append(step.shape[1] * (leakage / max(float(np.median(energy)), 1e-300) - 1))
+    return float(np.mean(snr))
 
 
 def with_steady_phase(samples: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:

@@ -47,6 +47,7 @@ def stitch(
     step_times_s: Array | None = None,
     range_rate_m_per_s: float = 0.0,
     iterations: int = 200,
+    reference_seen: bool = True,
 ) -> Stitched:
     """Join carrier steps.
 
@@ -68,6 +69,8 @@ def stitch(
         must be known, from a track or the vehicle's own motion.
     iterations
         Bounds what echoes leave in the phases; they converge by a factor of about 2 each.
+    reference_seen
+        Without it steps are joined as they are: phases that are fitted to noise make echoes of it.
 
     Raises ValueError for steps that leave gaps or overlap, or an unknown reference delay.
     """
@@ -81,7 +84,9 @@ def stitch(
     n = waveform.n_subcarriers
     f = waveform.frequency_offsets_hz
     still = steps.mean(axis=-1)
-    late = np.array([_late(still[:, s], waveform, reference_delay_s) for s in range(len(order))])
+    late = np.zeros(len(order), dtype=np.int64)
+    if reference_seen:
+        late[:] = [_late(still[:, s], waveform, reference_delay_s) for s in range(len(order))]
     timing = np.exp(2j * np.pi * np.outer(late, f) / waveform.bandwidth_hz)
     centre = float(wide.carrier_hz)
     absolute = carriers_hz[:, None] + f
@@ -90,11 +95,12 @@ def stitch(
         moved = 2 * range_rate_m_per_s / C_M_PER_S * (step_times_s - step_times_s.mean())
         motion = np.exp(2j * np.pi * absolute * moved[:, None])
     path = np.exp(-2j * np.pi * (absolute - centre) * reference_delay_s)
-    phase = _phases(
-        (still * timing)[:, order], path[order], motion[order], wide, reference_delay_s, iterations
-    )
-    unsorted = np.empty_like(phase)
-    unsorted[order] = phase
+    unsorted = np.zeros(len(order))
+    if reference_seen:
+        aligned = (still * timing)[:, order]
+        unsorted[order] = _phases(
+            aligned, path[order], motion[order], wide, reference_delay_s, iterations
+        )
     turn = timing * np.exp(-1j * unsorted)[:, None]
     joined = (steps * turn[..., None])[:, order]
     shape = (len(steps), len(order) * n, steps.shape[-1])
