@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.timing import Figure
-from hardware.radar import Cfar, RangeDopplerMap, cfar_threshold
+from hardware.radar import Cfar, MapNoise, RangeDopplerMap, cfar_threshold
 from hardware.radar.burst import demodulate
 from hardware.radar.process import Processing, process
 from hardware.radar.range_doppler import range_doppler
@@ -73,13 +73,8 @@ def count(
 
 def above(image: RangeDopplerMap, cfar: Cfar, window: str) -> NDArray[np.bool_]:
     """Cells above their threshold."""
-    threshold = cfar_threshold(
-        image.power_w,
-        cfar,
-        window=window,
-        n_channels=image.n_channels,
-        noise_by_range=image.noise_by_range,
-    )
+    noise = MapNoise(window, image.n_channels, noise_by_range=image.noise_by_range)
+    threshold = cfar_threshold(image.power_w, cfar, noise)
     return np.asarray(image.power_w > threshold)
 
 

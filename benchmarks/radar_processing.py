@@ -10,9 +10,8 @@ import numpy as np
 from scipy import stats
 
 from benchmarks.timing import Figure, timed
-from hardware.radar import Cfar, OfdmWaveform, range_doppler
+from hardware.radar import Cfar, MapNoise, OfdmWaveform, cfar_threshold, range_doppler
 from hardware.radar.burst import demodulate
-from hardware.radar.cfar import cfar_threshold
 from hardware.radar.detection import detected, standard_errors
 from hardware.radar.imaging import image
 from hardware.radar.process import Processing, process
@@ -189,7 +188,9 @@ def _false_alarms() -> Iterator[Figure]:
             for i, method in enumerate(("ca", "go")):
                 for j, rate in enumerate((1e-3, 1e-4, 1e-6)):
                     cfar = Cfar(rate, method)  # type: ignore[arg-type]
-                    counts[run, i, j] = np.sum(power > cfar_threshold(power, cfar, window=window))
+                    counts[run, i, j] = np.sum(
+                        power > cfar_threshold(power, cfar, MapNoise(window))
+                    )
         for i, method in enumerate(("ca", "go")):
             for j, rate in enumerate((1e-3, 1e-4, 1e-6)):
                 name = f"false alarms, {method}, {window}, asked {rate:g}: measured over asked"

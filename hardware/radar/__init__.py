@@ -1,6 +1,7 @@
 """From IQ samples to detections: OFDM demodulation, range-Doppler map, CFAR."""
 
-from hardware.radar.cfar import Cfar, cfar_factor, cfar_threshold
+from hardware.radar.cfar import cfar_threshold
+from hardware.radar.cfar_rule import Cfar, MapNoise, cfar_factor
 from hardware.radar.demodulation import channel
 from hardware.radar.detection import Detection, detect
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
@@ -10,6 +11,7 @@ from hardware.waveform import OfdmWaveform
 __all__ = [
     "Cfar",
     "Detection",
+    "MapNoise",
     "OfdmWaveform",
     "RangeDopplerMap",
     "cfar_factor",

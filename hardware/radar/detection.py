@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.cfar import Cfar
+from hardware.radar.cfar_rule import Cfar
 from hardware.radar.demodulation import Complex
 from hardware.radar.peaks import Peaks, peaks_above
 from hardware.radar.range_doppler import RangeDopplerMap, check_channel

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.cfar import Cfar, cfar_threshold, possible, white_threshold
+from hardware.radar.cfar import cfar_threshold
+from hardware.radar.cfar_rule import Cfar, MapNoise, white_threshold
 from hardware.radar.range_doppler import RangeDopplerMap
+from hardware.radar.screening import possible
 
 Array = NDArray[np.float64]
 
@@ -40,23 +42,18 @@ class Peaks:
 def peaks_above(image: RangeDopplerMap, cfar: Cfar, window: str) -> Peaks:
     """Cells above their threshold and above the cells around them."""
     power = image.power_w
-    made: dict[str, Any] = {
-        "window": window,
-        "n_channels": image.n_channels,
-        "oversampling": image.oversampling,
-    }
-    uneven: dict[str, Any] = {"noise_by_range": image.noise_by_range}
-    rows, columns = possible(power, cfar, **made, **uneven)
+    noise = MapNoise(window, image.n_channels, image.oversampling, image.noise_by_range)
+    rows, columns = possible(power, cfar, noise)
     peak = _are_peaks(power, rows, columns)
     rows, columns = rows[peak], columns[peak]
-    threshold = cfar_threshold(power, cfar, at=(rows, columns), **made, **uneven)
+    threshold = cfar_threshold(power, cfar, noise, at=(rows, columns))
     above = power[rows, columns] > threshold
     rows, columns, threshold = rows[above], columns[above], threshold[above]
     return Peaks(
         range_m=image.range_m[rows],
         range_rate_m_per_s=image.range_rate_m_per_s[columns],
         power_w=power[rows, columns],
-        noise_w=threshold / white_threshold(power.shape, cfar, **made),
+        noise_w=threshold / white_threshold(power.shape, cfar, noise),
     )
 
 

@@ -51,7 +51,7 @@ def leakage_snr(steps: Sequence[Complex], waveform: OfdmWaveform, delay_s: float
     for step in steps:
         some = step[:: max(1, step.size // _MANY_SAMPLES)]
         by_delay = np.fft.ifft(np.fft.fft(some) * undone.astype(step.dtype))
-        energy = np.mean(np.abs(by_delay) ** 2, axis=(0, 1), dtype=np.float64)
+        energy: Array = np.asarray(np.mean(np.abs(by_delay) ** 2, axis=(0, 1)), dtype=np.float64)
         leakage = energy.max() if len(steps) > 1 else energy[0]
         snr.append(step.shape[1] * (leakage / max(float(np.median(energy)), 1e-300) - 1))
     return float(np.mean(snr))

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from hardware.radar.ambiguity import unfolded
 from hardware.radar.angles import compensated, direction, extents, virtual_places
 from hardware.radar.burst import Burst, demodulate
-from hardware.radar.cfar import Cfar, fitted
+from hardware.radar.cfar import fitted
+from hardware.radar.cfar_rule import Cfar
 from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Complex, Precision
 from hardware.radar.detection import (

@@ -18,10 +18,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.cfar import Cells, Cfar, cells_above, cfar_threshold, white_threshold
+from hardware.radar.cfar import Cells, cfar_threshold
+from hardware.radar.cfar_rule import Cfar, MapNoise, white_threshold
 from hardware.radar.demodulation import Complex
 from hardware.radar.peaks import Peaks
 from hardware.radar.range_doppler import RangeDopplerMap, amplitudes, mean_power, noise_level
+from hardware.radar.screening import cells_above
 from hardware.radar.whitening import whitened
 from hardware.radar.windows import taper
 from hardware.waveform import OfdmWaveform
@@ -73,20 +75,18 @@ def weak_echoes(
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
     level = _between_cells(images, (rows, columns), *_NEAR)
     uneven = tapered.noise_by_range
-    threshold = cfar_threshold(
-        power,
-        cfar,
+    noise = MapNoise(
         n_channels=looks,
         noise_by_range=None if uneven is None else uneven[:: tapered.oversampling],
-        at=(rows, columns),
     )
+    threshold = cfar_threshold(power, cfar, noise, at=(rows, columns))
     clear = level > threshold + factor * lobes
     rows, columns, level, threshold = rows[clear], columns[clear], level[clear], threshold[clear]
     peaks = Peaks(
         range_m=np.asarray(rows * waveform.range_cell_m, dtype=np.float64),
         range_rate_m_per_s=(columns - (m - 1) // 2) * waveform.velocity_cell_m_per_s,
         power_w=level,
-        noise_w=threshold / white_threshold(power.shape, cfar, n_channels=looks),
+        noise_w=threshold / white_threshold(power.shape, cfar, noise),
     )
     return peaks, noise_w
 

@@ -11,7 +11,7 @@ import pytest
 from scipy import special
 from scipy.ndimage import uniform_filter1d
 
-from hardware.radar import Cfar, cfar_threshold, range_doppler
+from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
 from hardware.radar.burst import demodulate
 from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import samples
@@ -57,7 +57,7 @@ def test_channels_that_share_noise_alarm_at_the_rate_asked_for(share, method, wi
     channel = shared_noise(rng, share, 1024, 128).astype(np.complex64)
     image = range_doppler(channel, replace(TURNS, n_slots=128), window)
     cfar = Cfar(1e-3, method)
-    threshold = cfar_threshold(image.power_w, cfar, window=window, n_channels=image.n_channels)
+    threshold = cfar_threshold(image.power_w, cfar, MapNoise(window, image.n_channels))
     alarms = np.sum(image.power_w > threshold)
     assert alarms == pytest.approx(131, abs=45 if window == "boxcar" else 80)
     eigenvalues = np.array([1 + 4 * share] * 3 + [1] * 9)

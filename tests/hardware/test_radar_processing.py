@@ -10,14 +10,14 @@ import pytest
 from radar_cubes import CARRIERS, HALF, MIMO, STEP, WIDE, C, Echo, cube, resolved, two_targets
 from scipy import stats
 
-from hardware.radar import Cfar, cfar_threshold, range_doppler
+from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
 from hardware.radar.angles import compensated, direction
 from hardware.radar.burst import demodulate, even_turns
-from hardware.radar.cfar import possible
 from hardware.radar.clutter import without_leakage, without_static
 from hardware.radar.detection import detected
 from hardware.radar.music import music
 from hardware.radar.process import Processing, frames, process
+from hardware.radar.screening import possible
 from hardware.radar.stitching import stitch
 from hardware.radar.superresolution import resolve
 from hardware.records import Flag
@@ -136,9 +136,7 @@ def test_false_alarms_on_windowed_noise(method, window, n_channels, oversampling
         shape = (n_channels, 512, 128, 2)
         noise = rng.normal(size=shape).view(np.complex128)[..., 0]
         image = range_doppler(noise, wave, window, oversampling=oversampling)
-        threshold = cfar_threshold(
-            image.power_w, Cfar(1e-3, method), window=window, n_channels=n_channels
-        )
+        threshold = cfar_threshold(image.power_w, Cfar(1e-3, method), MapNoise(window, n_channels))
         above += np.count_nonzero(image.power_w > threshold)
         cells += threshold.size
     clump = {"boxcar": 1.0, "hann": 1.94**2, "blackmanharris": 2.6**2}[window]

@@ -1,0 +1,237 @@
+"""Which cells tell the noise around a cell, and how far above them a detection stands.
+
+A noise cell, the mean of V channels, is gamma distributed with shape V. The reference z is
+
+- ``ca``: the mean of n training cells;
+- ``go``: the greater of the means before and behind in range, for edges of clutter;
+- ``os``: the k-th smallest of n, k = 3 n / 4, for neighbours among the training cells;
+
+and a cell is a detection above factor * z. The factor solves E[Q(V, V factor z)] = Pfa over z's
+distribution (Q the regularised upper gamma function). For one channel and independent cells that
+is the textbooks' n (Pfa^(-1/n) - 1) for ``ca`` and prod (n - i) / (n - i + factor) = Pfa for ``os``
+(Rohling, IEEE Trans. AES 19, 1983).
+
+A window makes neighbouring cells alike: n cells then tell as much as fewer independent ones. That
+number replaces n: for a mean, the one with the same variance; for a quantile, the one with the same
+variance of the share of cells below it.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.k_distribution import quantile, survival
+from hardware.radar.windows import correlation, taper
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Method = Literal["ca", "go", "os"]
+QUANTILE = 0.75  # of the training cells, for os
+_MOST_ORDERED = 96  # cells that os sorts
+
+
+@dataclass(frozen=True)
+class Cfar:
+    """How detections are told from noise.
+
+    Parameters
+    ----------
+    false_alarm
+        Probability per cell that noise alone is called a target.
+    method
+        ``ca``, ``go`` or ``os``.
+    guard, training
+        Cells on each side along range and rate that are left out, and that tell the noise. The
+        guard must hold what a window spreads a cell over: 3 for ``blackmanharris``.
+    shape
+        Of K-distributed clutter; infinite for noise. ``"fitted"``: to each map.
+    """
+
+    false_alarm: float = 1e-8
+    method: Method = "os"
+    guard: tuple[int, int] = (6, 6)
+    training: tuple[int, int] = (16, 12)
+    shape: float | Literal["fitted"] = float("inf")
+
+    def __post_init__(self) -> None:
+        if not 0 < self.false_alarm < 1:
+            raise ValueError(f"false_alarm: {self.false_alarm} is no probability")
+        if self.method not in get_args(Method):
+            raise ValueError(f"method: {self.method!r} is none of {', '.join(get_args(Method))}")
+        for name in ("guard", "training"):
+            if min(getattr(self, name)) < 0:
+                raise ValueError(f"{name}: {getattr(self, name)} is negative")
+        shape: object = self.shape
+        if shape != "fitted" and not (isinstance(shape, int | float) and shape > 0):
+            raise ValueError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
+
+
+@dataclass(frozen=True, eq=False)
+class MapNoise:
+    """What is known of the noise of a map: it sets how alike cells are, and how they scatter.
+
+    Parameters
+    ----------
+    window, n_channels, oversampling
+        How the map was made.
+    noise_by_range : (n_ranges,)
+        Mean noise over range, in any unit, where it is known to change within the training cells.
+    """
+
+    window: str = "boxcar"
+    n_channels: int = 1
+    oversampling: int = 1
+    noise_by_range: Array | None = None
+
+
+def rule(shape: tuple[int, ...], cfar: Cfar, noise: MapNoise) -> tuple[list[Mask], float, int]:
+    """Training cells, the factor on their reference, and for ``os`` the rank of that, else 0."""
+    return _rule(shape, cfar, noise.window, noise.n_channels, noise.oversampling)
+
+
+@lru_cache(maxsize=64)
+def _rule(
+    shape: tuple[int, ...], cfar: Cfar, window: str, n_channels: int, oversampling: int
+) -> tuple[list[Mask], float, int]:
+    """Training cells, the factor on their reference, and for ``os`` the rank of that, else 0."""
+    regions = _regions(shape, cfar)
+    rank = 0
+    if cfar.method == "os":
+        regions = [_thinned(regions[0], shape, window, oversampling)]
+        rank = round(QUANTILE * int(regions[0].sum()))
+    cells = int(regions[0].sum())
+    alike = _independent(shape, offsets_of(regions[0]), window, oversampling, rank / cells)
+    assert not isinstance(cfar.shape, str)
+    factor = cfar_factor(
+        cfar.false_alarm, alike, cfar.method, n_channels, rank * alike / cells, cfar.shape
+    )
+    return regions, factor, rank
+
+
+def white_threshold(shape: tuple[int, ...], cfar: Cfar, noise: MapNoise) -> float:
+    """Threshold over the mean of noise, where it is the same all over a map."""
+    from scipy.special import gammaincinv
+
+    _, factor, rank = rule(shape, cfar, noise)
+    looks = noise.n_channels
+    return float(factor * gammaincinv(looks, QUANTILE) / looks) if rank else factor
+
+
+@lru_cache(maxsize=64)
+def cfar_factor(
+    false_alarm: float,
+    cells: float,
+    method: Method = "ca",
+    n_channels: int = 1,
+    rank: float | None = None,
+    clutter_shape: float = np.inf,
+) -> float:
+    """Threshold over the reference of ``cells`` independent cells (in each half, for ``go``)."""
+    from scipy.optimize import brentq
+    from scipy.special import betaincinv, gammaincinv
+    from scipy.stats import norm
+
+    # Over the reference's quantiles, spaced evenly in a normal variable: its tails are reached.
+    x = np.linspace(-12, 12, 4001)
+    weight = norm.pdf(x) * (x[1] - x[0])
+    u = norm.cdf(x)
+    # Of the mean: 1 over the square of its relative deviation.
+    shape = cells / ((1 + 1 / n_channels) * (1 + 1 / clutter_shape) - 1)
+    if method == "ca":
+        z = gammaincinv(shape, u) / shape
+    elif method == "go":
+        z = gammaincinv(shape, np.sqrt(u)) / shape
+    else:
+        rank = QUANTILE * cells if rank is None else rank
+        z = quantile(betaincinv(rank, cells - rank + 1, u), n_channels, clutter_shape)
+
+    def excess(log_factor: float) -> float:
+        rate = weight @ survival(np.exp(log_factor) * z, n_channels, clutter_shape)
+        return float(np.log(rate + 1e-300) - np.log(false_alarm))
+
+    return float(np.exp(brentq(excess, -20, 20, xtol=1e-10)))
+
+
+def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[Mask]:
+    """Training cells as masks around a cell, (n_rows, n_columns), both odd unless they fill a map.
+
+    One ring, or for ``go`` the parts before and behind in range.
+    """
+    inner = [min(2 * g + 1, n) for g, n in zip(cfar.guard, shape, strict=True)]
+    outer = [
+        min(2 * (g + t) + 1, n) for g, t, n in zip(cfar.guard, cfar.training, shape, strict=True)
+    ]
+    middle = [
+        slice(o // 2 - i // 2, o // 2 - i // 2 + i) for i, o in zip(inner, outer, strict=True)
+    ]
+    ring = np.ones(outer, dtype=bool)
+    if cfar.method == "go":
+        ring[middle[0]] = False
+        before, behind = ring.copy(), ring.copy()
+        before[outer[0] // 2 :] = False
+        behind[: outer[0] // 2] = False
+        regions = [before, behind]
+    else:
+        ring[tuple(middle)] = False
+        regions = [ring]
+    if not all(region.any() for region in regions):
+        raise ValueError(f"training: no cells left of a map of {tuple(shape)} to tell the noise")
+    return regions
+
+
+def offsets_of(region: Mask) -> NDArray[np.intp]:
+    """Rows and columns of a region's cells relative to its middle, (n_cells, 2)."""
+    return np.argwhere(region) - np.array(region.shape) // 2
+
+
+def _thinned(region: Mask, shape: tuple[int, ...], window: str, oversampling: int) -> Mask:
+    """Of the training cells those on a grid wide enough that few are left to sort, nearly alone."""
+    steps = [
+        max(1, int(np.argmax(correlation(taper(window, n // oversampling), oversampling) < 0.05)))
+        for n in shape
+    ]
+    rows, columns = (np.arange(n) - n // 2 for n in region.shape)
+    while True:
+        thin = region & ((rows % steps[0] == 0)[:, None] & (columns % steps[1] == 0))
+        if thin.sum() <= _MOST_ORDERED:
+            return thin if thin.sum() > 1 else region
+        steps[int(np.argmin(steps))] += 1
+
+
+def _independent(
+    shape: tuple[int, ...],
+    offsets: NDArray[np.intp],
+    window: str,
+    oversampling: int,
+    quantile: float,
+) -> float:
+    """Number of independent cells with the same variance of the mean, or of a quantile."""
+    if window == "boxcar" and oversampling == 1:
+        return float(len(offsets))
+    return _equivalent(shape, offsets.tobytes(), window, oversampling, quantile)
+
+
+@lru_cache(maxsize=16)
+def _equivalent(
+    shape: tuple[int, ...], packed: bytes, window: str, oversampling: int, quantile: float
+) -> float:
+    offsets = np.frombuffer(packed, dtype=np.intp).reshape(-1, 2)
+    rho = [correlation(taper(window, n // oversampling), oversampling) for n in shape]
+    lags = offsets[:, None] - offsets
+    alike = rho[0][lags[..., 0] % shape[0]] * rho[1][lags[..., 1] % shape[1]]
+    if quantile == 0:
+        return float(len(offsets) ** 2 / alike.sum())
+    # Correlation of two indicators x < q: Laguerre polynomials expand the joint distribution,
+    # each order weighted by that power of the cells' squared correlation.
+    from scipy.special import eval_laguerre
+
+    q = -np.log1p(-quantile)
+    indicator = np.zeros_like(alike)
+    for order in range(1, 60):
+        part = np.exp(-q) * (eval_laguerre(order, q) - eval_laguerre(order - 1, q))
+        indicator += part**2 / (quantile * (1 - quantile)) * alike**order
+    np.fill_diagonal(indicator, 1.0)
+    return float(len(offsets) ** 2 / indicator.sum())
