@@ -143,6 +143,11 @@ def _moving(*velocity: float) -> Found:
     return _channel(radar(), world((50.0, 0.0, 0.0), velocity))
 
 
+def _crossing(range_m: float) -> Found:
+    """300 m/s across: what is beyond a parabola is warned of from 0.02 rad on."""
+    return replace(_channel(radar(), world((range_m, 0.0, 0.0), (0.0, 300.0, 0.0))), stated=0.02)
+
+
 def _declared(speed: float) -> Found:
     content = {
         "rig": {"position_m": (0.0, 0.0, 0.0)},
@@ -204,8 +209,9 @@ def cases() -> list[Case]:
             )
         ],
         *velocities,
-        Case("velocity", "300 m/s across", _SUM, lambda: _moving(0.0, 300.0, 0.0), "warning",
-             "crosses so fast"),
+        Case("velocity", "300 m/s across", _SUM, lambda: _crossing(50.0)),
+        Case("velocity", "300 m/s across at 10 m", _SUM, lambda: _crossing(10.0), "warning",
+             "passes so near and fast"),
         Case("velocity", "3e8 m/s", "-", lambda: _declared(3e8), "error", "velocity_m_per_s"),
         Case("subcarriers", "1", _SUM, lambda: _subcarriers(1, 976562.5, 64)),
         Case("subcarriers", "65 536", _SUM, lambda: _subcarriers(65536, 61035.15625, 16)),

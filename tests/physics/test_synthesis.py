@@ -25,7 +25,9 @@ def test_nufft_is_the_direct_sum(kind: str, shape: tuple[int, int]) -> None:
         "everything": rng.uniform(-2 * 30 / C, 2 * 30 / C, n),
     }[kind]
     amplitude = rng.normal(size=n) + 1j * rng.normal(size=n)
-    echoes = Contributions.ahead(amplitude, rng.uniform(1e-10, 1.02e-6, n), rates)
+    # What moves crosses as well, at 15 m/s in 5 to 50 m.
+    crossing = np.where(rates != 0, 2 * 15.0**2 / C / rng.uniform(5, 50, n), 0)
+    echoes = Contributions.ahead(amplitude, rng.uniform(1e-10, 1.02e-6, n), rates, crossing)
     wave = replace(WAVE, n_subcarriers=shape[0], n_slots=shape[1])
     found = synthesize(echoes, wave)
     rows = np.unique(np.linspace(0, shape[0] - 1, 9).astype(int))
@@ -50,6 +52,60 @@ def test_tolerance_is_what_bounds_the_error() -> None:
         errors.append(np.abs(found[::500] - exact).max() / rms)
         assert errors[-1] < 10 * tolerance
     assert errors[0] > errors[1] > errors[2]
+
+
+@pytest.mark.parametrize("slots", [16, 256])
+@pytest.mark.parametrize("n", [1, 3, 40, 20_000])
+@pytest.mark.parametrize("unlike", [0.0, 1e-4, 0.5, 30.0])
+def test_accelerations_whichever_way_is_taken(n: int, slots: int, unlike: float) -> None:
+    """Alike (bulk motion in closed form), slightly unlike (series, interpolation), and so unlike
+    that every slot is computed; products of a few echoes and transforms of many: each within 3
+    tolerances of the direct sum. The largest are those of 25 m/s in 5 m and far beyond.
+    """
+    wave = replace(WAVE, n_subcarriers=64, n_slots=slots, slot_period_s=10e-3 / slots, repeats=1)
+    rng = np.random.default_rng(3)
+    rates = 2 / C * (5 + 0.1 * rng.uniform(-1, 1, n))
+    faster = 2 / C * 125 * (1 + unlike * rng.uniform(-1, 1, n))
+    echoes = Contributions.ahead(rng.normal(size=n) + 0j, rng.uniform(0, 1e-6, n), rates, faster)
+    rows = np.arange(0, 64, 9)
+    exact = direct_sum(
+        echoes, wave.frequency_offsets_hz[rows], wave.slot_times_s[::5], wave.carrier_hz
+    )
+    rms = np.sqrt(np.mean(np.abs(exact) ** 2))
+    for tolerance in (1e-3, 1e-6):
+        found = synthesize(echoes, wave, tolerance)[rows, ::5]
+        assert np.abs(found - exact).max() < 3 * tolerance * rms
+
+
+def test_no_acceleration_is_motion_to_first_order_to_the_bit() -> None:
+    rng = np.random.default_rng(4)
+    amplitude, delay = rng.normal(size=500) + 0j, rng.uniform(0, 1e-6, 500)
+    for rates in (np.zeros(500), 2 * rng.uniform(4, 5, 500) / C):
+        none, zero = (
+            synthesize(Contributions.ahead(amplitude, delay, rates, faster), WAVE)
+            for faster in (None, np.zeros(500))
+        )
+        assert none.tobytes() == zero.tobytes()
+
+
+def test_what_is_at_rest_is_transformed_once_beside_what_moves_slowly(monkeypatch) -> None:
+    """10 000 echoes at rest beside 10 that creep: one transform of them, not one at every time."""
+    import finufft
+
+    points = []
+    transform = finufft.nufft1d1
+
+    def counting(x, *rest, **more):
+        points.append(len(x))
+        return transform(x, *rest, **more)
+
+    monkeypatch.setattr(finufft, "nufft1d1", counting)
+    rates = np.where(np.arange(10_010) < 10, 2 * 0.4 / C, 0) * np.linspace(1, 2, 10_010)
+    rng = np.random.default_rng(5)
+    echoes = Contributions.ahead(np.ones(10_010, complex), rng.uniform(0, 1e-6, 10_010), rates)
+    synthesize(echoes, WAVE)
+    assert points.count(10_000) == 1
+    assert all(n <= 10 for n in points if n != 10_000)
 
 
 def test_no_contribution_is_silence() -> None:

@@ -131,9 +131,9 @@ def match_detections(
     """Which true target each detection is; each target goes to one detection.
 
     The nearest target within two cells in range and rate of its declared place, strongest detection
-    first. A target without one, such as a ball of which the centre is declared, goes to the
-    strongest detection within two cells of its object's extent in range and rate. Of an ambiguous
-    rate any alternative counts.
+    first; of the rates that it has within the interval any counts. A target without one, such as a
+    ball of which the centre is declared, goes to the strongest detection within two cells of its
+    object's extent in range and rate. Of an ambiguous rate any alternative counts.
     """
     free = list(truth)
     matches: list[TrueTarget | None] = []
@@ -142,7 +142,8 @@ def match_detections(
         for target in free:
             off_range = abs(found.range_m - target.wrapped_range_m) / waveform.range_cell_m
             rates = np.array([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
-            off_rate = float(np.abs(rates - target.range_rate_m_per_s).min())
+            off_rates = np.abs(rates - target.range_rate_m_per_s) - target.rate_change_m_per_s
+            off_rate = max(float(off_rates.min()), 0.0)
             # What is not measured, NaN, tells nothing against a target.
             off = float(np.nanmax([off_range, off_rate / waveform.velocity_cell_m_per_s, 0.0]))
             if off <= nearest:

@@ -12,6 +12,7 @@ from twin.radar.device.front_end import full_scale_w, image_rejection_db
 from twin.radar.device.oscillator import residual_rad
 from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.rays import lengthening
 from twin.radar.propagation.roles import Role
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene, SceneObject
@@ -22,13 +23,13 @@ from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
-_BENT_RAD = 0.02  # phase of a bent path or wavefront from which it is warned of
+_BENT_RAD = 0.02  # phase that a model of path or wavefront leaves out from which it is warned of
 _NOISY_RAD = 0.3  # phase noise of an echo from which its square matters
 
 #: Holds for every capture.
 _ALWAYS = (
-    "velocities are constant within a burst, positions those of its middle, delays linear in "
-    f"time to first order in v / c (bends beyond {_BENT_RAD} rad are warned of)",
+    "velocities are constant within a burst, positions those of its middle, delays of second order "
+    f"in time (what is beyond by {_BENT_RAD} rad is warned of) and to first order in v / c",
 )
 _POINTS = "declared targets answer with a constant cross-section from one point"
 _SMOOTH = "surfaces are smooth and large against the Fresnel zone where they reflect"
@@ -213,22 +214,23 @@ def _too_large(item: SceneObject, place: Array) -> bool:
 
 
 def _bend(target: Target, place: Array, radar: RadarDesign) -> CaptureWarning | None:
-    """Warning where a target crosses so fast that its range is no straight line in time.
-
-    Across the line of sight v moves it by (v t)^2 / (2 R), which a path's one rate leaves out.
-    """
+    """Warning where a target passes so near and fast that its range is no parabola in time."""
     towards = np.asarray(target.position_m) - place
-    distance = float(np.linalg.norm(towards))
     velocity = np.asarray(target.velocity_m_per_s)
-    across2 = float(velocity @ velocity - (velocity @ towards / distance) ** 2)
-    bend = across2 * (radar.burst_s / 2) ** 2 / (2 * distance)
+    distance = float(np.linalg.norm(towards))
+    rate, acceleration = lengthening(velocity, towards / distance, distance)
+    ends = np.array([-1.0, 1.0]) * radar.burst_s / 2
+    exact = np.linalg.norm(towards + ends[:, None] * velocity, axis=1)
+    off = exact - (distance + rate * ends + acceleration / 2 * ends**2)
+    bend = float(np.abs(off).max())
     phase = 4 * np.pi * bend / radar.ofdm.wavelength_m
     if phase < _BENT_RAD:
         return None
     return CaptureWarning(
         "model",
-        f"{target.name} crosses so fast that its range bends by {bend:.2g} m within the interval, "
-        f"which is left out: its echo is off by up to {100 * min(phase, 2.0):.3g} % of itself",
+        f"{target.name} passes so near and fast that its range is off a parabola by {bend:.2g} m "
+        "at the interval's ends, which is left out: its echo is off by up to "
+        f"{100 * min(phase, 2.0):.3g} % of itself",
     )
 
 

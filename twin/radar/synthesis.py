@@ -11,7 +11,7 @@ frequency and Doppler does it, with a short Taylor series for what still couples
 accelerations. Where rates differ too much for bodies, one transform per slot is exact.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from math import factorial
 from typing import Any
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _SERIES_RAD = 0.35  # coupled phase left to the series, at most
-_MOST_BENT_RAD = 4.0  # phase of accelerations beyond which a series of it is not worth it
+_MOST_BENT_RAD = 4.0  # phase that accelerations leave, at most, for a series of it
 _MOST_BODIES = 6  # beyond that the exact way is faster
 _MANY_POINTS = 200_000  # from which several threads are used
 _HANDFUL = 64  # echoes times terms up to which their sum is a matrix product
@@ -174,57 +174,84 @@ def _body(part: Contributions, waveform: OfdmWaveform, tolerance: float) -> Comp
         delay_rate=part.delay_rate - bulk[0],
         delay_acceleration_per_s=part.delay_acceleration_per_s - bulk[1],
     )
+    n, points = waveform.n_subcarriers, len(part.delay_s)
     latest, highest = float(np.abs(waveform.slot_times_s).max()), waveform.bandwidth_hz / 2
+    top = waveform.carrier_hz + highest
     # Per Hz: phases at the interval's end that rates and accelerations leave.
     linear = 2 * np.pi * latest * float(np.abs(spread.delay_rate).max())
     square = np.pi * latest**2 * float(np.abs(spread.delay_acceleration_per_s).max())
-    top = waveform.carrier_hz + highest
-    terms = _terms(linear * highest, square * top, tolerance)
-    if terms and len(part.delay_s) * sum(terms) <= _HANDFUL:
-        return _by_series(part, spread, bulk, terms, _products, waveform, tolerance)
+    terms = _terms((linear + square) * highest, tolerance)
+    if points * terms <= _HANDFUL:
+        return _by_products(part, spread, bulk, terms, waveform)
     times = _times(linear * top, square * top, waveform, tolerance)
-    n, cells = waveform.n_subcarriers, waveform.n_subcarriers * waveform.n_slots
-    points = len(part.delay_s)
-    if terms and len(times) * (_ANEW * points + n) > sum(terms) * (points + cells):
-        return _by_series(part, spread, bulk, terms, _grids, waveform, tolerance)
+    counts = _counts(linear * highest, square * top, tolerance)
+    at_times = len(times) * (_ANEW * points + n)
+    if counts and at_times > sum(counts) * (points + n * waveform.n_slots):
+        return _by_series(part, spread, bulk, counts, waveform, tolerance)
     found = _at_times(spread, times, waveform, tolerance)
     if 1 < len(times) < waveform.n_slots:
         found = _product(found, _interpolation(times, waveform.slot_times_s))
-    return found * _migration(bulk, waveform) if any(bulk) else found
+    return found * _migration(bulk, waveform, _turns(bulk, waveform)) if any(bulk) else found
 
 
 def _middle(values: Array) -> float:
     return float(values.max() + values.min()) / 2
 
 
+def _by_products(
+    part: Contributions,
+    spread: Contributions,
+    bulk: tuple[float, float],
+    terms: int,
+    waveform: OfdmWaveform,
+) -> Complex:
+    """The definition as matrix products, for a handful of echoes; what moves them through the band
+    apart from each other as a series: exp(-j 2 pi f s) = sum_k (-j 2 pi f)^k s^k / k!.
+
+    ``spread``: the part without its bulk motion.
+    """
+    carrier, f, t = waveform.carrier_hz, waveform.frequency_offsets_hz, waveform.slot_times_s
+    along_f = _turned(-f[:, None] * part.delay_s)
+    doppler = carrier * _moved(part, t)
+    along_t = _turned(-_wrapped(carrier * part.delay_s)[:, None] - doppler)
+    along_t = part.amplitude[:, None] * along_t
+    unit, moved = _scaled(_moved(spread, t))
+    grids = [
+        along_f @ (along_t * (moved**k / factorial(k)) if k else along_t) for k in range(terms)
+    ]
+    channel = _horner(grids, -2j * np.pi * unit * f, np.ones(len(t)))
+    return channel * _migration(bulk, waveform, np.zeros(len(t))) if any(bulk) else channel
+
+
 def _by_series(
     part: Contributions,
     spread: Contributions,
     bulk: tuple[float, float],
-    terms: Sequence[int],
-    transform: Callable[[Contributions, Array, OfdmWaveform, float], Complex],
+    counts: Sequence[int],
     waveform: OfdmWaveform,
     tolerance: float,
 ) -> Complex:
     """Transforms along frequency and Doppler, with what couples both as a series around the bulk.
 
     exp(-j 2 pi f t d) = sum_k (-j 2 pi f t)^k d^k / k! with d a rate's distance from the bulk, and
-    the same of accelerations in (fc + f) t^2 / 2. ``terms``: of the former with each power of the
-    latter; ``spread``: the part without its bulk motion.
+    the same of accelerations in (fc + f) t^2 / 2. ``counts``: of terms of the former with each
+    power of the latter; ``spread``: the part without its bulk motion.
     """
-    carrier, f, t = waveform.carrier_hz, waveform.frequency_offsets_hz, waveform.slot_times_s
+    f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
     slow, rates = _scaled(spread.delay_rate)
     bent, accelerations = _scaled(spread.delay_acceleration_per_s)
     powers = [
         rates**i / factorial(i) * (accelerations**k / factorial(k))
-        for k, count in enumerate(terms)
+        for k, count in enumerate(counts)
         for i in range(count)
     ]
-    grids = transform(part, np.stack(powers), waveform, tolerance)
-    series = np.split(grids, np.cumsum(terms)[:-1])
+    grids = _grids(part, np.stack(powers), waveform, tolerance)
+    series = np.split(grids, np.cumsum(counts)[:-1])
     coupled = [_horner(some, -2j * np.pi * slow * f, t) for some in series]
-    channel = _horner(coupled, -1j * np.pi * bent * (carrier + f), t**2)
-    return channel * _migration(bulk, waveform, by_rate=False) if any(bulk) else channel
+    channel = _horner(coupled, -1j * np.pi * bent * (waveform.carrier_hz + f), t**2)
+    # What rates do to the carrier is in the transforms.
+    turns = _turns((0.0, bulk[1]), waveform)
+    return channel * _migration(bulk, waveform, turns) if any(bulk) else channel
 
 
 def _horner(grids: list[Complex] | Complex, along_f: NDArray[Any], along_t: Array) -> Complex:
@@ -260,17 +287,6 @@ def _grids(part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance
     shape = (waveform.n_subcarriers, waveform.n_slots)
     grids = finufft.nufft2d1(x, y, strengths * powers, shape, **_options(tolerance, len(x)))
     return np.reshape(grids, (len(powers), *shape))
-
-
-def _products(
-    part: Contributions, powers: Array, waveform: OfdmWaveform, tolerance: float
-) -> Complex:
-    """The same by its definition: for a handful of echoes a matrix product is faster."""
-    carrier, f, t = waveform.carrier_hz, waveform.frequency_offsets_hz, waveform.slot_times_s
-    along_f = _turned(-f[:, None] * part.delay_s)
-    doppler = carrier * part.delay_rate[:, None] * t
-    along_t = _turned(-_wrapped(carrier * part.delay_s)[:, None] - doppler)
-    return np.stack([along_f @ ((part.amplitude * p)[:, None] * along_t) for p in powers])
 
 
 def _at_times(
@@ -334,19 +350,26 @@ def _product(columns: Complex, weights: Array) -> Complex:
     return found
 
 
-def _migration(
-    bulk: tuple[float, float], waveform: OfdmWaveform, *, by_rate: bool = True
-) -> Complex:
-    """exp(-j 2 pi (fc + f) (rate t + acceleration t^2 / 2)): coarse steps between blocks of
-    subcarriers, fine ones within.
+def _moved(part: Contributions, times: Array) -> Array:
+    """By how much delays grow from the interval's middle on, ``(n, n_times)``."""
+    rate, faster = part.delay_rate[:, None], part.delay_acceleration_per_s[:, None]
+    found: Array = (rate + faster / 2 * times) * times
+    return found
 
-    ``by_rate``: also what the rate turns the carrier by.
+
+def _turns(bulk: tuple[float, float], waveform: OfdmWaveform) -> Array:
+    """Cycles by which a bulk motion turns the carrier, (n_slots,)."""
+    rate, acceleration = bulk
+    t = waveform.slot_times_s
+    return waveform.carrier_hz * (rate + acceleration / 2 * t) * t
+
+
+def _migration(bulk: tuple[float, float], waveform: OfdmWaveform, turns: Array) -> Complex:
+    """exp(-j 2 pi (turns + f (rate t + acceleration t^2 / 2))): coarse steps between blocks of
+    subcarriers, fine ones within.
     """
-    (rate, acceleration), t, n = bulk, waveform.slot_times_s, waveform.n_subcarriers
-    curved = acceleration / 2 * t**2
-    moved = rate * t + curved
-    turns = waveform.carrier_hz * (moved if by_rate else curved)
-    step = -waveform.subcarrier_spacing_hz * moved
+    n = waveform.n_subcarriers
+    step = -waveform.subcarrier_spacing_hz / waveform.carrier_hz * _turns(bulk, waveform)
     coarse = _turned((np.arange(0, n, _BLOCK) - n // 2)[:, None] * step - turns)
     fine = _turned(np.arange(_BLOCK)[:, None] * step)
     return (coarse[:, None] * fine).reshape(-1, waveform.n_slots)[:n]
@@ -377,23 +400,30 @@ def _turned(cycles: Array) -> Complex:
     return phasor
 
 
-def _terms(coupled_rad: float, bent_rad: float, tolerance: float) -> list[int]:
-    """Terms of the series of exp(j coupled) with each power of the series of exp(j bent), until
-    the rest is below the tolerance; none where ``bent`` is too much for one.
+def _terms(phase_rad: float, tolerance: float) -> int:
+    """Terms of the series of exp(j phase) until the rest is below the tolerance, or they are too
+    many to be of use.
     """
-    terms: list[int] = []
-    if bent_rad > _MOST_BENT_RAD:
-        return terms
-    bent, enough = 1.0, tolerance / 2
-    while bent > enough:
-        count, rest = 1, bent * coupled_rad
-        while rest > enough:
-            count += 1
-            rest *= coupled_rad / count
-        terms.append(count)
-        bent *= bent_rad / len(terms)
-        enough = tolerance / 8  # several rests are left
+    terms, rest = 1, phase_rad
+    while rest > tolerance / 2 and terms <= _HANDFUL:
+        terms += 1
+        rest *= phase_rad / terms
     return terms
+
+
+def _counts(coupled_rad: float, bent_rad: float, tolerance: float) -> list[int]:
+    """Terms of the series of exp(j coupled) with each power of the series of exp(j bent), until
+    the rest is below the tolerance; none where ``bent`` is too much for a series.
+    """
+    counts: list[int] = []
+    if bent_rad > _MOST_BENT_RAD:
+        return counts
+    bent, enough = 1.0, tolerance
+    while 2 * bent > enough:
+        counts.append(_terms(coupled_rad, enough / bent))
+        bent *= bent_rad / len(counts)
+        enough = tolerance / 4  # several rests are left
+    return counts
 
 
 def _chosen(part: Contributions, which: "NDArray[np.intp] | slice") -> Contributions:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.rays import lengthening
 from twin.scene import Scene, Target
 
 Array = NDArray[np.float64]
@@ -20,7 +21,9 @@ class TrueTarget:
 
     ``visible``: a direct path exists, or its mesh is heard. ``wrapped_range_m`` is the range as
     the subcarriers' spacing wraps it. ``nearer_m`` and ``farther_m``: by how much the surface of
-    its object comes closer and reaches beyond; ``slower`` and ``faster`` the same of its rates.
+    its object comes closer and reaches beyond; ``slower`` and ``faster`` the same of its rates
+    within the interval. ``rate_change_m_per_s``: by which the range rate of a target that crosses
+    grows from the interval's middle to its end.
     """
 
     name: str
@@ -35,6 +38,7 @@ class TrueTarget:
     farther_m: float = 0.0
     slower_m_per_s: float = 0.0
     faster_m_per_s: float = 0.0
+    rate_change_m_per_s: float = 0.0
 
     def beside(self, range_m: float, range_rates_m_per_s: Array) -> tuple[float, float]:
         """By how much a range and the nearest of several rates lie beyond those of its object.
@@ -64,12 +68,15 @@ def _true(
     towards = np.asarray(target.position_m) - scene.rig.position_m - offset
     distance = float(np.linalg.norm(towards))
     ahead, left, up = (float(x) for x in axes @ towards / distance)
-    rate = float(np.asarray(target.velocity_m_per_s) @ towards / distance)
     wave = radar.ofdm
+    half_s = wave.n_slots * wave.slot_period_s / 2
+    velocity = np.asarray(target.velocity_m_per_s)
+    rate, acceleration = map(float, lengthening(velocity, towards / distance, distance))
+    change = acceleration * half_s
     gain = float(wave.slot_gain(np.array(2 * rate / wave.wavelength_m)))
     gain *= float(air.amplitude(np.array(2 * distance), wave.carrier_hz))
     power = radar.received_power_w(distance, target.rcs_m2, (ahead, left, up))
-    ranges, rates = _spans(target, scene, scene.rig.position_m + offset)
+    ranges, rates = _spans(target, scene, scene.rig.position_m + offset, half_s)
     return TrueTarget(
         name=target.name,
         range_m=distance,
@@ -82,23 +89,29 @@ def _true(
         wrapped_range_m=distance % wave.max_range_m,
         nearer_m=max(0.0, distance - ranges[0]),
         farther_m=max(0.0, ranges[1] - distance),
-        slower_m_per_s=max(0.0, rate - rates[0]),
-        faster_m_per_s=max(0.0, rates[1] - rate),
+        slower_m_per_s=max(change, rate - rates[0]),
+        faster_m_per_s=max(change, rates[1] - rate),
+        rate_change_m_per_s=change,
     )
 
 
-def _spans(target: Target, scene: Scene, radar_m: Array) -> tuple[Array, Array]:
-    """Least and most range and range rate (2,) of the surface of a target's object; of a target
-    without one, infinite and of no extent.
+def _spans(target: Target, scene: Scene, radar_m: Array, half_s: float) -> tuple[Array, Array]:
+    """Least and most range and range rate (2,) of the surface of a target's object, the rate within
+    an interval of twice ``half_s``; of a target without one, infinite and of no extent.
     """
     item = next((item for item in scene.objects if item.name == target.object), None)
     if item is None or not len(item.faces):
         return np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
     way = item.vertices_m - radar_m
     ranges = np.linalg.norm(way, axis=1)
-    rates = way @ np.asarray(item.velocity_m_per_s) / ranges
+    velocity = np.asarray(item.velocity_m_per_s)
+    rates, accelerations = lengthening(velocity, way / ranges[:, None], ranges)
+    change = accelerations * half_s
     nearest = _nearest(way[item.faces])
-    return np.array([nearest, ranges.max()]), np.array([rates.min(), rates.max()])
+    return (
+        np.array([nearest, ranges.max()]),
+        np.array([(rates - change).min(), (rates + change).max()]),
+    )
 
 
 def _nearest(triangles_m: Array) -> float:
