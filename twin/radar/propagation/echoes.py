@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.around import screens
 from twin.radar.propagation.environment import mirror_echoes, point_echoes
 from twin.radar.propagation.optics import contributions_of, diffracted, scattered, speckle
 from twin.radar.propagation.paths import Heard, Path, Propagation
@@ -32,7 +33,7 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     edges, on_edges = diffracted(stage, fidelity)
     points, on_points = speckle(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])
     diffuse = Rays.joined([edges, points])
-    paths = [*_mirrors(stage, radar, fidelity), *_points(stage, radar, declared)]
+    paths = [*_mirrors(stage, radar, fidelity), *_points(stage, radar, declared, fidelity)]
     dense = [contributions_of(rays, stage, radar) for rays in (surfaces, diffuse)]
     return Propagation(
         paths=tuple(sorted((p for p in paths if p.amplitude), key=lambda p: p.delay_s)),
@@ -55,26 +56,44 @@ def _mirrors(stage: Stage, radar: RadarDesign, fidelity: Fidelity) -> list[Path]
     if fidelity.radar_images == 0 or len(stage.flats) == 0:
         return []
     further = stage.with_images(2 * fidelity.radar_images)
-    return _paths(further, radar, mirror_echoes(further.station), None)
+    return _paths(further, radar, mirror_echoes(further.station), [None], [()])
 
 
-def _points(stage: Stage, radar: RadarDesign, declared: Sequence[Target]) -> list[Path]:
+def _points(
+    stage: Stage, radar: RadarDesign, declared: Sequence[Target], fidelity: Fidelity
+) -> list[Path]:
+    """Declared points; what passes an edge on the way is said to meet its obstacle."""
     if not declared:
         return []
-    rays = point_echoes(stage.station, declared, stage.anchor_m)
-    return _paths(stage, radar, rays, [target.name for target in declared])
+    obstacles = screens(stage, fidelity.radar_shadow_db)
+    rays, ways = point_echoes(stage.station, declared, stage.anchor_m, obstacles)
+
+    def over(item: int) -> tuple[str, ...]:
+        return (stage.items[item].name,) if item >= 0 else ()
+
+    names = [declared[way.target].name for way in ways]
+    met = [
+        (*over(way.out_over), name, *over(way.home_over))
+        for way, name in zip(ways, names, strict=True)
+    ]
+    return _paths(stage, radar, rays, names, met)
 
 
 def _paths(
-    stage: Stage, radar: RadarDesign, rays: Rays, targets: Sequence[str] | None
+    stage: Stage,
+    radar: RadarDesign,
+    rays: Rays,
+    targets: Sequence[str | None],
+    met: Sequence[tuple[str, ...]],
 ) -> list[Path]:
-    """Rays by name, with gains, losses and wavelength; ``targets`` by the rays' object."""
+    """Rays by name, with gains, losses and wavelength; by the rays' object, their target and what
+    they meet between the large surfaces.
+    """
     found = contributions_of(rays, stage, radar)
-    names = [targets[k] if targets else None for k in rays.object]
     return [
         Path(
-            via=(*stage.via(out), *((name,) if name else ()), *stage.via(home)[::-1]),
-            target=name,
+            via=(*stage.via(out), *met[row], *stage.via(home)[::-1]),
+            target=targets[row],
             amplitude=complex(found.amplitude[k]) * stage.wavelength_m,
             delay_s=float(found.delay_s[k]),
             delay_rate=float(found.delay_rate[k]),
@@ -82,7 +101,9 @@ def _paths(
             departure=_triple(found.departure[k]),
             arrival=_triple(found.arrival[k]),
         )
-        for k, (name, out, home) in enumerate(zip(names, rays.source, rays.receiver, strict=True))
+        for k, (row, out, home) in enumerate(
+            zip(rays.object, rays.source, rays.receiver, strict=True)
+        )
     ]
 
 

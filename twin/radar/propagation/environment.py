@@ -5,13 +5,16 @@ against.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.around import Screens, legs_to
 from twin.radar.propagation.legs import Station
-from twin.radar.propagation.points import between, point_legs
+from twin.radar.propagation.points import PointLegs, between, point_legs
 from twin.radar.propagation.rays import Rays, lengthening
+from twin.radar.propagation.rims import meeting
 from twin.radar.scattering.kernel import turned
 from twin.scene import Target
 from twin.transfer import host, vector
@@ -57,19 +60,55 @@ def mirror_echoes(s: Station) -> Rays:
     ).chosen(np.flatnonzero(share))
 
 
-def point_echoes(s: Station, targets: Sequence[Target], anchor_m: Array) -> Rays:
-    """Declared points over every pair of images: amplitude per wavelength; ``object`` counts the
-    targets.
+@dataclass(frozen=True)
+class Way:
+    """To a declared point and back: its number, and of both legs the obstacle whose edge they pass,
+    -1 for none.
+    """
+
+    target: int
+    out_over: int
+    home_over: int
+
+
+def point_echoes(
+    s: Station, targets: Sequence[Target], anchor_m: Array, obstacles: Screens | None = None
+) -> tuple[Rays, list[Way]]:
+    """Declared points over every pair of images, and over edges of obstacles: amplitude per
+    wavelength; ``object`` counts the ways that are told beside them.
     """
     places = np.array([t.position_m for t in targets]).reshape(-1, 3) - anchor_m
     velocity = np.array([t.velocity_m_per_s for t in targets]).reshape(-1, 3)
     strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
-    legs = [point_legs(s, i, places, np.zeros_like(places)) for i in range(s.n_sources)]
-    found = []
-    for out in legs:
-        for home in legs:
-            at = np.flatnonzero(out.clear & home.clear)
-            one, other = out.chosen(at), home.chosen(at)
+    legs = [legs_to(s, obstacles, i, places, np.zeros_like(places)) for i in range(s.n_sources)]
+    found: list[Rays] = []
+    ways: list[Way] = []
+    for out, out_at in legs:
+        for home, home_at in legs:
+            there, back = _loud(out, home, *meeting(out_at, home_at), out_at, obstacles)
+            one, other, at = out.chosen(there), home.chosen(back), out_at[there]
             amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
-            found.append(between(one, other, amplitude, velocity[at], at))
-    return Rays.joined(found)
+            number = len(ways) + np.arange(len(at))
+            ways += [Way(*way) for way in zip(at, one.over, other.over, strict=True)]
+            found.append(between(one, other, amplitude, velocity[at], number))
+    return Rays.joined(found), ways
+
+
+def _loud(
+    out: PointLegs,
+    home: PointLegs,
+    there: NDArray[np.int64],
+    back: NDArray[np.int64],
+    point: NDArray[np.int64],
+    obstacles: Screens | None,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of legs but for those fainter than is told of a single way, beside the loudest of the
+    same point.
+    """
+    if obstacles is None or not len(there):
+        return there, back
+    level = np.linalg.norm(out.field[there], axis=1) * np.linalg.norm(home.field[back], axis=1)
+    strongest = np.zeros(int(point.max()) + 1)
+    np.maximum.at(strongest, point[there], level)
+    loud = level >= obstacles.faintest * strongest[point[there]]
+    return there[loud], back[loud]

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 OFF_SURFACE = 1e-6
 #: Numbers per reflection in `Station.levels`: image before it, a point of the plane, its normal.
 LEVEL = 9
+#: Of the way to a mirror, from which on nothing is taken to stand before it.
+_JUST_BEFORE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,11 +157,18 @@ class Leg:
 
 
 def leg(
-    at_station: Station, source: Any, place: Any, off: Any, active: Any, traced: bool = False
+    at_station: Station,
+    source: Any,
+    place: Any,
+    off: Any,
+    active: Any,
+    traced: bool = False,
+    unshadowed: bool = False,
 ) -> Leg:
     """The leg to a point from which rays start at a distance ``off`` (vector) from the surface.
 
-    ``traced``: nothing stands between the point and the last mirror, or the radar itself.
+    ``traced``: nothing stands between the point and the last mirror, or the radar itself;
+    ``unshadowed``: what stands between is ignored, and mirrors only have to be there.
     """
     s, mi = at_station, at_station.mi
     order = dr.gather(mi.UInt32, s.orders, source, active)
@@ -187,7 +196,11 @@ def leg(
             dr.gather(mi.UInt32, s.marks, 3 * row + i, has) for i in range(3)
         )
         clear &= ~has | ((t > 0) & (t < distance))
-        clear &= ~has | _first_meets(s, start, direction, t, number, of_wall > 0, has & clear)
+        begin, way_to = start, t
+        if unshadowed:
+            near = _JUST_BEFORE * t
+            begin, way_to = at + (t - near) * direction, near
+        clear &= ~has | _first_meets(s, begin, direction, way_to, number, of_wall > 0, has & clear)
         segments.append((has, mirror, -direction, t))
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
         at = dr.select(has, mirror, at)
@@ -203,7 +216,8 @@ def leg(
     reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
     shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(home), reach, 0.0, [])
     untested = clear & (order > 0) if traced else mi.Bool(clear)
-    clear &= ~s.world.scene.ray_test(shadow, active=untested)
+    if not unshadowed:
+        clear &= ~s.world.scene.ray_test(shadow, active=untested)
 
     departure = -home
     field, field_im = turned(s.vertical, -s.boresight, departure), mi.Vector3d(0)

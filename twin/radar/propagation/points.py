@@ -1,5 +1,6 @@
 """Echoes of points: legs between them and every image of the radar, brought to the host."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -17,7 +18,9 @@ Array = NDArray[np.float64]
 class PointLegs:
     """Legs from images to points, (n,) or (n, 3), in the world's axes; see `legs.Leg`.
 
-    ``length`` is that of the straight way, which spreading follows; ``extra`` what walls add.
+    ``length`` is that of the straight way, which spreading follows; ``extra`` what walls and ways
+    round obstacles add; ``over`` the number of the obstacle, -1 for none, and ``rate`` what its
+    motion adds to the length per second.
     """
 
     source: NDArray[np.uint32]
@@ -28,6 +31,8 @@ class PointLegs:
     field: NDArray[np.complex128]
     velocity: Array
     clear: NDArray[np.bool_]
+    over: NDArray[np.int64]
+    rate: Array
     ring: Ring
 
     def chosen(self, which: Any) -> "PointLegs":
@@ -35,17 +40,33 @@ class PointLegs:
         own = {f.name: getattr(self, f.name)[which] for f in fields(self)[:-1]}
         return replace(self, ring=Ring(self.ring.rho[which], self.ring.lag_m[which]), **own)
 
+    @staticmethod
+    def joined(parts: Sequence["PointLegs"]) -> "PointLegs":
+        """One after the other."""
+
+        def all_of(name: str) -> Any:
+            return np.concatenate([getattr(p, name) for p in parts])
+
+        own = {f.name: all_of(f.name) for f in fields(PointLegs)[:-1]}
+        rings = [np.concatenate([getattr(p.ring, n) for p in parts]) for n in ("rho", "lag_m")]
+        return PointLegs(**own, ring=Ring(*rings))
+
 
 def point_legs(
-    s: Station, source: int | NDArray[np.integer], places: Array, off: Array
+    s: Station,
+    source: int | NDArray[np.integer],
+    places: Array,
+    off: Array,
+    unshadowed: bool = False,
 ) -> PointLegs:
     """Legs from one image, or one for each, to points (n, 3), from which rays start at a distance
-    ``off`` (n, 3).
+    ``off`` (n, 3); ``unshadowed`` as if nothing stood in between.
     """
     mi, n = s.mi, len(places)
     sources = np.full(n, source, dtype=np.uint32)
     place, aside = (vector(mi, rows, "Vector3d") for rows in (places, off))
-    way = leg(s, mi.UInt32(aligned(sources)), place, aside, mi.Bool(True))
+    numbers = mi.UInt32(aligned(sources))
+    way = leg(s, numbers, place, aside, mi.Bool(True), unshadowed=unshadowed)
     p = way.passage
     back, length, extra, departure, re, im, clear, *rings = host(
         [way.back, way.length, p.extra, way.departure, way.field, way.field_im, way.clear]
@@ -54,7 +75,17 @@ def point_legs(
     )
     field, velocity = re + 1j * im, np.array(s.velocities).reshape(-1, 3)[sources]
     return PointLegs(
-        sources, back, length, extra, departure, field, velocity, clear, ring=Ring.of(*rings)
+        source=sources,
+        back=back,
+        length=length,
+        extra=extra,
+        departure=departure,
+        field=field,
+        velocity=velocity,
+        clear=clear,
+        over=np.full(n, -1),
+        rate=np.zeros(n),
+        ring=Ring.of(*rings),
     )
 
 
@@ -78,7 +109,7 @@ def between(
     once = Rays(
         amplitude=amplitude / (out.length * home.length),
         length_m=out.length + out.extra + home.length + home.extra,
-        rate_m_per_s=ways[0][0] + ways[1][0],
+        rate_m_per_s=ways[0][0] + ways[1][0] + out.rate + home.rate,
         acceleration_m_per_s2=ways[0][1] + ways[1][1],
         departure=out.departure,
         arrival=home.departure,

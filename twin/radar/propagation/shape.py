@@ -88,7 +88,7 @@ def _measure(item: SceneObject) -> Shape:
     is_used[item.faces] = True
     used = np.flatnonzero(is_used)
     points = item.vertices_m - item.vertices_m[used].mean(axis=0)
-    faces = _welded(points, item.faces)
+    faces = welded(points, item.faces)
     a, b, c = (points[item.faces[:, i]] for i in range(3))
     across = np.cross(b - a, c - a)
     double = np.linalg.norm(across, axis=1)
@@ -112,7 +112,7 @@ def _measure(item: SceneObject) -> Shape:
     )
 
 
-def _welded(points: Array, faces: NDArray[np.integer]) -> Indices:
+def welded(points: Array, faces: NDArray[np.integer]) -> Indices:
     """Faces with corners at the same place made one."""
     size = max(float(np.abs(points[faces]).max()), 1e-300)
     cells = np.round(points / (_WELDED * size)).astype(np.int64)
