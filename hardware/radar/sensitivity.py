@@ -61,32 +61,35 @@ def weak_echoes(
     images, _ = whitened([amplitudes(part, "boxcar") for part in channel.reshape(-1, n, m)])
     power = mean_power(images)
     looks, noise_w = len(images), noise_level(power, len(images))
+    uneven = np.ones(n)
+    if tapered.noise_by_range is not None:
+        uneven = tapered.noise_by_range[:: tapered.oversampling]
+        images = [image / np.sqrt(uneven).astype(power.dtype) for image in images]
+        power = power / uneven.astype(power.dtype)[:, None]
+    even_w = noise_level(power, looks)
     cfar = replace(
         cfar, false_alarm=on_a_cell(cfar.false_alarm, looks, sum(size > 2 for size in (n, m)))
     )
     factor = _white_threshold(cfar.false_alarm, looks)
-    least = max(_ON_CELLS * factor, _white_threshold(_MOST_CANDIDATES, looks)) * noise_w
+    least = max(_ON_CELLS * factor, _white_threshold(_MOST_CANDIDATES, looks)) * even_w
     rows, columns = cells_above(power, least)
     lobes = _side_lobes(tapered, window, factor, (n, m))[rows // _TILE, columns // _TILE]
-    clear = power[rows, columns] > _ON_CELLS * factor * (noise_w + lobes)
+    lobes /= uneven[rows]
+    clear = power[rows, columns] > _ON_CELLS * factor * (even_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
     level = _between_cells(images, (rows, columns), *_NEXT)
-    clear = level > _FROM_NEXT * factor * (noise_w + lobes)
+    clear = level > _FROM_NEXT * factor * (even_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
     level = _between_cells(images, (rows, columns), *_NEAR)
-    uneven = tapered.noise_by_range
-    noise = MapNoise(
-        n_channels=looks,
-        noise_by_range=None if uneven is None else uneven[:: tapered.oversampling],
-    )
+    noise = MapNoise(n_channels=looks)
     threshold = cfar_threshold(power, cfar, noise, at=(rows, columns))
     clear = level > threshold + factor * lobes
     rows, columns, level, threshold = rows[clear], columns[clear], level[clear], threshold[clear]
     peaks = Peaks(
         range_m=np.asarray(rows * waveform.range_cell_m, dtype=np.float64),
         range_rate_m_per_s=(columns - (m - 1) // 2) * waveform.velocity_cell_m_per_s,
-        power_w=level,
-        noise_w=threshold / white_threshold(power.shape, cfar, noise),
+        power_w=level * uneven[rows],
+        noise_w=threshold * uneven[rows] / white_threshold(power.shape, cfar, noise),
     )
     return peaks, noise_w
 
@@ -144,7 +147,11 @@ def _side_lobes(
     """
     fine = tapered.oversampling
     # Twice the threshold: an echo below leaves no side lobe that stands out of noise.
-    rows, columns = cells_above(tapered.power_w, 2 * factor * tapered.noise_w)
+    power, noise_w = tapered.power_w, tapered.noise_w
+    if tapered.noise_by_range is not None:
+        power = power / tapered.noise_by_range.astype(power.dtype)[:, None]
+        noise_w = noise_level(power, tapered.n_channels)
+    rows, columns = cells_above(power, 2 * factor * noise_w)
     tiles = np.zeros([-(-size // _TILE) for size in shape])
     at = rows // (fine * _TILE), columns // (fine * _TILE)
     np.add.at(tiles, at, tapered.power_w[rows, columns])
