@@ -6,7 +6,6 @@ import os
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -16,21 +15,22 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, MessageIndex, Schema
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
 from hardware.drivers.clock import ClockModel
 from hardware.files import naming, partial_path, remove_leftovers
+from hardware.recording.chunks import (
+    MOST_CHUNK_BYTES,
+    RefusedError,
+    in_chunk,
+    one_record,
+    unchecked,
+)
 from hardware.recording.kinds import BY_NAME, KINDS, Record
 
 _log = logging.getLogger(__name__)
 
 _MAGIC = b"\x89MCAP0\r\n"
-#: Of one chunk when unpacked. `Log` closes one at 1 MiB and the message that goes beyond; more is
-#: not taken into memory, whatever a file claims.
-_MOST_CHUNK_BYTES = 1 << 29
-#: Of a broken chunk: how much is unpacked at a time, and how far definitions are looked for.
-_PIECE_BYTES, _MOST_DEFINITIONS_BYTES = 1 << 14, 1 << 25
 
 
 @dataclass(frozen=True)
@@ -106,10 +106,6 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
             raise ValueError(f"{path}: {walk.refused}")
 
 
-class _RefusedError(ValueError):
-    """A chunk that is not read at all, whatever it holds."""
-
-
 class _Definitions:
     """Channels and schemas by their numbers."""
 
@@ -176,13 +172,13 @@ class _Walk:
             except Exception as error:
                 if not _of_the_data(error):
                     raise
-                if isinstance(error, _RefusedError):
+                if isinstance(error, RefusedError):
                     self.refused = str(error)
                 self._note(_in_words(error))
                 self._ending.lost_bytes += length
                 given = here
-                if kind == Opcode.CHUNK and not isinstance(error, _RefusedError):
-                    self._doubtful.take(_unchecked(self._body(at, length)))
+                if kind == Opcode.CHUNK and not isinstance(error, RefusedError):
+                    self._doubtful.take(unchecked(self._body(at, length)))
         if not finished:
             before = f"{self._ending.fault}; " if self._ending.fault else ""
             self._ending.fault = before + self._end
@@ -204,17 +200,17 @@ class _Walk:
             at += 9 + length
 
     def _body(self, at: int, length: int) -> bytes:
-        if length > _MOST_CHUNK_BYTES:
-            raise _RefusedError(f"a record of {length} bytes, expected at most {_MOST_CHUNK_BYTES}")
+        if length > MOST_CHUNK_BYTES:
+            raise RefusedError(f"a record of {length} bytes, expected at most {MOST_CHUNK_BYTES}")
         self._file.seek(at)
         return self._file.read(length)
 
     def _in_record(self, kind: int, body: bytes) -> Iterator[Logged]:
         stream = ReadDataStream(BytesIO(body))
         within = (
-            _in_chunk(Chunk.read(stream))
+            in_chunk(Chunk.read(stream))
             if kind == Opcode.CHUNK
-            else (_one(kind, stream, len(body)),)
+            else (one_record(kind, stream, len(body)),)
         )
         for found in within:
             self._known.take([found])
@@ -290,71 +286,6 @@ def _in_words(error: Exception) -> str:
     if isinstance(error, (EOFError, EndOfFile, struct.error)):
         return "a record ends too early"
     return str(error) or type(error).__name__
-
-
-def _in_chunk(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
-    size = max(chunk.uncompressed_size, _told_size(chunk))
-    if size > _MOST_CHUNK_BYTES:
-        raise _RefusedError(f"a chunk of {size} bytes, expected at most {_MOST_CHUNK_BYTES}")
-    if chunk.compression not in ("", "zstd", "lz4"):
-        raise _RefusedError(
-            f"a chunk compressed by {chunk.compression!r:.20}, expected zstd or lz4"
-        )
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    yield from _records(stream, length)
-
-
-def _unchecked(body: bytes) -> Iterator[Schema | Channel | Message]:
-    """Records of a broken chunk up to where they make no sense, whatever its CRC-32 says."""
-    with suppress(Exception):  # of spoilt bytes readers raise whatever there is
-        chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-        data = _unpacked(chunk.data) if chunk.compression == "zstd" else chunk.data
-        yield from _records(ReadDataStream(BytesIO(data)), len(data))
-
-
-def _unpacked(data: bytes) -> bytes:
-    """What of a broken zstd frame can be unpacked: all up to the broken block."""
-    import zstandard
-
-    unpacked, reader = bytearray(), zstandard.ZstdDecompressor().stream_reader(data)
-    with suppress(zstandard.ZstdError):
-        while (piece := reader.read(_PIECE_BYTES)) and len(unpacked) < _MOST_DEFINITIONS_BYTES:
-            unpacked += piece
-    return bytes(unpacked)
-
-
-def _records(stream: ReadDataStream, length: int) -> Iterator[Schema | Channel | Message]:
-    while stream.count < length:
-        kind, size = stream.read1(), stream.read8()
-        if kind == 0:
-            raise ValueError("a record of no kind")
-        if found := _one(kind, stream, size):
-            yield found
-
-
-def _one(kind: int, stream: ReadDataStream, size: int) -> Schema | Channel | Message | None:
-    if kind == Opcode.MESSAGE:
-        return Message.read(stream, size)
-    if kind == Opcode.CHANNEL:
-        return Channel.read(stream)
-    if kind == Opcode.SCHEMA:
-        return Schema.read(stream)
-    stream.read(size)
-    return None
-
-
-def _told_size(chunk: Chunk) -> int:
-    """Bytes that the compressed data themselves say they unpack to; 0 where they do not."""
-    if chunk.compression == "zstd":
-        import zstandard
-
-        size = int(zstandard.frame_content_size(chunk.data))
-        return max(size, 0)
-    if chunk.compression == "lz4":
-        import lz4.frame
-
-        return int(lz4.frame.get_frame_info(chunk.data)["content_size"])
-    return 0
 
 
 def unpacked(path: str | Path, found: Logged) -> Received | None:

@@ -293,7 +293,7 @@ def test_a_broken_jpeg_is_one_line(
 
 def test_a_long_curve_takes_the_memory_of_its_numbers(tmp_path: Path) -> None:
     """200 000 rows, 4 MB of text: two columns of float64 are 3.2 MB, sorted once; a list of rows
-    and another of pairs took 110 MB.
+    and another of pairs took 76 MB.
     """
     import tracemalloc
 
