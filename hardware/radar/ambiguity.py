@@ -12,6 +12,9 @@ Electron. Syst. 35, 1999.)
 A strong echo is smeared by a wrong rate, too, over the weak ones beside it: echoes are taken in the
 order of their strength, and each is taken away before the next is weighed.
 
+Two bodies a whole span apart share a cell of the map. Taken with its own rate, the stronger one
+leaves the other to be seen with its own.
+
 Where the migration of a span is less than about a cell the rates cannot be told apart so; of an
 array whose transmitters take turns, the phases across them may (`hardware.radar.angles`).
 """
@@ -44,6 +47,9 @@ _MODEL = 0.1  # of the likeliest rate's level: what an echo of several points ma
 _FARTHEST = 9  # cells to each side that are searched: a quarter of the blocks' own reach
 _COARSE = 32  # blocks along each axis of the search; a target at its edge loses 1.2 dB
 _SEARCHED = (2 * _FARTHEST + 1) ** 2  # cells
+_LEFT = 1.3  # see `_more_than_its_smear`
+_WEAKEST = 0.05  # of the power of a body, for another in the same cell of the map to be looked for
+_TOLD_APART = 1.5  # cells that a span must move a target by for two bodies to be told apart
 _FELT = 0.1  # of a cell's noise: what others leave at an echo and need not be taken away
 
 
@@ -170,15 +176,21 @@ def unfolded(
     for one, blocks in zip(found, about, strict=True):
         if moved and _explained(blocks, one, moved):
             continue  # a fragment of what stands elsewhere with its own rate
-        solved = _solved(
-            channel, waveform, one, _without(blocks, kept, noise_w), kept, noise_w, fastest_m_per_s
-        )
+        free = _without(blocks, kept, noise_w)
+        solved, evidence = _solved(channel, waveform, one, free, kept, noise_w, fastest_m_per_s)
         if _other_fold(solved[0].range_rate_m_per_s, one[0], waveform):
             if solved[0].power_w < least_w:
                 continue  # no echo, but what is left of those before it
             moved.append(solved)
+        if _more_than_its_smear(evidence, waveform):
+            beneath = _beneath(channel, waveform, one, solved, blocks, kept, noise_w, evidence)
+            if beneath and beneath[0].power_w >= least_w:
+                moved.append(beneath)
+                kept.append(beneath)
+                free = _without(blocks, kept, noise_w)
+                solved, _ = _solved(channel, waveform, one, free, kept, noise_w, fastest_m_per_s)
         kept.append(solved)
-    return distinct(kept, waveform)
+    return distinct(kept, waveform, folded=False)
 
 
 def _solved(
@@ -189,33 +201,87 @@ def _solved(
     others: Sequence[Measured],
     noise_w: float,
     fastest_m_per_s: float,
-) -> Measured:
-    """A detection with its likeliest range rate, measured again where that is another; ``blocks``
-    about it are free of the ``others``.
+) -> tuple[Measured, RateEvidence]:
+    """A detection with its likeliest range rate, measured again where that is another, and what
+    speaks for each rate; ``blocks`` about it are free of the ``others``.
     """
-    detection, amplitude = one
-    rates = folded_rates(waveform, detection.range_rate_m_per_s, fastest_m_per_s)
+    rates = folded_rates(waveform, one[0].range_rate_m_per_s, fastest_m_per_s)
     evidence = rate_evidence(blocks, rates, noise_w)
     best, *rest = evidence.left_open
+    detection, amplitude = one
     if _other_fold(float(rates[best]), detection, waveform):
-        range_m = detection.range_m + evidence.step[best, 0] * waveform.range_cell_m
-        rate = rates[best] + evidence.step[best, 1] * waveform.velocity_cell_m_per_s
-        place = np.array([range_m]), np.array([rate])
-        (again,) = blocks_about(channel, waveform, "boxcar", *place)
-        again = _without(again, others, noise_w)
-        (step,) = highest([again])
-        detection, amplitude = measurement(
-            again,
-            step,
-            amplitudes(again, step),
-            waveform,
-            noise_w,
-            "boxcar",
-            left_over(again, step),
+        detection, amplitude = _measured_at(
+            channel, waveform, one[0], evidence, int(best), others, noise_w
         )
     alternatives = detection.range_rate_m_per_s + (rates[rest] - rates[best])
     told = tuple(float(rate) for rate in alternatives)
-    return replace(detection, range_rate_alternatives_m_per_s=told), amplitude
+    return (replace(detection, range_rate_alternatives_m_per_s=told), amplitude), evidence
+
+
+def _measured_at(
+    channel: Complex,
+    waveform: OfdmWaveform,
+    detection: Detection,
+    evidence: RateEvidence,
+    number: int,
+    others: Sequence[Measured],
+    noise_w: float,
+) -> Measured:
+    """The echo that stands near a detection with one of the rates, by its number."""
+    delays, rates = evidence.step[number] * [waveform.range_cell_m, waveform.velocity_cell_m_per_s]
+    (blocks,) = blocks_about(
+        channel,
+        waveform,
+        "boxcar",
+        np.array([detection.range_m + delays]),
+        np.array([evidence.range_rate_m_per_s[number] + rates]),
+    )
+    blocks = _without(blocks, others, noise_w)
+    (step,) = highest([blocks])
+    return measurement(
+        blocks,
+        step,
+        amplitudes(blocks, step),
+        waveform,
+        noise_w,
+        "boxcar",
+        left_over(blocks, step),
+    )
+
+
+def _more_than_its_smear(evidence: RateEvidence, waveform: OfdmWaveform) -> bool:
+    """Whether another rate has more than a wrong rate leaves of the likeliest one's echo: of its
+    power in one cell 1.3 over the square of the cells that the wrong rate smears it over.
+    """
+    span = 2 * waveform.max_velocity_m_per_s
+    crossed = span * waveform.n_slots * waveform.slot_period_s / waveform.range_cell_m
+    likelihood = np.sort(evidence.log_likelihood)
+    left = max(_LEFT / crossed**2, _WEAKEST)
+    return bool(crossed > _TOLD_APART and likelihood[-2] > left * likelihood[-1])
+
+
+def _beneath(
+    channel: Complex,
+    waveform: OfdmWaveform,
+    one: Measured,
+    solved: Measured,
+    blocks: Blocks,
+    others: Sequence[Measured],
+    noise_w: float,
+    evidence: RateEvidence,
+) -> Measured | None:
+    """A second body with another of the rates that fold to a detection's, in the same cell of the
+    map: what is left without the first, if the first one's own rate does not explain it.
+    """
+    rates = evidence.range_rate_m_per_s
+    others = [*others, solved]
+    left = rate_evidence(_without(blocks, others, noise_w), rates, noise_w)
+    own = int(np.argmin(np.abs(rates - solved[0].range_rate_m_per_s)))
+    best = int(left.left_open[0])
+    if best == own or left.possible[own]:
+        return None
+    found = _measured_at(channel, waveform, one[0], left, best, others, noise_w)
+    return found if _other_fold(found[0].range_rate_m_per_s, solved[0], waveform) else None
 
 
 def _other_fold(rate_m_per_s: float, detection: Detection, waveform: OfdmWaveform) -> bool:

@@ -214,11 +214,19 @@ def measurement(
     return found, amplitude
 
 
-def distinct(found: Sequence[Measured], waveform: OfdmWaveform) -> list[Measured]:
-    """Strongest first, without those that climbed the same peak: nearer than 0.3 cells."""
+def distinct(
+    found: Sequence[Measured], waveform: OfdmWaveform, *, folded: bool = True
+) -> list[Measured]:
+    """Strongest first, without those that climbed the same peak: nearer than 0.3 cells.
+
+    ``folded``: rates a whole span of the Doppler ambiguity apart are one.
+    """
     falling = sorted(found, key=lambda pair: -pair[0].power_w)
     targets = [one for one, _ in falling]
     near = _cells_apart(targets, targets, waveform).max(axis=-1) <= 0.3
+    if not folded:
+        rates = np.array([one.range_rate_m_per_s for one in targets])
+        near &= ~(np.abs(rates[:, None] - rates) > waveform.max_velocity_m_per_s)
     kept: list[int] = []
     for i in range(len(falling)):
         if not near[i, kept].any():

@@ -213,7 +213,7 @@ def _resolved(
             (replace(part, range_rate_alternatives_m_per_s=alternatives), amplitude)
             for part, amplitude in split
         ]
-    return distinct(parts, waveform)
+    return distinct(parts, waveform, folded=False)
 
 
 def _points(found: Measured, taken: Burst, per_cell: int) -> list[Detection]:

@@ -31,14 +31,14 @@ _CLOSE = 1e-6  # cells: the square of this is left of an error in the next step
 class Grid:
     """Blocks of subcarriers and slots: mean frequencies ``f_hz`` (n_f,), mean times ``t_s`` (n_t,).
 
-    ``share_f`` and ``share_t``: each block's share of all subcarriers and slots; ``taper_f`` and
-    ``taper_t``: the window's mean over it. ``cell``: of delay (s) and of delay rate (s/s).
+    ``count_f``, ``count_t``: each block's subcarriers and slots; ``taper_f``, ``taper_t``: the
+    window's mean over it. ``cell``: of delay (s) and of delay rate (s/s).
     """
 
     f_hz: Array
     t_s: Array
-    share_f: Array
-    share_t: Array
+    count_f: NDArray[np.intp]
+    count_t: NDArray[np.intp]
     taper_f: Array
     taper_t: Array
     carrier_hz: float
@@ -172,8 +172,8 @@ def blocks_about(
     grid = Grid(
         f_mean,
         t_mean,
-        np.diff(edges_f) / n,
-        np.diff(edges_t) / m,
+        np.diff(edges_f),
+        np.diff(edges_t),
         np.add.reduceat(windows[0], edges_f[:-1]) / np.diff(edges_f),
         np.add.reduceat(windows[1], edges_t[:-1]) / np.diff(edges_t),
         waveform.carrier_hz,
@@ -279,9 +279,25 @@ def within_blocks(blocks: Blocks, steps: Array) -> tuple[Array, Array]:
     (n_targets, n_f) and (n_targets, n_t); their product is a target's.
     """
     grid = blocks.grid
-    along_f = grid.share_f * grid.taper_f * np.sinc(steps[:, :1] * grid.share_f)
-    along_t = grid.share_t * grid.taper_t * np.sinc(steps[:, 1:] * grid.share_t)
+    along_f = grid.taper_f * _block_mean(grid.count_f, steps[:, :1])
+    along_t = grid.taper_t * _block_mean(grid.count_t, steps[:, 1:])
     return along_f, along_t
+
+
+def _block_mean(counts: NDArray[np.intp], steps: Array) -> Array:
+    """Sums of a tone over blocks of so many samples, as a share of all samples, with the phase of
+    each block's middle, (n_steps, n_blocks): a Dirichlet kernel. The tone makes ``steps`` (n_steps,
+    1) turns over all samples; one that turns wholly from sample to sample loses nothing.
+    """
+    samples = counts.sum()
+    half = np.pi * steps / samples
+    once = np.sin(half)
+    whole = np.abs(once) < 1e-7
+    if whole.any():
+        once = np.where(whole, 1.0, once)
+        still = counts * np.cos(counts * half) / np.cos(half)
+        return np.asarray(np.where(whole, still, np.sin(counts * half) / once) / samples)
+    return np.asarray(np.sin(counts * half) / (once * samples))
 
 
 def unit_echoes(blocks: Blocks, steps: Array) -> NDArray[np.complex128]:
@@ -299,9 +315,10 @@ def left_over(blocks: Blocks, step: Array, reach: int = 3) -> float:
 
     The mean is over ``reach`` cells to each side, and over channels.
     """
-    atom = unit_echoes(blocks, step[None])[0]
-    amplitude = np.sum(blocks.sums * atom.conj(), axis=(1, 2)) / np.sum(np.abs(atom) ** 2)
-    rest = blocks.sums - amplitude[:, None, None] * atom
+    atom = unit_echoes(blocks, step[None])[0].ravel()
+    flat = blocks.sums.reshape(len(blocks.sums), -1)
+    amplitude = flat @ atom.conj() / np.vdot(atom, atom).real
+    rest = (flat - amplitude[:, None] * atom).reshape(blocks.sums.shape)
     cells = [
         np.arange(-min(reach, (n - 1) // 2), min(reach, (n - 1) // 2) + 1) for n in rest[0].shape
     ]

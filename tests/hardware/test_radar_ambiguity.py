@@ -154,6 +154,23 @@ def test_a_weak_echo_keeps_its_rate_beside_a_strong_one() -> None:
     assert not any(d.range_rate_alternatives_m_per_s for d in found)
 
 
+@pytest.mark.parametrize("spans", [1, 2])
+def test_two_bodies_a_whole_span_apart_are_both_found(spans: int) -> None:
+    """At one range, folded onto one cell of the map, 30 and 26 dB, so that each smears over the
+    other: both are given with their own rates, and no rate is called ambiguous.
+    """
+    rng = np.random.default_rng(spans)
+    for seed in range(6):
+        rates = rng.uniform(-20, 10) + np.array([0, spans * 2 * SLOW.max_velocity_m_per_s])
+        pair = [
+            Echo((5.0, 0, 0), 1e-9 * level, (rate, 0, 0), rng.uniform(0, 6))
+            for rate, level in zip(rates, (1, 10**-0.4), strict=True)
+        ]
+        found = process(cube(SLOW, pair, noise_w=1e-9 * 256 * 64 / 10**3, seed=seed)).detections
+        assert np.sort([one.range_rate_m_per_s for one in found]) == pytest.approx(rates, abs=0.1)
+        assert not any(one.range_rate_alternatives_m_per_s for one in found)
+
+
 def test_what_cannot_be_told_apart_is_listed() -> None:
     """In a narrow band nothing migrates: the nearest rate is given, all others beside it."""
     record = cube(NARROW, [Echo((50.0, 0, 0), velocity_m_per_s=(15.0, 0, 0))], noise_w=1e-8)

@@ -7,7 +7,7 @@ import pytest
 from radar_cubes import WIDE, C
 from scipy.optimize import minimize
 
-from hardware.radar.refinement import blocks_about, highest
+from hardware.radar.refinement import blocks_about, highest, unit_echoes
 
 
 @pytest.mark.parametrize("phase", [0.0, 1e-3, 0.3, 2.0, 4.99, 5.01, 40.0])
@@ -58,3 +58,19 @@ def test_peaks_are_those_of_a_search(n_slots: int) -> None:
         search = minimize(loss, found + 0.1, method="Nelder-Mead", options={"xatol": 1e-7})
         # Blocks of one subcarrier and one slot: the sums are exact.
         np.testing.assert_allclose(found[axes], search.x[axes], atol=1e-5)
+
+
+@pytest.mark.parametrize("window", ["boxcar", "blackmanharris"])
+def test_echoes_of_another_fold_are_modelled(window: str) -> None:
+    """Slots of one block see an echo of another fold turn by whole turns, and lose nothing of it:
+    sums over 32 blocks of channels by definition, 0 to 2 spans off, to what migrates in a block.
+    """
+    wave = replace(WIDE, slot_period_s=156.25e-6)
+    f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
+    rate = 0.3 + 2 * wave.max_velocity_m_per_s * np.arange(3)
+    for own in rate:
+        cycles = 2 / C * own * t * (wave.carrier_hz + f) + f * 2 / C * 5.02
+        channel = np.exp(-2j * np.pi * cycles)
+        (blocks,) = blocks_about(channel, wave, window, np.array([5.0]), rate[:1], 32)
+        steps = np.array([[0.02, own - rate[0]]]) * 2 / C / blocks.grid.cell
+        np.testing.assert_allclose(unit_echoes(blocks, steps), blocks.sums, atol=4e-5)
