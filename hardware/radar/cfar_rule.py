@@ -47,7 +47,8 @@ class Cfar:
         Cells on each side along range and rate that are left out, and that tell the noise. The
         guard must hold what a window spreads a cell over: 3 for ``blackmanharris``.
     shape
-        Of K-distributed clutter; infinite for noise. ``"fitted"``: to each map.
+        Of K-distributed clutter; infinite for noise. ``"fitted"``: to each map, and by `process`
+        to that without a window, where clutter is not evened out.
     """
 
     false_alarm: float = 1e-8

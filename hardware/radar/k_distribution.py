@@ -96,8 +96,8 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     """Fit the shape to a map (n_ranges, n_rates) by how often cells exceed a level.
 
     Each stripe of 16 ranges is measured by its own median, which a change of the mean with range
-    leaves alone. Surroundings of strong echoes are left out. ``clump``: cells that a window makes
-    exceed together.
+    leaves alone. Surroundings of strong echoes, and cells that are NaN, are left out. ``clump``:
+    cells that a window makes exceed together.
     """
     from scipy.ndimage import maximum_filter
 
@@ -108,10 +108,14 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     stripes = np.moveaxis(some, 0, -1).reshape(some.shape[1], rows * power.shape[1])
     middle = stripes.shape[1] // 2
     median = np.partition(stripes, middle, axis=1)[:, middle]
-    silent = median <= 0
+    for i in np.flatnonzero(np.isnan(stripes).any(axis=1)):
+        known = stripes[i][~np.isnan(stripes[i])]
+        median[i] = np.median(known) if len(known) else 0.0
+    silent = ~(median > 0)
     relative = stripes / np.where(silent, np.inf, median)[:, None]
     relative = relative.reshape(-1, power.shape[1])
     usable = np.repeat(~silent, rows)[:, None] & np.ones(power.shape[1], dtype=bool)
+    usable &= ~np.isnan(relative)
     loud = relative > _ECHO * max(1.0, 1 / looks)
     if loud.any():
         usable &= ~maximum_filter(loud, 2 * _BESIDE + 1, mode="wrap")

@@ -24,6 +24,7 @@ from hardware.radar.detection import (
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.music import music
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
+from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.superresolution import resolve
 from hardware.radar.windows import noise_gain
 from hardware.waveform import OfdmWaveform
@@ -129,6 +130,10 @@ def process(
     windows_gain = noise_gain(how.window, channel.shape[-2:])
     clutter = fit(even, image.n_channels, windows_gain**1.4)
     cfar = fitted(even, how.cfar, image.n_channels)
+    if how.cfar.shape == "fitted" and how.window != "boxcar":
+        plain = clutter_between_echoes(channel, taken.waveform, image, how.window)
+        if not plain.is_noise:
+            cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
     # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
     found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
     noise_w = image.noise_w / windows_gain

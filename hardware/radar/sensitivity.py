@@ -21,8 +21,15 @@ from numpy.typing import NDArray
 from hardware.radar.cfar import Cells, cfar_threshold
 from hardware.radar.cfar_rule import Cfar, MapNoise, white_threshold
 from hardware.radar.demodulation import Complex
+from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.peaks import Peaks
-from hardware.radar.range_doppler import RangeDopplerMap, amplitudes, mean_power, noise_level
+from hardware.radar.range_doppler import (
+    RangeDopplerMap,
+    amplitudes,
+    mean_power,
+    noise_level,
+    range_doppler,
+)
 from hardware.radar.screening import cells_above
 from hardware.radar.whitening import whitened
 from hardware.radar.windows import taper
@@ -40,6 +47,7 @@ _FROM_NEXT = 0.47
 # farther away hold 7 % of it at most, and 1 % is lost between two places.
 _NEXT = (1, 7)
 _NEAR = (5, 13)
+_CLUTTER_BELOW = 1e3  # times the noise: what is stronger is taken for an echo, no clutter
 _MOST_CANDIDATES = 0.05  # of all cells, in noise
 
 
@@ -92,6 +100,24 @@ def weak_echoes(
         noise_w=threshold * uneven[rows] / white_threshold(power.shape, cfar, noise),
     )
     return peaks, noise_w
+
+
+def clutter_between_echoes(
+    channel: Complex, waveform: OfdmWaveform, tapered: RangeDopplerMap, window: str
+) -> ClutterFit:
+    """How far the map without a window is from noise, where no echo's side lobes are.
+
+    A window makes a cell of several, whose clutter evens out: shapes are larger on its map.
+    """
+    n, m = channel.shape[-2:]
+    plain = range_doppler(channel, waveform, "boxcar")
+    power = plain.power_w.astype(np.float64)
+    if tapered.noise_by_range is not None:
+        power /= tapered.noise_by_range[:: tapered.oversampling, None]
+    lobes = _side_lobes(tapered, window, _CLUTTER_BELOW, (n, m))
+    lobes = np.repeat(np.repeat(lobes, _TILE, 0)[:n], _TILE, 1)[:, :m]
+    power[lobes > plain.noise_w] = np.nan
+    return fit(power, plain.n_channels)
 
 
 def side_lobe(cells: Array, size: int | Array) -> Array:
