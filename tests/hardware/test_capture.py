@@ -3,7 +3,6 @@
 import json
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ugv_command import SETTINGS, started
 
 zmq = pytest.importorskip("zmq")
 
@@ -25,14 +25,6 @@ from hardware.radar import OfdmWaveform  # noqa: E402
 from hardware.recording import Log, read_records  # noqa: E402
 from hardware.recording.reading import Ending  # noqa: E402
 
-SETTINGS = """
-integration_time_s = 1e-5
-pattern_period_s = 1e-4
-[patterns]
-rows = 8
-columns = 8
-count = 64
-"""
 SCHEDULE = Schedule(OfdmWaveform(2.5e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6), (2.5e9,), 2e-3)
 #: The silent radio asks for this much patience; nothing below may take a third of it.
 PATIENCE_S, SOON_S = 60.0, 20.0
@@ -91,12 +83,6 @@ def files(tmp_path: Path) -> list[str | Path]:
     (tmp_path / "camera.toml").write_text(SETTINGS)
     write_setup(SCHEDULE, FrontEnd(1e-9, 0.01), tmp_path / "radar.json")
     return ["--settings", tmp_path / "camera.toml", "--radar-setup", tmp_path / "radar.json"]
-
-
-def started(*arguments: str | Path, **options: Any) -> "subprocess.Popen[str]":
-    command = [sys.executable, "-m", "hardware", *map(str, arguments)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, **pipes, **options)
 
 
 def wait_for(path: Path, size: int) -> None:

@@ -1,19 +1,13 @@
 """The command ``ugv``, as a user runs it."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.reconstruction import METHODS, Mixing
-
-
-def ugv(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hardware", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,6 @@
 """The commands around the log, as a user runs them, and calibration."""
 
 import json
-import subprocess
-import sys
 import time
 from collections import Counter
 from dataclasses import replace
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from radar_cubes import WIDE, Echo, cube
+from ugv_command import SETTINGS, ugv
 
 import hardware
 from hardware import PatternSet, SpiRecord, reconstruct
@@ -29,20 +28,6 @@ from hardware.drivers.messages import State
 from hardware.drivers.settings import read_settings
 from hardware.radar import Detection
 from hardware.recording import Log, read_messages, read_records
-
-SETTINGS = """
-integration_time_s = 1e-5
-pattern_period_s = 1e-4
-[patterns]
-rows = 8
-columns = 8
-count = 64
-"""
-
-
-def ugv(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hardware", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
 def record(cells: np.ndarray, device: str = "camera") -> SpiRecord:  # type: ignore[type-arg]

@@ -1,12 +1,11 @@
 """Images of direct sums: places, levels, resolution, walls, broken bursts; the commands."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from radar_cubes import BAND, C, Echo, cube, peaks, track, two_cylinders
+from ugv_command import ugv
 
 from hardware.radar import OfdmWaveform
 from hardware.radar.imaging import Wall, cross_resolution_m, image, one_way_m
@@ -148,11 +147,6 @@ def test_figure_3b_two_peaks_within_a_centimetre(centre_ghz: float) -> None:
 
 
 # Commands.
-
-
-def ugv(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hardware", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
 def test_ugv_detect_writes_what_it_finds(tmp_path) -> None:

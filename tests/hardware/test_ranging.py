@@ -1,12 +1,11 @@
 """Distance images from records with taps or gates, against light simulated from the definition."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.reconstruction import METHODS, range_image
@@ -277,8 +276,7 @@ def test_the_command_shows_and_stores_distances(
 ) -> None:
     path = tmp_path / "frame.h5"
     write_record(record, path)
-    command = [sys.executable, "-m", "hardware", "reconstruct", str(path), "--method", "zero-fill"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = ugv("reconstruct", path, "--method", "zero-fill")
     assert done.returncode == 0, done.stderr
     assert line in done.stdout
     expected = range_image(record, "zero-fill")

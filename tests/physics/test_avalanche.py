@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from designs import QUIET
 from scipy import constants, stats
 
 from hardware import reconstruct
@@ -21,30 +22,10 @@ from twin.files import InputError
 from twin.optics.radiometry import collection
 from twin.scene import load_scene
 from twin.scene.materials import load_materials
-from twin.system import System, load_part, load_system
+from twin.system import load_part, load_system
 from twin.system.detector import quantum_limit_a_per_w
 
 Z = stats.norm.isf(0.5e-6)
-PLAIN = FrontEnd(
-    electrons_per_watt=1.0,
-    dark_e=0.0,
-    johnson_e=0.0,
-    read_e=0.0,
-    electrons_per_count=1.0,
-    offset_counts=0.0,
-    adc_bits=31,
-)
-
-
-@pytest.fixture
-def system(tmp_path: Path):
-    """`workable` with changes to its sections, by TOML text."""
-
-    def build(text: str, base: str = "workable") -> System:
-        (tmp_path / "s.toml").write_text(f'base = "{base}"\n{text}')
-        return load_system(tmp_path / "s.toml")
-
-    return build
 
 
 def collected(front_end: FrontEnd, mean_e: float, n: int, seed: int = 0) -> np.ndarray:
@@ -78,7 +59,7 @@ def test_shot_noise_is_gain_times_excess_noise_times_the_mean(
 ) -> None:
     """Var = M F mean at the terminals, the variance's own spread from the sample's kurtosis."""
     n = 40_000
-    drawn = collected(replace(PLAIN, gain=gain, excess_noise=excess), mean_e, n)
+    drawn = collected(replace(QUIET, gain=gain, excess_noise=excess), mean_e, n)
     variance = gain * excess * mean_e
     assert abs(drawn.mean() - mean_e) < Z * np.sqrt(variance / n)
     spread = np.sqrt((stats.kurtosis(drawn) + 2) / n)
@@ -90,7 +71,7 @@ def test_few_photons_have_the_distribution_of_an_avalanche() -> None:
     n of them a negative binomial one. 2 photons, M = 300: Kolmogorov-Smirnov against it.
     """
     n, photons, gain = 20_000, 2.0, 300.0
-    found = collected(replace(PLAIN, gain=gain, excess_noise=2 - 1 / gain), photons * gain, n)
+    found = collected(replace(QUIET, gain=gain, excess_noise=2 - 1 / gain), photons * gain, n)
     rng = np.random.default_rng(1)
     freed = rng.poisson(photons, n)
     truth = np.where(freed > 0, freed + rng.negative_binomial(np.maximum(freed, 1), 1 / gain), 0)
@@ -104,7 +85,7 @@ def test_few_photons_have_the_distribution_of_an_avalanche() -> None:
 def test_the_largest_means(mean_e: float) -> None:
     from twin.detector.front_end import _collect
 
-    front_end = replace(PLAIN, gain=10.0, excess_noise=5.0)
+    front_end = replace(QUIET, gain=10.0, excess_noise=5.0)
     drawn = _collect(np.full(20_000, mean_e), front_end, np.random.default_rng(2), "full")
     scaled = (drawn - mean_e) / np.sqrt(50 * mean_e)
     assert abs(scaled.mean()) < Z / np.sqrt(len(scaled))

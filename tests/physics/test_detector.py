@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from designs import QUIET
 from scipy import constants, stats
 
 from hardware import PatternSet, SpiRecord, reconstruct
@@ -15,15 +16,6 @@ from twin.detector import FrontEnd, expose, noise_budget
 from twin.system import System, load_part, load_system
 
 ALARM = 1e-6
-QUIET = FrontEnd(
-    electrons_per_watt=1.0,
-    dark_e=0.0,
-    johnson_e=0.0,
-    read_e=0.0,
-    electrons_per_count=1.0,
-    offset_counts=0.0,
-    adc_bits=31,
-)
 
 
 def draws(front_end: FrontEnd, power_w: float, n: int = 20_000, seed: int = 0) -> np.ndarray:

@@ -4,20 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from designs import changed
 from scipy import constants, integrate
 
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
 from twin.optics.spectra import in_band_fraction, sun_band_irradiance
-from twin.system import System, load_system
-
-
-def changed(system: System, **changes: float | str) -> System:
-    """A system with some values replaced, by dotted name with `__` for the dot."""
-    content = system.model_dump()
-    for name, value in changes.items():
-        section, field = name.split("__")
-        content[section][field] = value
-    return System.model_validate(content)
+from twin.system import load_system
 
 
 def test_sun_in_the_band_is_that_of_the_standard() -> None:

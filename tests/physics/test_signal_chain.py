@@ -5,10 +5,10 @@ Statistical bounds hold at 5 sigma, a false-alarm rate of 6e-7 per test.
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from designs import QUIET
 from scipy import integrate
 
 from hardware import reconstruct
@@ -24,17 +24,6 @@ from twin.toml import Sourced
 
 SKY = Sky(illuminance_lx=Sourced(value=1e5, source="test"))
 RNG = np.random.default_rng
-
-
-@pytest.fixture
-def system(tmp_path: Path):
-    """`workable` with changes to its sections, by TOML text."""
-
-    def build(text: str) -> System:
-        (tmp_path / "s.toml").write_text(f'base = "workable"\n{text}')
-        return load_system(tmp_path / "s.toml")
-
-    return build
 
 
 def lit_cells(system: System, seed: int = 0) -> np.ndarray:
@@ -114,14 +103,11 @@ def test_fluctuation_is_in_the_budget(system) -> None:
 
 
 def flickering(corner_cycles: float) -> FrontEnd:
-    return FrontEnd(
-        electrons_per_watt=1.0,
-        dark_e=0.0,
-        johnson_e=0.0,
+    return replace(
+        QUIET,
         read_e=100.0,
         electrons_per_count=0.01,
         offset_counts=2**30,
-        adc_bits=31,
         flicker_cycles=corner_cycles,
     )
 

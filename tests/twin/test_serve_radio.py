@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 zmq = pytest.importorskip("zmq")
 
 from items_to_make import dies, reciprocal  # noqa: E402
+from ugv_command import ugv  # noqa: E402
 
 import twin.serve.sweeps  # noqa: E402
 from hardware.drivers.radio import Fault, RadioError, acquire, open_radio, samples  # noqa: E402
@@ -506,12 +507,6 @@ def test_faults_that_are_none() -> None:
     ):
         with pytest.raises(InputError, match=says):
             parse_faults([text], RadioFaults)
-
-
-def ugv(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hardware", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
 
 
 def test_ugv_captures_and_processes_a_radio(scene, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from designs import changed
 
 from hardware import reconstruct
 from hardware.reconstruction import range_image
@@ -19,15 +20,6 @@ from twin.system import System, load_system
 from twin.warned import KINDS, CaptureWarning
 
 FAST = Fidelity(samples=4, max_depth=1)
-
-
-def changed(name: str = "workable", **values: float) -> System:
-    """A bundled system with single values replaced: ``section__field``."""
-    content = load_system(name).model_dump()
-    for field, value in values.items():
-        section, _, key = field.partition("__")
-        content[section][key] = value
-    return System.model_validate(content)
 
 
 def taken(scene: Scene | str, system: System) -> Capture:
