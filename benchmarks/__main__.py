@@ -24,6 +24,7 @@ _ROOMS = (
     "radar_processing",
     "false_alarms",
     "rcs",
+    "bodies",
     "regression",
     "sweep",
     "vehicle",

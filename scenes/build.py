@@ -5,13 +5,15 @@
 Axes follow REP 103 (x forward, y left, z up), in metres, in scene coordinates:
 the rig stands at (0, 0, 1.2) and looks along +x over a square field of 20 deg.
 Meshes are binary PLY with float32 vertices; every closed body is watertight with
-outward normals. The XML and TOML files beside the meshes are written by hand.
+outward normals. The XML and TOML files beside the meshes are written by hand. The
+folder `bodies` holds a car and a person in their own frames (`body_meshes.py`).
 """
 
 import struct
 import zlib
 from pathlib import Path
 
+import body_meshes
 import numpy as np
 import trimesh
 
@@ -497,6 +499,7 @@ def write_png(path, image):
 
 def main():
     scenes = {
+        "bodies": {**body_meshes.car(), **body_meshes.person()},
         "yard": yard(),
         "table1": table1(),
         "street": street(),
@@ -504,7 +507,7 @@ def main():
         "fig3b": cylinders(0.075, -0.075),
     }
     for scene, meshes in scenes.items():
-        folder = HERE / scene / "meshes"
+        folder = HERE / scene if scene == "bodies" else HERE / scene / "meshes"
         folder.mkdir(parents=True, exist_ok=True)
         for name, mesh in meshes.items():
             mesh, uv = mesh if isinstance(mesh, tuple) else (mesh, None)

@@ -1,0 +1,101 @@
+"""Cross-sections of the scenes' car, person and post over aspect, beside published ones.
+
+Physical optics with up to six bounces, without ground, at the height of the target's origin. Where
+the sum over many aspects is wanted, a ray per wavelength and a half is enough: rays that come back
+have phases that turn slowly along the facets (``python -m benchmarks.bodies 8`` takes eight).
+docs/bodies.md says where the published figures were read.
+"""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from benchmarks.timing import Figure
+from twin.radar.scattering import PEC, Quality, Radar, Surface, Target, physical_optics
+
+Array = NDArray[np.float64]
+
+_BODIES = Path(__file__).parents[1] / "scenes" / "bodies"
+_BAND_HZ = (76.5e9, 78e9, 79.5e9)
+_SKIN = Surface(backing=6.45 - 8.71j)
+_GLASS = Surface(backing=6.31 - 0.15j)
+_RUBBER = Surface(backing=4 - 0.2j)
+#: What each part of a body is made of: scenes/materials.toml at 79 GHz.
+PARTS = {
+    "car": {
+        "car": PEC,
+        "car_windows": _GLASS,
+        "car_wheels": _RUBBER,
+        "car_rims": PEC,
+        "car_plate": PEC,
+    },
+    "person": {"person": _SKIN, "person_head": _SKIN},
+}
+#: Their middles at the height of the radar, in the frames of the files.
+MIDDLE_M = {"car": (1.7, 0.0, 0.6), "person": (0.0, 0.0, 0.8)}
+
+
+def figures() -> Iterator[Figure]:
+    """Name, value and unit of everything that is measured."""
+    yield from figures_at(1.5)
+
+
+def figures_at(rays_per_wavelength: float) -> Iterator[Figure]:
+    """Mean, median and spread over aspect."""
+    for name, distance in (("car", 10.0), ("person", 3.4)):
+        found = over_aspect(
+            body(name), np.arange(0.7, 360, 10.0), distance, _BAND_HZ, rays_per_wavelength
+        )
+        for kind, sigma in (("band", found.mean(axis=0)), ("one frequency", found.ravel())):
+            decibel = 10 * np.log10(sigma)
+            place = f"{name} at {distance:g} m, {kind}"
+            yield f"{place}: mean over aspect", float(10 * np.log10(sigma.mean())), "dBsm"
+            yield f"{place}: median", float(np.median(decibel)), "dBsm"
+            yield f"{place}: mean of dB", float(decibel.mean()), "dBsm"
+            yield f"{place}: standard deviation", float(decibel.std()), "dB"
+
+
+def body(name: str, folder: Path = _BODIES) -> Target:
+    """A body of several parts as one target, about its middle."""
+    vertices, faces, kinds, first = [], [], [], 0
+    surfaces = tuple(dict.fromkeys(PARTS[name].values()))
+    for part, surface in PARTS[name].items():
+        mesh = trimesh.load(folder / f"{part}.ply", process=False)
+        vertices.append(np.asarray(mesh.vertices, np.float64) - MIDDLE_M[name])
+        faces.append(np.asarray(mesh.faces) + first)
+        kinds.append(np.full(len(mesh.faces), surfaces.index(surface), np.uint32))
+        first += len(mesh.vertices)
+    return Target(np.vstack(vertices), np.vstack(faces), surfaces, np.concatenate(kinds))
+
+
+def over_aspect(
+    target: Target,
+    azimuth_deg: Array,
+    distance_m: float,
+    carriers_hz: tuple[float, ...],
+    rays_per_wavelength: float,
+) -> Array:
+    """Cross-section in m^2 for V, (carriers, aspects)."""
+    quality = Quality(rays_per_wavelength=rays_per_wavelength, max_bounces=6, min_rays=2**12)
+    return np.array(
+        [
+            [
+                4 * np.pi * abs(_echo(target, Radar.at(a, 0.0, distance_m), f, quality)) ** 2
+                for a in azimuth_deg
+            ]
+            for f in carriers_hz
+        ]
+    )
+
+
+def _echo(target: Target, radar: Radar, carrier_hz: float, quality: Quality) -> complex:
+    return complex(physical_optics(target, radar, carrier_hz, "V", quality).amplitude[0])
+
+
+if __name__ == "__main__":
+    for name, value, unit in figures_at(float(sys.argv[1]) if len(sys.argv) > 1 else 1.5):
+        print(f"{name}: {value:.1f} {unit}", flush=True)
