@@ -118,6 +118,17 @@ class OfdmWaveform:
         kernel = np.sin(self.repeats * x) / np.where(flat, 1.0, self.repeats * np.sin(x))
         return np.where(flat, 1.0, kernel)
 
+    def migration_gain(self, range_rate_m_per_s: float) -> float:
+        """Amplitude that moving through n range cells within the burst leaves of an echo in the
+        middle of its smear on a range-Doppler map without a window, over that of one at rest:
+        2 Si(pi n / 2) / (pi n), about 1 / n, the integral of exp(j 2 pi n x y) over band and burst.
+        """
+        from scipy.special import sici
+
+        moved_m = abs(range_rate_m_per_s) * self.n_slots * self.slot_period_s
+        x = np.pi / 2 * moved_m / self.range_cell_m
+        return float(sici(x)[0] / x) if x else 1.0
+
     def sent(self) -> NDArray[np.complex128]:
         """Sent symbol per subcarrier, modulus 1, (n_subcarriers,)."""
         if self.symbols == "flat":

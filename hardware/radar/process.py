@@ -60,7 +60,9 @@ class Processing:
         For carrier steps, see `stitch`.
     fastest_m_per_s
         Up to which targets may approach or recede; range rates beyond the Doppler ambiguity are
-        told apart, or listed, up to there, see `unfolded`.
+        told apart, or listed, up to there, see `unfolded`. An echo must be found first, on a map
+        that does not follow it: what moves n range cells within a burst is 20 log10 n dB weaker
+        there than it is measured afterwards, see `OfdmWaveform.migration_gain`.
     """
 
     window: str = "blackmanharris"

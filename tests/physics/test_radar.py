@@ -82,7 +82,9 @@ def test_designs_say_where_they_contradict_themselves() -> None:
     assert "appears at 6.5 m" in far
     fast = radar.warnings(fastest_m_per_s=30.0)
     assert "beyond the unambiguous +/- 24.29 m/s" in fast[0]
+    # 8 cells within the 10 ms: 20 log10 8 dB, and 1 dB of ripple.
     assert "loses 3.7 dB" in fast[1]
+    assert "19 dB weaker where detection looks for it" in fast[2]
     short = changed(radar, waveform__prefix_s=0.4e-6).warnings()
     assert "protects 60.0 m of 153.5 m" in short[0]
 

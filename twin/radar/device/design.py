@@ -29,6 +29,7 @@ from twin.warned import CaptureWarning
 _MOST_CELLS = 2**25  # of one burst: half a gigabyte in complex numbers
 _MOST_SYMBOLS = 2**24  # of one step, over which the oscillator wanders
 _REFERENCE_K = 290.0  # of noise figures, by definition
+_SMEARED_DB = 10.0  # that an echo loses by moving through range cells, from which it is told
 _MOST_FED = 1.05  # gain of a pattern over the sphere, integrated, from which it is warned of
 
 Place = tuple[Finite, Finite, Finite]
@@ -328,6 +329,15 @@ class RadarDesign(Entry):
                     "design",
                     f"slot: averaging {wave.repeats} repeats loses {-loss:.1f} dB at "
                     f"{speed:.1f} m/s ({-edge:.1f} dB at the edge)",
+                )
+            )
+        smeared_db = -20 * np.log10(self.channel_waveform.migration_gain(fastest_m_per_s))
+        if smeared_db > _SMEARED_DB:
+            found.append(
+                CaptureWarning(
+                    "design",
+                    f"migration: at {fastest_m_per_s:.2f} m/s an echo crosses range cells within a "
+                    f"burst; it is {smeared_db:.0f} dB weaker where detection looks for it",
                 )
             )
         return found
