@@ -29,12 +29,14 @@ def echoes(n: int, n_steps: int, seed: int = 0, speed: float = 20.0) -> Contribu
         2 * speed**2 / 10 / light_speed * rng.uniform(0, 1, n),
         unit_vectors(rng, n),
         unit_vectors(rng, n),
+        speed / 10 * rng.normal(size=(n, 3)),
+        speed / 10 * rng.normal(size=(n, 3)),
     )
 
 
 def definition(part: Contributions, burst: Burst) -> np.ndarray:
     """exp(-j 2 pi (fc + f) (tau + rate t + acceleration t^2 / 2 - (d . p + a . q) / c)), in
-    float64, nothing shared.
+    float64, nothing shared; d and a at t.
     """
     wave = burst.waveform
     amplitude = np.broadcast_to(part.amplitude, (len(burst.carriers_hz), len(part.delay_s)))
@@ -43,7 +45,8 @@ def definition(part: Contributions, burst: Burst) -> np.ndarray:
     for step, slot, receiver in np.ndindex(shape[:3]):
         time = burst.step_times_s[step] + (slot - (wave.n_slots - 1) / 2) * wave.slot_period_s
         sender = burst.transmitters_m[slot % len(burst.transmitters_m)]
-        length = part.departure @ sender + part.arrival @ burst.receivers_m[receiver]
+        length = (part.departure + part.departure_per_s * time) @ sender
+        length += (part.arrival + part.arrival_per_s * time) @ burst.receivers_m[receiver]
         delay = part.delay_s + part.delay_rate * time - length / light_speed
         delay += part.delay_acceleration_per_s * time**2 / 2
         f = (np.arange(wave.n_subcarriers) - wave.n_subcarriers // 2) * wave.subcarrier_spacing_hz

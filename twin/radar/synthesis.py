@@ -44,7 +44,8 @@ class Contributions:
     Delays belong to the middle of the interval and to the antenna's origin. ``departure`` and
     ``arrival`` (n, 3) are unit vectors from the antenna towards where a path begins and whence it
     comes back, in its own frame: x ahead, y left, z up; zero where the way does not depend on where
-    the antennas stand.
+    the antennas stand. ``departure_per_s`` and ``arrival_per_s`` (n, 3) are their derivatives in
+    time, 1/s: where a target crosses, elements of an array do not hear the same rate; default: 0.
     """
 
     amplitude: Complex
@@ -53,6 +54,13 @@ class Contributions:
     delay_acceleration_per_s: Array
     departure: Array
     arrival: Array
+    departure_per_s: Array = None  # type: ignore[assignment]
+    arrival_per_s: Array = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for name in ("departure_per_s", "arrival_per_s"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros((len(self.delay_s), 3)))
 
     @staticmethod
     def ahead(
@@ -434,4 +442,6 @@ def _chosen(part: Contributions, which: "NDArray[np.intp] | slice") -> Contribut
         part.delay_acceleration_per_s[which],
         part.departure[which],
         part.arrival[which],
+        part.departure_per_s[which],
+        part.arrival_per_s[which],
     )

@@ -57,16 +57,19 @@ class Burst:
         """
         middle = self.step_times_s[step]
         middle += self.waveform.slot_times_s[self.slots(transmitter)].mean()
-        nearer_m = echoes.departure @ self.transmitters_m[transmitter]
-        nearer_m += echoes.arrival @ self.receivers_m[receiver]
+        sender, listener = self.transmitters_m[transmitter], self.receivers_m[receiver]
+        nearer_m = echoes.departure @ sender + echoes.arrival @ listener
+        # Per second: the way turns, so elements see different rates.
+        nearer_m_per_s = echoes.departure_per_s @ sender + echoes.arrival_per_s @ listener
+        rate = echoes.delay_rate - nearer_m_per_s / C_M_PER_S
         amplitude = echoes.amplitude if echoes.amplitude.ndim == 1 else echoes.amplitude[step]
         faster = echoes.delay_acceleration_per_s * middle
-        moved = (echoes.delay_rate + faster / 2) * middle
+        moved = (rate + faster / 2) * middle
         return replace(
             echoes,
             amplitude=amplitude,
             delay_s=echoes.delay_s + moved - nearer_m / C_M_PER_S,
-            delay_rate=echoes.delay_rate + faster,
+            delay_rate=rate + faster,
         )
 
 

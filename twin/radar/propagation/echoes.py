@@ -100,6 +100,8 @@ def _paths(
             delay_acceleration_per_s=float(found.delay_acceleration_per_s[k]),
             departure=_triple(found.departure[k]),
             arrival=_triple(found.arrival[k]),
+            departure_per_s=_triple(found.departure_per_s[k]),
+            arrival_per_s=_triple(found.arrival_per_s[k]),
         )
         for k, (row, out, home) in enumerate(
             zip(rays.object, rays.source, rays.receiver, strict=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.around import Screens, legs_to
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.points import PointLegs, between, point_legs
-from twin.radar.propagation.rays import Rays, lengthening
+from twin.radar.propagation.rays import Rays, lengthening, turning
 from twin.radar.propagation.rims import meeting
 from twin.radar.scattering.kernel import turned
 from twin.scene import Target
@@ -46,7 +46,9 @@ def mirror_echoes(s: Station) -> Rays:
     (heard,) = host([turned(s.vertical, -s.boresight, vector(s.mi, exact.back, "Vector3d"))], count)
     amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * heard, axis=1)
     none = np.zeros(count, dtype=np.uint32)
-    rate, acceleration = lengthening(-exact.velocity, -exact.back, exact.length)
+    motion = -exact.velocity, -exact.back, exact.length
+    rate, acceleration = lengthening(*motion)
+    aside = turning(*motion)
     return Rays(
         amplitude=amplitude,
         length_m=exact.length + nearest.extra,
@@ -57,6 +59,8 @@ def mirror_echoes(s: Station) -> Rays:
         object=none,
         source=exact.source,
         receiver=none,
+        departure_per_s=np.einsum("nij,nj->ni", exact.axes, aside),
+        arrival_per_s=-aside,
     ).chosen(np.flatnonzero(share))
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.paths import Path, Propagation
-from twin.radar.propagation.rays import lengthening
+from twin.radar.propagation.rays import lengthening, turning
 from twin.scene import Scene
 
 
@@ -26,6 +26,8 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
             continue
         velocity = np.asarray(target.velocity_m_per_s)
         rate, acceleration = lengthening(velocity, towards / distance, distance)
+        turn = axes @ turning(velocity, towards / distance, distance)
+        aside = float(turn[0]), float(turn[1]), float(turn[2])
         paths.append(
             Path(
                 via=(target.name,),
@@ -36,6 +38,8 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
                 delay_acceleration_per_s=2 * float(acceleration) / C_M_PER_S,
                 departure=(ahead, left, up),
                 arrival=(ahead, left, up),
+                departure_per_s=aside,
+                arrival_per_s=aside,
             )
         )
     return Propagation(

@@ -36,7 +36,8 @@ class Station:
     """What all legs share: the world, the antenna, the images, the coefficients of reflection.
 
     ``order`` is the largest number of reflections; ``table`` that of `scattering.surface`;
-    ``positions`` and ``velocities`` (3 n) are those of the images.
+    ``positions`` and ``velocities`` (3 n) are those of the images, ``axes`` (9 n) the world's
+    axes as they show them.
     """
 
     mi: Any
@@ -51,6 +52,7 @@ class Station:
     orders: Any
     positions: Any
     velocities: Any
+    axes: Any
     levels: Any
     marks: Any
     wavelength: Any
@@ -82,6 +84,7 @@ def station(
         orders=mi.UInt32(0),
         positions=mi.Float64(aligned(place)),
         velocities=mi.Float64(aligned(np.zeros(3))),
+        axes=mi.Float64(aligned(np.eye(3).ravel())),
         levels=mi.Float64(0),
         marks=mi.UInt32(0),
         wavelength=dr.opaque(mi.Float64, wavelength_m),
@@ -118,6 +121,7 @@ def with_images(
         orders=mi.UInt32(aligned(np.array([len(i.patches) for i in images], dtype=np.uint32))),
         positions=mi.Float64(aligned(np.concatenate([i.place for i in images]))),
         velocities=mi.Float64(aligned(_velocities(images, flats, velocities).ravel())),
+        axes=mi.Float64(aligned(_axes(images, flats).ravel())),
         levels=mi.Float64(aligned(levels if levels.size else np.zeros(1))),
         marks=mi.UInt32(aligned(marks if marks.size else np.zeros(1, dtype=np.uint32))),
     )
@@ -129,6 +133,15 @@ def _velocities(images: Sequence[Image], flats: Sequence[Flat], velocities: Arra
     for velocity, image in zip(found, images, strict=True):
         for flat in (flats[number] for number in image.patches):
             velocity -= 2 * ((velocity - velocities[flat.object]) @ flat.normal) * flat.normal
+    return found
+
+
+def _axes(images: Sequence[Image], flats: Sequence[Flat]) -> Array:
+    """The world's axes as images show them, (n, 3 axes, 3)."""
+    found = np.tile(np.eye(3), (len(images), 1, 1))
+    for axes, image in zip(found, images, strict=True):
+        for flat in (flats[number] for number in image.patches):
+            axes -= 2 * np.outer(axes @ flat.normal, flat.normal)
     return found
 
 
@@ -251,6 +264,23 @@ def lengthening(velocity: Any, direction: Any, length: Any) -> tuple[Any, Any]:
     rate = dr.dot(velocity, direction)
     across = velocity - rate * direction
     return rate, dr.squared_norm(across) / dr.maximum(length, NEAREST_M)
+
+
+def turning(velocity: Any, direction: Any, length: Any) -> Any:
+    """As `rays.turning`, on the device."""
+    across = velocity - dr.dot(velocity, direction) * direction
+    return across / dr.maximum(length, NEAREST_M)
+
+
+def mirrored_axes(s: Station, source: Any) -> tuple[Any, Any, Any]:
+    """The world's axes as an image shows them."""
+    x, y, z = (_gathered(s.mi, s.axes, 9 * source + 3 * i, True) for i in range(3))
+    return x, y, z
+
+
+def along(vector: Any, axes: tuple[Any, Any, Any]) -> Any:
+    """What a vector before mirrors, that show these axes, is at the radar."""
+    return type(vector)(*(dr.dot(vector, axis) for axis in axes))
 
 
 def _first_meets(

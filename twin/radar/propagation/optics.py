@@ -128,6 +128,8 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
         delay_acceleration_per_s=rays.acceleration_m_per_s2 / speed_of_light,
         departure=departure,
         arrival=arrival,
+        departure_per_s=rays.departure_per_s @ stage.axes.T,
+        arrival_per_s=rays.arrival_per_s @ stage.axes.T,
     )
 
 

@@ -18,7 +18,8 @@ class Path:
     ``via`` names the objects in order; ``amplitude`` is the wave relative to the sent one, antenna
     gains and losses included, without the phase of the delay; ``delay_rate`` (s/s) and
     ``delay_acceleration_per_s`` are the delay's derivatives. ``departure`` and ``arrival`` are
-    unit vectors from the antenna to the first and the last object, in its own frame.
+    unit vectors from the antenna to the first and the last object, in its own frame;
+    ``departure_per_s`` and ``arrival_per_s`` their derivatives.
     """
 
     via: tuple[str, ...]
@@ -29,6 +30,8 @@ class Path:
     delay_acceleration_per_s: float
     departure: tuple[float, float, float]
     arrival: tuple[float, float, float]
+    departure_per_s: tuple[float, float, float]
+    arrival_per_s: tuple[float, float, float]
 
     @property
     def range_m(self) -> float:
@@ -43,8 +46,10 @@ def contributions_of_paths(paths: Sequence[Path]) -> Contributions:
         delay_s=np.array([path.delay_s for path in paths]),
         delay_rate=np.array([path.delay_rate for path in paths]),
         delay_acceleration_per_s=np.array([path.delay_acceleration_per_s for path in paths]),
-        departure=np.array([path.departure for path in paths]).reshape(-1, 3),
-        arrival=np.array([path.arrival for path in paths]).reshape(-1, 3),
+        **{
+            name: np.array([getattr(path, name) for path in paths]).reshape(-1, 3)
+            for name in ("departure", "arrival", "departure_per_s", "arrival_per_s")
+        },
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.legs import Station, leg
-from twin.radar.propagation.rays import Rays, Ring, lengthening, ringing
+from twin.radar.propagation.rays import Rays, Ring, lengthening, ringing, turning
 from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
@@ -20,7 +20,8 @@ class PointLegs:
 
     ``length`` is that of the straight way, which spreading follows; ``extra`` what walls and ways
     round obstacles add; ``over`` the number of the obstacle, -1 for none, and ``rate`` what its
-    motion adds to the length per second.
+    motion adds to the length per second; ``axes`` (n, 3, 3) are the world's as the image shows
+    them.
     """
 
     source: NDArray[np.uint32]
@@ -30,6 +31,7 @@ class PointLegs:
     departure: Array
     field: NDArray[np.complex128]
     velocity: Array
+    axes: Array
     clear: NDArray[np.bool_]
     over: NDArray[np.int64]
     rate: Array
@@ -74,6 +76,7 @@ def point_legs(
         n,
     )
     field, velocity = re + 1j * im, np.array(s.velocities).reshape(-1, 3)[sources]
+    axes = np.array(s.axes).reshape(-1, 3, 3)[sources]
     return PointLegs(
         source=sources,
         back=back,
@@ -82,6 +85,7 @@ def point_legs(
         departure=departure,
         field=field,
         velocity=velocity,
+        axes=axes,
         clear=clear,
         over=np.full(n, -1),
         rate=np.zeros(n),
@@ -105,7 +109,13 @@ def between(
     velocity, number
         Of the points, (n, 3) or (3,), and of the objects that they belong to, (n,).
     """
-    ways = [lengthening(velocity - leg.velocity, -leg.back, leg.length) for leg in (out, home)]
+    legs = (out, home)
+    moved = [(velocity - leg.velocity, -leg.back, leg.length) for leg in legs]
+    ways = [lengthening(*motion) for motion in moved]
+    turns = [
+        np.einsum("nij,nj->ni", leg.axes, turning(*motion))
+        for leg, motion in zip(legs, moved, strict=True)
+    ]
     once = Rays(
         amplitude=amplitude / (out.length * home.length),
         length_m=out.length + out.extra + home.length + home.extra,
@@ -116,5 +126,7 @@ def between(
         object=np.asarray(number, dtype=np.uint32),
         source=out.source,
         receiver=home.source,
+        departure_per_s=turns[0],
+        arrival_per_s=turns[1],
     )
     return ringing(once, out.ring, home.ring, out.source == home.source)

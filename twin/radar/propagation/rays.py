@@ -21,7 +21,8 @@ class Rays:
     """Contributions, each (n,), in order: amplitude without the antenna's gain, path length with
     its first and second derivative in time, in m, m/s and m/s^2; departure and arrival (n, 3) as
     seen from the radar, in the world's axes; object that is met last, and the images by which the
-    wave goes out and back.
+    wave goes out and back. ``departure_per_s`` and ``arrival_per_s`` (n, 3): derivatives of both
+    directions in time, 1/s; default: 0.
     """
 
     amplitude: NDArray[np.complex128]
@@ -33,6 +34,13 @@ class Rays:
     object: NDArray[np.uint32]
     source: NDArray[np.uint32]
     receiver: NDArray[np.uint32]
+    departure_per_s: Array = None  # type: ignore[assignment]
+    arrival_per_s: Array = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for name in ("departure_per_s", "arrival_per_s"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros((len(self.length_m), 3)))
 
     def chosen(self, which: Any) -> "Rays":
         """Only some of them, by index or mask."""
@@ -48,8 +56,10 @@ class Rays:
             acceleration_m_per_s2=np.concatenate(
                 [np.zeros(0), *(p.acceleration_m_per_s2 for p in parts)]
             ),
-            departure=np.concatenate([np.zeros((0, 3)), *(p.departure for p in parts)]),
-            arrival=np.concatenate([np.zeros((0, 3)), *(p.arrival for p in parts)]),
+            **{
+                name: np.concatenate([np.zeros((0, 3)), *(getattr(p, name) for p in parts)])
+                for name in ("departure", "arrival", "departure_per_s", "arrival_per_s")
+            },
             **{
                 name: np.concatenate(
                     [np.zeros(0, dtype=np.uint32), *(getattr(p, name) for p in parts)]
@@ -69,6 +79,13 @@ def lengthening(velocity: Array, direction: Array, length_m: Array | float) -> t
     rate = np.sum(velocity * direction, axis=-1)
     across = velocity - rate[..., None] * direction
     return rate, np.sum(across**2, axis=-1) / np.maximum(length_m, NEAREST_M)
+
+
+def turning(velocity: Array, direction: Array, length_m: Array | float) -> Array:
+    """Derivative in time of ``direction`` (..., 3), in 1/s; parameters as of `lengthening`."""
+    across = velocity - np.sum(velocity * direction, axis=-1, keepdims=True) * direction
+    found: Array = across / np.maximum(length_m, NEAREST_M)[..., None]
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +141,8 @@ def and_reversed(one: Rays) -> Rays:
         some,
         departure=some.arrival,
         arrival=some.departure,
+        departure_per_s=some.arrival_per_s,
+        arrival_per_s=some.departure_per_s,
         source=some.receiver,
         receiver=some.source,
     )

@@ -14,7 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.grids import Launch
-from twin.radar.propagation.legs import LEVEL, Leg, Station, leg, lengthening, offset
+from twin.radar.propagation.legs import (
+    LEVEL,
+    Leg,
+    Station,
+    along,
+    leg,
+    lengthening,
+    mirrored_axes,
+    offset,
+    turning,
+)
 from twin.radar.propagation.rays import Rays, Ring, and_reversed, ringing
 from twin.radar.propagation.walls import Passage, no_passage
 from twin.radar.scattering.kernel import coefficients_at, followed, plane, radiating, reflected
@@ -68,7 +78,8 @@ class _Front:
     """Rays between two bounces: where, whither, how far from the image, how wide, with what field.
 
     ``nudge`` takes float32 rays off the surface where they begin; ``velocity`` is that of the image
-    of the radar that they seem to come from, ``path`` away.
+    of the radar that they seem to come from, ``path`` away; ``axis_x`` to ``axis_z`` are the
+    world's axes as bounces and mirrors show them.
     """
 
     origin: Any
@@ -81,6 +92,9 @@ class _Front:
     field: Any
     field_im: Any
     velocity: Any
+    axis_x: Any
+    axis_y: Any
+    axis_z: Any
     departure: Any
     source: Any
     passage: Passage
@@ -196,6 +210,7 @@ def _launched(s: Station, launched: Launch, row: Any, index: Any) -> tuple[_Fron
         nudge = dr.select(order > 0, facing * offset(mirror), 0)
         weight = dr.select((order > 0) & (t <= 0), 0.0, weight)
     zero = dr.zeros(mi.Vector3d, dr.width(row))
+    axes = mirrored_axes(s, source)
     front = _Front(
         origin=origin,
         nudge=nudge,
@@ -207,6 +222,9 @@ def _launched(s: Station, launched: Launch, row: Any, index: Any) -> tuple[_Fron
         field=mi.Vector3d(zero),
         field_im=mi.Vector3d(zero),
         velocity=mi.Vector3d(zero),
+        axis_x=axes[0],
+        axis_y=axes[1],
+        axis_z=axes[2],
         departure=mi.Vector3d(zero),
         source=source,
         passage=no_passage(mi),
@@ -267,6 +285,9 @@ class _Hits:
             field=self.out,
             field_im=self.out_im,
             velocity=front.velocity - dr.dot(self.normal, front.velocity - self.velocity) * across,
+            axis_x=front.axis_x - dr.dot(self.normal, front.axis_x) * across,
+            axis_y=front.axis_y - dr.dot(self.normal, front.axis_y) * across,
+            axis_z=front.axis_z - dr.dot(self.normal, front.axis_z) * across,
             departure=front.departure,
             source=front.source,
             passage=front.passage,
@@ -299,24 +320,29 @@ def _received(
     # a = -j / (8 pi) times the sum.
     scale /= 8 * dr.pi
     a_re, a_im = scale * im, -scale * re
-    there = lengthening(hits.velocity - front.velocity, front.direction, front.path)
-    again = lengthening(hits.velocity - home.velocity, -home.back, home.length)
+    out = hits.velocity - front.velocity, front.direction, front.path
+    back = hits.velocity - home.velocity, -home.back, home.length
+    there, again = lengthening(*out), lengthening(*back)
     rate, acceleration = there[0] + again[0], there[1] + again[1]
+    turns = [
+        along(turning(*out), (front.axis_x, front.axis_y, front.axis_z)),
+        along(turning(*back), mirrored_axes(s, end)),
+    ]
     length = front.path + home.length + front.passage.extra + home.passage.extra
     seen &= (a_re != 0) | (a_im != 0)
     numbers = (a_re, a_im, length, rate, acceleration)
-    dr.eval(*numbers, home.departure, seen, *vars(home.passage).values())
+    dr.eval(*numbers, home.departure, *turns, seen, *vars(home.passage).values())
     chosen = dr.compress(seen)
     n = dr.width(chosen)
     if n == 0:
         return Rays.joined([])
 
-    values = [*numbers, front.departure, home.departure, hits.number, front.source]
+    values = [*numbers, front.departure, home.departure, *turns, hits.number, front.source]
     for p in (front.passage, home.passage):
         values += [p.rho_re, p.rho_im, p.lag]
-    re, im, length, rate, acceleration, departure, arrival, number, source, *rings = host(
-        [_taken(value, chosen) for value in values], n
-    )
+    on_host = host([_taken(value, chosen) for value in values], n)
+    re, im, length, rate, acceleration, departure, arrival, *turns = on_host[:9]
+    number, source, *rings = on_host[9:]
     one = Rays(
         amplitude=re + 1j * im,
         length_m=length,
@@ -327,6 +353,8 @@ def _received(
         object=number,
         source=source,
         receiver=np.full(n, receiver, dtype=np.uint32),
+        departure_per_s=turns[0],
+        arrival_per_s=turns[1],
     )
     if s.walls is not None:
         alike = (source == receiver) & (bounce == 0)

@@ -21,7 +21,7 @@ from twin.engine import sionna
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.materials import radio_properties, surface_of
 from twin.radar.propagation.paths import Heard, Path, Propagation, contributions_of_paths
-from twin.radar.propagation.rays import lengthening
+from twin.radar.propagation.rays import lengthening, turning
 from twin.radar.propagation.roles import Role, assign_roles
 from twin.radar.propagation.sionna_raw import TARGET, RawPath
 from twin.radar.propagation.tabulated import (
@@ -321,8 +321,12 @@ class _RadioWorld:
             velocity = np.array(met[at].velocity_m_per_s)
             vertices[at] = place
             legs = [planes[:at], planes[:at:-1]]
+        ways = [_leg_motion(place, velocity, p) for p in legs]
         # Length with its first and second derivative, of both legs together.
-        length, rate, acceleration = np.sum([_leg_motion(place, velocity, p) for p in legs], axis=0)
+        length, rate, acceleration = np.sum([way for way, _ in ways], axis=0)
+        turns = [_mirrored_back(turn, p) for (_, turn), p in zip(ways, legs, strict=True)]
+        # The radar's own image is where the last way comes from.
+        turns = [*turns, -ways[0][1]][:2]
         departure, arrival = self._direction(vertices[0]), self._direction(vertices[-1])
         return Path(
             via=tuple(m.name for m in met),
@@ -333,11 +337,16 @@ class _RadioWorld:
             delay_acceleration_per_s=float(acceleration) / C_M_PER_S,
             departure=departure,
             arrival=arrival,
+            departure_per_s=self._in_antenna(turns[0]),
+            arrival_per_s=self._in_antenna(turns[1]),
         )
 
     def _direction(self, towards: Array) -> tuple[float, float, float]:
         """Unit vector in the antenna's frame."""
-        x, y, z = self.axes @ towards / np.linalg.norm(towards)
+        return self._in_antenna(towards / np.linalg.norm(towards))
+
+    def _in_antenna(self, vector: Array) -> tuple[float, float, float]:
+        x, y, z = self.axes @ vector
         return float(x), float(y), float(z)
 
     def _plane(self, item: SceneObject, primitive: int) -> tuple[Array, Array]:
@@ -347,18 +356,28 @@ class _RadioWorld:
         return a, normal / np.linalg.norm(normal)
 
 
-def _leg_motion(place: Array, velocity: Array, planes: "list[Any]") -> tuple[float, float, float]:
-    """Length of the way from the radar, where coordinates begin, over planes that move (a point,
-    the unit normal and the velocity each), the first one first, to a point that moves; with its
-    first and second derivative in time.
+def _leg_motion(
+    place: Array, velocity: Array, planes: "list[Any]"
+) -> tuple[tuple[float, float, float], Array]:
+    """Of the way from the radar, where coordinates begin, over planes that move (a point, the unit
+    normal and the velocity each), the first one first, to a point that moves: its length with the
+    first and second derivative in time, and the derivative of its direction at the point.
     """
     image, drift = np.zeros(3), np.zeros(3)
     for start, normal, moving in planes:
         image = image - 2 * ((image - start) @ normal) * normal
         drift = drift - 2 * ((drift - moving) @ normal) * normal
     length = float(np.linalg.norm(place - image))
-    rate, acceleration = lengthening(velocity - drift, (place - image) / length, length)
-    return length, float(rate), float(acceleration)
+    motion = velocity - drift, (place - image) / length, length
+    rate, acceleration = lengthening(*motion)
+    return (length, float(rate), float(acceleration)), turning(*motion)
+
+
+def _mirrored_back(direction: Array, planes: "list[Any]") -> Array:
+    """A direction at the end of a way over planes, as it is at the radar."""
+    for _, normal, _ in reversed(planes):
+        direction = direction - 2 * (direction @ normal) * normal
+    return direction
 
 
 def _mesh(item: SceneObject, origin: Array) -> Any:
