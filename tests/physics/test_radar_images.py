@@ -125,14 +125,17 @@ def test_the_radar_sees_itself_in_a_corner(mirrors: tuple[SceneObject, ...]) -> 
 
 
 def test_rays_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
-    """A ball, out and home over both: level and phase of the ball in its place behind both."""
-    knobs = TWICE.with_(radar_bounces=1)
+    """A ball, out and home over both: level and phase of the ball in its place behind both.
+
+    Behind the corner both orders stand at one place; it is seen over one of them alone.
+    """
+    knobs = TWICE.with_(radar_bounces=1, radar_rays=800_000)
     here = np.array([12.0, 3.0, 0.0])
     there = mirrored(mirrored(here, "ahead"), "side")
     scene = world(AHEAD, SIDE, ball("b", here))
     stage = set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), 2)
     twice = [n for n in range(len(stage.images)) if len(stage.via(n)) == 2]
-    assert {stage.via(n) for n in twice} == {("ahead", "side"), ("side", "ahead")}
+    assert {stage.via(n) for n in twice} == {("side", "ahead")}
     rays = scattered(stage, knobs)[0]
     over = rays.chosen(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
     alone = world(ball("b", there))

@@ -101,8 +101,10 @@ def warnings(
     if hidden:
         found.append(CaptureWarning("hidden", f"no direct path to {', '.join(hidden)}"))
     surfaces = {a.name for a in bursts[0].roles if a.role is Role.SURFACE}
-    coarse = [o.name for o in scene.objects if o.name in surfaces and _too_large(o, place)]
-    if coarse and rung == "paths":  # our own images are found in float64
+    coarse = []
+    if rung == "paths":  # our own images are found in float64
+        coarse = [o.name for o in scene.objects if o.name in surfaces and _too_large(o, place)]
+    if coarse:
         text = (
             f"triangles of {', '.join(coarse)} are so large that float32 rays may lose their echo "
             "or count it again (off by up to 300 % in what was tried): divide them"

@@ -1,5 +1,6 @@
 """Read a scene folder or a bare Mitsuba XML file into a validated `Scene`."""
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,8 +45,8 @@ def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
     path = _find(scene)
     document = xml.read_xml(path)
     names = [shape.name for shape in document.shapes]
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(names).items():
+        if count > 1:
             raise InputError(f"{path}: two shapes have the id {name!r}")
     toml = path.parent / "scene.toml"
     settings = load_settings(toml, set(names)) if toml.is_file() else None

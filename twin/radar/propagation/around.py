@@ -21,6 +21,7 @@ from twin.radar.propagation.images import Image, mirrored
 from twin.radar.propagation.legs import OFF_SURFACE, Station
 from twin.radar.propagation.points import PointLegs, point_legs
 from twin.radar.propagation.rims import Ways, bundled, farthest, over_rim, over_two, successive
+from twin.radar.propagation.shape import boxes_of
 from twin.radar.propagation.silhouettes import Outline, outline
 from twin.radar.propagation.stage import Stage
 from twin.radar.propagation.world import Flat
@@ -65,13 +66,12 @@ def screens(stage: Stage, shadow_db: float) -> Screens | None:
     items = stage.originals[: len(stage.world.face_ranges)]
     if shadow_db <= 0 or not items:
         return None
-    corners = [item.vertices_m[item.faces] - stage.anchor_m for item in items]
-    boxes = [(c.min((0, 1)), c.max((0, 1))) for c in corners]
+    boxes = boxes_of(items) - stage.anchor_m
     return Screens(
         stage=stage,
         items=items,
-        centers=np.array([(low + high) / 2 for low, high in boxes]),
-        radii=np.array([np.linalg.norm(high - low) / 2 for low, high in boxes]),
+        centers=boxes.mean(axis=1),
+        radii=np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2,
         faintest=float(10 ** (-shadow_db / 20)),
     )
 
@@ -131,7 +131,7 @@ class _Segment:
         """Open ways round every obstacle to active points, which are none of their own object."""
         o = self.obstacles
         mirrors = {o.stage.flats[number].object for number in self.image.patches}
-        for item in range(len(o.items)):
+        for item in self._near_any(active).tolist():
             rows = np.flatnonzero(active & (own != item) & self._beside(item))
             if not len(rows) or item in mirrors:
                 continue
@@ -146,13 +146,29 @@ class _Segment:
         stage = self.obstacles.stage
         return _folded(stage, self.image, self.level, self.places[ways.point], edges)
 
+    def _near_any(self, active: NDArray[np.bool_]) -> Indices:
+        """Obstacles that may reach into the ellipsoid of any way to an active point: of thousands
+        most stand elsewhere.
+        """
+        o, ends = self.obstacles, np.vstack([self.source[None], self.seen[active]])
+        longest = 2 * float(np.linalg.norm(ends - self.source, axis=1).max())
+        reach = 0.5 * np.sqrt(self._more_m * (longest + self._more_m))
+        box = np.array([ends.min(axis=0), ends.max(axis=0)])
+        off = np.maximum(np.maximum(box[0] - o.centers, o.centers - box[1]), 0)
+        return np.flatnonzero(np.linalg.norm(off, axis=1) <= o.radii + reach)
+
+    @property
+    def _more_m(self) -> float:
+        """How much longer a way is by the farthest edge that counts."""
+        return float(farthest(self.obstacles.faintest)) / self.obstacles.wavenumber
+
     def _beside(self, item: int) -> NDArray[np.bool_]:
         """Whether an obstacle reaches into the ellipsoid around straight ways in which edges count:
         its half minor axis is sqrt((R + d)^2 - R^2) / 2.
         """
         o, way = self.obstacles, self.seen - self.source
         length = np.linalg.norm(way, axis=1)
-        more = farthest(o.faintest) / o.wavenumber
+        more = self._more_m
         towards = o.centers[item] - self.source
         along = np.clip(way @ towards / np.maximum(length**2, 1e-300), 0, 1)
         gap = np.linalg.norm(towards - along[:, None] * way, axis=1) - o.radii[item]

@@ -12,7 +12,7 @@ from twin.radar.propagation.environment import mirror_echoes, point_echoes
 from twin.radar.propagation.optics import contributions_of, diffracted, scattered, speckle
 from twin.radar.propagation.paths import Heard, Path, Propagation
 from twin.radar.propagation.rays import Rays
-from twin.radar.propagation.roles import Assignment, Role, assign_roles
+from twin.radar.propagation.roles import assign_roles, declared_alone
 from twin.radar.propagation.stage import Stage, set_stage
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
@@ -26,7 +26,7 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     Raises InputError where a material has no data at the carrier.
     """
     roles = assign_roles(scene, radar.ofdm.wavelength_m, fidelity.radar)
-    declared = _declared(scene, roles)
+    declared = declared_alone(scene, roles)
     is_rough = fidelity.radar == "rough"
     stage = set_stage(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
     surfaces, remarks = scattered(stage, fidelity)
@@ -45,17 +45,11 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     )
 
 
-def _declared(scene: Scene, roles: Sequence[Assignment]) -> list[Target]:
-    """Targets that answer with their declared cross-section: no mesh of theirs scatters."""
-    silent = {a.name for a in roles if a.role is Role.TARGET}
-    return [t for t in scene.targets if t.object is None or t.object in silent]
-
-
 def _mirrors(stage: Stage, radar: RadarDesign, fidelity: Fidelity) -> list[Path]:
     """The radar's own images: as many reflections as out and back together."""
     if fidelity.radar_images == 0 or len(stage.flats) == 0:
         return []
-    further = stage.with_images(2 * fidelity.radar_images)
+    further = stage.seen_by_itself()
     return _paths(further, radar, mirror_echoes(further.station), [None], [()])
 
 

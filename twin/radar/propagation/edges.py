@@ -8,11 +8,11 @@ those of the carrier: 2 GHz off it at 79 GHz the edges' echo of a box of 12 cm i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.kept import Kept
 from twin.radar.propagation.legs import OFF_SURFACE, Station
 from twin.radar.propagation.points import PointLegs, between, point_legs
 from twin.radar.propagation.rays import Rays, and_reversed
@@ -42,11 +42,20 @@ class Sharp:
     velocity: Array
 
 
-@lru_cache(maxsize=64)
+_known: "Kept[tuple[Edges, NDArray[np.intp]]]" = Kept()
+
+
 def edges_of(
     items: tuple[SceneObject, ...], anchor_m: tuple[float, float, float]
 ) -> tuple[Edges, NDArray[np.intp]]:
     """Sharp edges of objects that touch, as one mesh around the anchor, and whose each one is."""
+    held = _known.get(items, anchor_m)
+    return held or _known.put(_edges_of(items, anchor_m), items, anchor_m)
+
+
+def _edges_of(
+    items: tuple[SceneObject, ...], anchor_m: tuple[float, float, float]
+) -> tuple[Edges, NDArray[np.intp]]:
     vertices, faces, owner, count = [], [], [], 0
     for number, item in enumerate(items):
         solid = validate(Mesh(item.vertices_m, item.faces), item.name)

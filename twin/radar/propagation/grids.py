@@ -52,12 +52,13 @@ class Launch:
     thinned: Array
 
 
-def grids(images: Sequence[Image], bodies: Sequence[Array]) -> list[Grid]:
-    """Grids around every body, whose hull's points (n, 3) are given, from every image."""
+def grids(images: Sequence[Image], bodies: Sequence[Array], worth: NDArray[np.bool_]) -> list[Grid]:
+    """Grids around bodies, whose hulls' points (n, 3) are given, from the images from which each is
+    ``worth`` tracing, (n_images, n_bodies).
+    """
     found = []
-    for source, image in enumerate(images):
-        for number, points in enumerate(bodies):
-            found += _around(source, number, image.place, points)
+    for source, number in np.argwhere(worth).tolist():
+        found += _around(source, number, images[source].place, bodies[number])
     return found
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.images import Image
 from twin.radar.propagation.rays import NEAREST_M
 from twin.radar.propagation.walls import Passage, Walls, cross, no_passage
-from twin.radar.propagation.world import Flat, Mesher
+from twin.radar.propagation.world import Flats, Mesher
 from twin.radar.scattering.kernel import coefficients_at, reflected, turned
 from twin.transfer import aligned
 
@@ -95,7 +95,7 @@ def station(
 def with_images(
     s: Station,
     images: Sequence[Image],
-    flats: Sequence[Flat],
+    flats: Flats,
     velocities: Array,
     surface_of_object: NDArray[np.uint32],
     order: int,
@@ -109,11 +109,11 @@ def with_images(
     marks = np.zeros((len(images), order, 3), dtype=np.uint32)
     for row, image in enumerate(images):
         for level, number in enumerate(image.patches):
-            flat = flats[number]
+            owner = flats.object[number]
             levels[row, level, 0:3] = image.places[level]
-            levels[row, level, 3:6] = flat.point
-            levels[row, level, 6:9] = flat.normal
-            marks[row, level] = number, surface_of_object[flat.object], flat.is_wall
+            levels[row, level, 3:6] = flats.point[number]
+            levels[row, level, 6:9] = flats.normal[number]
+            marks[row, level] = number, surface_of_object[owner], flats.is_wall[number]
     return replace(
         s,
         order=order,
@@ -127,12 +127,13 @@ def with_images(
     )
 
 
-def _velocities(images: Sequence[Image], flats: Sequence[Flat], velocities: Array) -> Array:
+def _velocities(images: Sequence[Image], flats: Flats, velocities: Array) -> Array:
     """Of the images (n, 3), by those of the objects, whose patches keep their normals."""
     found = np.zeros((len(images), 3))
     for velocity, image in zip(found, images, strict=True):
-        for flat in (flats[number] for number in image.patches):
-            velocity -= 2 * ((velocity - velocities[flat.object]) @ flat.normal) * flat.normal
+        for number in image.patches:
+            moving, normal = velocities[flats.object[number]], flats.normal[number]
+            velocity -= 2 * ((velocity - moving) @ normal) * normal
     return found
 
 

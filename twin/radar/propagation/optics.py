@@ -10,10 +10,11 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.edges import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.grids import grids, launch
+from twin.radar.propagation.grouping import bodies_of
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import Role
 from twin.radar.propagation.rough import Rough, rough_echoes
-from twin.radar.propagation.shape import shape_of, together
+from twin.radar.propagation.shape import shapes_of
 from twin.radar.propagation.shooting import bodies, shoot
 from twin.radar.propagation.stage import Stage
 from twin.radar.scattering.surface import TABLE_STEPS
@@ -25,10 +26,15 @@ Array = NDArray[np.float64]
 
 def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
     """Contributions of every object that scatters by physical optics; what too few rays cost."""
-    body, hulls = _bodies(stage)
-    if not hulls:
+    body = _bodies(stage)
+    count = int(body.max(initial=-1)) + 1
+    worth = np.zeros((len(stage.images), count), dtype=bool)
+    for image, item in np.argwhere(stage.worth & (body >= 0)):
+        worth[image, body[item]] = True
+    if not worth.any():
         return Rays.joined([]), []
-    launched = launch(grids(stage.images, hulls), stage.wavelength_m, fidelity.radar_rays)
+    wanted = grids(stage.images, _hulls(stage, body, count), worth)
+    launched = launch(wanted, stage.wavelength_m, fidelity.radar_rays)
     velocities = np.array([item.velocity_m_per_s for item in stage.items])
     rays = shoot(
         stage.station,
@@ -50,7 +56,7 @@ def diffracted(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
     """Contributions of the sharp edges of every such object; what about them is assumed or lost."""
     if not fidelity.radar_edges or Role.OPTICS not in stage.roles:
         return Rays.joined([]), []
-    body = _bodies(stage)[0]
+    body = _bodies(stage)
     sharp = _sharp(stage, body)
     rays, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
     return rays, _on_edges(stage, sharp, longer)
@@ -133,24 +139,21 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
     )
 
 
-def _bodies(stage: Stage) -> tuple[NDArray[np.int32], list[Array]]:
-    """Body of every object, -1 for what does not scatter, and points around each body.
+def _bodies(stage: Stage) -> NDArray[np.int32]:
+    """Body of every object, -1 for what does not scatter.
 
     Objects that touch and move alike are one: their grids would overlap.
     """
     scattering = [i for i, role in enumerate(stage.roles) if role is Role.OPTICS]
-    hulls = {}
-    for i in scattering:
-        points = stage.items[i].vertices_m - stage.anchor_m
-        hulls[i] = points[shape_of(stage.items[i]).hull]
-    label = {i: i for i in scattering}
-    for n, i in enumerate(scattering):
-        for j in scattering[:n]:
-            if together(stage.items[i], stage.items[j]):
-                old, new = label[i], label[j]
-                label = {k: new if v == old else v for k, v in label.items()}
-    names = sorted(set(label.values()))
     body = np.full(len(stage.items), -1, dtype=np.int32)
-    for i in scattering:
-        body[i] = names.index(label[i])
-    return body, [np.vstack([hulls[i] for i in scattering if label[i] == name]) for name in names]
+    body[scattering] = bodies_of([stage.items[i] for i in scattering])
+    return body
+
+
+def _hulls(stage: Stage, body: NDArray[np.int32], count: int) -> list[Array]:
+    """Points around each body."""
+    hulls: list[list[Array]] = [[] for _ in range(count)]
+    for item, shape, number in zip(stage.items, shapes_of(stage.items), body, strict=True):
+        if number >= 0:
+            hulls[number].append(item.vertices_m[shape.hull] - stage.anchor_m)
+    return [np.vstack(parts) for parts in hulls]

@@ -11,17 +11,16 @@ is no part of something declared. The scene may ask for a table anywhere; where 
 warned of.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.fidelity import RadarRung
-from twin.radar.propagation.shape import Shape, shape_of, together
-from twin.scene import Scene, SceneObject
-
-Array = NDArray[np.float64]
+from twin.radar.propagation.grouping import touching
+from twin.radar.propagation.shape import Shape, boxes_of, distances_m, shapes_of
+from twin.scene import Scene, Target
 
 #: Side of a flat patch over its Fresnel zone from which the image method is taken to hold. At 3
 #: the plate's own cross-section 4 pi A^2 / lambda^2 is 25 dB above pi d^2 of an infinite plane:
@@ -72,10 +71,12 @@ def assign_roles(scene: Scene, wavelength_m: float, rung: RadarRung = "paths") -
     declared = {target.object for target in scene.targets if target.object}
     origin = scene.rig.position_m + scene.rig.device("radar")[0]
     with_optics = rung not in ("targets", "paths")
+    distances = np.maximum(distances_m(boxes_of(scene.objects), origin), wavelength_m)
+    part_of_declared = set() if with_optics else _beside(scene, declared)
     found = []
-    for item in scene.objects:
-        shape = shape_of(item)
-        distance = max(_nearest(item, origin), wavelength_m)
+    for item, shape, distance in zip(
+        scene.objects, shapes_of(scene.objects), distances.tolist(), strict=True
+    ):
         ratio = shape.largest_patch_m2**0.5 / (wavelength_m * distance) ** 0.5
         wanted = _WANTED.get(item.radar or "")
         if wanted is not None and wanted is not (Role.TABLE if with_optics else Role.OPTICS):
@@ -87,19 +88,36 @@ def assign_roles(scene: Scene, wavelength_m: float, rung: RadarRung = "paths") -
         elif ratio >= LARGE:
             role = Role.SURFACE
         else:
-            whole = _has_table(shape, distance, wavelength_m) and not any(
-                together(item, other) for other in scene.objects if other.name in declared
-            )
+            whole = item.name not in part_of_declared
+            whole &= _has_table(shape, distance, wavelength_m)
             role = Role.TABLE if whole else Role.OBSTACLE
         found.append(Assignment(item.name, role, ratio, wanted is role))
     return found
 
 
+def declared_alone(scene: Scene, roles: Sequence[Assignment]) -> list[Target]:
+    """Targets that answer with their declared cross-section: no mesh of theirs scatters."""
+    silent = {a.name for a in roles if a.role is Role.TARGET}
+    return [t for t in scene.targets if t.object is None or t.object in silent]
+
+
+def _beside(scene: Scene, declared: set[str]) -> set[str]:
+    """Objects that touch one of those declared."""
+    if not declared:
+        return set()
+    names = [item.name for item in scene.objects]
+    found = set()
+    for i, j in touching(scene.objects).tolist():
+        found |= {names[i]} if names[j] in declared else set()
+        found |= {names[j]} if names[i] in declared else set()
+    return found
+
+
 def _by_size(shape: Shape, distance_m: float, wavelength_m: float, is_declared: bool) -> Role:
     zone = (wavelength_m * distance_m) ** 0.5
-    large = shape.patch_area_m2[shape.patch_area_m2**0.5 >= LARGE_BESIDE_OPTICS * zone]
+    large_m2 = shape.area_in_patches_m2((LARGE_BESIDE_OPTICS * zone) ** 2)
     is_flat = shape.bend_radius_m >= _BENT * distance_m
-    if large.sum() >= _MOSTLY * shape.patch_area_m2.sum() and is_flat:
+    if large_m2 >= _MOSTLY * shape.area_m2 and is_flat:
         return Role.SURFACE
     if shape.size_m >= _SMALLEST * wavelength_m:
         return Role.OPTICS
@@ -110,9 +128,3 @@ def _has_table(shape: Shape, distance_m: float, wavelength_m: float) -> bool:
     size = shape.size_m
     is_far = distance_m >= 2 * size**2 / wavelength_m
     return is_far and _SMALLEST * wavelength_m <= size <= _LARGEST_TABLE * wavelength_m
-
-
-def _nearest(item: SceneObject, origin: Array) -> float:
-    """Distance to the object's box."""
-    low, high = item.vertices_m.min(axis=0) - origin, item.vertices_m.max(axis=0) - origin
-    return float(np.linalg.norm(np.clip(0.0, low, high)))

@@ -9,7 +9,6 @@ Points ahead of the radar are heard over its images, too; those behind it, which
 are left out. Out one way and home another, cos(theta) is the geometric mean of both: an assumption.
 """
 
-from collections import OrderedDict
 from dataclasses import dataclass, fields, replace
 from typing import Any
 from zlib import crc32
@@ -26,10 +25,9 @@ Array = NDArray[np.float64]
 
 _MOST_POINTS = 2**20  # of all surfaces together, 70 MB
 _PER_SCATTERER = 16.0  # points to choose from for each that is kept
-_KEPT = 4
 _AT_ONCE = 2**17  # points, 100 MB while they are under way
 _BEYOND = 12.0  # steps: a ray through walls ends up to 8 before its end
-_known: "OrderedDict[tuple[int, int, int, int], Field]" = OrderedDict()
+_known: "Kept[tuple[int, Field]]" = Kept()
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,6 @@ class Field:
     1; ``area_m2`` that each stands for.
     """
 
-    faces: NDArray[np.integer]
     face: NDArray[np.int64]
     weights: Array
     phase: Array
@@ -62,12 +59,11 @@ class Field:
 
 def field_of(item: SceneObject, count: int, seed: int) -> Field:
     """The points of an object: the same for the same faces, count and seed."""
-    key = (id(item.faces), count, seed, crc32(item.name.encode()))
-    held = _known.get(key)
-    if held is not None and held.faces is item.faces:
-        _known.move_to_end(key)
-        return held
-    rng = np.random.default_rng([seed, key[3]])
+    name = crc32(item.name.encode())
+    held = _known.get([item.faces], seed, name)
+    if held is not None and held[0] == count:
+        return held[1]
+    rng = np.random.default_rng([seed, name])
     area = _areas(item)
     # Stratified over the faces' areas: no face has more or less than its share.
     at = (np.arange(count) + rng.random(count)) / count
@@ -75,17 +71,13 @@ def field_of(item: SceneObject, count: int, seed: int) -> Field:
     u, v = rng.random((2, count))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     found = Field(
-        faces=item.faces,
         face=face,
         weights=np.stack([1 - u - v, u, v], axis=1),
         phase=rng.uniform(0, 2 * np.pi, count),
         chance=rng.random(count),
         area_m2=float(area.sum()) / count,
     )
-    _known[key] = found
-    if len(_known) > _KEPT:
-        _known.popitem(last=False)
-    return found
+    return _known.put((count, found), [item.faces], seed, name)[1]
 
 
 def _areas(item: SceneObject) -> Array:

@@ -1,12 +1,13 @@
 """What a mesh is by itself, wherever it stands: flat patches, hull, size. Found once per mesh."""
 
-from collections import OrderedDict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.kept import Kept
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
@@ -15,11 +16,13 @@ Indices = NDArray[np.int64]
 _SMOOTH_RAD = np.radians(30)  # a sharper edge ends a surface, a blunter one bends it
 _FLAT_RAD = 1e-4
 _WELDED = 1e-7  # of the mesh's size: corners closer than this are one
-_NEAR = 0.02  # of a body's size: bodies closer than this are one
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+_MIX_MESH = np.uint64(0xD6E8FEB86659FD93)
 _MOST_HULL = 20_000  # vertices: finding the hull of more takes longer than it saves
-_KEPT = 512  # meshes; each costs its indices
-_known: "OrderedDict[int, tuple[NDArray[np.integer], Shape]]" = OrderedDict()
+_MOST_PATCHES = 64  # whose planes are compared: a mesh of more is not flat
+_AT_ONCE = 2**18  # faces measured together: small meshes in one go, 200 MB
+_shapes: "Kept[Shape]" = Kept()
+_boxes: "Kept[Array]" = Kept()
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,50 +30,77 @@ class Shape:
     """A rigid mesh in numbers that motion doesn't change.
 
     ``patch_of_face`` (m,) numbers flat patches, the largest first; ``patch_area_m2`` (p,) is their
-    area. ``hull`` are the vertices on the convex hull. ``bend_radius_m`` is the radius with which
-    the largest patch smoothly goes on into its neighbours: inf for a wall, small for a ball.
+    area. ``plane_of_face`` (m,) numbers the planes of the largest patches, -1 for faces in none;
+    ``plane_area_m2`` (q,) is the area in each. ``hull`` are the vertices on the convex hull.
+    ``bend_radius_m`` is the radius with which the largest patch smoothly goes on into its
+    neighbours: inf for a wall, small for a ball. ``thickness_m`` is the distance of the two largest
+    patches where they are parallel and about as large, else None.
     """
 
     patch_of_face: Indices
     patch_area_m2: Array
+    plane_of_face: Indices
+    plane_area_m2: Array
+    area_m2: float
     hull: Indices
     size_m: float
     bend_radius_m: float
+    thickness_m: float | None
 
     @property
     def largest_patch_m2(self) -> float:
         """Area of the largest flat patch."""
         return float(self.patch_area_m2[0])
 
+    def area_in_patches_m2(self, least_m2: float) -> float:
+        """Area in flat patches that are at least so large."""
+        count = int(np.searchsorted(-self.patch_area_m2, -least_m2, side="right"))
+        return float(self.patch_area_m2[:count].sum())
+
 
 def shape_of(item: SceneObject) -> Shape:
     """The shape of an object; the same for all that share its faces, which are rigid bodies."""
-    key = id(item.faces)
-    held = _known.get(key)
-    if held is not None and held[0] is item.faces and _same_size(item, held[1]):
-        _known.move_to_end(key)
-        return held[1]
-    shape = _measure(item)
-    _known[key] = (item.faces, shape)
-    if len(_known) > _KEPT:
-        _known.popitem(last=False)
+    return shapes_of([item])[0]
+
+
+def shapes_of(items: Sequence[SceneObject]) -> list[Shape]:
+    """Shapes of many objects, those not seen before measured together."""
+    found = [_known(item) for item in items]
+    new = [i for i, shape in enumerate(found) if shape is None]
+    for some in _portions([items[i] for i in new]):
+        for item, shape in zip(some, _measured(some), strict=True):
+            _shapes.put(shape, [item.faces])
+            _shapes.put(shape, [item.faces, item.vertices_m])
+    return [shape or _known(items[i]) or shape_of(items[i]) for i, shape in enumerate(found)]
+
+
+def boxes_of(items: Sequence[SceneObject]) -> Array:
+    """Least and largest coordinates of what their faces use, in the world, (n, 2, 3)."""
+    found = [_boxes.get([item]) for item in items]
+    new = [i for i, box in enumerate(found) if box is None]
+    for i, shape in zip(new, shapes_of([items[i] for i in new]), strict=True):
+        corners = items[i].vertices_m[shape.hull]
+        box = np.array([corners.min(axis=0), corners.max(axis=0)])
+        found[i] = _boxes.put(box, [items[i]])
+    return np.array(found, dtype=np.float64).reshape(-1, 2, 3)
+
+
+def distances_m(boxes: Array, place_m: Array) -> Array:
+    """Distances of boxes (n, 2, 3) from a point, 0 from within."""
+    off = np.maximum(np.maximum(boxes[:, 0] - place_m, place_m - boxes[:, 1]), 0.0)
+    distances: Array = np.linalg.norm(off, axis=1)
+    return distances
+
+
+def _known(item: SceneObject) -> Shape | None:
+    shape = _shapes.get([item.faces, item.vertices_m])
+    if shape is None:
+        shape = _shapes.get([item.faces])
+        if shape is not None and not _same_size(item, shape):
+            return None
+        if shape is not None:
+            _shapes.put(shape, [item.faces, item.vertices_m])
     return shape
-
-
-def together(a: SceneObject, b: SceneObject) -> bool:
-    """Whether objects touch, by their boxes, and move alike: parts of one body."""
-    if a.velocity_m_per_s != b.velocity_m_per_s:
-        return False
-    (low_a, high_a), (low_b, high_b) = _box(a), _box(b)
-    gap = np.maximum(low_a - high_b, low_b - high_a)
-    size = max(float((high_a - low_a).max()), float((high_b - low_b).max()))
-    return bool((gap <= _NEAR * size).all())
-
-
-@lru_cache(maxsize=_KEPT)
-def _box(item: SceneObject) -> tuple[Array, Array]:
-    corners = item.vertices_m[shape_of(item).hull]
-    return corners.min(axis=0), corners.max(axis=0)
 
 
 def _same_size(item: SceneObject, shape: Shape) -> bool:
@@ -80,48 +110,106 @@ def _same_size(item: SceneObject, shape: Shape) -> bool:
 
 def _size(points: Array) -> float:
     """Twice the farthest from the middle: motion leaves it as it is."""
-    return 2 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+    off = points - points.mean(axis=0)
+    return 2 * float(np.sqrt(np.einsum("ij,ij->i", off, off).max()))
 
 
-def _measure(item: SceneObject) -> Shape:
-    is_used = np.zeros(len(item.vertices_m), dtype=bool)
-    is_used[item.faces] = True
-    used = np.flatnonzero(is_used)
-    points = item.vertices_m - item.vertices_m[used].mean(axis=0)
-    faces = welded(points, item.faces)
-    a, b, c = (points[item.faces[:, i]] for i in range(3))
-    across = np.cross(b - a, c - a)
-    double = np.linalg.norm(across, axis=1)
-    normals = across / np.maximum(double, 1e-300)[:, None]
-    pairs = _neighbours(faces[double > 0])
-    pairs = np.flatnonzero(double > 0)[pairs]
-    turn = _turn(normals[pairs[:, 0]], normals[pairs[:, 1]])
-    label = _connected(pairs[turn < _FLAT_RAD], len(faces))
-    area: Array = np.bincount(label, weights=double / 2).astype(np.float64)
-    order = np.argsort(-area, kind="stable")
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    patch = rank[label]
-    hull = _hull(points, used)
-    return Shape(
-        patch_of_face=patch,
-        patch_area_m2=area[order],
-        hull=hull,
-        size_m=_size(item.vertices_m[hull]),
-        bend_radius_m=_bend(patch[pairs], turn, float(area[order[0]])),
+def _portions(items: Sequence[SceneObject]) -> Iterator[list[SceneObject]]:
+    """Different meshes in portions of a bounded number of faces, or one mesh each."""
+    portion: list[SceneObject] = []
+    faces = 0
+    for item in {id(item.faces): item for item in items}.values():
+        if portion and faces + len(item.faces) > _AT_ONCE:
+            yield portion
+            portion, faces = [], 0
+        portion.append(item)
+        faces += len(item.faces)
+    if portion:
+        yield portion
+
+
+def _measured(items: Sequence[SceneObject]) -> list[Shape]:
+    """All of them in one go: numpy's calls cost more than a small mesh's arithmetic."""
+    first_vertex = np.cumsum([0, *(len(item.vertices_m) for item in items)])
+    first_face = np.cumsum([0, *(len(item.faces) for item in items)])
+    faces = np.concatenate(
+        [item.faces.astype(np.int64) + n for item, n in zip(items, first_vertex, strict=False)]
     )
+    mesh_of_face = np.repeat(np.arange(len(items)), np.diff(first_face))
+    is_used = np.zeros(first_vertex[-1], dtype=bool)
+    is_used[faces] = True
+    used = [
+        np.flatnonzero(is_used[a:b]) for a, b in pairwise(first_vertex)
+    ]
+    points = np.concatenate(
+        [
+            i.vertices_m - i.vertices_m[rows].mean(axis=0)
+            for i, rows in zip(items, used, strict=True)
+        ]
+    )
+    normals, area = _normals(points, faces)
+    joined = welded(points, faces, mesh_of_face)
+    solid = np.flatnonzero(area > 0)
+    pairs = solid[_neighbours(joined[solid])]
+    turn = _turn(normals[pairs[:, 0]], normals[pairs[:, 1]])
+    patch, area_of_patch, first_patch = _patches(pairs[turn < _FLAT_RAD], area, mesh_of_face)
+    bend = _bends(patch[pairs], turn, mesh_of_face[pairs[:, 0]], len(items))
+    found = []
+    for n, item in enumerate(items):
+        rows = slice(first_face[n], first_face[n + 1])
+        areas = area_of_patch[first_patch[n] : first_patch[n + 1]]
+        count = min(len(areas), _MOST_PATCHES)
+        some = np.flatnonzero(patch[rows] < count)
+        face = first_face[n] + some[np.unique(patch[rows][some], return_index=True)[1]]
+        at, along = points[faces[face, 0]], normals[face]
+        plane, plane_areas = _planes(at, along, areas[:count])
+        plane_of_patch = np.append(plane, np.full(len(areas) - count, -1))
+        hull = _hull(points[first_vertex[n] : first_vertex[n + 1]], used[n])
+        found.append(
+            Shape(
+                patch_of_face=patch[rows].copy(),
+                patch_area_m2=areas.copy(),
+                plane_of_face=plane_of_patch[patch[rows]],
+                plane_area_m2=plane_areas,
+                area_m2=float(areas.sum()),
+                hull=hull,
+                size_m=_size(item.vertices_m[hull]),
+                bend_radius_m=float(np.sqrt(areas[0]) / bend[n]) if bend[n] else float("inf"),
+                thickness_m=_thickness(at, along, areas),
+            )
+        )
+    return found
 
 
-def welded(points: Array, faces: NDArray[np.integer]) -> Indices:
-    """Faces with corners at the same place made one."""
-    size = max(float(np.abs(points[faces]).max()), 1e-300)
-    cells = np.round(points / (_WELDED * size)).astype(np.int64)
+def _normals(points: Array, faces: Indices) -> tuple[Array, Array]:
+    """Unit normals (m, 3) and areas (m,)."""
+    a = points[faces[:, 0]]
+    across = np.cross(points[faces[:, 1]] - a, points[faces[:, 2]] - a)
+    double = np.linalg.norm(across, axis=1)
+    across /= np.maximum(double, 1e-300)[:, None]
+    return across, double / 2
+
+
+def welded(
+    points: Array, faces: NDArray[np.integer], mesh_of_face: Indices | None = None
+) -> Indices:
+    """Faces with corners at the same place made one; ``mesh_of_face`` (m,), in order, tells meshes
+    apart.
+    """
+    if mesh_of_face is None:
+        mesh_of_face = np.zeros(len(faces), dtype=np.int64)
+    starts = np.flatnonzero(np.diff(mesh_of_face, prepend=-1))
+    reach = np.abs(points).max(axis=1)[faces].max(axis=1)
+    size = np.maximum(np.maximum.reduceat(reach, starts), 1e-300)
+    mesh_of_point = np.zeros(len(points), dtype=np.int64)
+    mesh_of_point[faces] = mesh_of_face[:, None]
+    cells = np.round(points / (_WELDED * size[mesh_of_point, None])).astype(np.int64)
     # One number per cell: sorting rows takes twenty times as long. 1e6 cells share one by chance
     # once in 4e7 meshes.
-    keys = cells.astype(np.uint64) @ _MIX
+    keys = cells.astype(np.uint64) @ _MIX + mesh_of_point.astype(np.uint64) * _MIX_MESH
     _, index = np.unique(keys, return_inverse=True)
-    welded: Indices = index.reshape(-1)[faces]
-    return welded
+    corners: Indices = index.reshape(-1)[faces]
+    return corners
 
 
 def _neighbours(faces: Indices) -> Indices:
@@ -142,6 +230,21 @@ def _turn(a: Array, b: Array) -> Array:
     return turn
 
 
+def _patches(flat: Indices, area: Array, mesh_of_face: Indices) -> tuple[Indices, Array, Indices]:
+    """Patch of every face by its rank in its mesh, areas of all patches mesh by mesh, the largest
+    first, and where each mesh's begin; ``flat`` are pairs of faces that go on in one plane.
+    """
+    label = _connected(flat, len(area))
+    total = np.bincount(label, weights=area).astype(np.float64)
+    mesh = np.zeros(len(total), dtype=np.int64)
+    mesh[label] = mesh_of_face
+    order = np.lexsort((-total, mesh))
+    first = np.searchsorted(mesh[order], np.arange(int(mesh_of_face[-1]) + 2))
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order)) - first[mesh[order]]
+    return rank[label], total[order], first
+
+
 def _connected(pairs: Indices, count: int) -> Indices:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -149,6 +252,32 @@ def _connected(pairs: Indices, count: int) -> Indices:
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     labels: Indices = connected_components(links, directed=False)[1]
     return labels
+
+
+def _planes(at: Array, along: Array, area: Array) -> tuple[Indices, Array]:
+    """Number of the plane of each patch, by a point and the normal (n, 3), and the area in each."""
+    same = np.abs(np.abs(along @ along.T) - 1) < 1e-10
+    same &= np.abs(np.einsum("ijk,ik->ij", at[None] - at[:, None], along)) < 1e-6
+    np.fill_diagonal(same, val=True)
+    leader = same.argmax(axis=0)  # the largest patch in this plane
+    leaders, plane = np.unique(leader[leader], return_inverse=True)
+    areas = np.bincount(plane, weights=area, minlength=len(leaders)).astype(np.float64)
+    return plane.astype(np.int64), areas
+
+
+def _thickness(at: Array, along: Array, area: Array) -> float | None:
+    """Distance of the two largest patches, where they are parallel and about as large."""
+    if len(area) < 2 or area[1] < 0.5 * area[0] or abs(abs(along[0] @ along[1]) - 1) > 1e-6:
+        return None
+    return float(abs((at[1] - at[0]) @ along[0])) or None
+
+
+def _bends(patches: Indices, turn: Array, mesh: Indices, count: int) -> Array:
+    """The largest angle by which each mesh's largest patch turns into a smooth neighbour, or 0."""
+    border = (patches == 0).any(axis=1) & (turn > _FLAT_RAD) & (turn < _SMOOTH_RAD)
+    widest = np.zeros(count)
+    np.maximum.at(widest, mesh[border], turn[border])
+    return widest
 
 
 def _hull(points: Array, used: Indices) -> Indices:
@@ -160,9 +289,3 @@ def _hull(points: Array, used: Indices) -> Indices:
         return used[ConvexHull(points[used]).vertices]
     except QhullError:  # flat
         return used
-
-
-def _bend(patches: Indices, turn: Array, area_m2: float) -> float:
-    """Side of the largest patch over the angle by which it turns into a smooth neighbour."""
-    border = (patches == 0).any(axis=1) & (turn > _FLAT_RAD) & (turn < _SMOOTH_RAD)
-    return float(np.sqrt(area_m2) / turn[border].max()) if border.any() else float("inf")

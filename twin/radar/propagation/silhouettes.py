@@ -1,11 +1,11 @@
 """Outlines of bodies as seen from a point: edges with all their faces on one side of them."""
 
-from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.kept import Kept
 from twin.radar.propagation.shape import welded
 from twin.scene import SceneObject
 
@@ -15,8 +15,7 @@ Indices = NDArray[np.int64]
 #: A face seen edge on has its edges on either side: seen from this much aside, of the distance, it
 #: is one of the two.
 _ASIDE = 1e-9 * np.array([0.36, 0.48, 0.8])
-_KEPT = 512  # meshes
-_known: "OrderedDict[int, tuple[NDArray[np.integer], _Wires]]" = OrderedDict()
+_known: "Kept[_Wires]" = Kept()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +56,7 @@ class _Wires:
 
 def _wires_of(item: SceneObject) -> _Wires:
     """The same for all that share their faces, which are rigid bodies."""
-    held = _known.get(id(item.faces))
-    if held is None or held[0] is not item.faces:
-        held = _known[id(item.faces)] = (item.faces, _wires(item))
-        if len(_known) > _KEPT:
-            _known.popitem(last=False)
-    _known.move_to_end(id(item.faces))
-    return held[1]
+    return _known.get([item.faces]) or _known.put(_wires(item), [item.faces])
 
 
 def _wires(item: SceneObject) -> _Wires:

@@ -13,16 +13,26 @@ from scipy.constants import speed_of_light
 
 from twin.engine import mitsuba
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.images import Image, Sight, images
+from twin.radar.propagation.culling import (
+    OF_NOISE,
+    Beam,
+    beam_of,
+    noise_amplitude,
+    shares,
+    ways_of,
+    worth_tracing,
+)
+from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station, station, with_images
 from twin.radar.propagation.materials import surface_of
-from twin.radar.propagation.roles import LARGE_BESIDE_OPTICS, Assignment, Role
+from twin.radar.propagation.roles import LARGE_BESIDE_OPTICS, Assignment, Role, declared_alone
 from twin.radar.propagation.rough import coherent
-from twin.radar.propagation.shape import shape_of
-from twin.radar.propagation.walls import lets_through, thickness_of, walls
-from twin.radar.propagation.world import Flat, Mesher, anchor_of, flats, mesher
+from twin.radar.propagation.shape import boxes_of, distances_m, shapes_of
+from twin.radar.propagation.sight import Sight, closed, images
+from twin.radar.propagation.walls import lets_through, walls
+from twin.radar.propagation.world import Flats, Mesher, anchor_of, flats, mesher
 from twin.radar.scattering.surface import PEC, TABLE_STEPS, Surface, table
-from twin.scene import Scene, SceneObject
+from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
 
@@ -32,7 +42,9 @@ class Stage:
     """The scene set up for one pose: objects the rays meet, mirrors, and what all legs share.
 
     Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
-    the objects as the scene has them, their large triangles undivided.
+    the objects as the scene has them, their large triangles undivided. ``images`` are those of
+    ``all_images`` over which something is heard; ``worth`` (n_images, n_objects), from which of
+    them an object that scatters is to be traced.
     """
 
     anchor_m: Array
@@ -43,26 +55,31 @@ class Stage:
     originals: tuple[SceneObject, ...]
     roles: tuple[Role, ...]
     world: Mesher
-    sight: Sight
-    flats: tuple[Flat, ...]
+    flats: Flats
+    all_images: tuple[Image, ...]
     images: tuple[Image, ...]
+    worth: NDArray[np.bool_]
     station: Station
     surface_of_object: NDArray[np.uint32]
     assumptions: tuple[str, ...]
 
-    def with_images(self, order: int) -> "Stage":
-        """The same with the images of up to so many reflections."""
-        found = images(self.sight, self.flats, self.place, order)
+    def seen_by_itself(self) -> "Stage":
+        """The same with the images in which the radar may see itself."""
+        return self.with_images(closed(self.all_images, self.flats))
+
+    def with_images(self, images: Sequence[Image]) -> "Stage":
+        """The same with other images."""
         velocities = np.array([item.velocity_m_per_s for item in self.items]).reshape(-1, 3)
+        order = max(len(image.patches) for image in images)
         seen = with_images(
-            self.station, found, self.flats, velocities, self.surface_of_object, order
+            self.station, images, self.flats, velocities, self.surface_of_object, order
         )
-        return replace(self, images=tuple(found), station=seen)
+        return replace(self, images=tuple(images), station=seen)
 
     def via(self, image: int) -> tuple[str, ...]:
         """Names of the objects that make an image."""
         patches = self.images[image].patches
-        return tuple(self.items[self.flats[p].object].name for p in patches)
+        return tuple(self.items[self.flats.object[p]].name for p in patches)
 
 
 def set_stage(
@@ -76,7 +93,7 @@ def set_stage(
     """Set a scene up for a radar at its pose.
 
     ``order``: reflections at large surfaces on a leg, at most; ``is_rough``: they lose what
-    roughness scatters. Raises InputError where a material has no data at the carrier.
+    roughness scatters, and scatter. Raises InputError where a material has no data at the carrier.
     """
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
     axes, anchor = scene.rig.device("radar")[1], anchor_of(place_m)
@@ -91,17 +108,20 @@ def set_stage(
     )
     mi, world, place = mitsuba(), mesher(solid, anchor), place_m - anchor
     wavelength = radar.ofdm.wavelength_m
-    mirrors, patch_of_face = flats(world, _zones(world, role_of, place, wavelength))
+    mirrors, patch_of_face = flats(world, _zones(solid, role_of, place_m, wavelength))
     items, through = [item for item in world.items if item], None
     if clear:
         mesh = mesher(clear, anchor)
-        more, labels = flats(mesh, _zones(mesh, role_of, place, wavelength))
+        more, labels = flats(mesh, _zones(clear, role_of, place_m, wavelength))
         values = [slabs[item.name] for item in clear]
         through = walls(mi, mesh, values, labels + np.uint32(len(mirrors)), carrier)
-        mirrors += [replace(f, object=f.object + len(solid), is_wall=True) for f in more]
+        mirrors = mirrors.and_walls(more, len(solid))
         items += [item for item in mesh.items if item]
     sight = Sight(mi, world, mi.UInt32(patch_of_face), through)
-    return Stage(
+    limit, beam = _limit(radar), beam_of(radar.antenna)
+    # Half of what may be left out are images, half ways to objects.
+    found, faint = images(sight, mirrors, place, axes[0], beam, order, limit / 2)
+    stage = Stage(
         anchor_m=anchor,
         axes=axes,
         place=place,
@@ -110,9 +130,10 @@ def set_stage(
         originals=(*solid, *clear),
         roles=tuple(role_of[item.name] for item in items),
         world=world,
-        sight=sight,
-        flats=tuple(mirrors),
+        flats=mirrors,
+        all_images=tuple(found),
         images=(),
+        worth=np.zeros((0, len(items)), dtype=bool),
         station=station(
             mi,
             world,
@@ -126,7 +147,43 @@ def set_stage(
         ),
         surface_of_object=surface_of_object,
         assumptions=assumed,
-    ).with_images(order)
+    )
+    return _culled(stage, declared_alone(scene, roles), beam, is_rough, faint, limit)
+
+
+def _limit(radar: RadarDesign) -> float:
+    """Amplitude that all echoes left out before tracing may have together, before losses."""
+    loss = 10 ** (-radar.front_end.losses_db.value / 20)
+    return OF_NOISE * noise_amplitude(radar) / loss
+
+
+def _culled(
+    stage: Stage, points: Sequence[Target], beam: Beam, is_rough: bool, faint: float, limit: float
+) -> Stage:
+    """The stage with the images and the ways that are worth tracing."""
+    echoing = (Role.OPTICS, Role.SURFACE) if is_rough else (Role.OPTICS,)
+    numbers = np.flatnonzero([role in echoing for role in stage.roles])
+    ways = ways_of(stage.all_images, stage.flats, stage.axes[0], beam)
+    boxes = boxes_of([stage.items[i] for i in numbers]) - stage.anchor_m
+    share = shares(ways, boxes, stage.flats, beam)
+    traced = worth_tracing(share, limit / 2)
+    # Points cost next to nothing: only where there is no way to them they are not heard.
+    places = np.array([t.position_m for t in points]).reshape(-1, 1, 3) - stage.anchor_m
+    to_points = shares(ways, np.repeat(places, 2, axis=1), stage.flats, beam, np.ones(len(points)))
+    heard = traced.ways.any(axis=1) | to_points.any(axis=1)
+    heard[0] = True  # the radar itself
+    worth = np.zeros((int(heard.sum()), len(stage.items)), dtype=bool)
+    worth[:, numbers] = traced.ways[heard]
+    assumed = stage.assumptions
+    if (left_out := faint + traced.left_out) > 0:
+        level = 20 * np.log10(OF_NOISE * left_out / limit)
+        assumed += (
+            f"too faint to be traced: {np.count_nonzero(~traced.ways & (share > 0))} of "
+            f"{np.count_nonzero(share)} ways to objects, and mirrors; all their echoes together "
+            f"at most {level:.0f} dB of a cell's noise",
+        )
+    found = [image for image, is_heard in zip(stage.all_images, heard, strict=True) if is_heard]
+    return replace(stage.with_images(found), worth=worth, assumptions=assumed)
 
 
 def _surfaces(
@@ -174,12 +231,14 @@ def _slabs(
     open (0 where it shows it itself).
     """
     found = {}
-    for item in items:
-        if role_of[item.name] is not Role.SURFACE:
-            continue
-        depth = thickness_of(item, shape_of(item))
-        surface = surface_of(item, scene, radar.ofdm.carrier_hz)[0]
-        epsilon = surface.layers[0].permittivity if surface.layers else surface.backing
+    permittivity: dict[str, complex | None] = {}
+    large = [item for item in items if role_of[item.name] is Role.SURFACE]
+    for item, shape in zip(large, shapes_of(large), strict=True):
+        if item.material not in permittivity:
+            surface = surface_of(replace(item, thickness_m=None), scene, radar.ofdm.carrier_hz)[0]
+            permittivity[item.material] = surface.backing
+        epsilon = permittivity[item.material]
+        depth = shape.thickness_m if item.thickness_m is None else item.thickness_m
         if depth is None or epsilon is None:
             continue
         if lets_through(epsilon, depth, radar.ofdm.wavelength_m):
@@ -188,17 +247,10 @@ def _slabs(
 
 
 def _zones(
-    world: Mesher, role_of: dict[str, Role], place: Array, wavelength_m: float
-) -> dict[int, float]:
-    """Of every surface, the side from which a flat patch of it mirrors."""
-    return {
-        i: LARGE_BESIDE_OPTICS * (wavelength_m * _near(world, i, place)) ** 0.5
-        for i, item in enumerate(world.items)
-        if item is not None and role_of[item.name] is Role.SURFACE
-    }
-
-
-def _near(world: Mesher, number: int, place: Array) -> float:
-    points = world.vertices[world.vertex_ranges[number]]
-    low, high = points.min(axis=0) - place, points.max(axis=0) - place
-    return max(float(np.linalg.norm(np.clip(0.0, low, high))), 1e-3)
+    items: Sequence[SceneObject], role_of: dict[str, Role], place_m: Array, wavelength_m: float
+) -> Array:
+    """Of every surface, the side from which a flat patch of it mirrors; infinite for others."""
+    near = np.maximum(distances_m(boxes_of(items), place_m), 1e-3)
+    sides: Array = LARGE_BESIDE_OPTICS * np.sqrt(wavelength_m * near)
+    is_surface = np.array([role_of[item.name] is Role.SURFACE for item in items], dtype=bool)
+    return np.where(is_surface, sides, np.inf)

@@ -17,11 +17,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.shape import Shape
 from twin.radar.propagation.world import Mesher
 from twin.radar.scattering.kernel import coefficients_at, plane
 from twin.radar.scattering.surface import TABLE_STEPS, Surface
-from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
 
@@ -53,24 +51,6 @@ class Passage:
     rho_re: Any
     rho_im: Any
     lag: Any
-
-
-def thickness_of(item: SceneObject, shape: Shape) -> float | None:
-    """Distance of the two largest patches, where they are parallel and about as large."""
-    if item.thickness_m is not None:
-        return item.thickness_m
-    if len(shape.patch_area_m2) < 2 or shape.patch_area_m2[1] < 0.5 * shape.patch_area_m2[0]:
-        return None
-    corners = [item.vertices_m[item.faces[shape.patch_of_face == i]] for i in (0, 1)]
-    normals = []
-    for triangles in corners:
-        a, b, c = triangles[0]
-        across = np.cross(b - a, c - a)
-        normals.append(across / np.linalg.norm(across))
-    if abs(abs(normals[0] @ normals[1]) - 1) > 1e-6:
-        return None
-    distance = float(abs((corners[1][0, 0] - corners[0][0, 0]) @ normals[0]))
-    return distance or None
 
 
 def lets_through(permittivity: complex, thickness_m: float, wavelength_m: float) -> bool:

@@ -5,9 +5,8 @@ shape. The mesh is built once per set of objects and updated in place when they 
 """
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
+from twin.radar.propagation.kept import Kept
 from twin.radar.propagation.shape import shape_of
 from twin.scene import SceneObject
 from twin.scene.meshes import Mesh, divided
@@ -24,8 +24,10 @@ Array = NDArray[np.float64]
 
 #: Anchors lie on this grid: a track of poses within a cell shares one mesh.
 _GRID_M = 64.0
-_WORLDS = 4  # kept; 1e6 triangles take some 300 MB each
+_WORLDS = 4  # kept, the last one and others
+_MOST_KEPT = 2_000_000  # faces in those others: 300 MB for each million
 _worlds: "OrderedDict[tuple[Any, ...], Mesher]" = OrderedDict()
+_parts: "Kept[tuple[SceneObject | None]]" = Kept()  # None: as it is
 
 
 def anchor_of(place_m: Array) -> Array:
@@ -40,22 +42,29 @@ def mesher(objects: Sequence[SceneObject], anchor_m: Array) -> "Mesher":
     key = tuple(id(item.faces) for item in items)
     held = _worlds.get(key)
     if held is None:
+        _make_room()
         held = _worlds[key] = Mesher(items)
-        if len(_worlds) > _WORLDS:
-            _worlds.popitem(last=False)
     _worlds.move_to_end(key)
     held.place(items, anchor_m)
     return held
 
 
-@lru_cache(maxsize=1024)
+def _make_room() -> None:
+    while len(_worlds) >= _WORLDS or sum(len(w.faces) for w in _worlds.values()) > _MOST_KEPT:
+        _worlds.popitem(last=False)
+
+
 def _divided(item: SceneObject, anchor_m: tuple[float, float, float]) -> SceneObject:
     """The object with no triangle that is too large for float32 rays."""
-    around = Mesh(item.vertices_m - np.array(anchor_m), item.faces)
-    mesh = divided(around)
-    if mesh.faces is around.faces:
-        return item
-    return replace(item, vertices_m=mesh.vertices + anchor_m, faces=mesh.faces)
+    held = _parts.get([item], anchor_m)
+    if held is None:
+        around = Mesh(item.vertices_m - np.array(anchor_m), item.faces)
+        mesh = divided(around)
+        part = None
+        if mesh.faces is not around.faces:
+            part = replace(item, vertices_m=mesh.vertices + anchor_m, faces=mesh.faces)
+        held = _parts.put((part,), [item], anchor_m)
+    return held[0] or item
 
 
 class Mesher:
@@ -144,75 +153,114 @@ def _planes(corners: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Flat:
-    """A large flat patch of a surface: a point and the unit normal, relative to the anchor, and a
-    few points all over it; ``is_wall`` where the radar also sees through it.
-    """
+    """A large flat patch of a surface: a point and the unit normal, relative to the anchor."""
 
     object: int
     point: Array
     normal: Array
-    samples: Array
-    is_wall: bool = False
 
 
-def flats(world: Mesher, large_m: Mapping[int, float]) -> tuple[list[Flat], NDArray[np.uint32]]:
-    """Flat patches wider than the size asked for, per object, and the patch of every face.
+@dataclass(frozen=True, eq=False)
+class Flats:
+    """Large flat patches of surfaces, relative to the anchor, one row each.
+
+    ``object`` (n,); ``point`` and unit ``normal`` (n, 3) of their planes; ``box`` (n, 2, 3) around
+    each; ``is_wall`` (n,) where the radar also sees through it. ``corners`` (m, 3, 3) are those of
+    their triangles, patch by patch, which begin at ``first`` (n + 1,).
+    """
+
+    object: NDArray[np.int64]
+    point: Array
+    normal: Array
+    box: Array
+    is_wall: NDArray[np.bool_]
+    corners: Array
+    first: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.object)
+
+    def __getitem__(self, number: int) -> Flat:
+        return Flat(int(self.object[number]), self.point[number], self.normal[number])
+
+    def and_walls(self, others: "Flats", first_object: int) -> "Flats":
+        """These and those of walls, whose objects are numbered from ``first_object`` on."""
+        return Flats(
+            object=np.concatenate([self.object, others.object + first_object]),
+            point=np.concatenate([self.point, others.point]),
+            normal=np.concatenate([self.normal, others.normal]),
+            box=np.concatenate([self.box, others.box]),
+            is_wall=np.concatenate([self.is_wall, np.ones(len(others), dtype=bool)]),
+            corners=np.concatenate([self.corners, others.corners]),
+            first=np.concatenate([self.first, others.first[1:] + self.first[-1]]),
+        )
+
+    def extent(self, numbers: NDArray[np.int64], along: Array) -> Array:
+        """Least and largest coordinate of some of the patches, each along its direction (n, 3)."""
+        rows, begin = self._rows(numbers)
+        at = np.einsum("nci,ni->nc", self.corners[rows], np.repeat(along, np.diff(begin), axis=0))
+        low = np.minimum.reduceat(at.min(axis=1), begin[:-1])
+        return np.stack([low, np.maximum.reduceat(at.max(axis=1), begin[:-1])], axis=1)
+
+    def samples(self, numbers: NDArray[np.int64], which: NDArray[np.int64], count: int) -> Array:
+        """Of ``count`` points spread over each of some patches those asked for, (n, m, 3)."""
+        rows, begin = self._rows(numbers)
+        a, b, c = (self.corners[rows, i] for i in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        total = np.add.reduceat(area, begin[:-1])
+        below = np.cumsum(area)
+        wanted = (below[begin[1:] - 1] - total)[:, None] + total[:, None] * ((which + 0.5) / count)
+        row = np.searchsorted(below, wanted.ravel()).reshape(wanted.shape)
+        row = np.clip(row, begin[:-1, None], begin[1:, None] - 1)
+        # The additive recurrence of the plastic number fills the square evenly.
+        u, v = (0.5 + which * 0.7548776662466927) % 1, (0.5 + which * 0.5698402909980532) % 1
+        flip = u + v > 1
+        u, v = np.where(flip, 1 - u, u)[:, None], np.where(flip, 1 - v, v)[:, None]
+        points: Array = a[row] + u * (b - a)[row] + v * (c - a)[row]
+        return points
+
+    def _rows(self, numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Triangles of some of the patches, at least one, and where each patch's begin."""
+        sizes = self.first[numbers + 1] - self.first[numbers]
+        begin = np.cumsum(np.concatenate([[0], sizes]))
+        return np.arange(begin[-1]) + np.repeat(self.first[numbers] - begin[:-1], sizes), begin
+
+
+def flats(world: Mesher, large_m: Array) -> tuple[Flats, NDArray[np.uint32]]:
+    """Flat patches wider than the size asked for, (n_objects,), and the patch of every face.
 
     Patches of an object in one plane count as one. Faces in none of them have the number
     ``len(flats)``.
     """
-    found: list[Flat] = []
     of_face = np.full(len(world.faces), -1, dtype=np.int64)
-    for number, side in large_m.items():
+    objects: list[int] = []
+    for number in np.flatnonzero(np.isfinite(large_m)).tolist():
         item = world.items[number]
         assert item is not None
-        shape, rows = shape_of(item), world.face_ranges[number]
-        planes = world.plane_table[rows]
-        for patch in _coplanar(shape.patch_of_face, planes, shape.patch_area_m2, side):
-            of_face[rows][patch] = len(found)
-            x = planes[patch[0]]
-            corners = world.vertices[world.faces[rows][patch]]
-            found.append(Flat(number, x[:3], x[3:], _samples(corners)))
-    return found, np.where(of_face < 0, len(found), of_face).astype(np.uint32)
-
-
-_MOST_PATCHES = 64  # of an object: beyond, it is not flat
-
-
-def _coplanar(
-    patch_of_face: NDArray[np.int64], planes: Array, area: Array, side: float
-) -> list[NDArray[np.int64]]:
-    """Faces of every patch that is large enough by itself or with others in its plane."""
-    groups: list[tuple[Array, list[NDArray[np.int64]], float]] = []
-    for patch in range(min(len(area), _MOST_PATCHES)):
-        faces = np.flatnonzero(patch_of_face == patch)
-        plane = planes[faces[0]]
-        for known, members, _ in groups:
-            if abs(abs(known[3:] @ plane[3:]) - 1) < 1e-10 and (
-                abs((plane[:3] - known[:3]) @ known[3:]) < 1e-6
-            ):
-                members.append(faces)
-                break
-        else:
-            groups.append((plane, [faces], float(area[patch])))
-    return [
-        np.concatenate(members)
-        for _, members, _ in groups
-        if sum(float(area[patch_of_face[m[0]]]) for m in members) >= side**2
-    ]
-
-
-def _samples(corners: Array, count: int = 256) -> Array:
-    """Points spread over triangles (m, 3, 3), always the same."""
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        shape = shape_of(item)
+        chosen = np.flatnonzero(shape.plane_area_m2 >= large_m[number] ** 2)
+        if not len(chosen):
+            continue
+        number_of = np.full(len(shape.plane_area_m2) + 1, -1, dtype=np.int64)  # of plane -1, too
+        number_of[chosen] = len(objects) + np.arange(len(chosen))
+        of_face[world.face_ranges[number]] = number_of[shape.plane_of_face]
+        objects += [number] * len(chosen)
+    rows = np.flatnonzero(of_face >= 0)
+    rows = rows[np.argsort(of_face[rows], kind="stable")]
+    first = np.searchsorted(of_face[rows], np.arange(len(objects) + 1))
+    corners = world.vertices[world.faces[rows]]
+    plane = world.plane_table[rows[first[:-1]]]
+    low, high = (
+        reduce.reduceat(end, first[:-1]) if len(rows) else np.zeros((0, 3))
+        for reduce, end in ((np.minimum, corners.min(axis=1)), (np.maximum, corners.max(axis=1)))
     )
-    n = np.arange(count)
-    which = np.searchsorted(np.cumsum(area) / area.sum(), (n + 0.5) / count)
-    # The additive recurrence of the plastic number fills the square evenly.
-    u, v = (0.5 + n * 0.7548776662466927) % 1, (0.5 + n * 0.5698402909980532) % 1
-    flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    a, b, c = (corners[np.minimum(which, len(corners) - 1), i] for i in range(3))
-    points: Array = a + u[:, None] * (b - a) + v[:, None] * (c - a)
-    return points
+    found = Flats(
+        object=np.array(objects, dtype=np.int64),
+        point=plane[:, :3],
+        normal=plane[:, 3:],
+        box=np.stack([low, high], axis=1),
+        is_wall=np.zeros(len(objects), dtype=bool),
+        corners=corners,
+        first=first,
+    )
+    return found, np.where(of_face < 0, len(objects), of_face).astype(np.uint32)
