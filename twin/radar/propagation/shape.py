@@ -138,9 +138,7 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
     mesh_of_face = np.repeat(np.arange(len(items)), np.diff(first_face))
     is_used = np.zeros(first_vertex[-1], dtype=bool)
     is_used[faces] = True
-    used = [
-        np.flatnonzero(is_used[a:b]) for a, b in pairwise(first_vertex)
-    ]
+    used = [np.flatnonzero(is_used[a:b]) for a, b in pairwise(first_vertex)]
     points = np.concatenate(
         [
             i.vertices_m - i.vertices_m[rows].mean(axis=0)

@@ -192,11 +192,13 @@ def _arrive(
     """Whether a ray comes to any of the points (n, s, 3) of patches (n,): from the radar, by way
     of patches (n, m), with the images (n, m + 1, 3).
     """
-    way = np.repeat(np.arange(len(points)), points.shape[1])
-    at, wanted = points.reshape(-1, 3), wanted[way]
+    way: Indices = np.repeat(np.arange(len(points)), points.shape[1])
+    at: Array = points.reshape(-1, 3)
+    wanted = wanted[way]
     # From the far end: each leg aims at the image before, and must meet the patch in between.
     for level in range(patches.shape[1], -1, -1):
-        begin, before = places[way, level], wanted
+        begin: Array = places[way, level]
+        before = wanted
         if level:
             before = patches[way, level - 1]
             normal, towards = flats.normal[before], begin - at
@@ -204,12 +206,12 @@ def _arrive(
                 t = np.sum((flats.point[before] - at) * normal, axis=1)
                 t /= np.sum(towards * normal, axis=1)
             begin = at + np.where((t > 0) & (t < 1), t, np.nan)[:, None] * towards
-        kept = np.flatnonzero(~np.isnan(begin).any(axis=1))
-        way, at, begin, before, wanted = (v[kept] for v in (way, at, begin, before, wanted))
-        if not len(way):
-            break
-        seen = sight.sees(begin, at, wanted, flats.is_wall[wanted])
-        way, at, wanted = way[seen], begin[seen], before[seen]
+        alive = np.flatnonzero(~np.isnan(begin).any(axis=1))
+        if not len(alive):
+            return np.zeros(len(points), dtype=bool)
+        begin, wanted = begin[alive], wanted[alive]
+        seen = sight.sees(begin, at[alive], wanted, flats.is_wall[wanted])
+        way, at, wanted = way[alive][seen], begin[seen], before[alive][seen]
     found = np.zeros(len(points), dtype=bool)
     found[way] = True
     return found

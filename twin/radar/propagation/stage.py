@@ -170,7 +170,7 @@ def _culled(
     # Points cost next to nothing: only where there is no way to them they are not heard.
     places = np.array([t.position_m for t in points]).reshape(-1, 1, 3) - stage.anchor_m
     to_points = shares(ways, np.repeat(places, 2, axis=1), stage.flats, beam, np.ones(len(points)))
-    heard = traced.ways.any(axis=1) | to_points.any(axis=1)
+    heard = np.asarray(np.hstack([traced.ways, to_points > 0]).any(axis=1))
     heard[0] = True  # the radar itself
     worth = np.zeros((int(heard.sum()), len(stage.items)), dtype=bool)
     worth[:, numbers] = traced.ways[heard]
