@@ -16,6 +16,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.kept import Kept
 from twin.radar.propagation.legs import LEVEL, OFF_SURFACE, Station
 from twin.radar.propagation.points import PointLegs, between, point_legs
 from twin.radar.propagation.rays import Rays, and_reversed
