@@ -137,7 +137,7 @@ def _velocities(images: Sequence[Image], flats: Flats, velocities: Array) -> Arr
     return found
 
 
-def _axes(images: Sequence[Image], flats: Sequence[Flat]) -> Array:
+def _axes(images: Sequence[Image], flats: Flats) -> Array:
     """The world's axes as images show them, (n, 3 axes, 3)."""
     found = np.tile(np.eye(3), (len(images), 1, 1))
     for axes, image in zip(found, images, strict=True):
