@@ -11,6 +11,7 @@ import numpy as np
 from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
 from hardware.radar.pictures import cell
 from hardware.radar.process import Frame, Processing, process
+from hardware.radar.windows import taper
 from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
 from twin.radar.device.design import RadarDesign
@@ -67,7 +68,8 @@ class RadarEvaluation:
         """What was to be expected of a target, in words."""
         if not target.visible:
             return "no direct echo"
-        snr_db = 10 * np.log10(max(target.received_w, 1e-300) / self.image.noise_w)
+        heard_w = target.received_w * _kept(target, self.radar.ofdm, self.how.window)
+        snr_db = 10 * np.log10(max(heard_w, 1e-300) / self.image.noise_w)
         return f"{snr_db:.1f} dB over the map's noise expected"
 
     def __str__(self) -> str:
@@ -173,6 +175,17 @@ def further_echoes(
         near = [t for t in truth if match is None and _within(found, t, waveform)]
         parts.append(min(near, key=lambda t: abs(found.range_m - t.wrapped_range_m), default=None))
     return tuple(parts)
+
+
+def _kept(target: TrueTarget, waveform: OfdmWaveform, window: str) -> float:
+    """Share of a target's power that is left at its peak over Doppler, where its changing rate
+    spreads it.
+    """
+    t = waveform.slot_times_s
+    latest = waveform.n_slots * waveform.slot_period_s / 2
+    turn = 2 * np.pi / waveform.wavelength_m * target.rate_change_m_per_s / latest * t**2
+    spectrum = np.fft.fft(taper(window, len(t)) * np.exp(-1j * turn), 8 * len(t)) / len(t)
+    return float(np.max(np.abs(spectrum) ** 2))
 
 
 def _within(found: Detection, target: TrueTarget, waveform: OfdmWaveform) -> bool:
