@@ -77,6 +77,17 @@ def test_accelerations_whichever_way_is_taken(n: int, slots: int, unlike: float)
         assert np.abs(found - exact).max() < 3 * tolerance * rms
 
 
+@pytest.mark.parametrize("n", [1, 3, 200])
+def test_accelerations_of_what_nearly_touches_the_radar(n: int) -> None:
+    """25 m/s a micrometre away and farther, up to 1e7 rad within the interval: still the sum."""
+    wave = replace(WAVE, n_subcarriers=16, n_slots=256, slot_period_s=39.0625e-6, repeats=1)
+    rng = np.random.default_rng(6)
+    faster = 2 / C * 25.0**2 / 10 ** rng.uniform(-6, 0, n)
+    echoes = Contributions.ahead(np.ones(n, complex), rng.uniform(0, 1e-9, n), np.zeros(n), faster)
+    exact = direct_sum(echoes, wave.frequency_offsets_hz, wave.slot_times_s, wave.carrier_hz)
+    assert np.abs(synthesize(echoes, wave) - exact).max() < 1e-4 * np.sqrt(n)
+
+
 def test_no_acceleration_is_motion_to_first_order_to_the_bit() -> None:
     rng = np.random.default_rng(4)
     amplitude, delay = rng.normal(size=500) + 0j, rng.uniform(0, 1e-6, 500)

@@ -324,7 +324,8 @@ def _times(linear_rad: float, square_rad: float, waveform: OfdmWaveform, toleran
     """
     count, last, rest = 1, 1.0, linear_rad / 2
     following = (linear_rad / 2 * rest + square_rad / 2 * last) / 2
-    while 4 * max(rest, following) > tolerance / 4 and count < waveform.n_slots:
+    # Written so that what overflows, even to NaN, takes all slots.
+    while not 4 * max(rest, following) <= tolerance / 4 and count < waveform.n_slots:
         count += 1
         last, rest = rest, following
         following = (linear_rad / 2 * rest + square_rad / 2 * last) / (count + 1)
