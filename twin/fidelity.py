@@ -54,6 +54,10 @@ class Fidelity:
         round an edge, one way, fainter than this beside the straight wave is lost. 0: shadows
         are silent and their borders hard, off by 12 dB in the echo right there, by up to 2.7 dB
         on the lit side.
+    radar_shadowed
+        Facets that answer over obstacles' edges, all bodies together, the brightest ones, down to
+        shadows of 30 dB; 0: on bodies shadows are silent and their borders hard, as above. Some
+        3 ms each.
     radar_table_nodes
         Of a table of physical optics on the rung ``paths``, per lobe lambda / (2 D) of a target of
         extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms
@@ -78,6 +82,7 @@ class Fidelity:
     radar_images: int = 1
     radar_edges: int = 0
     radar_shadow_db: float = 40.0
+    radar_shadowed: int = 0
     radar_table_nodes: int = 4
     radar_scatterers: int = 50_000
     air_orders: int = 12
@@ -94,6 +99,7 @@ class Fidelity:
             ("radar_images", 0),
             ("radar_edges", 0),
             ("radar_shadow_db", 0),
+            ("radar_shadowed", 0),
             ("radar_table_nodes", 1),
             ("radar_scatterers", 1),
         ):
@@ -121,6 +127,7 @@ class Fidelity:
             radar_bounces=max(self.radar_bounces, other.radar_bounces),
             radar_images=max(self.radar_images, other.radar_images),
             radar_edges=max(self.radar_edges, other.radar_edges),
+            radar_shadowed=max(self.radar_shadowed, other.radar_shadowed),
             radar_shadow_db=max(self.radar_shadow_db, other.radar_shadow_db),
             radar_table_nodes=max(self.radar_table_nodes, other.radar_table_nodes),
             radar_scatterers=max(self.radar_scatterers, other.radar_scatterers),
@@ -150,6 +157,7 @@ PRESETS = {
         radar="rough",
         radar_edges=2_000_000,
         radar_shadow_db=60.0,
+        radar_shadowed=2000,
     ),
 }
 

@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 from twin.radar.propagation.images import Image, mirrored
 from twin.radar.propagation.legs import OFF_SURFACE, Station
 from twin.radar.propagation.points import PointLegs, point_legs
-from twin.radar.propagation.rims import Ways, bundled, farthest, over_rim, over_two, successive
+from twin.radar.propagation.rims import (
+    Ways,
+    bundled,
+    farthest,
+    near_edges,
+    over_rim,
+    over_two,
+    successive,
+)
 from twin.radar.propagation.shape import boxes_of
 from twin.radar.propagation.silhouettes import Outline, outline
 from twin.radar.propagation.stage import Stage
@@ -42,11 +50,13 @@ _UNSURE_M = 3e-4  # float32 rays may err so far from an edge, and as much more f
 class Screens:
     """Obstacles of a stage, (n, ...), and the spheres that hold them, relative to its anchor.
 
-    ``faintest`` is what is still told of a way, in amplitude over the straight one.
+    ``body`` (n,) numbers bodies of several objects that touch, -1 for no such body; ``faintest`` is
+    what is still told of a way, in amplitude over the straight one.
     """
 
     stage: Stage
     items: tuple[SceneObject, ...]
+    body: NDArray[np.int32]
     centers: Array
     radii: Array
     faintest: float
@@ -61,8 +71,13 @@ class Screens:
         return outline(self.items[item], place + self.stage.anchor_m)
 
 
-def screens(stage: Stage, shadow_db: float) -> Screens | None:
-    """Everything opaque on a stage, for shadows down to a depth in dB; None where it is 0."""
+def screens(
+    stage: Stage, shadow_db: float, body: NDArray[np.int32] | None = None
+) -> Screens | None:
+    """Everything opaque on a stage, for shadows down to a depth in dB; None where it is 0.
+
+    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none.
+    """
     items = stage.originals[: len(stage.world.face_ranges)]
     if shadow_db <= 0 or not items:
         return None
@@ -70,6 +85,7 @@ def screens(stage: Stage, shadow_db: float) -> Screens | None:
     return Screens(
         stage=stage,
         items=items,
+        body=np.full(len(items), -1, dtype=np.int32) if body is None else body[: len(items)],
         centers=boxes.mean(axis=1),
         radii=np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2,
         faintest=float(10 ** (-shadow_db / 20)),
@@ -87,8 +103,8 @@ def legs_to(
     """Every leg from an image to points (n, 3), straight ones and those over edges of obstacles,
     and which point each leads to.
 
-    Rays start at a distance ``off`` (n, 3) from the points; ``own`` (n,) is the number of the
-    object that each belongs to, whose outline is none of its obstacles, or -1.
+    Rays start at a distance ``off`` (n, 3) from the points; ``own`` (n,) is the number of the body
+    that each belongs to, whose outline is none of its obstacles, or -1.
     """
     straight = point_legs(s, source, places, off)
     if obstacles is None:
@@ -99,7 +115,7 @@ def legs_to(
     image = obstacles.stage.images[source]
     clear, found, numbers = straight.clear.copy(), [], []
     for level in range(len(image.patches) + 1):
-        segment = _Segment(obstacles, image, level, places, off)
+        segment = Segment(obstacles, image, level, places, off)
         open_ways = list(segment.ways(through.clear, alone))
         if open_ways:
             ways = Ways.joined(open_ways)
@@ -112,7 +128,7 @@ def legs_to(
     return PointLegs.joined([through.chosen(at), *found]), np.concatenate([at, *numbers])
 
 
-class _Segment:
+class Segment:
     """The stretch of legs after so many of an image's mirrors: there the points (n, 3), seen in the
     mirrors that follow, are lit from the radar's image in those before.
     """
@@ -128,43 +144,55 @@ class _Segment:
             self.seen = mirrored(self.seen, obstacles.stage.flats[number])
 
     def ways(self, active: NDArray[np.bool_], own: Indices) -> Iterator[Ways]:
-        """Open ways round every obstacle to active points, which are none of their own object."""
-        o = self.obstacles
-        mirrors = {o.stage.flats[number].object for number in self.image.patches}
-        for item in self._near_any(active).tolist():
-            rows = np.flatnonzero(active & (own != item) & self._beside(item))
-            if not len(rows) or item in mirrors:
-                continue
-            rim = o.outline(item, self.source)
-            step = max(1, _PAIRS // max(len(rim.ends), 1))
+        """Open ways round every obstacle to active points, which are none of their own body."""
+        for item in self.near_any(active):
+            strange = (own < 0) | (own != self.obstacles.body[item])
+            rows = np.flatnonzero(active & strange & self.beside(item))
             for group in _groups(rows, own):
-                for part in np.split(group, range(step, len(group), step)):
-                    yield from self._round(item, rim, part)
+                rim = self.rim(item, group)
+                step = max(1, _PAIRS // max(len(rim.ends), 1))
+                if len(rim.ends):
+                    for part in np.split(group, range(step, len(group), step)):
+                        yield from self._round(item, rim, part)
+
+    def rim(self, item: int, rows: Indices, around_m: float = 0.0) -> Outline:
+        """The outline of an obstacle, what of it may count for points, or so far around them; none
+        where it makes the image.
+        """
+        o = self.obstacles
+        rim = o.outline(item, self.source)
+        if item in {o.stage.flats[number].object for number in self.image.patches}:
+            return rim.chosen(np.zeros(0, dtype=np.intp))
+        middle = self.seen[rows].mean(axis=0)
+        reach = np.linalg.norm(self.seen[rows] - middle, axis=1).max() + around_m
+        return rim.chosen(near_edges(rim, middle - self.source, reach, o.wavenumber, o.faintest))
 
     def turns(self, ways: Ways, edges: Array) -> Array:
         """Where ways turn, from the points to the radar, (m, n, 3); edges are at (n, 2, 3)."""
         stage = self.obstacles.stage
         return _folded(stage, self.image, self.level, self.places[ways.point], edges)
 
-    def _near_any(self, active: NDArray[np.bool_]) -> Indices:
-        """Obstacles that may reach into the ellipsoid of any way to an active point: of thousands
-        most stand elsewhere.
+    def near_any(self, active: NDArray[np.bool_], around_m: float = 0.0) -> list[int]:
+        """Obstacles that may reach into the ellipsoid of any way to an active point, or to what is
+        so far around it: of thousands most stand elsewhere.
         """
         o, ends = self.obstacles, np.vstack([self.source[None], self.seen[active]])
         longest = 2 * float(np.linalg.norm(ends - self.source, axis=1).max())
-        reach = 0.5 * np.sqrt(self._more_m * (longest + self._more_m))
+        reach = 0.5 * np.sqrt(self._more_m * (longest + self._more_m)) + around_m
         box = np.array([ends.min(axis=0), ends.max(axis=0)])
         off = np.maximum(np.maximum(box[0] - o.centers, o.centers - box[1]), 0)
-        return np.flatnonzero(np.linalg.norm(off, axis=1) <= o.radii + reach)
+        near: list[int] = np.flatnonzero(np.linalg.norm(off, axis=1) <= o.radii + reach).tolist()
+        return near
 
     @property
     def _more_m(self) -> float:
         """How much longer a way is by the farthest edge that counts."""
         return float(farthest(self.obstacles.faintest)) / self.obstacles.wavenumber
 
-    def _beside(self, item: int) -> NDArray[np.bool_]:
-        """Whether an obstacle reaches into the ellipsoid around straight ways in which edges count:
-        its half minor axis is sqrt((R + d)^2 - R^2) / 2.
+    def beside(self, item: int, around_m: float = 0.0) -> NDArray[np.bool_]:
+        """Whether an obstacle reaches into the ellipsoid around straight ways to points, or to what
+        is so far around them, in which edges count: its half minor axis is
+        sqrt((R + d)^2 - R^2) / 2.
         """
         o, way = self.obstacles, self.seen - self.source
         length = np.linalg.norm(way, axis=1)
@@ -172,7 +200,8 @@ class _Segment:
         towards = o.centers[item] - self.source
         along = np.clip(way @ towards / np.maximum(length**2, 1e-300), 0, 1)
         gap = np.linalg.norm(towards - along[:, None] * way, axis=1) - o.radii[item]
-        beside: NDArray[np.bool_] = gap <= 0.5 * np.sqrt(more * (2 * length + more))
+        widest = 0.5 * np.sqrt(more * (2 * length + more))
+        beside: NDArray[np.bool_] = gap <= widest + around_m
         return beside
 
     def _round(self, item: int, rim: Outline, rows: Indices) -> Iterator[Ways]:
@@ -274,7 +303,7 @@ def _settle(clear: NDArray[np.bool_], ways: Ways) -> None:
     clear[ways.point[close & (ways.lit_m <= 0)]] = False
 
 
-def _legs(obstacles: Screens, through: PointLegs, ways: Ways, segment: "_Segment") -> PointLegs:
+def _legs(obstacles: Screens, through: PointLegs, ways: Ways, segment: "Segment") -> PointLegs:
     """Ways as legs: ``through`` are the straight ones, as if nothing stood in between."""
     chain = segment.turns(ways, ways.stops)
     last = len(chain) - 2 - segment.level
@@ -298,3 +327,17 @@ def _legs(obstacles: Screens, through: PointLegs, ways: Ways, segment: "_Segment
 def _unit(way: Array) -> Array:
     unit: Array = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
     return unit
+
+
+def is_near_edges(
+    obstacles: Screens, image: Image, place: Array, radius_m: float, own: int
+) -> bool:
+    """Whether edges of an obstacle count for anything of a body within a sphere."""
+    one, first = np.ones(1, dtype=bool), np.zeros(1, dtype=np.int64)
+    for level in range(len(image.patches) + 1):
+        segment = Segment(obstacles, image, level, place[None], np.zeros((1, 3)))
+        for item in segment.near_any(one, radius_m):
+            is_beside = obstacles.body[item] != own and segment.beside(item, radius_m).any()
+            if is_beside and len(segment.rim(item, first, radius_m).ends):
+                return True
+    return False

@@ -9,7 +9,7 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.around import screens
 from twin.radar.propagation.environment import mirror_echoes, point_echoes
-from twin.radar.propagation.optics import contributions_of, diffracted, scattered, speckle
+from twin.radar.propagation.optics import behind, contributions_of, diffracted, scattered, speckle
 from twin.radar.propagation.paths import Heard, Path, Propagation
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import assign_roles, declared_alone
@@ -30,6 +30,7 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     is_rough = fidelity.radar == "rough"
     stage = set_stage(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
     surfaces, remarks = scattered(stage, fidelity)
+    surfaces = Rays.joined([surfaces, behind(stage, fidelity)])
     edges, on_edges = diffracted(stage, fidelity)
     points, on_points = speckle(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])
     diffuse = Rays.joined([edges, points])

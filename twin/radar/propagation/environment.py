@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.around import Screens, legs_to
 from twin.radar.propagation.legs import Station
-from twin.radar.propagation.points import PointLegs, between, point_legs
+from twin.radar.propagation.points import between, point_legs
 from twin.radar.propagation.rays import Rays, lengthening, turning
-from twin.radar.propagation.rims import meeting
+from twin.radar.propagation.rims import loud, meeting
 from twin.radar.scattering.kernel import turned
 from twin.scene import Target
 from twin.transfer import host, vector
@@ -89,30 +89,14 @@ def point_echoes(
     ways: list[Way] = []
     for out, out_at in legs:
         for home, home_at in legs:
-            there, back = _loud(out, home, *meeting(out_at, home_at), out_at, obstacles)
+            there, back = meeting(out_at, home_at)
+            if obstacles is not None:
+                level = out.level[there] * home.level[back]
+                heard = loud(level, out_at[there], obstacles.faintest)
+                there, back = there[heard], back[heard]
             one, other, at = out.chosen(there), home.chosen(back), out_at[there]
             amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
             number = len(ways) + np.arange(len(at))
             ways += [Way(*way) for way in zip(at, one.over, other.over, strict=True)]
             found.append(between(one, other, amplitude, velocity[at], number))
     return Rays.joined(found), ways
-
-
-def _loud(
-    out: PointLegs,
-    home: PointLegs,
-    there: NDArray[np.int64],
-    back: NDArray[np.int64],
-    point: NDArray[np.int64],
-    obstacles: Screens | None,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of legs but for those fainter than is told of a single way, beside the loudest of the
-    same point.
-    """
-    if obstacles is None or not len(there):
-        return there, back
-    level = np.linalg.norm(out.field[there], axis=1) * np.linalg.norm(home.field[back], axis=1)
-    strongest = np.zeros(int(point.max()) + 1)
-    np.maximum.at(strongest, point[there], level)
-    loud = level >= obstacles.faintest * strongest[point[there]]
-    return there[loud], back[loud]

@@ -8,6 +8,8 @@ from scipy.constants import speed_of_light
 
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.around import screens
+from twin.radar.propagation.behind import echoes_behind
 from twin.radar.propagation.edges import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.grids import grids, launch
 from twin.radar.propagation.grouping import bodies_of
@@ -22,6 +24,9 @@ from twin.radar.synthesis import Contributions
 from twin.scene import Scene
 
 Array = NDArray[np.float64]
+
+#: Of shadows on bodies: a way round an obstacle 30 dB below the straight one is -60 dB in an echo.
+_DEEPEST_DB = 30.0
 
 
 def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
@@ -60,6 +65,17 @@ def diffracted(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
     sharp = _sharp(stage, body)
     rays, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
     return rays, _on_edges(stage, sharp, longer)
+
+
+def behind(stage: Stage, fidelity: Fidelity) -> Rays:
+    """Contributions of such objects by ways round others."""
+    if not fidelity.radar_shadowed or Role.OPTICS not in stage.roles:
+        return Rays.joined([])
+    depth = min(fidelity.radar_shadow_db, _DEEPEST_DB)
+    obstacles = screens(stage, depth, _bodies(stage))
+    if obstacles is None:
+        return Rays.joined([])
+    return echoes_behind(obstacles, stage.surface_of_object, fidelity.radar_shadowed)
 
 
 def _sharp(stage: Stage, body: NDArray[np.int32]) -> list[Sharp]:

@@ -37,6 +37,12 @@ class PointLegs:
     rate: Array
     ring: Ring
 
+    @property
+    def level(self) -> Array:
+        """Amplitude of the field (n,), without its spreading."""
+        level: Array = np.linalg.norm(self.field, axis=1)
+        return level
+
     def chosen(self, which: Any) -> "PointLegs":
         """Only some of them, by index or mask."""
         own = {f.name: getattr(self, f.name)[which] for f in fields(self)[:-1]}

@@ -70,6 +70,16 @@ def over_rim(
     return replace(ways, stops=ways.stops + source)
 
 
+def near_edges(
+    rim: Outline, way: Array, radius_m: float, wavenumber: float, faintest: float
+) -> Indices:
+    """Edges that may count for a point within a sphere at the end of a way (3,): a point that far
+    off changes no difference of path by more than twice that.
+    """
+    most = farthest(faintest) + 2 * wavenumber * radius_m
+    return np.unique(_pairs(rim, way[None], wavenumber, most).edge)
+
+
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """Points and edges close to each other's straight way, (n, ...).
@@ -210,6 +220,14 @@ def bundled(ways: Ways, wavenumber: float) -> Ways:
     amplitude = np.zeros(len(one), dtype=np.complex128)
     np.add.at(amplitude, same, ways.amplitude * turn)
     return replace(ways.chosen(one), amplitude=amplitude)
+
+
+def loud(level: Array, group: Indices, faintest: float) -> NDArray[np.bool_]:
+    """Levels (n,) that are not below so much of the strongest of their group."""
+    strongest = np.zeros(int(group.max(initial=0)) + 1)
+    np.maximum.at(strongest, group, level)
+    found: NDArray[np.bool_] = level >= faintest * strongest[group]
+    return found
 
 
 def meeting(one: Indices, other: Indices) -> tuple[Indices, Indices]:

@@ -32,6 +32,10 @@ class Outline:
     corner: Indices
     lit: Array
 
+    def chosen(self, which: NDArray[np.integer]) -> "Outline":
+        """Only some of them, by index."""
+        return Outline(self.ends[which], self.edge[which], self.corner[which], self.lit[which])
+
     def from_elsewhere(self, place: Array) -> "Outline":
         """The same edges relative to another point, itself relative to the first."""
         ends = self.ends - place
