@@ -19,6 +19,7 @@ _ROOMS = (
     "weather",
     "radar",
     "radar_scene",
+    "large_scenes",
     "radar_signal",
     "radar_tables",
     "radar_processing",

@@ -85,6 +85,7 @@ def point_echoes(
     velocity = np.array([t.velocity_m_per_s for t in targets]).reshape(-1, 3)
     strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
     legs = [legs_to(s, obstacles, i, places, np.zeros_like(places)) for i in range(s.n_sources)]
+    legs = [(way, at) for way, at in legs if len(at)]  # most images see none of them
     found: list[Rays] = []
     ways: list[Way] = []
     for out, out_at in legs:
@@ -94,6 +95,8 @@ def point_echoes(
                 level = out.level[there] * home.level[back]
                 heard = loud(level, out_at[there], obstacles.faintest)
                 there, back = there[heard], back[heard]
+            if not len(there):
+                continue
             one, other, at = out.chosen(there), home.chosen(back), out_at[there]
             amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
             number = len(ways) + np.arange(len(at))

@@ -129,7 +129,8 @@ def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[
             remarks.append(f"{item.name}: {item.material} has no gamma, it does not scatter")
         elif gamma.value:
             is_slab = number >= len(stage.world.items) and item.thickness_m is None
-            found.append(Rough(item, number, gamma.value, is_slab))
+            sources = tuple(np.flatnonzero(stage.worth[:, number]).tolist())
+            found.append(Rough(item, number, gamma.value, is_slab, sources))
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
     if not found:

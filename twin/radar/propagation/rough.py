@@ -33,14 +33,15 @@ _known: "Kept[tuple[int, Field]]" = Kept()
 
 @dataclass(frozen=True, eq=False)
 class Rough:
-    """A rough surface: the object with its number in the world, gamma, and whether it is a closed
-    wall that the radar sees through.
+    """A rough surface: the object with its number in the world, gamma, whether it is a closed wall
+    that the radar sees through, and the images from which it is worth tracing.
     """
 
     item: SceneObject
     number: int
     gamma: float
     is_slab: bool
+    sources: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +105,17 @@ def rough_echoes(
         Of places and phases.
     """
     areas = [float(_areas(r.item).sum()) for r in surfaces]
+    whole = sum(areas)
     place, boresight = (np.array(vector).ravel() for vector in (s.place, s.boresight))
     parts = []
     points = min(_MOST_POINTS, int(_PER_SCATTERER * wanted))
     for rough, area in zip(surfaces, areas, strict=True):
-        count = max(int(points * area / sum(areas)), 1)
+        if not rough.sources:
+            continue
+        count = max(int(points * area / whole), 1)
         field = field_of(rough.item, count, seed)
         seen = _ahead(rough.item, field, anchor_m, place, boresight)
-        share = max(wanted * area / sum(areas), 1.0)
+        share = max(wanted * area / whole, 1.0)
         kept = _kept(field, seen, share)
         for first in range(0, len(kept.index), _AT_ONCE):
             parts += _echoes(s, rough, kept.chosen(slice(first, first + _AT_ONCE)))
@@ -166,7 +170,7 @@ def _kept(field: Field, seen: _Points, share: float) -> _Points:
 
 def _echoes(s: Station, rough: Rough, points: _Points) -> list[Rays]:
     """From image i to image j with i before j, and the same ways reversed, as rays do."""
-    ways = [_ways(s, rough, points, source) for source in range(s.n_sources)]
+    ways = [_ways(s, rough, points, source) for source in rough.sources]
     scale = float(s.wavelength[0]) / (4 * np.pi) ** 1.5
     velocity = np.asarray(rough.item.velocity_m_per_s)
     found = []
@@ -174,6 +178,8 @@ def _echoes(s: Station, rough: Rough, points: _Points) -> list[Rays]:
         for home, rising in ways[i:]:
             # Both on one side of the surface; of two different angles the geometric mean.
             at = np.flatnonzero(out.clear & home.clear & (falling * rising > 0))
+            if not len(at):
+                continue
             sigma = rough.gamma * np.sqrt(falling[at] * rising[at]) * points.area[at]
             amplitude = scale * np.sqrt(sigma) * np.exp(1j * points.phase[at])
             one, other = out.chosen(at), home.chosen(at)

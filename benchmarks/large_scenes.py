@@ -1,0 +1,157 @@
+"""Figures of scenes of any size: what everything but the finding of echoes takes.
+
+Roles, meshes, bodies, images, those in which the radar sees itself, and the ways worth tracing: the
+first time, and when one object has moved. In cities of Sionna RT, a made one, and a terrain.
+"""
+
+import importlib.util
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.timing import Figure, timed
+from twin.engine import mitsuba, sionna
+from twin.files import scenes_folder
+from twin.radar import load_radar
+from twin.radar.propagation.grouping import bodies_of
+from twin.radar.propagation.roles import Role, assign_roles
+from twin.radar.propagation.shape import boxes_of
+from twin.radar.propagation.stage import Stage, set_stage
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene.materials import load_materials
+
+_CITIES = ("munich", "etoile", "florence", "san_francisco")
+_TERRAIN = (708, 2237)  # points along a side: 1e6 and 1e7 triangles
+_BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
+_SIDES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+    + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]],
+    dtype=np.int32,
+)
+
+
+def figures() -> Iterator[Figure]:
+    """Name, value and unit of everything that is measured."""
+    sionna()  # imported here: it takes seconds, whatever the scene
+    mitsuba()
+    for name in _CITIES:
+        yield from _of(name, load_scene(_bundled(name)))
+    yield from _of("10 000 boxes", _boxes(10_000))
+    for side in _TERRAIN:
+        yield from _apart(side)
+
+
+def _of(name: str, scene: Scene) -> Iterator[Figure]:
+    yield f"{name}: objects", float(len(scene.objects)), ""
+    yield f"{name}: triangles", float(scene.triangles), ""
+    start = time.perf_counter()
+    stage = _set_up(scene)
+    yield f"{name}: set-up, the first time", time.perf_counter() - start, "s"
+    moved = iter(_moved(scene, 0.1 * step) for step in range(1, 99))
+    yield f"{name}: set-up, one object moved", timed(lambda: _set_up(next(moved)), runs=5), ""
+    scattering = [o for o, r in zip(stage.items, stage.roles, strict=True) if r is Role.OPTICS]
+    yield f"{name}: objects that scatter", float(len(scattering)), ""
+    yield f"{name}: images, with the radar", float(len(stage.images)), ""
+    yield f"{name}: ways worth tracing", float(stage.worth.sum()), ""
+
+
+def _set_up(scene: Scene) -> Stage:
+    radar = load_radar("hybrid-79")
+    stage = set_stage(scene, radar, assign_roles(scene, radar.ofdm.wavelength_m, "optics"), 1)
+    items = zip(stage.items, stage.roles, strict=True)
+    bodies_of([item for item, role in items if role is Role.OPTICS])
+    stage.seen_by_itself()
+    return stage
+
+
+def _moved(scene: Scene, metres: float) -> Scene:
+    """The smallest object moved."""
+    boxes = boxes_of(scene.objects)
+    item = scene.objects[int(np.argmin((boxes[:, 1] - boxes[:, 0]).max(axis=1)))]
+    there = replace(item, vertices_m=item.vertices_m + metres)
+    return replace(scene, objects=tuple(there if o is item else o for o in scene.objects))
+
+
+def _bundled(name: str) -> Path:
+    spec = importlib.util.find_spec("sionna")
+    assert spec is not None
+    assert spec.submodule_search_locations is not None
+    return Path(spec.submodule_search_locations[0]) / "rt" / "scenes" / name / f"{name}.xml"
+
+
+def _scene(objects: list[SceneObject]) -> Scene:
+    table = load_materials(scenes_folder() / "materials.toml")
+    rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
+    sun = Sun(180.0, 30.0, 0.0)
+    return Scene("bench", Path("bench"), "", tuple(objects), rig, sun, materials=table)
+
+
+def _thing(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> SceneObject:
+    return SceneObject(name, vertices, faces, None, "concrete", 0.5)
+
+
+def _boxes(count: int) -> Scene:
+    """Concrete boxes of a few metres over 1.2 km by 1.2 km, on the ground."""
+    rng = np.random.default_rng(0)
+    found = []
+    for number in range(count):
+        size = rng.gamma(2, 2, 3) + 0.2
+        place = [*rng.uniform(-600, 600, 2), -1.0]
+        found.append(_thing(f"box {number}", _BOX * size + place, _SIDES.copy()))
+    corners = np.array([[-700, -700, -1], [700, -700, -1], [700, 700, -1], [-700, 700, -1.0]])
+    ground = _thing("ground", corners, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
+    return _scene([*found, ground])
+
+
+def _terrain(side: int) -> Scene:
+    """One mesh of hills before the radar, and a box."""
+    along = np.linspace(-300, 300, side)
+    x, y = np.meshgrid(along + 310, along, indexing="ij")
+    z = -3 + np.sin(x / 7) * np.cos(y / 9)
+    n = np.arange(side * side, dtype=np.int32).reshape(side, side)
+    a, b, c, d = n[:-1, :-1], n[1:, :-1], n[1:, 1:], n[:-1, 1:]
+    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    hills = _thing("hills", np.stack([x, y, z], axis=-1).reshape(-1, 3), faces)
+    return _scene([hills, _thing("box", _BOX + [20, 0, 0], _SIDES)])
+
+
+def _apart(side: int) -> Iterator[Figure]:
+    """A terrain in a process of its own, for its memory."""
+    asked = subprocess.run(
+        [sys.executable, "-m", "benchmarks.large_scenes", str(side)],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    found: dict[str, Any] = json.loads(asked.stdout.splitlines()[-1])
+    for name, (value, unit) in found.items():
+        yield f"{2 * (side - 1) ** 2:.2g} triangles: {name}", value, unit
+
+
+def _memory(side: int) -> None:
+    import resource
+
+    sionna()
+    mitsuba()
+    scene = _terrain(side)
+    found = {}
+    for name in ("set-up, the first time", "set-up, the box moved"):
+        start = time.perf_counter()
+        _set_up(scene)
+        found[name] = (time.perf_counter() - start, "s")
+        scene = _moved(scene, 0.1)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    found["memory at most"] = (peak * 1024 / 1e9, "GB")
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    _memory(int(sys.argv[1]))
