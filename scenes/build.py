@@ -5,17 +5,18 @@
 Axes follow REP 103 (x forward, y left, z up), in metres, in scene coordinates:
 the rig stands at (0, 0, 1.2) and looks along +x over a square field of 20 deg.
 Meshes are binary PLY with float32 vertices; every closed body is watertight with
-outward normals. The XML and TOML files beside the meshes are written by hand. The
-folder `bodies` holds a car and a person in their own frames (`body_meshes.py`).
+outward normals, and so is the car but for its underside at the wheels. The folder
+`bodies` holds car and person alone, in their own frames (`body_meshes.py`). The XML
+and TOML files beside the meshes are written by hand.
 """
 
 import struct
 import zlib
 from pathlib import Path
 
-import body_meshes
 import numpy as np
 import trimesh
+from body_meshes import box, car, join, loft, person
 
 HERE = Path(__file__).resolve().parent
 
@@ -26,7 +27,7 @@ RADAR = RIG + [0.0, 0.0, -0.3]
 
 # Yard: where things stand. scene.toml repeats the positions a radar should find.
 WALL_X, WALL_SIZE = 12.3, (0.25, 10.0, 3.0)
-CAR_REAR, CAR_YAW_DEG, CAR_LENGTH, CAR_HALF_WIDTH = (8.2, 0.1), 17.0, 3.4, 0.74
+CAR_REAR, CAR_YAW_DEG = (8.2, 0.1), 17.0
 PERSON_XY = (7.2, -0.97)
 POSTS = {"post_left": (9.0, 1.51), "post_right": (10.5, -0.91)}
 POST_RADIUS, POST_HEIGHT = 0.04, 1.2
@@ -44,80 +45,15 @@ RAIL_Z = 1.0  # figure 3: height of the rail and of the cylinders' middle
 # ---------------------------------------------------------------- building blocks
 
 
-def join(*parts):
-    return trimesh.util.concatenate(list(parts))
-
-
-def box(lo, hi):
-    return trimesh.creation.box(bounds=[lo, hi])
-
-
 def quad(corners):
     """Two triangles; the normal points to where the corners run anticlockwise."""
     return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
-
-
-def loft(rings):
-    """Closed body through rings (n, m, 3); each end is closed by a fan about its centre."""
-    n, m, _ = rings.shape
-    i, j = np.meshgrid(np.arange(n - 1), np.arange(m), indexing="ij")
-    a, b = i * m + j, i * m + (j + 1) % m
-    sides = np.stack([np.stack([a, b, b + m], -1), np.stack([a, b + m, a + m], -1)])
-    k = np.arange(m)
-    first, last = n * m, n * m + 1
-    fans = [
-        np.stack([np.full(m, first), (k + 1) % m, k], -1),
-        np.stack([np.full(m, last), (n - 1) * m + k, (n - 1) * m + (k + 1) % m], -1),
-    ]
-    ends = [rings[0].mean(0), rings[-1].mean(0)]
-    mesh = trimesh.Trimesh(
-        np.vstack([rings.reshape(-1, 3), ends]),
-        np.vstack([sides.reshape(-1, 3), *fans]),
-        process=False,
-    )
-    if mesh.volume < 0:
-        mesh.invert()
-    return mesh
-
-
-def limb(path, radii, flat=(1.0, 1.0), around=24):
-    """Smooth tube along a path with round ends; flat scales x and y of the sections."""
-    path, radii = np.asarray(path, float), np.asarray(radii, float)
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    fine = np.linspace(0, along[-1], 4 * len(path))
-    centre = np.stack([np.interp(fine, along, path[:, k]) for k in range(3)], -1)
-    radius = np.interp(fine, along, radii)
-    # Round ends: hemispheres whose last ring stays open a little for the fan.
-    cap = np.radians([8, 25, 45, 65])
-    start, stop = path[1] - path[0], path[-1] - path[-2]
-    start, stop = start / np.linalg.norm(start), stop / np.linalg.norm(stop)
-    squash = 0.6
-    head = centre[0] - squash * radii[0] * np.cos(cap)[:, None] * start
-    tail = centre[-1] + squash * radii[-1] * np.cos(cap[::-1])[:, None] * stop
-    centre = np.vstack([head, centre, tail])
-    radius = np.concatenate([radii[0] * np.sin(cap), radius, radii[-1] * np.sin(cap[::-1])])
-    phi = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    ring = np.stack([flat[0] * np.cos(phi), flat[1] * np.sin(phi), 0 * phi], -1)
-    return loft(centre[:, None] + radius[:, None, None] * ring)
 
 
 def cylinder(xy, radius, z0, z1, around=48):
     phi = np.linspace(0, 2 * np.pi, around, endpoint=False)
     circle = np.stack([xy[0] + radius * np.cos(phi), xy[1] + radius * np.sin(phi), 0 * phi], -1)
     return loft(np.stack([circle + [0, 0, z] for z in np.linspace(z0, z1, 5)]))
-
-
-def lathe_y(profile, around=48):
-    """Closed body of revolution about y from (y, radius) pairs."""
-    phi = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    return loft(
-        np.stack(
-            [
-                np.stack([r * np.cos(phi), np.full(around, y), r * np.sin(phi)], -1)
-                for y, r in profile
-            ]
-        )
-    )
 
 
 # ---------------------------------------------------------------- yard
@@ -138,148 +74,11 @@ def wall():
     return box([WALL_X, -width / 2, 0], [WALL_X + depth, width / 2, height])
 
 
-CAR_TOP = [
-    (0, 0.80),
-    (0.05, 0.93),
-    (0.40, 1.38),
-    (0.65, 1.44),
-    (1.1, 1.47),
-    (1.6, 1.45),
-    (1.9, 1.39),
-    (2.55, 0.99),
-    (3.1, 0.88),
-    (3.3, 0.80),
-    (3.4, 0.66),
-]
-CAR_HALF = [(0, 0.64), (0.06, 0.70), (0.25, 0.74), (3.0, 0.74), (3.25, 0.68), (3.4, 0.56)]
-CAR_BOTTOM = [(0, 0.30), (0.15, 0.24), (0.4, 0.21), (3.0, 0.21), (3.3, 0.26), (3.4, 0.30)]
-CAR_SEGMENTS = (4, 2, 7, 8, 2, 5)  # points along each piece of half a cross section
-CAR_WHEELS = [(0.58, 0.30), (2.78, 0.30)]  # axle x, radius
-
-
-def car_grid():
-    """Stations and cross sections of the body in the car's frame (x forward from the rear)."""
-    knots = sorted({x for line in (CAR_TOP, CAR_HALF, CAR_BOTTOM) for x, _ in line})
-    xs = np.unique(np.round(np.concatenate([knots, np.linspace(0, CAR_LENGTH, 40)]), 3))
-    xs = xs[np.concatenate([[True], np.diff(xs) > 0.015])]
-    rings = []
-    for x in xs:
-        top, half, low = (np.interp(x, *np.transpose(c)) for c in (CAR_TOP, CAR_HALF, CAR_BOTTOM))
-        belt = min(0.90, top - 0.08)
-        roof = half - 0.32 * (top - belt)
-        corners = np.array(
-            [
-                (0, low),
-                (0.9 * half, low),
-                (half, low + 0.1),
-                (half - 0.015, belt),
-                (roof, top - 0.05),
-                (0.86 * roof, top),
-                (0, top),
-            ]
-        )
-        line = [
-            np.linspace(p, q, n, endpoint=False)
-            for p, q, n in zip(corners[:-1], corners[1:], CAR_SEGMENTS)
-        ]
-        right = np.vstack(line + [corners[-1:]]) * [-1, 1]
-        ring = np.vstack([right, right[-2:0:-1] * [-1, 1]])
-        rings.append(np.column_stack([np.full(len(ring), x), ring]))
-    return xs, np.array(rings)
-
-
-def pane(rings, normals, stations, columns, out=0.004):
-    """Closed thin slab over a rectangle of the body's grid, standing proud of it by `out`."""
-    ij = np.ix_(stations, columns)
-    outer, inner = rings[ij] + out * normals[ij], rings[ij] - out * normals[ij]
-    # Each station gives one flat loop: along the outer face and back along the inner one.
-    return loft(np.concatenate([outer, inner[:, ::-1]], axis=1))
-
-
-def car():
-    """Body, windows, wheels, rims and number plate in scene coordinates."""
-    xs, rings = car_grid()
-    n, m, _ = rings.shape
-    body = loft(rings)
-    normals = body.vertex_normals[: n * m].reshape(n, m, 3)
-    cuts = np.cumsum((0,) + CAR_SEGMENTS)
-    side = np.arange(cuts[3] + 1, cuts[4])  # between beltline and roof edge
-    roof = np.arange(cuts[5] + 1, m - cuts[5])  # across the top
-    between = lambda lo, hi: np.flatnonzero((xs >= lo - 1e-9) & (xs <= hi + 1e-9))
-    panes = [
-        pane(rings, normals, between(lo, hi), cols)
-        for lo, hi in ((0.45, 1.15), (1.25, 2.1))
-        for cols in (side, (m - side)[::-1])
-    ]
-    panes += [pane(rings, normals, between(lo, hi), roof) for lo, hi in ((0.09, 0.36), (1.95, 2.5))]
-
-    tyre = [
-        (0.060, 0.15),
-        (0.070, 0.19),
-        (0.085, 0.20),
-        (0.095, 0.23),
-        (0.095, 0.27),
-        (0.080, 0.30),
-        (-0.080, 0.30),
-        (-0.095, 0.27),
-        (-0.095, 0.15),
-    ]
-    disc = [(0.075, 0.05), (0.070, 0.08), (0.066, 0.185), (0.050, 0.185)]
-    wheels, rims = [], []
-    for x, radius in CAR_WHEELS:
-        for sign in (1, -1):
-            for profile, into in ((tyre, wheels), (disc, rims)):
-                part = lathe_y([(sign * y, r) for y, r in profile])
-                into.append(part.apply_translation([x, sign * (CAR_HALF_WIDTH - 0.075), radius]))
-
-    place = trimesh.transformations.rotation_matrix(np.radians(CAR_YAW_DEG), [0, 0, 1])
-    place[:2, 3] = CAR_REAR
-    meshes = {
-        "car": body,
-        "car_windows": join(*panes),
-        "car_wheels": join(*wheels),
-        "car_rims": join(*rims),
-        "car_plate": box([-0.006, -0.26, 0.48], [0.002, 0.26, 0.59]),
-    }
-    return {name: mesh.apply_transform(place) for name, mesh in meshes.items()}
-
-
-def person():
-    """A standing figure of 1.75 m that faces the rig: clothes, and head with hands."""
-    torso = limb(
-        [(0, 0, 0.86), (0, 0, 0.95), (0, 0, 1.10), (0, 0, 1.25), (0, 0, 1.38), (0, 0, 1.45)],
-        [0.145, 0.165, 0.150, 0.170, 0.175, 0.110],
-        flat=(0.66, 1.0),
-        around=40,
-    )
-    cloth, skin = [torso], []
-    for s in (1, -1):
-        cloth.append(
-            limb(
-                [(0.01, s * 0.09, 0.88), (0, s * 0.095, 0.50), (0.01, s * 0.10, 0.12)],
-                [0.088, 0.064, 0.055],
-            )
-        )
-        foot = trimesh.creation.icosphere(subdivisions=2).apply_scale([0.135, 0.05, 0.05])
-        cloth.append(foot.apply_translation([-0.05, s * 0.105, 0.05]))
-        cloth.append(
-            limb(
-                [(0, s * 0.175, 1.39), (0.01, s * 0.205, 1.12), (-0.03, s * 0.215, 0.87)],
-                [0.058, 0.047, 0.036],
-            )
-        )
-        skin.append(
-            limb(
-                [(-0.033, s * 0.216, 0.845), (-0.045, s * 0.216, 0.755)],
-                [0.028, 0.034],
-                flat=(1.1, 0.6),
-            )
-        )
-    skin.append(limb([(0, 0, 1.43), (-0.005, 0, 1.56)], [0.055, 0.052]))
-    head = trimesh.creation.icosphere(subdivisions=3)
-    skin.append(head.apply_scale([0.098, 0.076, 0.118]).apply_translation([-0.01, 0, 1.632]))
-    meshes = {"person": join(*cloth), "person_head": join(*skin)}
-    return {k: v.apply_translation([*PERSON_XY, 0]) for k, v in meshes.items()}
+def placed(parts, xy, yaw_deg=0.0):
+    """Copies of a body's parts, turned about z and moved to xy."""
+    to_scene = trimesh.transformations.rotation_matrix(np.radians(yaw_deg), [0, 0, 1])
+    to_scene[:2, 3] = xy
+    return {name: mesh.copy().apply_transform(to_scene) for name, mesh in parts.items()}
 
 
 def trihedral():
@@ -363,8 +162,8 @@ def yard():
     return {
         "ground": ground(),
         "wall": wall(),
-        **car(),
-        **person(),
+        **placed(car(), CAR_REAR, CAR_YAW_DEG),
+        **placed(person(), PERSON_XY),
         **posts,
         **trihedral(),
         **chart(),
@@ -419,22 +218,8 @@ STREET_PERSON = (18.0, -2.5)
 STREET_TRIHEDRAL, STREET_RCS = np.array([140.0, -12.0, 1.0]), 100.0
 
 
-def moved(mesh, shift):
-    return mesh.copy().apply_translation(shift)
-
-
 def street():
-    """Road, wall, car, person and a trihedral far off; finer than the yard's by subdivision."""
-    shift = np.array([STREET_CAR[0] - CAR_REAR[0], STREET_CAR[1] - CAR_REAR[1], 0.0])
-    turn = trimesh.transformations.rotation_matrix(
-        np.radians(-CAR_YAW_DEG), [0, 0, 1], [*STREET_CAR, 0]
-    )
-    parts = {k: moved(v, shift).apply_transform(turn) for k, v in car().items()}
-    parts["car"] = parts["car"].subdivide()
-    body = {
-        k: moved(v, [STREET_PERSON[0] - PERSON_XY[0], STREET_PERSON[1] - PERSON_XY[1], 0])
-        for k, v in person().items()
-    }
+    """Road, wall, car, person and a trihedral far off."""
     leg = (3 * (C / CARRIER_HZ) ** 2 * STREET_RCS / (4 * np.pi)) ** 0.25
     bore = (RADAR - STREET_TRIHEDRAL) / np.linalg.norm(RADAR - STREET_TRIHEDRAL)
     left = np.cross([0, 0, 1], bore)
@@ -453,8 +238,8 @@ def street():
     return {
         "ground": ground((-10.0, -80.0), 160.0, 92),
         "wall": box(*STREET_WALL),
-        **parts,
-        **body,
+        **placed(car(), STREET_CAR),
+        **placed(person(), STREET_PERSON),
         "trihedral": corner,
     }
 
@@ -499,7 +284,7 @@ def write_png(path, image):
 
 def main():
     scenes = {
-        "bodies": {**body_meshes.car(), **body_meshes.person()},
+        "bodies": {**car(), **person()},
         "yard": yard(),
         "table1": table1(),
         "street": street(),

@@ -302,7 +302,12 @@ def test_yard_targets_are_found_where_they_are(rung, off_m) -> None:
     assert {t.name for t in evaluation.capture.truth} == set(matched)
     trihedral = next(t for t in evaluation.capture.truth if t.name == "trihedral")
     assert matched["trihedral"].range_m == pytest.approx(trihedral.range_m, abs=off_m)
-    assert matched["car"].range_rate_m_per_s == pytest.approx(1.438, abs=0.02)
+    # The strongest echo may be of any part of the car, each of which has a rate of its own.
+    cars = [item for item in scene.objects if item.name.startswith("car")]
+    ways = np.vstack([item.vertices_m for item in cars]) - (0.0, 0.0, 0.9)
+    rates = ways @ cars[0].velocity_m_per_s / np.linalg.norm(ways, axis=1)
+    car = matched["car"].range_rate_m_per_s
+    assert rates.min() - 0.01 < car < rates.max() + 0.01
 
 
 def test_two_runs_have_the_same_bits() -> None:

@@ -152,7 +152,7 @@ def test_a_metric_of_ones_own(twin_truth, tmp_path: Path) -> None:
 
 
 def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
-    """A millimetre too far, the weakest target dropped, a ghost: each in the metric that is its.
+    """A millimetre too far, the farthest target dropped, a ghost: each in the metric that is its.
 
     Targets are points: bodies have several echoes, among which a millimetre is nothing.
     """
@@ -163,7 +163,7 @@ def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
         return [replace(d, range_m=d.range_m + 1e-3) for d in vehicle_detector(record)]
 
     def forgetful(record):
-        return sorted(vehicle_detector(record), key=lambda d: d.range_m)[:-3]
+        return [d for d in vehicle_detector(record) if d.range_m < 10]
 
     def sees_ghosts(record):
         found = vehicle_detector(record)

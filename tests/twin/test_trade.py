@@ -150,7 +150,7 @@ def test_no_cheaper_rung_would_do_and_none_on_the_front_is_beaten(pairs, toleran
 def test_more_paths_less_error(walked: tuple[Trade, Path]) -> None:
     """64 times the paths: direct light's error falls as n^-0.75, 23 times, all light's as n^-0.5,
     8 times, at least; by 4 anything else is wrong. (Over 20 seeds the least was 7.9, by one step
-    of four 1.6.) Without further bounces a twentieth of the sun's light is missing.
+    of four 1.6.) Without further bounces a fifteenth of the sun's light is missing.
     """
     rungs = [m for m in walked[0].of("light") if m.fidelity]
     light = {(m.fidelity.samples, m.fidelity.max_depth): m for m in rungs}
@@ -159,7 +159,7 @@ def test_more_paths_less_error(walked: tuple[Trade, Path]) -> None:
         assert errors == sorted(errors, reverse=True)
         assert errors[0] > 4 * errors[-1]
     lost = [light[256, depth].detail["sun_off"] for depth in (1, 2, 4)]
-    assert lost == pytest.approx([-0.058, -0.007, 0.0], abs=5e-3)
+    assert lost == pytest.approx([-0.068, -0.007, 0.0], abs=5e-3)
     reference = light[1024, 8]
     assert reference.error == min(m.error for m in light.values())
 
