@@ -22,6 +22,7 @@ _ROOMS = (
     "large_scenes",
     "radar_signal",
     "radar_tables",
+    "sionna_rt",
     "radar_processing",
     "false_alarms",
     "rcs",
