@@ -166,9 +166,11 @@ def phase_noise(spectra: Complex) -> Complex:
     for size in _POOLED:
         looks = n * np.prod(size)
         a, b, c = (uniform_filter(part, size, mode="wrap") for part in (here, there, both))
-        suspect |= c > thermal / 2 * _rare(c / thermal, float(looks))
-        strength = np.maximum(strength, 4 * c - 2 * thermal)
-        more = looks * (a - b) / expected
+        seen = c > thermal / 2 * _rare(c / thermal, float(looks))
+        suspect |= seen
+        # Chance is no echo: it would leave phase noise in where side lobes may be, but are not.
+        strength = np.maximum(strength, np.where(seen, 4 * c - 2 * thermal, 0.0))
+        more = np.where(seen, looks * (a - b) / expected, 0.0)
         odds = np.where(np.abs(more) > np.abs(odds), more, odds)
     share = 1 / (1 + np.exp(-np.clip(odds, -60, 60)))
     at = np.nonzero(suspect)
