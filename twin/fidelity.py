@@ -52,12 +52,12 @@ class Fidelity:
     radar_shadow_db
         Depth to which shadows of obstacles are computed on the way to a declared target: what comes
         round an edge, one way, fainter than this beside the straight wave is lost. 0: shadows
-        are silent and their borders hard, off by 12 dB in the echo right there, by up to 2.7 dB
-        on the lit side.
+        are silent and their borders hard, off by 6 to 12 dB in the echo right there and by up to
+        2.7 dB on the lit side.
     radar_shadowed
         Facets that answer over obstacles' edges, all bodies together, the brightest ones, down to
         shadows of 30 dB; 0: on bodies shadows are silent and their borders hard, as above. Some
-        3 ms each.
+        3 ms each, and 4 s for the street's car to be cut into facets of 2 cm.
     radar_table_nodes
         Of a table of physical optics on the rung ``paths``, per lobe lambda / (2 D) of a target of
         extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms

@@ -11,7 +11,7 @@ Obstacles are opaque and black, as for Kirchhoff. Left out are: what their mater
 between their faces change, a third edge on the same way, and what creeps round curved surfaces.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from twin.radar.propagation.rims import (
     bundled,
     farthest,
     near_edges,
+    over_edges,
     over_rim,
     over_two,
     successive,
@@ -205,16 +206,18 @@ class Segment:
         return beside
 
     def _round(self, item: int, rim: Outline, rows: Indices) -> Iterator[Ways]:
-        ways = self._over(rim, item, rows)
+        ways = self._over(item, rim, rows)
         is_open = self._is_open(ways)
         two, alone, is_open = self._twice(item, rows, ways, is_open)
         yield ways.chosen(is_open)
         for more in (two, alone):
             yield more.chosen(self._is_open(more))
 
-    def _over(self, rim: Outline, item: int, rows: Indices) -> Ways:
+    def _over(
+        self, item: int, rim: Outline, rows: Indices, along: Callable[..., Ways] = over_rim
+    ) -> Ways:
         o = self.obstacles
-        ways = over_rim(rim, self.source, self.seen[rows], o.wavenumber, o.faintest)
+        ways = along(rim, self.source, self.seen[rows], o.wavenumber, o.faintest)
         return replace(ways, point=rows[ways.point], item=np.full(len(ways.point), item))
 
     def _twice(
@@ -225,10 +228,10 @@ class Segment:
         """
         o, middle = self.obstacles, self.seen[rows].mean(axis=0)
         rim = o.outline(item, middle).from_elsewhere(self.source - middle)
-        far = self._over(rim, item, rows)
-        ahead, behind = (np.flatnonzero(np.isfinite(w.lit_m)) for w in (ways, far))
-        i, j = successive(ways.chosen(ahead), far.chosen(behind))
-        i, j = ahead[i], behind[j]
+        far = self._over(item, rim, rows, over_edges)
+        edges = np.flatnonzero(np.isfinite(ways.lit_m))
+        i, j = successive(ways.chosen(edges), far)
+        i = edges[i]
         one, other = ways.chosen(i), far.chosen(j)
         two, apart, alone = over_two(self.source, self.seen[one.point], one, other, o.wavenumber)
         matters = (apart > _ONE_EDGE) | (~is_open[i] & (one.lit_m <= 0))

@@ -70,6 +70,14 @@ def over_rim(
     return replace(ways, stops=ways.stops + source)
 
 
+def over_edges(
+    rim: Outline, source: Array, places: Array, wavenumber: float, faintest: float
+) -> Ways:
+    """The same without the edges' ends."""
+    ways = _over_edge(rim, _pairs(rim, places - source, wavenumber, farthest(faintest)))
+    return replace(ways, stops=ways.stops + source)
+
+
 def near_edges(
     rim: Outline, way: Array, radius_m: float, wavenumber: float, faintest: float
 ) -> Indices:
