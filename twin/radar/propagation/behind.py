@@ -78,7 +78,7 @@ def echoes_behind(obstacles: Screens, surface_of_object: NDArray[np.uint32], mos
     for body, members in bodies:
         facets = _facets(obstacles, members)
         bright = np.argsort(-_brightness(obstacles, facets), kind="stable")
-        some = np.sort(bright[: most // len(bodies)])
+        some = np.sort(bright[: max(most // len(bodies), 1)])
         found.append(_answers(obstacles, facets.chosen(some), body, surface_of_object))
     return Rays.joined(found)
 
