@@ -61,7 +61,7 @@ def count(
     for seed in seeds:
         taken = demodulate(record(name, seed, targets), precision=how.precision)
         image = range_doppler(
-            taken.channel, taken.waveform, how.window, noise_by_range=taken.noise_by_range
+            taken.channel, taken.waveform, how.window, relative_noise=taken.relative_noise
         )
         counted = _empty(image, taken.waveform.max_range_m, targets)
         cells += int(counted.sum())
@@ -73,7 +73,7 @@ def count(
 
 def above(image: RangeDopplerMap, cfar: Cfar, window: str) -> NDArray[np.bool_]:
     """Cells above their threshold."""
-    noise = MapNoise(window, image.n_channels, noise_by_range=image.noise_by_range)
+    noise = MapNoise(window, image.n_channels, relative_noise=image.relative_noise)
     threshold = cfar_threshold(image.power_w, cfar, noise)
     return np.asarray(image.power_w > threshold)
 

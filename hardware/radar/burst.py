@@ -39,9 +39,10 @@ class Burst:
         By how much a channel's slots come after the mean of all.
     transmitter_m, receiver_m : (n_channels, 3)
         Phase centres in the antenna's frame.
-    noise_by_range : (n_subcarriers,)
-        Mean noise over range, of mean 1, from what differs between the slots of carrier steps;
-        None for one step.
+    relative_noise : (n_subcarriers, n_slots) or (n_subcarriers, 1)
+        Mean noise by range and rate, of mean about 1: of carrier steps from what differs between
+        their slots, of one carrier from what is left of phase noise beside strong echoes; None
+        where it is even.
     whole
         False when a gap or an overflow cut the burst short; ``warnings`` say where.
     """
@@ -53,7 +54,7 @@ class Burst:
     receiver_m: Array
     whole: bool
     warnings: tuple[str, ...]
-    noise_by_range: Array | None = None
+    relative_noise: Array | None = None
 
 
 def demodulate(
@@ -97,11 +98,15 @@ def demodulate(
     samples = without_images(samples, wave)
     lacking: tuple[str, ...] = ()
     seen = True
+    motion = relative_noise = None
     if leakage and np.isfinite(record.leakage_delay_s):
         if leakage_snr(samples, wave, record.leakage_delay_s) > _SEEN_IN_A_SLOT:
             samples = [with_steady_phase(step, wave, record.leakage_delay_s) for step in samples]
             if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
-                samples = [without_phase_noise(samples[0], wave, record.leakage_delay_s, turns)]
+                cleaned, relative_noise = without_phase_noise(
+                    samples[0], wave, record.leakage_delay_s, turns
+                )
+                samples = [cleaned]
         else:
             means = [step.mean(axis=0, keepdims=True) for step in samples]
             snr = leakage_snr(means, wave, record.leakage_delay_s)
@@ -109,11 +114,10 @@ def demodulate(
             if not seen:
                 lacking = (_unseen(burst, record.leakage_delay_s, snr, len(samples)),)
     cube = [_channels(step, turns, wave, record.root_watt_per_count) for step in samples]
-    motion = noise_by_range = None
     if len(record.carriers_hz) == 1:
         joined, wide = cube[0], own
     else:
-        noise_by_range = _noise_by_range(cube)
+        relative_noise = _noise_of_steps(cube)
         stitched = stitch(
             np.stack(cube, axis=1).astype(np.complex128),
             own,
@@ -138,7 +142,7 @@ def demodulate(
         receiver_m=np.tile(record.receivers_m, (n_transmitters, 1)),
         whole=part.whole,
         warnings=(*part.warnings, *lacking),
-        noise_by_range=noise_by_range,
+        relative_noise=relative_noise,
     )
 
 
@@ -153,8 +157,8 @@ def _unseen(burst: int, delay_s: float, snr: float, n_steps: int) -> str:
     return told + "nothing tells the phases of carrier steps, and echoes and ranges are not right"
 
 
-def _noise_by_range(steps: list[Complex]) -> Array | None:
-    """Mean noise at every range of the joined steps (n_channels, n_subcarriers, n_slots).
+def _noise_of_steps(steps: list[Complex]) -> Array | None:
+    """Mean noise (n_ranges, 1) of the joined steps (n_channels, n_subcarriers, n_slots).
 
     Phase noise differs from step to step and from slot to slot, and all its power lies in the few
     range cells of one step: the joined map's noise is as uneven over range as theirs, with which it
@@ -170,7 +174,7 @@ def _noise_by_range(steps: list[Complex]) -> Array | None:
         change = step - step.mean(axis=-1, keepdims=True)
         power += np.mean(np.abs(np.fft.ifft(change, n_ranges, axis=1)) ** 2, axis=(0, 2))
     mean = power.mean()
-    return np.asarray(power / mean) if power.min() > 0 else None
+    return np.asarray(power / mean)[:, None] if power.min() > 0 else None
 
 
 def even_turns(transmitter: NDArray[np.uint8]) -> NDArray[np.intp]:

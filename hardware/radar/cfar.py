@@ -45,10 +45,10 @@ def cfar_threshold(
     Raises ValueError when the map leaves no cells to tell the noise from.
     """
     noise = noise or MapNoise()
-    if noise.noise_by_range is not None:
-        by_range = noise.noise_by_range[:, None]
-        level = cfar_threshold(power / by_range, cfar, replace(noise, noise_by_range=None), at=at)
-        return level * (by_range if at is None else by_range[at[0], 0])
+    if noise.relative_noise is not None:
+        uneven = np.broadcast_to(noise.relative_noise, power.shape)
+        level = cfar_threshold(power / uneven, cfar, replace(noise, relative_noise=None), at=at)
+        return level * (uneven if at is None else uneven[at])
     cfar = fitted(power, cfar, noise.n_channels)
     regions, factor, rank = rule(power.shape, cfar, noise)
     by_rate = noise_by_rate(power, noise)

@@ -78,14 +78,14 @@ class MapNoise:
     ----------
     window, n_channels, oversampling
         How the map was made.
-    noise_by_range : (n_ranges,)
-        Mean noise over range, in any unit, where it is known to change within the training cells.
+    relative_noise : (n_ranges, n_rates) or (n_ranges, 1)
+        Mean noise, in any unit, where it is known to change within the training cells.
     """
 
     window: str = "boxcar"
     n_channels: int = 1
     oversampling: int = 1
-    noise_by_range: Array | None = None
+    relative_noise: Array | None = None
 
 
 def rule(shape: tuple[int, ...], cfar: Cfar, noise: MapNoise) -> tuple[list[Mask], float, int]:

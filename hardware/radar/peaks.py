@@ -42,7 +42,7 @@ class Peaks:
 def peaks_above(image: RangeDopplerMap, cfar: Cfar, window: str) -> Peaks:
     """Cells above their threshold and above the cells around them."""
     power = image.power_w
-    noise = MapNoise(window, image.n_channels, image.oversampling, image.noise_by_range)
+    noise = MapNoise(window, image.n_channels, image.oversampling, image.relative_noise)
     rows, columns = possible(power, cfar, noise)
     peak = _are_peaks(power, rows, columns)
     rows, columns = rows[peak], columns[peak]

@@ -96,8 +96,13 @@ def _slopes(phase: Array, time: Array) -> Array:
 
 def without_phase_noise(
     samples: Complex, waveform: OfdmWaveform, delay_s: float, turns: NDArray[np.intp]
-) -> Complex:
-    """Samples (n_slots, n_receivers, n_subcarriers) less the leakage's phase noise within slots.
+) -> tuple[Complex, Array | None]:
+    """Samples (n_slots, n_receivers, n_subcarriers) less the leakage's phase noise within slots,
+    and the noise (n_subcarriers, n_turns) of every cell of range and rate over that of others at
+    its range; None where all are alike.
+
+    Beside a strong echo phase noise is told by the mirror image alone, whose thermal noise comes
+    with it.
 
     Parameters
     ----------
@@ -124,16 +129,25 @@ def without_phase_noise(
         relative -= modulus.astype(relative.real.dtype)
         spectra.append(fft2(relative, norm="ortho", workers=-1))
         levels.append(level)
-    noise = phase_noise(np.stack(spectra))
+    noise, more = phase_noise(np.stack(spectra))
     for slots, level, part in zip(turns, levels, noise, strict=True):
         within = 1j * ifft2(part, norm="ortho", workers=-1).imag * unit
         cleaned[slots] -= within[:, None] * level[:, None].astype(samples.dtype)
-    return cleaned
+    if more is None:
+        return cleaned, None
+    # By range and rate, which run against the transform; the other receivers have none of it.
+    ranges = -np.arange(more.shape[1]) + round(delay_s * waveform.bandwidth_hz)
+    rates = (more.shape[0] - 1) // 2 - np.arange(more.shape[0])
+    n_receivers = samples.shape[1]
+    return cleaned, (n_receivers - 1 + more[rates][:, ranges % more.shape[1]].T) / n_receivers
 
 
-def phase_noise(spectra: Complex) -> Complex:
+def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
     """Least-squares phase noise of spectra (n_transmitters, n_rates, n_ranges), the leakage at
     the origin; the result has N(-k, -v) = -conj N(k, v).
+
+    Also the noise that is left in every cell (n_rates, n_ranges), over that of cells at its range
+    beside which there is no echo; None where there is no echo.
     """
     from scipy.ndimage import median_filter, uniform_filter
 
@@ -174,17 +188,23 @@ def phase_noise(spectra: Complex) -> Complex:
         odds = np.where(np.abs(more) > np.abs(odds), more, odds)
     share = 1 / (1 + np.exp(-np.clip(odds, -60, 60)))
     at = np.nonzero(suspect)
-    for i in range(n if len(at[0]) else 0):
-        # Cell and mirror image show the same phase noise, each with its own echo and thermal noise:
-        # the mean of both is weighted by what else they hold.
-        weights = [
-            1 / (np.maximum(part * strength, other)[at] + thermal[at[1]])
-            for part, other in ((share, np.maximum(certain, lobes)), (1 - share, opposite))
-        ]
-        prior = 1 / np.maximum(excess[at[1]], 1e-300)
-        mean = spectra[i][at] * weights[0] + mirrored[i][at] * weights[1]
-        found[i][at] = mean / (prior + weights[0] + weights[1])
-    return np.asarray(found)
+    if not len(at[0]):
+        return np.asarray(found), None
+    # Cell and mirror image show the same phase noise, each with its own echo and thermal noise:
+    # the mean of both is weighted by what else they hold.
+    weights = [
+        1 / (np.maximum(part * strength, other)[at] + thermal[at[1]])
+        for part, other in ((share, np.maximum(certain, lobes)), (1 - share, opposite))
+    ]
+    total = 1 / np.maximum(excess[at[1]], 1e-300) + weights[0] + weights[1]
+    own, other = weights[0] / total, weights[1] / total
+    for i in range(n):
+        found[i][at] = own * spectra[i][at] + other * mirrored[i][at]
+    left = excess[at[1]] * (1 - own - other) ** 2 + thermal[at[1]] * ((1 - own) ** 2 + other**2)
+    usual = thermal / 2 * (1 + thermal / 2 / (excess + thermal / 2))
+    more = np.ones(here.shape)
+    more[at] = left / usual[at[1]]
+    return np.asarray(found), more
 
 
 def _rare(pooled: Array, looks: float) -> Array:

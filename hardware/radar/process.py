@@ -123,11 +123,11 @@ def process(
         taken.waveform,
         how.window,
         oversampling=how.oversampling,
-        noise_by_range=taken.noise_by_range,
+        relative_noise=taken.relative_noise,
     )
     even = image.power_w
-    if image.noise_by_range is not None:
-        even = even / image.noise_by_range[:, None]
+    if image.relative_noise is not None:
+        even = even / image.relative_noise
     # Cells that a window makes exceed a level together: 7 for blackmanharris, 1 without one.
     windows_gain = noise_gain(how.window, channel.shape[-2:])
     clutter = fit(even, image.n_channels, windows_gain**1.4)

@@ -31,7 +31,8 @@ class RangeDopplerMap:
     ``effective_looks``: as how many independent channels the noise of all scatters. Where they are
     fewer than ``n_channels`` the channels were made independent, see `whitened`: ``power_w`` is
     then that of an echo in the mean over directions, less where all channels share the noise.
-    ``noise_by_range`` (n_ranges,): mean noise over range where it is known, of mean 1.
+    ``relative_noise`` (n_ranges, n_rates) or (n_ranges, 1): mean noise of the cells where it is
+    known to be uneven, of mean about 1.
     """
 
     power_w: Power
@@ -41,7 +42,7 @@ class RangeDopplerMap:
     n_channels: int = 1
     oversampling: int = 1
     effective_looks: float = 1.0
-    noise_by_range: Array | None = None
+    relative_noise: Array | None = None
 
 
 def range_doppler(
@@ -50,7 +51,7 @@ def range_doppler(
     window: str = "blackmanharris",
     *,
     oversampling: int = 1,
-    noise_by_range: Array | None = None,
+    relative_noise: Array | None = None,
 ) -> RangeDopplerMap:
     """Range-Doppler map of a channel, or of several, their powers averaged.
 
@@ -67,8 +68,8 @@ def range_doppler(
         Cells per resolution cell along each axis. Bounds what a target between cells loses: with
         ``boxcar`` 3.9 dB per axis for 1, 0.9 for 2; with ``blackmanharris`` 0.8 for 1.
 
-    noise_by_range : (n_subcarriers,)
-        Mean noise over range, where it is known, see `Burst`.
+    relative_noise : (n_subcarriers, n_slots) or (n_subcarriers, 1)
+        Mean noise of the cells without a window, where it is known, see `Burst`.
 
     Raises ValueError for a channel that is not the waveform's.
     """
@@ -87,8 +88,23 @@ def range_doppler(
         n_channels=len(parts),
         oversampling=oversampling,
         effective_looks=looks,
-        noise_by_range=None if noise_by_range is None else np.repeat(noise_by_range, oversampling),
+        relative_noise=_through_window(relative_noise, window, oversampling),
     )
+
+
+def _through_window(noise: Array | None, window: str, oversampling: int) -> Array | None:
+    """Mean noise of a map's cells, to each of which a window adds up that of the cells around."""
+    if noise is None:
+        return None
+    for axis, size in enumerate(noise.shape):
+        if size == 1:
+            continue
+        fine = size * oversampling
+        reach = np.abs(np.fft.fft(taper(window, size), fine)) ** 2
+        kernel = np.fft.rfft(reach / reach.sum()).reshape((-1, 1) if axis == 0 else (1, -1))
+        spread = np.fft.rfft(np.repeat(noise, oversampling, axis), axis=axis) * kernel
+        noise = np.maximum(np.fft.irfft(spread, fine, axis=axis), noise.min())
+    return noise
 
 
 def check_channel(channel: Complex, waveform: OfdmWaveform) -> None:

@@ -20,8 +20,8 @@ def possible(power: Power, cfar: Cfar, noise: MapNoise | None = None) -> Cells:
     threshold is the bound.
     """
     noise = noise or MapNoise()
-    if noise.noise_by_range is not None:
-        power = power / noise.noise_by_range.astype(power.dtype)[:, None]
+    if noise.relative_noise is not None:
+        power = power / noise.relative_noise.astype(power.dtype)
     cfar = fitted(power, cfar, noise.n_channels)
     regions, factor, rank = rule(power.shape, cfar, noise)
     if rank:

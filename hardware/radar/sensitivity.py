@@ -69,11 +69,12 @@ def weak_echoes(
     images, _ = whitened([amplitudes(part, "boxcar") for part in channel.reshape(-1, n, m)])
     power = mean_power(images)
     looks, noise_w = len(images), noise_level(power, len(images))
-    uneven = np.ones(n)
-    if tapered.noise_by_range is not None:
-        uneven = tapered.noise_by_range[:: tapered.oversampling]
-        images = [image / np.sqrt(uneven).astype(power.dtype) for image in images]
-        power = power / uneven.astype(power.dtype)[:, None]
+    uneven = np.ones((n, m))
+    if tapered.relative_noise is not None:
+        uneven = np.broadcast_to(_on_cells(tapered), (n, m))
+        scale = np.roll(1 / np.sqrt(uneven), -((m - 1) // 2), 1).T.astype(power.dtype)
+        images = [image * scale for image in images]
+        power = power / uneven.astype(power.dtype)
     even_w = noise_level(power, looks)
     cfar = replace(
         cfar, false_alarm=on_a_cell(cfar.false_alarm, looks, sum(size > 2 for size in (n, m)))
@@ -82,7 +83,7 @@ def weak_echoes(
     least = max(_ON_CELLS * factor, _white_threshold(_MOST_CANDIDATES, looks)) * even_w
     rows, columns = cells_above(power, least)
     lobes = _side_lobes(tapered, window, factor, (n, m))[rows // _TILE, columns // _TILE]
-    lobes /= uneven[rows]
+    lobes /= uneven[rows, columns]
     clear = power[rows, columns] > _ON_CELLS * factor * (even_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
     level = _between_cells(images, (rows, columns), *_NEXT)
@@ -96,8 +97,8 @@ def weak_echoes(
     peaks = Peaks(
         range_m=np.asarray(rows * waveform.range_cell_m, dtype=np.float64),
         range_rate_m_per_s=(columns - (m - 1) // 2) * waveform.velocity_cell_m_per_s,
-        power_w=level * uneven[rows],
-        noise_w=threshold * uneven[rows] / white_threshold(power.shape, cfar, noise),
+        power_w=level * uneven[rows, columns],
+        noise_w=threshold * uneven[rows, columns] / white_threshold(power.shape, cfar, noise),
     )
     return peaks, noise_w
 
@@ -112,12 +113,18 @@ def clutter_between_echoes(
     n, m = channel.shape[-2:]
     plain = range_doppler(channel, waveform, "boxcar")
     power = plain.power_w.astype(np.float64)
-    if tapered.noise_by_range is not None:
-        power /= tapered.noise_by_range[:: tapered.oversampling, None]
+    power /= _on_cells(tapered)
     lobes = _side_lobes(tapered, window, _CLUTTER_BELOW, (n, m))
     lobes = np.repeat(np.repeat(lobes, _TILE, 0)[:n], _TILE, 1)[:, :m]
     power[lobes > plain.noise_w] = np.nan
     return fit(power, plain.n_channels)
+
+
+def _on_cells(image: RangeDopplerMap) -> Array:
+    """Known noise of a map on the cells of one that is not oversampled."""
+    if image.relative_noise is None:
+        return np.ones((1, 1))
+    return image.relative_noise[:: image.oversampling, :: image.oversampling]
 
 
 def side_lobe(cells: Array, size: int | Array) -> Array:
@@ -174,8 +181,8 @@ def _side_lobes(
     fine = tapered.oversampling
     # Twice the threshold: an echo below leaves no side lobe that stands out of noise.
     power, noise_w = tapered.power_w, tapered.noise_w
-    if tapered.noise_by_range is not None:
-        power = power / tapered.noise_by_range.astype(power.dtype)[:, None]
+    if tapered.relative_noise is not None:
+        power = power / tapered.relative_noise.astype(power.dtype)
         noise_w = noise_level(power, tapered.n_channels)
     rows, columns = cells_above(power, 2 * factor * noise_w)
     tiles = np.zeros([-(-size // _TILE) for size in shape])
