@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 _OVER_LOBES = 20.0  # of an echo's power over the side lobes of others that may stand there
 _WITHIN = 1  # cells of a tapered echo that a neighbour must reach to move it
-_ON_TAPERED = 0.2  # of the false alarms; the rest are of the map without a window
+_ON_TAPERED = 0.2  # of the false alarms, at least; the rest are of the map without a window
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,8 @@ def detected(
     """Find targets, strongest first, each with its amplitude on every channel, (n_channels,).
 
     A map with a window shows what is strong, and the weak beside it; what is weak and alone is
-    found without one, see `weak_echoes`. The two share the false alarms.
+    found without one, see `weak_echoes`. The two share the false alarms; what side lobes keep from
+    the latter is the former's as well.
     """
     check_channel(channel, waveform)
     cells = tuple(s * image.oversampling for s in channel.shape[-2:])
@@ -102,12 +103,11 @@ def detected(
     if window == "boxcar" or cfar.shape != float("inf"):  # what is between cells is known of noise
         peaks = peaks_above(image, cfar, window).strongest(at_most)
         return distinct(_measured_at(channel, waveform, window, peaks, image.noise_w), waveform)
-    shares = [share * cfar.false_alarm for share in (_ON_TAPERED, 1 - _ON_TAPERED)]
-    strong = peaks_above(image, replace(cfar, false_alarm=shares[0]), window).strongest(at_most)
-    weak, noise_w = weak_echoes(
-        channel, waveform, image, replace(cfar, false_alarm=shares[1]), window
-    )
+    untapered = replace(cfar, false_alarm=(1 - _ON_TAPERED) * cfar.false_alarm)
+    weak, noise_w, share = weak_echoes(channel, waveform, image, untapered, window)
     weak = weak.strongest(at_most)
+    tapered = replace(cfar, false_alarm=cfar.false_alarm - share * untapered.false_alarm)
+    strong = peaks_above(image, tapered, window).strongest(at_most)
     range_m, rate_m_per_s = (
         np.concatenate(place) for place in zip(strong.places, weak.places, strict=True)
     )

@@ -53,8 +53,9 @@ _MOST_CANDIDATES = 0.05  # of all cells, in noise
 
 def weak_echoes(
     channel: Complex, waveform: OfdmWaveform, tapered: RangeDopplerMap, cfar: Cfar, window: str
-) -> tuple[Peaks, float]:
-    """Echoes on the map without a window, and the mean noise of its cells.
+) -> tuple[Peaks, float, float]:
+    """Echoes on the map without a window, the mean noise of its cells, and the share of the false
+    alarms that side lobes let come: under them hardly any noise stands out.
 
     Parameters
     ----------
@@ -65,6 +66,8 @@ def weak_echoes(
     cfar
         ``false_alarm`` is the expected number of false echoes per cell.
     """
+    from scipy.special import gammaincc
+
     n, m = channel.shape[-2:]
     images, _ = whitened([amplitudes(part, "boxcar") for part in channel.reshape(-1, n, m)])
     power = mean_power(images)
@@ -82,8 +85,10 @@ def weak_echoes(
     factor = _white_threshold(cfar.false_alarm, looks)
     least = max(_ON_CELLS * factor, _white_threshold(_MOST_CANDIDATES, looks)) * even_w
     rows, columns = cells_above(power, least)
-    lobes = _side_lobes(tapered, window, factor, (n, m))[rows // _TILE, columns // _TILE]
-    lobes /= uneven[rows, columns]
+    tiles = _side_lobes(tapered, window, factor, (n, m)) / uneven[::_TILE, ::_TILE]
+    come = float(np.mean(gammaincc(looks, looks * factor * (1 + tiles / (even_w or 1.0)))))
+    share = come / cfar.false_alarm
+    lobes = tiles[rows // _TILE, columns // _TILE]
     clear = power[rows, columns] > _ON_CELLS * factor * (even_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
     level = _between_cells(images, (rows, columns), *_NEXT)
@@ -100,7 +105,7 @@ def weak_echoes(
         power_w=level * uneven[rows, columns],
         noise_w=threshold * uneven[rows, columns] / white_threshold(power.shape, cfar, noise),
     )
-    return peaks, noise_w
+    return peaks, noise_w, share
 
 
 def clutter_between_echoes(
