@@ -44,8 +44,10 @@ def figures() -> Iterator[Figure]:
             for asked, seen in zip(RATES, alarms, strict=True):
                 what = f"{name}, {scene}: false alarms over {asked:g}"
                 yield f"{what} ({seen} in {cells} cells)", seen / cells / asked, ""
-        found = sum(len(process(record(name, seed)).detections) for seed in range(maps))
-        yield f"{name}, empty: detections at 1e-8 in {maps} maps", found, ""
+            for asked in (*RATES, 1e-8):
+                seen = false_detections(name, range(maps), targets, asked)
+                what = f"{name}, {scene}: false detections over {asked:g}"
+                yield f"{what} ({seen} in {cells} cells)", seen / cells / asked, ""
 
 
 def count(
@@ -71,6 +73,32 @@ def count(
     return [int(n) for n in alarms], cells
 
 
+def false_detections(
+    name: str, seeds: range, targets: tuple[tuple[float, float, float, float], ...], rate: float
+) -> int:
+    """Detections by default, at a rate of false alarms, that are none of the targets.
+
+    Raises ValueError for a target that is not found.
+    """
+    how = Processing(cfar=Cfar(rate), at_most=10**6)
+    alarms = 0
+    for seed in seeds:
+        frame = process(record(name, seed, targets), 0, how)
+        range_m = np.array([one.range_m for one in frame.detections])
+        rate_m_per_s = np.array([one.range_rate_m_per_s for one in frame.detections])
+        alarm = np.ones(len(range_m), dtype=np.bool_)
+        for target in targets:
+            wave = frame.waveform
+            near = np.all(
+                _near(target, range_m, rate_m_per_s, frame.image, wave.max_range_m), axis=0
+            )
+            if not near.any():
+                raise ValueError(f"{name}, seed {seed}: the target at {target[0]} m is not found")
+            alarm &= ~near
+        alarms += int(alarm.sum())
+    return alarms
+
+
 def above(image: RangeDopplerMap, cfar: Cfar, window: str) -> NDArray[np.bool_]:
     """Cells above their threshold."""
     noise = MapNoise(window, image.n_channels, relative_noise=image.relative_noise)
@@ -83,17 +111,28 @@ def _empty(
 ) -> NDArray[np.bool_]:
     """Cells outside of every target's main lobe, and of what its rate moves it within a burst."""
     counted = np.ones(image.power_w.shape, dtype=np.bool_)
-    for range_m, rate, *_ in targets:
-        rates = image.range_rate_m_per_s
-        cells = [image.range_m[1], rates[1] - rates[0] if len(rates) > 1 else 1.0]
-        span = cells[1] * len(rates)
-        away = [
-            np.abs(image.range_m - range_m % max_range_m) / cells[0],
-            np.abs((rates - rate + span / 2) % span - span / 2) / cells[1],
-        ]
-        reach = _MAIN_LOBE + abs(rate) * 0.01 / cells[0]
-        counted[np.ix_(away[0] <= reach, away[1] <= _MAIN_LOBE)] = False
+    for target in targets:
+        near = _near(target, image.range_m, image.range_rate_m_per_s, image, max_range_m)
+        counted[np.ix_(*near)] = False
     return counted
+
+
+def _near(
+    target: tuple[float, ...],
+    range_m: NDArray[np.float64],
+    rate_m_per_s: NDArray[np.float64],
+    image: RangeDopplerMap,
+    max_range_m: float,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which ranges and which rates are within a target's main lobe; rates repeat with the map."""
+    rates = image.range_rate_m_per_s
+    cells = [image.range_m[1], rates[1] - rates[0] if len(rates) > 1 else 1.0]
+    span = cells[1] * len(rates)
+    away = [
+        np.abs(range_m - target[0] % max_range_m) / cells[0],
+        np.abs((rate_m_per_s - target[1] + span / 2) % span - span / 2) / cells[1],
+    ]
+    return away[0] <= _MAIN_LOBE + abs(target[1]) * 0.01 / cells[0], away[1] <= _MAIN_LOBE
 
 
 def record(
