@@ -11,8 +11,9 @@ half the sum is free of it.
 An echo is in both halves, and taking one away would halve it and mirror it about the leakage. So
 where the half that is free of phase noise shows more than thermal noise would, the cell and its
 mirror image are told apart by their own power, and the phase noise there is taken from the weaker
-one. An echo straight ahead that stands below the phase noise in its own cell cannot be told from
-its mirror image: there half its amplitude is left on either side.
+one, with its thermal noise: how much noise that leaves is told with the result. An echo straight
+ahead that stands below the phase noise in its own cell cannot be told from its mirror image: there
+half its amplitude is left on either side.
 """
 
 from collections.abc import Sequence
@@ -182,7 +183,7 @@ def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
         a, b, c = (uniform_filter(part, size, mode="wrap") for part in (here, there, both))
         seen = c > thermal / 2 * _rare(c / thermal, float(looks))
         suspect |= seen
-        # Chance is no echo: it would leave phase noise in where side lobes may be, but are not.
+        # Chance is no echo: taken for one, where side lobes may be, it would keep phase noise in.
         strength = np.maximum(strength, np.where(seen, 4 * c - 2 * thermal, 0.0))
         more = np.where(seen, looks * (a - b) / expected, 0.0)
         odds = np.where(np.abs(more) > np.abs(odds), more, odds)
