@@ -39,6 +39,11 @@ class Fidelity:
         wavelength, echoes of edges that are met obliquely fade, and outlines are off by a spacing.
         Against 3.2 million the yard's channel is off by 30 % rms at 200 000 and by 13 % at 800 000,
         the street's by 4 and by 1.3 % (`twin trade`).
+    radar_tolerance
+        None: rays, as above. A number: exact facets and tubes in their place. Error of the echo of
+        every body over the band, relative to its root mean square, or to an echo 40 dB below the
+        strongest body's, or to a tenth of the receiver's noise, whichever is larger: triangles are
+        divided until their estimated errors, added as independent, stay below it.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
         trihedral needs 3.
@@ -78,6 +83,7 @@ class Fidelity:
     radar: RadarRung = "optics"
     nufft_tolerance: float = 1e-6
     radar_rays: int = 200_000
+    radar_tolerance: float | None = None
     radar_bounces: int = 3
     radar_images: int = 1
     radar_edges: int = 0
@@ -105,6 +111,8 @@ class Fidelity:
         ):
             if getattr(self, name) < least:
                 raise ValueError(f"{name}: {getattr(self, name)} is less than {least}")
+        if self.radar_tolerance is not None and not 1e-3 <= self.radar_tolerance <= 1:
+            raise ValueError(f"radar_tolerance: {self.radar_tolerance} is not in 0.001 to 1")
         if not 1e-14 <= self.nufft_tolerance < 1:
             raise ValueError(f"nufft_tolerance: {self.nufft_tolerance} is not in 1e-14 to 1")
 
@@ -115,6 +123,8 @@ class Fidelity:
 
     def __or__(self, other: "Fidelity") -> "Fidelity":
         """The stricter of each knob; a side to start from, when only one of the two names it."""
+        both = (self.radar_tolerance, other.radar_tolerance)
+        tolerances = [tolerance for tolerance in both if tolerance is not None]
         further = max(self.quality.further_samples, other.quality.further_samples)
         return Fidelity(
             samples=max(self.samples, other.samples),
@@ -124,6 +134,7 @@ class Fidelity:
             noise=max(self.noise, other.noise, key=get_args(Noise).index),
             radar=max(self.radar, other.radar, key=get_args(RadarRung).index),
             radar_rays=max(self.radar_rays, other.radar_rays),
+            radar_tolerance=min(tolerances, default=None),
             radar_bounces=max(self.radar_bounces, other.radar_bounces),
             radar_images=max(self.radar_images, other.radar_images),
             radar_edges=max(self.radar_edges, other.radar_edges),

@@ -229,6 +229,7 @@ def _stepped(
     per_step = [
         echoes.amplitude
         * factor
+        * (radar.burst.carriers_hz[0] / carrier) ** echoes.falloff
         * radar.ofdm.slot_gain(carrier * echoes.delay_rate)
         * air.amplitude(length, carrier)
         for carrier, factor in zip(radar.burst.carriers_hz, factors, strict=True)

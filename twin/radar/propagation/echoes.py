@@ -9,7 +9,14 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.around import screens
 from twin.radar.propagation.environment import mirror_echoes, point_echoes
-from twin.radar.propagation.optics import behind, contributions_of, diffracted, scattered, speckle
+from twin.radar.propagation.optics import (
+    behind,
+    contributions_of,
+    diffracted,
+    scattered,
+    scattered_within,
+    speckle,
+)
 from twin.radar.propagation.paths import Heard, Path, Propagation
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import assign_roles, declared_alone
@@ -29,7 +36,10 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     declared = declared_alone(scene, roles)
     is_rough = fidelity.radar == "rough"
     stage = set_stage(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
-    surfaces, remarks = scattered(stage, fidelity)
+    if fidelity.radar_tolerance is None:
+        surfaces, remarks = scattered(stage, fidelity)
+    else:
+        surfaces, remarks = scattered_within(stage, radar, fidelity), []
     surfaces = Rays.joined([surfaces, behind(stage, fidelity)])
     edges, on_edges = diffracted(stage, fidelity)
     points, on_points = speckle(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])

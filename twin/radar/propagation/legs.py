@@ -178,11 +178,13 @@ def leg(
     active: Any,
     traced: bool = False,
     unshadowed: bool = False,
+    tested: bool = True,
 ) -> Leg:
     """The leg to a point from which rays start at a distance ``off`` (vector) from the surface.
 
     ``traced``: nothing stands between the point and the last mirror, or the radar itself;
-    ``unshadowed``: what stands between is ignored, and mirrors only have to be there.
+    ``unshadowed``: what stands between is ignored, and mirrors only have to be there;
+    ``tested``: whether any rays are sent at all.
     """
     s, mi = at_station, at_station.mi
     order = dr.gather(mi.UInt32, s.orders, source, active)
@@ -214,7 +216,9 @@ def leg(
         if unshadowed:
             near = _JUST_BEFORE * t
             begin, way_to = at + (t - near) * direction, near
-        clear &= ~has | _first_meets(s, begin, direction, way_to, number, of_wall > 0, has & clear)
+        if tested:
+            met = _first_meets(s, begin, direction, way_to, number, of_wall > 0, has & clear)
+            clear &= ~has | met
         segments.append((has, mirror, -direction, t))
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
         at = dr.select(has, mirror, at)
@@ -230,7 +234,7 @@ def leg(
     reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
     shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(home), reach, 0.0, [])
     untested = clear & (order > 0) if traced else mi.Bool(clear)
-    if not unshadowed:
+    if tested and not unshadowed:
         clear &= ~s.world.scene.ray_test(shadow, active=untested)
 
     departure = -home

@@ -10,12 +10,15 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.around import screens
 from twin.radar.propagation.behind import echoes_behind
+from twin.radar.propagation.bounces import scattered_by
+from twin.radar.propagation.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.edges import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.grids import grids, launch
 from twin.radar.propagation.grouping import bodies_of
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import Role
 from twin.radar.propagation.rough import Rough, rough_echoes
+from twin.radar.propagation.scatterers import scatterers
 from twin.radar.propagation.shape import shapes_of
 from twin.radar.propagation.shooting import bodies, shoot
 from twin.radar.propagation.stage import Stage
@@ -27,6 +30,7 @@ Array = NDArray[np.float64]
 
 #: Of shadows on bodies: a way round an obstacle 30 dB below the straight one is -60 dB in an echo.
 _DEEPEST_DB = 30.0
+_FREQUENCIES = 5  # over the band, at which a body's echo is summed
 
 
 def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
@@ -55,6 +59,30 @@ def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
         f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
         "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
     ]
+
+
+def scattered_within(stage: Stage, radar: RadarDesign, fidelity: Fidelity) -> Rays:
+    """The same by exact facets and tubes, to ``fidelity.radar_tolerance``."""
+    body = _bodies(stage)
+    if fidelity.radar_tolerance is None or not (stage.worth & (body >= 0)).any():
+        return Rays.joined([])
+    return scattered_by(
+        stage.station,
+        scatterers(stage, radar.antenna, body),
+        stage.images,
+        wave_numbers(radar),
+        fidelity.radar_tolerance,
+        fidelity.radar_bounces,
+        OF_NOISE * noise_amplitude(radar) * 10 ** (radar.front_end.losses_db.value / 20),
+    )
+
+
+def wave_numbers(radar: RadarDesign) -> Array:
+    """A few over the band, at which the echoes of bodies are summed, in rad/m."""
+    wave = radar.ofdm
+    offsets = np.linspace(-0.5, 0.5, _FREQUENCIES) * wave.bandwidth_hz
+    numbers: Array = 2 * np.pi / speed_of_light * (wave.carrier_hz + offsets)
+    return numbers
 
 
 def diffracted(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
@@ -153,6 +181,7 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
         arrival=arrival,
         departure_per_s=rays.departure_per_s @ stage.axes.T,
         arrival_per_s=rays.arrival_per_s @ stage.axes.T,
+        falloff=rays.falloff,
     )
 
 

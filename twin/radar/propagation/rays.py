@@ -22,7 +22,8 @@ class Rays:
     its first and second derivative in time, in m, m/s and m/s^2; departure and arrival (n, 3) as
     seen from the radar, in the world's axes; object that is met last, and the images by which the
     wave goes out and back. ``departure_per_s`` and ``arrival_per_s`` (n, 3): derivatives of both
-    directions in time, 1/s; default: 0.
+    directions in time, 1/s; default: 0. ``falloff``: over the band the amplitude goes as the
+    carrier over the frequency to this power; default: 0.
     """
 
     amplitude: NDArray[np.complex128]
@@ -36,11 +37,13 @@ class Rays:
     receiver: NDArray[np.uint32]
     departure_per_s: Array = None  # type: ignore[assignment]
     arrival_per_s: Array = None  # type: ignore[assignment]
+    falloff: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        for name in ("departure_per_s", "arrival_per_s"):
+        n = len(self.length_m)
+        for name, shape in (("departure_per_s", (n, 3)), ("arrival_per_s", (n, 3)), ("falloff", n)):
             if getattr(self, name) is None:
-                object.__setattr__(self, name, np.zeros((len(self.length_m), 3)))
+                object.__setattr__(self, name, np.zeros(shape))
 
     def chosen(self, which: Any) -> "Rays":
         """Only some of them, by index or mask."""
@@ -56,6 +59,7 @@ class Rays:
             acceleration_m_per_s2=np.concatenate(
                 [np.zeros(0), *(p.acceleration_m_per_s2 for p in parts)]
             ),
+            falloff=np.concatenate([np.zeros(0), *(p.falloff for p in parts)]),
             **{
                 name: np.concatenate([np.zeros((0, 3)), *(getattr(p, name) for p in parts)])
                 for name in ("departure", "arrival", "departure_per_s", "arrival_per_s")

@@ -34,7 +34,9 @@ class Shape:
     ``plane_area_m2`` (q,) is the area in each. ``hull`` are the vertices on the convex hull.
     ``bend_radius_m`` is the radius with which the largest patch smoothly goes on into its
     neighbours: inf for a wall, small for a ball. ``thickness_m`` is the distance of the two largest
-    patches where they are parallel and about as large, else None.
+    patches where they are parallel and about as large, else None. ``outward`` (m,): 1 or -1 where
+    the normal of a face, by the sense of its corners, looks out of a closed part of the mesh or
+    into it; 0 where that part is open. ``is_double`` (m,): faces that another one lies upon.
     """
 
     patch_of_face: Indices
@@ -46,6 +48,8 @@ class Shape:
     size_m: float
     bend_radius_m: float
     thickness_m: float | None
+    outward: NDArray[np.int8]
+    is_double: NDArray[np.bool_]
 
     @property
     def largest_patch_m2(self) -> float:
@@ -151,6 +155,9 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
     pairs = solid[_neighbours(joined[solid])]
     turn = _turn(normals[pairs[:, 0]], normals[pairs[:, 1]])
     patch, area_of_patch, first_patch = _patches(pairs[turn < _FLAT_RAD], area, mesh_of_face)
+    is_double = _doubles(joined)
+    once = np.where(is_double, 0.0, area)
+    outward = _outward(points[faces], joined, once)
     bend = _bends(patch[pairs], turn, mesh_of_face[pairs[:, 0]], len(items))
     found = []
     for n, item in enumerate(items):
@@ -173,6 +180,8 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
                 hull=hull,
                 size_m=_size(item.vertices_m[hull]),
                 bend_radius_m=float(np.sqrt(areas[0]) / bend[n]) if bend[n] else float("inf"),
+                outward=outward[rows].copy(),
+                is_double=is_double[rows].copy(),
                 thickness_m=_thickness(at, along, areas),
             )
         )
@@ -219,6 +228,40 @@ def _neighbours(faces: Indices) -> Indices:
     start = start[count == 2]
     pairs: Indices = np.stack([order[start], order[start + 1]], axis=1) // 3
     return pairs
+
+
+def _doubles(faces: Indices) -> NDArray[np.bool_]:
+    """Faces with the same corners as one before them."""
+    corners = np.sort(faces, axis=1)
+    order = np.lexsort(corners.T)  # stable: of equal ones the first comes first
+    same = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
+    found = np.zeros(len(faces), dtype=bool)
+    found[order[1:]] = same
+    return found
+
+
+def _outward(corners: Array, faces: Indices, area: Array) -> NDArray[np.int8]:
+    """Which way out of closed parts normals point: by the sign of the volume that a part encloses.
+
+    Closed is what has two faces at each edge, which run along it in opposite senses.
+    """
+    real = np.flatnonzero(area > 0)
+    found = np.zeros(len(faces), dtype=np.int8)
+    if not len(real):
+        return found
+    ends = faces[real][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    keys = ends.min(axis=1) * (int(faces.max()) + 1) + ends.max(axis=1)
+    _, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
+    sense = np.bincount(edge, np.where(ends[:, 0] < ends[:, 1], 1.0, -1.0))
+    is_open = (count != 2) | (sense != 0)
+    label = _connected(_neighbours(faces[real]), len(real))
+    parts = int(label.max()) + 1
+    leaks = np.bincount(label[np.arange(len(edge)) // 3], is_open[edge], parts) > 0
+    a, b, c = (corners[real, i] for i in range(3))
+    volume = np.bincount(label, np.sum(a * np.cross(b, c), axis=1), parts) / 6
+    is_thick = np.abs(volume) > 1e-9 * np.bincount(label, area[real], parts) ** 1.5
+    found[real] = np.where(leaks | ~is_thick, 0, np.sign(volume))[label]
+    return found
 
 
 def _turn(a: Array, b: Array) -> Array:

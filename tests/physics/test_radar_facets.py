@@ -1,0 +1,233 @@
+"""Exact facets and tubes: against quadrature, closed forms and brute force.
+
+Errors are those of the complex echo, and have to stay below the tolerance that was asked for.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.constants import speed_of_light
+
+from tests.physics.radar_worlds import (
+    CARRIER_HZ,
+    GAIN,
+    OPTICS,
+    RADAR,
+    WAVELENGTH_M,
+    ball,
+    cross_section_db,
+    ground,
+    plate,
+    quad,
+    trihedral,
+    wave,
+    world,
+)
+from twin.engine import mitsuba
+from twin.fidelity import Fidelity
+from twin.radar.propagation.finding import trace
+from twin.radar.propagation.pieces import split
+from twin.radar.scattering.triangle import mean_over, phasor
+from twin.scene import Scene
+
+K = 2 * np.pi / WAVELENGTH_M
+LOSS = GAIN / 100
+TOLERANCES = [0.3, 0.1, 0.03]
+
+
+def echo(scene: Scene, tolerance: float, frequency_hz: float = CARRIER_HZ) -> complex:
+    found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_tolerance=tolerance)).echoes
+    scale = (CARRIER_HZ / frequency_hz) ** found.falloff
+    return wave(replace(found, amplitude=found.amplitude * scale), frequency_hz)
+
+
+def by_quadrature(phases: np.ndarray) -> np.ndarray:
+    """Mean of exp(j phase) over triangles (n, 3), by Gauss and Legendre in Duffy's coordinates."""
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    nodes, weights = (nodes + 1) / 2, weights / 2
+    u, v = np.meshgrid(nodes, nodes, indexing="ij")
+    share = 2 * np.outer(weights, weights) * (1 - u)
+    first, second = u, v * (1 - u)
+    third = 1 - first - second
+    linear = np.einsum("nk,kij->nij", phases, np.stack([first, second, third]))
+    return np.einsum("ij,nij->n", share, np.exp(1j * linear))
+
+
+@pytest.mark.parametrize("spread", [1e-6, 1e-2, 0.19, 0.21, 1.0, 5.0, 30.0])
+def test_the_mean_over_a_triangle_is_the_integral(spread: float) -> None:
+    """Corners' phases at random, two or three alike among them."""
+    mi, rng = mitsuba(), np.random.default_rng(1)
+    phases = rng.uniform(-spread, spread, (300, 3)) + rng.uniform(-3, 3, (300, 1))
+    phases[:20, 1], phases[20:40, 2] = phases[:20, 0], phases[20:40, 1]
+    phases[40:50] = phases[40:50, :1]
+    on_device = [mi.Float64(np.ascontiguousarray(column)) for column in phases.T]
+    re, im = mean_over(on_device, [phasor(phase) for phase in on_device])
+    np.testing.assert_allclose(np.array(re) + 1j * np.array(im), by_quadrature(phases), atol=2e-7)
+
+
+def test_contributions_of_triangles_hold_over_the_band() -> None:
+    """4000 triangles with path spreads of 1 um to 0.5 m, 77 to 81 GHz: within 0.5 % of the largest
+    mean that a triangle of its kind can have, 1 or 2 over its phase.
+    """
+    rng = np.random.default_rng(2)
+    spread = 10 ** rng.uniform(-6, np.log10(0.5), (4000, 1))
+    paths = 10 + spread * rng.random((4000, 3))
+    k = 2 * np.pi * CARRIER_HZ / speed_of_light
+    ones = np.ones(4000, dtype=complex)
+    row, amplitude, length, falloff = split(paths, ones, ones, ones, k)
+    assert len(row) < 3 * 4000
+    for frequency in (77e9, 79e9, 81e9):
+        scale = frequency / CARRIER_HZ
+        terms = amplitude * scale**-falloff * np.exp(-1j * (k * scale * (length - 10)))
+        found = np.bincount(row, terms.real, 4000) + 1j * np.bincount(row, terms.imag, 4000)
+        phases = -k * scale * (paths - 10)
+        exact = _divided(phases)
+        largest = np.minimum(1, 2 / np.maximum(np.ptp(phases, axis=1), 1e-9))
+        assert (np.abs(found - exact) / largest).max() < 5e-3
+
+
+def _divided(phases: np.ndarray) -> np.ndarray:
+    """Mean of exp(j phase) over triangles by expm1, in extended precision."""
+    a, b, c = np.sort(phases.astype(np.longdouble), axis=1).T
+
+    def along(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.exp(1j * (x + y) / 2) * np.sinc((y - x) / (2 * np.pi))
+
+    span = np.maximum(c - a, 1e-300)
+    wide = 2 * (along(b, c) - along(a, b)) / (1j * span)
+    return np.where(span > 1e-5, wide, np.exp(1j * (a + b + c) / 3)).astype(complex)
+
+
+def sampled_plate(corners: np.ndarray, is_seen, count: int = 1500) -> complex:
+    """Currents on a plate across the boresight, summed in float64 over points a twentieth of a
+    wavelength and less apart; ``is_seen`` tells of points (n, 3).
+    """
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    y, z = (low[i] + (np.arange(count) + 0.5) / count * (high[i] - low[i]) for i in (1, 2))
+    points = np.stack([np.full(count**2, low[0]), np.repeat(y, count), np.tile(z, count)], axis=1)
+    distance = np.linalg.norm(points, axis=1)
+    gain = RADAR.antenna.gain(points / distance[:, None])
+    cosine = points[:, 0] / distance
+    area = (high[1] - low[1]) * (high[2] - low[2]) / count**2
+    terms = gain * cosine / distance**2 * np.exp(-2j * K * distance) * is_seen(points)
+    return complex(-1j * LOSS / (4 * np.pi) * area * terms.sum())
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+@pytest.mark.parametrize("distance", [1.0, 5.0, 150.0])
+def test_a_plate_near_and_far(distance: float, tolerance: float) -> None:
+    """0.2 m square: many Fresnel zones, and none."""
+    square = plate("p", (distance, 0.0, 0.0))
+    expected = sampled_plate(square.vertices_m, lambda points: 1.0)
+    assert abs(echo(world(square), tolerance) / expected - 1) < tolerance
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_a_plate_half_in_the_shadow_of_another(tolerance: float) -> None:
+    """A screen at 3 m hides what lies beyond a slanted edge: the lit part alone answers."""
+    square = plate("p", (5.0, 0.0, 0.0), 0.3)
+    screen = quad("screen", [[3, 0.01, -1], [3, 1, -1], [3, 1, 1], [3, -0.02, 1]], radar="obstacle")
+
+    def lit(points: np.ndarray) -> np.ndarray:
+        y, z = points[:, 1] * 3 / 5, points[:, 2] * 3 / 5
+        return y < 0.01 - 0.015 * (z + 1)
+
+    expected = sampled_plate(square.vertices_m, lit)
+    found = echo(world(square, screen), tolerance)
+    assert abs(found / expected - 1) < tolerance
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+@pytest.mark.parametrize("distance", [20.0, 140.0])
+def test_a_trihedral_by_its_tubes(distance: float, tolerance: float) -> None:
+    """10 m^2 in closed form; single and double bounces, which that leaves out, add up to 2 %."""
+    found = cross_section_db(echo(world(trihedral("t", (distance, 0, 0))), tolerance), distance)
+    assert abs(10 ** ((found - 10) / 20) - 1) < tolerance + 0.02
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_a_ball_against_geometrical_optics(tolerance: float) -> None:
+    """Radius 0.15 m at 10 m, 240 wavelengths around: pi a^2 under a spherical wave."""
+    found = abs(echo(world(ball("b", (10.0, 0.0, 0.0))), tolerance))
+    near = 10.0 - 0.15
+    expected = GAIN * WAVELENGTH_M / (4 * np.pi) * 0.15 / (2 * near * (near + 0.15))
+    assert found == pytest.approx(expected, rel=tolerance)
+
+
+def test_faces_twice_and_without_area_change_nothing() -> None:
+    clean = ball("b", (10, 0, 0), level=5)
+    extra = np.vstack([clean.faces, clean.faces[::3, ::-1], np.tile(clean.faces[:5, :1], 3)])
+    dirty = replace(clean, faces=extra.astype(np.int32))
+    one, other = echo(world(clean), 0.03), echo(world(dirty), 0.03)
+    assert abs(one - other) < 0.03 * abs(one)
+
+
+def test_the_band_is_held() -> None:
+    """A plate 35 deg off its mirror direction: no single delay, 77 to 81 GHz."""
+    turn = np.radians(35.0)
+    square = plate("p", (0.0, 0.0, 0.0), 0.15)
+    matrix = np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
+    corners = square.vertices_m @ matrix.T + np.array([4.0, 0, 0])
+    scene = world(replace(square, vertices_m=corners))
+    found = [echo(scene, 0.03, f) for f in (77e9, 78e9, 79e9, 80e9, 81e9)]
+    expected = [_tilted(corners, f) for f in (77e9, 78e9, 79e9, 80e9, 81e9)]
+    error = np.linalg.norm(np.subtract(found, expected)) / np.linalg.norm(expected)
+    assert error < 0.05
+
+
+def _tilted(corners: np.ndarray, frequency_hz: float, count: int = 1200) -> complex:
+    """Currents on a tilted plate, vertical polarisation along its axis, at a frequency."""
+    low, across, up = corners[0], corners[1] - corners[0], corners[3] - corners[0]
+    share = (np.arange(count) + 0.5) / count
+    points = low + np.repeat(share, count)[:, None] * across + np.tile(share, count)[:, None] * up
+    normal = np.cross(across, up)
+    area = np.linalg.norm(normal) / count**2
+    normal /= np.linalg.norm(normal)
+    distance = np.linalg.norm(points, axis=1)
+    direction = points / distance[:, None]
+    gain = RADAR.antenna.gain(direction)
+    k = 2 * np.pi * frequency_hz / speed_of_light
+    terms = gain * np.abs(direction @ normal) / distance**2 * np.exp(-2j * k * distance)
+    return complex(-1j * LOSS / (4 * np.pi) * area * terms.sum())
+
+
+@pytest.mark.parametrize("height", [0.2, 0.9])
+def test_over_the_ground_it_is_what_rays_find(height: float) -> None:
+    """A ball over conducting ground, four ways, against rays of an eighth of a wavelength."""
+    scene = world(ball("b", (15.0, 0.2, height - 1.0)), ground(-1.0, "metal"))
+    rays = wave(trace(scene, RADAR, fidelity=OPTICS).echoes)
+    assert abs(echo(scene, 0.03)) == pytest.approx(abs(rays), rel=0.08)
+
+
+def test_radars_that_touch_hear_finite_numbers() -> None:
+    """On a plate, on a vertex of a ball, inside one, and a kilometre off."""
+    for scene in (
+        world(plate("p", (0.0, 0, 0), 2.0)),
+        world(ball("b", (0.15, 0, 0), level=3)),
+        world(ball("b", (0, 0, 0), level=3)),
+        world(trihedral("t", (1000.0, 0, 0))),
+        world(),
+    ):
+        found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_tolerance=0.3)).echoes
+        assert np.isfinite(found.amplitude).all()
+        assert np.isfinite(found.delay_s).all()
+
+
+def test_the_same_again_has_the_same_bits() -> None:
+    scene = world(ball("b", (10, 0.3, 0)), trihedral("t", (12, 1, 0)), ground(-1.0))
+    knobs = OPTICS.with_(radar_tolerance=0.1)
+    one, other = (trace(scene, RADAR, fidelity=knobs).echoes for _ in range(2))
+    assert np.array_equal(one.amplitude, other.amplitude)
+    assert np.array_equal(one.delay_s, other.delay_s)
+
+
+def test_tolerances_out_of_range_are_refused() -> None:
+    for tolerance in (0.0, -1.0, 2.0, float("nan")):
+        with pytest.raises(ValueError, match="radar_tolerance"):
+            Fidelity(radar_tolerance=tolerance)
+    assert (Fidelity() | Fidelity(radar_tolerance=0.1)).radar_tolerance == 0.1
+    stricter = Fidelity(radar_tolerance=0.2) | Fidelity(radar_tolerance=0.1)
+    assert stricter.radar_tolerance == 0.1

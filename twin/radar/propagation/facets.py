@@ -1,0 +1,324 @@
+"""Echoes of facets: which triangles are looked at, and how finely, for an error of every body.
+
+Every facet that faces the source and the receiver is a triangle with an exact integral. It is
+divided where the curvature of the phase across it, or the border of a shadow on it, may change the
+echo of its body by more than its share of the tolerance. Of a body the estimated errors of all
+triangles, taken as independent, add up to the tolerance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.currents import Echoes, echoes_of
+from twin.radar.propagation.images import Image
+from twin.radar.propagation.legs import Station
+from twin.radar.propagation.scatterers import Scatterers
+from twin.radar.propagation.shadows import cut, sampled
+from twin.radar.propagation.triangles import Incident, Triangles, lit_directly, quartered
+from twin.radar.propagation.walls import no_passage
+from twin.transfer import aligned, vector
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_DEEPEST = 8  # divisions by four
+_WEAKEST = 0.01  # of the strongest body: 40 dB; weaker ones are known as well as one of this level
+_PER_LEVEL = 0.25  # of the squared tolerance
+_LEFT_OUT = 0.1  # of tolerance and body: what together comes to less is left out
+_OCTAVES = 40  # of strength that are told apart
+_SAMPLED = 0.02  # of tolerance and body: triangles that may return less get a single ray
+_CUT = 0.02
+_UNSEEN_M = 0.1  # size of triangles on which a shadow may pass between four rays
+_UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return more are divided
+_FINEST_M = 0.01
+_MIXED = 0.25  # of its strength: error of a triangle that is partly seen
+_BENT = 0.5  # of what a bent border changes: what is left then
+
+
+@dataclass(frozen=True, eq=False)
+class Leaves:
+    """Triangles that are not divided further, and their echoes; ``weight`` (n,): 1 of those that
+    are seen, -1 of dark parts of these.
+    """
+
+    triangles: Triangles
+    echoes: Echoes
+    weight: Array
+
+    @property
+    def body(self) -> NDArray[np.intp]:
+        """Of each, (n,)."""
+        return self.triangles.body
+
+    @staticmethod
+    def joined(parts: "Sequence[Leaves]") -> "Leaves":
+        """One after the other; of equal bounces."""
+        return Leaves(
+            Triangles.joined([part.triangles for part in parts]),
+            Echoes.joined([part.echoes for part in parts]),
+            np.concatenate([part.weight for part in parts]),
+        )
+
+    def chosen(self, which: NDArray[np.integer]) -> "Leaves":
+        """Only some of them, by index."""
+        return Leaves(self.triangles.taken(which), self.echoes.chosen(which), self.weight[which])
+
+
+class Budget:
+    """What is known of the echoes of bodies over the band, and the errors that they may have.
+
+    ``level`` (n_bodies,): root mean square over the band, at least that of the noise floor or of
+    an echo 40 dB below the strongest.
+    """
+
+    def __init__(
+        self,
+        n_bodies: int,
+        tolerance: float,
+        wave_numbers: Array,
+        floor: float,
+        coarse: "Budget | None" = None,
+    ) -> None:
+        self.tolerance = tolerance
+        self._wave_numbers = wave_numbers
+        self._floor = floor
+        self._settled = np.zeros((n_bodies, len(wave_numbers)), dtype=np.complex128)
+        self.level = np.zeros(n_bodies)
+        self.direct = np.zeros_like(self._settled)
+        #: Echoes still to come: of further bounces, as the coarse pass found them.
+        self.pending = np.zeros_like(self._settled)
+        if coarse is not None:
+            self.level = coarse.level
+            self.pending = coarse._settled - coarse.direct
+
+    def expect(self, body: NDArray[np.intp], strength: Array) -> None:
+        """A first guess: all echoes out of phase."""
+        if not self.level.any():
+            self._rank(np.sqrt(np.bincount(body, strength**2, len(self.level))))
+
+    def summed(
+        self, body: NDArray[np.intp], echo: Complex, length_m: Array, count: int | None = None
+    ) -> Complex:
+        """Sum of echoes, the phase of whose path they lack, (count, n_frequencies)."""
+        count = len(self.level) if count is None else count
+        found = np.zeros((count, len(self._wave_numbers)), dtype=np.complex128)
+        for column, k in zip(found.T, self._wave_numbers, strict=True):
+            wave = echo * np.exp(-1j * (k * length_m % (2 * np.pi)))
+            column[:] = np.bincount(body, wave.real, len(found))
+            column += 1j * np.bincount(body, wave.imag, len(found))
+        return found
+
+    def consider(self, parts: "Sequence[Leaves]") -> None:
+        """Take what is settled and what is not for the echo of each body."""
+        total = self._settled + self.pending
+        for part in parts:
+            echo = part.weight * part.echoes.total
+            total += self.summed(part.body, echo, part.echoes.length_m)
+        self._rank(np.sqrt(np.mean(np.abs(total) ** 2, axis=1)))
+
+    def end_direct(self) -> None:
+        """Go on from the first bounce to further ones."""
+        self.direct = self._settled.copy()
+        self.pending[:] = 0
+
+    def settle(self, leaves: Leaves) -> None:
+        """Count what is not divided further."""
+        self._settled += self.summed(
+            leaves.body, leaves.weight * leaves.echoes.total, leaves.echoes.length_m
+        )
+
+    def _rank(self, level: Array) -> None:
+        strongest = float(level.max(initial=0.0))
+        self.level = np.maximum(
+            level, max(_WEAKEST * strongest, self._floor / self.tolerance, 1e-300)
+        )
+
+    def allowed(self, body: NDArray[np.intp]) -> Array:
+        """Error that the body of each may have in all, (n,)."""
+        return self.tolerance * self.level[body]
+
+    def negligible(
+        self, body: NDArray[np.intp], echo: Complex, strength: Array, length_m: Array
+    ) -> NDArray[np.bool_]:
+        """The weakest of every body, as many as together, in phase or not, add little."""
+        limit = _LEFT_OUT * self.tolerance * self.level
+        ratio = limit[body] / np.maximum(strength, 1e-300)
+        octave = np.clip(np.floor(np.log2(ratio)) + 1, 0, _OCTAVES - 1).astype(np.intp)
+        count = len(self.level)
+        sums = self.summed(body * _OCTAVES + octave, echo, length_m, count * _OCTAVES)
+        # From the faintest on: what is left out if an octave and all below are.
+        left = np.cumsum(sums.reshape(count, _OCTAVES, -1)[:, ::-1], axis=1)[:, ::-1]
+        small = np.sqrt(np.mean(np.abs(left) ** 2, axis=2)) <= limit[:, None]
+        small[:, 0] = False  # nothing that alone is more than that
+        run = np.cumprod(small[:, ::-1], axis=1).sum(axis=1)  # unbroken from the faintest on
+        found: NDArray[np.bool_] = octave >= (_OCTAVES - run)[body]
+        return found
+
+    def affordable(self, body: NDArray[np.intp], error: Array) -> NDArray[np.bool_]:
+        """The smallest errors of every body that together stay within a level's share."""
+        return self._within(body, error, _PER_LEVEL)
+
+    def _within(self, body: NDArray[np.intp], error: Array, share: float) -> NDArray[np.bool_]:
+        order = np.lexsort((error, body))
+        total = np.cumsum(error[order] ** 2)
+        first = np.searchsorted(body[order], np.arange(len(self.level)))
+        before = np.concatenate([[0.0], total])[first]
+        most = share * (self.tolerance * self.level) ** 2
+        found = np.empty(len(body), dtype=bool)
+        found[order] = total - before[body[order]] <= most[body[order]]
+        return found
+
+
+def settled(
+    s: Station,
+    scatterers: Scatterers,
+    lit: Triangles,
+    echoes: Echoes,
+    budget: Budget,
+    deepest: int = _DEEPEST,
+) -> list[Leaves]:
+    """Divide triangles until the errors of all bodies are within the tolerance, ``deepest`` times
+    by four at most.
+    """
+    budget.expect(lit.body, np.abs(echoes.total))
+    faint = budget.negligible(lit.body, echoes.total, echoes.strength, echoes.length_m)
+    bright = np.flatnonzero(~faint)
+    lit, echoes = lit.taken(bright), echoes.chosen(bright)
+    found: list[Leaves] = []
+    for depth in range(deepest + 1 if len(bright) else 0):
+        seen = _looked_at(s, scatterers, lit, echoes, budget)
+        budget.consider([seen.leaves, seen.cut])
+        done = budget.affordable(lit.body, seen.error) & ~seen.is_doubtful
+        if depth == deepest:
+            done[:] = True
+        for part, kept in ((seen.leaves, done), (seen.cut, done[seen.row])):
+            left = np.flatnonzero(kept & (part.weight != 0))
+            if len(left):
+                found.append(part.chosen(left))
+                budget.settle(found[-1])
+        rest = np.flatnonzero(~done)
+        if not len(rest):
+            break
+        lit = quartered(s, lit.taken(rest))
+        echoes = echoes_of(s, scatterers, lit)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Triangles with what is seen of them: ``leaves``, one for each, and ``cut``, parts that
+    borders of shadows cut off, with the ``row`` of the triangle that they belong to; of each the
+    ``error`` that it may have, and whether shadows may pass between the rays.
+    """
+
+    leaves: Leaves
+    cut: Leaves
+    row: NDArray[np.intp]
+    error: Array
+    is_doubtful: NDArray[np.bool_]
+
+
+def _looked_at(
+    s: Station, scatterers: Scatterers, lit: Triangles, echoes: Echoes, budget: Budget
+) -> _Seen:
+    allowed = budget.allowed(lit.body)
+    clear = sampled(s, lit, echoes.strength > _SAMPLED * allowed)
+    corners = clear[:3].sum(axis=0)
+    agree = (clear == clear[3]).all(axis=0)
+    weight = np.where(corners >= 2, 1.0, 0.0)
+    error = np.where(weight > 0, echoes.curved, 0.0)
+    odd = (corners == 1) | (corners == 2)
+    error += np.where(agree, 0.0, _MIXED * echoes.strength)
+    row = np.flatnonzero(odd & (_MIXED * echoes.strength > _CUT * allowed))
+    size = _size(lit)
+    doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
+    is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
+    leaves = Leaves(lit, echoes, weight)
+    if not len(row):
+        return _Seen(leaves, leaves.chosen(row), row, error, is_doubtful)
+    off = cut(s, lit.taken(row), clear[:3, row])
+    parts = echoes_of(s, scatterers, off.parts)
+    straight = echoes_of(s, scatterers, off.whole)
+    # Both against the triangle's own path.
+    whole_wave = _turned(straight, s)
+    wave = _turned(parts, s)
+    bent = np.abs(wave[: len(row)] + wave[len(row) :] - whole_wave)
+    error[row] += _BENT * bent - _MIXED * echoes.strength[row]
+    error[row] += parts.curved[: len(row)] + parts.curved[len(row) :]
+    sign: Array = off.is_seen - weight[row]
+    twice = np.concatenate([row, row])
+    return _Seen(
+        leaves, Leaves(off.parts, parts, np.concatenate([sign, sign])), twice, error, is_doubtful
+    )
+
+
+def _turned(echoes: Echoes, s: Station) -> Complex:
+    wave_number = 2 * np.pi / float(s.wavelength[0])
+    found: Complex = echoes.total * np.exp(-1j * (wave_number * echoes.length_m % (2 * np.pi)))
+    return found
+
+
+def _size(lit: Triangles) -> Array:
+    """Longest edges, (n,)."""
+    a, b, c = (np.array(corner).T for corner in lit.corners)
+    return np.sqrt(
+        np.max([((q - p) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    )
+
+
+def facing(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Triangles | None:
+    """All facets that both a source and a receiver see the same side of, whatever stands in
+    between, closed meshes from outside; None where there are none.
+    """
+    b = scatterers
+    rows = np.flatnonzero(b.counts)
+    sides = sides_of(s, images, rows)
+    found = []
+    for i, side in enumerate(sides):
+        lit = (side != 0) & (b.outward[i, rows] * side >= 0) & (b.gain[i, rows] > 0)
+        for j in range(i, len(images)):
+            both = rows[lit & (sides[j] == side) & (b.gain[j, rows] > 0)]
+            found.append((both, np.full(len(both), i), np.full(len(both), j)))
+    face, source, receiver = (np.concatenate(column) for column in zip(*found, strict=True))
+    return lit_facets(
+        s, scatterers, face, source, receiver, b.gain[source, face] * b.gain[receiver, face]
+    )
+
+
+def sides_of(s: Station, images: Sequence[Image], rows: NDArray[np.intp]) -> list[Array]:
+    """On which side of some facets each image stands: 1 where their normal points to."""
+    point, normal = s.world.plane_table[rows, :3], s.world.plane_table[rows, 3:]
+    return [np.sign(np.sum((image.place - point) * normal, axis=1)) for image in images]
+
+
+def lit_facets(
+    s: Station,
+    scatterers: Scatterers,
+    face: NDArray[np.intp],
+    source: NDArray[np.intp],
+    receiver: NDArray[np.intp],
+    gain: Array,
+) -> Triangles | None:
+    """Whole facets, each lit directly from one image and heard at another; None of none."""
+    if not len(face):
+        return None
+    mi, world = s.mi, s.world
+    at = world.vertices[world.faces[face]]
+    zero = mi.Vector3d(0)
+    return lit_directly(
+        s,
+        Triangles(
+            corners=tuple(vector(mi, at[:, k], "Vector3d") for k in range(3)),
+            face=mi.UInt32(aligned(face.astype(np.uint32))),
+            source=mi.UInt32(aligned(source.astype(np.uint32))),
+            receiver=mi.UInt32(aligned(receiver.astype(np.uint32))),
+            gain=mi.Float64(aligned(gain)),
+            spot=vector(mi, at.mean(axis=1), "Vector3d"),
+            incident=Incident(zero, zero, (zero, zero, zero), zero, zero, zero, no_passage(mi)),
+            body=scatterers.body[face],
+            is_ray=np.zeros(len(face), dtype=bool),
+        ),
+    )
