@@ -14,6 +14,7 @@ from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.paths import Propagation
 from twin.radar.propagation.rays import lengthening
 from twin.radar.propagation.roles import Role
+from twin.radar.propagation.shape import shapes_of
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import encloses
@@ -24,6 +25,7 @@ from twin.warned import CaptureWarning
 Array = NDArray[np.float64]
 
 _BENT_RAD = 0.02  # phase that a model of path or wavefront leaves out from which it is warned of
+_COARSE = 0.05  # of an echo, 0.4 dB: error by coarse facets from which it is warned of
 _NOISY_RAD = 0.3  # phase noise of an echo from which its square matters
 
 #: Holds for every capture.
@@ -111,6 +113,7 @@ def warnings(
         )
         found.append(CaptureWarning("rendering", text))
     found += [CaptureWarning("model", text) for text in bursts[0].warnings]
+    found += _coarse(scene, radar, bursts[0])
     found += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
     found += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
     found += _noise(radar, farthest)
@@ -234,6 +237,28 @@ def _bend(target: Target, place: Array, radar: RadarDesign) -> CaptureWarning | 
         "at the interval's ends, which is left out: its echo is off by up to "
         f"{100 * min(phase, 2.0):.3g} % of itself",
     )
+
+
+def _coarse(scene: Scene, radar: RadarDesign, found: Propagation) -> list[CaptureWarning]:
+    """Warning of meshes too coarse for the wavelength, with the error of the worst one's echo."""
+    scattering = {a.name for a in found.roles if a.role is Role.OPTICS}
+    items = [item for item in scene.objects if item.name in scattering]
+    wave_number = 2 * np.pi / radar.ofdm.wavelength_m
+    shares = [2 * wave_number * shape.depth_m for shape in shapes_of(items)]
+    coarse = sum(share > _COARSE for share in shares)
+    if not coarse:
+        return []
+    worst = int(np.argmax(shares))
+    if shares[worst] > 1:
+        error = "whose facets answer one by one"
+    else:
+        error = f"whose echo is off by +/- {20 * np.log10(1 + shares[worst]):.1f} dB rms"
+    others = f" (and {coarse - 1} more, by less)" if coarse > 1 else ""
+    text = (
+        "facets too coarse for the wavelength, where a smooth surface is meant: worst "
+        f"{items[worst].name}, {error}{others}: use finer meshes"
+    )
+    return [CaptureWarning("model", text)]
 
 
 def _dbm(power_w: float) -> float:

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.coarseness import depths_m
 from twin.radar.propagation.kept import Kept
 from twin.scene import SceneObject
 
@@ -37,6 +38,8 @@ class Shape:
     patches where they are parallel and about as large, else None. ``outward`` (m,): 1 or -1 where
     the normal of a face, by the sense of its corners, looks out of a closed part of the mesh or
     into it; 0 where that part is open. ``is_double`` (m,): faces that another one lies upon.
+    ``depth_m``: by which the facets' depth below the smooth surface that they stand for scatters
+    (`coarseness`), 0 where they stand for none.
     """
 
     patch_of_face: Indices
@@ -50,6 +53,7 @@ class Shape:
     thickness_m: float | None
     outward: NDArray[np.int8]
     is_double: NDArray[np.bool_]
+    depth_m: float
 
     @property
     def largest_patch_m2(self) -> float:
@@ -159,6 +163,17 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
     once = np.where(is_double, 0.0, area)
     outward = _outward(points[faces], joined, once)
     bend = _bends(patch[pairs], turn, mesh_of_face[pairs[:, 0]], len(items))
+    smooth = (turn > _FLAT_RAD) & (turn < _SMOOTH_RAD)
+    depth = depths_m(
+        points[faces],
+        normals,
+        area,
+        pairs[smooth],
+        turn[smooth],
+        patch + first_patch[mesh_of_face],
+        mesh_of_face,
+        len(items),
+    )
     found = []
     for n, item in enumerate(items):
         rows = slice(first_face[n], first_face[n + 1])
@@ -182,6 +197,7 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
                 bend_radius_m=float(np.sqrt(areas[0]) / bend[n]) if bend[n] else float("inf"),
                 outward=outward[rows].copy(),
                 is_double=is_double[rows].copy(),
+                depth_m=float(depth[n]),
                 thickness_m=_thickness(at, along, areas),
             )
         )
