@@ -37,13 +37,16 @@ class Fidelity:
     radar_rays
         Of physical optics, all objects together: where they are wider apart than an eighth of a
         wavelength, echoes of edges that are met obliquely fade, and outlines are off by a spacing.
-        Against 3.2 million the yard's channel is off by 30 % rms at 200 000 and by 13 % at 800 000,
-        the street's by 4 and by 1.3 % (`twin trade`).
+        `twin trade` measures by how much, body by body.
     radar_tolerance
-        None: rays, as above. A number: exact facets and tubes in their place. Error of the echo of
-        every body over the band, relative to its root mean square, or to an echo 40 dB below the
-        strongest body's, or to a tenth of the receiver's noise, whichever is larger: triangles are
-        divided until their estimated errors, added as independent, stay below it.
+        None: rays, as above. A number: exact facets and tubes in their place. Estimated error of
+        the echo of every body over the band, relative to its root mean square, or to an echo 40 dB
+        below the strongest body's, or to a tenth of the receiver's noise, whichever is larger:
+        triangles are divided until their estimated errors, added as independent, stay below it.
+        What the estimate misses: plates at less than twice their size (10 %), weak echoes of plates
+        that cut or shade each other (30 % and more), double bounces of dihedrals tilted by 5 deg
+        and more against the radar's plane (5 to 50 %), facets whose middle the antenna does not
+        see though it sees a part of them.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
         trihedral needs 3.

@@ -13,7 +13,7 @@ Ladder = Literal["light", "noise", "radar"]
 _KNOBS: dict[Ladder, tuple[str, ...]] = {
     "light": ("samples", "max_depth", "indirect_samples", "start"),
     "noise": ("noise",),
-    "radar": ("radar", "radar_rays", "nufft_tolerance"),
+    "radar": ("radar", "radar_rays", "radar_tolerance", "nufft_tolerance"),
 }
 
 
@@ -29,12 +29,28 @@ class Cost:
 
 
 @dataclass(frozen=True)
+class BodyError:
+    """Complex error of one body's echo, rms over the band and relative to the echo itself.
+
+    ``level_db``: of the echo, over that of the strongest body; ``is_converged``: off by no more
+    than the rung's tolerance, 10 % where it has none; ``reference``: what it was compared with.
+    """
+
+    body: str
+    level_db: float
+    error: float
+    is_converged: bool
+    reference: str
+
+
+@dataclass(frozen=True)
 class Measurement:
     """Cost and error of one rung, on one scene and one machine.
 
     ``error`` is in ``unit``, ``over_noise`` in units of the sensor's own noise; both contain the
-    error of the reference itself. ``detail`` holds further figures by name. A rung without a
-    ``fidelity`` is for comparison: it is none of the twin's, and never taken.
+    error of the reference itself. ``detail`` holds further figures by name, ``bodies`` the errors
+    of the radar's strongest bodies. A rung without a ``fidelity`` is for comparison: it is none of
+    the twin's, and never taken.
     """
 
     ladder: Ladder
@@ -46,6 +62,7 @@ class Measurement:
     over_noise: float
     detail: dict[str, float] = field(default_factory=dict)
     note: str = ""
+    bodies: tuple[BodyError, ...] = ()
 
     @property
     def knobs(self) -> dict[str, Any]:

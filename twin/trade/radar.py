@@ -1,6 +1,6 @@
-"""Rungs of the radar: who finds the echoes, with how many rays, and the tolerance of the synthesis.
+"""Rungs of the radar: who finds the echoes, and the tolerances of finding and of synthesis.
 
-All against physical optics with many more rays, the closest that there is to the scene's meshes:
+All against physical optics at a finer tolerance, the closest that there is to the scene's meshes:
 what the cheaper descriptions leave out, or declare otherwise, is their error. Rough surfaces are
 not here: their speckle is one draw of many, and no error.
 """
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.fidelity import PRESETS, Fidelity, RadarRung
+from twin.fidelity import PRESETS, Fidelity
 from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
 from twin.radar.propagation.atmosphere import Air
@@ -21,21 +21,25 @@ from twin.radar.propagation.finding import trace
 from twin.radar.propagation.paths import Propagation
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
+from twin.trade.bodies import Bodies, errors_of, reference_bodies
 from twin.trade.measurement import Cost, Measurement
 from twin.trade.meter import metered
 
 Complex = NDArray[np.complex128]
 Stage = Callable[[str], AbstractContextManager[Any]]
 
-#: Rung, rays, tolerances.
-_RUNGS: tuple[tuple[RadarRung, int, tuple[float, ...]], ...] = (
-    ("targets", Fidelity().radar_rays, (1e-6,)),
-    ("paths", Fidelity().radar_rays, (1e-6,)),
-    ("optics", PRESETS["draft"].radar_rays, (1e-3,)),
-    ("optics", Fidelity().radar_rays, (1e-3, 1e-6, 1e-10)),
-    ("optics", 800_000, (1e-6,)),
+#: Who finds the echoes, tolerances of the synthesis.
+_RUNGS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
+    (Fidelity(radar="targets"), (1e-6,)),
+    (Fidelity(radar="paths"), (1e-6,)),
+    (Fidelity(radar_rays=PRESETS["draft"].radar_rays), (1e-3,)),
+    (Fidelity(), (1e-3, 1e-6, 1e-10)),
+    (Fidelity(radar_tolerance=0.3), (1e-6,)),
+    (Fidelity(radar_tolerance=0.1), (1e-6,)),
+    (Fidelity(radar_tolerance=0.03), (1e-6,)),
 )
-_REFERENCE_RAYS = 3_200_000
+_FINEST = Fidelity(radar="optics", radar_tolerance=0.01)
+_ENOUGH = 0.1  # of its echo: error of a body from which on rays have not converged
 STAGES = 1 + len(_RUNGS) + sum(len(tolerances) for *_, tolerances in _RUNGS)
 _ROWS, _COLUMNS = 64, 32  # of the bins compared: edges of band and interval, the rest at random
 _MOST_TERMS = 2e8  # of the direct sum, some seconds: of many echoes fewer bins are compared
@@ -43,11 +47,12 @@ _MOST_TERMS = 2e8  # of the direct sum, some seconds: of many echoes fewer bins 
 
 @dataclass(frozen=True, eq=False)
 class _Bins:
-    """Bins that are compared, and the channel there by direct sum in float64."""
+    """Bins that are compared, and the channel there by direct sum in float64; and bodies."""
 
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
     channel: Complex
+    bodies: Bodies
 
     @property
     def rms(self) -> float:
@@ -66,16 +71,15 @@ def measure_radar(scene: Scene, radar: RadarDesign, seed: int, stage: Stage) -> 
     if bins.rms == 0:
         return []
     measured = []
-    for kind, rays, tolerances in _RUNGS:
-        finder = Fidelity(radar=kind, radar_rays=rays)
+    for finder, tolerances in _RUNGS:
 
         def found_in(run: int, finder: Fidelity = finder) -> Propagation:
             return trace(scene, radar, fidelity=finder, seed=seed + 1 + run)
 
-        with stage(f"radar {kind}, {rays} rays"):
+        with stage(f"radar {_finder(finder)}"):
             finding, found = metered(found_in)
         for tolerance in tolerances:
-            with stage(f"radar {kind}, {rays} rays, {tolerance:.0e}"):
+            with stage(f"radar {_finder(finder)}, synthesis {tolerance:.0e}"):
                 rung = replace(finder, nufft_tolerance=tolerance)
                 measured.append(_rung(radar, rung, finding, found[0], bins))
     return measured
@@ -83,8 +87,9 @@ def measure_radar(scene: Scene, radar: RadarDesign, seed: int, stage: Stage) -> 
 
 def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
     wave = radar.channel_waveform
-    dense = Fidelity(radar="optics", radar_rays=_REFERENCE_RAYS)
-    echoes = _echoes(trace(scene, radar, fidelity=dense, seed=seed), radar)
+    finest = trace(scene, radar, fidelity=_FINEST, seed=seed)
+    bodies = reference_bodies(scene, radar, _FINEST, finest, seed)
+    echoes = _echoes(finest, radar)
     fewer = min(1.0, (_MOST_TERMS / (_ROWS * _COLUMNS * max(len(echoes.delay_s), 1))) ** 0.5)
     rng = np.random.default_rng([seed, 6])
     rows, columns = (
@@ -92,7 +97,7 @@ def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
         for n, most in ((wave.n_subcarriers, _ROWS), (wave.n_slots, _COLUMNS))
     )
     f, t = wave.frequency_offsets_hz[rows], wave.slot_times_s[columns]
-    return _Bins(rows, columns, direct_sum(echoes, f, t, wave.carrier_hz))
+    return _Bins(rows, columns, direct_sum(echoes, f, t, wave.carrier_hz), bodies)
 
 
 def _rung(
@@ -105,6 +110,7 @@ def _rung(
     off = np.abs(channels[0] - bins.channel)
     rms = float(np.sqrt(np.mean(off**2)))
     relative = rms / bins.rms
+    of_meshes = rung.radar == "optics"
     known = [name for name, value in PRESETS.items() if _same(value, rung)]
     return Measurement(
         ladder="radar",
@@ -121,12 +127,22 @@ def _rung(
             "echoes": len(found.echoes.delay_s),
         },
         note=f"{bins.channel.size} bins of {wave.n_subcarriers * wave.n_slots}",
+        bodies=errors_of(bins.bodies, found, radar, rung.radar_tolerance or _ENOUGH)
+        if of_meshes
+        else (),
     )
 
 
 def _name(rung: Fidelity) -> str:
-    rays = f", {rung.radar_rays // 1000}k rays" if rung.radar == "optics" else ""
-    return f"{rung.radar}{rays}, tolerance {rung.nufft_tolerance:.0e}"
+    return f"{_finder(rung)}, synthesis {rung.nufft_tolerance:.0e}"
+
+
+def _finder(rung: Fidelity) -> str:
+    if rung.radar != "optics":
+        return rung.radar
+    if rung.radar_tolerance is None:
+        return f"{rung.radar}, {rung.radar_rays // 1000}k rays"
+    return f"{rung.radar}, tolerance {rung.radar_tolerance:g}"
 
 
 def _echoes(found: Propagation, radar: RadarDesign) -> Contributions:
@@ -160,5 +176,5 @@ def _sampled(bins: _Bins) -> Any:
 
 
 def _same(preset: Fidelity, rung: Fidelity) -> bool:
-    knobs = ("radar", "radar_rays", "nufft_tolerance")
+    knobs = ("radar", "radar_rays", "radar_tolerance", "nufft_tolerance")
     return preset == replace(preset, **{name: getattr(rung, name) for name in knobs})

@@ -55,6 +55,12 @@ def print_trade(found: Trade, console: Console) -> None:
             for m in _shown(found, ladder):
                 table.add_row(*_cells(found, m), style="bold" if _taken(found, m) else None)
     console.print(table)
+    bodies = _bodies(found)
+    if bodies:
+        errors = Table(*bodies[0], box=None)
+        for row in bodies[1:]:
+            errors.add_row(*row)
+        console.print(errors)
     if found.agreement:
         console.print(str(found.agreement), highlight=False, markup=False)
     for ladder, choice in found.choices.items():
@@ -87,6 +93,12 @@ def markdown(found: Trade) -> Iterator[str]:
                 cells[0] = f"**{cells[0]}**"
             yield f"| {' | '.join(cells)} |"
     yield ""
+    if bodies := _bodies(found):
+        yield f"| {' | '.join(bodies[0])} |"
+        yield "|---" * len(bodies[0]) + "|"
+        for row in bodies[1:]:
+            yield f"| {' | '.join(row)} |"
+        yield ""
     if found.agreement:
         yield f"{str(found.agreement).capitalize()}."
         yield ""
@@ -96,6 +108,33 @@ def markdown(found: Trade) -> Iterator[str]:
     yield f"- in all: `{spelled(found.fidelity)}`"
     for warning in found.warnings:
         yield f"- warning: {warning}"
+
+
+def _bodies(found: Trade) -> list[tuple[str, ...]]:
+    """Errors of the radar's bodies by tolerance, with a head; empty where nothing scatters."""
+    rungs = {m.name.rsplit(",", 1)[0]: m for m in found.of("radar") if m.bodies}
+    if not rungs:
+        return []
+    head = (
+        "body within 40 dB: error, rms",
+        "echo",
+        *rungs,
+        "against",
+    )
+    columns = [m.bodies for m in rungs.values()]
+    rows = [
+        (
+            row[0].body,
+            f"{row[0].level_db:.0f} dB",
+            *(
+                f"{_number(100 * e.error)} %{'' if e.is_converged else ', not converged'}"
+                for e in row
+            ),
+            row[0].reference,
+        )
+        for row in zip(*columns, strict=True)
+    ]
+    return [head, *rows]
 
 
 def _by_force(found: Trade) -> Iterator[str]:
@@ -264,6 +303,7 @@ def _flat(found: Trade, m: Measurement) -> dict[str, Any]:
         **m.detail,
         **m.knobs,
         "note": m.note,
+        "not_converged": "; ".join(e.body for e in m.bodies if not e.is_converged),
     }
 
 
@@ -287,6 +327,9 @@ def _content(found: Trade) -> dict[str, Any]:
         },
         "warnings": found.warnings,
         "measurements": [_flat(found, m) for m in found.measurements],
+        "bodies": [
+            {"rung": m.name, **asdict(error)} for m in found.measurements for error in m.bodies
+        ],
     }
 
 

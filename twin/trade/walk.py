@@ -178,6 +178,11 @@ def _warnings(
             f"light: one render of the reference scatters by {own:.2g} of the sensor's noise: "
             f"errors of all rungs are upper bounds"
         )
+    if "radar" in choices:
+        unsettled = [e for e in choices["radar"].taken.bodies if not e.is_converged]
+        if unsettled:
+            named = ", ".join(f"{e.body} ({100 * e.error:.2g} %)" for e in unsettled)
+            found.append(f"radar: {choices['radar'].taken.name}: echoes not converged: {named}")
     if radar and "radar" not in choices:
         found.append(f"{radar.name}: no echo at all, so its rungs can't be told apart")
     return found

@@ -53,6 +53,8 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
         surfaces=dense[0],
         diffuse=dense[1],
         heard=_heard(Rays.joined([surfaces, diffuse]), Contributions.joined(dense), stage, radar),
+        objects=tuple(item.name for item in stage.items),
+        object_of_surface=surfaces.object,
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.propagation.roles import Assignment
@@ -70,7 +71,8 @@ class Propagation:
 
     ``surfaces`` and ``diffuse`` are echoes of meshes, and of their edges and rough surfaces, with
     the same conventions as a path's; at other carriers the former keep their amplitude, the latter
-    grow with the wavelength, as paths do. ``heard`` sums both up per object.
+    grow with the wavelength, as paths do. ``heard`` sums both up per object. ``objects`` names
+    what ``object_of_surface`` numbers, of each of ``surfaces`` the object that it was met at last.
     """
 
     paths: tuple[Path, ...]
@@ -80,6 +82,8 @@ class Propagation:
     diffuse: Contributions = field(default_factory=Contributions.none)
     heard: tuple[Heard, ...] = ()
     warnings: tuple[str, ...] = ()
+    objects: tuple[str, ...] = ()
+    object_of_surface: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
 
     @cached_property
     def echoes(self) -> Contributions:

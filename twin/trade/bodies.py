@@ -1,0 +1,151 @@
+"""Errors of the radar's echoes body by body: of which each rung is converged, and of which not.
+
+The reference of a body is the solver's finest tolerance, whose direct echo gives way to brute force
+where the body is small enough for it (`twin.trade.sampled`): an error common to all tolerances then
+shows as well.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.fidelity import Fidelity
+from twin.radar import RadarDesign
+from twin.radar.propagation.finding import trace
+from twin.radar.propagation.grouping import bodies_of
+from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.roles import Role
+from twin.radar.propagation.stage import set_stage
+from twin.scene import Scene
+from twin.trade.measurement import BodyError
+from twin.trade.sampled import direct_echo, points_of
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+_WEAKEST = 0.01  # of the strongest body: 40 dB
+_FREQUENCIES = 17  # over the band, equally spaced
+_MOST_POINTS = 20_000_000  # of a body, to be sampled by brute force: some ten seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Bodies of a scene with their reference echoes over the band, (n_bodies, n_frequencies).
+
+    ``names``: of the objects that each consists of; ``is_sampled``: whether its direct echo is by
+    brute force.
+    """
+
+    names: tuple[tuple[str, ...], ...]
+    echo: Complex
+    is_sampled: tuple[bool, ...]
+    finest: float | None
+    frequencies_hz: Array
+
+    @property
+    def level(self) -> Array:
+        """Root mean square over the band, (n_bodies,)."""
+        found: Array = np.sqrt(np.mean(np.abs(self.echo) ** 2, axis=1))
+        return found
+
+
+def reference_bodies(
+    scene: Scene, radar: RadarDesign, fidelity: Fidelity, finest: Propagation, seed: int
+) -> Bodies:
+    """References of all bodies; ``finest`` is what the fidelity, the closest one, found."""
+    names = _names(scene, finest)
+    wave = radar.ofdm
+    half = wave.bandwidth_hz / 2
+    frequencies = wave.carrier_hz + np.linspace(-half, half, _FREQUENCIES)
+    echo = echoes_by_body(finest, names, radar, frequencies)
+    level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
+    stage = set_stage(scene, radar, finest.roles, 0)
+    sampled = np.zeros(len(names), dtype=bool)
+    numbers = {item.name: i for i, item in enumerate(stage.items)}
+    if stage.station.walls is None:  # brute force knows no panes
+        for i in np.flatnonzero(level >= _WEAKEST * level.max(initial=0.0)):
+            members = [numbers[name] for name in names[i]]
+            sampled[i] = level[i] > 0 and points_of(stage, members) <= _MOST_POINTS
+    if sampled.any():
+        alone = replace(fidelity, radar_bounces=1, radar_images=0)
+        direct = trace(scene, radar, fidelity=alone, seed=seed)
+        own = echoes_by_body(direct, names, radar, frequencies)
+        for i in np.flatnonzero(sampled):
+            members = [numbers[name] for name in names[i]]
+            echo[i] += direct_echo(scene, stage, radar, members, frequencies) - own[i]
+    return Bodies(names, echo, tuple(sampled.tolist()), fidelity.radar_tolerance, frequencies)
+
+
+def errors_of(
+    bodies: Bodies, found: Propagation, radar: RadarDesign, tolerance: float
+) -> tuple[BodyError, ...]:
+    """Complex errors, rms over the band, of every body within 40 dB of the strongest.
+
+    Converged is what is off by no more than the tolerance.
+    """
+    echo = echoes_by_body(found, bodies.names, radar, bodies.frequencies_hz)
+    off = np.sqrt(np.mean(np.abs(echo - bodies.echo) ** 2, axis=1))
+    level = bodies.level
+    strongest = level.max(initial=0.0)
+    order = [i for i in np.argsort(-level) if level[i] >= max(_WEAKEST * strongest, 1e-300)]
+    return tuple(
+        BodyError(
+            body=_called(bodies.names[i]),
+            level_db=float(20 * np.log10(level[i] / strongest)),
+            error=float(off[i] / level[i]),
+            is_converged=bool(off[i] <= tolerance * level[i]),
+            reference=(
+                "direct echo sampled by brute force"
+                if bodies.is_sampled[i]
+                else f"the solver itself at tolerance {bodies.finest}"
+            ),
+        )
+        for i in order
+    )
+
+
+def echoes_by_body(
+    found: Propagation,
+    names: tuple[tuple[str, ...], ...],
+    radar: RadarDesign,
+    frequencies_hz: Array,
+) -> Complex:
+    """Echoes of surfaces at rest, summed by body, (n_bodies, n_frequencies)."""
+    body_of = {name: i for i, members in enumerate(names) for name in members}
+    number = np.array([body_of.get(name, -1) for name in found.objects], dtype=np.intp)
+    body = number[found.object_of_surface] if len(found.object_of_surface) else np.zeros(0, np.intp)
+    surfaces, count = found.surfaces, len(names)
+    total = np.zeros((count, len(frequencies_hz)), dtype=np.complex128)
+    carrier = radar.ofdm.carrier_hz
+    for power in np.unique(surfaces.falloff):
+        some = np.flatnonzero((surfaces.falloff == power) & (body >= 0))
+        delay = surfaces.delay_s[some]
+        wave = surfaces.amplitude[some] * np.exp(-2j * np.pi * (frequencies_hz[0] * delay % 1.0))
+        step = np.exp(-2j * np.pi * ((frequencies_hz[1] - frequencies_hz[0]) * delay % 1.0))
+        for k, frequency in enumerate(frequencies_hz):
+            sums = np.bincount(body[some], wave.real, count) + 1j * np.bincount(
+                body[some], wave.imag, count
+            )
+            total[:, k] += (carrier / frequency) ** power * sums
+            wave *= step
+    return total
+
+
+def _names(scene: Scene, found: Propagation) -> tuple[tuple[str, ...], ...]:
+    """Objects that scatter, by the body that they are part of."""
+    scattering = {a.name for a in found.roles if a.role is Role.OPTICS}
+    items = [item for item in scene.objects if item.name in scattering]
+    if not items:
+        return ()
+    body = bodies_of(items)
+    return tuple(
+        tuple(items[i].name for i in np.flatnonzero(body == number))
+        for number in range(int(body.max()) + 1)
+    )
+
+
+def _called(names: tuple[str, ...]) -> str:
+    """By its first object."""
+    return names[0] if len(names) == 1 else f"{names[0]} (of {len(names)} objects)"
