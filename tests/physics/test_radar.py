@@ -156,8 +156,8 @@ def test_sionnas_own_street_mirrors_the_radar() -> None:
     """Its shapes are called `mesh-...`: names must come back as the file has them."""
     import importlib.util
 
-    spec = importlib.util.find_spec("sionna.rt")
-    folder = Path(spec.submodule_search_locations[0]) / "scenes/simple_street_canyon"
+    spec = importlib.util.find_spec("sionna")  # that of sionna.rt would start it
+    folder = Path(spec.submodule_search_locations[0]) / "rt/scenes/simple_street_canyon"
     scene = load_scene(folder / "simple_street_canyon.xml")
     paths = {p.via: p for p in sionna_paths(scene, load_radar("hybrid-79")).paths}
     wall = next(o for o in scene.objects if o.name == "mesh-building_6")

@@ -123,8 +123,8 @@ def test_table1_patches_stand_where_the_paper_says(name, rho, distance) -> None:
 def test_sionnas_street_canyon_runs_with_its_radio_materials_translated() -> None:
     import importlib.util
 
-    spec = importlib.util.find_spec("sionna.rt")
-    path = Path(spec.submodule_search_locations[0]) / "scenes/simple_street_canyon"
+    spec = importlib.util.find_spec("sionna")  # that of sionna.rt would start it
+    path = Path(spec.submodule_search_locations[0]) / "rt/scenes/simple_street_canyon"
     loaded = load_scene(path / "simple_street_canyon.xml")
     assert {o.material for o in loaded.objects} == {"glass", "wood", "marble", "brick", "concrete"}
     assert any("rig placed at" in w for w in loaded.warnings)
