@@ -16,8 +16,9 @@ from twin.radar.propagation.legs import Station, leg, offset
 from twin.radar.propagation.triangles import Triangles, lit_directly
 from twin.transfer import aligned
 
-_INSET = 0.02  # of the way to the centroid: corners are shared with other facets
-_HALVINGS = 10  # of a line until a border is found on it: a thousandth of its length
+_INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
+_DRAWN_IN = 3 * _INSET  # lines on which borders are searched for, likewise
+_HALVINGS = 12  # of a line until a border is found on it: 2.4e-4 of its length
 
 
 def seen(s: Station, lit: Triangles, place: Any) -> Any:
@@ -75,7 +76,7 @@ def cut(s: Station, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
             for i in range(3)
         ]
 
-    inset = [point + 3 * _INSET * (lit.center - point) for point in lit.corners]
+    inset = [point + _DRAWN_IN * (lit.center - point) for point in lit.corners]
     tip, left, right = ordered(inset)
 
     def found(end: Any) -> Any:
@@ -104,14 +105,27 @@ def cut(s: Station, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
         middle = (share_left * (one - begin) + share_right * (other - begin)) / 2
         return begin + across * middle
 
-    share = found(through(tip, left, right))
-    tip, left, right = ordered(lit.corners)
-    bend = tip + share * (through(tip, left, right) - tip)
-    left, right = tip + share_left * (left - tip), tip + share_right * (right - tip)
+    inner = through(tip, left, right)
+    share = found(inner)
+    bend = tip + share * (inner - tip)
+    # From the lines searched, which run a little inside, on to the triangle's own edges.
+    near = _DRAWN_IN / 3
+    left_at, right_at = tip + share_left * (left - tip), tip + share_right * (right - tip)
+    bent_left, bent_right = (share * across * half / 2 for half in (share_left, share_right))
+    left_at += (left_at - bend) * _onwards(near, (1 - 3 * near) * bent_right)
+    right_at += (right_at - bend) * _onwards(near, (1 - 3 * near) * bent_left)
+    tip = ordered(lit.corners)[0]
     parts = Triangles.joined(
-        [replace(lit, corners=(tip, left, bend)), replace(lit, corners=(tip, bend, right))]
+        [replace(lit, corners=(tip, left_at, bend)), replace(lit, corners=(tip, bend, right_at))]
     )
-    whole = replace(lit, corners=(tip, left, right))
+    whole = replace(lit, corners=(tip, left_at, right_at))
     if lit.bounces == 0:
         parts, whole = lit_directly(s, parts), lit_directly(s, whole)
     return Cut(parts.evaluated(), whole.evaluated(), is_seen)
+
+
+def _onwards(margin: float, away: Any) -> Any:
+    """How far a border has to go on, over its length, to pass a margin beside an edge, where its
+    other end is ``away`` from the margin.
+    """
+    return dr.minimum(margin / dr.maximum(away, 1e-9), 1)

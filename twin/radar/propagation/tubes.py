@@ -23,7 +23,7 @@ from twin.transfer import aligned
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
-_INSET = 0.02  # of the way to the centroid
+_INSET = 1e-3  # of the way to the centroid
 _INSIDE = (0.38, 0.335, 0.285)  # near the centroid, which in what is symmetric meets a crease
 _DOUBT = 1.5  # of what a ray that hits stands for: others of its tube miss
 
