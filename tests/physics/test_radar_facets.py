@@ -4,6 +4,7 @@ Errors are those of the complex echo, and have to stay below the tolerance that 
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from twin.engine import mitsuba
 from twin.fidelity import Fidelity
 from twin.radar.propagation.finding import trace
 from twin.radar.propagation.pieces import split
-from twin.radar.scattering.triangle import mean_over, phasor
+from twin.radar.scattering.triangle import mean_over, node
 from twin.scene import Scene
 
 K = 2 * np.pi / WAVELENGTH_M
@@ -44,28 +45,34 @@ def echo(scene: Scene, tolerance: float, frequency_hz: float = CARRIER_HZ) -> co
     return wave(replace(found, amplitude=found.amplitude * scale), frequency_hz)
 
 
-def by_quadrature(phases: np.ndarray) -> np.ndarray:
-    """Mean of exp(j phase) over triangles (n, 3), by Gauss and Legendre in Duffy's coordinates."""
+def by_quadrature(values: np.ndarray) -> np.ndarray:
+    """Mean of exp over triangles (n, 3), by Gauss and Legendre in Duffy's coordinates."""
     nodes, weights = np.polynomial.legendre.leggauss(60)
     nodes, weights = (nodes + 1) / 2, weights / 2
     u, v = np.meshgrid(nodes, nodes, indexing="ij")
     share = 2 * np.outer(weights, weights) * (1 - u)
     first, second = u, v * (1 - u)
     third = 1 - first - second
-    linear = np.einsum("nk,kij->nij", phases, np.stack([first, second, third]))
-    return np.einsum("ij,nij->n", share, np.exp(1j * linear))
+    linear = np.einsum("nk,kij->nij", values, np.stack([first, second, third]))
+    return np.einsum("ij,nij->n", share, np.exp(linear))
 
 
-@pytest.mark.parametrize("spread", [1e-6, 1e-2, 0.19, 0.21, 1.0, 5.0, 30.0])
-def test_the_mean_over_a_triangle_is_the_integral(spread: float) -> None:
-    """Corners' phases at random, two or three alike among them."""
+@pytest.mark.parametrize("spread", [1e-6, 1e-2, 0.13, 0.21, 1.0, 5.0, 30.0])
+@pytest.mark.parametrize("steepness", [0.0, 0.03, 0.3])
+def test_the_mean_over_a_triangle_is_the_integral(spread: float, steepness: float) -> None:
+    """Corners' phases and levels at random, two or three phases alike among them."""
     mi, rng = mitsuba(), np.random.default_rng(1)
     phases = rng.uniform(-spread, spread, (300, 3)) + rng.uniform(-3, 3, (300, 1))
     phases[:20, 1], phases[20:40, 2] = phases[:20, 0], phases[20:40, 1]
     phases[40:50] = phases[40:50, :1]
-    on_device = [mi.Float64(np.ascontiguousarray(column)) for column in phases.T]
-    re, im = mean_over(on_device, [phasor(phase) for phase in on_device])
-    np.testing.assert_allclose(np.array(re) + 1j * np.array(im), by_quadrature(phases), atol=2e-7)
+    logs = steepness * rng.uniform(-3, 3, (300, 3))
+    nodes = [
+        node(*(mi.Float64(np.ascontiguousarray(column)) for column in pair))
+        for pair in zip(phases.T, logs.T, strict=True)
+    ]
+    re, im = mean_over(nodes)
+    expected = by_quadrature(logs + 1j * phases)
+    np.testing.assert_allclose(np.array(re) + 1j * np.array(im), expected, atol=2e-7)
 
 
 def test_contributions_of_triangles_hold_over_the_band() -> None:
@@ -76,12 +83,15 @@ def test_contributions_of_triangles_hold_over_the_band() -> None:
     spread = 10 ** rng.uniform(-6, np.log10(0.5), (4000, 1))
     paths = 10 + spread * rng.random((4000, 3))
     k = 2 * np.pi * CARRIER_HZ / speed_of_light
-    ones = np.ones(4000, dtype=complex)
-    row, amplitude, length, falloff = split(paths, ones, ones, ones, k)
-    assert len(row) < 3 * 4000
+    level = np.zeros((4000, 3))
+    at_carrier = _divided(-k * (paths - 10)) * np.exp(-10j * k)
+    pieces = split(paths, level, level, at_carrier, k)
+    assert len(pieces.row) < 2.5 * 4000
     for frequency in (77e9, 79e9, 81e9):
         scale = frequency / CARRIER_HZ
-        terms = amplitude * scale**-falloff * np.exp(-1j * (k * scale * (length - 10)))
+        turn = np.exp(-1j * (k * scale * (pieces.length_m - 10)))
+        terms = pieces.amplitude * scale**-pieces.falloff * turn
+        row = pieces.row
         found = np.bincount(row, terms.real, 4000) + 1j * np.bincount(row, terms.imag, 4000)
         phases = -k * scale * (paths - 10)
         exact = _divided(phases)
@@ -156,6 +166,50 @@ def over_the_band(scene: Scene, tolerance: float) -> np.ndarray:
 def relative(found: np.ndarray, expected: np.ndarray) -> float:
     """Rms error over the band."""
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+@pytest.mark.parametrize(
+    ("distance", "turns", "tolerance"),
+    [
+        (0.4, (0, 0, 0), 0.1),
+        (0.6, (30, 10, 0), 0.1),
+        (0.6, (30, 10, 0), 0.03),
+        (1.0, (5, 3, 0), 0.1),
+    ],
+)
+def test_a_plate_near_by(distance: float, turns: tuple, tolerance: float) -> None:
+    """0.2 m wide: distance, angle and gain differ across it, first of all at its corners."""
+    square = turned_plate((distance, 0, 0), 0.2, *turns)
+    found = over_the_band(world(quad("p", square)), tolerance)
+    assert relative(found, summed([square])) < tolerance
+
+
+@pytest.mark.parametrize("turns", [(35, 0, 0), (45, 20, 0), (20, 13, 30)])
+def test_a_plate_far_off_its_mirror_direction(turns: tuple) -> None:
+    """Its corners' echoes cancel to less than any of them."""
+    square = turned_plate((5, 0, 0), 0.15, *turns)
+    assert relative(over_the_band(world(quad("p", square)), 0.1), summed([square])) < 0.01
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [[4, -9, -0.02], [4, 1, -0.02], [4, 1, 0.02], [4, -9, 0.02]],
+        [[-5, 1, -0.02], [3, 1, -0.02], [3, 1, 0.02], [-5, 1, 0.02]],
+        [[-3, -0.05, -0.4], [1.5, -0.05, -0.4], [1.5, 0.05, -0.4], [-3, 0.05, -0.4]],
+    ],
+)
+def test_large_facets_whose_middle_the_beam_misses(corners: list) -> None:
+    """Across the beam, along it, and a floor, whose middles are at its side and behind the radar:
+    the part ahead answers.
+    """
+    strip = np.array(corners, dtype=float)
+    count = 40
+    along = strip[0] + np.linspace(0, 1, count + 1)[:, None] * (strip[1] - strip[0])
+    up = strip[3] - strip[0]
+    parts = [np.array([p, q, q + up, p + up]) for p, q in pairwise(along)]
+    found = over_the_band(world(quad("p", strip, radar="optics")), 0.1)
+    assert relative(found, summed(parts)) < 0.1
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Trian
     faces, sources = [], []
     for number, side in enumerate(sides_of(s, images, rows)):
         lit = (side != 0) & (scatterers.outward[number, rows] * side >= 0)
-        faces.append(rows[lit & (scatterers.gain[number, rows] > 0)])
+        faces.append(rows[lit & scatterers.heard[number, rows]])
         sources.append(np.full(len(faces[-1]), number))
     face, source = np.concatenate(faces), np.concatenate(sources)
-    return lit_facets(s, scatterers, face, source, source, scatterers.gain[source, face])
+    return lit_facets(s, scatterers, face, source, source)

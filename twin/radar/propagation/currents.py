@@ -8,34 +8,36 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.legs import Leg, Station, leg
+from twin.radar.propagation.legs import Leg, Station, along, leg, mirrored_axes
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.triangles import Triangles
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
-from twin.radar.scattering.triangle import bend, largest, mean_over, phasor
+from twin.radar.scattering.triangle import bend, largest, mean_over, node
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+_BENT = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
+_NARROW = 0.15  # size over distance up to which a triangle's edges tell the most that it gets
+_NEAREST = 0.05  # of the distance of the centroid
 #: Corners of the four equal parts of a triangle, by its corners 0 to 2 and the middles 3 to 5 of
 #: its edges.
-_BENT_RAD = 0.5  # up to which the error of a linear phase can be extrapolated
 _QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
 
 
 @dataclass(frozen=True, eq=False)
 class Echoes:
-    """Echoes of triangles at the carrier, on the host, each (n,), without the antenna's gain.
+    """Echoes of triangles at the carrier, on the host, each (n,).
 
-    ``amplitude``: of all currents in phase; ``mean``: of exp(j phase) over the triangle, the phase
-    counted from ``length_m``, the path by the centroid; ``linear``: the same for a phase that is
-    linear between the corners. With the gain: ``strength``, a bound of what it or any part of it
-    returns, and ``curved``, what the curvature of the phase may still change.
+    ``amplitude``: of all currents in phase and as strong as at the centroid, without the antenna's
+    gain; ``mean``: of the gain and of exp(j phase) over the triangle, the phase counted from
+    ``length_m``, the path by the centroid, where ``gain`` is the antenna's, out and back, in
+    amplitude. With the gain: ``strength``, a bound of what it or any part of it returns, and
+    ``curved``, what the curvature of phase and amplitude may still change.
     """
 
     amplitude: Complex
     mean: Complex
-    linear: Complex
     length_m: Array
     gain: Array
     strength: Array
@@ -44,7 +46,7 @@ class Echoes:
     @property
     def total(self) -> Complex:
         """With the antenna's gain, less the phase of the path."""
-        return self.gain * self.amplitude * self.mean
+        return self.amplitude * self.mean
 
     def chosen(self, which: Any) -> "Echoes":
         """Only some of them, by index or mask."""
@@ -104,29 +106,70 @@ def path_by(lit: Triangles, point: Any, receiver: Any) -> Any:
     return dr.norm(point - lit.incident.origin) + dr.norm(point - receiver)
 
 
+def level_at(
+    scatterers: Scatterers, lit: Triangles, point: Any, receiver: Any, axes: tuple[Any, Any, Any]
+) -> tuple[Any, Any, Any]:
+    """At points of triangles: logarithms of the antenna's gain out and back, and of what spreading
+    and obliqueness make of a wave, and the length of the way, walls apart.
+
+    A plane's cosines are its distance over the lengths of the legs: all of it goes with their -3/2
+    power.
+    """
+    out, home = point - lit.incident.origin, point - receiver
+    there, again = dr.norm(out), dr.norm(home)
+    gain = scatterers.antenna.log(along(out / there, lit.incident.axes))
+    gain += scatterers.antenna.log(along(home / again, axes))
+    return gain, -1.5 * dr.log(there * again), there + again
+
+
 def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
     """What each triangle returns if all of it is seen."""
     re, im, home = amplitude_of(s, scatterers, lit)
     a, b, c = lit.corners
     receiver = lit.center + home.back * home.length
-    length = path_by(lit, lit.center, receiver)
+    axes = mirrored_axes(s, lit.receiver)
     k = 2 * dr.pi / s.wavelength
-    points = (a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2)
-    phases = [k * (length - path_by(lit, point, receiver)) for point in points]
-    phasors = [phasor(phase) for phase in phases]
-    linear = mean_over(phases[:3], phasors[:3])
-    parts = [mean_over([phases[i] for i in q], [phasors[i] for i in q]) for q in _QUARTERS]
+    gain, spread, length = level_at(scatterers, lit, lit.center, receiver, axes)
+    nodes = []
+    for point in (a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2):
+        more, less, path = level_at(scatterers, lit, point, receiver, axes)
+        nodes.append(node(k * (length - path), more + less - spread))
+    linear = mean_over(nodes[:3])
+    parts = [mean_over([nodes[i] for i in q]) for q in _QUARTERS]
     finer = [sum(part[i] for part in parts) / 4 for i in (0, 1)]
     change = [(fine - coarse) / 3 for fine, coarse in zip(finer, linear, strict=True)]
-    level = lit.gain * dr.sqrt(dr.square(re) + dr.square(im))
-    bent = bend(phases)
-    strength = level * largest(phases[:3], bent)
+    level = dr.sqrt(dr.square(re) + dr.square(im))
+    bent = bend([value.phase for value in nodes])
+    most = level * _most(scatterers, lit, receiver, axes, [value.log for value in nodes])
+    strength = most * largest([value.phase for value in nodes[:3]], bent)
     curved = level * dr.sqrt(dr.square(change[0]) + dr.square(change[1]))
-    curved = dr.select(bent < _BENT_RAD, curved, strength)  # else two sizes of parts tell nothing
+    bent = dr.maximum(bent, bend([value.log for value in nodes]))
+    curved = dr.select(bent < _BENT, curved, strength)  # else two sizes of parts tell nothing
     mean = [fine + more for fine, more in zip(finer, change, strict=True)]
-    values = (re, im, *mean, *linear, length, lit.gain, strength, curved)
+    values = (re, im, *mean, length, dr.exp(gain), strength, curved)
     dr.eval(values)
-    re, im, mean_re, mean_im, linear_re, linear_im, *rest = (
+    re, im, mean_re, mean_im, *rest = (
         np.broadcast_to(np.array(value), len(lit)) for value in values
     )
-    return Echoes(re + 1j * im, mean_re + 1j * mean_im, linear_re + 1j * linear_im, *rest)
+    return Echoes(re + 1j * im, mean_re + 1j * mean_im, *rest)
+
+
+def _most(
+    scatterers: Scatterers, lit: Triangles, receiver: Any, axes: Any, logs: Sequence[Any]
+) -> Any:
+    """Bound of the antenna's gain and of spreading over triangles, over the latter at centroids."""
+    place = lit.center
+    a, b, c = (dr.squared_norm(point - place) for point in lit.corners)
+    size = dr.sqrt(dr.maximum(a, dr.maximum(b, c)))
+    most, widest = 1, 0
+    for begin, shown in ((lit.incident.origin, lit.incident.axes), (receiver, axes)):
+        way = place - begin
+        length = dr.norm(way)
+        ratio = size / length
+        cone = dr.select(ratio < 1, dr.safe_asin(ratio), dr.pi)
+        most *= scatterers.antenna.most(along(way / length, shown), cone)
+        most *= (1 / dr.maximum(1 - ratio, _NEAREST)) ** 1.5
+        widest = dr.maximum(widest, ratio)
+    highest = dr.maximum(dr.maximum(logs[0], logs[1]), dr.maximum(logs[2], logs[3]))
+    highest = dr.maximum(highest, dr.maximum(logs[4], logs[5]))
+    return dr.select(widest < _NARROW, dr.exp(highest), most)

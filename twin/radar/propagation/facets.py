@@ -278,14 +278,12 @@ def facing(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Trian
     sides = sides_of(s, images, rows)
     found = []
     for i, side in enumerate(sides):
-        lit = (side != 0) & (b.outward[i, rows] * side >= 0) & (b.gain[i, rows] > 0)
+        lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
         for j in range(i, len(images)):
-            both = rows[lit & (sides[j] == side) & (b.gain[j, rows] > 0)]
+            both = rows[lit & (sides[j] == side) & b.heard[j, rows]]
             found.append((both, np.full(len(both), i), np.full(len(both), j)))
     face, source, receiver = (np.concatenate(column) for column in zip(*found, strict=True))
-    return lit_facets(
-        s, scatterers, face, source, receiver, b.gain[source, face] * b.gain[receiver, face]
-    )
+    return lit_facets(s, scatterers, face, source, receiver)
 
 
 def sides_of(s: Station, images: Sequence[Image], rows: NDArray[np.intp]) -> list[Array]:
@@ -300,7 +298,6 @@ def lit_facets(
     face: NDArray[np.intp],
     source: NDArray[np.intp],
     receiver: NDArray[np.intp],
-    gain: Array,
 ) -> Triangles | None:
     """Whole facets, each lit directly from one image and heard at another; None of none."""
     if not len(face):
@@ -315,7 +312,6 @@ def lit_facets(
             face=mi.UInt32(aligned(face.astype(np.uint32))),
             source=mi.UInt32(aligned(source.astype(np.uint32))),
             receiver=mi.UInt32(aligned(receiver.astype(np.uint32))),
-            gain=mi.Float64(aligned(gain)),
             spot=vector(mi, at.mean(axis=1), "Vector3d"),
             incident=Incident(zero, zero, (zero, zero, zero), zero, zero, zero, no_passage(mi)),
             body=scatterers.body[face],

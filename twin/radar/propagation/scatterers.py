@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.device.antenna import Antenna
+from twin.radar.propagation.beams import AntennaGain, antenna_gain
 from twin.radar.propagation.shape import shape_of
 from twin.radar.propagation.stage import Stage
 
@@ -18,16 +19,17 @@ class Scatterers:
     """Per facet of the world on the host: ``body``, -1 where nothing scatters; ``plane``, a number
     that facets in one plane of an object share, -1 likewise; ``counts``: it scatters, has an area,
     and lies upon no other; ``outward`` (n_images, n_facets), 1 or -1 where its normal looks out of
-    a closed mesh or into it and the image stands outside, else 0; ``gain`` (n_images, n_facets),
-    the antenna's in amplitude by way of every image, 0 where that is not worth tracing. Per object
-    on the device: ``surface`` and ``velocity``.
+    a closed mesh or into it and the image stands outside, else 0; ``heard`` (n_images, n_facets),
+    whether the way by an image is worth tracing and some of the facet may get anything by it. On
+    the device: the ``antenna``, and per object ``surface`` and ``velocity``.
     """
 
     body: NDArray[np.intp]
     plane: NDArray[np.int32]
     counts: NDArray[np.bool_]
     outward: NDArray[np.int8]
-    gain: Array
+    heard: NDArray[np.bool_]
+    antenna: AntennaGain
     surface: Any
     velocity: Any
 
@@ -61,21 +63,26 @@ def scatterers(stage: Stage, antenna: Antenna, body: NDArray[np.int32]) -> Scatt
         plane=plane,
         counts=counts,
         outward=outward,
-        gain=_gains(stage, antenna),
+        heard=_heard(stage, antenna),
+        antenna=antenna_gain(mi, antenna, stage.axes),
         surface=mi.UInt32(stage.surface_of_object),
         velocity=mi.Float64(velocities.ravel()),
     )
 
 
-def _gains(stage: Stage, antenna: Antenna) -> Array:
+def _heard(stage: Stage, antenna: Antenna) -> NDArray[np.bool_]:
+    worth: NDArray[np.bool_] = stage.worth[:, stage.world.object_of_face]
+    return worth if antenna.gain_dbi is None else worth & _before(stage)
+
+
+def _before(stage: Stage) -> NDArray[np.bool_]:
+    """Facets with a corner ahead of the antenna, by way of every image, (n_images, n_facets)."""
     world = stage.world
-    middle = world.vertices[world.faces].mean(axis=1)
     found = []
     for image in stage.images:
-        direction = middle - image.place
-        direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
-        for patch in reversed(image.patches):
+        axis = stage.axes[0]
+        for patch in image.patches:
             normal = stage.flats.normal[patch]
-            direction -= 2 * np.outer(direction @ normal, normal)
-        found.append(np.sqrt(antenna.gain(direction @ stage.axes.T)))
-    return np.array(found) * stage.worth[:, world.object_of_face]
+            axis = axis - 2 * (axis @ normal) * normal
+        found.append((((world.vertices - image.place) @ axis) > 0)[world.faces].any(axis=1))
+    return np.array(found)

@@ -43,16 +43,14 @@ class Triangles:
     """Triangles on the device, one element each, relative to the anchor.
 
     ``corners``: three vectors; ``face``: the facet on which they lie; ``source`` and ``receiver``:
-    images of the radar; ``gain``: of the antenna, out and back, in amplitude; ``spot``: a point of
-    it that is lit. On the host (n,): ``body``, and ``is_ray``: its corners may not be lit, and the
-    spot stands for all of it. ``bounces`` before.
+    images of the radar; ``spot``: a point of it that is lit. On the host (n,): ``body``, and
+    ``is_ray``: its corners may not be lit, and the spot stands for all of it. ``bounces`` before.
     """
 
     corners: tuple[Any, Any, Any]
     face: Any
     source: Any
     receiver: Any
-    gain: Any
     spot: Any
     incident: Incident
     body: NDArray[np.intp]

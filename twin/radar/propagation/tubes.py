@@ -33,7 +33,7 @@ class Tubes:
     """Triangles that tubes light, with the ``root`` of each, the number of the facet's part that it
     began at, and its ``doubt``: share of what it may return that it may be off by.
 
-    The triangles' gain is the antenna's on the way out alone; they are of no receiver.
+    The triangles are of no receiver.
     """
 
     triangles: Triangles
@@ -192,12 +192,9 @@ def heard(
     rows, receivers = [], []
     for number, image in enumerate(images):
         same = np.sum((image.place - point) * normal, axis=1) * side > 0
-        some = np.flatnonzero(same & (number >= source) & (scatterers.gain[number, face] > 0))
+        some = np.flatnonzero(same & (number >= source) & scatterers.heard[number, face])
         rows.append(some)
         receivers.append(np.full(len(some), number))
     row, receiver = np.concatenate(rows), np.concatenate(receivers)
     lit = landed.taken(row)
-    gain = np.array(lit.gain) * scatterers.gain[receiver, face[row]]
-    mi = s.mi
-    receivers_at = mi.UInt32(aligned(receiver.astype(np.uint32)))
-    return replace(lit, receiver=receivers_at, gain=mi.Float64(aligned(gain))), row
+    return replace(lit, receiver=s.mi.UInt32(aligned(receiver.astype(np.uint32)))), row

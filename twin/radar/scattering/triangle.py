@@ -1,67 +1,80 @@
-"""Exact integrals of a wave over flat triangles whose phase is linear across them.
+"""Exact integrals of a wave over flat triangles across which phase and logarithm are linear.
 
-With barycentric coordinates the integral of exp(j phase) over a triangle of area A is 2 A times the
-second divided difference of exp(j p) at the phases p of its corners (Hermite and Genocchi; Gordon,
-IEEE Trans. AP 23, 1975, gives the same as a sum over edges). What the phase is curved across the
-triangle is left: half of it is halved edges, and two sizes of triangles extrapolate to none.
+With barycentric coordinates the integral of exp(x) over a triangle of area A is 2 A times the
+second divided difference of exp at the values of x at its corners (Hermite and Genocchi; Gordon,
+IEEE Trans. AP 23, 1975, gives the same as a sum over edges). Here x is the logarithm of the
+amplitude plus j times the phase. What x is curved across the triangle is left: two sizes of
+triangles extrapolate to none.
 
 Arrays on the device, one element per triangle; a complex number is a pair (Re, Im) of float64.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 
-_CLOSE = 0.2  # rad below which a series is exact to 1e-8 and a quotient may not be
+_CLOSE = 0.2  # of x, below which a series is exact to 1e-8 and a quotient may not be
 
 Complex = tuple[Any, Any]
 
 
-def phasor(phase: Any) -> Complex:
-    """exp(j phase)."""
+@dataclass(frozen=True)
+class Node:
+    """A wave at a point: phase, logarithm of the amplitude, and its value."""
+
+    phase: Any
+    log: Any
+    value: Complex
+
+
+def node(phase: Any, log: Any) -> Node:
+    """A wave at a point by its phase and the logarithm of its amplitude."""
     im, re = dr.sincos(phase)
-    return re, im
+    level = dr.exp(log)
+    return Node(phase, log, (level * re, level * im))
 
 
-def mean_along(p: Any, q: Any, at_p: Complex, at_q: Complex) -> Complex:
-    """Mean of exp(j phase) where the phase runs linearly from p to q: a first divided difference.
-
-    ``at_p`` and ``at_q``: the phasors at the ends.
-    """
-    gap = q - p
-    near = dr.abs(gap) < _CLOSE
-    safe = dr.select(near, 1.0, gap)
-    # exp(j p) times the mean of exp(j t) for t from 0 to the gap.
-    square = dr.square(gap)
-    re = 1 - square * (1 / 6 - square * (1 / 120))
-    im = gap * (0.5 - square * (1 / 24 - square * (1 / 720)))
-    series = at_p[0] * re - at_p[1] * im, at_p[0] * im + at_p[1] * re
+def mean_along(p: Node, q: Node) -> Complex:
+    """Mean of a wave along an edge, by its ends: a first divided difference of exp."""
+    gap = q.log - p.log, q.phase - p.phase
+    square = dr.square(gap[0]) + dr.square(gap[1])
+    near = square < _CLOSE**2
+    series = _times(p.value, _series(gap, (1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0)))
+    safe = dr.select(near, 1.0, square)
+    away = q.value[0] - p.value[0], q.value[1] - p.value[1]
     return (
-        dr.select(near, series[0], (at_q[1] - at_p[1]) / safe),
-        dr.select(near, series[1], (at_p[0] - at_q[0]) / safe),
+        dr.select(near, series[0], (away[0] * gap[0] + away[1] * gap[1]) / safe),
+        dr.select(near, series[1], (away[1] * gap[0] - away[0] * gap[1]) / safe),
     )
 
 
-def mean_over(phases: list[Any], phasors: list[Complex]) -> Complex:
-    """Mean of exp(j phase) over a triangle, by the phases at its corners and their phasors."""
-    a, b, c = _sorted(phases, phasors)
-    low, high = mean_along(a[0], b[0], a[1], b[1]), mean_along(b[0], c[0], b[1], c[1])
-    span = c[0] - a[0]
-    near = span < _CLOSE
-    safe = dr.select(near, 1.0, span)
+def mean_over(corners: Sequence[Node]) -> Complex:
+    """Mean of a wave over a triangle."""
+    a, b, c = _apart(*corners)
+    low, high = mean_along(a, b), mean_along(b, c)
+    gap = c.log - a.log, c.phase - a.phase
+    square = dr.square(gap[0]) + dr.square(gap[1])
+    near = square < _CLOSE**2
     # Moments of a linear function on a triangle: E[x^n] = 2 n! / (n + 2)! h_n(x1, x2, x3).
-    middle = (a[0] + b[0] + c[0]) / 3
-    x, y, z = a[0] - middle, b[0] - middle, c[0] - middle
-    second = (dr.square(x) + dr.square(y) + dr.square(z)) / 12
-    even = 1 - second / 2 + dr.square(second) * (36 / 15 / 24)
-    odd = -x * y * z / 60
-    # exp(j middle) from that of b, which is within the span of it.
-    away = middle - b[0]
-    turn_im, turn_re = dr.sincos(away)
-    re, im = b[1][0] * turn_re - b[1][1] * turn_im, b[1][0] * turn_im + b[1][1] * turn_re
+    middle = (a.log + b.log + c.log) / 3, (a.phase + b.phase + c.phase) / 3
+    x, y, z = ((v.log - middle[0], v.phase - middle[1]) for v in (a, b, c))
+    squares = [_times(v, v) for v in (x, y, z)]
+    second = tuple((u + v + w) / 12 for u, v, w in zip(*squares, strict=True))
+    third, fourth = _times(_times(x, y), z), _times(second, second)
+    mean = tuple(
+        s / 2 + t / 60 + f * (36 / 15 / 24) for s, t, f in zip(second, third, fourth, strict=True)
+    )
+    # exp(middle) from that of b, which is within the gap of it.
+    away = -y[0], -y[1]
+    turn = _series(away, (1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0))
+    series = _times(_times(b.value, turn), (1 + mean[0], mean[1]))
+    safe = dr.select(near, 1.0, square)
+    more = 2 * (high[0] - low[0]), 2 * (high[1] - low[1])
     return (
-        dr.select(near, re * even - im * odd, 2 * (high[1] - low[1]) / safe),
-        dr.select(near, re * odd + im * even, 2 * (low[0] - high[0]) / safe),
+        dr.select(near, series[0], (more[0] * gap[0] + more[1] * gap[1]) / safe),
+        dr.select(near, series[1], (more[1] * gap[0] - more[0] * gap[1]) / safe),
     )
 
 
@@ -85,11 +98,38 @@ def largest(phases: list[Any], bent: Any) -> Any:
     return dr.minimum(1.0, 2 / dr.maximum(span - 8 * bent, 1e-9))
 
 
-def _sorted(phases: list[Any], phasors: list[Complex]) -> list[tuple[Any, Complex]]:
-    rows = [(p, *z) for p, z in zip(phases, phasors, strict=True)]
-    for i, j in ((0, 1), (1, 2), (0, 1)):
-        swap = rows[i][0] > rows[j][0]
-        first, second = rows[i], rows[j]
-        rows[i] = tuple(dr.select(swap, v, u) for u, v in zip(first, second, strict=True))
-        rows[j] = tuple(dr.select(swap, u, v) for u, v in zip(first, second, strict=True))
-    return [(p, (re, im)) for p, re, im in rows]
+def _apart(a: Node, b: Node, c: Node) -> tuple[Node, Node, Node]:
+    """In an order in which the first and the last are the farthest apart."""
+    ab, bc, ca = (
+        dr.square(q.phase - p.phase) + dr.square(q.log - p.log) for p, q in ((a, b), (b, c), (c, a))
+    )
+    first, second = (ab >= bc) & (ab >= ca), bc >= ca
+    return (
+        _chosen(first | ~second, a, b),
+        _chosen(first, c, _chosen(second, a, b)),
+        _chosen(first, b, c),
+    )
+
+
+def _chosen(which: Any, one: Node, other: Node) -> Node:
+    return Node(
+        dr.select(which, one.phase, other.phase),
+        dr.select(which, one.log, other.log),
+        (
+            dr.select(which, one.value[0], other.value[0]),
+            dr.select(which, one.value[1], other.value[1]),
+        ),
+    )
+
+
+def _times(a: Complex, b: Complex) -> Complex:
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+
+
+def _series(x: Complex, coefficients: Sequence[float]) -> Complex:
+    """A polynomial, the highest power first."""
+    re, im = coefficients[0] + 0 * x[0], 0 * x[1]
+    for coefficient in coefficients[1:]:
+        re, im = _times((re, im), x)
+        re += coefficient
+    return re, im
