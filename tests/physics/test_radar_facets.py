@@ -172,6 +172,7 @@ def relative(found: np.ndarray, expected: np.ndarray) -> float:
     ("distance", "turns", "tolerance"),
     [
         (0.4, (0, 0, 0), 0.1),
+        (0.4, (30, 10, 0), 0.1),
         (0.6, (30, 10, 0), 0.1),
         (0.6, (30, 10, 0), 0.03),
         (1.0, (5, 3, 0), 0.1),
@@ -217,16 +218,17 @@ def test_large_facets_whose_middle_the_beam_misses(corners: list) -> None:
     [
         (((3, 0.05, 0), 0.1, 30, 10, 15), ((4, 0.02, 0.01), 0.25, 35, 15, 7)),
         (((3, 0.07, 0.06), 0.2, -20, 20, 15), ((4, 0.02, 0.01), 0.25, 22, -17, 30)),
+        (((4, 0, 0), 0.2, 25, 10, 5), ((4, 0.02, 0.01), 0.2, -30, -8, 20)),
     ],
 )
-def test_weak_plates_that_shade_each_other(one: tuple, other: tuple) -> None:
-    """20 to 35 deg off their mirror directions only corners answer: 57 dB and more below the plates
+def test_weak_plates_that_shade_or_cut_each_other(one: tuple, other: tuple) -> None:
+    """20 to 35 deg off their mirror directions only corners answer: 50 dB and more below the plates
     face on. So where borders of shadows end has to be known to a small part of a wavelength.
     """
     first, second = turned_plate(*one), turned_plate(*other)
     both = thing("both", np.vstack([first, second]), [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
     expected = summed(seen_beside(first, second)) + summed(seen_beside(second, first))
-    assert relative(over_the_band(world(both), 0.03), expected) < 0.1
+    assert relative(over_the_band(world(both), 0.03), expected) < 0.05
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)

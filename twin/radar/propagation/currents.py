@@ -12,12 +12,13 @@ from twin.radar.propagation.legs import Leg, Station, along, leg, mirrored_axes
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.triangles import Triangles
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
-from twin.radar.scattering.triangle import bend, largest, mean_over, node
+from twin.radar.scattering.triangle import bend, largest, mean_over, node, span
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _BENT = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
+_OBLIQUE = 8.0  # rad across a triangle from which its corners answer one by one
 _NARROW = 0.15  # size over distance up to which a triangle's edges tell the most that it gets
 _NEAREST = 0.05  # of the distance of the centroid
 #: Corners of the four equal parts of a triangle, by its corners 0 to 2 and the middles 3 to 5 of
@@ -137,11 +138,14 @@ def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
     linear = mean_over(nodes[:3])
     parts = [mean_over([nodes[i] for i in q]) for q in _QUARTERS]
     finer = [sum(part[i] for part in parts) / 4 for i in (0, 1)]
-    change = [(fine - coarse) / 3 for fine, coarse in zip(finer, linear, strict=True)]
+    corners = [value.phase for value in nodes[:3]]
+    # Halved edges leave a quarter of the error; of corners' echoes, which go with slopes, half.
+    gain_of_halves = dr.select(span(corners) < _OBLIQUE, 3.0, 1.0)
+    change = [(fine - coarse) / gain_of_halves for fine, coarse in zip(finer, linear, strict=True)]
     level = dr.sqrt(dr.square(re) + dr.square(im))
     bent = bend([value.phase for value in nodes])
     most = level * _most(scatterers, lit, receiver, axes, [value.log for value in nodes])
-    strength = most * largest([value.phase for value in nodes[:3]], bent)
+    strength = most * largest(corners, bent)
     curved = level * dr.sqrt(dr.square(change[0]) + dr.square(change[1]))
     bent = dr.maximum(bent, bend([value.log for value in nodes]))
     curved = dr.select(bent < _BENT, curved, strength)  # else two sizes of parts tell nothing

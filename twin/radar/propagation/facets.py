@@ -35,7 +35,7 @@ _UNSEEN_M = 0.1  # size of triangles on which a shadow may pass between four ray
 _UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return more are divided
 _FINEST_M = 0.01
 _MIXED = 0.25  # of its strength: error of a triangle that is partly seen
-_BENT = 0.5  # of what a bent border changes: what is left then
+_BENT = 1.0  # of what a bent border changes: what is left then
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,9 +93,13 @@ def largest(phases: list[Any], bent: Any) -> Any:
     """Bound of the magnitude of `mean_over` by the phases alone, which any part of the triangle
     keeps: a phase that is ``bent`` may be level somewhere.
     """
+    return dr.minimum(1.0, 2 / dr.maximum(span(phases) - 8 * bent, 1e-9))
+
+
+def span(phases: Sequence[Any]) -> Any:
+    """Largest less smallest of three."""
     low, high = dr.minimum(*phases[:2]), dr.maximum(*phases[:2])
-    span = dr.maximum(high, phases[2]) - dr.minimum(low, phases[2])
-    return dr.minimum(1.0, 2 / dr.maximum(span - 8 * bent, 1e-9))
+    return dr.maximum(high, phases[2]) - dr.minimum(low, phases[2])
 
 
 def _apart(a: Node, b: Node, c: Node) -> tuple[Node, Node, Node]:
