@@ -5,6 +5,7 @@ Errors are those of the complex echo, and have to stay below the tolerance that 
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,10 +30,13 @@ from tests.physics.radar_worlds import (
 )
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
+from twin.radar.device.antenna import Antenna
+from twin.radar.propagation.beams import antenna_gain
 from twin.radar.propagation.finding import trace
 from twin.radar.propagation.pieces import split
 from twin.radar.scattering.triangle import mean_over, node
 from twin.scene import Scene
+from twin.transfer import vector
 
 K = 2 * np.pi / WAVELENGTH_M
 LOSS = GAIN / 100
@@ -166,6 +170,29 @@ def over_the_band(scene: Scene, tolerance: float) -> np.ndarray:
 def relative(found: np.ndarray, expected: np.ndarray) -> float:
     """Rms error over the band."""
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+@pytest.mark.parametrize("is_table", [False, True])
+def test_the_gain_on_the_device_is_the_antennas(is_table: bool, tmp_path: Path) -> None:
+    """Directions at random, against the closed form and a table in steps of 2 deg."""
+    known: dict = {"gain_dbi": {"value": 20, "source": "test"}}
+    if is_table:
+        rows = [
+            f"{t},{p},{15 - 10 * abs(p) / 90 + t / 60}"
+            for t in range(0, 181, 2)
+            for p in range(-180, 181, 2)
+        ]
+        (tmp_path / "table.csv").write_text("\n".join(["theta,phi,gain dB", *rows]))
+        known = {"pattern_file": {"value": str(tmp_path / "table.csv"), "source": "test"}}
+    antenna, mi, rng = Antenna.model_validate(known), mitsuba(), np.random.default_rng(3)
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    direction = rng.normal(size=(2000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    gain, towards = antenna_gain(mi, antenna, axes), vector(mi, direction, "Vector3d")
+    expected = np.sqrt(antenna.gain(direction @ axes.T))
+    found = np.exp(np.array(gain.log(towards)))
+    np.testing.assert_allclose(found, expected, rtol=0.01, atol=1e-3 * expected.max())
+    assert (np.array(gain.most(towards, 0.05)) >= 0.999 * expected).all()
 
 
 @pytest.mark.parametrize(
