@@ -1,8 +1,7 @@
 """Cross-sections of the scenes' car, person and post over aspect, beside published ones.
 
-Physical optics with up to six bounces, without ground, at the height of the target's origin. Where
-the sum over many aspects is wanted, a ray per wavelength and a half is enough: rays that come back
-have phases that turn slowly along the facets (``python -m benchmarks.bodies 8`` takes eight).
+Physical optics with up to six bounces, without ground, at the height of the target's origin, to a
+tolerance of 5 % (``python -m benchmarks.bodies 0.01`` takes 1 %).
 docs/bodies.md says where the published figures were read.
 """
 
@@ -15,7 +14,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from benchmarks.timing import Figure
-from twin.radar.scattering import PEC, Quality, Radar, Surface, Target, physical_optics
+from twin.radar.cross_section import Quality, Ways, scattered
+from twin.radar.scattering import PEC, Radar, Surface, Target
 
 Array = NDArray[np.float64]
 
@@ -41,15 +41,13 @@ MIDDLE_M = {"car": (1.7, 0.0, 0.6), "person": (0.0, 0.0, 0.8)}
 
 def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
-    yield from figures_at(1.5)
+    yield from figures_at(0.05)
 
 
-def figures_at(rays_per_wavelength: float) -> Iterator[Figure]:
+def figures_at(tolerance: float) -> Iterator[Figure]:
     """Mean, median and spread over aspect."""
     for name, distance in (("car", 10.0), ("person", 3.4)):
-        found = over_aspect(
-            body(name), np.arange(0.7, 360, 10.0), distance, _BAND_HZ, rays_per_wavelength
-        )
+        found = over_aspect(body(name), np.arange(0.7, 360, 10.0), distance, _BAND_HZ, tolerance)
         for kind, sigma in (("band", found.mean(axis=0)), ("one frequency", found.ravel())):
             decibel = 10 * np.log10(sigma)
             place = f"{name} at {distance:g} m, {kind}"
@@ -77,25 +75,19 @@ def over_aspect(
     azimuth_deg: Array,
     distance_m: float,
     carriers_hz: tuple[float, ...],
-    rays_per_wavelength: float,
+    tolerance: float,
 ) -> Array:
     """Cross-section in m^2 for V, (carriers, aspects)."""
-    quality = Quality(rays_per_wavelength=rays_per_wavelength, max_bounces=6, min_rays=2**12)
+    quality = Quality(tolerance, max_bounces=6)
+    ways = Ways.back_to([Radar.at(a, 0.0, distance_m) for a in azimuth_deg], "V")
     return np.array(
         [
-            [
-                4 * np.pi * abs(_echo(target, Radar.at(a, 0.0, distance_m), f, quality)) ** 2
-                for a in azimuth_deg
-            ]
+            4 * np.pi * np.abs(scattered(target, ways, f, quality).amplitude[:, 0]) ** 2
             for f in carriers_hz
         ]
     )
 
 
-def _echo(target: Target, radar: Radar, carrier_hz: float, quality: Quality) -> complex:
-    return complex(physical_optics(target, radar, carrier_hz, "V", quality).amplitude[0])
-
-
 if __name__ == "__main__":
-    for name, value, unit in figures_at(float(sys.argv[1]) if len(sys.argv) > 1 else 1.5):
+    for name, value, unit in figures_at(float(sys.argv[1]) if len(sys.argv) > 1 else 0.05):
         print(f"{name}: {value:.1f} {unit}", flush=True)

@@ -9,9 +9,9 @@ from scipy.constants import speed_of_light
 from benchmarks.timing import Figure, timed
 from twin.fidelity import Fidelity
 from twin.radar import load_radar
+from twin.radar.cross_section.bistatic import scattering_dyadics
+from twin.radar.cross_section.table import QUALITY, Table
 from twin.radar.propagation.finding import trace
-from twin.radar.scattering.bistatic import scattering_dyadics
-from twin.radar.scattering.table import QUALITY, Table
 from twin.radar.scattering.target import Target
 from twin.scene import Scene, load_scene
 
@@ -37,8 +37,8 @@ def _interpolation() -> Iterator[Figure]:
     rng = np.random.default_rng(0)
     ways = np.array([-1.0, 0, 0]) + 0.02 * rng.normal(size=(2, 200, 3))
     source, receiver = ways / np.linalg.norm(ways, axis=2, keepdims=True)
-    carriers = np.full(len(source), carrier_hz)
-    direct = scattering_dyadics(plate, source, receiver, carriers, QUALITY)
+    carriers = np.array([carrier_hz])
+    direct = scattering_dyadics(plate, source, receiver, carriers, QUALITY)[:, 0]
     peak = (2 * half) ** 2 * carrier_hz / speed_of_light
     for nodes in (2, 4, 8):
         found = Table(plate, carrier_hz, nodes).dyadics(source, receiver)[:, 0]

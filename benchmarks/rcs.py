@@ -1,4 +1,4 @@
-"""Figures of cross-sections at 79 GHz: error against references, time, error over ray density."""
+"""Figures of cross-sections at 79 GHz: error against references, time, error over tolerance."""
 
 import math
 from collections.abc import Iterator
@@ -10,18 +10,8 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from benchmarks.timing import Figure, Timing, timed
-from twin.radar.scattering import (
-    PEC,
-    Layer,
-    Quality,
-    Radar,
-    Surface,
-    Target,
-    edge_diffraction,
-    physical_optics,
-    sharp_edges,
-    sweep,
-)
+from twin.radar.cross_section import Quality, Ways, physical_optics, scattered
+from twin.radar.scattering import PEC, Layer, Radar, Surface, Target, edge_diffraction, sharp_edges
 from twin.radar.scattering.reference import image_integral, mie_cross_section
 
 _CARRIER = 79e9
@@ -33,7 +23,7 @@ def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
     yield from _conductors()
     yield from _dielectrics()
-    yield from _density()
+    yield from _tolerance()
     yield from _plates()
 
 
@@ -54,6 +44,8 @@ def _conductors() -> Iterator[Figure]:
     worst = max(abs(_echo(ball, radar) - expected) for radar in aspects)
     yield "sphere r 0.15 m, 81 920 facets: largest error of 5 aspects (Mie)", worst, "dB"
     yield "sphere: one aspect", _time(ball, Radar.at(13, 5)), ""
+    around = Ways.back_to([Radar.at(azimuth, 5) for azimuth in range(0, 360, 30)], "V")
+    yield "sphere: 12 aspects", timed(lambda: scattered(ball, around, _CARRIER), 3), ""
 
     fold = math.sqrt(0.5) * 0.2
     corner = [[[0, 0, -0.1], [fold, y, -0.1], [fold, y, 0.1], [0, 0, 0.1]] for y in (fold, -fold)]
@@ -64,8 +56,7 @@ def _conductors() -> Iterator[Figure]:
     yield "dihedral at 5 m: error", _echo(_target(*corner), near) - expected, "dB"
     yield "dihedral: one aspect", _time(_target(*corner), near), ""
 
-    a, b, c = (10 * 3 * _WAVELENGTH**2 / (4 * np.pi)) ** 0.25 * np.eye(3)
-    trihedral = [[[0, 0, 0], p, q] for p, q in ((a, b), (b, c), (c, a))]
+    trihedral = _trihedral()
     axis = math.degrees(math.atan(math.sqrt(0.5)))
     for distance in (20.0, 150.0):
         radar = Radar.at(45.0, axis, distance)
@@ -74,6 +65,9 @@ def _conductors() -> Iterator[Figure]:
         yield f"trihedral 10 m^2 at {distance:g} m: error to 10 m^2", found - 10, "dB"
         yield f"trihedral at {distance:g} m: error to the integral", found - expected, "dB"
     yield "trihedral: one aspect", _time(_target(*trihedral), radar), ""
+    corner = _target(*trihedral)
+    around = Ways.back_to([Radar.at(azimuth, 30.0) for azimuth in range(5, 86)], "V")
+    yield "trihedral: 81 aspects", timed(lambda: scattered(corner, around, _CARRIER), 3), ""
 
     tube = _from(trimesh.creation.cylinder(0.08, 0.114, sections=720))
     closed = 10 * math.log10(2 * np.pi * 0.08 * 0.114**2 / _WAVELENGTH)
@@ -100,33 +94,38 @@ def _dielectrics() -> Iterator[Figure]:
     yield "sphere of 6 - 3j, r 0.1 m: error (Mie)", _echo(ball, Radar.at(20, 10)) - expected, "dB"
 
 
-def _density() -> Iterator[Figure]:
-    """A plate of 0.2 x 0.1 m far away, its closed form over 40 angles each."""
-    target = _target(_rectangle(0.2, 0.1))
-    for density in (2, 4, 8, 16, 32):
-        quality = Quality(rays_per_wavelength=density, min_rays=1)
-        for low, high in ((0, 5), (40, 50)):
-            angles = np.linspace(low, high, 40)
-            sine, cosine = np.sin(np.radians(angles)), np.cos(np.radians(angles))
-            closed = 0.02 / _WAVELENGTH * cosine * np.sinc(0.4 / _WAVELENGTH * sine)
-            found = sweep(target, _CARRIER, angles, quality=quality).cross_section_dbsm
-            error = float(np.median(np.abs(found - 10 * np.log10(4 * np.pi * closed**2))))
-            yield f"{density} rays per wavelength, {low} to {high} deg: median error", error, "dB"
-        one = timed(lambda q=quality: physical_optics(target, Radar.at(3), _CARRIER, "V", q))
-        yield f"{density} rays per wavelength: one aspect", one, ""
+def _tolerance() -> Iterator[Figure]:
+    """Error and time of a plate near by, of one behind a screen, and of a trihedral."""
+    square, screen = _rectangle(0.2, 0.2), np.array(_rectangle(0.1, 0.3)) + [0.5, 0.05, 0]
+    near, far = Radar.at(2.0, 1.0, 1.0), Radar.at(0.0)
+    # Straight ahead both are in phase all over, and the screen hides a half of the plate.
+    half = 0.02 + 0.03 * np.exp(4j * np.pi / _WAVELENGTH * 0.5)
+    corner, radar = _trihedral(), Radar.at(30.0, 25.0, 20.0)
+    for name, faces, seen, expected in (
+        ("plate at 1 m", [square], near, image_integral([square], near, _WAVELENGTH, 0)),
+        ("plate behind a screen", [square, screen.tolist()], far, -1j / _WAVELENGTH * half),
+        ("trihedral", corner, radar, image_integral(corner, radar, _WAVELENGTH, 0)),
+    ):
+        target = _target(*faces)
+        for tolerance in (0.1, 0.03, 0.01, 0.003):
+            quality = Quality(tolerance)
+            found = physical_optics(target, seen, _CARRIER, "V", quality).amplitude[0]
+            yield f"{name}, tolerance {tolerance:g}: error", abs(found / expected - 1), "of it"
+            one = timed(lambda t=target, r=seen, q=quality: physical_optics(t, r, _CARRIER, "V", q))
+            yield f"{name}, tolerance {tolerance:g}: one aspect", one, ""
 
 
 def _plates() -> Iterator[Figure]:
     """The Austin suite's plates, with its own measure of error."""
-    target, dense = _target(_rectangle(0.2667, 0.1524)), Quality(rays_per_wavelength=16)
+    target = _target(_rectangle(0.2667, 0.1524))
     edges = sharp_edges(target, 25)
     for name in ("f10", "fx1", "f11"):
         for port, sent in enumerate(("V", "H")):
             columns = np.loadtxt(_PLATES / f"ref_rcs.II.A.sx1.{name}.{sent}.txt")
             carrier, reference = float(columns[0, 0]), columns[:, 3]
             aspects = [Radar.at(azimuth) for azimuth in columns[:, 2]]
-            optics = [physical_optics(target, r, carrier, sent, dense) for r in aspects]
-            surface = np.array([echo.amplitude[port] for echo in optics])
+            ways = Ways.back_to(aspects, sent)
+            surface = scattered(target, ways, carrier).amplitude[:, port]
             rim = np.array(
                 [edge_diffraction(target, edges, r, carrier, sent)[port] for r in aspects]
             )
@@ -137,8 +136,18 @@ def _plates() -> Iterator[Figure]:
                 title = f"Austin plate, {carrier / 1e9:g} GHz {sent}, optics{how}"
                 yield f"{title}, lobes", float(error[near].mean()), "dB"
                 yield f"{title}, all angles", float(error.mean()), "dB"
+            if sent == "V":
+                work = timed(lambda w=ways, f=carrier: scattered(target, w, f))
+                title = f"Austin plate, {carrier / 1e9:g} GHz, optics"
+                yield f"{title}, {len(aspects)} aspects", work, ""
     work = timed(lambda: edge_diffraction(target, edges, Radar.at(30), 10.2e9))
     yield "edges of a plate, one aspect", work, ""
+
+
+def _trihedral() -> list[list[NDArray[np.float64] | list[int]]]:
+    """Of 10 m^2."""
+    a, b, c = (10 * 3 * _WAVELENGTH**2 / (4 * np.pi)) ** 0.25 * np.eye(3)
+    return [[[0, 0, 0], p, q] for p, q in ((a, b), (b, c), (c, a))]
 
 
 def _rectangle(width_m: float, height_m: float) -> list[list[float]]:

@@ -12,7 +12,8 @@ from twin.files import InputError, whole_folder
 from twin.progress import Stages
 
 if TYPE_CHECKING:
-    from twin.radar.scattering import Surface, Sweep, Target
+    from twin.radar.cross_section import Sweep
+    from twin.radar.scattering import Surface, Target
 
 Array = NDArray[np.float64]
 
@@ -27,7 +28,8 @@ class Request:
 
     ``polarization`` names what is sent, and what is received where that differs. ``permittivity``
     and ``thickness_m`` make the mesh of a dielectric: a sheet, or without a thickness a solid that
-    lets nothing through. Raises InputError naming the option that is wrong.
+    lets nothing through. ``tolerance`` is that of `twin.radar.cross_section.Quality`, None its own.
+    Raises InputError naming the option that is wrong.
     """
 
     mesh: Path
@@ -40,12 +42,15 @@ class Request:
     scale: float = 1.0
     permittivity: str | None = None
     thickness_m: float | None = None
+    tolerance: float | None = None
 
     def __post_init__(self) -> None:
         _within("carrier-hz", self.carrier_hz, 0, _HIGHEST_HZ, "Hz")
         _within("scale", self.scale, 0, np.inf, "metres per unit")
         if self.distance_m is not None:
             _within("distance", self.distance_m, 0, np.inf, "m")
+        if self.tolerance is not None and not 1e-3 <= self.tolerance <= 1:
+            raise InputError(f"tolerance: {self.tolerance}: expected 0.001 to 1")
         if not -90 <= self.elevation_deg <= 90:
             raise InputError(f"elevation: {self.elevation_deg}: expected -90 to 90 deg")
         if self.polarization not in _POLARIZATIONS:
@@ -106,9 +111,10 @@ def csv_lines(result: "Sweep") -> Iterator[str]:
 
 
 def _compute(target: "Target", request: Request, azimuths: Array) -> "Sweep":
-    from twin.radar.scattering import sweep
+    from twin.radar.cross_section import Quality, sweep
+    from twin.radar.cross_section.optics import portions
 
-    with Stages(len(azimuths)) as stages:
+    with Stages(len(list(portions(target, len(azimuths))))) as stages:
         return sweep(
             target,
             request.carrier_hz,
@@ -118,6 +124,7 @@ def _compute(target: "Target", request: Request, azimuths: Array) -> "Sweep":
             transmit="V" if request.polarization[0] == "V" else "H",
             receive="V" if request.polarization[-1] == "V" else "H",
             edges=request.edges,
+            quality=None if request.tolerance is None else Quality(request.tolerance),
             stage=stages.stage,
         )
 

@@ -7,11 +7,7 @@ import numpy as np
 import trimesh
 from scipy.constants import speed_of_light
 
-from twin.radar.scattering import (
-    PEC,
-    Surface,
-    Target,
-)
+from twin.radar.scattering import PEC, Surface, Target
 
 CARRIER = 79e9
 WAVELENGTH = speed_of_light / CARRIER

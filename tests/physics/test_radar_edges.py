@@ -26,13 +26,14 @@ from tests.physics.radar_worlds import (
 )
 from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import PRESETS
+from twin.radar.cross_section import Quality, sweep
 from twin.radar.propagation import grids
 from twin.radar.propagation.finding import trace
 from twin.radar.propagation.optics import diffracted, scattered
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import assign_roles
 from twin.radar.propagation.stage import set_stage
-from twin.radar.scattering import Quality, Radar, Target, edge_diffraction, sharp_edges, sweep
+from twin.radar.scattering import Radar, Target, edge_diffraction, sharp_edges
 from twin.scene import Pose, Rig, Scene, SceneObject
 
 K = 2 * np.pi / WAVELENGTH_M
@@ -103,7 +104,7 @@ def test_surfaces_and_edges_together_are_those_of_rcs(shape: str, monkeypatch) -
     distance, mesh = 0.5, SHAPES[shape]
     target = Target(np.array(mesh.vertices), np.array(mesh.faces))
     azimuths = np.array([2.0, 16.0, 30.0, 51.0])
-    dense = Quality(rays_per_wavelength=64)
+    dense = Quality(tolerance=0.001)
     expected, alone = (
         sweep(target, CARRIER_HZ, azimuths, 4.0, distance_m=distance, edges=e, quality=dense)
         for e in (True, False)

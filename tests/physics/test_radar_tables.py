@@ -28,15 +28,16 @@ from tests.physics.radar_worlds import (
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import load_radar
+from twin.radar.cross_section import Quality, physical_optics
+from twin.radar.cross_section import table as tables
+from twin.radar.cross_section.bistatic import scattering_dyadics
+from twin.radar.cross_section.table import QUALITY, Table, table_of
 from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.finding import trace
 from twin.radar.propagation.roles import Role, assign_roles
 from twin.radar.propagation.tabulated import leg
-from twin.radar.scattering import PEC, Quality, Radar, Surface, Target, physical_optics
-from twin.radar.scattering import table as tables
-from twin.radar.scattering.bistatic import scattering_dyadics
+from twin.radar.scattering import PEC, Radar, Surface, Target
 from twin.radar.scattering.reference import mie_coefficients
-from twin.radar.scattering.table import QUALITY, Table, table_of
 from twin.radar.truth import true_targets
 from twin.scene import Pose, Rig, SceneObject
 from twin.scene import Target as Declared
@@ -92,11 +93,11 @@ def test_a_plate_between_any_directions_is_the_closed_form() -> None:
         body(plate("p", (0, 0, 0), 2 * HALF_M)),
         source,
         receiver,
-        np.full(5, CARRIER_HZ),
-        Quality(min_rays=4096),
+        np.array([CARRIER_HZ]),
+        Quality(),
     )
     peak = (2 * HALF_M) ** 2 / WAVELENGTH_M
-    off = contracted(found - plate_dyadics(source, receiver), receiver, source)
+    off = contracted(found[:, 0] - plate_dyadics(source, receiver), receiver, source)
     np.testing.assert_allclose(np.abs(off) / peak, 0, atol=3e-3)
 
 
@@ -110,7 +111,7 @@ def test_what_stands_before_the_receiver_hides() -> None:
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     carrier = np.array([CARRIER_HZ])
     free, hidden = (
-        abs(scattering_dyadics(target, source, receiver, carrier, QUALITY)[0, 2, 2])
+        abs(scattering_dyadics(target, source, receiver, carrier, QUALITY)[0, 0, 2, 2])
         for target in (
             Target(mirror, faces),
             Target(np.vstack([mirror, screen]), np.vstack([faces, faces + 4])),
@@ -125,14 +126,14 @@ def test_what_stands_before_the_receiver_hides() -> None:
 def test_a_sphere_between_two_directions_is_mies(apart_deg: float) -> None:
     """Bohren and Huffman eq. 4.74: S_1 across and S_2 in the plane of scattering, k r = 99.
 
-    Within 0.35 dB, of which the tables' coarse rays are 0.1.
+    Within 0.4 dB, most of which is what the border of what both see scatters in physical optics.
     """
     radius = 0.06
     mesh = trimesh.creation.icosphere(6, radius=radius)
     source, receiver = towards((0, 0), (apart_deg, 0))[:, None]
     target = Target(mesh.vertices, mesh.faces)
     (found,) = contracted(
-        scattering_dyadics(target, source, receiver, np.array([CARRIER_HZ]), QUALITY),
+        scattering_dyadics(target, source, receiver, np.array([CARRIER_HZ]), QUALITY)[:, 0],
         receiver,
         source,
     )
@@ -148,7 +149,7 @@ def test_a_sphere_between_two_directions_is_mies(apart_deg: float) -> None:
     weight = (2 * n + 1) / (n * (n + 1))
     expected = [abs(np.sum(weight * (a * x + b * y))) / K for x, y in ((pi, tau), (tau, pi))]
     decibel = 20 * np.log10(np.abs(np.diag(found)) / expected)
-    np.testing.assert_allclose(decibel, 0, atol=0.35)
+    np.testing.assert_allclose(decibel, 0, atol=0.4)
 
 
 @pytest.mark.parametrize("sent", ["V", "H"])
@@ -169,7 +170,7 @@ def test_back_to_the_source_it_is_twin_rcs(sent) -> None:
         found = scattering_dyadics(target, direction, direction, np.array([CARRIER_HZ]), QUALITY)
         port = 0 if sent == "V" else 1
         expected = physical_optics(target, radar, CARRIER_HZ, sent).amplitude
-        crossed = contracted(found, direction, direction)[0, :, port]
+        crossed = contracted(found[:, 0], direction, direction)[0, :, port]
         np.testing.assert_allclose(crossed, expected, atol=0.012 * np.abs(expected).max())
 
 
@@ -183,7 +184,7 @@ def test_interpolation_errs_by_what_the_rule_says(nodes: int, rms: float) -> Non
     """
     source = around([-1, 0.02, 0.03], 0.02, 80, 1)
     receiver = around([-1, -0.02, -0.02], 0.02, 80, 2)
-    coarse = Quality(rays_per_wavelength=2.0, min_rays=1024)
+    coarse = Quality(tolerance=0.05)
     found = Table(body(plate("p", (0, 0, 0), 2 * HALF_M)), CARRIER_HZ, nodes, coarse)
     off = found.dyadics(source, receiver)[:, 0] - plate_dyadics(source, receiver)
     error = np.abs(contracted(off, receiver, source)[:, 0, 0])

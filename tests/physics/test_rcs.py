@@ -21,14 +21,8 @@ from tests.physics.rcs_targets import (
     rectangle,
     trihedral,
 )
-from twin.radar.scattering import (
-    PEC,
-    Layer,
-    Radar,
-    Surface,
-    Target,
-    physical_optics,
-)
+from twin.radar.cross_section import physical_optics
+from twin.radar.scattering import PEC, Layer, Radar, Surface, Target
 from twin.radar.scattering.reference import image_integral, mie_coefficients, mie_cross_section
 
 

@@ -18,14 +18,13 @@ from tests.physics.rcs_targets import (
     polygons,
     rectangle,
 )
+from twin.radar.cross_section import Ways, physical_optics, scattered
 from twin.radar.scattering import (
     EdgeQuality,
-    Quality,
     Radar,
     Target,
     diffraction,
     edge_diffraction,
-    physical_optics,
     sharp_edges,
 )
 from twin.radar.scattering.fringe import Incidence, moment, observed
@@ -38,13 +37,12 @@ def plate_errors(name: str, sent: str, step: int) -> list[tuple[float, float]]:
     columns = np.loadtxt(PLATES / f"ref_rcs.II.A.sx1.{name}.{sent}.txt")[::step]
     carrier, reference = columns[0, 0], columns[:, 3]
     target, port = as_target(polygons(rectangle(0.2667, 0.1524))), "VH".index(sent)
-    edges, dense = sharp_edges(target, 25), Quality(rays_per_wavelength=16)
-    radars = [Radar.at(azimuth) for azimuth in columns[:, 2]]
-    surface = [physical_optics(target, r, carrier, sent, dense).amplitude[port] for r in radars]
+    edges, radars = sharp_edges(target, 25), [Radar.at(azimuth) for azimuth in columns[:, 2]]
+    surface = scattered(target, Ways.back_to(radars, sent), carrier).amplitude[:, port]
     rim = [edge_diffraction(target, edges, r, carrier, sent)[port] for r in radars]
     floor, near = reference.max() - 80, reference > reference.max() - 20
     errors = []
-    for amplitude in (np.array(surface), np.array(surface) + rim):
+    for amplitude in (surface, surface + rim):
         error = np.abs(np.maximum(dbsm(amplitude), floor) - np.maximum(reference, floor))
         errors.append((float(error[near].mean()), float(error.mean())))
     return errors

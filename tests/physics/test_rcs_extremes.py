@@ -21,17 +21,17 @@ from tests.physics.rcs_targets import (
     rectangle,
 )
 from twin.engine import sionna
+from twin.radar.cross_section import Quality, Ways, physical_optics, sweep
+from twin.radar.cross_section.facets import subject_of
+from twin.radar.cross_section.rays import Density, later_bounces
 from twin.radar.scattering import (
     EdgeQuality,
     Layer,
-    Quality,
     Radar,
     Surface,
     Target,
     edge_diffraction,
-    physical_optics,
     sharp_edges,
-    sweep,
 )
 from twin.radar.scattering.reference import image_integral
 
@@ -43,22 +43,44 @@ def ball() -> Target:
     return as_target(trimesh.creation.icosphere(6, radius=0.15))
 
 
-def test_error_falls_with_the_density_of_rays() -> None:
-    """Side lobes of a plate at 40 to 50 deg, 60 dB down, rms over ten angles."""
+@pytest.mark.parametrize("tolerance", [1.0, 0.001])
+def test_flat_facets_far_away_have_no_error(tolerance: float) -> None:
+    """Side lobes of a plate at 40 to 50 deg, 60 dB down: what is left is rounding."""
     target = as_target(polygons(rectangle(0.2, 0.1)))
     angles = np.linspace(40, 50, 10)
     sine = np.sin(np.radians(angles))
     expected = 0.02 / WAVELENGTH * np.cos(np.radians(angles))
     expected = expected * np.sinc(2 * 0.2 / WAVELENGTH * sine)
-    errors = []
-    for density in (2, 4, 8, 16):
-        quality = Quality(rays_per_wavelength=density, min_rays=1)
-        found = sweep(target, CARRIER, angles, quality=quality).amplitude_m
-        error = np.abs(1j * found - expected)
-        errors.append(np.sqrt(np.mean(error**2) / np.mean(expected**2)))
-    assert errors[0] > 2 * errors[1] > 4 * errors[2] > 4 * errors[3]
-    assert errors[2] < 0.04
-    assert errors[3] < 0.02
+    found = sweep(target, CARRIER, angles, quality=Quality(tolerance)).amplitude_m
+    np.testing.assert_allclose(1j * found, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.01, 0.001])
+@pytest.mark.parametrize(
+    "radar", [Radar.at(2.0, 1.0, 1.0), Radar.at(10.0, 5.0, 1.0), Radar.at(1.0, 0.0, 0.4)]
+)
+def test_errors_near_by_stay_within_the_tolerance(radar: Radar, tolerance: float) -> None:
+    """A plate of 0.2 m whose phase is bent, straight ahead and in a side lobe."""
+    face = rectangle(0.2, 0.2)
+    expected = image_integral([face], radar, WAVELENGTH, 0)
+    found = physical_optics(as_target(polygons(face)), radar, CARRIER, "V", Quality(tolerance))
+    assert abs(found.amplitude[0] / expected - 1) < tolerance
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.01, 0.001])
+@pytest.mark.parametrize("tilt_deg", [0.0, 10.0])
+def test_errors_of_shadows_stay_within_the_tolerance(tilt_deg: float, tolerance: float) -> None:
+    """A screen far before a plate hides what lies beyond its straight or slanted edge."""
+    face, slope = rectangle(0.2, 0.2), math.tan(math.radians(tilt_deg))
+    screen = [[0.5, 0.01, -0.2], [0.5, 0.3, -0.2], [0.5, 0.3, 0.2], [0.5, 0.01 + 0.4 * slope, 0.2]]
+    found = physical_optics(
+        as_target(polygons(face, screen)), Radar.at(0), CARRIER, "V", Quality(tolerance)
+    ).amplitude[0]
+    # What the plate shows lies left of the edge, in phase all over; the screen is 0.5 m nearer.
+    shown = 0.2 * (0.1 + 0.01 + 0.2 * slope)
+    area = 0.4 * (0.29 + 0.29 - 0.4 * slope) / 2
+    expected = -1j / WAVELENGTH * (shown + area * np.exp(2j * K * 0.5))
+    assert abs(found - expected) < tolerance * abs(expected)
 
 
 def test_a_body_without_edges_has_no_edge_diffraction(ball: Target) -> None:
@@ -67,7 +89,7 @@ def test_a_body_without_edges_has_no_edge_diffraction(ball: Target) -> None:
 
 
 def with_edges(target: Target, radar: Radar, carrier_hz: float = 20e9) -> np.ndarray:
-    edges, dense = sharp_edges(target, 25), Quality(rays_per_wavelength=24)
+    edges, dense = sharp_edges(target, 25), Quality(tolerance=0.002)
     return physical_optics(target, radar, carrier_hz, "V", dense).amplitude + edge_diffraction(
         target, edges, radar, carrier_hz
     )
@@ -99,6 +121,34 @@ def test_refining_moving_reordering_and_doubling_change_nothing() -> None:
     moved = with_edges(Target(vertices + shift, faces), radar)
     phase = np.exp(4j * np.pi * 20e9 / speed_of_light * (radar.direction @ shift))
     np.testing.assert_allclose(moved, reference * phase, rtol=2e-3, atol=1e-4)
+
+
+def test_many_aspects_at_once_are_each_by_itself() -> None:
+    """What a box and a plate beside it shade and light of each other, all around."""
+    plate = polygons(rectangle(0.1, 0.15))
+    plate.apply_translation([0.1, 0.4, 0.02])
+    target = as_target(trimesh.util.concatenate([trimesh.creation.box((0.2, 0.3, 0.1)), plate]))
+    azimuths = np.arange(0, 360, 45.0)
+    together = sweep(target, 20e9, azimuths, 12.0).amplitude_m
+    alone = [physical_optics(target, Radar.at(a, 12.0), 20e9).amplitude[0] for a in azimuths]
+    np.testing.assert_allclose(together, alone, rtol=1e-9)
+
+
+def test_only_what_bends_nowhere_inwards_is_convex() -> None:
+    """Whichever way faces wind; a dent, a hole, a second body and an open shell are not."""
+    ball = trimesh.creation.icosphere(3, radius=0.15)
+    dent = ball.copy()
+    dent.vertices[7] *= 0.9
+    far = ball.copy()
+    far.apply_translation([1.0, 0, 0])
+    shell = trimesh.Trimesh(ball.vertices, ball.faces[5:], process=False)
+    turned = trimesh.Trimesh(ball.vertices, ball.faces[:, ::-1], process=False)
+    box = trimesh.creation.box((0.2, 0.3, 0.1)).subdivide()
+    found = [
+        subject_of(as_target(mesh)).shape.is_convex
+        for mesh in (ball, turned, box, dent, shell, trimesh.util.concatenate([ball, far]))
+    ]
+    assert found == [True, True, True, False, False, False]
 
 
 def test_near_field_tends_to_the_far_field() -> None:
@@ -143,7 +193,7 @@ def test_a_new_pose_compiles_nothing() -> None:
     other = as_target(polygons(*dihedral(0.1)), Surface(backing=5 - 1j))
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        physical_optics(target, Radar.at(4.7, 1.0, 31.0), 2.5e9, "H", Quality(5, 3))
+        physical_optics(target, Radar.at(4.7, 1.0, 31.0), 2.5e9, "H", Quality(0.02, 3))
         physical_optics(other, Radar.at(14.7), 10e9)
         history = dr.kernel_history([dr.KernelType.JIT])
     assert len(history) > 3
@@ -158,23 +208,28 @@ def test_sionnas_variant_in_between_does_no_harm() -> None:
     np.testing.assert_allclose(after, before, rtol=1e-12)
 
 
-def test_the_lit_wavefront_is_the_silhouette(ball: Target) -> None:
+def test_the_wavefront_that_rays_hit_is_the_silhouette(ball: Target) -> None:
     """Far from a sphere pi a^2, all directions inside a box, and no direction twice."""
-    assert physical_optics(ball, Radar.at(20, 30), CARRIER).lit_m2 == pytest.approx(
-        math.pi * 0.15**2, rel=2e-3
-    )
+
+    def lit_m2(target: Target, radar: Radar, carrier_hz: float, density: float) -> float:
+        ways, close = Ways.back_to([radar], "V"), Density(density, 2**15, 2**24)
+        wavelength = speed_of_light / carrier_hz
+        return later_bounces(target, ways, wavelength, carrier_hz, 2, close).lit_m2[0]
+
+    found = lit_m2(ball, Radar.at(20, 30), CARRIER, 4.0)
+    assert found == pytest.approx(math.pi * 0.15**2, rel=2e-3)
     box = as_target(trimesh.creation.box((2, 3, 4)))
-    for quality in (Quality(), Quality(rays_per_wavelength=11.3)):
-        inside = physical_optics(box, Radar.at(20, 10, 0.4), 1e9, "V", quality)
-        assert inside.lit_m2 == pytest.approx(4 * math.pi * 0.4**2, rel=2e-3)
+    for density in (8.0, 11.3):
+        found = lit_m2(box, Radar.at(20, 10, 0.4), 1e9, density)
+        assert found == pytest.approx(4 * math.pi * 0.4**2, rel=2e-3)
 
 
 def test_few_rays_do_for_corners() -> None:
-    """Phase stands still where a corner sends back what came: 1.5 rays per wavelength will do."""
+    """Phase stands still where a corner sends back what came: 1000 rays do for 5 %."""
     target = as_target(polygons(*dihedral(0.2)))
     fine, coarse = (
-        physical_optics(target, Radar.at(24.0), CARRIER, "V", Quality(density)).amplitude[0]
-        for density in (12, 1.5)
+        physical_optics(target, Radar.at(24.0), CARRIER, "V", Quality(tolerance)).amplitude[0]
+        for tolerance in (0.001, 0.05)
     )
     assert dbsm(coarse) == pytest.approx(dbsm(fine), abs=0.2)
 
@@ -241,7 +296,8 @@ MILLION = """
 import resource
 import numpy as np
 import trimesh
-from twin.radar.scattering import Target, sweep
+from twin.radar.cross_section import sweep
+from twin.radar.scattering import Target
 ball = trimesh.creation.icosphere(8, radius=0.15)
 start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 target = Target(np.array(ball.vertices), np.array(ball.faces))
@@ -253,14 +309,16 @@ print(*found.cross_section_m2 / (np.pi * 0.15**2))
 
 @pytest.mark.slow
 def test_a_million_triangles_in_bounded_memory() -> None:
-    """1.3 million: at most 1 GB beyond what the mesh took to make, and the right answer."""
+    """1.3 million: at most 1.6 GB beyond what the mesh took to make, half of it while the shape is
+    measured, and the right answer.
+    """
     asked = subprocess.run(
         [sys.executable, "-c", MILLION], check=True, capture_output=True, text=True
     )
     size, ratios = asked.stdout.splitlines()
     faces, before, after = (int(part) for part in size.split())
     assert faces == 1310720
-    assert (after - before) * 1024 < 1e9
+    assert (after - before) * 1024 < 1.6e9
     for ratio in ratios.split():
         assert 10 * math.log10(float(ratio)) == pytest.approx(0, abs=0.1)
 
@@ -295,17 +353,17 @@ def test_what_physical_optics_cannot_do_is_said() -> None:
     assert "within 15 deg of grazing" in warned(as_target(cone))
     wire = trimesh.creation.box((0.0005, 0.0005, 0.2))
     assert "wavelengths wide" in warned(as_target(wire))
-    thin = Quality(max_rays=2**15)
-    assert "wider apart than asked for" in warned(
-        as_target(ball.copy().apply_scale(10)), quality=thin
-    )
+    thin = Quality(max_rays=2**10)
+    assert "wider apart than asked for" in warned(as_target(polygons(*dihedral(0.2))), quality=thin)
 
 
 def test_bad_knobs_are_named() -> None:
     for build, name in (
-        (lambda: Quality(rays_per_wavelength=0), "rays_per_wavelength"),
+        (lambda: Quality(tolerance=0), "tolerance"),
+        (lambda: Quality(tolerance=math.nan), "tolerance"),
+        (lambda: Quality(tolerance=1.5), "tolerance"),
         (lambda: Quality(max_bounces=0), "max_bounces"),
-        (lambda: Quality(max_rays=10), "max_rays"),
+        (lambda: Quality(max_rays=0), "max_rays"),
         (lambda: EdgeQuality(sharp_angle_deg=0), "sharp_angle_deg"),
         (lambda: EdgeQuality(pieces_per_wavelength=0), "pieces_per_wavelength"),
         (lambda: Radar.at(0, 0, 0.0), "distance_m"),

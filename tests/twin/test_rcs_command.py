@@ -139,6 +139,8 @@ def test_a_bad_range_is_named(text: str) -> None:
         (["--permittivity", "glass"], "permittivity: 'glass'"),
         (["--thickness", "0.1"], "thickness: expected together"),
         (["--permittivity", "4", "--thickness", "-1"], "thickness_m: -1"),
+        (["--tolerance", "0"], "tolerance: 0.0: expected 0.001 to 1"),
+        (["--tolerance", "nan"], "tolerance: nan: expected 0.001 to 1"),
         (["--out", "plate.txt"], "out: 'plate.txt'"),
         (["--out", "plate.ply/x.csv"], "expected a folder that can be written to"),
     ],
@@ -202,7 +204,7 @@ def test_ctrl_c_leaves_nothing_behind(plate: Path) -> None:
     out = plate.parent / "out" / "x.csv"
     process = subprocess.Popen(
         [sys.executable, "-m", "twin", "rcs", str(plate), "--carrier-hz", "79e9", "--scale", "1e-3",
-         "--azimuth", "0:90:0.01", "--out", str(out)],
+         "--azimuth", "0:90:0.001", "--edges", "--out", str(out)],
         stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     time.sleep(4)

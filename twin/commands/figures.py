@@ -148,11 +148,19 @@ def rcs(
     thickness: Annotated[
         float | None, typer.Option(help="Of a dielectric sheet, m; default: a solid.")
     ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(help="Estimated error of the echo, 0.001 to 1 of it; default: 0.005."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="CSV to write, with a PNG beside; default: print it.")
     ] = None,
 ) -> None:
-    """Radar cross-section of a mesh over azimuth, by physical optics."""
+    """Radar cross-section of a mesh over azimuth, by physical optics.
+
+    Facets count by exact integrals, divided to the tolerance where shadows end on them or the radar
+    is near; what they light of each other by rays that are as close as the tolerance asks for.
+    """
     from twin.rcs import Request, csv_lines, run
 
     result = run(
@@ -167,6 +175,7 @@ def rcs(
             scale,
             permittivity,
             thickness,
+            tolerance,
         ),
         out,
     )

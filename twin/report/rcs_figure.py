@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-from twin.radar.scattering import Sweep
+from twin.radar.cross_section import Sweep
 from twin.report.style import BLUE, new_figure
 
 _DEPTH_DB = 60.0  # below the largest value, what is drawn

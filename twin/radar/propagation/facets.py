@@ -79,10 +79,12 @@ class Budget:
         n_bodies: int,
         tolerance: float,
         wave_numbers: Array,
-        floor: float,
+        floor: float | Array,
         coarse: "Budget | None" = None,
+        weakest: float = _WEAKEST,
     ) -> None:
         self.tolerance = tolerance
+        self._weakest = weakest
         self._wave_numbers = wave_numbers
         self._floor = floor
         self._settled = np.zeros((n_bodies, len(wave_numbers)), dtype=np.complex128)
@@ -132,9 +134,8 @@ class Budget:
 
     def _rank(self, level: Array) -> None:
         strongest = float(level.max(initial=0.0))
-        self.level = np.maximum(
-            level, max(_WEAKEST * strongest, self._floor / self.tolerance, 1e-300)
-        )
+        least = np.maximum(self._weakest * strongest, self._floor / self.tolerance)
+        self.level = np.maximum(level, np.maximum(least, 1e-300))
 
     def allowed(self, body: NDArray[np.intp]) -> Array:
         """Error that the body of each may have in all, (n,)."""
@@ -179,9 +180,10 @@ def settled(
     echoes: Echoes,
     budget: Budget,
     deepest: int = _DEEPEST,
+    is_open: bool = False,
 ) -> list[Leaves]:
     """Divide triangles until the errors of all bodies are within the tolerance, ``deepest`` times
-    by four at most.
+    by four at most. ``is_open``: nothing stands before them, and no rays are sent.
     """
     budget.expect(lit.body, np.abs(echoes.total))
     faint = budget.negligible(lit.body, echoes.total, echoes.strength, echoes.length_m)
@@ -189,7 +191,7 @@ def settled(
     lit, echoes = lit.taken(bright), echoes.chosen(bright)
     found: list[Leaves] = []
     for depth in range(deepest + 1 if len(bright) else 0):
-        seen = _looked_at(s, scatterers, lit, echoes, budget)
+        seen = _open(lit, echoes) if is_open else _looked_at(s, scatterers, lit, echoes, budget)
         budget.consider([seen.leaves, seen.cut])
         done = budget.affordable(lit.body, seen.error) & ~seen.is_doubtful
         if depth == deepest:
@@ -219,6 +221,12 @@ class _Seen:
     row: NDArray[np.intp]
     error: Array
     is_doubtful: NDArray[np.bool_]
+
+
+def _open(lit: Triangles, echoes: Echoes) -> _Seen:
+    none, leaves = np.zeros(0, dtype=np.intp), Leaves(lit, echoes, np.ones(len(lit)))
+    no = np.zeros(len(lit), dtype=bool)
+    return _Seen(leaves, leaves.chosen(none), none, echoes.curved, no)
 
 
 def _looked_at(

@@ -58,6 +58,10 @@ class Station:
     wavelength: Any
     walls: Walls | None
 
+    def sent(self, source: Any, departure: Any) -> tuple[Any, Any]:
+        """The antenna's field of amplitude 1 (Re, Im) in a direction, by way of images."""
+        return turned(self.vertical, -self.boresight, departure), self.mi.Vector3d(0)
+
 
 def station(
     mi: Any,
@@ -228,7 +232,7 @@ def leg(
         normals.append(facing)
         surfaces.append(surface)
 
-    way = s.place - at
+    way = aim - at
     distance = dr.norm(way)
     home = way / dr.maximum(distance, NEAREST_M)
     reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
@@ -238,7 +242,7 @@ def leg(
         clear &= ~s.world.scene.ray_test(shadow, active=untested)
 
     departure = -home
-    field, field_im = turned(s.vertical, -s.boresight, departure), mi.Vector3d(0)
+    field, field_im = s.sent(source, departure)
     travel = departure
     passage = no_passage(mi)
 
@@ -249,7 +253,7 @@ def leg(
             way = (begin, along, segment, length, s.wavelength, where)
             field, field_im = cross(mi, s.walls, passage, both, *way)
 
-    cross_walls(s.place + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
+    cross_walls(aim + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
     for (has, direction), normal, surface, segment in zip(
         inwards[::-1], normals[::-1], surfaces[::-1], segments[::-1], strict=True
     ):

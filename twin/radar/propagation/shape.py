@@ -16,6 +16,7 @@ Indices = NDArray[np.int64]
 
 _SMOOTH_RAD = np.radians(30)  # a sharper edge ends a surface, a blunter one bends it
 _FLAT_RAD = 1e-4
+_ROUNDED = 1e-6  # of a facet's size: by which rounding lifts a neighbour's middle off its plane
 _WELDED = 1e-7  # of the mesh's size: corners closer than this are one
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 _MIX_MESH = np.uint64(0xD6E8FEB86659FD93)
@@ -53,6 +54,7 @@ class Shape:
     thickness_m: float | None
     outward: NDArray[np.int8]
     is_double: NDArray[np.bool_]
+    is_convex: bool
     depth_m: float
 
     @property
@@ -163,6 +165,7 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
     once = np.where(is_double, 0.0, area)
     outward = _outward(points[faces], joined, once)
     bend = _bends(patch[pairs], turn, mesh_of_face[pairs[:, 0]], len(items))
+    hollow = _hollow(points[faces], normals, outward, pairs)
     smooth = (turn > _FLAT_RAD) & (turn < _SMOOTH_RAD)
     depth = depths_m(
         points[faces],
@@ -184,6 +187,7 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
         at, along = points[faces[face, 0]], normals[face]
         plane, plane_areas = _planes(at, along, areas[:count])
         plane_of_patch = np.append(plane, np.full(len(areas) - count, -1))
+        within = (pairs[:, 0] >= first_face[n]) & (pairs[:, 0] < first_face[n + 1])
         hull = _hull(points[first_vertex[n] : first_vertex[n + 1]], used[n])
         found.append(
             Shape(
@@ -197,6 +201,7 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
                 bend_radius_m=float(np.sqrt(areas[0]) / bend[n]) if bend[n] else float("inf"),
                 outward=outward[rows].copy(),
                 is_double=is_double[rows].copy(),
+                is_convex=_is_convex(outward[rows], pairs[within] - first_face[n], hollow[within]),
                 depth_m=float(depth[n]),
                 thickness_m=_thickness(at, along, areas),
             )
@@ -278,6 +283,25 @@ def _outward(corners: Array, faces: Indices, area: Array) -> NDArray[np.int8]:
     is_thick = np.abs(volume) > 1e-9 * np.bincount(label, area[real], parts) ** 1.5
     found[real] = np.where(leaks | ~is_thick, 0, np.sign(volume))[label]
     return found
+
+
+def _hollow(
+    corners: Array, normals: Array, outward: NDArray[np.int8], pairs: Indices
+) -> NDArray[np.bool_]:
+    """Which pairs of neighbours of closed surfaces bend inwards, (n,)."""
+    one, other = pairs.T
+    middle = corners.mean(axis=1)
+    size = np.abs(corners - middle[:, None]).max(axis=(1, 2))
+    height = np.sum((middle[other] - middle[one]) * normals[one], axis=1) * outward[one]
+    hollow: NDArray[np.bool_] = height > _ROUNDED * np.maximum(size[one], size[other])
+    return hollow
+
+
+def _is_convex(outward: NDArray[np.int8], pairs: Indices, hollow: NDArray[np.bool_]) -> bool:
+    """A surface without a border that is convex at every edge is so all over (Tietze, Nakajima)."""
+    if not outward.all() or hollow.any() or 2 * len(pairs) != 3 * len(outward):
+        return False
+    return not _connected(pairs, len(outward)).any()
 
 
 def _turn(a: Array, b: Array) -> Array:

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.files import InputError
+from twin.radar.cross_section.table import Table, table_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.materials import surface_of
 from twin.radar.scattering.surface import Surface
-from twin.radar.scattering.table import Table, table_of
 from twin.radar.scattering.target import Target as Body
 from twin.scene import Scene, SceneObject, Target
 from twin.scene.meshes import Mesh
@@ -148,8 +148,8 @@ def assumptions(thing: Tabulated, material: str, radar: RadarDesign) -> list[str
         found[0] += f": it measures {table.extent_m / _range_cell(radar):.3g} range cells"
     if table.thinned > 1:
         found.append(
-            f"rays of the table of {name} {table.thinned:.2g} times wider apart than a fourth of a "
-            "wavelength: echoes of edges met obliquely fade"
+            f"rays of the table of {name} {table.thinned:.2g} times wider apart than asked for: "
+            "what its parts light of each other fades"
         )
     if thing.assumed:
         found.append(f"radio properties of {material}: {thing.assumed}")

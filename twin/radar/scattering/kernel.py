@@ -1,4 +1,4 @@
-"""The kernel of the ray tracer: rays out, currents on every facet they meet, echo back.
+"""The kernel of the ray tracer: rays out, currents on every further facet they meet, echo back.
 
 Everything is an array on the device, one element per ray; vectors are float64 but for what meets
 triangles. Re and Im are apart, ``_im`` marks the latter.
@@ -7,46 +7,33 @@ triangles. Re and Im are apart, ``_im`` marks the latter.
 from typing import Any
 
 import drjit as dr
-import numpy as np
 
 from twin.radar.scattering.surface import TABLE_STEPS
 from twin.radar.scattering.target import Traced
 
 _PASSED, _STOPPED = 0.5, 0.9  # cycles of phase from tube to tube
-_GRAZING = 0.25881904510252074  # cosine of 75 deg
 
 
-def opaque(mi: Any, values: dict[str, Any]) -> dict[str, Any]:
-    """Numbers on the device that no kernel takes for constants, else each would compile anew."""
-    found = {}
-    for name, value in values.items():
-        if isinstance(value, np.ndarray):
-            found[name] = mi.Vector3d(*(dr.opaque(mi.Float64, float(v)) for v in value))
-        else:
-            kind = mi.Bool if isinstance(value, bool) else mi.UInt32
-            found[name] = dr.opaque(kind if isinstance(value, int) else mi.Float64, value)
-    return found
-
-
-def launch(mi: Any, setting: dict[str, Any], grid: dict[str, Any], index: Any) -> tuple[Any, ...]:
+def launch(mi: Any, setting: dict[str, Any], index: Any) -> tuple[Any, ...]:
     """Start of the rays of a grid by index: point, direction, path so far, weight, tube, field.
 
     Points are relative to the mesh's centre, paths to the distance of the target's origin.
     """
     u, q = setting["towards"], setting["inverse_distance"]
-    row = index // grid["columns"]
-    column = index - row * grid["columns"]
-    a = (mi.Float64(column) + grid["left"]) * grid["spacing"]
-    b = (mi.Float64(row) + grid["bottom"]) * grid["spacing"]
-    x = grid["center"] + a * grid["first"] + b * grid["second"]
+    spacing = setting["spacing"]
+    row = index // setting["columns"]
+    column = index - row * setting["columns"]
+    a = (mi.Float64(column) + setting["left"]) * spacing
+    b = (mi.Float64(row) + setting["bottom"]) * spacing
+    x = setting["center"] + a * setting["first"] + b * setting["second"]
     ray = q * x - u
     stretch = dr.norm(ray)
     direction = ray / stretch
     path = (q * dr.squared_norm(x) - 2 * dr.dot(u, x)) / (1 + stretch)
-    weight = grid["spacing"] ** 2 * dr.dot(direction, grid["forward"]) / stretch**2
-    x -= setting["center"]
+    weight = spacing**2 * dr.dot(direction, setting["forward"]) / stretch**2
+    x -= setting["center_of_mesh"]
     back = dr.minimum(stretch * setting["distance"], dr.dot(direction, x) + setting["radius"])
-    tube = (grid["first"] * grid["spacing"] / stretch, grid["second"] * grid["spacing"] / stretch)
+    tube = (setting["first"] * spacing / stretch, setting["second"] * spacing / stretch)
     field = turned(setting["sent"], u, direction)
     return x - direction * back, direction, path - back, weight, *tube, field
 
@@ -71,16 +58,16 @@ def trace(
     tube_b: Any,
     field: Any,
 ) -> Any:
-    """Follow every ray. Nine numbers for each: its echo in V and H (Re, Im each); its weight where
-    it hits, the same times the cosine, and its weight where it grazes, is faded, is unfinished.
+    """Follow every ray. Six numbers for each: its echo after two and more reflections in V and H
+    (Re, Im each); its weight where it hits, and where it is unfinished.
 
-    ``listener`` is the direction of the receiver, ``apart`` whether it is not the transmitter's.
+    ``listener`` is the direction of the receiver.
     """
     u, q, radius = setting["listener"], setting["inverse_distance"], setting["radius"]
     wavelength = setting["wavelength"]
     field_im = mi.Vector3d(0)
     vertical, horizontal = mi.Vector2d(0), mi.Vector2d(0)  # Re and Im
-    lit, cosines, grazing, faded, unfinished = (mi.Float64(0) for _ in range(5))
+    lit, unfinished = mi.Float64(0), mi.Float64(0)
     bounce = mi.UInt32(0)
     ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))
     hit = engine.scene.ray_intersect_preliminary(ray, coherent=True)
@@ -99,7 +86,7 @@ def trace(
         out, out_im = reflected(field, field_im, direction, normal, row)
 
         # Back to the receiver: unit vector, distance over and minus that of the origin.
-        place = origin + setting["center"]
+        place = origin + setting["center_of_mesh"]
         towards = u - q * place
         scale = dr.maximum(dr.norm(towards), 1e-12)
         back = towards / scale
@@ -107,15 +94,13 @@ def trace(
         offset = normal * (4e-6 * radius)
         reach = mi.Float(dr.minimum(scale * setting["distance"], 3 * radius))
         shadow = mi.Ray3f(mi.Point3f(origin + offset), mi.Vector3f(back), reach, 0.0, [])
-        sees = active & ~engine.scene.ray_test(
-            shadow, active=active & ((bounce > 0) | setting["apart"])
-        )
+        later = active & (bounce > 0)
+        sees = later & ~engine.scene.ray_test(shadow, active=later)
 
         amplitude = weight * (1 + q * path) / scale / dr.maximum(cosine, 1e-9)
         step = (direction - back) * (1 + q * path)
-        kept = followed(tube_a, step, direction, normal, cosine, wavelength)
-        kept *= followed(tube_b, step, direction, normal, cosine, wavelength)
-        amplitude *= kept
+        amplitude *= followed(tube_a, step, direction, normal, cosine, wavelength)
+        amplitude *= followed(tube_b, step, direction, normal, cosine, wavelength)
         cycles = (path + detour) / wavelength
         turn_im, turn_re = dr.sincos(2 * dr.pi * (dr.round(cycles) - cycles))
         turn_re *= amplitude
@@ -127,12 +112,7 @@ def trace(
             re, im = dr.dot(received, current), dr.dot(received, current_im)
             echo.x += dr.select(sees, re * turn_re - im * turn_im, 0)
             echo.y += dr.select(sees, re * turn_im + im * turn_re, 0)
-
-        first = bounce == 0
-        lit += dr.select(first, weight, 0)
-        cosines += dr.select(first, weight * cosine, 0)
-        grazing += dr.select(first & (cosine < _GRAZING), weight, 0)
-        faded += dr.select(first & (kept < 0.5), weight, 0)
+        lit += dr.select(bounce == 0, weight, 0)
 
         field, field_im, direction = out, out_im, away
         tube_a -= 2 * dr.dot(normal, tube_a) * normal
@@ -145,8 +125,7 @@ def trace(
         active &= struck.is_valid()
         unfinished += dr.select(active & (bounce == max_bounces), weight, 0)
         active &= bounce < max_bounces
-    echo = (vertical.x, vertical.y, horizontal.x, horizontal.y)
-    return *echo, lit, cosines, grazing, faded, unfinished
+    return vertical.x, vertical.y, horizontal.x, horizontal.y, lit, unfinished
 
 
 def plane(

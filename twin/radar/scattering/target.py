@@ -65,6 +65,13 @@ class Target:
         return normals
 
     @cached_property
+    def areas_m2(self) -> Array:
+        """Of the faces, (m,)."""
+        a, b, c = (self.corners_m[:, i] for i in range(3))
+        areas: Array = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        return areas
+
+    @cached_property
     def used_m(self) -> Array:
         """Vertices that a face refers to, (n, 3)."""
         is_used = np.zeros(len(self.vertices_m), dtype=bool)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from twin.radar.cross_section.optics import Echo, Quality, portions, scattered
+from twin.radar.cross_section.ways import Ways
 from twin.radar.scattering.diffraction import EdgeQuality, edge_diffraction
 from twin.radar.scattering.edges import Edges, sharp_edges
-from twin.radar.scattering.rays import Echo, Quality, physical_optics
 from twin.radar.scattering.surface import PEC
 from twin.radar.scattering.target import Target
 from twin.radar.scattering.wave import Polarization, Radar
@@ -22,7 +23,6 @@ _SMALL = 3.0  # wavelengths that a target measures: at 2.6 the Austin plates are
 _NARROW = 1.0
 _FACETED = 1 / 16  # wavelengths between facets and the surface they stand for: 45 deg of phase
 _GRAZED = 0.5  # share of the lit wavefront
-_FADED = 0.5
 _UNFINISHED = 0.01
 
 
@@ -76,28 +76,25 @@ def sweep(
     edges
         Adds the diffraction of sharp edges.
     stage
-        Entered for each azimuth with its name: progress.
+        Entered for each part of the azimuths with its name: progress.
     """
     quality = quality or Quality()
     edge_quality = edge_quality or EdgeQuality()
     azimuths = np.array(list(azimuth_deg), dtype=np.float64)
     found = sharp_edges(target, edge_quality.sharp_angle_deg)
     port = 0 if (receive or transmit) == "V" else 1
-    amplitudes, echoes = [], []
-    for azimuth in azimuths:
-        with stage(f"azimuth {azimuth:g} deg"):
-            radar = Radar.at(azimuth, elevation_deg, distance_m)
-            echo = physical_optics(target, radar, carrier_hz, transmit, quality)
-            amplitude = echo.amplitude[port]
+    radars = [Radar.at(azimuth, elevation_deg, distance_m) for azimuth in azimuths]
+    amplitudes, echoes = np.zeros(len(radars), dtype=np.complex128), []
+    for rows in portions(target, len(radars)):
+        with stage(_name(azimuths[rows])):
+            ways = Ways.back_to(radars[rows], transmit)
+            echoes.append(scattered(target, ways, carrier_hz, quality))
+            amplitudes[rows] = echoes[-1].amplitude[:, port]
             if edges:
-                amplitude = (
-                    amplitude
-                    + edge_diffraction(target, found, radar, carrier_hz, transmit, edge_quality)[
-                        port
-                    ]
-                )
-        amplitudes.append(amplitude)
-        echoes.append(echo)
+                amplitudes[rows] += [
+                    edge_diffraction(target, found, radar, carrier_hz, transmit, edge_quality)[port]
+                    for radar in radars[rows]
+                ]
     diffracting = edges and len(found.length_m) > 0
     remarks = [
         *_on_target(target, found, speed_of_light / carrier_hz, edges),
@@ -107,7 +104,7 @@ def sweep(
     return Sweep(
         azimuths,
         np.full(len(azimuths), float(elevation_deg)),
-        np.array(amplitudes, dtype=np.complex128),
+        amplitudes,
         tuple(remarks),
     )
 
@@ -146,38 +143,42 @@ def _on_distance(target: Target, distance_m: float) -> list[str]:
 
 
 def _on_aspects(
-    azimuths: Array, echoes: list[Echo], quality: Quality, diffracting: bool
+    azimuths: Array, parts: list[Echo], quality: Quality, diffracting: bool
 ) -> list[str]:
+    if not parts:
+        return []
+    grazing, left, thinned = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("grazing", "unfinished", "thinned")
+    )
     remarks = []
-    grazed = [echo.grazing > _GRAZED and not diffracting for echo in echoes]
-    faded = [echo.faded > _FADED for echo in echoes]
-    unfinished = [echo.unfinished > _UNFINISHED for echo in echoes]
-    if any(grazed):
+    grazed, unfinished = (grazing > _GRAZED) & (not diffracting), left > _UNFINISHED
+    if grazed.any():
         remarks.append(
             f"{_where(azimuths, grazed)}: most of the target is met within 15 deg of grazing, "
             "where creeping and travelling waves, outside physical optics, decide the echo"
         )
-    if any(faded):
+    if unfinished.any():
         remarks.append(
-            f"{_where(azimuths, faded)}: over most of the target rays are too few to follow the "
-            "phase, and what its edges send back in physical optics is lost"
+            f"{_where(azimuths, unfinished)}: up to {100 * left.max():.0f} % of the rays go on "
+            f"after {quality.max_bounces} bounces"
         )
-    if any(unfinished):
-        most = 100 * max(echo.unfinished for echo in echoes)
+    if thinned.max() > 1:
         remarks.append(
-            f"{_where(azimuths, unfinished)}: up to {most:.0f} % of the rays go on after "
-            f"{quality.max_bounces} bounces"
-        )
-    thinned = max((echo.thinned for echo in echoes), default=1.0)
-    if thinned > 1:
-        remarks.append(
-            f"rays up to {thinned:.2g} times wider apart than asked for: {quality.max_rays} at most"
+            f"rays within the target up to {thinned.max():.2g} times wider apart than asked for: "
+            f"{quality.max_rays} at most"
         )
     return remarks
 
 
-def _where(azimuths: Array, flags: list[bool]) -> str:
-    at = azimuths[np.array(flags)]
+def _name(azimuths: Array) -> str:
+    if len(azimuths) == 1:
+        return f"azimuth {azimuths[0]:g} deg"
+    return f"azimuths {azimuths[0]:g} to {azimuths[-1]:g} deg"
+
+
+def _where(azimuths: Array, flags: NDArray[np.bool_]) -> str:
+    at = azimuths[flags]
     if len(at) == 1:
         return f"azimuth {at[0]:g} deg"
     return f"{len(at)} azimuths from {at.min():g} to {at.max():g} deg"

@@ -9,8 +9,8 @@ plate around its mirror's direction, rms over the peak: 2.5, 0.7 and 0.2 %.
 
 Pairs of nodes are evaluated by physical optics when a look-up first meets them, and kept. At n = 4
 a sphere of directions would have, at 79 and 2.5 GHz: for a car 9e8 and 9e5 nodes, for a person 2e8
-and 2e5, for a trihedral of 0.2 m 8e6 and 9e3. One way out and back needs 10 pairs, which on two
-cores take 2 and 0.15 s, 1.6 and 0.08 s, 0.14 and 0.02 s; a look-up among known ones takes 4 us.
+and 2e5, for a trihedral of 0.2 m 8e6 and 9e3. One way out and back needs 10 pairs, which on one
+core take 2.5 and 0.84 s, 1.5 and 0.45 s, 0.35 and 0.05 s; a look-up among known ones takes 4 us.
 `benchmarks.radar_tables` prints these. So a table pays for what is small against sqrt(lambda R) and
 seen again and again from within some lobes; for a car or a person at 79 GHz, whose far field begins
 at kilometres, mirrored rays are the way.
@@ -32,18 +32,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.radar.scattering.bistatic import scattering_dyadics, thinning
-from twin.radar.scattering.rays import Quality
+from twin.radar.cross_section.bistatic import scattering_dyadics
+from twin.radar.cross_section.optics import Quality, thinning
 from twin.radar.scattering.target import Target
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Nodes = NDArray[np.int64]
 
-#: Of a table: a fourth of what `twin rcs` shoots per wavelength each way, and what is far below the
-#: error of interpolation. A plate of 75 wavelengths is off by 0.001 dB at its peak, 0.07 dB where
-#: it is 43 dB weaker.
-QUALITY = Quality(rays_per_wavelength=4.0, max_rays=200_000, min_rays=4096)
+#: Of a table: far below the error of interpolation.
+QUALITY = Quality(tolerance=0.02, max_rays=200_000)
 
 _MOST_NODES = 3_000_000_000  # beyond, pairs of them have no number of 64 bits
 _MOST_PAIRS = 2**19  # 150 MB; then a table starts anew
@@ -196,20 +194,19 @@ class Table:
         new = wanted[np.append(self._keys, -1)[at] != wanted]
         if not len(new):
             return
-        ends = [self._direction(part) for part in (new // self.nodes, new % self.nodes)]
-        source, receiver = (np.repeat(end, 2, axis=0) for end in ends)
-        frequencies = np.tile(self._frequencies, len(new))
+        source, receiver = (self._direction(part) for part in (new // self.nodes, new % self.nodes))
+        frequencies = self._frequencies
         values = scattering_dyadics(self._target, source, receiver, frequencies, self.quality)
         keys = np.concatenate([self._keys, new])
         order = np.argsort(keys)
         self._keys = keys[order]
-        self._values = np.concatenate([self._values, values.reshape(-1, 2, 3, 3)])[order]
+        self._values = np.concatenate([self._values, values])[order]
         if self._file is not None:
             _write(self._file, self._keys, self._values)
 
 
 def _key(target: Target, carrier_hz: float, nodes: int, quality: Quality) -> str:
-    """Digest of all that a table depends on, this package's own source included."""
+    """Digest of all that a table depends on, the source of the packages that fill it included."""
     # To 0.1 um: where the object stands leaves rounding errors in its shape.
     shape = np.round(target.vertices_m - target.sphere[0], 7) + 0.0
     found = hashlib.sha256(shape.tobytes() + np.asarray(target.faces, np.int64).tobytes())
@@ -222,8 +219,10 @@ def _key(target: Target, carrier_hz: float, nodes: int, quality: Quality) -> str
 @lru_cache(maxsize=1)
 def _source() -> str:
     found = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        found.update(path.read_bytes())
+    radar = Path(__file__).parents[1]
+    for room in ("cross_section", "propagation", "scattering"):
+        for path in sorted((radar / room).glob("*.py")):
+            found.update(path.read_bytes())
     return found.hexdigest()
 
 

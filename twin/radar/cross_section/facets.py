@@ -1,0 +1,394 @@
+"""What the facets of a mesh send straight back: exact integrals over flat triangles.
+
+The scene's own solver (`propagation.facets`) with one radar for each way: in the far field the
+phase across a facet is linear, and a facet with nothing before it is one integral however large it
+is. Where something may stand before it, or the phase is bent, it is divided until the echo of its
+way is within the tolerance.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from twin.engine import mitsuba
+from twin.radar.cross_section.ways import Ways
+from twin.radar.propagation.beams import AntennaGain
+from twin.radar.propagation.currents import amplitude_of, echoes_of
+from twin.radar.propagation.facets import Budget, Leaves, lit_facets, settled
+from twin.radar.propagation.legs import Station
+from twin.radar.propagation.scatterers import Scatterers
+from twin.radar.propagation.shadows import sampled
+from twin.radar.propagation.shape import Shape, shape_of
+from twin.radar.propagation.triangles import Triangles, lit_directly
+from twin.radar.propagation.world import Mesher
+from twin.radar.scattering.kernel import turned
+from twin.radar.scattering.surface import table
+from twin.radar.scattering.target import Target
+from twin.scene import SceneObject
+from twin.transfer import aligned
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Sizes of a mesh from which a wave counts as plane: its phase is off by k D / 2e8 at the rim, and
+#: by as much from rounding.
+_FAR = 5e7
+_FAINT = 1e-3  # of the facets' echoes out of phase: what no error is counted below
+_ALIKE = 0.25  # of the tolerance near by: what bent phases leave of a facet's parts is alike, not
+# independent
+_EDGE_ON = 1e-12  # sine of the angle below which a facet shows no side
+_ROUNDED = 1e-6  # of the mesh's size: what stands no farther before a facet lies in its plane
+_MOST_COMPARED = 2**27  # facets times corners of the hull, a second
+#: Images of a way: receivers of two polarisations, one of both, a transmitter of all, and one each.
+_ALL_HEARD, _ALL_SENT, _FIRST_SENT = 2, 3, 4
+_GRAZING = 0.25881904510252074  # cosine of 75 deg
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A mesh as the scene's solver takes it, the same from all sides.
+
+    ``surface`` numbers that of every object of the ``world``; ``is_open`` (2, n_facets): nothing
+    of the mesh stands before a facet, on the side of its normal and on the other.
+    """
+
+    world: Mesher
+    anchor_m: Array
+    shape: Shape
+    surface: NDArray[np.uint32]
+    is_open: NDArray[np.bool_]
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether nothing is hidden, and nothing lit by anything else."""
+        return bool(self.is_open.any(axis=0).all()) and bool(
+            (self.is_open.all(axis=0) | (self.shape.outward != 0)).all()
+        )
+
+
+@lru_cache(maxsize=8)
+def subject_of(target: Target) -> Subject:
+    """Found once for a mesh."""
+    center, radius = target.sphere
+    # Beside the mesh: rays start off a surface by a share of the distance from the anchor.
+    anchor = center - radius
+    kind = target.surface_of_face
+    kinds = np.zeros(len(target.faces), dtype=np.intp) if kind is None else np.asarray(kind)
+    used = np.unique(kinds)
+    faces = target.faces.astype(np.int32)
+    items = [_item(target.vertices_m, faces[kinds == number]) for number in used]
+    world = Mesher(items)
+    world.place(items, anchor)
+    whole = _item(target.vertices_m, np.concatenate([item.faces for item in items]))
+    shape = shape_of(whole)
+    return Subject(
+        world, anchor, shape, used.astype(np.uint32), _open(world, shape, _ROUNDED * radius)
+    )
+
+
+def _item(vertices: Array, faces: NDArray[np.int32]) -> SceneObject:
+    return SceneObject("target", vertices, faces, None, "", 0.0)
+
+
+def _open(world: Mesher, shape: Shape, rounded_m: float) -> NDArray[np.bool_]:
+    if shape.is_convex:
+        return np.stack([shape.outward > 0, shape.outward < 0])
+    point, normal = world.plane_table[:, :3], world.plane_table[:, 3:]
+    corners = world.vertices[shape.hull]
+    if len(normal) * len(corners) > _MOST_COMPARED:
+        return np.zeros((2, len(normal)), dtype=bool)
+    level = np.sum(point * normal, axis=1)
+    found = np.empty((2, len(normal)), dtype=bool)
+    for rows in np.array_split(np.arange(len(normal)), len(normal) * len(corners) // 2**22 + 1):
+        height = normal[rows] @ corners.T - level[rows, None]
+        found[0, rows] = height.max(axis=1) <= rounded_m
+        found[1, rows] = height.min(axis=1) >= -rounded_m
+    return found
+
+
+class _Isotropic(AntennaGain):
+    """The same in all directions."""
+
+    def log(self, direction: Any) -> Any:
+        """None."""
+        return self.mi.Float64(0)
+
+    def most(self, direction: Any, half_width_rad: Any) -> Any:
+        """One."""
+        return self.mi.Float64(1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Radars(Station):
+    """Three places to receive at for each way, and its transmitter: each an image of its own.
+
+    ``antennas`` (9 n): unit vector from the mesh, and the polarisation, Re and Im.
+    """
+
+    antennas: Any = None
+
+    def sent(self, source: Any, departure: Any) -> tuple[Any, Any]:
+        """The field of amplitude 1 (Re, Im) in a direction."""
+        here, re, im = (
+            self.mi.Vector3d(
+                *(
+                    dr.gather(self.mi.Float64, self.antennas, 9 * source + 3 * k + i)
+                    for i in range(3)
+                )
+            )
+            for k in range(3)
+        )
+        return turned(re, here, departure), turned(im, here, departure)
+
+
+def _radars(
+    subject: Subject,
+    target: Target,
+    ways: Ways,
+    distance_m: Array,
+    wavelength_m: float,
+    material_hz: float,
+) -> _Radars:
+    """Images of every way in a row.
+
+    Two polarisations are sent at once along their diagonal and heard at once by a circular antenna:
+    neither mirrors nor corners that cross polarisation are missed.
+    """
+    mi, zero = mitsuba(), np.zeros((len(ways), 3))
+    heard, sent = ways.heard.swapaxes(0, 1), ways.sent.swapaxes(0, 1)
+    fields = [(field, zero) for field in heard]
+    fields += [(np.sqrt(0.5) * heard[0], np.sqrt(0.5) * heard[1])]
+    fields += [(sent.sum(axis=0) / np.sqrt(len(sent)), zero)] + [(field, zero) for field in sent]
+    here = [ways.receiver] * _ALL_SENT + [ways.source] * (1 + len(sent))
+    antennas = [np.hstack([at, *field]) for at, field in zip(here, fields, strict=True)]
+    places = [at * distance_m[:, None] - subject.anchor_m for at in here]
+    count = len(here) * len(ways)
+    return _Radars(
+        mi=mi,
+        world=subject.world,
+        order=0,
+        n_sources=count,
+        place=None,
+        boresight=None,
+        vertical=None,
+        patch_of_face=None,
+        table=mi.Float64(aligned(table(target.surfaces, material_hz))),
+        orders=mi.UInt32(aligned(np.zeros(count, dtype=np.uint32))),
+        positions=mi.Float64(aligned(np.stack(places, axis=1))),
+        velocities=mi.Float64(aligned(np.zeros(3 * count))),
+        axes=mi.Float64(aligned(np.tile(np.eye(3), (count, 1)))),
+        levels=mi.Float64(0),
+        marks=mi.UInt32(0),
+        wavelength=dr.opaque(mi.Float64, wavelength_m),
+        walls=None,
+        antennas=mi.Float64(aligned(np.stack(antennas, axis=1))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Direct:
+    """Straight back from the facets: ``amplitude`` (n, n_frequencies, m, 2) in metres, sent and
+    received; ``grazing`` (n,) the share of the lit wavefront that meets its facet within 15 deg of
+    grazing.
+    """
+
+    amplitude: Complex
+    grazing: Array
+
+
+def direct(
+    target: Target,
+    ways: Ways,
+    frequency_hz: Array,
+    tolerance: float,
+    later: Complex,
+    material_hz: float,
+) -> Direct:
+    """Scattered amplitudes of facets lit by the transmitter alone.
+
+    Parameters
+    ----------
+    tolerance
+        Of all that comes back at the highest frequency, ``later`` (n, m, 2) among it: after further
+        bounces.
+    material_hz
+        The frequency at which surfaces reflect.
+    """
+    subject, (n, m) = subject_of(target), ways.sent.shape[:2]
+    distance = np.minimum(ways.distance_m, _FAR * 2 * target.sphere[1])
+    wave_numbers = 2 * np.pi * frequency_hz / speed_of_light
+    k = float(wave_numbers.max())
+    s = _radars(subject, target, ways, distance, 2 * np.pi / k, material_hz)
+    scatterers = _scatterers(s, subject)
+    way, face, side = _facing(subject, ways, distance)
+    first = (_FIRST_SENT + m) * way
+    amplitude = np.zeros((n, len(frequency_hz), m, 2), dtype=np.complex128)
+    lit = lit_facets(s, scatterers, face, first + _ALL_SENT, first + _ALL_HEARD)
+    if lit is None:
+        return Direct(amplitude, np.zeros(n))
+    lit = replace(lit, body=way)
+    is_open = subject.is_open[(side < 0).astype(np.intp), face]
+    # A wave of amplitude 1 at the origin, less the phase to it and back.
+    both = later.sum(axis=1) / np.sqrt(m) @ np.array([1, 1j]) * np.sqrt(0.5)
+    further = both * np.exp(-2j * (k * distance % np.pi)) / (2 * k * distance**2)
+    if np.isfinite(ways.distance_m).any():
+        tolerance *= _ALIKE
+    leaves, weight = _leaves(s, scatterers, lit, is_open, k, tolerance, further)
+    for part in leaves:
+        for row, other in enumerate(wave_numbers.tolist()):
+            amplitude[:, row] += _answers(s, scatterers, part, other, other == k, distance, m)
+    return Direct(amplitude, _grazing(subject, ways, distance, way, face, weight))
+
+
+def _answers(
+    s: Station,
+    scatterers: Scatterers,
+    leaves: Leaves,
+    wave_number: float,
+    is_divided_for: bool,
+    distance_m: Array,
+    sent: int,
+) -> Complex:
+    """Amplitudes (n, m, 2) of triangles at a frequency, in metres."""
+    body, n = leaves.body, len(distance_m)
+    at = replace(s, wavelength=dr.opaque(s.mi.Float64, 2 * np.pi / wave_number))
+    echoes = leaves.echoes if is_divided_for else echoes_of(at, scatterers, leaves.triangles)
+    # A wave of amplitude 1 at the origin, less the phase to it and back.
+    path = wave_number * (echoes.length_m - 2 * distance_m[body]) % (2 * np.pi)
+    wave = 2 * wave_number * distance_m[body] ** 2 * leaves.weight * echoes.mean
+    wave = wave * np.exp(-1j * path)
+    first = leaves.triangles.source - _ALL_SENT
+    found = np.empty((n, sent, 2), dtype=np.complex128)
+    for number in range(sent):
+        lit = leaves.triangles
+        if sent > 1:
+            lit = lit_directly(at, replace(lit, source=first + (_FIRST_SENT + number)))
+        for port in range(2):
+            re, im, _ = amplitude_of(at, scatterers, replace(lit, receiver=first + port))
+            echo = wave * (np.array(re) + 1j * np.array(im))
+            found[:, number, port] = np.bincount(body, echo.real, n)
+            found[:, number, port] += 1j * np.bincount(body, echo.imag, n)
+    return found
+
+
+def _leaves(
+    s: Station,
+    scatterers: Scatterers,
+    lit: Triangles,
+    is_open: NDArray[np.bool_],
+    wave_number: float,
+    tolerance: float,
+    further: Complex,
+) -> tuple[list[Leaves], Array]:
+    """Triangles fine enough for the echo of every way, and whether facets seem seen, (n,)."""
+    echoes, n = echoes_of(s, scatterers, lit), len(further)
+    free, rest = np.flatnonzero(is_open), np.flatnonzero(~is_open)
+    weight = np.ones(len(lit))
+    if len(rest):
+        some = lit.taken(rest)
+        weight[rest] = sampled(s, some, np.zeros(len(rest), dtype=bool))[3]
+    out_of_phase = np.sqrt(np.bincount(lit.body, np.abs(echoes.total) ** 2, n)) + np.abs(further)
+    floor = _FAINT * tolerance * out_of_phase
+    wave_numbers = np.array([wave_number])
+    first = Budget(n, tolerance, wave_numbers, floor, weakest=0.0)
+    first.pending = further[:, None]
+    first.consider([Leaves(lit, echoes, weight)])
+    budget = Budget(n, tolerance, wave_numbers, floor, first, weakest=0.0)
+    found: list[Leaves] = []
+    for rows, others in ((free, rest), (rest, rest[:0])):
+        if len(rows):
+            hidden = echoes.chosen(others)
+            echo = weight[others] * hidden.total
+            budget.pending = further[:, None] + budget.summed(
+                lit.body[others], echo, hidden.length_m
+            )
+            part = lit, echoes
+            if len(rows) < len(lit):
+                part = lit.taken(rows), echoes.chosen(rows)
+            found += settled(s, scatterers, *part, budget, is_open=rows is free)
+    return found, weight
+
+
+def _facing(
+    subject: Subject, ways: Ways, distance_m: Array
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Facets the same side of which transmitter and receiver see, closed meshes from outside: the
+    way, the facet, and the side, 1 where its normal points to.
+    """
+    point, normal = subject.world.plane_table[:, :3], subject.world.plane_table[:, 3:]
+    level = np.sum(point * normal, axis=1)
+    counts = ~subject.shape.is_double & normal.any(axis=1)
+    sides = []
+    for direction in (ways.source, ways.receiver):
+        place = direction * distance_m[:, None] - subject.anchor_m
+        height = place @ normal.T - level
+        edge_on = np.abs(height) < _EDGE_ON * distance_m[:, None]
+        sides.append(np.where(edge_on, 0.0, np.sign(height)))
+        if ways.are_back.all():
+            break
+    side = sides[0]
+    lit = counts & (side != 0) & (side == sides[-1])
+    inwards = subject.shape.outward * side < 0
+    lit &= ~(inwards & ~are_within(subject, ways)[:, None])
+    way, face = np.nonzero(lit)
+    return way, face, side[way, face]
+
+
+def is_seen_once(target: Target, ways: Ways) -> bool:
+    """Whether no facet lights another: of convex meshes seen from outside."""
+    subject = subject_of(target)
+    return subject.is_convex and not are_within(subject, ways).any()
+
+
+def are_within(subject: Subject, ways: Ways) -> NDArray[np.bool_]:
+    """Whether transmitter or receiver stands within the mesh's box, (n,)."""
+    low, high = subject.world.vertices.min(axis=0), subject.world.vertices.max(axis=0)
+    found = np.zeros(len(ways), dtype=bool)
+    for direction in (ways.source, ways.receiver):
+        reach = np.minimum(ways.distance_m, 1e30)[:, None]
+        place = direction * reach - subject.anchor_m
+        found |= ((low <= place) & (place <= high)).all(axis=1)
+    return found
+
+
+def _scatterers(s: Station, subject: Subject) -> Scatterers:
+    count, kinds = len(subject.world.faces), len(subject.surface)
+    zero, one = s.mi.Vector3d(0), s.mi.Float64(1)
+    return Scatterers(
+        body=np.zeros(count, dtype=np.intp),
+        plane=subject.shape.patch_of_face.astype(np.int32),
+        counts=~subject.shape.is_double,
+        outward=subject.shape.outward[None],
+        heard=np.ones((1, count), dtype=bool),
+        antenna=_Isotropic(s.mi, (zero, zero, zero), None, one, one, one, 1),
+        surface=s.mi.UInt32(aligned(subject.surface)),
+        velocity=s.mi.Float64(aligned(np.zeros(3 * kinds))),
+    )
+
+
+def _grazing(
+    subject: Subject,
+    ways: Ways,
+    distance_m: Array,
+    way: NDArray[np.intp],
+    face: NDArray[np.intp],
+    weight: Array,
+) -> Array:
+    corners = subject.world.vertices[subject.world.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(across, axis=1) / 2
+    place = ways.source * distance_m[:, None] - subject.anchor_m
+    towards = place[way] - corners.mean(axis=1)[face]
+    length = np.linalg.norm(towards, axis=1)
+    normal = subject.world.plane_table[:, 3:]
+    cosine = np.abs(np.sum(towards * normal[face], axis=1)) / length
+    lit = weight * area[face] * cosine * (distance_m[way] / length) ** 2
+    whole = np.bincount(way, lit, len(ways))
+    grazing = np.bincount(way, np.where(cosine < _GRAZING, lit, 0.0), len(ways))
+    share: Array = grazing / np.maximum(whole, 1e-300)
+    return share
