@@ -22,8 +22,8 @@ from tests.physics.rcs_targets import (
 )
 from twin.engine import sionna
 from twin.radar.cross_section import Quality, Ways, physical_optics, sweep
-from twin.radar.cross_section.facets import subject_of
 from twin.radar.cross_section.rays import Density, later_bounces
+from twin.radar.cross_section.subject import bare, subject_of
 from twin.radar.scattering import (
     EdgeQuality,
     Layer,
@@ -149,6 +149,27 @@ def test_only_what_bends_nowhere_inwards_is_convex() -> None:
         for mesh in (ball, turned, box, dent, shell, trimesh.util.concatenate([ball, far]))
     ]
     assert found == [True, True, True, False, False, False]
+
+
+def test_facets_are_bare_where_no_other_one_stands_before_them() -> None:
+    """A small plate before one triangle of a large one, as seen from ahead and from the left; past
+    it from the right; hidden behind it; and from a place among them, which has no projection.
+    """
+    large, small = rectangle(1.0, 1.0), (np.array(rectangle(0.1, 0.1)) + [0.5, 0.2, 0.1]).tolist()
+    places = np.array([[10, 0, 0], [6, 8, 0], [6, -8, 0], [-10, 0, 0], [0.05, 0, 0]])
+    found = bare(subject_of(as_target(polygons(large, small))), places)
+    np.testing.assert_array_equal(
+        found,
+        np.array(
+            [
+                [False, True, True, True],
+                [True, False, True, True],
+                [True, True, True, True],
+                [True, True, False, False],
+                [False, False, False, False],
+            ]
+        ),
+    )
 
 
 def test_near_field_tends_to_the_far_field() -> None:

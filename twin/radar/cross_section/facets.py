@@ -7,7 +7,6 @@ way is within the tolerance.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import drjit as dr
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.engine import mitsuba
+from twin.radar.cross_section.subject import Subject, are_within, bare, subject_of
 from twin.radar.cross_section.ways import Ways
 from twin.radar.propagation.beams import AntennaGain
 from twin.radar.propagation.currents import amplitude_of, echoes_of
@@ -23,13 +23,10 @@ from twin.radar.propagation.facets import Budget, Leaves, lit_facets, settled
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import sampled
-from twin.radar.propagation.shape import Shape, shape_of
 from twin.radar.propagation.triangles import Triangles, lit_directly
-from twin.radar.propagation.world import Mesher
 from twin.radar.scattering.kernel import turned
 from twin.radar.scattering.surface import table
 from twin.radar.scattering.target import Target
-from twin.scene import SceneObject
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -42,73 +39,10 @@ _FAINT = 1e-3  # of the facets' echoes out of phase: what no error is counted be
 _ALIKE = 0.25  # of the tolerance near by: what bent phases leave of a facet's parts is alike, not
 # independent
 _EDGE_ON = 1e-12  # sine of the angle below which a facet shows no side
-_ROUNDED = 1e-6  # of the mesh's size: what stands no farther before a facet lies in its plane
-_MOST_COMPARED = 2**27  # facets times corners of the hull, a second
+_MOST_PAIRS = 2**17  # of facets, over all ways: 20 MB
 #: Images of a way: receivers of two polarisations, one of both, a transmitter of all, and one each.
 _ALL_HEARD, _ALL_SENT, _FIRST_SENT = 2, 3, 4
 _GRAZING = 0.25881904510252074  # cosine of 75 deg
-
-
-@dataclass(frozen=True, eq=False)
-class Subject:
-    """A mesh as the scene's solver takes it, the same from all sides.
-
-    ``surface`` numbers that of every object of the ``world``; ``is_open`` (2, n_facets): nothing
-    of the mesh stands before a facet, on the side of its normal and on the other.
-    """
-
-    world: Mesher
-    anchor_m: Array
-    shape: Shape
-    surface: NDArray[np.uint32]
-    is_open: NDArray[np.bool_]
-
-    @property
-    def is_convex(self) -> bool:
-        """Whether nothing is hidden, and nothing lit by anything else."""
-        return bool(self.is_open.any(axis=0).all()) and bool(
-            (self.is_open.all(axis=0) | (self.shape.outward != 0)).all()
-        )
-
-
-@lru_cache(maxsize=8)
-def subject_of(target: Target) -> Subject:
-    """Found once for a mesh."""
-    center, radius = target.sphere
-    # Beside the mesh: rays start off a surface by a share of the distance from the anchor.
-    anchor = center - radius
-    kind = target.surface_of_face
-    kinds = np.zeros(len(target.faces), dtype=np.intp) if kind is None else np.asarray(kind)
-    used = np.unique(kinds)
-    faces = target.faces.astype(np.int32)
-    items = [_item(target.vertices_m, faces[kinds == number]) for number in used]
-    world = Mesher(items)
-    world.place(items, anchor)
-    whole = _item(target.vertices_m, np.concatenate([item.faces for item in items]))
-    shape = shape_of(whole)
-    return Subject(
-        world, anchor, shape, used.astype(np.uint32), _open(world, shape, _ROUNDED * radius)
-    )
-
-
-def _item(vertices: Array, faces: NDArray[np.int32]) -> SceneObject:
-    return SceneObject("target", vertices, faces, None, "", 0.0)
-
-
-def _open(world: Mesher, shape: Shape, rounded_m: float) -> NDArray[np.bool_]:
-    if shape.is_convex:
-        return np.stack([shape.outward > 0, shape.outward < 0])
-    point, normal = world.plane_table[:, :3], world.plane_table[:, 3:]
-    corners = world.vertices[shape.hull]
-    if len(normal) * len(corners) > _MOST_COMPARED:
-        return np.zeros((2, len(normal)), dtype=bool)
-    level = np.sum(point * normal, axis=1)
-    found = np.empty((2, len(normal)), dtype=bool)
-    for rows in np.array_split(np.arange(len(normal)), len(normal) * len(corners) // 2**22 + 1):
-        height = normal[rows] @ corners.T - level[rows, None]
-        found[0, rows] = height.max(axis=1) <= rounded_m
-        found[1, rows] = height.min(axis=1) >= -rounded_m
-    return found
 
 
 class _Isotropic(AntennaGain):
@@ -233,6 +167,11 @@ def direct(
         return Direct(amplitude, np.zeros(n))
     lit = replace(lit, body=way)
     is_open = subject.is_open[(side < 0).astype(np.intp), face]
+    if not is_open.all() and n * len(subject.world.faces) ** 2 <= _MOST_PAIRS:
+        is_bare = bare(subject, ways.source * distance[:, None])[way, face]
+        if not ways.are_back.all():
+            is_bare &= bare(subject, ways.receiver * distance[:, None])[way, face]
+        is_open |= is_bare
     # A wave of amplitude 1 at the origin, less the phase to it and back.
     both = later.sum(axis=1) / np.sqrt(m) @ np.array([1, 1j]) * np.sqrt(0.5)
     further = both * np.exp(-2j * (k * distance % np.pi)) / (2 * k * distance**2)
@@ -337,23 +276,6 @@ def _facing(
     lit &= ~(inwards & ~are_within(subject, ways)[:, None])
     way, face = np.nonzero(lit)
     return way, face, side[way, face]
-
-
-def is_seen_once(target: Target, ways: Ways) -> bool:
-    """Whether no facet lights another: of convex meshes seen from outside."""
-    subject = subject_of(target)
-    return subject.is_convex and not are_within(subject, ways).any()
-
-
-def are_within(subject: Subject, ways: Ways) -> NDArray[np.bool_]:
-    """Whether transmitter or receiver stands within the mesh's box, (n,)."""
-    low, high = subject.world.vertices.min(axis=0), subject.world.vertices.max(axis=0)
-    found = np.zeros(len(ways), dtype=bool)
-    for direction in (ways.source, ways.receiver):
-        reach = np.minimum(ways.distance_m, 1e30)[:, None]
-        place = direction * reach - subject.anchor_m
-        found |= ((low <= place) & (place <= high)).all(axis=1)
-    return found
 
 
 def _scatterers(s: Station, subject: Subject) -> Scatterers:

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.radar.cross_section.facets import direct, is_seen_once, subject_of
+from twin.radar.cross_section.facets import direct
 from twin.radar.cross_section.rays import Density, Later, later_bounces, spread
+from twin.radar.cross_section.subject import is_seen_once, subject_of
 from twin.radar.cross_section.ways import Ways
 from twin.radar.scattering.target import Target
 from twin.radar.scattering.wave import Polarization, Radar
