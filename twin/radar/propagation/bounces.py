@@ -4,6 +4,7 @@ A first, coarse pass tells how strong every body answers; the second is as fine 
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ def scattered_by(
     Parameters
     ----------
     wave_numbers
-        Over the band, at which bodies' echoes are summed, in rad/m.
+        Equally spaced over the band, at which bodies' echoes are summed, in rad/m.
     tolerance
         Error of every body's echo over the band, relative to its root mean square.
     bounces
@@ -53,10 +54,12 @@ def scattered_by(
         return Rays.joined([])
     whole = facets, echoes_of(s, scatterers, facets)
     roots = _roots(s, scatterers, images) if bounces > 1 else None
+    search = _Search(s, scatterers, images, bounces)
+    first = search.landed(roots) if roots is not None else []
     coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
-    _all_bounces(s, scatterers, images, whole, roots, coarse, bounces, _COARSE_DEPTH)
+    search.leaves(whole, roots, first, coarse, _COARSE_DEPTH)
     budget = Budget(count, tolerance, wave_numbers, floor, coarse)
-    found = _all_bounces(s, scatterers, images, whole, roots, budget, bounces, _DEEPEST)
+    found = search.leaves(whole, roots, first, budget, _DEEPEST)
     leaves = [_worth_it(part, budget) for part in found]
     return Rays.joined([rays_of(s, scatterers, part) for part in leaves if len(part.weight)])
 
@@ -67,66 +70,94 @@ def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
     return leaves.chosen(np.flatnonzero(~faint))
 
 
-def _all_bounces(
-    s: Station,
-    scatterers: Scatterers,
-    images: Sequence[Image],
-    whole: tuple[Triangles, Echoes],
-    roots: Triangles | None,
-    budget: Budget,
-    bounces: int,
-    deepest: int,
-) -> list[Leaves]:
-    """Leaves, one for each number of bounces that there are."""
-    found = [settled(s, scatterers, *whole, budget, deepest)]
-    budget.end_direct()
-    for lit in _lit_by_tubes(s, scatterers, images, roots, budget, bounces, deepest):
-        found.append(settled(s, scatterers, lit, echoes_of(s, scatterers, lit), budget, deepest))
-    return [Leaves.joined(parts) for parts in found if parts]
-
-
-def _lit_by_tubes(
-    s: Station,
-    scatterers: Scatterers,
-    images: Sequence[Image],
-    roots: Triangles | None,
-    budget: Budget,
-    bounces: int,
-    deepest: int,
-) -> list[Triangles]:
-    """What bodies light of each other, by every receiver; one for each number of bounces.
-
-    Roots are divided while what their tubes may return after all their bounces is too uncertain.
+@dataclass(frozen=True, eq=False)
+class _Landed:
+    """What tubes light after some bounces, by receiver: with the ``root`` of each, (n,), whether
+    it ``is_lit``, and the ``error`` that its echo may have.
     """
-    lit: list[list[Triangles]] = [[] for _ in range(1, bounces)]
-    for depth in range(deepest + 1):
-        if roots is None or not len(roots):
-            break
+
+    lit: Triangles
+    echoes: Echoes
+    root: NDArray[np.intp]
+    is_lit: NDArray[np.bool_]
+    error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """For echoes of bodies, by up to some ``bounces``."""
+
+    s: Station
+    scatterers: Scatterers
+    images: Sequence[Image]
+    bounces: int
+
+    def leaves(
+        self,
+        whole: tuple[Triangles, Echoes],
+        roots: Triangles | None,
+        first: "list[_Landed]",
+        budget: Budget,
+        deepest: int,
+    ) -> list[Leaves]:
+        """One for each number of bounces that there are; ``first``: where the roots' tubes land."""
+        found = [settled(self.s, self.scatterers, *whole, budget, deepest)]
+        budget.end_direct()
+        if roots is not None:
+            for lit, echoes in self._lit_by_tubes(roots, first, budget, deepest):
+                found.append(settled(self.s, self.scatterers, lit, echoes, budget, deepest))
+        return [Leaves.joined(parts) for parts in found if parts]
+
+    def landed(self, roots: Triangles) -> "list[_Landed]":
+        """Where the tubes of roots land, after every number of bounces that any of them reaches."""
         tubes: Tubes | None = Tubes.begin(roots)
-        error, grown = np.zeros(len(roots)), []
-        for known in lit:
-            tubes = reflected_on(s, scatterers, tubes) if tubes is not None else None
+        found: list[_Landed] = []
+        for _ in range(1, self.bounces):
+            tubes = reflected_on(self.s, self.scatterers, tubes)
             if tubes is None:
                 break
-            at, row = heard(s, scatterers, tubes.triangles, images)
+            lit, row = heard(self.s, self.scatterers, tubes.triangles, self.images)
             if not len(row):
                 continue
-            answer = echoes_of(s, scatterers, at)
+            echoes = echoes_of(self.s, self.scatterers, lit)
             # What a ray stands for may lie on other planes than the one that it meets.
-            most = np.sqrt(answer.strength * answer.gain * np.abs(answer.amplitude))
-            share = most * tubes.doubt[row] / budget.allowed(at.body)
-            error += np.bincount(tubes.root[row], share**2, len(roots))
-            grown.append((known, at, tubes.root[row]))
-        done = budget.affordable(roots.body, np.sqrt(error) * budget.allowed(roots.body))
-        if depth == deepest:
-            done[:] = True
-        for known, at, root in grown:
-            kept = np.flatnonzero(done[root])
-            if len(kept):
-                known.append(at.taken(kept))
-        rest = np.flatnonzero(~done)
-        roots = quartered(s, roots.taken(rest)) if len(rest) else None
-    return [Triangles.joined(parts) for parts in lit if parts]
+            most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
+            error = most * tubes.doubt[row]
+            found.append(_Landed(lit, echoes, tubes.root[row], tubes.is_lit[row], error))
+        return found
+
+    def _lit_by_tubes(
+        self, roots: Triangles, first: "list[_Landed]", budget: Budget, deepest: int
+    ) -> list[tuple[Triangles, Echoes]]:
+        """What bodies light of each other, by every receiver; one for each number of bounces.
+
+        Roots are divided while what their tubes may return after all their bounces is too
+        uncertain.
+        """
+        lit: dict[int, list[tuple[Triangles, Echoes]]] = {}
+        landed = first
+        for depth in range(deepest + 1):
+            error = np.zeros(len(roots))
+            for part in landed:
+                share = part.error / budget.allowed(part.lit.body)
+                error += np.bincount(part.root, share**2, len(roots))
+            done = budget.affordable(roots.body, np.sqrt(error) * budget.allowed(roots.body))
+            if depth == deepest:
+                done[:] = True
+            for part in landed:
+                kept = np.flatnonzero(done[part.root] & part.is_lit)
+                if len(kept):
+                    known = part.lit.taken(kept), part.echoes.chosen(kept)
+                    lit.setdefault(part.lit.bounces, []).append(known)
+            rest = np.flatnonzero(~done)
+            if not len(rest):
+                break
+            roots = quartered(self.s, roots.taken(rest))
+            landed = self.landed(roots)
+        return [
+            (Triangles.joined([t for t, _ in parts]), Echoes.joined([e for _, e in parts]))
+            for _, parts in sorted(lit.items())
+        ]
 
 
 def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Triangles | None:

@@ -60,11 +60,20 @@ class Echoes:
         return Echoes(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
+def plane_of(s: Station, face: Any) -> tuple[Any, Any]:
+    """A point of a facet's plane, and its normal."""
+    point, normal = (
+        s.mi.Vector3d(
+            *(dr.gather(s.mi.Float64, s.world.planes, 6 * face + k + i) for i in range(3))
+        )
+        for k in (0, 3)
+    )
+    return point, normal
+
+
 def normal_of(s: Station, face: Any, place: Any, towards: Any) -> Any:
     """A facet's normal on the side of a point."""
-    normal = s.mi.Vector3d(
-        *(dr.gather(s.mi.Float64, s.world.planes, 6 * face + i) for i in (3, 4, 5))
-    )
+    _, normal = plane_of(s, face)
     return normal * dr.select(dr.dot(normal, towards - place) < 0, -1.0, 1.0)
 
 

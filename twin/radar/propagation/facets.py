@@ -9,6 +9,7 @@ triangles, taken as independent, add up to the tolerance.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -107,10 +108,13 @@ class Budget:
         """Sum of echoes, the phase of whose path they lack, (count, n_frequencies)."""
         count = len(self.level) if count is None else count
         found = np.zeros((count, len(self._wave_numbers)), dtype=np.complex128)
-        for column, k in zip(found.T, self._wave_numbers, strict=True):
-            wave = echo * np.exp(-1j * (k * length_m % (2 * np.pi)))
-            column[:] = np.bincount(body, wave.real, len(found))
-            column += 1j * np.bincount(body, wave.imag, len(found))
+        lowest, step = self._wave_numbers[0], np.diff(self._wave_numbers[:2])
+        wave = echo * _waves(lowest * length_m)
+        turn = _waves(step * length_m)
+        for column in found.T:
+            column.real = np.bincount(body, wave.real, len(found))
+            column.imag = np.bincount(body, wave.imag, len(found))
+            wave *= turn
         return found
 
     def consider(self, parts: "Sequence[Leaves]") -> None:
@@ -171,6 +175,17 @@ class Budget:
         found = np.empty(len(body), dtype=bool)
         found[order] = total - before[body[order]] <= most[body[order]]
         return found
+
+
+def _waves(phase_rad: Array) -> Complex:
+    """exp(-j phase)."""
+    cycles = phase_rad / (2 * np.pi)
+    cycles -= np.floor(cycles)
+    cycles *= -2 * np.pi
+    found = np.empty(len(cycles), dtype=np.complex128)
+    np.cos(cycles, out=found.real)
+    np.sin(cycles, out=found.imag)
+    return found
 
 
 def settled(
@@ -321,6 +336,7 @@ def lit_facets(
             source=mi.UInt32(aligned(source.astype(np.uint32))),
             receiver=mi.UInt32(aligned(receiver.astype(np.uint32))),
             spot=vector(mi, at.mean(axis=1), "Vector3d"),
+            lift=dr.zeros(mi.Float64, len(face)),
             incident=Incident(zero, zero, (zero, zero, zero), zero, zero, zero, no_passage(mi)),
             body=scatterers.body[face],
             is_ray=np.zeros(len(face), dtype=bool),

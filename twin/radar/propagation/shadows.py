@@ -25,7 +25,7 @@ def seen(s: Station, lit: Triangles, place: Any) -> Any:
     """Whether points of triangles are seen by source and receiver."""
     mi = s.mi
     normal = normal_of(s, lit.face, place, lit.incident.origin)
-    off = normal * offset(place)
+    off = normal * (offset(place) + lit.lift)
     clear = leg(s, lit.receiver, place, off, mi.Bool(True)).clear
     if lit.bounces == 0:
         apart = clear & (lit.source != lit.receiver)

@@ -43,8 +43,9 @@ class Triangles:
     """Triangles on the device, one element each, relative to the anchor.
 
     ``corners``: three vectors; ``face``: the facet on which they lie; ``source`` and ``receiver``:
-    images of the radar; ``spot``: a point of it that is lit. On the host (n,): ``body``, and
-    ``is_ray``: its corners may not be lit, and the spot stands for all of it. ``bounces`` before.
+    images of the radar; ``spot``: a point of it that is lit; ``lift``: how far from their plane
+    surfaces may be that it stands for, in m. On the host (n,): ``body``, and ``is_ray``: its
+    corners may not be lit, and the spot stands for all of it. ``bounces`` before.
     """
 
     corners: tuple[Any, Any, Any]
@@ -52,6 +53,7 @@ class Triangles:
     source: Any
     receiver: Any
     spot: Any
+    lift: Any
     incident: Incident
     body: NDArray[np.intp]
     is_ray: NDArray[np.bool_]

@@ -5,7 +5,7 @@ an origin and a triangle, and where all of it meets one plane it lights a triang
 phases. Where its corners and its centroid meet different planes it is divided.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,11 +13,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.currents import normal_of, reflection
+from twin.radar.propagation.borders import border, odd_one
+from twin.radar.propagation.currents import normal_of, plane_of, reflection
 from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station, leg, offset
 from twin.radar.propagation.scatterers import Scatterers
-from twin.radar.propagation.triangles import Incident, Triangles, quartered
+from twin.radar.propagation.triangles import Incident, Triangles
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -25,13 +26,19 @@ Indices = NDArray[np.integer]
 
 _INSET = 1e-3  # of the way to the centroid
 _INSIDE = (0.38, 0.335, 0.285)  # near the centroid, which in what is symmetric meets a crease
+_SMOOTH_RAD = 0.7  # by which facets that a tube meets may lie off one plane, as mean over the tube
+_STEP_RAD = 3.0  # from which on they are not one curved surface, likewise
 _DOUBT = 1.5  # of what a ray that hits stands for: others of its tube miss
+_BENT = 1.0  # of how far a border is from straight, which is followed in its middle
+_MOST_BENT = 0.4
+_LEAST_SLOPE = 0.05  # sine of the angle at which planes are met: a ray's triangle stays finite
 
 
 @dataclass(frozen=True, eq=False)
 class Tubes:
     """Triangles that tubes light, with the ``root`` of each, the number of the facet's part that it
-    began at, and its ``doubt``: share of what it may return that it may be off by.
+    began at, its ``doubt``: share of what it may return that it may be off by, and whether it
+    ``is_lit``, or only near something that is.
 
     The triangles are of no receiver.
     """
@@ -39,11 +46,13 @@ class Tubes:
     triangles: Triangles
     root: Indices
     doubt: Array
+    is_lit: NDArray[np.bool_]
 
-    def chosen(self, which: NDArray[np.bool_]) -> "Tubes":
-        """Only some of them, by mask."""
+    def chosen(self, which: NDArray[Any]) -> "Tubes":
+        """Only some of them, by index or mask."""
+        index = np.flatnonzero(which) if which.dtype == bool else which
         return Tubes(
-            self.triangles.taken(np.flatnonzero(which)), self.root[which], self.doubt[which]
+            self.triangles.taken(index), self.root[index], self.doubt[index], self.is_lit[index]
         )
 
     @staticmethod
@@ -53,74 +62,255 @@ class Tubes:
             Triangles.joined([part.triangles for part in parts]),
             np.concatenate([part.root for part in parts]),
             np.concatenate([part.doubt for part in parts]),
+            np.concatenate([part.is_lit for part in parts]),
         )
 
     @staticmethod
     def begin(triangles: Triangles) -> "Tubes":
         """Each a root."""
-        return Tubes(triangles, np.arange(len(triangles)), np.zeros(len(triangles)))
+        count = len(triangles)
+        return Tubes(triangles, np.arange(count), np.zeros(count), np.ones(count, dtype=bool))
 
 
 def reflected_on(s: Station, scatterers: Scatterers, tubes: Tubes) -> Tubes | None:
     """Tubes where they land after the next reflection; None where they meet nothing.
 
-    Where the rays of a tube part, each of its quarters goes on as a mere ray.
+    A tube whose rays meet facets so nearly in one plane that phases hardly differ stays whole. One
+    that a border cuts in two goes on in parts, and of others each quarter as a mere ray.
     """
+    tubes = tubes.chosen(tubes.is_lit)
     wide, rays = tubes.chosen(~tubes.triangles.is_ray), tubes.chosen(tubes.triangles.is_ray)
-    landed = []
-    if len(wide.root):
-        plane, face = _met(s, scatterers, wide.triangles, 4)
-        is_whole = (plane == plane[3]).all(axis=0)
-        landed.append(_landed(s, scatterers, wide, is_whole & (plane[3] >= 0), face[3]))
-        parting = wide.chosen(~is_whole)
-        if len(parting.root):
-            rays = Tubes.joined(
-                [rays, _as_rays(s, parting)] if len(rays.root) else [_as_rays(s, parting)]
-            )
+    landed = _onto_planes(s, scatterers, wide)
     if len(rays.root):
-        plane, face = _met(s, scatterers, rays.triangles, 1)
-        landed.append(_landed(s, scatterers, rays, plane[0] >= 0, face[0]))
+        met = _met(s, scatterers, rays.triangles, 1)
+        hit = met.is_valid[0]
+        further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT))
+        landed.append(_landed(s, scatterers, further.chosen(hit), met.face[0, hit]))
     found = [part for part in landed if len(part.root)]
     return Tubes.joined(found) if found else None
 
 
-def _as_rays(s: Station, tubes: Tubes) -> Tubes:
-    four = quartered(s, tubes.triangles)
-    return Tubes(
-        replace(four, is_ray=np.ones(len(four), dtype=bool)),
-        np.repeat(tubes.root, 4),
-        np.full(len(four), _DOUBT),
+def _onto_planes(
+    s: Station, scatterers: Scatterers, tubes: Tubes, may_cut: bool = True
+) -> list[Tubes]:
+    """Where tubes land, in parts."""
+    if not len(tubes.root):
+        return []
+    met = _met(s, scatterers, tubes.triangles, 4)
+    apart = met.gap_m[:3].max(axis=0)
+    off = _phase_rad(s, apart)
+    is_whole = off < _SMOOTH_RAD
+    whole = tubes.chosen(is_whole)
+    whole = replace(whole, doubt=whole.doubt + off[is_whole])
+    landed = [_landed(s, scatterers, whole, met.face[3, is_whole], apart[is_whole])]
+    rest = np.flatnonzero(~is_whole & met.is_valid.any(axis=0))
+    if may_cut and len(rest):
+        parts, is_cut = _cut(s, scatterers, tubes.chosen(rest), met.chosen(rest))
+        if parts is not None:
+            landed += _onto_planes(s, scatterers, parts, may_cut=False)
+        rest = rest[~is_cut]
+    if len(rest):
+        # A quarter as large, curved surfaces part a fourth as much.
+        doubt = np.minimum(off[rest] / 4, _DOUBT)
+        landed.append(_by_quarters(s, scatterers, tubes.chosen(rest), met.chosen(rest), doubt))
+    return landed
+
+
+def _phase_rad(s: Station, gap_m: Array) -> Array:
+    """By which planes that far apart change an echo: both ways, and a third of what corners are
+    off by is the mean.
+    """
+    return 2 / 3 * 2 * np.pi / float(s.wavelength[0]) * gap_m
+
+
+def _cut(
+    s: Station, scatterers: Scatterers, tubes: Tubes, met: "_Met"
+) -> tuple[Tubes | None, NDArray[np.bool_]]:
+    """Parts of tubes that one border cuts, and which tubes these are: one corner meets something
+    else than both others, the border is nearly straight, and the sample inside is on the right side
+    of it.
+    """
+    off, nothing = _phase_rad(s, _apart(s, tubes.triangles, met)), ~met.is_valid
+    off = np.maximum(off, off.swapaxes(0, 1))
+    alike = (off < _SMOOTH_RAD) | nothing[:, None] & nothing
+    is_cut, odd = odd_one(np.stack([alike[0, 1], alike[1, 2], alike[2, 0]]))
+    rows = np.arange(len(odd))
+    one, two = (odd + 1) % 3, (odd + 2) % 3
+    is_cut &= alike[3, odd, rows] | alike[3, one, rows]
+    is_cut &= np.minimum(off[odd, one, rows], off[odd, two, rows]) > _STEP_RAD
+    rows = np.flatnonzero(is_cut)
+    if not len(rows):
+        return None, is_cut
+    odd, one = odd[rows], one[rows]
+    wanted = met.is_valid[odd, rows]
+    faces = np.where(wanted, met.face[odd, rows], met.face[one, rows])
+    some = tubes.chosen(rows)
+    at = border(
+        s.mi,
+        some.triangles.corners,
+        s.mi.UInt32(aligned(odd)),
+        _like(s, scatterers, some.triangles, faces, wanted),
+    )
+    bent = np.array(at.bent)
+    inner = sum(_INSIDE[1] / np.maximum(np.array(share), 1e-9) for share in at.shares)
+    is_clear = (bent < _MOST_BENT) & ((inner < 1) == alike[3, odd, rows])
+    is_cut[rows] = is_clear
+    some = replace(some, doubt=some.doubt + _BENT * bent)
+    row = np.flatnonzero(is_clear)
+    if not len(row):
+        return None, is_cut
+    # What meets nothing as well: there may be more than that border.
+    parts = [_part(s, some, corners, row) for corners in (*at.near, *at.far)]
+    return Tubes.joined(parts), is_cut
+
+
+def _like(
+    s: Station, scatterers: Scatterers, tubes: Triangles, face: Indices, wanted: NDArray[np.bool_]
+) -> Callable[[Any], Any]:
+    """Test of places on tubes: whether the ray from there meets about the plane of a facet, or,
+    where that is not wanted, does not.
+    """
+    known, asked = s.mi.UInt32(aligned(face.astype(np.uint32))), s.mi.Bool(aligned(wanted))
+    limit = _SMOOTH_RAD / float(_phase_rad(s, np.ones(1))[0])
+
+    def same(place: Any) -> Any:
+        active, met, direction = _reflected(s, scatterers, tubes, place)
+        gap = _along(s, met, place, direction) - _along(s, known, place, direction)
+        return (active & (dr.abs(gap) < limit)) == asked
+
+    return same
+
+
+def _part(s: Station, tubes: Tubes, corners: tuple[Any, Any, Any], row: Indices) -> Tubes:
+    """Parts of some of the tubes."""
+    some, index = tubes.chosen(row), s.mi.UInt32(aligned(row.astype(np.uint32)))
+    a, b, c = (dr.gather(s.mi.Vector3d, corner, index) for corner in corners)
+    part = replace(some.triangles, corners=(a, b, c), spot=(a + b + c) / 3)
+    return replace(some, triangles=part.evaluated())
+
+
+def _by_quarters(
+    s: Station, scatterers: Scatterers, tubes: Tubes, met: "_Met", doubt: Array
+) -> Tubes:
+    """Quarters of tubes as rays at their own centroids. Where that meets nothing but the tube's
+    corner there does, it is not lit.
+    """
+    pieces = _quarters(s, tubes.triangles)
+    own = _met(s, scatterers, pieces, 1)
+    is_lit, known = own.is_valid[0], met.is_valid.T.ravel()
+    face = np.where(is_lit, own.face[0], met.face.T.ravel())
+    found = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
+    either = is_lit | known
+    return _landed(s, scatterers, found.chosen(either), face[either])
+
+
+def _quarters(s: Station, tubes: Triangles) -> Triangles:
+    """At the three corners and in the middle, as rays."""
+    four = tubes.repeated(4)
+    number = dr.arange(s.mi.UInt32, len(four)) & 3
+    a, b, c = four.corners
+    middles = (b + c) / 2, (c + a) / 2, (a + b) / 2
+    # Of the quarter at a corner the other two corners are the middles of the edges there.
+    corners = tuple(
+        dr.select(number == i, corner, dr.select(number == 3, middles[i], other))
+        for i, corner, other in (
+            (0, a, dr.select(number == 1, middles[2], middles[1])),
+            (1, b, dr.select(number == 2, middles[0], middles[2])),
+            (2, c, dr.select(number == 0, middles[1], middles[0])),
+        )
+    )
+    middle = (corners[0] + corners[1] + corners[2]) / 3
+    is_ray = np.ones(len(four), dtype=bool)
+    return replace(four, corners=corners, spot=middle, is_ray=is_ray).evaluated()
+
+
+@dataclass(frozen=True, eq=False)
+class _Met:
+    """What reflected rays meet, (samples, n): whether they meet anything and the source sees where
+    they begin, the facet, and how far along the ray its plane is from that of the last sample's.
+    """
+
+    is_valid: NDArray[np.bool_]
+    face: Indices
+    gap_m: Array
+
+    def chosen(self, row: Indices) -> "_Met":
+        """Of some tubes only."""
+        return _Met(self.is_valid[:, row], self.face[:, row], self.gap_m[:, row])
+
+
+def _met(s: Station, scatterers: Scatterers, tubes: Triangles, samples: int) -> _Met:
+    """By rays at corners and at a point inside, or at the spot alone."""
+    mi, n = s.mi, len(tubes)
+    many = tubes.repeated(samples) if samples > 1 else tubes
+    index = dr.arange(mi.UInt32, samples * n)
+    place = _samples(many, index & 3) if samples > 1 else many.spot
+    active, face, direction = _reflected(s, scatterers, many, place)
+    dr.eval(active, face)
+    gap = mi.Float64(0)
+    if samples > 1:
+        own = _along(s, face, place, direction)
+        last = _along(s, dr.gather(mi.UInt32, face, index | 3), place, direction)
+        both = active & dr.gather(mi.Bool, active, index | 3)
+        gap = dr.select(both, dr.abs(own - last), np.inf)
+    shape = (n, samples)
+    return _Met(
+        np.array(active).reshape(shape).T,
+        np.array(face).reshape(shape).T,
+        np.broadcast_to(np.array(gap), n * samples).reshape(shape).T,
     )
 
 
-def _met(
-    s: Station, scatterers: Scatterers, tubes: Triangles, samples: int
-) -> tuple[Indices, Indices]:
-    """Planes and facets that reflected rays meet, (samples, n): those of corners and of a point
-    inside, or of the latter alone; -1 where they meet none, or the source does not see the point.
+def _apart(s: Station, tubes: Triangles, met: _Met) -> Array:
+    """Distance along the rays of all samples between the planes that they meet and the plane that
+    one of them meets, (4 planes, 4 samples, n); infinite where either meets none.
     """
     mi, n = s.mi, len(tubes)
-    many = tubes.repeated(samples) if samples > 1 else tubes
-    place = many.spot
-    if samples > 1:
-        place = _samples(many, dr.arange(mi.UInt32, samples * n) & 3)
-    normal = normal_of(s, many.face, many.center, many.incident.origin)
-    direction = dr.normalize(place - many.incident.origin)
-    direction = direction - 2 * dr.dot(direction, normal) * normal
-    start = place + normal * offset(place)
-    ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
+    many = tubes.repeated(4)
+    index = dr.arange(mi.UInt32, 4 * n)
+    place = _samples(many, index & 3)
+    direction, _ = _mirrored(s, many, place)
+    faces = mi.UInt32(aligned(met.face.T.ravel().astype(np.uint32)))
+    own = _along(s, faces, place, direction)
+    found = np.empty((4, 4, n))
+    for k in range(4):
+        gap = _along(s, dr.gather(mi.UInt32, faces, 4 * (index // 4) + k), place, direction) - own
+        valid = met.is_valid & met.is_valid[k]
+        found[k] = np.where(valid, np.abs(np.array(gap).reshape(n, 4).T), np.inf)
+    return found
+
+
+def _mirrored(s: Station, tubes: Triangles, place: Any) -> tuple[Any, Any]:
+    """Direction of rays after their reflection at a place of a tube, and the normal there."""
+    normal = normal_of(s, tubes.face, tubes.center, tubes.incident.origin)
+    direction = dr.normalize(place - tubes.incident.origin)
+    return direction - 2 * dr.dot(direction, normal) * normal, normal
+
+
+def _reflected(
+    s: Station, scatterers: Scatterers, tubes: Triangles, place: Any
+) -> tuple[Any, Any, Any]:
+    """Whether rays from there meet what scatters, on which facet (else 0), and their direction."""
+    mi = s.mi
+    direction, normal = _mirrored(s, tubes, place)
+    off = normal * (offset(place) + tubes.lift)
+    ray = mi.Ray3f(mi.Point3f(place + off), mi.Vector3f(direction))
     hit = s.world.scene.ray_intersect_preliminary(ray)
-    planes, valid = mi.Int32(aligned(scatterers.plane)), hit.is_valid()
-    plane = dr.gather(mi.Int32, planes, hit.prim_index, valid)
-    active = valid & (plane >= 0)
+    planes, active = mi.Int32(aligned(scatterers.plane)), hit.is_valid()
+    active &= dr.gather(mi.Int32, planes, hit.prim_index, active) >= 0
     if s.walls is not None:  # between bodies no wall lets through
         ray.maxt = hit.t
         active &= ~s.walls.mesh.scene.ray_test(ray, active=active)
     if tubes.bounces == 0:
-        active &= leg(s, many.source, place, normal * offset(place), active).clear
-    plane, face = dr.select(active, plane, -1), hit.prim_index
-    dr.eval(plane, face)
-    return np.array(plane).reshape(n, samples).T, np.array(face).reshape(n, samples).T
+        active &= leg(s, tubes.source, place, off, active).clear
+    return active, dr.select(active, hit.prim_index, 0), direction
+
+
+def _along(s: Station, face: Any, place: Any, direction: Any) -> Any:
+    """Distance from places to the planes of facets along directions."""
+    point, normal = plane_of(s, face)
+    slope = dr.dot(normal, direction)
+    return dr.dot(normal, point - place) / dr.select(slope != 0, slope, 1.0)
 
 
 def _samples(tubes: Triangles, which: Any) -> Any:
@@ -132,17 +322,22 @@ def _samples(tubes: Triangles, which: Any) -> Any:
 
 
 def _landed(
-    s: Station, scatterers: Scatterers, tubes: Tubes, which: NDArray[np.bool_], face: Indices
+    s: Station,
+    scatterers: Scatterers,
+    tubes: Tubes,
+    face: Indices,
+    lift_m: Array | None = None,
 ) -> Tubes:
-    """Some of the tubes on the planes of facets that they meet."""
-    rows = np.flatnonzero(which)
-    if not len(rows):
-        return tubes.chosen(which)
-    lit = _lit_on(s, scatterers, tubes.triangles.taken(rows), face[rows])
-    return Tubes(lit, tubes.root[rows], tubes.doubt[rows])
+    """Tubes on the planes of facets that they meet, which differ from it by ``lift_m``."""
+    if not len(tubes.root):
+        return tubes
+    lift = np.zeros(len(face)) if lift_m is None else lift_m
+    return replace(tubes, triangles=_lit_on(s, scatterers, tubes.triangles, face, lift))
 
 
-def _lit_on(s: Station, scatterers: Scatterers, some: Triangles, face: Indices) -> Triangles:
+def _lit_on(
+    s: Station, scatterers: Scatterers, some: Triangles, face: Indices, lift_m: Array
+) -> Triangles:
     """The triangles that tubes light on the planes of facets."""
     mi = s.mi
     wave = some.incident
@@ -154,25 +349,34 @@ def _lit_on(s: Station, scatterers: Scatterers, some: Triangles, face: Indices) 
     origin = wave.origin - 2 * dr.dot(wave.origin - some.center, normal) * normal
     velocity = wave.velocity - 2 * dr.dot(wave.velocity - own, normal) * normal
     new = mi.UInt32(aligned(face.astype(np.uint32)))
-    point, across = (
-        mi.Vector3d(*(dr.gather(mi.Float64, s.world.planes, 6 * new + k + i) for i in range(3)))
-        for k in (0, 3)
-    )
+    point, across = plane_of(s, new)
 
-    def onto(corner: Any) -> Any:
-        way = corner - origin
+    def onto(place: Any) -> Any:
+        way = place - origin
         slope = dr.dot(across, way)
         return origin + way * (dr.dot(across, point - origin) / dr.select(slope != 0, slope, 1.0))
+
+    is_ray = mi.Bool(aligned(some.is_ray))
+    spot = onto(dr.select(is_ray, some.spot, _samples(some, mi.UInt32(3))))
+    direction, wider = dr.normalize(spot - origin), dr.norm(spot - origin)
+    wider /= dr.norm(some.spot - origin)
+    slope = dr.dot(across, direction)
+    slope = dr.select(slope < 0, -1.0, 1.0) * dr.maximum(dr.abs(slope), _LEAST_SLOPE)
+
+    def around(place: Any) -> Any:
+        """As if all rays were parallel: others of the tube may pass by the plane."""
+        aside = (place - some.spot) * wider
+        aside -= direction * (dr.dot(across, aside) / slope)
+        return spot + aside - across * dr.dot(across, aside)
 
     axes = tuple(axis - 2 * dr.dot(axis, normal) * normal for axis in wave.axes)
     incident = Incident(origin, velocity, axes, out, out_im, wave.departure, wave.passage)
     return replace(
         some,
-        corners=tuple(onto(corner) for corner in some.corners),
+        corners=tuple(dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners),
         face=new,
-        spot=onto(
-            dr.select(mi.Bool(aligned(some.is_ray)), some.spot, _samples(some, mi.UInt32(3)))
-        ),
+        spot=spot,
+        lift=mi.Float64(aligned(lift_m)),
         incident=incident,
         body=scatterers.body[face],
         bounces=some.bounces + 1,
