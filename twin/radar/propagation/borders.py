@@ -51,6 +51,7 @@ def border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> B
         return a, b, c
 
     tip, left, right = ordered(tuple(p + _INSET * (center - p) for p in corners))
+    dr.eval(tip, left, right)
 
     def share(end: Any) -> Any:
         """Of the way from the odd corner, at which the border lies."""
@@ -65,13 +66,17 @@ def border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> B
         _, low, high = dr.while_loop(
             begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
         )
-        return (low + high) / 2
+        found = (low + high) / 2
+        dr.eval(found)  # one kernel for all lines
+        return found
 
     on_left, on_right = share(left), share(right)
     # A line through the middle of the straight border, on which that lies at one half.
     straight = on_left * (left - tip) + on_right * (right - tip)
     reach = dr.minimum(1, 1 / dr.maximum(on_left + on_right, 1e-9))
-    on_middle = reach * share(tip + reach * straight)
+    through = tip + reach * straight
+    dr.eval(through)
+    on_middle = reach * share(through)
     tip, left, right = ordered(corners)
     bend = tip + on_middle * (on_left * (left - tip) + on_right * (right - tip))
     at_left, at_right = tip + on_left * (left - tip), tip + on_right * (right - tip)

@@ -89,9 +89,19 @@ class Triangles:
     @staticmethod
     def joined(parts: Sequence["Triangles"]) -> "Triangles":
         """One after the other; of equal bounces."""
-        columns = zip(*(_arrays(part) for part in parts), strict=True)
-        joined = iter([_concatenated(column) for column in columns])
-        found = mapped(parts[0], lambda value: next(joined))
+        if len(parts) == 1:
+            return parts[0]
+        index = type(parts[0].face)
+        count = sum(len(part) for part in parts)
+        found = mapped(parts[0], lambda value: dr.empty(type(value), count))
+        first = 0
+        for part in parts:
+            # An opaque offset: one kernel for all lengths.
+            at = dr.arange(index, len(part)) + dr.opaque(index, first)
+            for target, value in zip(_arrays(found), _arrays(part), strict=True):
+                dr.scatter(target, value, at)
+            dr.eval(_arrays(found))
+            first += len(part)
         body = np.concatenate([part.body for part in parts])
         is_ray = np.concatenate([part.is_ray for part in parts])
         return replace(found, body=body, is_ray=is_ray)
@@ -107,13 +117,6 @@ def _arrays(triangles: "Triangles") -> list[Any]:
 
     mapped(triangles, note)
     return found
-
-
-def _concatenated(values: Sequence[Any]) -> Any:
-    if dr.depth_v(values[0]) == 1:
-        return dr.concat(list(values))
-    axes = range(len(values[0]))
-    return type(values[0])(*(dr.concat([value[i] for value in values]) for i in axes))
 
 
 def mapped(value: Any, change: Callable[[Any], Any]) -> Any:
