@@ -21,8 +21,8 @@ from twin.radar.propagation.tubes import Tubes, heard, reflected_on
 
 Array = NDArray[np.float64]
 
-_DEEPEST = 8  # divisions by four
-_COARSE_DEPTH = 2
+_DEEPEST = 8, 3  # divisions of facets by four, and of roots of tubes by sixteen
+_COARSE_DEPTH = 2, 0
 _COARSE = 0.5  # tolerance of the first pass, at least
 
 
@@ -98,14 +98,14 @@ class _Search:
         roots: Triangles | None,
         first: "list[_Landed]",
         budget: Budget,
-        deepest: int,
+        deepest: tuple[int, int],
     ) -> list[Leaves]:
         """One for each number of bounces that there are; ``first``: where the roots' tubes land."""
-        found = [settled(self.s, self.scatterers, *whole, budget, deepest)]
+        found = [settled(self.s, self.scatterers, *whole, budget, deepest[0])]
         budget.end_direct()
         if roots is not None:
-            for lit, echoes in self._lit_by_tubes(roots, first, budget, deepest):
-                found.append(settled(self.s, self.scatterers, lit, echoes, budget, deepest))
+            for lit, echoes in self._lit_by_tubes(roots, first, budget, deepest[1]):
+                found.append(settled(self.s, self.scatterers, lit, echoes, budget, deepest[0]))
         return [Leaves.joined(parts) for parts in found if parts]
 
     def landed(self, roots: Triangles) -> "list[_Landed]":
@@ -152,7 +152,7 @@ class _Search:
             rest = np.flatnonzero(~done)
             if not len(rest):
                 break
-            roots = quartered(self.s, roots.taken(rest))
+            roots = quartered(self.s, quartered(self.s, roots.taken(rest)))
             landed = self.landed(roots)
         return [
             (Triangles.joined([t for t, _ in parts]), Echoes.joined([e for _, e in parts]))
