@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.currents import Echoes, echoes_of
-from twin.radar.propagation.facets import Budget, Leaves, facing, lit_facets, settled, sides_of
+from twin.radar.propagation.facets import (
+    Budget,
+    Leaves,
+    facing,
+    lit_facets,
+    settled,
+    sides_of,
+    sizes,
+)
 from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.pieces import rays_of
@@ -23,6 +31,8 @@ Array = NDArray[np.float64]
 
 _DEEPEST = 8, 3  # divisions of facets by four, and of roots of tubes by sixteen
 _COARSE_DEPTH = 2, 0
+_WIDEST_M = 0.1  # between rays, which smaller bodies may miss
+_MOST_ROOTS = 100_000  # that larger ones are divided into
 _COARSE = 0.5  # tolerance of the first pass, at least
 
 
@@ -161,7 +171,7 @@ class _Search:
 
 
 def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Triangles | None:
-    """All facets that a source faces."""
+    """All facets that a source faces, divided until what they may show lies between their rays."""
     rows = np.flatnonzero(scatterers.counts)
     faces, sources = [], []
     for number, side in enumerate(sides_of(s, images, rows)):
@@ -169,4 +179,13 @@ def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Trian
         faces.append(rows[lit & scatterers.heard[number, rows]])
         sources.append(np.full(len(faces[-1]), number))
     face, source = np.concatenate(faces), np.concatenate(sources)
-    return lit_facets(s, scatterers, face, source, source)
+    found = []
+    rest = lit_facets(s, scatterers, face, source, source)
+    if rest is None:
+        return None
+    limit = max(_WIDEST_M, float(np.sqrt(np.sum(sizes(rest) ** 2) / _MOST_ROOTS)))
+    while len(rest):
+        is_wide = sizes(rest) > limit
+        found.append(rest.taken(np.flatnonzero(~is_wide)))
+        rest = quartered(s, rest.taken(np.flatnonzero(is_wide))) if is_wide.any() else []
+    return Triangles.joined(found)

@@ -256,7 +256,7 @@ def _looked_at(
     odd = (corners == 1) | (corners == 2)
     error += np.where(agree, 0.0, _MIXED * echoes.strength)
     row = np.flatnonzero(odd & (_MIXED * echoes.strength > _CUT * allowed))
-    size = _size(lit)
+    size = sizes(lit)
     doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
     is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
     leaves = Leaves(lit, echoes, weight)
@@ -284,7 +284,7 @@ def _turned(echoes: Echoes, s: Station) -> Complex:
     return found
 
 
-def _size(lit: Triangles) -> Array:
+def sizes(lit: Triangles) -> Array:
     """Longest edges, (n,)."""
     a, b, c = (np.array(corner).T for corner in lit.corners)
     return np.sqrt(

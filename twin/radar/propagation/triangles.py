@@ -89,6 +89,7 @@ class Triangles:
     @staticmethod
     def joined(parts: Sequence["Triangles"]) -> "Triangles":
         """One after the other; of equal bounces."""
+        parts = [part for part in parts if len(part)] or list(parts[:1])
         if len(parts) == 1:
             return parts[0]
         index = type(parts[0].face)
