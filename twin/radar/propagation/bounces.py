@@ -88,7 +88,7 @@ class _Landed:
 
     lit: Triangles
     echoes: Echoes
-    root: NDArray[np.intp]
+    root: NDArray[np.integer]
     is_lit: NDArray[np.bool_]
     error: Array
 
@@ -120,12 +120,13 @@ class _Search:
 
     def landed(self, roots: Triangles) -> "list[_Landed]":
         """Where the tubes of roots land, after every number of bounces that any of them reaches."""
-        tubes: Tubes | None = Tubes.begin(roots)
+        tubes = Tubes.begin(roots)
         found: list[_Landed] = []
         for _ in range(1, self.bounces):
-            tubes = reflected_on(self.s, self.scatterers, tubes)
-            if tubes is None:
+            further = reflected_on(self.s, self.scatterers, tubes)
+            if further is None:
                 break
+            tubes = further
             lit, row = heard(self.s, self.scatterers, tubes.triangles, self.images)
             if not len(row):
                 continue
@@ -184,8 +185,7 @@ def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Trian
     if rest is None:
         return None
     limit = max(_WIDEST_M, float(np.sqrt(np.sum(sizes(rest) ** 2) / _MOST_ROOTS)))
-    while len(rest):
-        is_wide = sizes(rest) > limit
+    while (is_wide := sizes(rest) > limit).any():
         found.append(rest.taken(np.flatnonzero(~is_wide)))
-        rest = quartered(s, rest.taken(np.flatnonzero(is_wide))) if is_wide.any() else []
-    return Triangles.joined(found)
+        rest = quartered(s, rest.taken(np.flatnonzero(is_wide)))
+    return Triangles.joined([*found, rest])
