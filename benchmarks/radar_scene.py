@@ -26,7 +26,7 @@ def figures() -> Iterator[Figure]:
 
 
 def _frame(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
-    """Rays to detections, warm; the same scene again, and with the car moved each time."""
+    """Echoes to detections, warm; the same scene again, and with the car moved each time."""
     step = iter(range(1, 1000))
 
     def frame(now: Scene) -> int:
@@ -34,9 +34,9 @@ def _frame(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
 
     slots = f"{radar.ofdm.n_slots} slots"
     frame(scene), frame(_driven(scene, 0.001))  # warm
-    yield f"street, {slots}: rays", timed(lambda: trace(scene, radar, fidelity=_OPTICS)), ""
+    yield f"street, {slots}: echoes", timed(lambda: trace(scene, radar, fidelity=_OPTICS)), ""
     edges = timed(lambda: trace(scene, radar, fidelity=_EDGES))
-    yield f"street, {slots}: rays and edges", edges, ""
+    yield f"street, {slots}: echoes and edges", edges, ""
     yield f"street, {slots}: whole frame", timed(lambda: frame(scene)), ""
     moving = timed(lambda: frame(_driven(scene, 0.01 * next(step))))
     yield f"street, {slots}: whole frame, car moved", moving, ""

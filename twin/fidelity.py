@@ -34,19 +34,15 @@ class Fidelity:
         ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less.
     nufft_tolerance
         Relative error of the radar's channel against the direct sum.
-    radar_rays
-        Of physical optics, all objects together: where they are wider apart than an eighth of a
-        wavelength, echoes of edges that are met obliquely fade, and outlines are off by a spacing.
-        `twin trade` measures by how much, body by body.
     radar_tolerance
-        None: rays, as above. A number: exact facets and tubes in their place. Estimated error of
-        the echo of every body over the band, relative to its root mean square, or to an echo 40 dB
-        below the strongest body's, or to a tenth of the receiver's noise, whichever is larger:
-        triangles are divided until their estimated errors, added as independent, stay below it.
-        What the estimate misses: plates at less than twice their size (10 %), weak echoes of plates
-        that cut or shade each other (30 % and more), double bounces of dihedrals tilted by 5 deg
-        and more against the radar's plane (5 to 50 %), facets whose middle the antenna does not
-        see though it sees a part of them.
+        Of physical optics, 0.001 to 1. Estimated error of the echo of every body over the band,
+        relative to its root mean square, or to an echo 40 dB below the strongest body's, or to a
+        tenth of the receiver's noise, whichever is larger: triangles are divided until their
+        estimated errors, added as independent, stay below it. `twin trade` measures the errors
+        themselves, body by body. What the estimate misses: plates at less than twice their size
+        (10 %), weak echoes of plates that cut or shade each other (30 % and more), double bounces
+        of dihedrals tilted by 5 deg and more against the radar's plane (5 to 50 %), facets whose
+        middle the antenna does not see though it sees a part of them.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
         trihedral needs 3.
@@ -85,8 +81,7 @@ class Fidelity:
     noise: Noise = "full"
     radar: RadarRung = "optics"
     nufft_tolerance: float = 1e-6
-    radar_rays: int = 200_000
-    radar_tolerance: float | None = None
+    radar_tolerance: float = 0.1
     radar_bounces: int = 3
     radar_images: int = 1
     radar_edges: int = 0
@@ -103,7 +98,6 @@ class Fidelity:
             if value not in get_args(kind):
                 raise ValueError(f"{name}: {value!r} is none of {', '.join(get_args(kind))}")
         for name, least in (
-            ("radar_rays", 1),
             ("radar_bounces", 1),
             ("radar_images", 0),
             ("radar_edges", 0),
@@ -114,7 +108,7 @@ class Fidelity:
         ):
             if getattr(self, name) < least:
                 raise ValueError(f"{name}: {getattr(self, name)} is less than {least}")
-        if self.radar_tolerance is not None and not 1e-3 <= self.radar_tolerance <= 1:
+        if not 1e-3 <= self.radar_tolerance <= 1:
             raise ValueError(f"radar_tolerance: {self.radar_tolerance} is not in 0.001 to 1")
         if not 1e-14 <= self.nufft_tolerance < 1:
             raise ValueError(f"nufft_tolerance: {self.nufft_tolerance} is not in 1e-14 to 1")
@@ -126,8 +120,6 @@ class Fidelity:
 
     def __or__(self, other: "Fidelity") -> "Fidelity":
         """The stricter of each knob; a side to start from, when only one of the two names it."""
-        both = (self.radar_tolerance, other.radar_tolerance)
-        tolerances = [tolerance for tolerance in both if tolerance is not None]
         further = max(self.quality.further_samples, other.quality.further_samples)
         return Fidelity(
             samples=max(self.samples, other.samples),
@@ -136,8 +128,7 @@ class Fidelity:
             start=self.start if other.start == "auto" else other.start,
             noise=max(self.noise, other.noise, key=get_args(Noise).index),
             radar=max(self.radar, other.radar, key=get_args(RadarRung).index),
-            radar_rays=max(self.radar_rays, other.radar_rays),
-            radar_tolerance=min(tolerances, default=None),
+            radar_tolerance=min(self.radar_tolerance, other.radar_tolerance),
             radar_bounces=max(self.radar_bounces, other.radar_bounces),
             radar_images=max(self.radar_images, other.radar_images),
             radar_edges=max(self.radar_edges, other.radar_edges),
@@ -161,7 +152,7 @@ class Fidelity:
 #: cells is half of it (`twin trade` measures that); comparison.
 PRESETS = {
     "draft": Fidelity(
-        samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar_rays=50_000
+        samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar_tolerance=0.3
     ),
     "standard": Fidelity(),
     "reference": Fidelity(
@@ -169,6 +160,7 @@ PRESETS = {
         max_depth=8,
         nufft_tolerance=1e-10,
         radar="rough",
+        radar_tolerance=0.03,
         radar_edges=2_000_000,
         radar_shadow_db=60.0,
         radar_shadowed=2000,

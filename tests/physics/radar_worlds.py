@@ -65,10 +65,13 @@ def trihedral(name: str, apex, rcs_m2: float = 10.0, **more) -> SceneObject:
     return thing(name, corners, [[0, 1, 2], [0, 2, 3], [0, 3, 1]], **more)
 
 
-def wave(echoes: Contributions, frequency_hz: float = CARRIER_HZ) -> complex:
-    """Their sum at one frequency."""
+def wave(
+    echoes: Contributions, frequency_hz: float = CARRIER_HZ, carrier_hz: float = CARRIER_HZ
+) -> complex:
+    """Their sum at one frequency, of a radar of that carrier."""
     cycles = frequency_hz * echoes.delay_s % 1.0
-    return complex(np.sum(echoes.amplitude * np.exp(-2j * np.pi * cycles)))
+    amplitude = echoes.amplitude * (carrier_hz / frequency_hz) ** echoes.falloff
+    return complex(np.sum(amplitude * np.exp(-2j * np.pi * cycles)))
 
 
 def cross_section_db(amplitude: complex, distance_m: float) -> float:

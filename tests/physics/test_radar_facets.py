@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.constants import speed_of_light
+from scipy.spatial.transform import Rotation
 
 from tests.physics.plate_sums import BAND_HZ, seen_beside, summed, turned_plate
 from tests.physics.radar_worlds import (
@@ -28,12 +29,18 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
+from tests.physics.test_radar_scene import ball_over_ground
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
+from twin.radar import RadarDesign, load_radar
+from twin.radar.acquisition import contributions
+from twin.radar.cross_section import Quality, sweep
 from twin.radar.device.antenna import Antenna
+from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.beams import antenna_gain
 from twin.radar.propagation.finding import trace
 from twin.radar.propagation.pieces import split
+from twin.radar.scattering import Target
 from twin.radar.scattering.triangle import mean_over, node
 from twin.scene import Scene
 from twin.transfer import vector
@@ -44,9 +51,8 @@ TOLERANCES = [0.3, 0.1, 0.03]
 
 
 def echo(scene: Scene, tolerance: float, frequency_hz: float = CARRIER_HZ) -> complex:
-    found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_tolerance=tolerance)).echoes
-    scale = (CARRIER_HZ / frequency_hz) ** found.falloff
-    return wave(replace(found, amplitude=found.amplitude * scale), frequency_hz)
+    found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_tolerance=tolerance))
+    return wave(found.echoes, frequency_hz)
 
 
 def by_quadrature(values: np.ndarray) -> np.ndarray:
@@ -158,13 +164,7 @@ def over_the_band(scene: Scene, tolerance: float) -> np.ndarray:
     """Echo of single bounces at `BAND_HZ`."""
     knobs = OPTICS.with_(radar_tolerance=tolerance, radar_bounces=1)
     found = trace(scene, RADAR, fidelity=knobs).echoes
-    scales = [(CARRIER_HZ / f) ** found.falloff for f in BAND_HZ]
-    return np.array(
-        [
-            wave(replace(found, amplitude=found.amplitude * scale), f)
-            for scale, f in zip(scales, BAND_HZ, strict=True)
-        ]
-    )
+    return np.array([wave(found, f) for f in BAND_HZ])
 
 
 def relative(found: np.ndarray, expected: np.ndarray) -> float:
@@ -261,9 +261,16 @@ def test_weak_plates_that_shade_or_cut_each_other(one: tuple, other: tuple) -> N
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("distance", [20.0, 140.0])
 def test_a_trihedral_by_its_tubes(distance: float, tolerance: float) -> None:
-    """10 m^2 in closed form; single and double bounces, which that leaves out, add up to 2 %."""
+    """Against bouncing rays (`twin rcs`), which are within 0.2 dB of the 10 m^2 in closed form;
+    single and double bounces are the difference.
+    """
+    corner = trihedral("t", (0.0, 0.0, 0.0))
+    target, dense = Target(corner.vertices_m, corner.faces), Quality(tolerance=0.001)
+    by_rays = sweep(target, CARRIER_HZ, np.array([180.0]), 0.0, distance_m=distance, quality=dense)
+    expected = float(by_rays.cross_section_dbsm[0])
+    assert expected == pytest.approx(10.0, abs=0.2)
     found = cross_section_db(echo(world(trihedral("t", (distance, 0, 0))), tolerance), distance)
-    assert abs(10 ** ((found - 10) / 20) - 1) < tolerance + 0.02
+    assert abs(10 ** ((found - expected) / 20) - 1) < tolerance
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
@@ -298,7 +305,27 @@ def test_the_band_is_held() -> None:
     assert error < 0.05
 
 
-def _tilted(corners: np.ndarray, frequency_hz: float, count: int = 1200) -> complex:
+@pytest.mark.parametrize("turn_deg", [0.0, 17.0])
+def test_the_steps_of_a_carrier_are_held(turn_deg: float) -> None:
+    """A plate 1 m square at 6 m, 2.26 to 2.74 GHz: its parts by their powers of the wavelength."""
+    radar = load_radar("prototype")
+    turn = Rotation.from_euler("z", turn_deg, degrees=True)
+    square = plate("p", (0.0, 0.0, 0.0), 1.0)
+    corners = turn.apply(square.vertices_m) + [6.0, 0.0, 0.0]
+    fidelity = OPTICS.with_(radar_tolerance=0.03)
+    found = trace(world(replace(square, vertices_m=corners)), radar, fidelity=fidelity)
+    steps = contributions(found, radar, Air(None))
+    carriers = radar.burst.carriers_hz
+    cycles = carriers[:, None] * steps.delay_s % 1.0
+    waves = (steps.amplitude * np.exp(-2j * np.pi * cycles))[:, :-1]  # the last is the leakage
+    expected = [_tilted(corners, f, radar, 200) for f in carriers]
+    error = np.linalg.norm(waves.sum(axis=1) - expected) / np.linalg.norm(expected)
+    assert error < 0.03
+
+
+def _tilted(
+    corners: np.ndarray, frequency_hz: float, radar: RadarDesign = RADAR, count: int = 1200
+) -> complex:
     """Currents on a tilted plate, vertical polarisation along its axis, at a frequency."""
     low, across, up = corners[0], corners[1] - corners[0], corners[3] - corners[0]
     share = (np.arange(count) + 0.5) / count
@@ -308,18 +335,20 @@ def _tilted(corners: np.ndarray, frequency_hz: float, count: int = 1200) -> comp
     normal /= np.linalg.norm(normal)
     distance = np.linalg.norm(points, axis=1)
     direction = points / distance[:, None]
-    gain = RADAR.antenna.gain(direction)
+    gain = radar.antenna.gain(direction) * 10 ** (-radar.front_end.losses_db.value / 20)
     k = 2 * np.pi * frequency_hz / speed_of_light
     terms = gain * np.abs(direction @ normal) / distance**2 * np.exp(-2j * k * distance)
-    return complex(-1j * LOSS / (4 * np.pi) * area * terms.sum())
+    return complex(-1j / (4 * np.pi) * area * terms.sum())
 
 
+@pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("height", [0.2, 0.9])
-def test_over_the_ground_it_is_what_rays_find(height: float) -> None:
-    """A ball over conducting ground, four ways, against rays of an eighth of a wavelength."""
-    scene = world(ball("b", (15.0, 0.2, height - 1.0)), ground(-1.0, "metal"))
-    rays = wave(trace(scene, RADAR, fidelity=OPTICS).echoes)
-    assert abs(echo(scene, 0.03)) == pytest.approx(abs(rays), rel=0.08)
+def test_a_ball_over_the_ground_against_geometrical_optics(height: float, tolerance: float) -> None:
+    """Over a conductor, four ways; the mesh's facets lie 7 um inside the ball on average: 2 %."""
+    center = np.array([15.0, 0.2, height - 1.0])
+    expected = ball_over_ground(center, 0.15, -1.0, "metal")
+    found = echo(world(ball("b", center), ground(-1.0, "metal")), tolerance)
+    assert abs(found / expected - 1) < tolerance + 0.02
 
 
 def test_radars_that_touch_hear_finite_numbers() -> None:
@@ -348,6 +377,5 @@ def test_tolerances_out_of_range_are_refused() -> None:
     for tolerance in (0.0, -1.0, 2.0, float("nan")):
         with pytest.raises(ValueError, match="radar_tolerance"):
             Fidelity(radar_tolerance=tolerance)
-    assert (Fidelity() | Fidelity(radar_tolerance=0.1)).radar_tolerance == 0.1
-    stricter = Fidelity(radar_tolerance=0.2) | Fidelity(radar_tolerance=0.1)
-    assert stricter.radar_tolerance == 0.1
+    stricter = Fidelity(radar_tolerance=0.02) | Fidelity(radar_tolerance=0.2)
+    assert stricter.radar_tolerance == 0.02

@@ -124,24 +124,24 @@ def test_the_radar_sees_itself_in_a_corner(mirrors: tuple[SceneObject, ...]) -> 
             assert path.delay_s == pytest.approx(length / speed_of_light, rel=1e-12)
 
 
-def test_rays_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
+def test_echoes_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
     """A ball, out and home over both: level and phase of the ball in its place behind both.
 
     Behind the corner both orders stand at one place; it is seen over one of them alone.
     """
-    knobs = TWICE.with_(radar_bounces=1, radar_rays=800_000)
+    knobs = TWICE.with_(radar_bounces=1, radar_tolerance=0.01)
     here = np.array([12.0, 3.0, 0.0])
     there = mirrored(mirrored(here, "ahead"), "side")
     scene = world(AHEAD, SIDE, ball("b", here))
     stage = set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), 2)
     twice = [n for n in range(len(stage.images)) if len(stage.via(n)) == 2]
     assert {stage.via(n) for n in twice} == {("side", "ahead")}
-    rays = scattered(stage, knobs)[0]
+    rays = scattered(stage, RADAR, knobs)
     over = rays.chosen(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
     alone = world(ball("b", there))
     free = set_stage(alone, RADAR, assign_roles(alone, WAVELENGTH_M, "optics"), 0)
     found, expected = (
         np.sum(r.amplitude * np.exp(-1j * K * r.length_m))
-        for r in (over, scattered(free, knobs)[0])
+        for r in (over, scattered(free, RADAR, knobs))
     )
     assert found == pytest.approx(expected, rel=0.02)

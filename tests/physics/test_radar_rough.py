@@ -259,17 +259,15 @@ def test_every_material_answers_in_both_bands(carrier: float) -> None:
 
 
 def test_points_answer_with_the_wavelength_of_each_step() -> None:
-    """A constant gamma at every carrier of a sweep: amplitudes go as lambda, those of facets not,
-    as is the radar equation's and that of a plate, 4 pi A^2 / lambda^2.
+    """A constant gamma at every carrier of a sweep: amplitudes go as lambda, as is the radar
+    equation's.
     """
     radar = load_radar("prototype")
     floor = world(ground(-1.0, "asphalt"), plate("p", (6, 0, 0), 1.0))
     found = trace(floor, radar, fidelity=Fidelity(radar="rough", radar_scatterers=1000))
-    assert len(found.surfaces.delay_s) > 10
     assert len(found.diffuse.delay_s) > 100
-    ratio = radar.burst.carriers_hz[:, None] / radar.burst.carriers_hz[0]
-    for part, power in (({"surfaces": found.surfaces}, 0), ({"diffuse": found.diffuse}, -1)):
-        levels = np.abs(contributions(Propagation((), (), (), **part), radar, Air(None)).amplitude)
-        levels = levels[:, :-1]  # the last is the leakage
-        levels = levels[:, levels[0] > 0]
-        np.testing.assert_allclose(levels / levels[0], ratio**power * np.ones(levels.shape[1]))
+    alone = Propagation((), (), (), diffuse=found.diffuse)
+    levels = np.abs(contributions(alone, radar, Air(None)).amplitude)[:, :-1]  # less the leakage
+    levels = levels[:, levels[0] > 0]
+    ratio = radar.burst.carriers_hz[0] / radar.burst.carriers_hz[:, None]
+    np.testing.assert_allclose(levels / levels[0], ratio * np.ones(levels.shape[1]))

@@ -43,6 +43,7 @@ from twin.scene import Pose, Rig, SceneObject
 from twin.scene import Target as Declared
 
 PATHS = Fidelity(radar="paths")
+FINE = OPTICS.with_(radar_tolerance=0.03)
 K = 2 * np.pi / WAVELENGTH_M
 HALF_M = 0.02  # of a plate
 LIFTED = Rig(Pose((0.0, 0.0, 1.0)), radar=Pose((0.0, 0.0, 0.0)))
@@ -324,18 +325,18 @@ def test_legs_are_sionnas() -> None:
         (plate("t", (25, 0.1, 0.9), 0.1), LIFTED, "concrete"),
     ],
 )
-def test_over_a_ground_it_is_the_rung_of_rays(item, rig, material: str) -> None:
-    """The sum of four ways beyond 2 D^2 / lambda, turned rig or not, within 0.3 dB and 0.1 rad; all
-    delays within 5 mm of where the rays' energy is.
+def test_over_a_ground_it_is_the_rung_of_physical_optics(item, rig, material: str) -> None:
+    """The sum of four ways beyond 2 D^2 / lambda, turned rig or not, within 0.36 dB and 0.1 rad, of
+    which the rung's tolerance of 3 % is 0.26 dB and the tables' coarse rays are 0.1.
     """
     floor = ground(0, material)
     found = trace(world(tabled(item), floor, rig=rig), RADAR, fidelity=PATHS)
-    expected = trace(world(item, floor, rig=rig), RADAR, fidelity=OPTICS)
+    expected = trace(world(item, floor, rig=rig), RADAR, fidelity=FINE)
     assert len(found.echoes.delay_s) == 4
     assert found.warnings == ()
     assert found.heard[0].name == "t"
     ratio = wave(found.echoes) / wave(expected.echoes)
-    assert 20 * np.log10(abs(ratio)) == pytest.approx(0, abs=0.3)
+    assert 20 * np.log10(abs(ratio)) == pytest.approx(0, abs=0.36)
     assert np.angle(ratio) == pytest.approx(0, abs=0.1)
 
 
@@ -358,8 +359,9 @@ def test_a_sphere_over_a_conducting_ground_is_the_closed_form() -> None:
 
 
 def test_the_cylinders_of_figure_3_at_the_prototypes_band() -> None:
-    """One of them, 0.67 of a wavelength across, from the end of the rail and 1 m farther back: rays
-    say the same within 0.5 and 0.3 dB, which is its radius over the distance.
+    """One of them, 0.67 of a wavelength across, from the end of the rail and 1 m farther back:
+    physical optics in the scene says the same within 0.5 and 0.3 dB, which is its radius over the
+    distance.
     """
     from twin.scene import load_scene
 
@@ -369,8 +371,9 @@ def test_the_cylinders_of_figure_3_at_the_prototypes_band() -> None:
         x, y, z = scene.rig.pose.position_m
         here = replace(scene.at(Pose((x - back_m, y, z))), targets=())
         found = trace(replace(here, objects=(tabled(one),)), radar, fidelity=PATHS)
-        rays = trace(replace(here, objects=(one,)), radar, fidelity=OPTICS)
-        ratio = wave(found.echoes, radar.ofdm.carrier_hz) / wave(rays.echoes, radar.ofdm.carrier_hz)
+        optics = trace(replace(here, objects=(one,)), radar, fidelity=FINE)
+        carrier = radar.ofdm.carrier_hz
+        ratio = wave(found.echoes, carrier, carrier) / wave(optics.echoes, carrier, carrier)
         assert 20 * np.log10(abs(ratio)) == pytest.approx(0, abs=bound_db)
 
 
@@ -386,7 +389,7 @@ def test_a_table_stands_in_for_what_is_declared_of_its_object() -> None:
     scene = world(corner, targets=(declared,))
     found = trace(scene, RADAR, fidelity=PATHS)
     assert found.paths == ()
-    assert [(h.name, h.rays) for h in found.heard] == [("t", 1)]
+    assert [(h.name, h.contributions) for h in found.heard] == [("t", 1)]
     (truth,) = true_targets(scene, RADAR, found, Air(None))
     assert truth.visible
 

@@ -134,7 +134,7 @@ def test_a_point_that_kills_its_worker_is_a_row_with_its_error(tmp_path: Path) -
             SMALL,
             "numbers and text, expected values of one kind",
         ),
-        ('[grid]\n"fidelity.radar_rays" = [4, true]\n', SMALL, "expected values of one kind"),
+        ('[grid]\n"fidelity.radar_scatterers" = [4, true]\n', SMALL, "expected values of one kind"),
         ('[grid]\n"link.distance_m" = [1.0, 2.0]\n', SMALL, "link.distance_m: has no effect here"),
         ('[grid]\n"radar.waveform.carrier_hz" = [76e9, 79e9]\n', SMALL, "looks at the radar"),
         (

@@ -25,6 +25,7 @@ def test_presets_are_ordered_by_strictness() -> None:
     for rough, fine in ((draft, standard), (standard, reference)):
         both = (rough | fine).quality
         assert both == Quality(fine.samples, fine.max_depth, fine.quality.further_samples)
+        assert (rough | fine).radar_tolerance == fine.radar_tolerance < rough.radar_tolerance
     assert preset("draft") == draft
     assert preset(draft) is draft
 
@@ -39,6 +40,7 @@ def test_presets_are_ordered_by_strictness() -> None:
         {"radar": "rays"},
         {"start": "left"},
         {"nufft_tolerance": 0.0},
+        {"radar_tolerance": 0.0},
     ],
 )
 def test_wrong_knobs_are_named(wrong: dict[str, object]) -> None:
@@ -47,6 +49,8 @@ def test_wrong_knobs_are_named(wrong: dict[str, object]) -> None:
         Fidelity(**wrong)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no knob"):
         Fidelity().with_(speed=1)
+    with pytest.raises(ValueError, match="no knob radar_rays"):
+        Fidelity().with_(radar_rays=200_000)
     with pytest.raises(ValueError, match="is none of draft"):
         preset("fast")
 

@@ -356,7 +356,7 @@ def test_what_stands_is_traced_once(rung: str, monkeypatch) -> None:
         return radar_echo(*arguments, **options)
 
     monkeypatch.setattr(twin.serve.sweeps, "radar_echo", counted)
-    design, quick = small(), Fidelity(radar=rung, radar_rays=2000, radar_scatterers=500)
+    design, quick = small(), Fidelity(radar=rung, radar_tolerance=1.0, radar_scatterers=500)
     scene = load_scene("fig3b")
     at_rest = replace(scene, track=None)
     sweeps = Sweeps(at_rest, design, SEED, quick)

@@ -41,7 +41,7 @@ class Bodies:
     names: tuple[tuple[str, ...], ...]
     echo: Complex
     is_sampled: tuple[bool, ...]
-    finest: float | None
+    finest: float
     frequencies_hz: Array
 
     @property

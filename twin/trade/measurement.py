@@ -13,7 +13,7 @@ Ladder = Literal["light", "noise", "radar"]
 _KNOBS: dict[Ladder, tuple[str, ...]] = {
     "light": ("samples", "max_depth", "indirect_samples", "start"),
     "noise": ("noise",),
-    "radar": ("radar", "radar_rays", "radar_tolerance", "nufft_tolerance"),
+    "radar": ("radar", "radar_tolerance", "nufft_tolerance"),
 }
 
 
@@ -33,7 +33,7 @@ class BodyError:
     """Complex error of one body's echo, rms over the band and relative to the echo itself.
 
     ``level_db``: of the echo, over that of the strongest body; ``is_converged``: off by no more
-    than the rung's tolerance, 10 % where it has none; ``reference``: what it was compared with.
+    than the rung's tolerance; ``reference``: what it was compared with.
     """
 
     body: str

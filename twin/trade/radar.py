@@ -32,14 +32,11 @@ Stage = Callable[[str], AbstractContextManager[Any]]
 _RUNGS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
     (Fidelity(radar="targets"), (1e-6,)),
     (Fidelity(radar="paths"), (1e-6,)),
-    (Fidelity(radar_rays=PRESETS["draft"].radar_rays), (1e-3,)),
+    (Fidelity(radar_tolerance=PRESETS["draft"].radar_tolerance), (1e-3,)),
     (Fidelity(), (1e-3, 1e-6, 1e-10)),
-    (Fidelity(radar_tolerance=0.3), (1e-6,)),
-    (Fidelity(radar_tolerance=0.1), (1e-6,)),
-    (Fidelity(radar_tolerance=0.03), (1e-6,)),
+    (Fidelity(radar_tolerance=PRESETS["reference"].radar_tolerance), (1e-6,)),
 )
 _FINEST = Fidelity(radar="optics", radar_tolerance=0.01)
-_ENOUGH = 0.1  # of its echo: error of a body from which on rays have not converged
 STAGES = 1 + len(_RUNGS) + sum(len(tolerances) for *_, tolerances in _RUNGS)
 _ROWS, _COLUMNS = 64, 32  # of the bins compared: edges of band and interval, the rest at random
 _MOST_TERMS = 2e8  # of the direct sum, some seconds: of many echoes fewer bins are compared
@@ -127,9 +124,7 @@ def _rung(
             "echoes": len(found.echoes.delay_s),
         },
         note=f"{bins.channel.size} bins of {wave.n_subcarriers * wave.n_slots}",
-        bodies=errors_of(bins.bodies, found, radar, rung.radar_tolerance or _ENOUGH)
-        if of_meshes
-        else (),
+        bodies=errors_of(bins.bodies, found, radar, rung.radar_tolerance) if of_meshes else (),
     )
 
 
@@ -140,8 +135,6 @@ def _name(rung: Fidelity) -> str:
 def _finder(rung: Fidelity) -> str:
     if rung.radar != "optics":
         return rung.radar
-    if rung.radar_tolerance is None:
-        return f"{rung.radar}, {rung.radar_rays // 1000}k rays"
     return f"{rung.radar}, tolerance {rung.radar_tolerance:g}"
 
 
@@ -176,5 +169,5 @@ def _sampled(bins: _Bins) -> Any:
 
 
 def _same(preset: Fidelity, rung: Fidelity) -> bool:
-    knobs = ("radar", "radar_rays", "radar_tolerance", "nufft_tolerance")
+    knobs = ("radar", "radar_tolerance", "nufft_tolerance")
     return preset == replace(preset, **{name: getattr(rung, name) for name in knobs})

@@ -14,7 +14,6 @@ from twin.radar.propagation.optics import (
     contributions_of,
     diffracted,
     scattered,
-    scattered_within,
     speckle,
 )
 from twin.radar.propagation.paths import Heard, Path, Propagation
@@ -36,11 +35,7 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     declared = declared_alone(scene, roles)
     is_rough = fidelity.radar == "rough"
     stage = set_stage(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
-    if fidelity.radar_tolerance is None:
-        surfaces, remarks = scattered(stage, fidelity)
-    else:
-        surfaces, remarks = scattered_within(stage, radar, fidelity), []
-    surfaces = Rays.joined([surfaces, behind(stage, fidelity)])
+    surfaces = Rays.joined([scattered(stage, radar, fidelity), behind(stage, fidelity)])
     edges, on_edges = diffracted(stage, fidelity)
     points, on_points = speckle(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])
     diffuse = Rays.joined([edges, points])
@@ -49,7 +44,7 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     return Propagation(
         paths=tuple(sorted((p for p in paths if p.amplitude), key=lambda p: p.delay_s)),
         roles=tuple(roles),
-        assumptions=(*stage.assumptions, *remarks, *on_edges, *on_points),
+        assumptions=(*stage.assumptions, *on_edges, *on_points),
         surfaces=dense[0],
         diffuse=dense[1],
         heard=_heard(Rays.joined([surfaces, diffuse]), Contributions.joined(dense), stage, radar),

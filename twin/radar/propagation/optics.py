@@ -13,14 +13,11 @@ from twin.radar.propagation.behind import echoes_behind
 from twin.radar.propagation.bounces import scattered_by
 from twin.radar.propagation.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.edges import Sharp, edge_echoes, edges_of
-from twin.radar.propagation.grids import grids, launch
 from twin.radar.propagation.grouping import bodies_of
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import Role
 from twin.radar.propagation.rough import Rough, rough_echoes
 from twin.radar.propagation.scatterers import scatterers
-from twin.radar.propagation.shape import shapes_of
-from twin.radar.propagation.shooting import bodies, shoot
 from twin.radar.propagation.stage import Stage
 from twin.radar.scattering.surface import TABLE_STEPS
 from twin.radar.synthesis import Contributions
@@ -33,38 +30,10 @@ _DEEPEST_DB = 30.0
 _FREQUENCIES = 5  # over the band, at which a body's echo is summed
 
 
-def scattered(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:
-    """Contributions of every object that scatters by physical optics; what too few rays cost."""
+def scattered(stage: Stage, radar: RadarDesign, fidelity: Fidelity) -> Rays:
+    """Contributions of every object that scatters, to ``fidelity.radar_tolerance``."""
     body = _bodies(stage)
-    count = int(body.max(initial=-1)) + 1
-    worth = np.zeros((len(stage.images), count), dtype=bool)
-    for image, item in np.argwhere(stage.worth & (body >= 0)):
-        worth[image, body[item]] = True
-    if not worth.any():
-        return Rays.joined([]), []
-    wanted = grids(stage.images, _hulls(stage, body, count), worth)
-    launched = launch(wanted, stage.wavelength_m, fidelity.radar_rays)
-    velocities = np.array([item.velocity_m_per_s for item in stage.items])
-    rays = shoot(
-        stage.station,
-        bodies(stage.station.mi, body, stage.surface_of_object, velocities),
-        launched,
-        stage.wavelength_m,
-        fidelity.radar_bounces,
-    )
-    widest = float(launched.thinned.max())
-    if widest <= 1:
-        return rays, []
-    return rays, [
-        f"rays up to {widest:.2g} times wider apart than an eighth of a wavelength: echoes of "
-        "edges met obliquely fade, outlines are off by a spacing (fidelity.radar_rays)"
-    ]
-
-
-def scattered_within(stage: Stage, radar: RadarDesign, fidelity: Fidelity) -> Rays:
-    """The same by exact facets and tubes, to ``fidelity.radar_tolerance``."""
-    body = _bodies(stage)
-    if fidelity.radar_tolerance is None or not (stage.worth & (body >= 0)).any():
+    if not (stage.worth & (body >= 0)).any():
         return Rays.joined([])
     return scattered_by(
         stage.station,
@@ -188,18 +157,9 @@ def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributi
 def _bodies(stage: Stage) -> NDArray[np.int32]:
     """Body of every object, -1 for what does not scatter.
 
-    Objects that touch and move alike are one: their grids would overlap.
+    Objects that touch and move alike are one.
     """
     scattering = [i for i, role in enumerate(stage.roles) if role is Role.OPTICS]
     body = np.full(len(stage.items), -1, dtype=np.int32)
     body[scattering] = bodies_of([stage.items[i] for i in scattering])
     return body
-
-
-def _hulls(stage: Stage, body: NDArray[np.int32], count: int) -> list[Array]:
-    """Points around each body."""
-    hulls: list[list[Array]] = [[] for _ in range(count)]
-    for item, shape, number in zip(stage.items, shapes_of(stage.items), body, strict=True):
-        if number >= 0:
-            hulls[number].append(item.vertices_m[shape.hull] - stage.anchor_m)
-    return [np.vstack(parts) for parts in hulls]

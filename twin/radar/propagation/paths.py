@@ -56,12 +56,12 @@ def contributions_of_paths(paths: Sequence[Path]) -> Contributions:
 
 @dataclass(frozen=True)
 class Heard:
-    """What came back from one object over all its rays, or ways to its table: their number, and
+    """What came back from one object: the number of contributions, or of ways to its table, and
     the power of their sum at the carrier over the sent one.
     """
 
     name: str
-    rays: int
+    contributions: int
     power: float
 
 

@@ -2,8 +2,8 @@
 
 The image method returns pi d^2 of cross-section from any plane, whatever its size: right only for
 surfaces large against the first Fresnel zone sqrt(lambda d). Physical optics is right for any size
-from a few wavelengths on, flat or curved, but needs rays in proportion to (size / Fresnel zone)^2.
-So where objects scatter by physical optics, images are left to what is flat and very large.
+from a few wavelengths on, flat or curved, but its cost grows as (size / Fresnel zone)^2. So where
+objects scatter by physical optics, images are left to what is flat and very large.
 
 On the rung `paths`, what has no declared cross-section and is no mirror answers from a table of its
 far field where that holds, from 2 D^2 / lambda on, where the table is quickly filled, and where it
@@ -27,7 +27,7 @@ from twin.scene import Scene, Target
 #: the patch is far larger than what reflects.
 LARGE = 3.0
 #: The same where physical optics is the alternative. At 10, what it leaves out, the diffraction of
-#: the patch's edges, is 30 dB below the mirror image, and physical optics would need 1e4 rays.
+#: the patch's edges, is 30 dB below the mirror image, and physical optics would need 1e4 contributions.
 LARGE_BESIDE_OPTICS = 10.0
 _MOSTLY = 0.5  # share of an object's area in such patches, else the rest of it would be silent
 _BENT = 10.0  # radius of curvature over distance: at 10 an image is off by 1 + d / R, 0.8 dB
