@@ -1,8 +1,9 @@
 """NumPy arrays to the engine and back, so that no kernel is compiled for one array alone.
 
-Dr.Jit writes two things about an array into the code of a kernel: how the memory of one taken from
-NumPy is aligned, and how long a vector is that is turned into a matrix. Either makes a new frame
-compile for tens of milliseconds what an older one already had.
+Dr.Jit writes three things about an array into the code of a kernel: how the memory of one taken
+from NumPy is aligned, how long a vector is that is turned into a matrix, and how long are arrays
+that others are put behind. Each makes a new frame compile for tens of milliseconds what an older
+one already had.
 """
 
 from collections.abc import Sequence
@@ -29,6 +30,19 @@ def vector(mi: Any, values: NDArray[np.float64], kind: str) -> Any:
     number = mi.Float64 if kind.endswith("d") else mi.Float
     narrow = np.float64 if kind.endswith("d") else np.float32
     return getattr(mi, kind)(*(number(aligned(values[:, i].astype(narrow))) for i in range(3)))
+
+
+def concatenated(columns: Sequence[Sequence[Any]], sizes: Sequence[int]) -> list[Any]:
+    """Columns of numbers on the device, the parts of each, of these sizes, one after the other."""
+    index = dr.uint32_array_t(type(columns[0][0]))
+    first = index(aligned(np.cumsum([0, *sizes[:-1]]).astype(np.uint32)))
+    found = [dr.empty(type(parts[0]), sum(sizes)) for parts in columns]
+    for i, size in enumerate(sizes):
+        row = dr.arange(index, size) + dr.gather(index, first, i)
+        for column, parts in zip(found, columns, strict=True):
+            dr.scatter(column, parts[i], row, mode=dr.ReduceMode.Permute)
+        dr.eval(*found)  # by themselves: parts of one size would share a kernel of their own
+    return found
 
 
 def host(values: Sequence[Any], count: int) -> list[NDArray[Any]]:

@@ -20,7 +20,7 @@ from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import cut, sampled
 from twin.radar.propagation.triangles import Incident, Triangles, lit_directly, quartered
 from twin.radar.propagation.walls import no_passage
-from twin.transfer import aligned, vector
+from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -286,7 +286,7 @@ def _turned(echoes: Echoes, s: Station) -> Complex:
 
 def sizes(lit: Triangles) -> Array:
     """Longest edges, (n,)."""
-    a, b, c = (np.array(corner).T for corner in lit.corners)
+    a, b, c = host(lit.corners, len(lit))
     return np.sqrt(
         np.max([((q - p) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.legs import Station, leg, mirrored_axes
 from twin.radar.propagation.walls import Passage
-from twin.transfer import aligned
+from twin.transfer import aligned, concatenated
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
@@ -92,17 +92,15 @@ class Triangles:
         parts = [part for part in parts if len(part)] or list(parts[:1])
         if len(parts) == 1:
             return parts[0]
-        index = type(parts[0].face)
-        count = sum(len(part) for part in parts)
-        found = mapped(parts[0], lambda value: dr.empty(type(value), count))
-        first = 0
-        for part in parts:
-            # An opaque offset: one kernel for all lengths.
-            at = dr.arange(index, len(part)) + dr.opaque(index, first)
-            for target, value in zip(_arrays(found), _arrays(part), strict=True):
-                dr.scatter(target, value, at)
-            dr.eval(_arrays(found))
-            first += len(part)
+        columns = list(zip(*(_numbers(part) for part in parts), strict=True))
+        joined = iter(concatenated(columns, [len(part) for part in parts]))
+
+        def longer(value: Any) -> Any:
+            if dr.depth_v(value) == 1:
+                return next(joined)
+            return type(value)(*(next(joined) for _ in range(len(value))))
+
+        found = mapped(parts[0], longer)
         body = np.concatenate([part.body for part in parts])
         is_ray = np.concatenate([part.is_ray for part in parts])
         return replace(found, body=body, is_ray=is_ray)
@@ -118,6 +116,12 @@ def _arrays(triangles: "Triangles") -> list[Any]:
 
     mapped(triangles, note)
     return found
+
+
+def _numbers(triangles: "Triangles") -> list[Any]:
+    """The same, vectors by their axes."""
+    arrays = _arrays(triangles)
+    return [axis for a in arrays for axis in ([a] if dr.depth_v(a) == 1 else [*a])]
 
 
 def mapped(value: Any, change: Callable[[Any], Any]) -> Any:
