@@ -92,4 +92,8 @@ def _frames(scene: Scene) -> Iterator[Figure]:
         timed(lambda: trace(asked, radar, fidelity=paths)),
         "",
     )
-    yield "street, optics, all as meshes", timed(lambda: trace(scene, radar, fidelity=Fidelity())), ""
+    yield (
+        "street, optics, all meshes",
+        timed(lambda: trace(scene, radar, fidelity=Fidelity())),
+        "",
+    )

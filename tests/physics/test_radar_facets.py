@@ -261,8 +261,9 @@ def test_weak_plates_that_shade_or_cut_each_other(one: tuple, other: tuple) -> N
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("distance", [20.0, 140.0])
 def test_a_trihedral_by_its_tubes(distance: float, tolerance: float) -> None:
-    """Against bouncing rays (`twin rcs`), which are within 0.2 dB of the 10 m^2 in closed form;
-    single and double bounces are the difference.
+    """Against bouncing rays (`twin rcs`), which are within 0.2 dB of 10 m^2 in closed form: that
+    leaves single and double bounces out.
+    """
     """
     corner = trihedral("t", (0.0, 0.0, 0.0))
     target, dense = Target(corner.vertices_m, corner.faces), Quality(tolerance=0.001)

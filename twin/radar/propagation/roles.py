@@ -27,7 +27,7 @@ from twin.scene import Scene, Target
 #: the patch is far larger than what reflects.
 LARGE = 3.0
 #: The same where physical optics is the alternative. At 10, what it leaves out, the diffraction of
-#: the patch's edges, is 30 dB below the mirror image, and physical optics would need 1e4 contributions.
+#: the patch's edges, is 30 dB below the mirror image, and physical optics has 1e4 contributions.
 LARGE_BESIDE_OPTICS = 10.0
 _MOSTLY = 0.5  # share of an object's area in such patches, else the rest of it would be silent
 _BENT = 10.0  # radius of curvature over distance: at 10 an image is off by 1 + d / R, 0.8 dB
