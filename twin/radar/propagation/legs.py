@@ -180,13 +180,11 @@ def leg(
     place: Any,
     off: Any,
     active: Any,
-    traced: bool = False,
     unshadowed: bool = False,
     tested: bool = True,
 ) -> Leg:
     """The leg to a point from which rays start at a distance ``off`` (vector) from the surface.
 
-    ``traced``: nothing stands between the point and the last mirror, or the radar itself;
     ``unshadowed``: what stands between is ignored, and mirrors only have to be there;
     ``tested``: whether any rays are sent at all.
     """
@@ -237,9 +235,8 @@ def leg(
     home = way / dr.maximum(distance, NEAREST_M)
     reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
     shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(home), reach, 0.0, [])
-    untested = clear & (order > 0) if traced else mi.Bool(clear)
     if tested and not unshadowed:
-        clear &= ~s.world.scene.ray_test(shadow, active=untested)
+        clear &= ~s.world.scene.ray_test(shadow, active=mi.Bool(clear))
 
     departure = -home
     field, field_im = s.sent(source, departure)
