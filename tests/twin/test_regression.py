@@ -177,10 +177,13 @@ def test_figures_of_another_setup_are_not_compared(project, pytester) -> None:
     result.stdout.fnmatch_lines(["*made with another setup: fidelity: *'samples': 16*"])
 
 
-def test_a_baseline_outlives_knobs_that_are_newer(project, pytester) -> None:
+def test_a_baseline_outlives_knobs_that_are_newer_and_those_that_are_gone(
+    project, pytester
+) -> None:
     project(ITSELF, "--update-baseline", "first of all")
     known = read_baseline(baseline_of(pytester))
     del known.setup["fidelity"]["radar_edges"]
+    known.setup["fidelity"]["of_former_times"] = 200_000
     write_baseline(known, baseline_of(pytester))
     project(ITSELF).assert_outcomes(passed=1)
 
