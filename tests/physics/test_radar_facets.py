@@ -264,7 +264,6 @@ def test_a_trihedral_by_its_tubes(distance: float, tolerance: float) -> None:
     """Against bouncing rays (`twin rcs`), which are within 0.2 dB of 10 m^2 in closed form: that
     leaves single and double bounces out.
     """
-    """
     corner = trihedral("t", (0.0, 0.0, 0.0))
     target, dense = Target(corner.vertices_m, corner.faces), Quality(tolerance=0.001)
     by_rays = sweep(target, CARRIER_HZ, np.array([180.0]), 0.0, distance_m=distance, quality=dense)
