@@ -165,16 +165,18 @@ def test_the_radars_own_image_in_a_corner_that_moves() -> None:
             assert found * speed_of_light == pytest.approx(exact, abs=3e-7)
 
 
-def test_a_plate_that_slides_in_its_own_plane() -> None:
+@pytest.mark.parametrize("tolerance", [0.1, 0.03])
+def test_a_plate_that_slides_in_its_own_plane(tolerance: float) -> None:
     """25 m/s in 5 m: what it sends back hardly changes while the foot of the perpendicular stays on
     it. Against a sum over a grid of its points, a quarter of a wavelength apart, each at its
-    distance: within 1 % rms. To first order the sum turns by 5.2 rad.
+    distance: rms within the tolerance. To first order the sum turns by 5.2 rad.
     """
     side, distance, speed = 0.6, 5.0, 25.0
     item = plate("p", (distance, 0, 0), side, velocity_m_per_s=(0.0, speed, 0.0))
-    found = at(trace(world(item), RADAR, fidelity=OPTICS).surfaces)
+    knobs = OPTICS.with_(radar_tolerance=tolerance)
+    found = at(trace(world(item), RADAR, fidelity=knobs).surfaces)
     gone = np.array([gathered(distance, speed * t, side) for t in ENDS_S])
-    assert off(found / found[2], gone / gone[2]) < 0.01
+    assert off(found / found[2], gone / gone[2]) < tolerance
 
 
 def gathered(distance: float, moved_m: float, side: float) -> complex:

@@ -8,7 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.legs import Leg, Station, along, leg, mirrored_axes
+from twin.radar.propagation.legs import Leg, Station, along, leg, mirrored_axes, turning
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.triangles import Triangles
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
@@ -19,6 +19,7 @@ Complex = NDArray[np.complex128]
 
 _BENT = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
 _OBLIQUE = 8.0  # rad across a triangle from which its corners answer one by one
+_TURNED = 0.7  # of the phase by which a slope grows until the end of a burst
 _NARROW = 0.15  # size over distance up to which a triangle's edges tell the most that it gets
 _NEAREST = 0.05  # of the distance of the centroid
 #: Corners of the four equal parts of a triangle, by its corners 0 to 2 and the middles 3 to 5 of
@@ -158,6 +159,9 @@ def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
     curved = level * dr.sqrt(dr.square(change[0]) + dr.square(change[1]))
     bent = dr.maximum(bent, bend([value.log for value in nodes]))
     curved = dr.select(bent < _BENT, curved, strength)  # else two sizes of parts tell nothing
+    if scatterers.half_time_s:
+        turned = scatterers.half_time_s * k * _turning(s, scatterers, lit, home)
+        curved += strength * dr.minimum(_TURNED * turned * strength / most, 1)
     mean = [fine + more for fine, more in zip(finer, change, strict=True)]
     values = (re, im, *mean, length, dr.exp(gain), strength, curved)
     dr.eval(values)
@@ -165,6 +169,22 @@ def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
         np.broadcast_to(np.array(value), len(lit)) for value in values
     )
     return Echoes(re + 1j * im, mean_re + 1j * mean_im, *rest)
+
+
+def _turning(s: Station, scatterers: Scatterers, lit: Triangles, home: Leg) -> Any:
+    """How fast the difference of the ways by two corners grows, at most, in m/s."""
+    number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
+    own = s.mi.Vector3d(
+        *(dr.gather(s.mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
+    )
+    way = lit.center - lit.incident.origin
+    length = dr.norm(way)
+    a, b, c = lit.corners
+    size = dr.maximum(
+        dr.squared_norm(b - a), dr.maximum(dr.squared_norm(c - b), dr.squared_norm(a - c))
+    )
+    rate = dr.norm(turning(own - lit.incident.velocity, way / length, length))
+    return dr.sqrt(size) * (rate + dr.norm(turning(own - home.velocity, -home.back, home.length)))
 
 
 def _most(

@@ -108,7 +108,8 @@ class Budget:
         """Sum of echoes, the phase of whose path they lack, (count, n_frequencies)."""
         count = len(self.level) if count is None else count
         found = np.zeros((count, len(self._wave_numbers)), dtype=np.complex128)
-        lowest, step = self._wave_numbers[0], np.diff(self._wave_numbers[:2])
+        lowest = self._wave_numbers[0]
+        step = self._wave_numbers[min(1, len(self._wave_numbers) - 1)] - lowest
         wave = echo * _waves(lowest * length_m)
         turn = _waves(step * length_m)
         for column in found.T:

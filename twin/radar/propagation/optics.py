@@ -37,7 +37,7 @@ def scattered(stage: Stage, radar: RadarDesign, fidelity: Fidelity) -> Rays:
         return Rays.joined([])
     return scattered_by(
         stage.station,
-        scatterers(stage, radar.antenna, body),
+        scatterers(stage, radar.antenna, body, radar.burst_s / 2),
         stage.images,
         wave_numbers(radar),
         fidelity.radar_tolerance,

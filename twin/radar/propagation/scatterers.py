@@ -21,7 +21,8 @@ class Scatterers:
     and lies upon no other; ``outward`` (n_images, n_facets), 1 or -1 where its normal looks out of
     a closed mesh or into it and the image stands outside, else 0; ``heard`` (n_images, n_facets),
     whether the way by an image is worth tracing and some of the facet may get anything by it. On
-    the device: the ``antenna``, and per object ``surface`` and ``velocity``.
+    the device: the ``antenna``, and per object ``surface`` and ``velocity``; ``half_time_s``: how
+    long before and after its middle the burst lasts, 0 where nothing moves.
     """
 
     body: NDArray[np.intp]
@@ -32,9 +33,12 @@ class Scatterers:
     antenna: AntennaGain
     surface: Any
     velocity: Any
+    half_time_s: float = 0.0
 
 
-def scatterers(stage: Stage, antenna: Antenna, body: NDArray[np.int32]) -> Scatterers:
+def scatterers(
+    stage: Stage, antenna: Antenna, body: NDArray[np.int32], half_time_s: float = 0.0
+) -> Scatterers:
     """By the body of every object, -1 where it does not scatter."""
     world, mi = stage.world, stage.station.mi
     count = len(world.faces)
@@ -67,6 +71,7 @@ def scatterers(stage: Stage, antenna: Antenna, body: NDArray[np.int32]) -> Scatt
         antenna=antenna_gain(mi, antenna, stage.axes),
         surface=mi.UInt32(stage.surface_of_object),
         velocity=mi.Float64(velocities.ravel()),
+        half_time_s=half_time_s if velocities.any() else 0.0,
     )
 
 
