@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 _DEEPEST = 8, 3  # divisions of facets by four, and of roots of tubes by sixteen
 _COARSE_DEPTH = 2, 0
-_WIDEST_M = 0.1  # between rays, which smaller bodies may miss
+_WIDEST_M = 0.2  # between rays, which smaller bodies may miss
 _MOST_ROOTS = 100_000  # that larger ones are divided into
 _COARSE = 0.5  # tolerance of the first pass, at least
 

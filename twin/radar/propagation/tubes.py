@@ -50,6 +50,8 @@ class Tubes:
 
     def chosen(self, which: NDArray[Any]) -> "Tubes":
         """Only some of them, by index or mask."""
+        if which.dtype == bool and which.all():
+            return self
         index = np.flatnonzero(which) if which.dtype == bool else which
         return Tubes(
             self.triangles.taken(index), self.root[index], self.doubt[index], self.is_lit[index]
