@@ -31,6 +31,7 @@ _STEP_RAD = 3.0  # from which on they are not one curved surface, likewise
 _DOUBT = 1.0  # of what a ray that hits stands for: others of its tube miss
 _BENT = 1.0  # of how far a border is from straight, which is followed in its middle
 _MOST_BENT = 0.4
+_ALIKE = 0.9  # cosine between facets of one curved surface
 _LEAST_SLOPE = 0.05  # sine of the angle at which planes are met: a ray's triangle stays finite
 
 
@@ -195,15 +196,23 @@ def _by_quarters(
     s: Station, scatterers: Scatterers, tubes: Tubes, met: "_Met", doubt: Array
 ) -> Tubes:
     """Quarters of tubes as rays at their own centroids. Where that meets nothing but the tube's
-    corner there does, it is not lit.
+    corner there does, or something that faces elsewhere, what the corner meets is not lit.
     """
     pieces = _quarters(s, tubes.triangles)
     own = _met(s, scatterers, pieces, 1)
-    is_lit, known = own.is_valid[0], met.is_valid.T.ravel()
-    face = np.where(is_lit, own.face[0], met.face.T.ravel())
+    is_lit, face = own.is_valid[0], own.face[0]
+    at_corner, known = met.face.T.ravel(), met.is_valid.T.ravel()
+    normal = s.world.plane_table[:, 3:]
+    is_other = np.abs(np.sum(normal[face] * normal[at_corner], axis=1)) < _ALIKE
+    also = known & (~is_lit | is_other)
     found = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
-    either = is_lit | known
-    return _landed(s, scatterers, found.chosen(either), face[either])
+    near = replace(found, is_lit=np.zeros_like(is_lit))
+    landed = [
+        _landed(s, scatterers, part.chosen(which), on[which])
+        for part, which, on in ((found, is_lit, face), (near, also, at_corner))
+        if which.any()
+    ]
+    return Tubes.joined(landed)
 
 
 def _quarters(s: Station, tubes: Triangles) -> Triangles:
