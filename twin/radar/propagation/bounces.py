@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 
 _DEEPEST = 8, 3  # divisions of facets by four, and of roots of tubes by sixteen
 _COARSE_DEPTH = 2, 0
-_WIDEST_M = 0.2  # between rays, which smaller bodies may miss
-_MOST_ROOTS = 100_000  # that larger ones are divided into
+_CLOSEST = 2.0  # wavelengths between rays within facets that may show something
+_MORE = 20_000  # parts of facets, which keep rays wider apart
 _COARSE = 0.5  # tolerance of the first pass, at least
 
 
@@ -184,8 +184,18 @@ def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Trian
     rest = lit_facets(s, scatterers, face, source, source)
     if rest is None:
         return None
-    limit = max(_WIDEST_M, float(np.sqrt(np.sum(sizes(rest) ** 2) / _MOST_ROOTS)))
+    limit = _spacing_m(sizes(rest), _CLOSEST * float(s.wavelength[0]))
     while (is_wide := sizes(rest) > limit).any():
         found.append(rest.taken(np.flatnonzero(~is_wide)))
         rest = quartered(s, rest.taken(np.flatnonzero(is_wide)))
     return Triangles.joined([*found, rest])
+
+
+def _spacing_m(size_m: Array, closest_m: float) -> float:
+    """Between rays, so that facets of these sizes have few more parts than they are."""
+    low, high = closest_m, max(closest_m, float(size_m.max()))
+    for _ in range(30):
+        middle = np.sqrt(low * high)
+        parts = np.maximum(size_m / middle, 1) ** 2
+        low, high = (middle, high) if np.sum(parts - 1) > _MORE else (low, middle)
+    return high
