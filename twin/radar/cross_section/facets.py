@@ -118,6 +118,7 @@ def _radars(
         axes=mi.Float64(aligned(np.tile(np.eye(3), (count, 1)))),
         levels=mi.Float64(0),
         marks=mi.UInt32(0),
+        windows=mi.Float64(0),
         wavelength=dr.opaque(mi.Float64, wavelength_m),
         walls=None,
         antennas=mi.Float64(aligned(np.stack(antennas, axis=1))),
@@ -290,6 +291,7 @@ def _scatterers(s: Station, subject: Subject) -> Scatterers:
         antenna=_Isotropic(s.mi, (zero, zero, zero), None, one, one, one, 1),
         surface=s.mi.UInt32(aligned(subject.surface)),
         velocity=s.mi.Float64(aligned(np.zeros(3 * kinds))),
+        parts=dr.arange(s.mi.UInt32, count),
     )
 
 

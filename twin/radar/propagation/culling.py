@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from twin.radar.device.antenna import Antenna
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.images import Image
+from twin.radar.propagation.images import Image, in_plane
 from twin.radar.propagation.shape import distances_m
 from twin.radar.propagation.world import Flats
 
@@ -191,7 +191,7 @@ def _in_sight(ways: Ways, boxes: Array, flats: Flats) -> Mask:
     seen[over] = (beyond > scale).any(axis=2)
     straddles = (beyond < 0).any(axis=2)
     shrink = height[:, None, None] / np.maximum(height[:, None, None] + beyond, 1e-300)
-    for axis in _along(away):
+    for axis in in_plane(away):
         here = np.einsum("ni,ni->n", ways.place[over], axis)[:, None, None]
         there = np.einsum("mci,ni->nmc", corners, axis)
         # A corner beyond the mirror is seen through its plane at this coordinate; where the plane
@@ -202,11 +202,3 @@ def _in_sight(ways: Ways, boxes: Array, flats: Flats) -> Mask:
         window = flats.extent(patch, axis)
         seen[over] &= (high >= window[:, :1] - scale) & (low <= window[:, 1:] + scale)
     return seen
-
-
-def _along(normals: Array) -> tuple[Array, Array]:
-    """Two directions in each plane, one of them level, so that they follow the sides of walls."""
-    level = np.stack([-normals[:, 1], normals[:, 0], 0 * normals[:, 0]], axis=1)
-    size = np.linalg.norm(level, axis=1, keepdims=True)
-    level = np.where(size > 1e-9, level / np.maximum(size, 1e-9), [1.0, 0.0, 0.0])
-    return level, np.cross(normals, level)

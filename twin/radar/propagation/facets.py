@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.currents import Echoes, echoes_of
+from twin.radar.propagation.hidden import wholly_hidden
 from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.scatterers import Scatterers
@@ -260,6 +261,8 @@ def _looked_at(
     size = sizes(lit)
     doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
     is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
+    hidden = np.flatnonzero(is_doubtful & (corners == 0))
+    is_doubtful[hidden] = ~wholly_hidden(s, scatterers.parts, lit.taken(hidden))
     leaves = Leaves(lit, echoes, weight)
     if not len(row):
         return _Seen(leaves, leaves.chosen(row), row, error, is_doubtful)

@@ -41,3 +41,11 @@ def in_planes(points: Array, at: Array, normal: Array) -> Array:
     off = np.sum((points - at) * normal, axis=-1, keepdims=True)
     images: Array = points - 2 * off * normal
     return images
+
+
+def in_plane(normals: Array) -> tuple[Array, Array]:
+    """Two directions in planes of unit normals (n, 3), one of them level, as walls' sides are."""
+    level = np.stack([-normals[:, 1], normals[:, 0], 0 * normals[:, 0]], axis=1)
+    size = np.linalg.norm(level, axis=1, keepdims=True)
+    level = np.where(size > 1e-9, level / np.maximum(size, 1e-9), [1.0, 0.0, 0.0])
+    return level, np.cross(normals, level)

@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.images import Image
+from twin.radar.propagation.images import Image, in_plane
 from twin.radar.propagation.rays import NEAREST_M
 from twin.radar.propagation.walls import Passage, Walls, cross, no_passage
 from twin.radar.propagation.world import Flats, Mesher
@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 OFF_SURFACE = 1e-6
 #: Numbers per reflection in `Station.levels`: image before it, a point of the plane, its normal.
 LEVEL = 9
+#: Numbers per reflection in `Station.windows`: twice a direction in its plane, and between which
+#: coordinates along it the patch lies.
+WINDOW = 10
 #: Of the way to a mirror, from which on nothing is taken to stand before it.
 _JUST_BEFORE = 1e-3
 
@@ -55,6 +58,7 @@ class Station:
     axes: Any
     levels: Any
     marks: Any
+    windows: Any
     wavelength: Any
     walls: Walls | None
 
@@ -91,6 +95,7 @@ def station(
         axes=mi.Float64(aligned(np.eye(3).ravel())),
         levels=mi.Float64(0),
         marks=mi.UInt32(0),
+        windows=mi.Float64(0),
         wavelength=dr.opaque(mi.Float64, wavelength_m),
         walls=walls,
     )
@@ -111,6 +116,11 @@ def with_images(
     levels = np.zeros((len(images), order, LEVEL))
     levels[:, :, 6:9] = np.array(s.boresight).T  # any unit vector where there is no plane
     marks = np.zeros((len(images), order, 3), dtype=np.uint32)
+    windows = np.zeros((len(images), order, WINDOW))
+    at = [(row, k) for row, image in enumerate(images) for k in range(len(image.patches))]
+    if at:
+        patches = np.array([images[row].patches[k] for row, k in at])
+        windows[tuple(np.array(at).T)] = _windows(flats, patches)
     for row, image in enumerate(images):
         for level, number in enumerate(image.patches):
             owner = flats.object[number]
@@ -128,7 +138,16 @@ def with_images(
         axes=mi.Float64(aligned(_axes(images, flats).ravel())),
         levels=mi.Float64(aligned(levels if levels.size else np.zeros(1))),
         marks=mi.UInt32(aligned(marks if marks.size else np.zeros(1, dtype=np.uint32))),
+        windows=mi.Float64(aligned(windows if windows.size else np.zeros(1))),
     )
+
+
+def _windows(flats: Flats, patches: NDArray[np.int64]) -> Array:
+    """Of patches two directions in their planes, and their extents along these, (n, 10)."""
+    columns = []
+    for axis in in_plane(flats.normal[patches]):
+        columns += [axis, flats.extent(patches, axis)]
+    return np.hstack(columns)
 
 
 def _velocities(images: Sequence[Image], flats: Flats, velocities: Array) -> Array:

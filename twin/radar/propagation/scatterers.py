@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from twin.radar.device.antenna import Antenna
 from twin.radar.propagation.beams import AntennaGain, antenna_gain
+from twin.radar.propagation.convexity import convex_parts
 from twin.radar.propagation.shape import shape_of
 from twin.radar.propagation.stage import Stage
+from twin.transfer import aligned
 
 Array = NDArray[np.float64]
 
@@ -21,8 +23,9 @@ class Scatterers:
     and lies upon no other; ``outward`` (n_images, n_facets), 1 or -1 where its normal looks out of
     a closed mesh or into it and the image stands outside, else 0; ``heard`` (n_images, n_facets),
     whether the way by an image is worth tracing and some of the facet may get anything by it. On
-    the device: the ``antenna``, and per object ``surface`` and ``velocity``; ``half_time_s``: how
-    long before and after its middle the burst lasts, 0 where nothing moves.
+    the device: the ``antenna``, per object ``surface`` and ``velocity``, and per facet in ``parts``
+    the number of its `convexity.convex_parts`; ``half_time_s``: how long before and after its
+    middle the burst lasts, 0 where nothing moves.
     """
 
     body: NDArray[np.intp]
@@ -33,6 +36,7 @@ class Scatterers:
     antenna: AntennaGain
     surface: Any
     velocity: Any
+    parts: Any
     half_time_s: float = 0.0
 
 
@@ -42,37 +46,40 @@ def scatterers(
     """By the body of every object, -1 where it does not scatter."""
     world, mi = stage.world, stage.station.mi
     count = len(world.faces)
-    plane, outward = (
-        np.full(count, -1, dtype=np.int32),
-        np.zeros((len(stage.images), count), np.int8),
-    )
-    counts = np.zeros(count, dtype=bool)
+    plane = np.full(count, -1, dtype=np.int32)
+    outward = np.zeros(count, dtype=np.int8)
+    counts = world.plane_table[:, 3:].any(axis=1) & (body[world.object_of_face] >= 0)
     first = 0
-    for number, rows in enumerate(world.face_ranges):
-        item = world.items[number]
-        if item is None or body[number] < 0:
-            continue
+    for number in np.flatnonzero(body[: len(world.face_ranges)] >= 0).tolist():
+        item, rows = world.items[number], world.face_ranges[number]
+        assert item is not None
         shape = shape_of(item)
         plane[rows] = shape.patch_of_face + first
-        counts[rows] = ~shape.is_double & world.plane_table[rows, 3:].any(axis=1)
-        points = world.vertices[world.vertex_ranges[number]]
-        low, high = points.min(axis=0), points.max(axis=0)
-        for row, image in zip(outward, stage.images, strict=True):
-            if not ((low <= image.place) & (image.place <= high)).all():
-                row[rows] = shape.outward
+        counts[rows] &= ~shape.is_double
+        outward[rows] = shape.outward
         first += len(shape.patch_area_m2)
     velocities = np.array([item.velocity_m_per_s for item in stage.items], dtype=np.float64)
     return Scatterers(
         body=body[world.object_of_face].astype(np.intp),
         plane=plane,
         counts=counts,
-        outward=outward,
+        outward=np.where(_within(stage)[:, world.object_of_face], np.int8(0), outward),
         heard=_heard(stage, antenna),
         antenna=antenna_gain(mi, antenna, stage.axes),
         surface=mi.UInt32(stage.surface_of_object),
         velocity=mi.Float64(velocities.ravel()),
+        parts=mi.UInt32(aligned(convex_parts(world))),
         half_time_s=half_time_s if velocities.any() else 0.0,
     )
+
+
+def _within(stage: Stage) -> NDArray[np.bool_]:
+    """Whether images stand in the boxes around objects, (n_images, n_objects)."""
+    world = stage.world
+    first = [rows.start for rows in world.vertex_ranges]
+    low, high = (end.reduceat(world.vertices, first) for end in (np.minimum, np.maximum))
+    places = np.array([image.place for image in stage.images])[:, None]
+    return np.asarray(((low <= places) & (places <= high)).all(axis=2))
 
 
 def _heard(stage: Stage, antenna: Antenna) -> NDArray[np.bool_]:
