@@ -146,6 +146,22 @@ def test_a_plate_near_and_far(distance: float, tolerance: float) -> None:
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_a_plate_behind_a_bar(tolerance: float) -> None:
+    """5 mm wide, upright, before a plate of two triangles: between their corners and centroids."""
+    square = plate("p", (3.0, 0.0, 0.0), 0.2)
+    low, high = 0.021, 0.026
+    strip = [[2.9, low, -1], [2.9, high, -1], [2.9, high, 1], [2.9, low, 1]]
+
+    def lit(points: np.ndarray) -> np.ndarray:
+        y = points[:, 1] * 2.9 / 3
+        return (y < low) | (y > high)
+
+    expected = sampled_plate(square.vertices_m, lit)
+    found = echo(world(square, quad("bar", strip, radar="obstacle")), tolerance)
+    assert abs(found / expected - 1) < tolerance / 3
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
 def test_a_plate_half_in_the_shadow_of_another(tolerance: float) -> None:
     """A screen at 3 m hides what lies beyond a slanted edge: the lit part alone answers."""
     square = plate("p", (5.0, 0.0, 0.0), 0.3)

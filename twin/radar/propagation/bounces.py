@@ -17,10 +17,10 @@ from twin.radar.propagation.facets import (
     lit_facets,
     settled,
     sides_of,
-    sizes,
 )
 from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station
+from twin.radar.propagation.parts import parted
 from twin.radar.propagation.pieces import rays_of
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.scatterers import Scatterers
@@ -31,8 +31,6 @@ Array = NDArray[np.float64]
 
 _DEEPEST = 8, 3  # divisions of facets by four, and of roots of tubes by sixteen
 _COARSE_DEPTH = 2, 0
-_CLOSEST = 2.0  # wavelengths between rays within facets that may show something
-_MORE = 20_000  # parts of facets, which keep rays wider apart
 _COARSE = 0.5  # tolerance of the first pass, at least
 
 
@@ -180,22 +178,5 @@ def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Trian
         faces.append(rows[lit & scatterers.heard[number, rows]])
         sources.append(np.full(len(faces[-1]), number))
     face, source = np.concatenate(faces), np.concatenate(sources)
-    found = []
-    rest = lit_facets(s, scatterers, face, source, source)
-    if rest is None:
-        return None
-    limit = _spacing_m(sizes(rest), _CLOSEST * float(s.wavelength[0]))
-    while (is_wide := sizes(rest) > limit).any():
-        found.append(rest.taken(np.flatnonzero(~is_wide)))
-        rest = quartered(s, rest.taken(np.flatnonzero(is_wide)))
-    return Triangles.joined([*found, rest])
-
-
-def _spacing_m(size_m: Array, closest_m: float) -> float:
-    """Between rays, so that facets of these sizes have few more parts than they are."""
-    low, high = closest_m, max(closest_m, float(size_m.max()))
-    for _ in range(30):
-        middle = np.sqrt(low * high)
-        parts = np.maximum(size_m / middle, 1) ** 2
-        low, high = (middle, high) if np.sum(parts - 1) > _MORE else (low, middle)
-    return high
+    lit = lit_facets(s, scatterers, face, source, source)
+    return None if lit is None else parted(s, lit)[0]

@@ -17,11 +17,12 @@ from twin.radar.propagation.currents import Echoes, echoes_of
 from twin.radar.propagation.hidden import wholly_hidden
 from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station
+from twin.radar.propagation.parts import parted, sizes
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import cut, sampled
 from twin.radar.propagation.triangles import Incident, Triangles, lit_directly, quartered
 from twin.radar.propagation.walls import no_passage
-from twin.transfer import aligned, host, vector
+from twin.transfer import aligned, vector
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -207,10 +208,15 @@ def settled(
     bright = np.flatnonzero(~faint)
     lit, echoes = lit.taken(bright), echoes.chosen(bright)
     found: list[Leaves] = []
+    partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
+    if lit.bounces == 0 and len(bright) and not is_open:
+        partly, spacing_m = _partly_hidden(s, lit)
     for depth in range(deepest + 1 if len(bright) else 0):
         seen = _open(lit, echoes) if is_open else _looked_at(s, scatterers, lit, echoes, budget)
         budget.consider([seen.leaves, seen.cut])
         done = budget.affordable(lit.body, seen.error) & ~seen.is_doubtful
+        if partly.any():
+            done &= ~partly | (sizes(lit) <= spacing_m)
         if depth == deepest:
             done[:] = True
         for part, kept in ((seen.leaves, done), (seen.cut, done[seen.row])):
@@ -221,9 +227,17 @@ def settled(
         rest = np.flatnonzero(~done)
         if not len(rest):
             break
-        lit = quartered(s, lit.taken(rest))
+        lit, partly = quartered(s, lit.taken(rest)), np.repeat(partly[rest], 4)
         echoes = echoes_of(s, scatterers, lit)
     return found
+
+
+def _partly_hidden(s: Station, lit: Triangles) -> tuple[NDArray[np.bool_], float]:
+    """Triangles with parts that are seen and others that are not, and how large parts are, in m."""
+    parts, row, spacing_m = parted(s, lit)
+    clear = sampled(s, parts, np.zeros(len(parts), dtype=bool))[3]
+    seen = np.bincount(row, clear, len(lit))
+    return (seen > 0) & (seen < np.bincount(row, minlength=len(lit))), spacing_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,14 +300,6 @@ def _turned(echoes: Echoes, s: Station) -> Complex:
     wave_number = 2 * np.pi / float(s.wavelength[0])
     found: Complex = echoes.total * np.exp(-1j * (wave_number * echoes.length_m % (2 * np.pi)))
     return found
-
-
-def sizes(lit: Triangles) -> Array:
-    """Longest edges, (n,)."""
-    a, b, c = host(lit.corners, len(lit))
-    return np.sqrt(
-        np.max([((q - p) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
-    )
 
 
 def facing(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Triangles | None:
