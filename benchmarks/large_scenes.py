@@ -1,7 +1,10 @@
-"""Figures of scenes of any size: what everything but the finding of echoes takes.
+"""Figures of scenes of any size: what the set-up takes, and what all echoes take.
 
-Roles, meshes, bodies, images, those in which the radar sees itself, and the ways worth tracing: the
-first time, and when one object has moved. In cities of Sionna RT, a made one, and a terrain.
+The set-up: roles, meshes, bodies, images, those in which the radar sees itself, and the ways worth
+tracing. Both the first time, and when one object has moved; echoes in CPU time of one thread, each
+scene in a process of its own. In cities of Sionna RT, a made one, and a terrain.
+`python -m benchmarks.large_scenes munich` measures the echoes of one scene: a city, `boxes`, or
+the number of points along a side of the terrain.
 """
 
 import importlib.util
@@ -21,6 +24,7 @@ from benchmarks.timing import Figure, timed
 from twin.engine import mitsuba, sionna
 from twin.files import scenes_folder
 from twin.radar import load_radar
+from twin.radar.propagation.finding import trace
 from twin.radar.propagation.grouping import bodies_of
 from twin.radar.propagation.roles import Role, assign_roles
 from twin.radar.propagation.shape import boxes_of
@@ -44,9 +48,11 @@ def figures() -> Iterator[Figure]:
     mitsuba()
     for name in _CITIES:
         yield from _of(name, load_scene(_bundled(name)))
+        yield from _apart(name, name)
     yield from _of("10 000 boxes", _boxes(10_000))
+    yield from _apart("10 000 boxes", "boxes")
     for side in _TERRAIN:
-        yield from _apart(side)
+        yield from _apart(f"{2 * (side - 1) ** 2:.2g} triangles", str(side))
 
 
 def _of(name: str, scene: Scene) -> Iterator[Figure]:
@@ -123,35 +129,45 @@ def _terrain(side: int) -> Scene:
     return _scene([hills, _thing("box", _BOX + [20, 0, 0], _SIDES)])
 
 
-def _apart(side: int) -> Iterator[Figure]:
-    """A terrain in a process of its own, for its memory."""
+def _apart(name: str, scene: str) -> Iterator[Figure]:
+    """A scene in a process of its own, for its memory."""
     asked = subprocess.run(
-        [sys.executable, "-m", "benchmarks.large_scenes", str(side)],
+        [sys.executable, "-m", "benchmarks.large_scenes", scene],
         check=True,
         capture_output=True,
         text=True,
     )
     found: dict[str, Any] = json.loads(asked.stdout.splitlines()[-1])
-    for name, (value, unit) in found.items():
-        yield f"{2 * (side - 1) ** 2:.2g} triangles: {name}", value, unit
+    for what, (value, unit) in found.items():
+        yield f"{name}: {what}", value, unit
 
 
-def _memory(side: int) -> None:
+def _echoes(name: str) -> None:
     import resource
+
+    import drjit as dr
 
     sionna()
     mitsuba()
-    scene = _terrain(side)
-    found = {}
-    for name in ("set-up, the first time", "set-up, the box moved"):
+    dr.set_thread_count(1)
+    if name in _CITIES:
+        scene = load_scene(_bundled(name))
+    else:
+        scene = _boxes(10_000) if name == "boxes" else _terrain(int(name))
+    found, radar = {}, load_radar("hybrid-79")
+    for when in ("the first time", "one object moved"):
         start = time.perf_counter()
         _set_up(scene)
-        found[name] = (time.perf_counter() - start, "s")
+        found[f"set-up, {when}, alone"] = (time.perf_counter() - start, "s")
+        begin = time.process_time()
+        echoes = trace(scene, radar).echoes
+        found[f"echoes, {when}, CPU time"] = (time.process_time() - begin, "s")
         scene = _moved(scene, 0.1)
+    found["contributions"] = (float(len(echoes.delay_s)), "")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     found["memory at most"] = (peak * 1024 / 1e9, "GB")
     print(json.dumps(found))
 
 
 if __name__ == "__main__":
-    _memory(int(sys.argv[1]))
+    _echoes(sys.argv[1])
