@@ -9,7 +9,7 @@ faded out: such parts cancel, unless an edge stands there.
 
 The scene's triangular tubes (`propagation.tubes`) cost more for one mesh: an aspect of the
 trihedral of 10 m^2 takes them 0.14 s for 1.3 to 0.3 % at tolerances of 0.1 to 0.01, 15 000 rays
-4 ms for 0.05 %. Of a box beside a plate, 20 to 60 dB below its broadside, both agree within 2 to 7 %.
+4 ms for 0.05 %. Of a box beside a plate, 20 to 60 dB below broadside, both agree to 2 to 7 %.
 
 Rays meet triangles in float32; the distance to the facet's plane, and with it the phase, is
 float64. Distances are relative to the mesh's origin: one formula holds near and far.

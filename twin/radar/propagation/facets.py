@@ -212,7 +212,11 @@ def settled(
     if lit.bounces == 0 and len(bright) and not is_open:
         partly, spacing_m = _partly_hidden(s, lit)
     for depth in range(deepest + 1 if len(bright) else 0):
-        seen = _open(lit, echoes) if is_open else _looked_at(s, scatterers, lit, echoes, budget)
+        seen = (
+            _open(lit, echoes)
+            if is_open
+            else _looked_at(s, scatterers, lit, echoes, budget, partly)
+        )
         budget.consider([seen.leaves, seen.cut])
         done = budget.affordable(lit.body, seen.error) & ~seen.is_doubtful
         if partly.any():
@@ -261,17 +265,22 @@ def _open(lit: Triangles, echoes: Echoes) -> _Seen:
 
 
 def _looked_at(
-    s: Station, scatterers: Scatterers, lit: Triangles, echoes: Echoes, budget: Budget
+    s: Station,
+    scatterers: Scatterers,
+    lit: Triangles,
+    echoes: Echoes,
+    budget: Budget,
+    partly: NDArray[np.bool_],
 ) -> _Seen:
     allowed = budget.allowed(lit.body)
-    clear = sampled(s, lit, echoes.strength > _SAMPLED * allowed)
+    clear = sampled(s, lit, partly | (echoes.strength > _SAMPLED * allowed))
     corners = clear[:3].sum(axis=0)
     agree = (clear == clear[3]).all(axis=0)
     weight = np.where(corners >= 2, 1.0, 0.0)
     error = np.where(weight > 0, echoes.curved, 0.0)
     odd = (corners == 1) | (corners == 2)
     error += np.where(agree, 0.0, _MIXED * echoes.strength)
-    row = np.flatnonzero(odd & (_MIXED * echoes.strength > _CUT * allowed))
+    row = np.flatnonzero(odd & (partly | (_MIXED * echoes.strength > _CUT * allowed)))
     size = sizes(lit)
     doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
     is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
