@@ -1,69 +1,113 @@
-"""Figures of physical optics in the scene: a whole frame, and errors against closed forms."""
+"""Figures of the radar in the bundled scenes: times of a frame, and the errors of every body.
+
+References are those of `twin trade`, made once for each scene: tolerance 0.01, whose direct echo
+gives way to brute force where a body is small enough for that.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import count
 
+import drjit as dr
 import numpy as np
 
 from benchmarks.timing import Figure, timed
 from hardware.radar.process import process
-from twin.fidelity import Fidelity
+from twin.fidelity import PRESETS, Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
+from twin.radar.acquisition import channel
+from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.finding import trace
+from twin.radar.propagation.paths import Propagation
 from twin.scene import Scene, load_scene
+from twin.trade.bodies import Bodies, echoes_by_body, errors_of, reference_bodies
 
-_OPTICS = Fidelity(radar="optics", nufft_tolerance=1e-5)
-_EDGES = _OPTICS.with_(radar_edges=2_000_000)
+_FINEST = Fidelity(radar_tolerance=0.01)
+_RUNS = {"standard": 3, "draft": 3, "reference": 1}
+_STEP_M = 0.0137  # by which the car moves from frame to frame
 
 
 def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
-    scene = load_scene("street")
-    yield "triangles of scenes/street", float(scene.triangles), ""
-    for name in ("hybrid-79-slow", "hybrid-79"):
-        yield from _frame(scene, load_radar(name))
-    yield from _errors(scene, load_radar("hybrid-79"))
+    radar = load_radar("hybrid-79")
+    for name in ("yard", "street"):
+        scene = load_scene(name)
+        yield f"{name}: triangles", float(scene.triangles), ""
+        finest = trace(scene, radar, fidelity=_FINEST)
+        bodies = reference_bodies(scene, radar, _FINEST, finest, 0)
+        del finest
+        for preset, runs in _RUNS.items():
+            fidelity = PRESETS[preset]
+            found = trace(scene, radar, fidelity=fidelity)
+            yield from _errors(f"{name}, {preset}", found, radar, bodies)
+            del found
+            yield from _times(f"{name}, {preset}", scene, radar, fidelity, runs)
+        yield from _ranges(name, scene, radar)
 
 
-def _frame(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
-    """Echoes to detections, warm; the same scene again, and with the car moved each time."""
-    step = iter(range(1, 1000))
+def _times(
+    what: str, scene: Scene, radar: RadarDesign, fidelity: Fidelity, runs: int
+) -> Iterator[Figure]:
+    """Warm, each from the scene on; the last with the car elsewhere in every frame."""
+    wave, step = radar.ofdm, count(1)
 
     def frame(now: Scene) -> int:
-        return len(process(radar_capture(now, radar, fidelity=_OPTICS).record).detections)
+        return len(process(radar_capture(now, radar, fidelity=fidelity).record).detections)
 
-    slots = f"{radar.ofdm.n_slots} slots"
-    frame(scene), frame(_driven(scene, 0.001))  # warm
-    yield f"street, {slots}: echoes", timed(lambda: trace(scene, radar, fidelity=_OPTICS)), ""
-    edges = timed(lambda: trace(scene, radar, fidelity=_EDGES))
-    yield f"street, {slots}: echoes and edges", edges, ""
-    yield f"street, {slots}: whole frame", timed(lambda: frame(scene)), ""
-    moving = timed(lambda: frame(_driven(scene, 0.01 * next(step))))
-    yield f"street, {slots}: whole frame, car moved", moving, ""
+    def moved() -> int:
+        return frame(_driven(scene, _STEP_M * next(step)))
+
+    def synthesis() -> None:
+        channel(trace(scene, radar, fidelity=fidelity), radar, Air(), fidelity.nufft_tolerance)
+
+    moved()  # warm
+    finding = timed(lambda: trace(scene, radar, fidelity=fidelity), runs, warm_up=0)
+    yield f"{what}: echoes", finding, ""
+    bins = f"{wave.n_subcarriers} x {wave.n_slots}"
+    yield f"{what}: echoes and channel of {bins}", timed(synthesis, runs, warm_up=0), ""
+    yield f"{what}: whole frame", timed(lambda: frame(scene), runs, warm_up=0), ""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        yield f"{what}: whole frame, car moved", timed(moved, runs, warm_up=0), ""
+        kernels = [entry for entry in dr.kernel_history() if "cache_hit" in entry]
+    compiled = sum(not entry["cache_hit"] for entry in kernels)
+    yield f"{what}: kernels that these compile anew", float(compiled), ""
 
 
-def _driven(scene: Scene, seconds: float) -> Scene:
-    """Everything as it stands a while later."""
+def _driven(scene: Scene, forward_m: float) -> Scene:
+    """With the car farther ahead."""
     return replace(
         scene,
         objects=tuple(
-            replace(o, vertices_m=o.vertices_m + seconds * np.array(o.velocity_m_per_s))
-            if any(o.velocity_m_per_s)
+            replace(o, vertices_m=o.vertices_m + [forward_m, 0.0, 0.0])
+            if o.name.startswith("car")
             else o
             for o in scene.objects
         ),
     )
 
 
-def _errors(scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
-    """What a frame finds, against the truth."""
-    found = trace(scene, radar, fidelity=_OPTICS)
-    yield "street: contributions", float(len(found.echoes.delay_s)), ""
-    edges = trace(scene, radar, fidelity=_EDGES)
-    yield "street: contributions with edges", float(len(edges.echoes.delay_s)), ""
-    taken = radar_capture(scene, radar, fidelity=_OPTICS)
+def _errors(what: str, found: Propagation, radar: RadarDesign, bodies: Bodies) -> Iterator[Figure]:
+    """Complex, rms over the band, of the echoes of surfaces: of their sum and of every body's."""
+    yield f"{what}: contributions", float(len(found.echoes.delay_s)), ""
+    echo = echoes_by_body(found, bodies.names, radar, bodies.frequencies_hz).sum(axis=0)
+    whole = bodies.echo.sum(axis=0)
+    off = float(np.linalg.norm(echo - whole) / np.linalg.norm(whole))
+    yield f"{what}: error of all bodies' sum", 100 * off, "%"
+    estimated = {body.name: body.estimated_error for body in found.bodies}
+    for error in errors_of(bodies, found, radar, found.bodies[0].tolerance):
+        yield (
+            f"{what}: error of {error.body}, {error.level_db:.1f} dB",
+            100 * error.error,
+            f"% (estimated {100 * estimated.get(error.body, np.nan):.2g} %; {error.reference})",
+        )
+
+
+def _ranges(name: str, scene: Scene, radar: RadarDesign) -> Iterator[Figure]:
+    """What a frame by default detects, against the truth."""
+    taken = radar_capture(scene, radar)
     ranges = np.array([d.range_m for d in process(taken.record).detections])
     for truth in taken.truth:
         off = ranges - truth.range_m
         nearest = float(off[np.abs(off).argmin()]) if len(off) else float("nan")
-        yield f"street: {truth.name}, range of the nearest detection less truth", nearest, "m"
+        yield f"{name}: {truth.name}, range of the nearest detection less truth", nearest, "m"

@@ -38,12 +38,14 @@ class Fidelity:
         Of physical optics, 0.001 to 1. Estimated error of the echo of every body over the band,
         relative to its root mean square, or to an echo 40 dB below the strongest body's, or to a
         tenth of the receiver's noise, whichever is larger: triangles are divided until their
-        estimated errors, added as independent, stay below it. `twin trade` measures the errors
-        themselves, body by body. What the estimate misses: bodies narrower than the rays within
-        a facet that shows them by reflection (20 000 more rays than there are facets, where these
-        are larger than two wavelengths); where borders of shadows cross a triangle more than once
-        (plates that cut each other: 12 % at 0.1, 10 % at 0.03); what facets, which are flat, leave
-        of a curved mirror.
+        estimated errors, added as independent, stay below it at each stage, or to a deepest
+        division. What all stages come to is told of every body (`Propagation.bodies`, the report)
+        and warned of where it exceeds the tolerance: at 0.1 on the yard up to 18 % of a body, of
+        which 11 % are found. `twin trade` measures the errors themselves, body by body. What the
+        estimate misses: bodies narrower than the rays within a facet that shows them by reflection
+        (20 000 more rays than there are facets, where these are larger than two wavelengths); where
+        borders of shadows cross a triangle more than once (plates that cut each other: 12 % at 0.1,
+        10 % at 0.03); what facets, which are flat, leave of a curved mirror.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
         trihedral needs 3.

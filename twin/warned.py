@@ -13,7 +13,8 @@ from typing import Literal, get_args
 #: Of the truth: ``hidden`` (a target out of sight), ``ambiguous`` (beyond what range or rate is
 #: unambiguous to).
 #: Of the twin: ``design`` (settings that contradict each other or the scene), ``model`` (physics
-#: that is left out matters here), ``rendering`` (rays or their rounding leave an error).
+#: that is left out matters here), ``rendering`` (rays, their rounding or their number leave an
+#: error).
 Kind = Literal[
     "saturated",
     "black",

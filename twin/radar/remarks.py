@@ -11,6 +11,7 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
 from twin.radar.device.oscillator import residual_rad
 from twin.radar.propagation.atmosphere import Air
+from twin.radar.propagation.convergence import BodyEcho, unconverged
 from twin.radar.propagation.paths import Propagation
 from twin.radar.propagation.rays import lengthening
 from twin.radar.propagation.roles import Role
@@ -113,6 +114,7 @@ def warnings(
         )
         found.append(CaptureWarning("rendering", text))
     found += [CaptureWarning("model", text) for text in bursts[0].warnings]
+    found += [CaptureWarning("rendering", text) for text in _unconverged(bursts)]
     found += _coarse(scene, radar, bursts[0])
     found += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
     found += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
@@ -126,6 +128,16 @@ def warnings(
         text = f"{clipped} of {flags.size} slots clip: lower front_end.noise_counts"
         found.append(CaptureWarning("saturated", text, void=clipped == flags.size))
     return tuple(found)
+
+
+def _unconverged(bursts: Sequence[Propagation]) -> list[str]:
+    """On the bodies that have not converged, each at the burst where its error is largest."""
+    worst: dict[tuple[str, ...], BodyEcho] = {}
+    for body in (body for burst in bursts for body in burst.bodies):
+        known = worst.setdefault(body.objects, body)
+        if body.estimated_error > known.estimated_error:
+            worst[body.objects] = body
+    return unconverged(worst.values())
 
 
 def _antennas(radar: RadarDesign) -> str:

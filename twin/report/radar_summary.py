@@ -7,6 +7,7 @@ from scipy import constants
 
 from hardware.radar import Detection
 from twin.radar.evaluation import RadarEvaluation
+from twin.radar.propagation.convergence import percent
 from twin.report.style import si
 
 _CFAR = {"ca": "cell-averaging", "go": "greatest-of", "os": "ordered-statistic"}
@@ -27,6 +28,15 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "roles": [
             (a.name, str(a.role), f"{a.over_fresnel_zone:.3g}")
             for a in evaluation.capture.propagation.roles
+        ],
+        "bodies": [
+            (
+                body.name,
+                f"{body.level_db:.1f} dB",
+                f"{percent(body.estimated_error)} %",
+                f"{percent(body.tolerance)} %" + ("" if body.is_converged else ", exceeded"),
+            )
+            for body in evaluation.capture.propagation.bodies
         ],
         "assumptions": evaluation.capture.assumptions,
         "window": evaluation.how.window,

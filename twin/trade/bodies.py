@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign
+from twin.radar.propagation.convergence import band_of, summed_by
 from twin.radar.propagation.finding import trace
 from twin.radar.propagation.grouping import bodies_of
 from twin.radar.propagation.paths import Propagation
@@ -26,7 +27,6 @@ Complex = NDArray[np.complex128]
 
 
 _WEAKEST = 0.01  # of the strongest body: 40 dB
-_FREQUENCIES = 17  # over the band, equally spaced
 _MOST_POINTS = 20_000_000  # of a body, to be sampled by brute force: some ten seconds
 
 
@@ -56,9 +56,7 @@ def reference_bodies(
 ) -> Bodies:
     """References of all bodies; ``finest`` is what the fidelity, the closest one, found."""
     names = _names(scene, finest)
-    wave = radar.ofdm
-    half = wave.bandwidth_hz / 2
-    frequencies = wave.carrier_hz + np.linspace(-half, half, _FREQUENCIES)
+    frequencies = band_of(radar.ofdm)
     echo = echoes_by_body(finest, names, radar, frequencies)
     level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
     stage = set_stage(scene, radar, finest.roles, 0)
@@ -116,21 +114,8 @@ def echoes_by_body(
     body_of = {name: i for i, members in enumerate(names) for name in members}
     number = np.array([body_of.get(name, -1) for name in found.objects], dtype=np.intp)
     body = number[found.object_of_surface] if len(found.object_of_surface) else np.zeros(0, np.intp)
-    surfaces, count = found.surfaces, len(names)
-    total = np.zeros((count, len(frequencies_hz)), dtype=np.complex128)
     carrier = radar.ofdm.carrier_hz
-    for power in np.unique(surfaces.falloff):
-        some = np.flatnonzero((surfaces.falloff == power) & (body >= 0))
-        delay = surfaces.delay_s[some]
-        wave = surfaces.amplitude[some] * np.exp(-2j * np.pi * (frequencies_hz[0] * delay % 1.0))
-        step = np.exp(-2j * np.pi * ((frequencies_hz[1] - frequencies_hz[0]) * delay % 1.0))
-        for k, frequency in enumerate(frequencies_hz):
-            sums = np.bincount(body[some], wave.real, count) + 1j * np.bincount(
-                body[some], wave.imag, count
-            )
-            total[:, k] += (carrier / frequency) ** power * sums
-            wave *= step
-    return total
+    return summed_by(body, len(names), found.surfaces, carrier, frequencies_hz)
 
 
 def _names(scene: Scene, found: Propagation) -> tuple[tuple[str, ...], ...]:

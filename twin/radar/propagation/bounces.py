@@ -42,8 +42,9 @@ def scattered_by(
     tolerance: float,
     bounces: int,
     floor: float = 0.0,
-) -> Rays:
-    """Contributions of every body.
+) -> tuple[Rays, Array]:
+    """Contributions of every body, and the errors that their sums may have, (n_bodies,), with the
+    antenna's gain.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def scattered_by(
     count = int(scatterers.body.max()) + 1
     facets = facing(s, scatterers, images)
     if facets is None:
-        return Rays.joined([])
+        return Rays.joined([]), np.zeros(count)
     whole = facets, echoes_of(s, scatterers, facets)
     roots = _roots(s, scatterers, images) if bounces > 1 else None
     search = _Search(s, scatterers, images, bounces)
@@ -69,7 +70,8 @@ def scattered_by(
     budget = Budget(count, tolerance, wave_numbers, floor, coarse)
     found = search.leaves(whole, roots, first, budget, _DEEPEST)
     leaves = [_worth_it(part, budget) for part in found]
-    return Rays.joined([rays_of(s, scatterers, part) for part in leaves if len(part.weight)])
+    rays = Rays.joined([rays_of(s, scatterers, part) for part in leaves if len(part.weight)])
+    return rays, budget.accepted
 
 
 def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
@@ -154,7 +156,9 @@ class _Search:
             if depth == deepest:
                 done[:] = True
             for part in landed:
-                kept = np.flatnonzero(done[part.root] & part.is_lit)
+                ends = done[part.root]
+                budget.accept(part.lit, part.error, ends)
+                kept = np.flatnonzero(ends & part.is_lit)
                 if len(kept):
                     known = part.lit.taken(kept), part.echoes.chosen(kept)
                     lit.setdefault(part.lit.bounces, []).append(known)

@@ -8,11 +8,20 @@ from numpy.typing import NDArray
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.around import screens
+from twin.radar.propagation.convergence import (
+    BodyEcho,
+    band_of,
+    body_echoes,
+    summed_by,
+    unconverged,
+)
+from twin.radar.propagation.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.environment import mirror_echoes, point_echoes
 from twin.radar.propagation.optics import (
     behind,
     contributions_of,
     diffracted,
+    loss_of,
     scattered,
     speckle,
 )
@@ -35,21 +44,45 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     declared = declared_alone(scene, roles)
     is_rough = fidelity.radar == "rough"
     stage = set_stage(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
-    surfaces = Rays.joined([scattered(stage, radar, fidelity), behind(stage, fidelity)])
+    direct, body, error = scattered(stage, radar, fidelity)
+    surfaces = Rays.joined([direct, behind(stage, fidelity)])
     edges, on_edges = diffracted(stage, fidelity)
     points, on_points = speckle(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])
     diffuse = Rays.joined([edges, points])
     paths = [*_mirrors(stage, radar, fidelity), *_points(stage, radar, declared, fidelity)]
     dense = [contributions_of(rays, stage, radar) for rays in (surfaces, diffuse)]
+    bodies = _converged(stage, radar, fidelity, body, error, dense[0], surfaces.object)
     return Propagation(
         paths=tuple(sorted((p for p in paths if p.amplitude), key=lambda p: p.delay_s)),
         roles=tuple(roles),
-        assumptions=(*stage.assumptions, *on_edges, *on_points),
+        assumptions=(*stage.assumptions, *on_edges, *on_points, *unconverged(bodies)),
         surfaces=dense[0],
         diffuse=dense[1],
         heard=_heard(Rays.joined([surfaces, diffuse]), Contributions.joined(dense), stage, radar),
         objects=tuple(item.name for item in stage.items),
         object_of_surface=surfaces.object,
+        bodies=bodies,
+    )
+
+
+def _converged(
+    stage: Stage,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    body: NDArray[np.int32],
+    error: Array,
+    surfaces: Contributions,
+    owner: NDArray[np.uint32],
+) -> tuple[BodyEcho, ...]:
+    """Levels of bodies and estimates of their errors; ``owner``: object of each echo."""
+    count, wave = len(error), radar.ofdm
+    echo = summed_by(body[owner], count, surfaces, wave.carrier_hz, band_of(wave))
+    return body_echoes(
+        [tuple(stage.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)],
+        echo,
+        error * loss_of(radar),
+        fidelity.radar_tolerance,
+        OF_NOISE * noise_amplitude(radar),
     )
 
 

@@ -22,13 +22,14 @@ from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import cut, sampled
 from twin.radar.propagation.triangles import Incident, Triangles, lit_directly, quartered
 from twin.radar.propagation.walls import no_passage
-from twin.transfer import aligned, vector
+from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _DEEPEST = 8  # divisions by four
-_WEAKEST = 0.01  # of the strongest body: 40 dB; weaker ones are known as well as one of this level
+#: Of the strongest body, 40 dB: weaker ones are known as well as one of this level.
+WEAKEST = 0.01
 _PER_LEVEL = 0.25  # of the squared tolerance
 _LEFT_OUT = 0.1  # of tolerance and body: what together comes to less is left out
 _OCTAVES = 40  # of strength that are told apart
@@ -84,13 +85,14 @@ class Budget:
         wave_numbers: Array,
         floor: float | Array,
         coarse: "Budget | None" = None,
-        weakest: float = _WEAKEST,
+        weakest: float = WEAKEST,
     ) -> None:
         self.tolerance = tolerance
         self._weakest = weakest
         self._wave_numbers = wave_numbers
         self._floor = floor
         self._settled = np.zeros((n_bodies, len(wave_numbers)), dtype=np.complex128)
+        self._accepted = np.zeros(n_bodies)  # errors squared
         self.level = np.zeros(n_bodies)
         self.direct = np.zeros_like(self._settled)
         #: Echoes still to come: of further bounces, as the coarse pass found them.
@@ -139,6 +141,17 @@ class Budget:
             leaves.body, leaves.weight * leaves.echoes.total, leaves.echoes.length_m
         )
 
+    def accept(self, lit: Triangles, error: Array, which: NDArray[np.bool_]) -> None:
+        """Count errors that some triangles leave, affordable or not."""
+        source, receiver = host([lit.source, lit.receiver], len(lit))
+        left = np.where(source == receiver, error, 2 * error)  # other ways are walked back, too
+        self._accepted += np.bincount(lit.body[which], left[which] ** 2, len(self._accepted))
+
+    @property
+    def accepted(self) -> Array:
+        """Error of each body's echo, all that was accepted as independent, (n_bodies,)."""
+        return np.sqrt(self._accepted)
+
     def _rank(self, level: Array) -> None:
         strongest = float(level.max(initial=0.0))
         least = np.maximum(self._weakest * strongest, self._floor / self.tolerance)
@@ -151,7 +164,9 @@ class Budget:
     def negligible(
         self, body: NDArray[np.intp], echo: Complex, strength: Array, length_m: Array
     ) -> NDArray[np.bool_]:
-        """The weakest of every body, as many as together, in phase or not, add little."""
+        """The weakest of every body, as many as together, in phase or not, add little: their sum
+        counts as an error that is accepted.
+        """
         limit = _LEFT_OUT * self.tolerance * self.level
         ratio = limit[body] / np.maximum(strength, 1e-300)
         octave = np.clip(np.floor(np.log2(ratio)) + 1, 0, _OCTAVES - 1).astype(np.intp)
@@ -159,10 +174,14 @@ class Budget:
         sums = self.summed(body * _OCTAVES + octave, echo, length_m, count * _OCTAVES)
         # From the faintest on: what is left out if an octave and all below are.
         left = np.cumsum(sums.reshape(count, _OCTAVES, -1)[:, ::-1], axis=1)[:, ::-1]
-        small = np.sqrt(np.mean(np.abs(left) ** 2, axis=2)) <= limit[:, None]
+        lost = np.mean(np.abs(left) ** 2, axis=2)
+        small = np.sqrt(lost) <= limit[:, None]
         small[:, 0] = False  # nothing that alone is more than that
         run = np.cumprod(small[:, ::-1], axis=1).sum(axis=1)  # unbroken from the faintest on
-        found: NDArray[np.bool_] = octave >= (_OCTAVES - run)[body]
+        kept = _OCTAVES - run
+        some = np.flatnonzero(run)
+        self._accepted[some] += lost[some, kept[some]]
+        found: NDArray[np.bool_] = octave >= kept[body]
         return found
 
     def affordable(self, body: NDArray[np.intp], error: Array) -> NDArray[np.bool_]:
@@ -223,6 +242,7 @@ def settled(
             done &= ~partly | (sizes(lit) <= spacing_m)
         if depth == deepest:
             done[:] = True
+        budget.accept(lit, seen.error, done)
         for part, kept in ((seen.leaves, done), (seen.cut, done[seen.row])):
             left = np.flatnonzero(kept & (part.weight != 0))
             if len(left):

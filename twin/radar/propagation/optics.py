@@ -30,20 +30,30 @@ _DEEPEST_DB = 30.0
 _FREQUENCIES = 5  # over the band, at which a body's echo is summed
 
 
-def scattered(stage: Stage, radar: RadarDesign, fidelity: Fidelity) -> Rays:
-    """Contributions of every object that scatters, to ``fidelity.radar_tolerance``."""
+def scattered(
+    stage: Stage, radar: RadarDesign, fidelity: Fidelity
+) -> tuple[Rays, NDArray[np.int32], Array]:
+    """Contributions of every object that scatters, to ``fidelity.radar_tolerance``; the body of
+    every object, -1 of others, and the error estimated of every body's echo, without losses.
+    """
     body = _bodies(stage)
     if not (stage.worth & (body >= 0)).any():
-        return Rays.joined([])
-    return scattered_by(
+        return Rays.joined([]), body, np.zeros(body.max(initial=-1) + 1)
+    rays, error = scattered_by(
         stage.station,
         scatterers(stage, radar.antenna, body, radar.burst_s / 2),
         stage.images,
         wave_numbers(radar),
         fidelity.radar_tolerance,
         fidelity.radar_bounces,
-        OF_NOISE * noise_amplitude(radar) * 10 ** (radar.front_end.losses_db.value / 20),
+        OF_NOISE * noise_amplitude(radar) / loss_of(radar),
     )
+    return rays, body, error
+
+
+def loss_of(radar: RadarDesign) -> float:
+    """Of the front end, in amplitude, out and back together."""
+    return float(10 ** (-radar.front_end.losses_db.value / 20))
 
 
 def wave_numbers(radar: RadarDesign) -> Array:
@@ -139,10 +149,9 @@ def speckle(scene: Scene, stage: Stage, fidelity: Fidelity, seed: int) -> tuple[
 def contributions_of(rays: Rays, stage: Stage, radar: RadarDesign) -> Contributions:
     """Rays with the antenna's gains and the front end's losses, as the synthesis takes them."""
     departure, arrival = rays.departure @ stage.axes.T, rays.arrival @ stage.axes.T
-    loss = 10 ** (-radar.front_end.losses_db.value / 20)
     gain = np.sqrt(radar.antenna.gain(departure) * radar.antenna.gain(arrival))
     return Contributions(
-        amplitude=rays.amplitude * gain * loss,
+        amplitude=rays.amplitude * gain * loss_of(radar),
         delay_s=rays.length_m / speed_of_light,
         delay_rate=rays.rate_m_per_s / speed_of_light,
         delay_acceleration_per_s=rays.acceleration_m_per_s2 / speed_of_light,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
+from twin.radar.propagation.convergence import BodyEcho
 from twin.radar.propagation.roles import Assignment
 from twin.radar.synthesis import Contributions
 
@@ -73,6 +74,8 @@ class Propagation:
     the same conventions as a path's; at other carriers the former keep their amplitude, the latter
     grow with the wavelength, as paths do. ``heard`` sums both up per object. ``objects`` names
     what ``object_of_surface`` numbers, of each of ``surfaces`` the object that it was met at last.
+    ``bodies``: those that scatter, the strongest first, with the errors estimated of their
+    surfaces' echoes.
     """
 
     paths: tuple[Path, ...]
@@ -84,6 +87,7 @@ class Propagation:
     warnings: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
     object_of_surface: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
+    bodies: tuple[BodyEcho, ...] = ()
 
     @cached_property
     def echoes(self) -> Contributions:
