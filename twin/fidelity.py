@@ -40,8 +40,8 @@ class Fidelity:
         tenth of the receiver's noise, whichever is larger: triangles are divided until their
         estimated errors, added as independent, stay below it at each stage, or to a deepest
         division. What all stages come to is told of every body (`Propagation.bodies`, the report)
-        and warned of where it exceeds the tolerance: at 0.1 on the yard up to 18 % of a body, of
-        which 11 % are found. `twin trade` measures the errors themselves, body by body. What the
+        and warned of where it exceeds the tolerance: at 0.1 on the yard 4 to 17 % are estimated, 2
+        to 11 % measured. `twin trade` measures the errors themselves, body by body. What the
         estimate misses: bodies narrower than the rays within a facet that shows them by reflection
         (20 000 more rays than there are facets, where these are larger than two wavelengths); where
         borders of shadows cross a triangle more than once (plates that cut each other: 12 % at 0.1,
