@@ -152,12 +152,12 @@ def test_of_a_track_the_worst_burst_is_named() -> None:
         )
         return Propagation((), (), (), bodies=bodies)
 
-    assert _unconverged([burst(0.05, 0.1)]) == []
-    assert _unconverged([burst(0.2, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)]) == [
-        "echoes of b, a converged to 123, 20 % only (estimated), asked for 10 % "
+    assert _unconverged([burst(0.05, 0.2)]) == []
+    assert _unconverged([burst(0.3, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)]) == [
+        "echoes of b, a converged to 123, 30 % only (estimated), asked for 10 % "
         "(fidelity.radar_tolerance)"
     ]
-    (text,) = _unconverged([burst(*np.linspace(0.8, 0.2, 8))])
+    (text,) = _unconverged([burst(*np.linspace(0.8, 0.3, 8))])
     assert "echoes of a, b, c, d, e, f converged" in text
     assert "(estimated) (and 2 more, by less)" in text
 

