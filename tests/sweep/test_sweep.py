@@ -475,7 +475,7 @@ def test_front_by_hand(study, tmp_path: Path) -> None:
 
 def test_radar_metrics_come_along(study, a_worker: str, tmp_path: Path) -> None:
     head = 'scene = "yard"\nmetrics = ["detections", "range_error_m"]\n'
-    path = study('[grid]\n"radar.front_end.noise_figure_db" = [13.0, 60.0]\n', head)
+    path = study('[grid]\n"radar.front_end.noise_figure_db" = [13.0, 70.0]\n', head)
     sweep(path, out=tmp_path / "out", scheduler=a_worker)
     data = open_sweep(tmp_path / "out")
     assert data["detections"][0] == 5
