@@ -14,9 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.borders import border, odd_one
-from twin.radar.propagation.currents import normal_of, plane_of, reflection
+from twin.radar.propagation.currents import plane_of, reflection
 from twin.radar.propagation.images import Image
-from twin.radar.propagation.legs import Station, leg, offset
+from twin.radar.propagation.legs import Station
+from twin.radar.propagation.meetings import (
+    INSIDE,
+    Met,
+    along,
+    apart,
+    met_by,
+    reflected_from,
+    samples_of,
+)
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.triangles import Incident, Triangles
 from twin.transfer import aligned
@@ -24,8 +33,6 @@ from twin.transfer import aligned
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
-_INSET = 1e-3  # of the way to the centroid
-_INSIDE = (0.38, 0.335, 0.285)  # near the centroid, which in what is symmetric meets a crease
 _SMOOTH_RAD = 0.7  # by which facets that a tube meets may lie off one plane, as mean over the tube
 _STEP_RAD = 3.0  # from which on they are not one curved surface, likewise
 _DOUBT = 1.0  # of what a ray that hits stands for: others of its tube miss
@@ -85,7 +92,7 @@ def reflected_on(s: Station, scatterers: Scatterers, tubes: Tubes) -> Tubes | No
     wide, rays = tubes.chosen(~tubes.triangles.is_ray), tubes.chosen(tubes.triangles.is_ray)
     landed = _onto_planes(s, scatterers, wide)
     if len(rays.root):
-        met = _met(s, scatterers, rays.triangles, 1)
+        met = met_by(s, scatterers, rays.triangles, 1)
         hit = met.is_valid[0]
         further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT))
         landed.append(_landed(s, scatterers, further.chosen(hit), met.face[0, hit]))
@@ -99,13 +106,13 @@ def _onto_planes(
     """Where tubes land, in parts."""
     if not len(tubes.root):
         return []
-    met = _met(s, scatterers, tubes.triangles, 4)
-    apart = met.gap_m[:3].max(axis=0)
-    off = _phase_rad(s, apart)
+    met = met_by(s, scatterers, tubes.triangles, 4)
+    gap_m = met.gap_m[:3].max(axis=0)
+    off = _phase_rad(s, gap_m)
     is_whole = off < _SMOOTH_RAD
     whole = tubes.chosen(is_whole)
     whole = replace(whole, doubt=whole.doubt + off[is_whole])
-    landed = [_landed(s, scatterers, whole, met.face[3, is_whole], apart[is_whole])]
+    landed = [_landed(s, scatterers, whole, met.face[3, is_whole], gap_m[is_whole])]
     rest = np.flatnonzero(~is_whole & met.is_valid.any(axis=0))
     if may_cut and len(rest):
         parts, is_cut = _cut(s, scatterers, tubes.chosen(rest), met.chosen(rest))
@@ -127,13 +134,13 @@ def _phase_rad(s: Station, gap_m: Array) -> Array:
 
 
 def _cut(
-    s: Station, scatterers: Scatterers, tubes: Tubes, met: "_Met"
+    s: Station, scatterers: Scatterers, tubes: Tubes, met: Met
 ) -> tuple[Tubes | None, NDArray[np.bool_]]:
     """Parts of tubes that one border cuts, and which tubes these are: one corner meets something
     else than both others, the border is nearly straight, and the sample inside is on the right side
     of it.
     """
-    off, nothing = _phase_rad(s, _apart(s, tubes.triangles, met)), ~met.is_valid
+    off, nothing = _phase_rad(s, apart(s, tubes.triangles, met)), ~met.is_valid
     off = np.maximum(off, off.swapaxes(0, 1))
     alike = (off < _SMOOTH_RAD) | nothing[:, None] & nothing
     is_cut, odd = odd_one(np.stack([alike[0, 1], alike[1, 2], alike[2, 0]]))
@@ -155,7 +162,7 @@ def _cut(
         _like(s, scatterers, some.triangles, faces, wanted),
     )
     bent = np.array(at.bent)
-    inner = sum(_INSIDE[1] / np.maximum(np.array(share), 1e-9) for share in at.shares)
+    inner = sum(INSIDE[1] / np.maximum(np.array(share), 1e-9) for share in at.shares)
     is_clear = (bent < _MOST_BENT) & ((inner < 1) == alike[3, odd, rows])
     is_cut[rows] = is_clear
     some = replace(some, doubt=some.doubt + _BENT * bent)
@@ -177,8 +184,8 @@ def _like(
     limit = _SMOOTH_RAD / float(_phase_rad(s, np.ones(1))[0])
 
     def same(place: Any) -> Any:
-        active, met, direction = _reflected(s, scatterers, tubes, place)
-        gap = _along(s, met, place, direction) - _along(s, known, place, direction)
+        active, met, direction = reflected_from(s, scatterers, tubes, place)
+        gap = along(s, met, place, direction) - along(s, known, place, direction)
         return (active & (dr.abs(gap) < limit)) == asked
 
     return same
@@ -192,14 +199,12 @@ def _part(s: Station, tubes: Tubes, corners: tuple[Any, Any, Any], row: Indices)
     return replace(some, triangles=part.evaluated())
 
 
-def _by_quarters(
-    s: Station, scatterers: Scatterers, tubes: Tubes, met: "_Met", doubt: Array
-) -> Tubes:
+def _by_quarters(s: Station, scatterers: Scatterers, tubes: Tubes, met: Met, doubt: Array) -> Tubes:
     """Quarters of tubes as rays at their own centroids. Where that meets nothing but the tube's
     corner there does, or something that faces elsewhere, what the corner meets is not lit.
     """
     pieces = _quarters(s, tubes.triangles)
-    own = _met(s, scatterers, pieces, 1)
+    own = met_by(s, scatterers, pieces, 1)
     is_lit, face = own.is_valid[0], own.face[0]
     at_corner, known = met.face.T.ravel(), met.is_valid.T.ravel()
     normal = s.world.plane_table[:, 3:]
@@ -233,103 +238,6 @@ def _quarters(s: Station, tubes: Triangles) -> Triangles:
     middle = (corners[0] + corners[1] + corners[2]) / 3
     is_ray = np.ones(len(four), dtype=bool)
     return replace(four, corners=corners, spot=middle, is_ray=is_ray).evaluated()
-
-
-@dataclass(frozen=True, eq=False)
-class _Met:
-    """What reflected rays meet, (samples, n): whether they meet anything and the source sees where
-    they begin, the facet, and how far along the ray its plane is from that of the last sample's.
-    """
-
-    is_valid: NDArray[np.bool_]
-    face: Indices
-    gap_m: Array
-
-    def chosen(self, row: Indices) -> "_Met":
-        """Of some tubes only."""
-        return _Met(self.is_valid[:, row], self.face[:, row], self.gap_m[:, row])
-
-
-def _met(s: Station, scatterers: Scatterers, tubes: Triangles, samples: int) -> _Met:
-    """By rays at corners and at a point inside, or at the spot alone."""
-    mi, n = s.mi, len(tubes)
-    many = tubes.repeated(samples) if samples > 1 else tubes
-    index = dr.arange(mi.UInt32, samples * n)
-    place = _samples(many, index & 3) if samples > 1 else many.spot
-    active, face, direction = _reflected(s, scatterers, many, place)
-    dr.eval(active, face)
-    gap = mi.Float64(0)
-    if samples > 1:
-        own = _along(s, face, place, direction)
-        last = _along(s, dr.gather(mi.UInt32, face, index | 3), place, direction)
-        both = active & dr.gather(mi.Bool, active, index | 3)
-        gap = dr.select(both, dr.abs(own - last), np.inf)
-    shape = (n, samples)
-    return _Met(
-        np.array(active).reshape(shape).T,
-        np.array(face).reshape(shape).T,
-        np.broadcast_to(np.array(gap), n * samples).reshape(shape).T,
-    )
-
-
-def _apart(s: Station, tubes: Triangles, met: _Met) -> Array:
-    """Distance along the rays of all samples between the planes that they meet and the plane that
-    one of them meets, (4 planes, 4 samples, n); infinite where either meets none.
-    """
-    mi, n = s.mi, len(tubes)
-    many = tubes.repeated(4)
-    index = dr.arange(mi.UInt32, 4 * n)
-    place = _samples(many, index & 3)
-    direction, _ = _mirrored(s, many, place)
-    faces = mi.UInt32(aligned(met.face.T.ravel().astype(np.uint32)))
-    own = _along(s, faces, place, direction)
-    found = np.empty((4, 4, n))
-    for k in range(4):
-        gap = _along(s, dr.gather(mi.UInt32, faces, 4 * (index // 4) + k), place, direction) - own
-        valid = met.is_valid & met.is_valid[k]
-        found[k] = np.where(valid, np.abs(np.array(gap).reshape(n, 4).T), np.inf)
-    return found
-
-
-def _mirrored(s: Station, tubes: Triangles, place: Any) -> tuple[Any, Any]:
-    """Direction of rays after their reflection at a place of a tube, and the normal there."""
-    normal = normal_of(s, tubes.face, tubes.center, tubes.incident.origin)
-    direction = dr.normalize(place - tubes.incident.origin)
-    return direction - 2 * dr.dot(direction, normal) * normal, normal
-
-
-def _reflected(
-    s: Station, scatterers: Scatterers, tubes: Triangles, place: Any
-) -> tuple[Any, Any, Any]:
-    """Whether rays from there meet what scatters, on which facet (else 0), and their direction."""
-    mi = s.mi
-    direction, normal = _mirrored(s, tubes, place)
-    off = normal * (offset(place) + tubes.lift)
-    ray = mi.Ray3f(mi.Point3f(place + off), mi.Vector3f(direction))
-    hit = s.world.scene.ray_intersect_preliminary(ray)
-    planes, active = mi.Int32(aligned(scatterers.plane)), hit.is_valid()
-    active &= dr.gather(mi.Int32, planes, hit.prim_index, active) >= 0
-    if s.walls is not None:  # between bodies no wall lets through
-        ray.maxt = hit.t
-        active &= ~s.walls.mesh.scene.ray_test(ray, active=active)
-    if tubes.bounces == 0:
-        active &= leg(s, tubes.source, place, off, active).clear
-    return active, dr.select(active, hit.prim_index, 0), direction
-
-
-def _along(s: Station, face: Any, place: Any, direction: Any) -> Any:
-    """Distance from places to the planes of facets along directions."""
-    point, normal = plane_of(s, face)
-    slope = dr.dot(normal, direction)
-    return dr.dot(normal, point - place) / dr.select(slope != 0, slope, 1.0)
-
-
-def _samples(tubes: Triangles, which: Any) -> Any:
-    """Points of tubes: near a corner, 0 to 2, or inside, 3."""
-    place = sum(share * point for share, point in zip(_INSIDE, tubes.corners, strict=True))
-    for number, point in enumerate(tubes.corners):
-        place = dr.select(which == number, point + _INSET * (tubes.center - point), place)
-    return place
 
 
 def _landed(
@@ -368,7 +276,7 @@ def _lit_on(
         return origin + way * (dr.dot(across, point - origin) / dr.select(slope != 0, slope, 1.0))
 
     is_ray = mi.Bool(aligned(some.is_ray))
-    spot = onto(dr.select(is_ray, some.spot, _samples(some, mi.UInt32(3))))
+    spot = onto(dr.select(is_ray, some.spot, samples_of(some, mi.UInt32(3))))
     direction, wider = dr.normalize(spot - origin), dr.norm(spot - origin)
     wider /= dr.norm(some.spot - origin)
     slope = dr.dot(across, direction)
