@@ -147,18 +147,20 @@ def test_a_plate_near_and_far(distance: float, tolerance: float) -> None:
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 def test_a_plate_behind_a_bar(tolerance: float) -> None:
-    """5 mm wide, upright, before a plate of two triangles: between their corners and centroids."""
-    square = plate("p", (3.0, 0.0, 0.0), 0.2)
-    low, high = 0.021, 0.026
-    strip = [[2.9, low, -1], [2.9, high, -1], [2.9, high, 1], [2.9, low, 1]]
+    """5 mm wide, upright, before a plate of two triangles: between their corners and centroids.
+    Unseen, it leaves 7.8 %.
+    """
+    square = plate("p", (4.0, 0.01, 0.02), 0.1)
+    low, high = 0.0085, 0.0135
+    strip = [[3, low, -1], [3, high, -1], [3, high, 1], [3, low, 1]]
 
     def lit(points: np.ndarray) -> np.ndarray:
-        y = points[:, 1] * 2.9 / 3
+        y = points[:, 1] * 3 / 4
         return (y < low) | (y > high)
 
     expected = sampled_plate(square.vertices_m, lit)
     found = echo(world(square, quad("bar", strip, radar="obstacle")), tolerance)
-    assert abs(found / expected - 1) < tolerance / 3
+    assert abs(found / expected - 1) < min(tolerance, 0.02)
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
