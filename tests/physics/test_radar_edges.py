@@ -65,7 +65,7 @@ def rays_of(scene: Scene, **knobs) -> Rays:
     """Of surfaces and edges, without the antenna's gain."""
     roles = assign_roles(scene, WAVELENGTH_M, "optics")
     stage, fidelity = set_stage(scene, RADAR, roles, 1), EDGES.with_(**knobs)
-    return Rays.joined([scattered(stage, RADAR, fidelity), diffracted(stage, fidelity)[0]])
+    return Rays.joined([scattered(stage, RADAR, fidelity)[0], diffracted(stage, fidelity)[0]])
 
 
 def edges_of(scene: Scene) -> Rays:

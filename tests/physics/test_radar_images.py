@@ -137,12 +137,12 @@ def test_echoes_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
     stage = set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), 2)
     twice = [n for n in range(len(stage.images)) if len(stage.via(n)) == 2]
     assert {stage.via(n) for n in twice} == {("side", "ahead")}
-    rays = scattered(stage, RADAR, knobs)
+    rays, _, _ = scattered(stage, RADAR, knobs)
     over = rays.chosen(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
     alone = world(ball("b", there))
     free = set_stage(alone, RADAR, assign_roles(alone, WAVELENGTH_M, "optics"), 0)
     found, expected = (
         np.sum(r.amplitude * np.exp(-1j * K * r.length_m))
-        for r in (over, scattered(free, RADAR, knobs))
+        for r in (over, scattered(free, RADAR, knobs)[0])
     )
     assert found == pytest.approx(expected, rel=0.02)
