@@ -37,10 +37,10 @@ class EngineError(RuntimeError):
 def mitsuba() -> ModuleType:
     """Mitsuba with the variant of this machine set: CUDA where there is a GPU, else LLVM.
 
-    ``TWIN_VARIANT`` overrides the choice (``llvm_ad_mono`` or ``cuda_ad_mono``). The GPU variant
-    draws the same samples but adds them up differently: results agree within rounding.
+    ``TWIN_VARIANT`` overrides the choice (``llvm_ad_mono`` or ``cuda_ad_mono``). The CUDA variant
+    has never been run: neither its results nor its times have been compared with LLVM's.
 
-    Raises EngineError where neither can run.
+    Raises EngineError where the variant can't be started.
     """
     return _with_variant(_variant())
 
@@ -84,7 +84,15 @@ def _with_variant(name: str) -> ModuleType:
         ensure_llvm()
     import mitsuba as mi
 
-    mi.set_variant(name)
+    try:
+        mi.set_variant(name)
+    except ImportError as error:  # Dr.Jit's, where the CUDA driver is absent or has no device
+        if not name.startswith("cuda"):
+            raise
+        raise EngineError(
+            f"{name} can't be started: no CUDA driver that works; "
+            "TWIN_VARIANT=llvm_ad_mono computes on the CPU"
+        ) from error
     mi.set_log_level(mi.LogLevel.Error)
     return mi
 

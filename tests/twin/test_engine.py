@@ -90,6 +90,28 @@ def test_unknown_variant_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         engine.mitsuba()
 
 
+def test_cuda_without_a_driver_stops_without_a_traceback(tmp_path: Path) -> None:
+    """So it is where a container shows the device but not the driver's library. Dr.Jit may put a
+    warning of its own before the line.
+    """
+    done = subprocess.run(
+        [sys.executable, "-m", "twin", "check", "table1"],
+        env={
+            **os.environ,
+            "TWIN_VARIANT": "cuda_ad_mono",
+            "DRJIT_LIBCUDA_PATH": str(tmp_path / "missing.so"),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert "cuda_ad_mono can't be started" in last
+    assert "TWIN_VARIANT=llvm_ad_mono" in last
+
+
 @pytest.mark.skipif(not OLD, reason="no libLLVM 14, 15 or 16 on this machine")
 @pytest.mark.parametrize("library", OLD, ids=lambda path: path.name)
 def test_the_real_bad_ones_stop_with_one_line_before_the_abort(library: Path) -> None:
