@@ -86,7 +86,7 @@ def _with_variant(name: str) -> ModuleType:
 
     try:
         mi.set_variant(name)
-    except ImportError as error:  # Dr.Jit's, where the CUDA driver is absent or has no device
+    except ImportError as error:  # Dr.Jit's, where it finds no CUDA driver
         if not name.startswith("cuda"):
             raise
         raise EngineError(
