@@ -225,16 +225,17 @@ def _stepped(
     echoes: Contributions, radar: RadarDesign, air: Air, factors: NDArray[np.float64]
 ) -> Contributions:
     """Echoes with their amplitudes at every carrier step, (n_steps, n)."""
-    length = C_M_PER_S * echoes.delay_s
-    per_step = [
-        echoes.amplitude
-        * factor
-        * (radar.burst.carriers_hz[0] / carrier) ** echoes.falloff
-        * radar.ofdm.slot_gain(carrier * echoes.delay_rate)
-        * air.amplitude(length, carrier)
-        for carrier, factor in zip(radar.burst.carriers_hz, factors, strict=True)
-    ]
-    return replace(echoes, amplitude=np.stack(per_step))
+    length, moving = C_M_PER_S * echoes.delay_s, np.flatnonzero(echoes.delay_rate)
+    doppler = echoes.delay_rate[moving]
+    powers, which = np.unique(echoes.falloff, return_inverse=True)
+    amplitude = np.empty((len(factors), len(length)), dtype=np.complex128)
+    for row, carrier, factor in zip(amplitude, radar.burst.carriers_hz, factors, strict=True):
+        level = (factor * (radar.burst.carriers_hz[0] / carrier) ** powers)[which]
+        level[moving] *= radar.ofdm.slot_gain(carrier * doppler)
+        if air.weather is not None:
+            level *= air.amplitude(length, carrier)
+        np.multiply(echoes.amplitude, level, out=row)
+    return replace(echoes, amplitude=amplitude)
 
 
 def _of_leakage(radar: RadarDesign) -> Contributions:

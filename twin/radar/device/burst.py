@@ -93,5 +93,5 @@ def burst_channel(echoes: Contributions, burst: Burst, tolerance: float = 1e-6) 
             there, sent = burst.slots(transmitter), burst.waveform_of(step, transmitter)
             for receiver in range(shape[2]):
                 seen = burst.seen(echoes, step, transmitter, receiver)
-                channel[step, there, receiver] = synthesize(seen, sent, tolerance).T
+                synthesize(seen, sent, tolerance, out=channel[step, there, receiver].T)
     return channel

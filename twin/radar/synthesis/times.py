@@ -1,0 +1,47 @@
+"""Times within the interval that hold a slow motion, and the slots in between."""
+
+import numpy as np
+
+from hardware.waveform import OfdmWaveform
+from twin.radar.synthesis.contributions import Array
+
+
+def times_of(
+    linear_rad: float, square_rad: float, waveform: OfdmWaveform, tolerance: float
+) -> Array:
+    """Times that hold a motion of up to a phase either way from the interval's middle, linear and
+    square in time.
+
+    Chebyshev's points; K of them leave of exp(j a x) at most 4 J_K(a) on average, and
+    J_K(a) <= (a / 2)^K / K! (Trefethen, Approximation Theory and Practice, 2013, ch. 4). As
+    x^2 = (1 + T_2(x)) / 2, exp(j (a x + b x^2)) leaves at most the coefficient of z^K in
+    exp(a z / 2 + b z^2 / 4). The slots themselves where they are no more.
+    """
+    count, last, rest = 1, 1.0, linear_rad / 2
+    following = (linear_rad / 2 * rest + square_rad / 2 * last) / 2
+    # Written so that what overflows, even to NaN, takes all slots.
+    while not 4 * max(rest, following) <= tolerance / 4 and count < waveform.n_slots:
+        count += 1
+        last, rest = rest, following
+        following = (linear_rad / 2 * rest + square_rad / 2 * last) / (count + 1)
+    if count == waveform.n_slots:
+        return waveform.slot_times_s
+    nodes: Array = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    return nodes * np.abs(waveform.slot_times_s).max()
+
+
+def interpolation(times: Array, wanted: Array) -> Array:
+    """Values at wanted times from those at Chebyshev's points, ``(n_times, n_wanted)``.
+
+    Barycentric formula of the first kind of points (Berrut and Trefethen, SIAM Review 46, 2004).
+    """
+    if len(times) == 1:
+        return np.ones((1, len(wanted)))
+    k = np.arange(len(times))
+    weights = (-1.0) ** k * np.sin(np.pi * (k + 0.5) / len(times))
+    away = wanted - times[:, None]
+    met = np.abs(away) < 1e-14 * np.abs(times).max()
+    share = weights[:, None] / np.where(met, 1.0, away)
+    share = np.where(met.any(axis=0), met, share)
+    found: Array = share / share.sum(axis=0)
+    return found
