@@ -15,7 +15,6 @@ from twin.radar.propagation.roles import assign_roles
 from twin.radar.propagation.scatterers import scatterers
 from twin.radar.propagation.shadows import seen
 from twin.radar.propagation.stage import set_stage
-from twin.radar.propagation.triangles import lit_directly
 from twin.scene import Scene, SceneObject
 
 BOX = trimesh.creation.box(extents=(1, 1, 1))
@@ -55,7 +54,6 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
     s, bodies = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
     lit = facing(s, bodies, stage.images)
     assert lit is not None
-    lit = lit_directly(s, lit)
     hidden = wholly_hidden(s, bodies.parts, lit)
     is_seen = np.zeros(len(lit), dtype=bool)
     for u, v in rng.random((150, 2)).tolist():

@@ -23,7 +23,7 @@ from twin.radar.propagation.facets import Budget, Leaves, lit_facets, settled
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import sampled
-from twin.radar.propagation.triangles import Triangles, lit_directly
+from twin.radar.propagation.triangles import Triangles, incident_on
 from twin.radar.scattering.kernel import turned
 from twin.radar.scattering.surface import table
 from twin.radar.scattering.target import Target
@@ -207,9 +207,10 @@ def _answers(
     for number in range(sent):
         lit = leaves.triangles
         if sent > 1:
-            lit = lit_directly(at, replace(lit, source=first + (_FIRST_SENT + number)))
+            lit = replace(lit, source=first + (_FIRST_SENT + number))
         for port in range(2):
-            re, im, _ = amplitude_of(at, scatterers, replace(lit, receiver=first + port))
+            heard = replace(lit, receiver=first + port)
+            re, im, _ = amplitude_of(at, scatterers, heard, incident_on(at, heard))
             echo = wave * (np.array(re) + 1j * np.array(im))
             found[:, number, port] = np.bincount(body, echo.real, n)
             found[:, number, port] += 1j * np.bincount(body, echo.imag, n)

@@ -64,7 +64,7 @@ def scattered_by(
     whole = facets, echoes_of(s, scatterers, facets)
     roots = _roots(s, scatterers, images) if bounces > 1 else None
     search = _Search(s, scatterers, images, bounces)
-    first = search.landed(roots) if roots is not None else []
+    first = None if roots is None else search.landed(roots)
     coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
     search.leaves(whole, roots, first, coarse, _COARSE_DEPTH)
     budget = Budget(count, tolerance, wave_numbers, floor, coarse)
@@ -82,8 +82,8 @@ def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
 
 @dataclass(frozen=True, eq=False)
 class _Landed:
-    """What tubes light after some bounces, by receiver: with the ``root`` of each, (n,), whether
-    it ``is_lit``, and the ``error`` that its echo may have.
+    """What tubes light, by receiver: the ``root`` of each, (n,), whether it ``is_lit``, and the
+    ``error`` that its echo may have.
     """
 
     lit: Triangles
@@ -106,71 +106,71 @@ class _Search:
         self,
         whole: tuple[Triangles, Echoes],
         roots: Triangles | None,
-        first: "list[_Landed]",
+        first: "_Landed | None",
         budget: Budget,
         deepest: tuple[int, int],
     ) -> list[Leaves]:
-        """One for each number of bounces that there are; ``first``: where the roots' tubes land."""
+        """Those lit directly, and those lit by tubes; ``first``: where the roots' tubes land."""
         found = [settled(self.s, self.scatterers, *whole, budget, deepest[0])]
         budget.end_direct()
-        if roots is not None:
-            for lit, echoes in self._lit_by_tubes(roots, first, budget, deepest[1]):
-                found.append(settled(self.s, self.scatterers, lit, echoes, budget, deepest[0]))
+        if roots is not None and first is not None:
+            lit = self._lit_by_tubes(roots, first, budget, deepest[1])
+            if lit is not None:
+                found.append(settled(self.s, self.scatterers, *lit, budget, deepest[0]))
         return [Leaves.joined(parts) for parts in found if parts]
 
-    def landed(self, roots: Triangles) -> "list[_Landed]":
-        """Where the tubes of roots land, after every number of bounces that any of them reaches."""
-        tubes = Tubes.begin(roots)
-        found: list[_Landed] = []
+    def landed(self, roots: Triangles) -> "_Landed | None":
+        """Where the tubes of roots land, after every number of bounces; None where none does."""
+        found = [Tubes.begin(roots)]
         for _ in range(1, self.bounces):
-            further = reflected_on(self.s, self.scatterers, tubes)
+            further = reflected_on(self.s, self.scatterers, found[-1])
             if further is None:
                 break
-            tubes = further
-            lit, row = heard(self.s, self.scatterers, tubes.triangles, self.images)
-            if not len(row):
-                continue
-            echoes = echoes_of(self.s, self.scatterers, lit)
-            # What a ray stands for may lie on other planes than the one that it meets.
-            most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
-            error = most * tubes.doubt[row]
-            found.append(_Landed(lit, echoes, tubes.root[row], tubes.is_lit[row], error))
-        return found
+            found.append(further)
+        if len(found) == 1:
+            return None
+        tubes = Tubes.joined(found[1:])
+        lit, row = heard(self.s, self.scatterers, tubes.triangles, self.images)
+        if not len(row):
+            return None
+        echoes = echoes_of(self.s, self.scatterers, lit)
+        # What a ray stands for may lie on other planes than the one that it meets.
+        most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
+        error = most * tubes.doubt[row]
+        return _Landed(lit, echoes, tubes.root[row], tubes.is_lit[row], error)
 
     def _lit_by_tubes(
-        self, roots: Triangles, first: "list[_Landed]", budget: Budget, deepest: int
-    ) -> list[tuple[Triangles, Echoes]]:
-        """What bodies light of each other, by every receiver; one for each number of bounces.
+        self, roots: Triangles, first: "_Landed", budget: Budget, deepest: int
+    ) -> tuple[Triangles, Echoes] | None:
+        """What bodies light of each other, by every receiver.
 
         Roots are divided while what their tubes may return after all their bounces is too
         uncertain.
         """
-        lit: dict[int, list[tuple[Triangles, Echoes]]] = {}
-        landed = first
+        lit: list[tuple[Triangles, Echoes]] = []
+        landed: _Landed | None = first
         for depth in range(deepest + 1):
-            error = np.zeros(len(roots))
-            for part in landed:
-                share = part.error / budget.allowed(part.lit.body)
-                error += np.bincount(part.root, share**2, len(roots))
-            done = budget.affordable(roots.body, np.sqrt(error) * budget.allowed(roots.body))
+            if landed is None:
+                break
+            share = landed.error / budget.allowed(landed.lit.body)
+            error = np.sqrt(np.bincount(landed.root, share**2, len(roots)))
+            done = budget.affordable(roots.body, error * budget.allowed(roots.body))
             if depth == deepest:
                 done[:] = True
-            for part in landed:
-                ends = done[part.root]
-                budget.accept(part.lit, part.error, ends)
-                kept = np.flatnonzero(ends & part.is_lit)
-                if len(kept):
-                    known = part.lit.taken(kept), part.echoes.chosen(kept)
-                    lit.setdefault(part.lit.bounces, []).append(known)
+            ends = done[landed.root]
+            budget.accept(landed.lit, landed.error, ends)
+            some = np.flatnonzero(ends & landed.is_lit)
+            if len(some):
+                lit.append((landed.lit.taken(some), landed.echoes.chosen(some)))
             rest = np.flatnonzero(~done)
             if not len(rest):
                 break
             roots = quartered(self.s, quartered(self.s, roots.taken(rest)))
             landed = self.landed(roots)
-        return [
-            (Triangles.joined([t for t, _ in parts]), Echoes.joined([e for _, e in parts]))
-            for _, parts in sorted(lit.items())
-        ]
+        if not lit:
+            return None
+        triangles, echoes = zip(*lit, strict=True)
+        return Triangles.joined(triangles), Echoes.joined(echoes)
 
 
 def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Triangles | None:

@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.legs import Leg, Station, along, leg, mirrored_axes, turning
+from twin.radar.propagation.rays import NEAREST_M
 from twin.radar.propagation.scatterers import Scatterers
-from twin.radar.propagation.triangles import Triangles
+from twin.radar.propagation.triangles import (
+    Incident,
+    Triangles,
+    incident_on,
+)
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.scattering.triangle import bend, largest, mean_over, node, span
 
@@ -79,12 +84,12 @@ def normal_of(s: Station, face: Any, place: Any, towards: Any) -> Any:
 
 
 def reflection(
-    s: Station, scatterers: Scatterers, lit: Triangles
+    s: Station, scatterers: Scatterers, lit: Triangles, wave: Incident
 ) -> tuple[Any, Any, Any, Any, Any]:
     """At the centroid: direction of the wave, the normal against it, direction and field (Re, Im)
     of the reflected wave.
     """
-    place, wave = lit.center, lit.incident
+    place = lit.center
     direction = dr.normalize(place - wave.origin)
     normal = normal_of(s, lit.face, place, wave.origin)
     cosine = -dr.dot(normal, direction)
@@ -95,10 +100,12 @@ def reflection(
     return direction, normal, direction + 2 * cosine * normal, out, out_im
 
 
-def amplitude_of(s: Station, scatterers: Scatterers, lit: Triangles) -> tuple[Any, Any, Leg]:
+def amplitude_of(
+    s: Station, scatterers: Scatterers, lit: Triangles, wave: Incident
+) -> tuple[Any, Any, Leg]:
     """Echo of all currents in phase (Re, Im), without the antenna's gain, and the leg home."""
-    wave, place = lit.incident, lit.center
-    direction, normal, away, out, out_im = reflection(s, scatterers, lit)
+    place = lit.center
+    direction, normal, away, out, out_im = reflection(s, scatterers, lit, wave)
     home = leg(s, lit.receiver, place, normal * 0, s.mi.Bool(True), tested=False)
     way = (direction, away, normal, home.back)
     current = radiating(wave.field, out, *way)
@@ -112,13 +119,8 @@ def amplitude_of(s: Station, scatterers: Scatterers, lit: Triangles) -> tuple[An
     return scale * im, -scale * re, home
 
 
-def path_by(lit: Triangles, point: Any, receiver: Any) -> Any:
-    """Length of the way from the source to a point of the triangle and to a place, walls apart."""
-    return dr.norm(point - lit.incident.origin) + dr.norm(point - receiver)
-
-
 def level_at(
-    scatterers: Scatterers, lit: Triangles, point: Any, receiver: Any, axes: tuple[Any, Any, Any]
+    scatterers: Scatterers, wave: Incident, point: Any, receiver: Any, axes: tuple[Any, Any, Any]
 ) -> tuple[Any, Any, Any]:
     """At points of triangles: logarithms of the antenna's gain out and back, and of what spreading
     and obliqueness make of a wave, and the length of the way, walls apart.
@@ -126,24 +128,25 @@ def level_at(
     A plane's cosines are its distance over the lengths of the legs: all of it goes with their -3/2
     power.
     """
-    out, home = point - lit.incident.origin, point - receiver
-    there, again = dr.norm(out), dr.norm(home)
-    gain = scatterers.antenna.log(along(out / there, lit.incident.axes))
+    out, home = point - wave.origin, point - receiver
+    there, again = (dr.maximum(dr.norm(way), NEAREST_M) for way in (out, home))
+    gain = scatterers.antenna.log(along(out / there, wave.axes))
     gain += scatterers.antenna.log(along(home / again, axes))
     return gain, -1.5 * dr.log(there * again), there + again
 
 
 def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
     """What each triangle returns if all of it is seen."""
-    re, im, home = amplitude_of(s, scatterers, lit)
+    wave = incident_on(s, lit)
+    re, im, home = amplitude_of(s, scatterers, lit, wave)
     a, b, c = lit.corners
     receiver = lit.center + home.back * home.length
     axes = mirrored_axes(s, lit.receiver)
     k = 2 * dr.pi / s.wavelength
-    gain, spread, length = level_at(scatterers, lit, lit.center, receiver, axes)
+    gain, spread, length = level_at(scatterers, wave, lit.center, receiver, axes)
     nodes = []
     for point in (a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2):
-        more, less, path = level_at(scatterers, lit, point, receiver, axes)
+        more, less, path = level_at(scatterers, wave, point, receiver, axes)
         nodes.append(node(k * (length - path), more + less - spread))
     linear = mean_over(nodes[:3])
     parts = [mean_over([nodes[i] for i in q]) for q in _QUARTERS]
@@ -154,13 +157,13 @@ def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
     change = [(fine - coarse) / gain_of_halves for fine, coarse in zip(finer, linear, strict=True)]
     level = dr.sqrt(dr.square(re) + dr.square(im))
     bent = bend([value.phase for value in nodes])
-    most = level * _most(scatterers, lit, receiver, axes, [value.log for value in nodes])
+    most = level * _most(scatterers, lit, wave, receiver, axes, [value.log for value in nodes])
     strength = most * largest(corners, bent)
     curved = level * dr.sqrt(dr.square(change[0]) + dr.square(change[1]))
     bent = dr.maximum(bent, bend([value.log for value in nodes]))
     curved = dr.select(bent < _BENT, curved, strength)  # else two sizes of parts tell nothing
     if scatterers.half_time_s:
-        turned = scatterers.half_time_s * k * _turning(s, scatterers, lit, home)
+        turned = scatterers.half_time_s * k * _turning(s, scatterers, lit, wave, home)
         curved += strength * dr.minimum(_TURNED * turned * strength / most, 1)
     mean = [fine + more for fine, more in zip(finer, change, strict=True)]
     values = (re, im, *mean, length, dr.exp(gain), strength, curved)
@@ -171,31 +174,36 @@ def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
     return Echoes(re + 1j * im, mean_re + 1j * mean_im, *rest)
 
 
-def _turning(s: Station, scatterers: Scatterers, lit: Triangles, home: Leg) -> Any:
+def _turning(s: Station, scatterers: Scatterers, lit: Triangles, wave: Incident, home: Leg) -> Any:
     """How fast the difference of the ways by two corners grows, at most, in m/s."""
     number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
     own = s.mi.Vector3d(
         *(dr.gather(s.mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
     )
-    way = lit.center - lit.incident.origin
+    way = lit.center - wave.origin
     length = dr.norm(way)
     a, b, c = lit.corners
     size = dr.maximum(
         dr.squared_norm(b - a), dr.maximum(dr.squared_norm(c - b), dr.squared_norm(a - c))
     )
-    rate = dr.norm(turning(own - lit.incident.velocity, way / length, length))
+    rate = dr.norm(turning(own - wave.velocity, way / length, length))
     return dr.sqrt(size) * (rate + dr.norm(turning(own - home.velocity, -home.back, home.length)))
 
 
 def _most(
-    scatterers: Scatterers, lit: Triangles, receiver: Any, axes: Any, logs: Sequence[Any]
+    scatterers: Scatterers,
+    lit: Triangles,
+    wave: Incident,
+    receiver: Any,
+    axes: Any,
+    logs: Sequence[Any],
 ) -> Any:
     """Bound of the antenna's gain and of spreading over triangles, over the latter at centroids."""
     place = lit.center
     a, b, c = (dr.squared_norm(point - place) for point in lit.corners)
     size = dr.sqrt(dr.maximum(a, dr.maximum(b, c)))
     most, widest = 1, 0
-    for begin, shown in ((lit.incident.origin, lit.incident.axes), (receiver, axes)):
+    for begin, shown in ((wave.origin, wave.axes), (receiver, axes)):
         way = place - begin
         length = dr.norm(way)
         ratio = size / length

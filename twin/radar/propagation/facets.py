@@ -9,7 +9,6 @@ triangles, taken as independent, add up to the tolerance.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +19,7 @@ from twin.radar.propagation.legs import Station
 from twin.radar.propagation.parts import parted, sizes
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import cut, sampled
-from twin.radar.propagation.triangles import Incident, Triangles, lit_directly, quartered
-from twin.radar.propagation.walls import no_passage
+from twin.radar.propagation.triangles import Triangles, quartered
 from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
@@ -228,7 +226,7 @@ def settled(
     lit, echoes = lit.taken(bright), echoes.chosen(bright)
     found: list[Leaves] = []
     partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
-    if lit.bounces == 0 and len(bright) and not is_open:
+    if lit.waves is None and len(bright) and not is_open:
         partly, spacing_m = _partly_hidden(s, lit)
     for depth in range(deepest + 1 if len(bright) else 0):
         seen = (
@@ -366,18 +364,13 @@ def lit_facets(
         return None
     mi, world = s.mi, s.world
     at = world.vertices[world.faces[face]]
-    zero = mi.Vector3d(0)
-    return lit_directly(
-        s,
-        Triangles(
-            corners=tuple(vector(mi, at[:, k], "Vector3d") for k in range(3)),
-            face=mi.UInt32(aligned(face.astype(np.uint32))),
-            source=mi.UInt32(aligned(source.astype(np.uint32))),
-            receiver=mi.UInt32(aligned(receiver.astype(np.uint32))),
-            spot=vector(mi, at.mean(axis=1), "Vector3d"),
-            lift=dr.zeros(mi.Float64, len(face)),
-            incident=Incident(zero, zero, (zero, zero, zero), zero, zero, zero, no_passage(mi)),
-            body=scatterers.body[face],
-            is_ray=np.zeros(len(face), dtype=bool),
-        ),
+    return Triangles(
+        corners=tuple(vector(mi, at[:, k], "Vector3d") for k in range(3)),
+        face=mi.UInt32(aligned(face.astype(np.uint32))),
+        source=mi.UInt32(aligned(source.astype(np.uint32))),
+        receiver=mi.UInt32(aligned(receiver.astype(np.uint32))),
+        wave=None,
+        waves=None,
+        body=scatterers.body[face],
+        is_ray=np.zeros(len(face), dtype=bool),
     )

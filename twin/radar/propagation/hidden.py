@@ -17,7 +17,7 @@ from twin.radar.propagation.borders import odd_one
 from twin.radar.propagation.currents import normal_of
 from twin.radar.propagation.legs import LEVEL, WINDOW, Station, offset
 from twin.radar.propagation.rays import NEAREST_M
-from twin.radar.propagation.triangles import Triangles
+from twin.radar.propagation.triangles import Triangles, origin_of
 from twin.transfer import aligned
 
 _BEFORE = 1e-4  # of a way: what is met so near its end may be what it leads to
@@ -34,7 +34,7 @@ def wholly_hidden(s: Station, parts: Any, lit: Triangles) -> NDArray[np.bool_]:
     of, (n,); by the convex ``parts`` of the world, on the device.
     """
     found = np.zeros(len(lit), dtype=bool)
-    for end in ("receiver",) if lit.bounces else ("receiver", "source"):
+    for end in ("receiver", "source") if lit.waves is None else ("receiver",):
         rest = np.flatnonzero(~found)
         if len(rest):
             found[rest] = _hidden_from(s, parts, lit.taken(rest), end)
@@ -105,7 +105,7 @@ def _hidden_by(s: Station, parts: Any, lit: Triangles, end: str, place: Any) -> 
     Everything that the number stands for hides a convex part of a plane.
     """
     mi, scene, source = s.mi, s.world.scene, getattr(lit, end)
-    off = normal_of(s, lit.face, place, lit.incident.origin) * (offset(place) + lit.lift)
+    off = normal_of(s, lit.face, place, origin_of(s, lit)) * (offset(place) + lit.lift)
     order = dr.gather(mi.UInt32, s.orders, source)
     at, aim, start = place, _gathered(mi, s.positions, 3 * source), place + off
     found, exists = dr.zeros(mi.UInt32, dr.width(place)), mi.Bool(True)

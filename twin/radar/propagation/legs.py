@@ -297,6 +297,11 @@ def turning(velocity: Any, direction: Any, length: Any) -> Any:
     return across / dr.maximum(length, NEAREST_M)
 
 
+def image_place(s: Station, source: Any) -> Any:
+    """Where images stand."""
+    return _gathered(s.mi, s.positions, 3 * source, True)
+
+
 def mirrored_axes(s: Station, source: Any) -> tuple[Any, Any, Any]:
     """The world's axes as an image shows them."""
     x, y, z = (_gathered(s.mi, s.axes, 9 * source + 3 * i, True) for i in range(3))

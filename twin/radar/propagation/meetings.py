@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.currents import normal_of, plane_of
 from twin.radar.propagation.legs import Station, leg, offset
 from twin.radar.propagation.scatterers import Scatterers
-from twin.radar.propagation.triangles import Triangles
+from twin.radar.propagation.triangles import Triangles, origin_of
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -79,8 +79,9 @@ def apart(s: Station, tubes: Triangles, met: Met) -> Array:
 
 def _mirrored(s: Station, tubes: Triangles, place: Any) -> tuple[Any, Any]:
     """Direction of rays after their reflection at a place of a tube, and the normal there."""
-    normal = normal_of(s, tubes.face, tubes.center, tubes.incident.origin)
-    direction = dr.normalize(place - tubes.incident.origin)
+    origin = origin_of(s, tubes)
+    normal = normal_of(s, tubes.face, tubes.center, origin)
+    direction = dr.normalize(place - origin)
     return direction - 2 * dr.dot(direction, normal) * normal, normal
 
 
@@ -98,7 +99,7 @@ def reflected_from(
     if s.walls is not None:  # between bodies no wall lets through
         ray.maxt = hit.t
         active &= ~s.walls.mesh.scene.ray_test(ray, active=active)
-    if tubes.bounces == 0:
+    if tubes.waves is None:
         active &= leg(s, tubes.source, place, off, active).clear
     return active, dr.select(active, hit.prim_index, 0), direction
 

@@ -21,7 +21,7 @@ from twin.radar.propagation.facets import Leaves
 from twin.radar.propagation.legs import Station, along, leg, lengthening, mirrored_axes, turning
 from twin.radar.propagation.rays import Rays, Ring, and_reversed, ringing
 from twin.radar.propagation.scatterers import Scatterers
-from twin.radar.propagation.triangles import Triangles
+from twin.radar.propagation.triangles import Triangles, incident_on
 from twin.transfer import aligned, host
 
 Array = NDArray[np.float64]
@@ -35,10 +35,11 @@ def rays_of(s: Station, scatterers: Scatterers, leaves: Leaves) -> Rays:
     mi, lit, n = s.mi, leaves.triangles, len(leaves.weight)
     home = leg(s, lit.receiver, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False)
     receiver, axes = lit.center + home.back * home.length, mirrored_axes(s, lit.receiver)
-    _, least, _ = level_at(scatterers, lit, lit.center, receiver, axes)
+    wave = incident_on(s, lit)
+    _, least, _ = level_at(scatterers, wave, lit.center, receiver, axes)
     values = []
     for corner in lit.corners:
-        gain, spread, length = level_at(scatterers, lit, corner, receiver, axes)
+        gain, spread, length = level_at(scatterers, wave, corner, receiver, axes)
         values += [length, gain, spread - least]
     found, wave_number = host(values, n), 2 * np.pi / float(s.wavelength[0])
     whole = leaves.weight * leaves.echoes.amplitude
@@ -56,7 +57,7 @@ def _rays(
     s: Station, scatterers: Scatterers, lit: Triangles, pieces: "Pieces", whole: Complex
 ) -> Rays:
     """By the triangle of every contribution."""
-    mi, n, wave = s.mi, len(whole), lit.incident
+    mi, n, wave = s.mi, len(whole), incident_on(s, lit)
     shares = (mi.Float64(aligned(np.ascontiguousarray(column))) for column in pieces.place.T)
     place = sum(share * corner for share, corner in zip(shares, lit.corners, strict=True))
     home = leg(s, lit.receiver, place, mi.Vector3d(0), mi.Bool(True), tested=False)
@@ -95,7 +96,7 @@ def _rays(
         falloff=pieces.falloff,
     )
     if s.walls is not None:
-        alike = (one.source == one.receiver) & (lit.bounces == 0)
+        alike = (one.source == one.receiver) & (lit.waves is None)
         one = ringing(one, Ring.of(*found[5:8]), Ring.of(*found[8:]), alike)
     return and_reversed(one)
 

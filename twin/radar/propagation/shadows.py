@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.currents import normal_of
 from twin.radar.propagation.legs import Station, leg, offset
-from twin.radar.propagation.triangles import Triangles, lit_directly
+from twin.radar.propagation.triangles import Triangles, origin_of
 from twin.transfer import aligned
 
 _INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
@@ -24,10 +24,10 @@ _HALVINGS = 12  # of a line until a border is found on it: 2.4e-4 of its length
 def seen(s: Station, lit: Triangles, place: Any) -> Any:
     """Whether points of triangles are seen by source and receiver."""
     mi = s.mi
-    normal = normal_of(s, lit.face, place, lit.incident.origin)
+    normal = normal_of(s, lit.face, place, origin_of(s, lit))
     off = normal * (offset(place) + lit.lift)
     clear = leg(s, lit.receiver, place, off, mi.Bool(True)).clear
-    if lit.bounces == 0:
+    if lit.waves is None:
         apart = clear & (lit.source != lit.receiver)
         clear &= leg(s, lit.source, place, off, apart).clear | ~apart
     return clear
@@ -40,7 +40,7 @@ def sampled(s: Station, lit: Triangles, thoroughly: NDArray[np.bool_]) -> NDArra
     n, often = len(lit), np.flatnonzero(thoroughly & ~lit.is_ray)
     index = np.concatenate([np.arange(n), np.tile(often, 3)])
     corner = np.concatenate([np.full(n, 3), np.repeat(np.arange(3), len(often))])
-    some = lit.taken(index)
+    some = lit.gathered(index)
     which = s.mi.UInt32(aligned(corner.astype(np.uint32)))
     place = some.spot
     for number, point in enumerate(some.corners):
@@ -119,8 +119,6 @@ def cut(s: Station, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
         [replace(lit, corners=(tip, left_at, bend)), replace(lit, corners=(tip, bend, right_at))]
     )
     whole = replace(lit, corners=(tip, left_at, right_at))
-    if lit.bounces == 0:
-        parts, whole = lit_directly(s, parts), lit_directly(s, whole)
     return Cut(parts.evaluated(), whole.evaluated(), is_seen)
 
 

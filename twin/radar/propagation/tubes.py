@@ -27,8 +27,9 @@ from twin.radar.propagation.meetings import (
     samples_of,
 )
 from twin.radar.propagation.scatterers import Scatterers
-from twin.radar.propagation.triangles import Incident, Triangles
-from twin.transfer import aligned
+from twin.radar.propagation.triangles import Incident, Triangles, Waves, incident_on, origin_of
+from twin.radar.propagation.walls import Passage
+from twin.transfer import aligned, host
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
@@ -82,6 +83,23 @@ class Tubes:
         return Tubes(triangles, np.arange(count), np.zeros(count), np.ones(count, dtype=bool))
 
 
+@dataclass(frozen=True, eq=False)
+class _Meeting:
+    """Tubes that meet facets: the ``face`` of each, by how much what it meets differs from the
+    plane of that, ``lift_m``, and whether it ``goes_on_as_ray``.
+    """
+
+    tubes: Tubes
+    face: Indices
+    lift_m: Array
+    goes_on_as_ray: NDArray[np.bool_]
+
+    @staticmethod
+    def of_rays(tubes: Tubes, face: Indices) -> "_Meeting":
+        """By a ray each."""
+        return _Meeting(tubes, face, np.zeros(len(face)), np.ones(len(face), dtype=bool))
+
+
 def reflected_on(s: Station, scatterers: Scatterers, tubes: Tubes) -> Tubes | None:
     """Tubes where they land after the next reflection; None where they meet nothing.
 
@@ -90,20 +108,20 @@ def reflected_on(s: Station, scatterers: Scatterers, tubes: Tubes) -> Tubes | No
     """
     tubes = tubes.chosen(tubes.is_lit)
     wide, rays = tubes.chosen(~tubes.triangles.is_ray), tubes.chosen(tubes.triangles.is_ray)
-    landed = _onto_planes(s, scatterers, wide)
+    found = _onto_planes(s, scatterers, wide)
     if len(rays.root):
         met = met_by(s, scatterers, rays.triangles, 1)
         hit = met.is_valid[0]
-        further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT))
-        landed.append(_landed(s, scatterers, further.chosen(hit), met.face[0, hit]))
-    found = [part for part in landed if len(part.root)]
-    return Tubes.joined(found) if found else None
+        further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT)).chosen(hit)
+        found.append(_Meeting.of_rays(further, met.face[0, hit]))
+    found = [part for part in found if len(part.face)]
+    return _landed(s, scatterers, found) if found else None
 
 
 def _onto_planes(
     s: Station, scatterers: Scatterers, tubes: Tubes, may_cut: bool = True
-) -> list[Tubes]:
-    """Where tubes land, in parts."""
+) -> list[_Meeting]:
+    """Which facets tubes meet, in parts."""
     if not len(tubes.root):
         return []
     met = met_by(s, scatterers, tubes.triangles, 4)
@@ -112,18 +130,19 @@ def _onto_planes(
     is_whole = off < _SMOOTH_RAD
     whole = tubes.chosen(is_whole)
     whole = replace(whole, doubt=whole.doubt + off[is_whole])
-    landed = [_landed(s, scatterers, whole, met.face[3, is_whole], gap_m[is_whole])]
+    no_ray = np.zeros(len(whole.root), dtype=bool)
+    found = [_Meeting(whole, met.face[3, is_whole], gap_m[is_whole], no_ray)]
     rest = np.flatnonzero(~is_whole & met.is_valid.any(axis=0))
     if may_cut and len(rest):
         parts, is_cut = _cut(s, scatterers, tubes.chosen(rest), met.chosen(rest))
         if parts is not None:
-            landed += _onto_planes(s, scatterers, parts, may_cut=False)
+            found += _onto_planes(s, scatterers, parts, may_cut=False)
         rest = rest[~is_cut]
     if len(rest):
         # A quarter as large, curved surfaces part a fourth as much.
         doubt = np.minimum(off[rest] / 4, _DOUBT)
-        landed.append(_by_quarters(s, scatterers, tubes.chosen(rest), met.chosen(rest), doubt))
-    return landed
+        found += _by_quarters(s, scatterers, tubes.chosen(rest), met.chosen(rest), doubt)
+    return found
 
 
 def _phase_rad(s: Station, gap_m: Array) -> Array:
@@ -195,11 +214,12 @@ def _part(s: Station, tubes: Tubes, corners: tuple[Any, Any, Any], row: Indices)
     """Parts of some of the tubes."""
     some, index = tubes.chosen(row), s.mi.UInt32(aligned(row.astype(np.uint32)))
     a, b, c = (dr.gather(s.mi.Vector3d, corner, index) for corner in corners)
-    part = replace(some.triangles, corners=(a, b, c), spot=(a + b + c) / 3)
-    return replace(some, triangles=part.evaluated())
+    return replace(some, triangles=replace(some.triangles, corners=(a, b, c)).evaluated())
 
 
-def _by_quarters(s: Station, scatterers: Scatterers, tubes: Tubes, met: Met, doubt: Array) -> Tubes:
+def _by_quarters(
+    s: Station, scatterers: Scatterers, tubes: Tubes, met: Met, doubt: Array
+) -> list[_Meeting]:
     """Quarters of tubes as rays at their own centroids. Where that meets nothing but the tube's
     corner there does, or something that faces elsewhere, what the corner meets is not lit.
     """
@@ -212,12 +232,10 @@ def _by_quarters(s: Station, scatterers: Scatterers, tubes: Tubes, met: Met, dou
     also = known & (~is_lit | is_other)
     found = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
     near = replace(found, is_lit=np.zeros_like(is_lit))
-    landed = [
-        _landed(s, scatterers, part.chosen(which), on[which])
+    return [
+        _Meeting.of_rays(part.chosen(which), on[which])
         for part, which, on in ((found, is_lit, face), (near, also, at_corner))
-        if which.any()
     ]
-    return Tubes.joined(landed)
 
 
 def _quarters(s: Station, tubes: Triangles) -> Triangles:
@@ -235,32 +253,31 @@ def _quarters(s: Station, tubes: Triangles) -> Triangles:
             (2, c, dr.select(number == 0, middles[1], middles[0])),
         )
     )
-    middle = (corners[0] + corners[1] + corners[2]) / 3
-    is_ray = np.ones(len(four), dtype=bool)
-    return replace(four, corners=corners, spot=middle, is_ray=is_ray).evaluated()
+    return replace(four, corners=corners).evaluated()
 
 
-def _landed(
-    s: Station,
-    scatterers: Scatterers,
-    tubes: Tubes,
-    face: Indices,
-    lift_m: Array | None = None,
-) -> Tubes:
-    """Tubes on the planes of facets that they meet, which differ from it by ``lift_m``."""
-    if not len(tubes.root):
-        return tubes
-    lift = np.zeros(len(face)) if lift_m is None else lift_m
-    return replace(tubes, triangles=_lit_on(s, scatterers, tubes.triangles, face, lift))
+def _landed(s: Station, scatterers: Scatterers, found: Sequence[_Meeting]) -> Tubes:
+    """Tubes on the planes of the facets that they meet."""
+    tubes = Tubes.joined([part.tubes for part in found])
+    face, lift_m, is_ray = (
+        np.concatenate(column)
+        for column in zip(*((p.face, p.lift_m, p.goes_on_as_ray) for p in found), strict=True)
+    )
+    return replace(tubes, triangles=_lit_on(s, scatterers, tubes.triangles, face, lift_m, is_ray))
 
 
 def _lit_on(
-    s: Station, scatterers: Scatterers, some: Triangles, face: Indices, lift_m: Array
+    s: Station,
+    scatterers: Scatterers,
+    some: Triangles,
+    face: Indices,
+    lift_m: Array,
+    becomes_ray: NDArray[np.bool_],
 ) -> Triangles:
     """The triangles that tubes light on the planes of facets."""
-    mi = s.mi
-    wave = some.incident
-    _, normal, _, out, out_im = reflection(s, scatterers, some)
+    mi, wide = s.mi, dr.zeros(s.mi.Float64, len(face))
+    wave = incident_on(s, some)
+    _, normal, _, out, out_im = reflection(s, scatterers, some, wave)
     number = dr.gather(mi.UInt32, s.world.object_index, some.face)
     own = mi.Vector3d(
         *(dr.gather(mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
@@ -275,31 +292,34 @@ def _lit_on(
         slope = dr.dot(across, way)
         return origin + way * (dr.dot(across, point - origin) / dr.select(slope != 0, slope, 1.0))
 
-    is_ray = mi.Bool(aligned(some.is_ray))
-    spot = onto(dr.select(is_ray, some.spot, samples_of(some, mi.UInt32(3))))
+    is_ray, begin = mi.Bool(aligned(becomes_ray)), some.spot
+    spot = onto(dr.select(is_ray, begin, samples_of(some, mi.UInt32(3))))
     direction, wider = dr.normalize(spot - origin), dr.norm(spot - origin)
-    wider /= dr.norm(some.spot - origin)
+    wider /= dr.norm(begin - origin)
     slope = dr.dot(across, direction)
     slope = dr.select(slope < 0, -1.0, 1.0) * dr.maximum(dr.abs(slope), _LEAST_SLOPE)
 
     def around(place: Any) -> Any:
         """As if all rays were parallel: others of the tube may pass by the plane."""
-        aside = (place - some.spot) * wider
+        aside = (place - begin) * wider
         aside -= direction * (dr.dot(across, aside) / slope)
         return spot + aside - across * dr.dot(across, aside)
 
     axes = tuple(axis - 2 * dr.dot(axis, normal) * normal for axis in wave.axes)
-    incident = Incident(origin, velocity, axes, out, out_im, wave.departure, wave.passage)
-    return replace(
+    passage = Passage(*(value + wide for value in vars(wave.passage).values()))
+    incident = Incident(origin, velocity, axes, out, out_im + wide, wave.departure, passage)
+    waves = Waves(incident, spot, mi.Float64(aligned(lift_m)))
+    found = replace(
         some,
         corners=tuple(dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners),
         face=new,
-        spot=spot,
-        lift=mi.Float64(aligned(lift_m)),
-        incident=incident,
+        wave=dr.arange(mi.UInt32, len(face)),
+        waves=waves,
         body=scatterers.body[face],
-        bounces=some.bounces + 1,
-    ).evaluated()
+        is_ray=becomes_ray,
+    )
+    dr.eval(waves.columns(), *found.corners, found.wave)
+    return found
 
 
 def heard(
@@ -309,7 +329,7 @@ def heard(
     row of each.
     """
     face, source = np.array(landed.face).astype(np.intp), np.array(landed.source)
-    origin = np.stack([np.array(axis) for axis in landed.incident.origin], axis=1)
+    (origin,) = host([origin_of(s, landed)], len(landed))
     point, normal = s.world.plane_table[face, :3], s.world.plane_table[face, 3:]
     side = np.sum((origin - point) * normal, axis=1)
     rows, receivers = [], []
