@@ -1,8 +1,9 @@
 """Typed TOML files: values with their source, and errors that name file, field and value."""
 
-from collections.abc import Container
+import difflib
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Generic, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -36,6 +37,24 @@ class Strict(BaseModel):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by content: classes like ``Sourced[float]`` cannot be found by their name."""
         return type(self).model_validate, (self.model_dump(),)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """The same with some fields changed, validated as a file is: pydantic's own copy takes
+        whatever it is given. Raises InputError naming field, value and what was expected.
+        """
+        if not update:
+            return super().model_copy(deep=deep)
+        return self._validated({**_fields_set(self), **update})
+
+    def _validated(self, content: Mapping[str, Any]) -> Self:
+        try:
+            return type(self).model_validate(content)
+        except ValidationError as error:
+            raise InputError(f"{type(self).__name__.lower()}: {describe(error)}") from error
+
+
+def _fields_set(section: BaseModel) -> dict[str, Any]:
+    return {name: getattr(section, name) for name in section.model_fields_set}
 
 
 class Sourced(Strict, Generic[T]):
@@ -75,8 +94,73 @@ class Entry(Strict):
             if isinstance(value := getattr(part, name), Sourced)
         ]
 
+    def with_(self, changes: Mapping[str, Any]) -> Self:
+        """The same with some of its values changed, validated at once.
+
+        Parameters
+        ----------
+        changes
+            By dotted name. ``SECTION.FIELD``: a value (counts as assumed), a table with ``value``
+            and ``source`` or ``assumed``, a `Sourced`, or None for an optional one.
+            ``SECTION.part``: a part by name, TOML file or object, in place of the section; fields
+            of the section given beside it stand over the part's. ``SECTION``: the section itself,
+            or None for an optional one. ``name``, ``description``.
+
+        Without ``name``, the name says that something was changed. A field drops its alternatives,
+        as in a file. Raises InputError naming field, value and what was expected.
+        """
+        content = _fields_set(self) | {"name": _changed_name(self.name)}
+        given: dict[str, dict[str, Any]] = {}
+        for name, value in changes.items():
+            section, _, field = name.partition(".")
+            self._check_name(section, field)
+            if not field:
+                content[section] = value
+            elif field == "part":
+                content[section] = self._section_of(section, value)
+            else:
+                given.setdefault(section, {})[field] = value
+        for section, fields in given.items():
+            below = content.get(section)
+            known = _fields_set(below) if isinstance(below, BaseModel) else dict(below or {})
+            content[section] = without_rivals(type(self), section, known, fields) | fields
+        return self._validated(content)
+
+    def _section_of(self, section: str, part: Any) -> Any:
+        raise InputError(f"{section}.part = {part!r}: a {type(self).__name__} has no parts")
+
+    @classmethod
+    def sections(cls) -> dict[str, type[Strict]]:
+        """Its sections by name, optional ones as well."""
+        found = {}
+        for name, field in cls.model_fields.items():
+            for kind in (field.annotation, *get_args(field.annotation)):
+                if isinstance(kind, type) and issubclass(kind, Strict):
+                    found[name] = kind
+        return found
+
+    def _check_name(self, section: str, field: str) -> None:
+        """Raise InputError, with the nearest name, for what it has no place for."""
+        sections = self.sections()
+        known = [f"{s}.{f}" for s, kind in sections.items() for f in (*kind.model_fields, "part")]
+        name = f"{section}.{field}" if field else section
+        if name not in known and name not in type(self).model_fields:
+            raise InputError(f"{type(self).__name__.lower()}: {name}: {no_such_field(name, known)}")
+
 
 M = TypeVar("M", bound=Entry)
+
+_CHANGED = " (changed)"
+
+
+def _changed_name(name: str) -> str:
+    return name if name.endswith(_CHANGED) else name[: 80 - len(_CHANGED)] + _CHANGED
+
+
+def no_such_field(name: str, known: Iterable[str]) -> str:
+    """That there is no such field, and which is the nearest."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return "no such field" + (f"; did you mean {near[0]}?" if near else "")
 
 
 def describe(error: ValidationError) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,36 @@ from scipy.spatial.transform import Rotation
 
 from twin.files import InputError
 from twin.scene.materials import Material
-from twin.scene.texture import Reflectance
+from twin.scene.texture import Reflectance, Texture
 
 Array = NDArray[np.float64]
 RadarRole = Literal["surface", "optics", "table", "declared", "obstacle"]
+#: Delays are computed to first order in v / c.
+FASTEST_M_PER_S = 1e5
+#: Above the atmosphere the sun gives some 1.3e5 lx.
+BRIGHTEST_LX = 1e7
+
+
+def _check(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
+    """Raise InputError for what is no finite number between both ends."""
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not (number and math.isfinite(value) and low <= value <= high):
+        wanted = "a finite number" if high == math.inf else f"{low:g} to {high:g}"
+        raise InputError(f"scene.{name} = {value!r:.60}: expected {wanted}")
+
+
+def _check_above_zero(name: str, value: Any) -> None:
+    _check(name, value)
+    if value <= 0:
+        raise InputError(f"scene.{name} = {value!r}: expected a number above 0")
+
+
+def _check_vector(name: str, value: Any, most: float = math.inf) -> None:
+    """Raise InputError for what is not three finite numbers of at most ``most``."""
+    if isinstance(value, str) or np.shape(value) != (3,):
+        raise InputError(f"scene.{name} = {value!r:.60}: expected three numbers")
+    for part in value:
+        _check(name, part, -most, most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +65,17 @@ class SceneObject:
     radar: RadarRole | None = None
     thickness_m: float | None = None
 
+    def __post_init__(self) -> None:
+        place = f"objects.{self.name}"
+        if not isinstance(self.reflectance, Texture):
+            _check(f"{place}.reflectance", self.reflectance, 0.0, 1.0)
+        _check_vector(f"{place}.velocity_m_per_s", self.velocity_m_per_s, FASTEST_M_PER_S)
+        if self.radar is not None and self.radar not in get_args(RadarRole):
+            known = ", ".join(get_args(RadarRole))
+            raise InputError(f"scene.{place}.radar = {self.radar!r}: expected one of {known}")
+        if self.thickness_m is not None:
+            _check_above_zero(f"{place}.thickness_m", self.thickness_m)
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -48,6 +85,11 @@ class Pose:
     yaw_deg: float = 0.0
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_vector("rig.position_m", self.position_m)
+        for name in ("yaw_deg", "pitch_deg", "roll_deg"):
+            _check(f"rig.{name}", getattr(self, name))
 
     @cached_property
     def rotation(self) -> Rotation:
@@ -149,6 +191,11 @@ class Sun:
     elevation_deg: float
     illuminance_lx: float
 
+    def __post_init__(self) -> None:
+        _check("sun.azimuth_deg", self.azimuth_deg)
+        _check("sun.elevation_deg", self.elevation_deg, -90.0, 90.0)
+        _check("sun.illuminance_lx", self.illuminance_lx, 0.0, BRIGHTEST_LX)
+
     @property
     def direction(self) -> Array:
         """Unit vector towards the sun."""
@@ -170,6 +217,12 @@ class Target:
     rcs_m2: float
     origin: str
     object: str | None = None
+
+    def __post_init__(self) -> None:
+        place = f"targets.{self.name}"
+        _check_vector(f"{place}.position_m", self.position_m)
+        _check_vector(f"{place}.velocity_m_per_s", self.velocity_m_per_s, FASTEST_M_PER_S)
+        _check_above_zero(f"{place}.rcs_m2", self.rcs_m2)
 
     def after(self, seconds: float) -> "Target":
         """The same target later."""
@@ -197,6 +250,29 @@ class Scene:
     materials: Mapping[str, Material] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    def with_(self, changes: Mapping[str, Any]) -> "Scene":
+        """The same with some of its values changed, validated at once.
+
+        Parameters
+        ----------
+        changes
+            By dotted name: ``rig.x_m`` (y, z), ``rig.yaw_deg`` (pitch, roll);
+            ``sun.azimuth_deg``, ``.elevation_deg``, ``.illuminance_lx``;
+            ``objects.NAME.reflectance``, ``.shift_x_m`` (y, z; targets it carries move too),
+            ``.velocity_m_per_s``, ``.radar``, ``.thickness_m``; ``targets.NAME.rcs_m2``. NAME may
+            be ``*``: all of them.
+
+        Raises InputError naming field, value and what was expected.
+
+        >>> from twin.scene import load_scene
+        >>> scene = load_scene("yard").with_({"sun.elevation_deg": 20, "rig.x_m": 1.5})
+        >>> scene.sun.elevation_deg, scene.rig.pose.position_m[0]
+        (20, 1.5)
+        """
+        from twin.scene.changes import changed
+
+        return changed(self, changes)
 
     def at(self, pose: Pose) -> "Scene":
         """The same scene seen from another pose."""

@@ -8,7 +8,16 @@ from typing import Annotated
 from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
-from twin.scene.model import Pose, RadarRole, Rig, Sun, Target, Track
+from twin.scene.model import (
+    BRIGHTEST_LX,
+    FASTEST_M_PER_S,
+    Pose,
+    RadarRole,
+    Rig,
+    Sun,
+    Target,
+    Track,
+)
 from twin.toml import Count, Finite, NonNegative, Positive, Strict, describe, read_toml
 
 Vector = tuple[Finite, Finite, Finite]
@@ -37,11 +46,10 @@ class _Rig(Strict):
 class _Sun(Strict):
     azimuth_deg: Finite
     elevation_deg: Annotated[Finite, Field(ge=-90, le=90)]
-    illuminance_lx: Annotated[NonNegative, Field(le=1e7)]
+    illuminance_lx: Annotated[NonNegative, Field(le=BRIGHTEST_LX)]
 
 
-#: Delays are computed to first order in v / c.
-_Speed = Annotated[Finite, Field(ge=-1e5, le=1e5)]
+_Speed = Annotated[Finite, Field(ge=-FASTEST_M_PER_S, le=FASTEST_M_PER_S)]
 
 
 class _Object(Strict):

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from twin.budget.link import (
     Link,
@@ -29,6 +30,7 @@ from twin.toml import Entry, Sourced
 Array = NDArray[Any]
 Columns = Mapping[str, Array]
 E = TypeVar("E", bound=Entry)
+B = TypeVar("B", bound=BaseModel)
 
 #: Numbers of a system that its link takes as arrays.
 _ARRAYS = (
@@ -164,8 +166,13 @@ def _filled(entry: E, own: Columns) -> E:
     for section, names in groupby(sorted(own), key=_section):
         part = getattr(entry, section, None)
         if part is not None:
-            sections[section] = part.model_copy(update=dict(_fields(names, own)))
-    return entry.model_copy(update=sections)
+            sections[section] = _unchecked(part, dict(_fields(names, own)))
+    return _unchecked(entry, sections)
+
+
+def _unchecked(model: B, update: Mapping[str, Any]) -> B:
+    """Fields that hold arrays, which no field of a file may."""
+    return BaseModel.model_copy(model, update=update)
 
 
 def _fields(names: Iterable[str], own: Columns) -> Iterator[tuple[str, Any]]:

@@ -14,24 +14,18 @@ import re
 from dataclasses import fields
 from functools import lru_cache
 from tokenize import TokenError
-from types import UnionType
-from typing import Any, get_args
-
-from pydantic import BaseModel
+from typing import Any
 
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.scene.changes import SCENE_NAMES, check_scene_name
 from twin.system import System
-from twin.toml import Strict
+from twin.toml import Entry
 
 Value = bool | int | float | str
 
-_POSE = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "roll_deg")
-_SUN = ("azimuth_deg", "elevation_deg", "illuminance_lx")
-_OBJECT = ("reflectance", "shift_x_m", "shift_y_m", "shift_z_m")
 #: The closed form's own: whether each may be 0, and the most it may be.
 LINK = {"link.distance_m": (False, math.inf), "link.reflectance": (True, 1.0)}
-_NAMED = re.compile(r"scene\.(objects|targets)\.(.+)\.(\w+)")
 #: Units that end a field's name, longest first.
 _UNITS = {
     "_kg_per_m3": "kg/m^3",
@@ -73,12 +67,9 @@ def check_name(name: str) -> None:
     """Raise ValueError, with the nearest name, for a parameter that does not exist."""
     if name in _plain_names():
         return
-    match = _NAMED.fullmatch(name)
-    if match:
-        known = _OBJECT if match[1] == "objects" else ("rcs_m2",)
-        if match[3] in known:
-            return
-        raise ValueError(f"{name}: {match[3]!r} is none of {', '.join(known)}")
+    if name.startswith("scene."):
+        check_scene_name(name.removeprefix("scene."))
+        return
     near = difflib.get_close_matches(name, _plain_names(), n=1)
     raise ValueError(f"{name}: is no parameter" + (f"; did you mean {near[0]}?" if near else ""))
 
@@ -144,29 +135,14 @@ def _registry() -> Any:
 @lru_cache(maxsize=1)
 def _plain_names() -> tuple[str, ...]:
     names = ["scene", "system", "radar", "seed", "processing.method", "fidelity.preset"]
-    names += [f"scene.rig.{field}" for field in _POSE]
-    names += [f"scene.sun.{field}" for field in _SUN]
+    names += [f"scene.{name}" for name in SCENE_NAMES]
     names += [f"fidelity.{field.name}" for field in fields(Fidelity)]
     names += LINK
-    for root, model in (("system", System), ("radar", RadarDesign)):
-        for section, part in _sections(model).items():
+    models: tuple[tuple[str, type[Entry]], ...] = (("system", System), ("radar", RadarDesign))
+    for root, model in models:
+        for section, part in model.sections().items():
             names += [f"{root}.{section}.{field}" for field in part.model_fields]
             if root == "system":
                 names.append(f"system.{section}.part")
     weather = [name.removeprefix("system.") for name in names if ".weather." in name]
     return tuple(names + weather)
-
-
-def _sections(model: type[BaseModel]) -> dict[str, type[Strict]]:
-    """Sections of an entry by name, optional ones as well."""
-    found = {}
-    for name, field in model.model_fields.items():
-        kinds = get_args(field.annotation) if _is_union(field.annotation) else (field.annotation,)
-        for kind in kinds:
-            if isinstance(kind, type) and issubclass(kind, Strict):
-                found[name] = kind
-    return found
-
-
-def _is_union(annotation: Any) -> bool:
-    return isinstance(annotation, UnionType) or len(get_args(annotation)) > 1

@@ -1,23 +1,31 @@
 """One complete optical system: its sections, and what must fit between them."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Self
 
 from pydantic import model_validator
 
 from hardware.patterns import PatternSet
-from twin.files import catalog_folder
+from twin.files import InputError, catalog_folder
 from twin.system.acquisition import Acquisition, TimeOfFlight
 from twin.system.curves import check_curves
 from twin.system.detector import Detector, Readout
 from twin.system.emitter import Emitter
 from twin.system.environment import Sky, Weather
 from twin.system.optics import Filter, Optics
-from twin.system.part import PARTS
+from twin.system.part import PARTS, Part, load_part
 from twin.toml import Entry, bundled, load_entry
 
 
 class System(Entry):
-    """One complete optical system."""
+    """One complete optical system.
+
+    >>> system = load_system("workable")
+    >>> fast = system.with_({"optics.f_number": 0.8, "detector.part": "fga015"})
+    >>> fast.optics.f_number.value, fast.name
+    (0.8, 'workable (changed)')
+    """
 
     emitter: Emitter
     filter: Filter
@@ -67,6 +75,18 @@ class System(Entry):
                     f"acquisition.integration_time_s = {exposure_s:g}"
                 )
         return self
+
+    def with_(self, changes: Mapping[str, Any]) -> Self:
+        """See `twin.toml.Entry.with_`; files of curves are read too."""
+        changed = super().with_(changes)
+        check_curves(changed.emitter, changed.filter, changed.detector)
+        return changed
+
+    def _section_of(self, section: str, part: str | Path | Part) -> Any:
+        found = getattr(load_part(part), section, None)
+        if found is None:
+            raise InputError(f"{section}.part = {part!r}: this part has no {section}")
+        return found
 
     @property
     def patterns(self) -> PatternSet:

@@ -1,0 +1,117 @@
+"""A scene with some of its values changed, by dotted names; the names of a study say the same."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.files import InputError
+from twin.toml import no_such_field
+
+if TYPE_CHECKING:
+    from twin.scene.model import Pose, Scene, SceneObject, Target
+
+_ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
+_OBJECT = (
+    "reflectance",
+    "shift_x_m",
+    "shift_y_m",
+    "shift_z_m",
+    "velocity_m_per_s",
+    "radar",
+    "thickness_m",
+)
+_TARGET = ("rcs_m2",)
+_NAMED = re.compile(r"(objects|targets)\.(.+)\.(\w+)")
+#: Names that every scene has.
+SCENE_NAMES = (
+    *(f"rig.{field}" for field in ("x_m", "y_m", "z_m", *_ANGLES)),
+    *(f"sun.{field}" for field in ("azimuth_deg", "elevation_deg", "illuminance_lx")),
+)
+
+
+def check_scene_name(name: str) -> None:
+    """Raise InputError, with the nearest name, for what no scene has."""
+    match = _NAMED.fullmatch(name)
+    if match:
+        known = _OBJECT if match[1] == "objects" else _TARGET
+        if match[3] not in known:
+            raise InputError(f"scene.{name}: {match[3]!r} is none of {', '.join(known)}")
+    elif name not in SCENE_NAMES:
+        raise InputError(f"scene.{name}: {no_such_field(name, SCENE_NAMES)}")
+
+
+def changed(scene: "Scene", changes: Mapping[str, Any]) -> "Scene":
+    """See `Scene.with_`."""
+    for name, value in changes.items():
+        check_scene_name(name)
+        scene = _with(scene, name, value)
+    return scene
+
+
+def _with(scene: "Scene", name: str, value: Any) -> "Scene":
+    group, _, rest = name.partition(".")
+    if group == "rig":
+        return scene.at(_moved(scene.rig.pose, rest, value))
+    if group == "sun":
+        return replace(scene, sun=replace(scene.sun, **{rest: value}))
+    which, _, what = rest.rpartition(".")
+    items: tuple[Any, ...] = getattr(scene, group)
+    if which != "*" and which not in {item.name for item in items}:
+        known = ", ".join(item.name for item in items) or "none at all"
+        raise InputError(f"scene.{group}: no {which!r}; there are {known}")
+    if what.startswith("shift_"):
+        return _shifted(scene, which, "xyz".index(what[len("shift_")]), value)
+    items = tuple(replace(i, **{what: value}) if which in ("*", i.name) else i for i in items)
+    held: dict[str, Any] = {group: items}
+    scene = replace(scene, **held)
+    return _carried(scene, which) if what == "velocity_m_per_s" else scene
+
+
+def _carried(scene: "Scene", which: str) -> "Scene":
+    """Targets that move as their objects do."""
+    moving = {item.name: item.velocity_m_per_s for item in scene.objects}
+    return replace(
+        scene,
+        targets=tuple(
+            replace(t, velocity_m_per_s=moving[t.object])
+            if t.object is not None and which in ("*", t.object)
+            else t
+            for t in scene.targets
+        ),
+    )
+
+
+def _shifted(scene: "Scene", name: str, axis: int, by_m: float) -> "Scene":
+    """The scene with an object elsewhere, and the targets that it carries."""
+    if isinstance(by_m, bool) or not isinstance(by_m, int | float) or not np.isfinite(by_m):
+        raise InputError(
+            f"scene.objects.{name}.shift_{'xyz'[axis]}_m = {by_m!r}: expected a number"
+        )
+    shift = np.eye(3)[axis] * by_m
+
+    def target(item: "Target") -> "Target":
+        x, y, z = (np.asarray(item.position_m) + shift).tolist()
+        return replace(item, position_m=(x, y, z))
+
+    def moved(item: "SceneObject") -> "SceneObject":
+        return replace(item, vertices_m=item.vertices_m + shift)
+
+    return replace(
+        scene,
+        objects=tuple(moved(o) if name in ("*", o.name) else o for o in scene.objects),
+        targets=tuple(
+            target(t) if t.object is not None and name in ("*", t.object) else t
+            for t in scene.targets
+        ),
+    )
+
+
+def _moved(pose: "Pose", what: str, value: Any) -> "Pose":
+    if what in _ANGLES:
+        return replace(pose, **{what: value})
+    place = list(pose.position_m)
+    place["xyz".index(what[0])] = value
+    return replace(pose, position_m=(place[0], place[1], place[2]))
