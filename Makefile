@@ -62,7 +62,7 @@ $(VEHICLE)/.installed: requirements.lock pyproject.toml $(VENV)/.installed
 
 $(PEERS)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(PEERS)
-	$(PEERS)/bin/pip install $(PIP_FLAGS) pytest pytest-timeout hypothesis array-api-strict -e .[accelerated,batch,peers]
+	$(PEERS)/bin/pip install $(PIP_FLAGS) pytest pytest-timeout hypothesis -e .[accelerated,peers]
 	@touch $@
 
 clean:

@@ -2,8 +2,10 @@
 
 ``replay:run.mcap`` plays a log at its own pace, ``replay:run.mcap?pace=fast`` as fast as it is
 read. ``zmq://HOST:PORT``, ``uhd:type=b200``: a radar's radio, a record a sweep. ``/dev/ttyACM0``,
-``socket://host:port``, ``rfc2217://host:port``: a camera. Other schemes (``twin:``) are found under
-the entry-point group ``ugv.sources``: a function of URL and settings that gives the records.
+``socket://host:port``, ``rfc2217://host:port``: a camera. Other schemes are found under the
+entry-point group ``ugv.sources``, by which an installed package offers a function that gives the
+records: ``f(url, settings, over=...)``, as `open_source` takes them. The digital twin offers
+``twin:SCENE``.
 """
 
 import threading
@@ -18,6 +20,11 @@ from hardware.recording.reading import Ending, Received, read_records
 if TYPE_CHECKING:
     from hardware.drivers import SpiSettings
     from hardware.drivers.radio import FrontEnd, Radio, Schedule
+
+
+class SourceError(ValueError):
+    """A URL that leads to no records: of no known kind, or of a kind that is not installed."""
+
 
 Records: TypeAlias = Generator[Received, None, None]
 
@@ -47,29 +54,30 @@ def open_source(
         Of a radio, as `hardware.drivers.radio.setup.read_setup` reads it.
     over
         Ends the wait for a device that is silent: set it from another thread or a signal's
-        handler. What the driver raises then means nothing. Sources of other packages end with
-        their next record.
+        handler. What the driver raises then means nothing.
     ending
         Filled in with what is wrong with a log; without it a warning is logged.
 
-    Raises ValueError for a URL of no known kind, a camera without settings, a radio without a
-    setup; what a driver raises.
+    Raises SourceError for a URL of no known kind, a camera without settings, a radio without a
+    setup, a package that is not installed; what a driver or an installed package raises.
     """
     scheme, _, rest = url.partition(":")
     if scheme == "replay":
         path, _, query = rest.partition("?")
         if query not in ("", "pace=fast", "pace=real"):
-            raise ValueError(f"{url}: {query!r} is neither 'pace=fast' nor 'pace=real'")
+            raise SourceError(f"{url}: {query!r} is neither 'pace=fast' nor 'pace=real'")
         speed = float("inf") if query == "pace=fast" else 1.0
         return replay(path, speed=speed, over=over, ending=ending)
     if scheme in ("uhd", "zmq"):
         if setup is None:
-            raise ValueError(f"{url}: a radio needs a setup")
+            raise SourceError(f"{url}: a radio needs a setup")
         return _radio(url, *setup, over or threading.Event())
-    if rest and (found := _installed(scheme)):
-        return found(url, settings)
+    if rest and (installed := _installed(scheme)):
+        return installed(url, settings, over=over)
+    if rest and not scheme.startswith("/") and not rest.startswith("//"):
+        raise SourceError(f"{url}: no installed package offers {scheme}:")
     if settings is None:
-        raise ValueError(f"{url}: a camera needs settings")
+        raise SourceError(f"{url}: a camera needs settings")
     return _camera(url, settings, over)
 
 
@@ -125,9 +133,18 @@ def _exchange(radio: "Radio", clock: ClockFilter) -> None:
         clock.add(sent_ns, device_ns, device_ns, returned_ns)
 
 
-def _installed(scheme: str) -> "Callable[[str, SpiSettings | None], Records] | None":
+def _installed(scheme: str) -> "Callable[..., Records] | None":
+    """What an installed package offers for a scheme. Raises SourceError where it does not load."""
     from importlib.metadata import entry_points
 
     for point in entry_points(group="ugv.sources", name=scheme):
-        return point.load()
+        try:
+            return point.load()
+        except ImportError as error:
+            package = point.dist.name if point.dist else point.value
+            extras = f"[{','.join(point.extras)}]" if point.extras else ""
+            raise SourceError(
+                f"{scheme}: {package} offers it, but what that needs is not installed ({error}): "
+                f"pip install '{package}{extras}'"
+            ) from error
     return None

@@ -58,7 +58,10 @@ def register(app: typer.Typer) -> None:
 def capture(
     urls: Annotated[
         list[str],
-        typer.Argument(help="/dev/ttyACM0, socket:// or zmq://HOST:PORT, uhd:ARGS, replay:FILE"),
+        typer.Argument(
+            help="/dev/ttyACM0, socket:// or zmq://HOST:PORT, uhd:ARGS, replay:FILE, or "
+            "twin:SCENE where the simulator is installed."
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="New log (MCAP).")],
     settings: _Settings = None,

@@ -17,7 +17,7 @@ from hardware.patterns import Mode, Order
 PROTOCOL_VERSION = 1
 
 #: Codes on the wire are the places in these tuples; an order that travels as bits is UPLOADED.
-ORDER_CODES = tuple(name for name in get_args(Order) if name != "custom")
+ORDER_CODES: tuple[Order, ...] = tuple(name for name in get_args(Order) if name != "custom")
 MODE_CODES: tuple[Mode, ...] = get_args(Mode)
 UPLOADED = 255
 

@@ -1,6 +1,6 @@
 """Bursts of the radar: IQ per burst, carrier step, slot, receiver and sample."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -100,10 +100,6 @@ class RadarRecord:
         """Received wave in root watts, (n_bursts, n_steps, n_slots, n_receivers, n_subcarriers)."""
         counts = self.iq.astype(np.float64) * self.root_watt_per_count
         return counts[..., 0] + 1j * counts[..., 1]
-
-    def waveform_at(self, step: int) -> OfdmWaveform:
-        """The waveform with the carrier of a step."""
-        return replace(self.waveform, carrier_hz=float(self.carriers_hz[step]))
 
 
 LAYOUT = container.Layout(

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import serial
 from asking import asking
-from virtual_camera import PATIENCE, SETTINGS, asked, direct, served
+from virtual_camera import PATIENCE, SETTINGS, direct, served
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers import SpiCamera, SpiSettings
@@ -76,7 +76,6 @@ class Twin(Source):
         self.world = world
 
     def runs(self, wanted: SpiSettings, runs: int = 1) -> list[list[SpiRecord]]:
-        asked(self.world[1], wanted)
         return [direct(self.world, wanted, SETS) for _ in range(runs)]
 
 

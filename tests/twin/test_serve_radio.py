@@ -38,9 +38,9 @@ from twin.files import InputError  # noqa: E402
 from twin.radar import load_radar, radar_capture, radar_echo  # noqa: E402
 from twin.radar.device.design import RadarDesign  # noqa: E402
 from twin.scene import load_scene  # noqa: E402
-from twin.serve.ahead import Ahead  # noqa: E402
 from twin.serve.clock import DeviceClock  # noqa: E402
 from twin.serve.faults import RadioFaults, parse_faults  # noqa: E402
+from twin.serve.prefetcher import Prefetcher  # noqa: E402
 from twin.serve.radio import VirtualRadio  # noqa: E402
 from twin.serve.serving import parse_address  # noqa: E402
 from twin.serve.sweeps import Sweeps  # noqa: E402
@@ -369,17 +369,17 @@ def test_what_stands_is_traced_once(rung: str, monkeypatch) -> None:
     assert len(traced) == (6 if rung == "rough" else 4)
 
 
-def test_ahead_of_time() -> None:
+def test_prefetcher() -> None:
     """Items come in their order from other processes, which fail by one line, and can die."""
-    ahead = Ahead(reciprocal)
-    assert [ahead(0), ahead(1)] == [1 / 3, 1 / 2]
+    prefetcher = Prefetcher(reciprocal)
+    assert [prefetcher(0), prefetcher(1)] == [1 / 3, 1 / 2]
     for _ in range(2):
         with pytest.raises(InputError, match=r"^scene\.toml: wrong$"):
-            ahead(2)
+            prefetcher(2)
         with pytest.raises(EngineError, match=r"^ZeroDivisionError: division by zero$"):
-            ahead(3)
+            prefetcher(3)
     with pytest.raises(EngineError, match="has died"):
-        Ahead(dies)(0)
+        Prefetcher(dies)(0)
 
 
 def _setup(scene, design):

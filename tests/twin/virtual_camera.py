@@ -11,6 +11,7 @@ from twin.fidelity import Fidelity
 from twin.scene import load_scene
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock
+from twin.serve.configuration import configured
 from twin.serve.faults import CameraFaults
 from twin.serve.line import Terminal
 from twin.serve.serial import CameraServer
@@ -32,23 +33,9 @@ def quick_world():
     return scene, system, still_light(scene, system, seed=SEED, fidelity=QUICK)
 
 
-def asked(system: System, wanted: SpiSettings) -> System:
-    """The system that measures what the settings ask for."""
-    content = system.model_dump()
-    for name, value in {
-        "n_patterns": wanted.patterns.count,
-        "order": wanted.patterns.order,
-        "mode": wanted.patterns.mode,
-        "integration_time_s": wanted.integration_time_s,
-        "pattern_period_s": wanted.pattern_period_s,
-    }.items():
-        content["acquisition"][name] = {"value": value, "assumed": "asked"}
-    return System.model_validate(content)
-
-
 def direct(world, wanted: SpiSettings, sets: int):
     scene, system, light = world
-    records = stills(scene, asked(system, wanted), seed=SEED, fidelity=QUICK, rendered=light)
+    records = stills(scene, configured(system, wanted), seed=SEED, fidelity=QUICK, rendered=light)
     return list(islice(records, sets))
 
 

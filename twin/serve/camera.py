@@ -4,8 +4,6 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from hardware.drivers.framing import Deframer, Frame, encode
 from hardware.drivers.messages import (
     MODE_CODES,
@@ -32,19 +30,21 @@ from hardware.drivers.messages import (
     from_frame,
     to_frame,
 )
+from hardware.drivers.settings import SpiSettings
 from hardware.drivers.table import table_bytes
+from hardware.patterns import Order, PatternSet
 from hardware.records import Flag, SpiRecord
 from twin import __version__
 from twin.camera.chain import Chain
 from twin.files import InputError
 from twin.scene import Sun
 from twin.serve.clock import DeviceClock
+from twin.serve.configuration import INTEGRATION_S, configured
 from twin.serve.table import UploadedTable
 from twin.system import System
 
 _FRAME_EXPOSURES = 64
 _ENOUGH = 8  # patterns that tell most orders apart
-_RANGE_S = (1e-7, 1.0)  # of integration times
 #: All but complementary, which takes a second detector behind a mirror.
 _MODES = sum(1 << code for code, mode in enumerate(MODE_CODES) if mode != "complementary")
 
@@ -110,8 +110,6 @@ class VirtualCamera:
             raise InputError(
                 f"{system.name}: {system.n_detectors} detectors, the protocol carries up to 255"
             )
-        shown = system.acquisition
-        self._readout_s = shown.pattern_period_s.value - shown.integration_time_s.value
         self.start_up()
 
     def start_up(self) -> None:
@@ -218,8 +216,8 @@ class VirtualCamera:
             orders=(1 << len(ORDER_CODES)) - 1,
             modes=_MODES,
             gains=1,
-            min_integration_time_s=_RANGE_S[0],
-            max_integration_time_s=_RANGE_S[1],
+            min_integration_time_s=INTEGRATION_S[0],
+            max_integration_time_s=INTEGRATION_S[1],
             device=f"twin {__version__}: {self.system.name}",
         )
 
@@ -257,35 +255,26 @@ class VirtualCamera:
         def refuse(why: str) -> None:
             raise _RefusedError(Refusal.UNSUPPORTED, why)
 
-        own, integration = self.system.patterns, request.integration_time_s
+        own = self.system.patterns
         if (request.rows, request.columns) != (own.rows, own.columns):
             refuse(f"rows, columns: the emitter has {own.rows} x {own.columns} cells")
         if request.order >= len(ORDER_CODES) and request.order != UPLOADED:
             refuse("order: this camera does not know it")
         if request.mode >= len(MODE_CODES) or not _MODES >> request.mode & 1:
             refuse("mode: this camera does not know it")
-        if request.gain:
-            refuse("gain: no such step")
-        if np.shape(request.shutters) != np.shape(self._shutters) or not np.allclose(
-            request.shutters, self._shutters, rtol=1e-12, atol=0
-        ):
-            refuse(f"shutters: this camera has {self._shutters}"[:150])
-        if not _RANGE_S[0] <= integration <= _RANGE_S[1]:
-            refuse("integration_time_s: outside what I can do")
-        period = request.pattern_period_s or integration + self._readout_s
-        if not integration + self._readout_s * (1 - 1e-9) <= period <= 1e3:
-            refuse("pattern_period_s: shorter than integration and read-out, or no number")
-        content = self.system.model_dump()
-        for name, value in {
-            "n_patterns": request.count,
-            "order": "natural" if request.order == UPLOADED else ORDER_CODES[request.order],
-            "mode": MODE_CODES[request.mode],
-            "integration_time_s": integration,
-            "pattern_period_s": period,
-        }.items():
-            content["acquisition"][name] = {"value": value, "assumed": "as the host asked"}
+        order: Order = "natural" if request.order == UPLOADED else ORDER_CODES[request.order]
         try:
-            return System.model_validate(content)
+            patterns = PatternSet(
+                own.rows, own.columns, request.count, order, MODE_CODES[request.mode]
+            )
+            settings = SpiSettings(
+                patterns,
+                request.integration_time_s,
+                request.pattern_period_s,
+                gain=request.gain,
+                shutters=request.shutters,
+            )
+            return configured(self.system, settings)
         except ValueError as error:
             raise _RefusedError(Refusal.UNSUPPORTED, " ".join(str(error).split())[:150]) from error
 

@@ -12,11 +12,11 @@ from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import RadarDesign, load_radar
 from twin.scene import Scene
-from twin.serve.ahead import Ahead
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock, Pace
 from twin.serve.faults import CameraFaults, RadioFaults, parse_faults
 from twin.serve.line import Line, TcpPort, Terminal
+from twin.serve.prefetcher import Prefetcher
 from twin.serve.radio import VirtualRadio
 from twin.serve.serial import CameraServer
 from twin.serve.sweeps import Sweeps
@@ -91,7 +91,7 @@ def serve_radar(
     Raises InputError.
     """
     found, design = parse_faults(faults, RadioFaults), load_radar(radar)
-    sweeps = Ahead(Sweeps(scene, design, seed, fidelity))
+    sweeps = Prefetcher(Sweeps(scene, design, seed, fidelity))
     virtual = VirtualRadio(design, sweeps, clock=DeviceClock(pace), faults=found, seed=seed)
     server = RadioServer(
         virtual, address.host, address.port, n_samples=virtual.n_samples, faults=found, seed=seed

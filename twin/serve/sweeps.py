@@ -1,6 +1,6 @@
 """What a scene answers to each sweep of a radar."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hardware.records import RadarRecord
 from twin.fidelity import Fidelity
@@ -43,6 +43,12 @@ class Sweeps:
         echo = self._again(number, stop) or self._traced(number, stop)
         self._last = stop, echo
         return Sweep(echo, echo.record())
+
+    def record(self, number: int) -> RadarRecord:
+        """The record of one sweep, in the device time of all: sweeps follow without a pause."""
+        begun_ns = round(1e9 * number * self._radar.burst_s)
+        record = self(number).record
+        return replace(record, device_time_ns=record.device_time_ns + begun_ns)
 
     def _again(self, number: int, stop: int) -> RadarEcho | None:
         if self._last is None or self._last[0] != stop or not self._scene.at_rest:

@@ -10,7 +10,6 @@ images that the measurements allow.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -56,7 +55,7 @@ def fista(
     return allowed((down.T @ current @ along).ravel(), values, noise_variance, sensing), None
 
 
-def threshold(noise_variance: Any, scale: Any, lipschitz: float, n_cells: int, xp: Any = np) -> Any:
+def threshold(noise_variance: float, scale: float, lipschitz: float, n_cells: int) -> float:
     """Threshold of a step for a coefficient of prior deviation 1."""
     least = LEAST_NOISE**2 * lipschitz / n_cells * scale
-    return math.sqrt(2) / lipschitz * xp.maximum(noise_variance, least)
+    return math.sqrt(2) / lipschitz * max(noise_variance, least)

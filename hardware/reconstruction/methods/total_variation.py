@@ -54,7 +54,7 @@ def total_variation_joint(
     onto = projection(values / spread, radius / spread, sensing)
     image = _side_by_side(start / spread, sensing)
     new, duals = image, np.zeros((2, *image.shape))
-    weights, dual_step = steps(image.shape)
+    weights, dual_step = _steps(image.shape)
     for _ in range(iterations):
         moved = descend(image, duals, STEP, weights)
         new = _side_by_side(onto(_stacked(moved, sensing)), sensing)
@@ -65,7 +65,7 @@ def total_variation_joint(
     return spread * _stacked(new, sensing), None
 
 
-def steps(shape: tuple[int, int]) -> tuple[tuple[float, float], float]:
+def _steps(shape: tuple[int, int]) -> tuple[tuple[float, float], float]:
     """Weights of differences down the rows and along the columns, and the dual step.
 
     The field is taken as square, as the prior does: where cells are four times as wide as high, a

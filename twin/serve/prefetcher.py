@@ -1,4 +1,4 @@
-"""A bounded look-ahead: what will be asked for next is made in other processes.
+"""A prefetcher: the items that will be asked for next are computed in other processes.
 
 In processes, not threads: whoever serves a device in real time answers within a millisecond, which
 an interpreter shared with the simulation does not do.
@@ -15,16 +15,16 @@ from typing import Any, Generic, TypeVar
 from twin.engine import EngineError
 from twin.files import InputError
 
-_Made = TypeVar("_Made")
+_Item = TypeVar("_Item")
 
 _MOST_PROCESSES = 4  # each holds an engine of its own: some 400 MB
 
 
-class Ahead(Generic[_Made]):
+class Prefetcher(Generic[_Item]):
     """Items 0, 1, 2 ... of a function, asked for in this order.
 
-    Each process makes one item ahead, and waits until it is asked for. Processes end with this one,
-    however it ends.
+    Each process computes one item ahead, and waits until it is asked for. Processes end with
+    `close`, or with this one, however it ends.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Ahead(Generic[_Made]):
         Item k, which depends on k alone; it and what it gives can be pickled.
     """
 
-    def __init__(self, make: Callable[[int], _Made]) -> None:
+    def __init__(self, make: Callable[[int], _Item]) -> None:
         spawn = multiprocessing.get_context("spawn")
         self._lines: list[Connection] = []
         # Ctrl-C goes to all processes of a terminal: it is left to this one.
@@ -47,20 +47,29 @@ class Ahead(Generic[_Made]):
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
-    def __call__(self, number: int) -> _Made:
+    def __call__(self, number: int) -> _Item:
         """One item; asked for again where it failed, it is made again.
 
         Raises InputError as its making does, EngineError for all else.
         """
         line = self._lines[number % len(self._lines)]
         try:
-            made, error = line.recv()
+            item, error = line.recv()
             line.send(number if error else number + len(self._lines))
         except (EOFError, OSError):
             raise EngineError("the process that computes it has died") from None
         if error:
             raise error
-        return made
+        return item
+
+    def ready(self, number: int, timeout_s: float) -> bool:
+        """Whether an item can be had, or has failed, within a time."""
+        return self._lines[number % len(self._lines)].poll(timeout_s)
+
+    def close(self) -> None:
+        """End the processes; any number of times. No item can be asked for any more."""
+        for line in self._lines:
+            line.close()
 
 
 def _work(line: Connection, make: Callable[[int], Any]) -> None:
@@ -70,7 +79,7 @@ def _work(line: Connection, make: Callable[[int], Any]) -> None:
     try:
         while True:
             number = line.recv()
-            line.send(_made(make, number))
+            line.send(_attempt(make, number))
     except (EOFError, OSError):
         pass
 
@@ -90,7 +99,7 @@ def _end_with_parent() -> None:
     os._exit(0)
 
 
-def _made(make: Callable[[int], Any], number: int) -> tuple[Any, Exception | None]:
+def _attempt(make: Callable[[int], Any], number: int) -> tuple[Any, Exception | None]:
     try:
         return make(number), None
     except InputError as error:

@@ -1,0 +1,149 @@
+"""The twin as a source of records, ``twin:SCENE``.
+
+The vehicle finds it by the entry point ``ugv.sources``. Records are those of
+`twin.camera.stream.stills` and `twin.serve.sweeps.Sweeps`, without a protocol in between:
+
+    twin:yard                                  the camera of the system ``workable``
+    twin:scenes/yard?system=mine.toml&seed=3   another camera, another seed
+    twin:yard?radar=hybrid-79&system=none      the radar
+    twin:yard?pace=fast                        as fast as records are computed
+"""
+
+import heapq
+import threading
+import time
+from collections.abc import Generator, Iterator
+from contextlib import ExitStack
+from itertools import count
+from typing import get_args
+from urllib.parse import parse_qsl, unquote
+
+from hardware.drivers import SpiSettings
+from hardware.drivers.clock import ClockModel
+from hardware.recording.reading import Received
+from hardware.records import RadarRecord, SpiRecord
+from twin.camera.stream import still_light, stills
+from twin.fidelity import Fidelity
+from twin.files import InputError
+from twin.radar import load_radar
+from twin.scene import load_scene
+from twin.serve.clock import DeviceClock, Pace
+from twin.serve.configuration import configured
+from twin.serve.prefetcher import Prefetcher
+from twin.serve.sweeps import Sweeps
+from twin.system import System, load_system
+
+_OPTIONS = {"system": "workable", "radar": "none", "seed": "0", "pace": "real"}
+#: Between looks whether it is over, while waiting.
+_LOOK_S = 0.1
+
+
+def records(
+    url: str,
+    settings: SpiSettings | None = None,
+    *,
+    over: threading.Event | None = None,
+    fidelity: Fidelity | None = None,
+) -> Generator[Received, None, None]:
+    """Records of a scene without end, in the order of device time.
+
+    Parameters
+    ----------
+    url
+        ``twin:SCENE?OPTION=VALUE&...``. The scene and the options ``system``, ``radar`` (a name,
+        a file, or ``none``), ``seed`` and ``pace`` are as ``twin serve`` takes them.
+    settings
+        What the camera measures; default: what its system says.
+    over
+        Once it is set, no record is waited for any more.
+    fidelity
+        Knobs, each with the error it bounds.
+
+    A record comes once the device would have measured it (``real``), or as soon as it is computed
+    (``fast``). The scene is read, and lit for the camera, before this returns. Raises InputError
+    for what is wrong in the URL, the files that it names or the settings.
+    """
+    name, options = _parsed(url)
+    paces: dict[str, Pace] = {pace: pace for pace in get_args(Pace)}
+    if options["pace"] not in paces:
+        raise InputError(f"{url}: pace: {options['pace']!r}, expected {' or '.join(paces)}")
+    if not (options["seed"].isascii() and options["seed"].isdecimal()):
+        raise InputError(f"{url}: seed: {options['seed']!r}, expected a whole number from 0 on")
+    if options["system"] == options["radar"] == "none":
+        raise InputError(f"{url}: neither a system nor a radar")
+    scene, seed = load_scene(name), int(options["seed"])
+    camera = radar = None
+    if options["system"] != "none":
+        system = _system(url, options["system"], settings)
+        light = still_light(scene, system, seed=seed, fidelity=fidelity)
+        camera = stills(scene, system, seed=seed, fidelity=fidelity, rendered=light)
+    if options["radar"] != "none":
+        radar = Sweeps(scene, load_radar(options["radar"]), seed, fidelity)
+    clock = DeviceClock(paces[options["pace"]])
+    return _received(camera, radar, clock, over or threading.Event())
+
+
+def _parsed(url: str) -> tuple[str, dict[str, str]]:
+    """Scene and options of a URL."""
+    scene, _, query = url.partition(":")[2].partition("?")
+    try:
+        options = dict(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
+    except ValueError as error:
+        raise InputError(f"{url}: {query!r}, expected OPTION=VALUE&OPTION=VALUE") from error
+    if unknown := options.keys() - _OPTIONS.keys():
+        raise InputError(f"{url}: option {min(unknown)!r} is none of {', '.join(_OPTIONS)}")
+    return unquote(scene), _OPTIONS | options
+
+
+def _system(url: str, name: str, settings: SpiSettings | None) -> System:
+    system = load_system(name)
+    if settings is None:
+        return system
+    try:
+        return configured(system, settings)
+    except ValueError as error:
+        raise InputError(f"{url}: settings: {' '.join(str(error).split())}") from error
+
+
+def _received(
+    camera: Iterator[SpiRecord] | None,
+    radar: Sweeps | None,
+    clock: DeviceClock,
+    over: threading.Event,
+) -> Generator[Received, None, None]:
+    """Records of both in the order in which they begin, on a host's clock that began with the
+    device's.
+    """
+    zero_ns = time.time_ns()
+    model = ClockModel(zero_ns, -zero_ns, 0.0, 0.0)
+    with ExitStack() as stack:
+        sensors: list[Iterator[tuple[int, str, SpiRecord | RadarRecord]]] = []
+        if camera is not None:
+            sensors.append(_timed("/spi/record", camera))
+        if radar is not None:
+            prefetcher = Prefetcher(radar.record)
+            stack.callback(prefetcher.close)
+            sensors.append(_timed("/radar/record", _prefetched(prefetcher, over)))
+        for _, topic, record in heapq.merge(*sensors, key=lambda item: item[0]):
+            end_ns = int(record.device_time_ns.flat[-1])
+            while (left_s := clock.left_s(end_ns)) > 0 and not over.is_set():
+                time.sleep(min(left_s, _LOOK_S))
+            if over.is_set():
+                return
+            yield Received(topic, record, zero_ns + end_ns, model)
+
+
+def _prefetched(
+    prefetcher: Prefetcher[RadarRecord], over: threading.Event
+) -> Iterator[RadarRecord]:
+    for number in count():
+        while not prefetcher.ready(number, _LOOK_S):
+            if over.is_set():
+                return
+        yield prefetcher(number)
+
+
+def _timed(
+    topic: str, records: Iterator[SpiRecord] | Iterator[RadarRecord]
+) -> Iterator[tuple[int, str, SpiRecord | RadarRecord]]:
+    return ((int(record.device_time_ns.flat[0]), topic, record) for record in records)
