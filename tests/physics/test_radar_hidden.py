@@ -8,7 +8,7 @@ import trimesh
 
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, ground, quad, thing, world
 from twin.radar.propagation.convexity import convex_parts
-from twin.radar.propagation.facets import facing
+from twin.radar.propagation.facing import facing
 from twin.radar.propagation.hidden import wholly_hidden
 from twin.radar.propagation.optics import _bodies
 from twin.radar.propagation.roles import assign_roles
@@ -52,8 +52,8 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
     stage = set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), 1)
     assert len(stage.images) == 3  # the radar, in the ground, in the mirror
     s, bodies = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
-    lit = facing(s, bodies, stage.images)
-    assert lit is not None
+    facets = facing(s, bodies, stage.images)
+    lit = facets.taken(facets.all)
     hidden = wholly_hidden(s, bodies.parts, lit)
     is_seen = np.zeros(len(lit), dtype=bool)
     for u, v in rng.random((150, 2)).tolist():

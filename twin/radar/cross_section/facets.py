@@ -19,7 +19,8 @@ from twin.radar.cross_section.subject import Subject, are_within, bare, subject_
 from twin.radar.cross_section.ways import Ways
 from twin.radar.propagation.beams import AntennaGain
 from twin.radar.propagation.currents import amplitude_of, echoes_of
-from twin.radar.propagation.facets import Budget, Leaves, lit_facets, settled
+from twin.radar.propagation.facets import Budget, Leaves, settled
+from twin.radar.propagation.facing import lit_facets
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import sampled
@@ -163,9 +164,9 @@ def direct(
     way, face, side = _facing(subject, ways, distance)
     first = (_FIRST_SENT + m) * way
     amplitude = np.zeros((n, len(frequency_hz), m, 2), dtype=np.complex128)
-    lit = lit_facets(s, scatterers, face, first + _ALL_SENT, first + _ALL_HEARD)
-    if lit is None:
+    if not len(face):
         return Direct(amplitude, np.zeros(n))
+    lit = lit_facets(s, scatterers, face, first + _ALL_SENT, first + _ALL_HEARD)
     lit = replace(lit, body=way)
     is_open = subject.is_open[(side < 0).astype(np.intp), face]
     if not is_open.all() and n * len(subject.world.faces) ** 2 <= _MOST_PAIRS:
@@ -285,11 +286,11 @@ def _scatterers(s: Station, subject: Subject) -> Scatterers:
     zero, one = s.mi.Vector3d(0), s.mi.Float64(1)
     return Scatterers(
         body=np.zeros(count, dtype=np.intp),
-        plane=subject.shape.patch_of_face.astype(np.int32),
         counts=~subject.shape.is_double,
         outward=subject.shape.outward[None],
         heard=np.ones((1, count), dtype=bool),
         antenna=_Isotropic(s.mi, (zero, zero, zero), None, one, one, one, 1),
+        answers=s.mi.Bool(aligned(np.ones(kinds, dtype=bool))),
         surface=s.mi.UInt32(aligned(subject.surface)),
         velocity=s.mi.Float64(aligned(np.zeros(3 * kinds))),
         parts=dr.arange(s.mi.UInt32, count),

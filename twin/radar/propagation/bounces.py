@@ -3,24 +3,18 @@
 A first, coarse pass tells how strong every body answers; the second is as fine as this asks for.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.currents import Echoes, echoes_of
-from twin.radar.propagation.facets import (
-    Budget,
-    Leaves,
-    facing,
-    lit_facets,
-    settled,
-    sides_of,
-)
+from twin.radar.propagation.facets import Budget, Leaves, settled
+from twin.radar.propagation.facing import Facing, facing, lit_by, portions
 from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station
-from twin.radar.propagation.parts import parted
+from twin.radar.propagation.parts import parted, spacing_of
 from twin.radar.propagation.pieces import rays_of
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.scatterers import Scatterers
@@ -59,18 +53,23 @@ def scattered_by(
     """
     count = int(scatterers.body.max()) + 1
     facets = facing(s, scatterers, images)
-    if facets is None:
+    if not len(facets):
         return Rays.joined([]), np.zeros(count)
-    whole = facets, echoes_of(s, scatterers, facets)
-    roots = _roots(s, scatterers, images) if bounces > 1 else None
+    whole = facets, facets.echoes()
     search = _Search(s, scatterers, images, bounces)
-    first = None if roots is None else search.landed(roots)
+    tubes = search.begun(lit_by(s, scatterers, images)) if bounces > 1 else None
     coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
-    search.leaves(whole, roots, first, coarse, _COARSE_DEPTH)
+    search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
     budget = Budget(count, tolerance, wave_numbers, floor, coarse)
-    found = search.leaves(whole, roots, first, budget, _DEEPEST)
+    found = search.leaves(whole, tubes, budget, _DEEPEST)
     leaves = [_worth_it(part, budget) for part in found]
-    rays = Rays.joined([rays_of(s, scatterers, part) for part in leaves if len(part.weight)])
+    rays = Rays.joined(
+        [
+            rays_of(s, scatterers, part.chosen(rows))
+            for part in leaves
+            for rows in portions(np.arange(len(part.weight)))
+        ]
+    )
     return rays, budget.accepted
 
 
@@ -94,6 +93,14 @@ class _Landed:
 
 
 @dataclass(frozen=True, eq=False)
+class _Begun:
+    """Roots of tubes that land anywhere, and where, portion by portion."""
+
+    roots: Triangles
+    landed: list[_Landed]
+
+
+@dataclass(frozen=True, eq=False)
 class _Search:
     """For echoes of bodies, by up to some ``bounces``."""
 
@@ -104,20 +111,42 @@ class _Search:
 
     def leaves(
         self,
-        whole: tuple[Triangles, Echoes],
-        roots: Triangles | None,
-        first: "_Landed | None",
+        whole: tuple[Facing, Echoes],
+        tubes: "_Begun | None",
         budget: Budget,
         deepest: tuple[int, int],
     ) -> list[Leaves]:
-        """Those lit directly, and those lit by tubes; ``first``: where the roots' tubes land."""
+        """Those lit directly, and those lit by ``tubes``."""
         found = [settled(self.s, self.scatterers, *whole, budget, deepest[0])]
         budget.end_direct()
-        if roots is not None and first is not None:
-            lit = self._lit_by_tubes(roots, first, budget, deepest[1])
+        if tubes is not None:
+            lit = self._lit_by_tubes(tubes, budget, deepest[1])
             if lit is not None:
                 found.append(settled(self.s, self.scatterers, *lit, budget, deepest[0]))
         return [Leaves.joined(parts) for parts in found if parts]
+
+    def begun(self, facets: Facing) -> "_Begun | None":
+        """Tubes of facets, divided until what they may show lies between their rays."""
+        spacing_m = spacing_of(self.s, facets.sizes())
+        wholes = (facets.taken(rows) for rows in portions(facets.all))
+        return self._begun(parted(self.s, whole, spacing_m)[0] for whole in wholes)
+
+    def _begun(self, parts: Iterable[Triangles]) -> "_Begun | None":
+        """Of all roots those whose tubes land anywhere, and where."""
+        roots: list[Triangles] = []
+        landed: list[_Landed] = []
+        count = 0
+        for part in parts:
+            for rows in portions(np.arange(len(part))):
+                some = part if len(rows) == len(part) else part.taken(rows)
+                found = self.landed(some)
+                if found is None:
+                    continue
+                used, number = np.unique(found.root, return_inverse=True)
+                roots.append(some.taken(used))
+                landed.append(replace(found, root=count + number.reshape(-1)))
+                count += len(used)
+        return _Begun(Triangles.joined(roots), landed) if roots else None
 
     def landed(self, roots: Triangles) -> "_Landed | None":
         """Where the tubes of roots land, after every number of bounces; None where none does."""
@@ -140,7 +169,7 @@ class _Search:
         return _Landed(lit, echoes, tubes.root[row], tubes.is_lit[row], error)
 
     def _lit_by_tubes(
-        self, roots: Triangles, first: "_Landed", budget: Budget, deepest: int
+        self, tubes: "_Begun", budget: Budget, deepest: int
     ) -> tuple[Triangles, Echoes] | None:
         """What bodies light of each other, by every receiver.
 
@@ -148,39 +177,30 @@ class _Search:
         uncertain.
         """
         lit: list[tuple[Triangles, Echoes]] = []
-        landed: _Landed | None = first
+        begun: _Begun | None = tubes
         for depth in range(deepest + 1):
-            if landed is None:
+            if begun is None:
                 break
-            share = landed.error / budget.allowed(landed.lit.body)
-            error = np.sqrt(np.bincount(landed.root, share**2, len(roots)))
-            done = budget.affordable(roots.body, error * budget.allowed(roots.body))
+            roots, square = begun.roots, np.zeros(len(begun.roots))
+            for landed in begun.landed:
+                share = landed.error / budget.allowed(landed.lit.body)
+                square += np.bincount(landed.root, share**2, len(roots))
+            error = np.sqrt(square) * budget.allowed(roots.body)
+            done = budget.affordable(roots.body, error)
             if depth == deepest:
                 done[:] = True
-            ends = done[landed.root]
-            budget.accept(landed.lit, landed.error, ends)
-            some = np.flatnonzero(ends & landed.is_lit)
-            if len(some):
-                lit.append((landed.lit.taken(some), landed.echoes.chosen(some)))
+            for landed in begun.landed:
+                ends = done[landed.root]
+                budget.accept(landed.lit, landed.error, ends)
+                some = np.flatnonzero(ends & landed.is_lit)
+                if len(some):
+                    lit.append((landed.lit.taken(some), landed.echoes.chosen(some)))
             rest = np.flatnonzero(~done)
             if not len(rest):
                 break
-            roots = quartered(self.s, quartered(self.s, roots.taken(rest)))
-            landed = self.landed(roots)
+            divided = (roots.taken(rows) for rows in portions(rest, 16))
+            begun = self._begun(quartered(self.s, quartered(self.s, some)) for some in divided)
         if not lit:
             return None
         triangles, echoes = zip(*lit, strict=True)
         return Triangles.joined(triangles), Echoes.joined(echoes)
-
-
-def _roots(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Triangles | None:
-    """All facets that a source faces, divided until what they may show lies between their rays."""
-    rows = np.flatnonzero(scatterers.counts)
-    faces, sources = [], []
-    for number, side in enumerate(sides_of(s, images, rows)):
-        lit = (side != 0) & (scatterers.outward[number, rows] * side >= 0)
-        faces.append(rows[lit & scatterers.heard[number, rows]])
-        sources.append(np.full(len(faces[-1]), number))
-    face, source = np.concatenate(faces), np.concatenate(sources)
-    lit = lit_facets(s, scatterers, face, source, source)
-    return None if lit is None else parted(s, lit)[0]

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.currents import Echoes, echoes_of
+from twin.radar.propagation.facing import Facing, portions
 from twin.radar.propagation.hidden import wholly_hidden
-from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station
-from twin.radar.propagation.parts import parted, sizes
+from twin.radar.propagation.parts import parted, sizes, spacing_of
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import cut, sampled
 from twin.radar.propagation.triangles import Triangles, quartered
-from twin.transfer import aligned, host, vector
+from twin.transfer import host
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -211,7 +211,7 @@ def _waves(phase_rad: Array) -> Complex:
 def settled(
     s: Station,
     scatterers: Scatterers,
-    lit: Triangles,
+    lit: Triangles | Facing,
     echoes: Echoes,
     budget: Budget,
     deepest: int = _DEEPEST,
@@ -223,24 +223,35 @@ def settled(
     budget.expect(lit.body, np.abs(echoes.total))
     faint = budget.negligible(lit.body, echoes.total, echoes.strength, echoes.length_m)
     bright = np.flatnonzero(~faint)
-    lit, echoes = lit.taken(bright), echoes.chosen(bright)
     found: list[Leaves] = []
+    if not len(bright):
+        return found
     partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
-    if lit.waves is None and len(bright) and not is_open:
-        partly, spacing_m = _partly_hidden(s, lit)
-    for depth in range(deepest + 1 if len(bright) else 0):
-        seen = (
-            _open(lit, echoes)
-            if is_open
-            else _looked_at(s, scatterers, lit, echoes, budget, partly)
-        )
+    if lit.waves is None and not is_open:
+        partly, spacing_m = _partly_hidden(s, lit, bright)
+
+    def looked_at(some: Triangles, known: Echoes, is_partly: NDArray[np.bool_]) -> _Seen:
+        if is_open:
+            return _open(some, known)
+        return _looked_at(s, scatterers, some, known, budget, is_partly, spacing_m).answering()
+
+    def further(some: Triangles, is_partly: NDArray[np.bool_]) -> _Seen:
+        parts = quartered(s, some)
+        return looked_at(parts, echoes_of(s, scatterers, parts), np.repeat(is_partly, 4))
+
+    seen = _Seen.joined(
+        [
+            looked_at(lit.taken(bright[rows]), echoes.chosen(bright[rows]), partly[rows])
+            for rows in portions(np.arange(len(bright)))
+        ]
+    )
+    for depth in range(deepest + 1):
         budget.consider([seen.leaves, seen.cut])
-        done = budget.affordable(lit.body, seen.error) & ~seen.is_doubtful
-        if partly.any():
-            done &= ~partly | (sizes(lit) <= spacing_m)
+        done = budget.affordable(seen.leaves.body, seen.error) & ~seen.is_doubtful
+        done &= ~seen.is_wide
         if depth == deepest:
             done[:] = True
-        budget.accept(lit, seen.error, done)
+        budget.accept(seen.leaves.triangles, seen.error, done)
         for part, kept in ((seen.leaves, done), (seen.cut, done[seen.row])):
             left = np.flatnonzero(kept & (part.weight != 0))
             if len(left):
@@ -249,24 +260,34 @@ def settled(
         rest = np.flatnonzero(~done)
         if not len(rest):
             break
-        lit, partly = quartered(s, lit.taken(rest)), np.repeat(partly[rest], 4)
-        echoes = echoes_of(s, scatterers, lit)
+        some, is_partly = seen.leaves.triangles.taken(rest), seen.is_partly[rest]
+        parts = portions(np.arange(len(rest)), 4)
+        seen = _Seen.joined([further(some.taken(rows), is_partly[rows]) for rows in parts])
     return found
 
 
-def _partly_hidden(s: Station, lit: Triangles) -> tuple[NDArray[np.bool_], float]:
-    """Triangles with parts that are seen and others that are not, and how large parts are, in m."""
-    parts, row, spacing_m = parted(s, lit)
-    clear = sampled(s, parts, np.zeros(len(parts), dtype=bool))[3]
-    seen = np.bincount(row, clear, len(lit))
-    return (seen > 0) & (seen < np.bincount(row, minlength=len(lit))), spacing_m
+def _partly_hidden(
+    s: Station, lit: Triangles | Facing, rows: NDArray[np.intp]
+) -> tuple[NDArray[np.bool_], float]:
+    """Which of some triangles have parts that are seen and others that are not, and how large parts
+    are, in m.
+    """
+    size = lit.chosen(rows).sizes() if isinstance(lit, Facing) else sizes(lit.taken(rows))
+    spacing_m, found = spacing_of(s, size), np.zeros(len(rows), dtype=bool)
+    for some in portions(np.flatnonzero(size > spacing_m), 4):
+        parts, row = parted(s, lit.taken(rows[some]), spacing_m)
+        clear = sampled(s, parts, np.zeros(len(parts), dtype=bool))[3]
+        seen = np.bincount(row, clear, len(some))
+        found[some] = (seen > 0) & (seen < np.bincount(row, minlength=len(some)))
+    return found, spacing_m
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
     """Triangles with what is seen of them: ``leaves``, one for each, and ``cut``, parts that
     borders of shadows cut off, with the ``row`` of the triangle that they belong to; of each the
-    ``error`` that it may have, and whether shadows may pass between the rays.
+    ``error`` that it may have, whether shadows may pass between the rays, whether it ``is_partly``
+    hidden, as rays at parts of the whole facet tell, and ``is_wide``: larger than these parts.
     """
 
     leaves: Leaves
@@ -274,12 +295,47 @@ class _Seen:
     row: NDArray[np.intp]
     error: Array
     is_doubtful: NDArray[np.bool_]
+    is_partly: NDArray[np.bool_]
+    is_wide: NDArray[np.bool_]
+
+    def answering(self) -> "_Seen":
+        """Without those that are surely dark."""
+        is_dark = (self.leaves.weight == 0) & (self.error == 0) & ~self.is_doubtful & ~self.is_wide
+        is_dark[self.row] = False
+        if not is_dark.any():
+            return self
+        kept = np.flatnonzero(~is_dark)
+        return _Seen(
+            self.leaves.chosen(kept),
+            self.cut,
+            (np.cumsum(~is_dark) - 1)[self.row],
+            self.error[kept],
+            self.is_doubtful[kept],
+            self.is_partly[kept],
+            self.is_wide[kept],
+        )
+
+    @staticmethod
+    def joined(parts: "Sequence[_Seen]") -> "_Seen":
+        """One after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        first = np.cumsum([0, *(len(part.error) for part in parts)])
+        return _Seen(
+            Leaves.joined([part.leaves for part in parts]),
+            Leaves.joined([part.cut for part in parts]),
+            np.concatenate([part.row + n for part, n in zip(parts, first, strict=False)]),
+            np.concatenate([part.error for part in parts]),
+            np.concatenate([part.is_doubtful for part in parts]),
+            np.concatenate([part.is_partly for part in parts]),
+            np.concatenate([part.is_wide for part in parts]),
+        )
 
 
 def _open(lit: Triangles, echoes: Echoes) -> _Seen:
     none, leaves = np.zeros(0, dtype=np.intp), Leaves(lit, echoes, np.ones(len(lit)))
     no = np.zeros(len(lit), dtype=bool)
-    return _Seen(leaves, leaves.chosen(none), none, echoes.curved, no)
+    return _Seen(leaves, leaves.chosen(none), none, echoes.curved, no, no, no)
 
 
 def _looked_at(
@@ -289,7 +345,9 @@ def _looked_at(
     echoes: Echoes,
     budget: Budget,
     partly: NDArray[np.bool_],
+    spacing_m: float,
 ) -> _Seen:
+    """``partly``: known to be hidden in part, as parts of this size tell."""
     allowed = budget.allowed(lit.body)
     clear = sampled(s, lit, partly | (echoes.strength > _SAMPLED * allowed))
     corners = clear[:3].sum(axis=0)
@@ -305,8 +363,9 @@ def _looked_at(
     hidden = np.flatnonzero(is_doubtful & (corners == 0))
     is_doubtful[hidden] = ~wholly_hidden(s, scatterers.parts, lit.taken(hidden))
     leaves = Leaves(lit, echoes, weight)
+    known = is_doubtful, partly, partly & (size > spacing_m)
     if not len(row):
-        return _Seen(leaves, leaves.chosen(row), row, error, is_doubtful)
+        return _Seen(leaves, leaves.chosen(row), row, error, *known)
     off = cut(s, lit.taken(row), clear[:3, row])
     parts = echoes_of(s, scatterers, off.parts)
     straight = echoes_of(s, scatterers, off.whole)
@@ -319,7 +378,7 @@ def _looked_at(
     sign: Array = off.is_seen - weight[row]
     twice = np.concatenate([row, row])
     return _Seen(
-        leaves, Leaves(off.parts, parts, np.concatenate([sign, sign])), twice, error, is_doubtful
+        leaves, Leaves(off.parts, parts, np.concatenate([sign, sign])), twice, error, *known
     )
 
 
@@ -327,50 +386,3 @@ def _turned(echoes: Echoes, s: Station) -> Complex:
     wave_number = 2 * np.pi / float(s.wavelength[0])
     found: Complex = echoes.total * np.exp(-1j * (wave_number * echoes.length_m % (2 * np.pi)))
     return found
-
-
-def facing(s: Station, scatterers: Scatterers, images: Sequence[Image]) -> Triangles | None:
-    """All facets that both a source and a receiver see the same side of, whatever stands in
-    between, closed meshes from outside; None where there are none.
-    """
-    b = scatterers
-    rows = np.flatnonzero(b.counts)
-    sides = sides_of(s, images, rows)
-    found = []
-    for i, side in enumerate(sides):
-        lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
-        for j in range(i, len(images)):
-            both = rows[lit & (sides[j] == side) & b.heard[j, rows]]
-            found.append((both, np.full(len(both), i), np.full(len(both), j)))
-    face, source, receiver = (np.concatenate(column) for column in zip(*found, strict=True))
-    return lit_facets(s, scatterers, face, source, receiver)
-
-
-def sides_of(s: Station, images: Sequence[Image], rows: NDArray[np.intp]) -> list[Array]:
-    """On which side of some facets each image stands: 1 where their normal points to."""
-    point, normal = s.world.plane_table[rows, :3], s.world.plane_table[rows, 3:]
-    return [np.sign(np.sum((image.place - point) * normal, axis=1)) for image in images]
-
-
-def lit_facets(
-    s: Station,
-    scatterers: Scatterers,
-    face: NDArray[np.intp],
-    source: NDArray[np.intp],
-    receiver: NDArray[np.intp],
-) -> Triangles | None:
-    """Whole facets, each lit directly from one image and heard at another; None of none."""
-    if not len(face):
-        return None
-    mi, world = s.mi, s.world
-    at = world.vertices[world.faces[face]]
-    return Triangles(
-        corners=tuple(vector(mi, at[:, k], "Vector3d") for k in range(3)),
-        face=mi.UInt32(aligned(face.astype(np.uint32))),
-        source=mi.UInt32(aligned(source.astype(np.uint32))),
-        receiver=mi.UInt32(aligned(receiver.astype(np.uint32))),
-        wave=None,
-        waves=None,
-        body=scatterers.body[face],
-        is_ray=np.zeros(len(face), dtype=bool),
-    )

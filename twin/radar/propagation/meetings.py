@@ -92,15 +92,17 @@ def reflected_from(
     mi = s.mi
     direction, normal = _mirrored(s, tubes, place)
     off = normal * (offset(place) + tubes.lift)
+    active = mi.Bool(True)
+    if tubes.waves is None:  # what lies in shadow reflects nothing
+        active = leg(s, tubes.source, place, off, active).clear
     ray = mi.Ray3f(mi.Point3f(place + off), mi.Vector3f(direction))
-    hit = s.world.scene.ray_intersect_preliminary(ray)
-    planes, active = mi.Int32(aligned(scatterers.plane)), hit.is_valid()
-    active &= dr.gather(mi.Int32, planes, hit.prim_index, active) >= 0
+    hit = s.world.scene.ray_intersect_preliminary(ray, active=active)
+    active &= hit.is_valid()
+    number = dr.gather(mi.UInt32, s.world.object_index, hit.prim_index, active)
+    active &= dr.gather(mi.Bool, scatterers.answers, number, active)
     if s.walls is not None:  # between bodies no wall lets through
         ray.maxt = hit.t
         active &= ~s.walls.mesh.scene.ray_test(ray, active=active)
-    if tubes.waves is None:
-        active &= leg(s, tubes.source, place, off, active).clear
     return active, dr.select(active, hit.prim_index, 0), direction
 
 

@@ -18,22 +18,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Scatterers:
-    """Per facet of the world on the host: ``body``, -1 where nothing scatters; ``plane``, a number
-    that facets in one plane of an object share, -1 likewise; ``counts``: it scatters, has an area,
-    and lies upon no other; ``outward`` (n_images, n_facets), 1 or -1 where its normal looks out of
-    a closed mesh or into it and the image stands outside, else 0; ``heard`` (n_images, n_facets),
-    whether the way by an image is worth tracing and some of the facet may get anything by it. On
-    the device: the ``antenna``, per object ``surface`` and ``velocity``, and per facet in ``parts``
-    the number of its `convexity.convex_parts`; ``half_time_s``: how long before and after its
-    middle the burst lasts, 0 where nothing moves.
+    """Per facet of the world on the host: ``body``, -1 where nothing scatters; ``counts``: it
+    scatters, has an area, and lies upon no other; ``outward`` (n_images, n_facets), 1 or -1 where
+    its normal looks out of a closed mesh or into it and the image stands outside, else 0; ``heard``
+    (n_images, n_facets), whether the way by an image is worth tracing and some of the facet may get
+    anything by it. On the device: the ``antenna``, per object ``answers``, whether it scatters, its
+    ``surface`` and ``velocity``, and per facet in ``parts`` the number of its
+    `convexity.convex_parts`; ``half_time_s``: how long before and after its middle the burst lasts,
+    0 where nothing moves.
     """
 
     body: NDArray[np.intp]
-    plane: NDArray[np.int32]
     counts: NDArray[np.bool_]
     outward: NDArray[np.int8]
     heard: NDArray[np.bool_]
     antenna: AntennaGain
+    answers: Any
     surface: Any
     velocity: Any
     parts: Any
@@ -46,26 +46,22 @@ def scatterers(
     """By the body of every object, -1 where it does not scatter."""
     world, mi = stage.world, stage.station.mi
     count = len(world.faces)
-    plane = np.full(count, -1, dtype=np.int32)
     outward = np.zeros(count, dtype=np.int8)
     counts = world.plane_table[:, 3:].any(axis=1) & (body[world.object_of_face] >= 0)
-    first = 0
     for number in np.flatnonzero(body[: len(world.face_ranges)] >= 0).tolist():
         item, rows = world.items[number], world.face_ranges[number]
         assert item is not None
         shape = shape_of(item)
-        plane[rows] = shape.patch_of_face + first
         counts[rows] &= ~shape.is_double
         outward[rows] = shape.outward
-        first += len(shape.patch_area_m2)
     velocities = np.array([item.velocity_m_per_s for item in stage.items], dtype=np.float64)
     return Scatterers(
         body=body[world.object_of_face].astype(np.intp),
-        plane=plane,
         counts=counts,
         outward=np.where(_within(stage)[:, world.object_of_face], np.int8(0), outward),
         heard=_heard(stage, antenna),
         antenna=antenna_gain(mi, antenna, stage.axes),
+        answers=mi.Bool(aligned(body >= 0)),
         surface=mi.UInt32(stage.surface_of_object),
         velocity=mi.Float64(velocities.ravel()),
         parts=mi.UInt32(aligned(convex_parts(world))),
