@@ -14,7 +14,7 @@ from hardware.files import read_regular
 
 #: Words about values, not values: a better citation computes nothing new.
 _WORDS = {"description", "source", "assumed", "origin", "assumptions", "warnings", "path"}
-_ENGINES = ("numpy", "scipy", "mitsuba", "drjit", "sionna-rt", "numba")
+_ENGINES = ("numpy", "scipy", "mitsuba", "drjit", "sionna-rt", "finufft")
 
 
 def digest(*content: Any) -> str:

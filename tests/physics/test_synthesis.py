@@ -1,4 +1,4 @@
-"""Echoes to the channel: transforms at few times against the direct sum."""
+"""Echoes to the channel: the non-uniform FFT with range migration against the direct sum."""
 
 from dataclasses import replace
 

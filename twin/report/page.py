@@ -152,7 +152,7 @@ def _per_value(evaluation: Evaluation) -> float:
 
 
 def _versions() -> dict[str, Any]:
-    names = ("mitsuba", "drjit", "sionna-rt", "numba", "numpy", "colour-science")
+    names = ("mitsuba", "drjit", "sionna-rt", "finufft", "numpy", "colour-science")
     return {
         "ugv-twin": __version__,
         **{name: version(name) for name in names},

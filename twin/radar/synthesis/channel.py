@@ -9,7 +9,7 @@ from twin.radar.synthesis.contributions import Array, Complex, Contributions
 from twin.radar.synthesis.groups import BLOCK, Group, groups_of
 from twin.radar.synthesis.side_by_side import side_by_side
 from twin.radar.synthesis.times import interpolation
-from twin.radar.synthesis.transforms import transforms
+from twin.radar.synthesis.transforms import transforms, turned
 
 #: Multiplications that BLAS does not share out among threads of its own.
 _SMALL = 2**18
@@ -88,16 +88,7 @@ def _weights(group: Group, between: Array, times: Array, frequency_hz: float) ->
     """Of every time in every slot, (n_times, n_slots), at a frequency."""
     if not group.moves:
         return between.astype(np.complex128)
-    before = _turned(frequency_hz * group.delays_at(group.times_s))
-    after = _turned(-frequency_hz * group.delays_at(times))
+    before = turned(frequency_hz * group.delays_at(group.times_s))
+    after = turned(-frequency_hz * group.delays_at(times))
     found: Complex = before[:, None] * between * after
     return found
-
-
-def _turned(cycles: Array) -> Complex:
-    """exp(j 2 pi cycles)."""
-    phasor = np.empty(np.shape(cycles), dtype=np.complex128)
-    phase = 2 * np.pi * cycles
-    np.cos(phase, out=phasor.real)
-    np.sin(phase, out=phasor.imag)
-    return phasor

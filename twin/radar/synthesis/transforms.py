@@ -1,6 +1,7 @@
 """Contributions at chosen times, transformed along frequency."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -8,7 +9,6 @@ from hardware.waveform import OfdmWaveform
 from twin.radar.synthesis.contributions import Array, Complex, Contributions
 from twin.radar.synthesis.groups import Group, Indices
 from twin.radar.synthesis.side_by_side import side_by_side
-from twin.radar.synthesis.spreading import kernel_of, spectra
 
 #: Contributions in one transform. What is added to what depends on nothing else: the same bits
 #: whatever the number of threads.
@@ -64,13 +64,40 @@ def _at_times(
     tolerance: float,
 ) -> Complex:
     """Without falloff, (n_times, n_subcarriers)."""
-    spacing = waveform.subcarrier_spacing_hz
-    return spectra(
-        contributions.amplitude[members],
-        spacing * contributions.delay_s[members],
-        spacing * contributions.delay_rate[members],
-        spacing * contributions.delay_acceleration_per_s[members],
-        times_s,
-        waveform.carrier_hz / spacing,
-        kernel_of(waveform.n_subcarriers, tolerance),
-    )
+    import finufft
+
+    plan = finufft.Plan(1, (waveform.n_subcarriers,), **_options(tolerance))
+    delay, rate = contributions.delay_s[members], contributions.delay_rate[members]
+    half = contributions.delay_acceleration_per_s[members] / 2
+    middle = contributions.amplitude[members] * turned(-(waveform.carrier_hz * delay % 1.0))
+    x = 2 * np.pi * waveform.subcarrier_spacing_hz * delay
+    channel = np.empty((len(times_s), waveform.n_subcarriers), dtype=np.complex128)
+    for row, time in zip(channel, times_s, strict=True):
+        if time == 0:
+            plan.setpts(x)
+            plan.execute(middle, row)
+            continue
+        moved = (half * time + rate) * time
+        strengths = turned(-waveform.carrier_hz * moved)
+        strengths *= middle
+        moved *= 2 * np.pi * waveform.subcarrier_spacing_hz
+        moved += x
+        plan.setpts(moved)
+        plan.execute(strengths, row)
+    return channel
+
+
+def _options(tolerance: float) -> dict[str, Any]:
+    """Of finufft: its tolerance, with room for the largest error of a bin. Its threads would add
+    in any order.
+    """
+    return {"eps": tolerance / 20, "upsampfac": 2.0, "nthreads": 1, "isign": -1}
+
+
+def turned(cycles: Array) -> Complex:
+    """exp(j 2 pi cycles)."""
+    phasor = np.empty(np.shape(cycles), dtype=np.complex128)
+    phase = 2 * np.pi * cycles
+    np.cos(phase, out=phasor.real)
+    np.sin(phase, out=phasor.imag)
+    return phasor
