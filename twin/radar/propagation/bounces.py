@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.currents import Echoes, echoes_of
+from twin.radar.propagation.escapes import meeting
 from twin.radar.propagation.facets import Budget, Leaves, settled
 from twin.radar.propagation.facing import Facing, facing, lit_by, portions
 from twin.radar.propagation.images import Image
@@ -24,7 +25,7 @@ from twin.radar.propagation.tubes import Tubes, heard, reflected_on
 Array = NDArray[np.float64]
 
 _DEEPEST = 8, 3  # divisions of facets by four, and of roots of tubes by sixteen
-_COARSE_DEPTH = 2, 0
+_COARSE_DEPTH = 0, 0
 _COARSE = 0.5  # tolerance of the first pass, at least
 
 
@@ -126,9 +127,12 @@ class _Search:
         return [Leaves.joined(parts) for parts in found if parts]
 
     def begun(self, facets: Facing) -> "_Begun | None":
-        """Tubes of facets, divided until what they may show lies between their rays."""
+        """Tubes of facets by which others may be seen, divided until what they may show lies
+        between their rays.
+        """
         spacing_m = spacing_of(self.s, facets.sizes())
-        wholes = (facets.taken(rows) for rows in portions(facets.all))
+        rows = meeting(self.s, self.scatterers, facets, spacing_m)
+        wholes = (facets.taken(some) for some in portions(rows))
         return self._begun(parted(self.s, whole, spacing_m)[0] for whole in wholes)
 
     def _begun(self, parts: Iterable[Triangles]) -> "_Begun | None":

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _DEEPEST = 8  # divisions by four
+_FEW = 500  # triangles that are divided by sixteen: launching kernels costs more than these
 #: Of the strongest body, 40 dB: weaker ones are known as well as one of this level.
 WEAKEST = 0.01
 _PER_LEVEL = 0.25  # of the squared tolerance
@@ -227,7 +228,7 @@ def settled(
     if not len(bright):
         return found
     partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
-    if lit.waves is None and not is_open:
+    if deepest and lit.waves is None and not is_open:
         partly, spacing_m = _partly_hidden(s, lit, bright)
 
     def looked_at(some: Triangles, known: Echoes, is_partly: NDArray[np.bool_]) -> _Seen:
@@ -235,9 +236,10 @@ def settled(
             return _open(some, known)
         return _looked_at(s, scatterers, some, known, budget, is_partly, spacing_m).answering()
 
-    def further(some: Triangles, is_partly: NDArray[np.bool_]) -> _Seen:
-        parts = quartered(s, some)
-        return looked_at(parts, echoes_of(s, scatterers, parts), np.repeat(is_partly, 4))
+    def further(some: Triangles, is_partly: NDArray[np.bool_], times: int) -> _Seen:
+        for _ in range(times):
+            some, is_partly = quartered(s, some), np.repeat(is_partly, 4)
+        return looked_at(some, echoes_of(s, scatterers, some), is_partly)
 
     seen = _Seen.joined(
         [
@@ -245,7 +247,8 @@ def settled(
             for rows in portions(np.arange(len(bright)))
         ]
     )
-    for depth in range(deepest + 1):
+    depth = 0
+    while True:
         budget.consider([seen.leaves, seen.cut])
         done = budget.affordable(seen.leaves.body, seen.error) & ~seen.is_doubtful
         done &= ~seen.is_wide
@@ -261,8 +264,10 @@ def settled(
         if not len(rest):
             break
         some, is_partly = seen.leaves.triangles.taken(rest), seen.is_partly[rest]
+        times = min(2 if len(rest) < _FEW else 1, deepest - depth)
         parts = portions(np.arange(len(rest)), 4)
-        seen = _Seen.joined([further(some.taken(rows), is_partly[rows]) for rows in parts])
+        seen = _Seen.joined([further(some.taken(rows), is_partly[rows], times) for rows in parts])
+        depth += times
     return found
 
 
@@ -367,12 +372,11 @@ def _looked_at(
     if not len(row):
         return _Seen(leaves, leaves.chosen(row), row, error, *known)
     off = cut(s, lit.taken(row), clear[:3, row])
-    parts = echoes_of(s, scatterers, off.parts)
-    straight = echoes_of(s, scatterers, off.whole)
-    # Both against the triangle's own path.
-    whole_wave = _turned(straight, s)
-    wave = _turned(parts, s)
-    bent = np.abs(wave[: len(row)] + wave[len(row) :] - whole_wave)
+    both = echoes_of(s, scatterers, Triangles.joined([off.parts, off.whole]))
+    parts = both.chosen(slice(2 * len(row)))
+    # Against the triangle's own path.
+    wave = _turned(both, s).reshape(3, -1)
+    bent = np.abs(wave[0] + wave[1] - wave[2])
     error[row] += _BENT * bent - _MIXED * echoes.strength[row]
     error[row] += parts.curved[: len(row)] + parts.curved[len(row) :]
     sign: Array = off.is_seen - weight[row]

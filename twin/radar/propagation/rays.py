@@ -52,6 +52,8 @@ class Rays:
     @staticmethod
     def joined(parts: Sequence["Rays"]) -> "Rays":
         """One after the other."""
+        if len(some := [part for part in parts if len(part.length_m)]) == 1:
+            return some[0]
         return Rays(
             amplitude=np.concatenate([np.zeros(0, complex), *(p.amplitude for p in parts)]),
             length_m=np.concatenate([np.zeros(0), *(p.length_m for p in parts)]),

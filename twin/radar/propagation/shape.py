@@ -40,7 +40,8 @@ class Shape:
     the normal of a face, by the sense of its corners, looks out of a closed part of the mesh or
     into it; 0 where that part is open. ``is_double`` (m,): faces that another one lies upon.
     ``depth_m``: by which the facets' depth below the smooth surface that they stand for scatters
-    (`coarseness`), 0 where they stand for none.
+    (`coarseness`), 0 where they stand for none. ``corners`` (m, 3): of every face, with one number
+    for all at one place; None where the faces' own vertices are as few.
     """
 
     patch_of_face: Indices
@@ -56,6 +57,7 @@ class Shape:
     is_double: NDArray[np.bool_]
     is_convex: bool
     depth_m: float
+    corners: NDArray[np.int32] | None
 
     @property
     def largest_patch_m2(self) -> float:
@@ -203,10 +205,17 @@ def _measured(items: Sequence[SceneObject]) -> list[Shape]:
                 is_double=is_double[rows].copy(),
                 is_convex=_is_convex(outward[rows], pairs[within] - first_face[n], hollow[within]),
                 depth_m=float(depth[n]),
+                corners=_fewer(joined[rows], len(used[n])),
                 thickness_m=_thickness(at, along, areas),
             )
         )
     return found
+
+
+def _fewer(joined: Indices, count: int) -> NDArray[np.int32] | None:
+    """Corners of faces numbered from 0 on; None where they are no fewer than ``count``."""
+    numbers, corners = np.unique(joined, return_inverse=True)
+    return corners.reshape(-1, 3).astype(np.int32) if len(numbers) < count else None
 
 
 def _normals(points: Array, faces: Indices) -> tuple[Array, Array]:

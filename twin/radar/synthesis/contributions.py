@@ -85,6 +85,8 @@ class Contributions:
     @staticmethod
     def joined(parts: Sequence["Contributions"]) -> "Contributions":
         """Echoes of all parts together."""
+        if len(some := [part for part in parts if len(part.delay_s)]) == 1:
+            return some[0]
         amplitude = np.concatenate([part.amplitude for part in parts], axis=-1)
         others = (f.name for f in fields(Contributions) if f.name != "amplitude")
         return Contributions(
