@@ -1,5 +1,8 @@
 """Echoes to the channel: the non-uniform FFT with range migration against the direct sum."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -161,6 +164,33 @@ def test_the_same_bits_whatever_the_number_of_threads(monkeypatch) -> None:
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
         channels.append(synthesize(part, WAVE))
     assert all(channel.tobytes() == channels[0].tobytes() for channel in channels)
+
+
+def test_the_same_bits_whatever_the_number_of_threads_of_blas() -> None:
+    """Movers that take more times than one matrix product has, an odd subcarrier and slot over:
+    shapes that BLAS would give to several threads, or to a kernel that adds in another order.
+    """
+    code = """
+import hashlib, numpy as np
+from hardware.waveform import OfdmWaveform
+from twin.radar.synthesis import Contributions, synthesize
+rng, n = np.random.default_rng(10), 5000
+rates = rng.uniform(-1, 1, n) * 4e-8
+part = Contributions.ahead(rng.normal(size=n) + 0j, rng.uniform(0, 1e-6, n), rates)
+wave = OfdmWaveform(79e9, 513, 976562.5, 257, 39e-6, 1, 1.024e-6)
+print(hashlib.sha1(synthesize(part, wave).tobytes()).hexdigest())
+"""
+    found = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"OPENBLAS_NUM_THREADS": threads},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "4")
+    ]
+    assert found[0] == found[1]
 
 
 def test_no_contribution_is_silence() -> None:

@@ -227,10 +227,13 @@ def _stepped(
     """Echoes with their amplitudes at every carrier step, (n_steps, n)."""
     length, moving = C_M_PER_S * echoes.delay_s, np.flatnonzero(echoes.delay_rate)
     doppler = echoes.delay_rate[moving]
-    powers, which = np.unique(echoes.falloff, return_inverse=True)
     amplitude = np.empty((len(factors), len(length)), dtype=np.complex128)
+    powers = [(power, echoes.falloff == power) for power in np.unique(echoes.falloff) if power]
     for row, carrier, factor in zip(amplitude, radar.burst.carriers_hz, factors, strict=True):
-        level = (factor * (radar.burst.carriers_hz[0] / carrier) ** powers)[which]
+        level = np.full(len(length), factor)
+        if carrier != radar.burst.carriers_hz[0]:
+            for power, which in powers:
+                level[which] *= (radar.burst.carriers_hz[0] / carrier) ** power
         level[moving] *= radar.ofdm.slot_gain(carrier * doppler)
         if air.weather is not None:
             level *= air.amplitude(length, carrier)

@@ -58,11 +58,16 @@ class Burst:
         middle = self.step_times_s[step]
         middle += self.waveform.slot_times_s[self.slots(transmitter)].mean()
         sender, listener = self.transmitters_m[transmitter], self.receivers_m[receiver]
-        nearer_m = echoes.departure @ sender + echoes.arrival @ listener
-        # Per second: the way turns, so elements see different rates.
-        nearer_m_per_s = echoes.departure_per_s @ sender + echoes.arrival_per_s @ listener
-        rate = echoes.delay_rate - nearer_m_per_s / C_M_PER_S
         amplitude = echoes.amplitude if echoes.amplitude.ndim == 1 else echoes.amplitude[step]
+        is_in_origin = not (sender.any() or listener.any())
+        if is_in_origin and middle == 0:
+            return replace(echoes, amplitude=amplitude)
+        rate, nearer_m = echoes.delay_rate, 0.0
+        if not is_in_origin:
+            nearer_m = echoes.departure @ sender + echoes.arrival @ listener
+            # Per second: the way turns, so elements see different rates.
+            nearer_m_per_s = echoes.departure_per_s @ sender + echoes.arrival_per_s @ listener
+            rate = rate - nearer_m_per_s / C_M_PER_S
         faster = echoes.delay_acceleration_per_s * middle
         moved = (rate + faster / 2) * middle
         return replace(

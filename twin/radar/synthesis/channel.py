@@ -1,6 +1,7 @@
 """The channel in all slots, from transforms at the times of every group."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,8 +12,9 @@ from twin.radar.synthesis.side_by_side import side_by_side
 from twin.radar.synthesis.times import interpolation
 from twin.radar.synthesis.transforms import transforms, turned
 
-#: Multiplications that BLAS does not share out among threads of its own.
-_SMALL = 2**18
+#: Times and slots in one matrix product with a block: so few multiplications that BLAS does not
+#: share them out among threads of its own, which would change their last bits.
+_TIMES, _SLOTS = 128, 32
 
 
 def synthesize(
@@ -63,32 +65,52 @@ def _interpolated(
     if len(stack) == 1 and not groups[0].moves:
         out[:] = stack
         return
-    times = waveform.slot_times_s
-    between = [interpolation(group.times_s, times) for group in groups]
-    step = max(_SMALL // (BLOCK * len(stack)), 1)
+    weights = [_weights(group, waveform) for group in groups]
 
-    def of_block(start: int) -> None:
-        block = slice(start, start + BLOCK)
-        frequency = waveform.carrier_hz + waveform.frequency_offsets_hz[block].mean()
-        weights = np.concatenate(
-            [
-                _weights(group, share, times, float(frequency))
-                for group, share in zip(groups, between, strict=True)
-            ]
-        )
-        for first in range(0, waveform.n_slots, step):
-            some = slice(first, first + step)
-            np.matmul(weights[:, some].T, stack[:, block], out=out[some, block])
+    def of_block(number: int) -> None:
+        block = slice(number * BLOCK, (number + 1) * BLOCK)
+        both = np.concatenate([weight.of_block(number) for weight in weights])
+        for first in range(0, waveform.n_slots, _SLOTS):
+            some = slice(first, first + _SLOTS)
+            np.matmul(both[:_TIMES, some].T, stack[:_TIMES, block], out=out[some, block])
+            for time in range(_TIMES, len(stack), _TIMES):
+                times = slice(time, time + _TIMES)
+                out[some, block] += both[times, some].T @ stack[times, block]
 
-    for _ in side_by_side(of_block, range(0, n, BLOCK)):
+    for _ in side_by_side(of_block, range(-(-n // BLOCK))):
         pass
 
 
-def _weights(group: Group, between: Array, times: Array, frequency_hz: float) -> Complex:
-    """Of every time in every slot, (n_times, n_slots), at a frequency."""
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """What a group's times count for in the slots.
+
+    ``between`` (n_times, n_slots) without its common motion; ``before`` (n_blocks, n_times, 1) and
+    ``after`` (n_blocks, 1, n_slots): that motion of every few subcarriers, out of the times and
+    into the slots; None where there is none.
+    """
+
+    between: Array
+    before: Complex | None = None
+    after: Complex | None = None
+
+    def of_block(self, number: int) -> Complex | Array:
+        """Of a few subcarriers, (n_times, n_slots)."""
+        if self.before is None or self.after is None:
+            return self.between
+        found: Complex = (self.before[number] * self.between) * self.after[number]
+        return found
+
+
+def _weights(group: Group, waveform: OfdmWaveform) -> _Weights:
+    times = waveform.slot_times_s
+    between = interpolation(group.times_s, times)
     if not group.moves:
-        return between.astype(np.complex128)
-    before = turned(frequency_hz * group.delays_at(group.times_s))
-    after = turned(-frequency_hz * group.delays_at(times))
-    found: Complex = before[:, None] * between * after
-    return found
+        return _Weights(between)
+    starts = np.arange(0, waveform.n_subcarriers, BLOCK)
+    counts = np.minimum(starts + BLOCK, waveform.n_subcarriers) - starts
+    middle = starts + (counts - 1) / 2 - waveform.n_subcarriers // 2
+    frequencies = waveform.carrier_hz + waveform.subcarrier_spacing_hz * middle
+    before = turned(np.outer(frequencies, group.delays_at(group.times_s)))
+    after = turned(-np.outer(frequencies, group.delays_at(times)))
+    return _Weights(between, before[:, :, None], after[:, None])
