@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from benchmarks.timing import Figure
-from twin.sweep import sweep
+from twin.sweep import run_sweep
 
 _CLOSED = """
 model = "closed-form"
@@ -80,7 +80,7 @@ def _run(text: str, workers: int | None = None) -> tuple[float, int]:
     try:
         (folder / "study.toml").write_text(text)
         start = time.perf_counter()
-        done = sweep(folder / "study.toml", out=folder / "out", workers=workers)
+        done = run_sweep(folder / "study.toml", out=folder / "out", workers=workers)
         if done.n_failed:
             raise RuntimeError(f"{done.n_failed} points failed")
         return time.perf_counter() - start, done.renders

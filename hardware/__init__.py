@@ -1,17 +1,9 @@
 """The vehicle's own software: what sensors send goes in, images and detections come out.
 
 It never knows who sent the data: the digital twin and the device deliver the same records.
+``__init__.pyi`` says what can be had from here.
 """
 
-from hardware.patterns import PatternSet
-from hardware.reconstruction import Reconstruction, reconstruct
-from hardware.records import SpiRecord, read_record, write_record
+from hardware.lazy import lazy_names
 
-__all__ = [
-    "PatternSet",
-    "Reconstruction",
-    "SpiRecord",
-    "read_record",
-    "reconstruct",
-    "write_record",
-]
+__getattr__, __dir__ = lazy_names(__name__)

@@ -1,43 +1,23 @@
 """The digital twin: what the sensors of the vehicle would send, from a scene and a system.
 
-`run` does the whole job. The same in steps, six lines from a scene to a scored image:
+`run` does the whole job. The same in steps, from a scene to a scored image, and to detections:
 
-    import hardware, twin
+>>> import hardware, twin
+>>> scene = twin.load_scene("yard")
+>>> system = twin.load_system("workable").with_({"acquisition.n_patterns": 1024})
+>>> capture = twin.capture(scene, system, seed=1, fidelity=twin.PRESETS["draft"])
+>>> image = hardware.reconstruct(capture.record, "lmmse")
+>>> evaluation = twin.evaluate(system, capture, [image])
 
-    scene = twin.load_scene("yard")
-    system = twin.load_system("workable")
-    capture = twin.capture(scene, system, seed=1)
-    image = hardware.reconstruct(capture.record, "lmmse")
-    print(twin.evaluate(system, capture, [image]))
+>>> declared = twin.Fidelity(radar="targets")  # the fastest description of a scene
+>>> radar = twin.load_radar("hybrid-79")
+>>> record = twin.radar_capture(scene, radar, seed=1, fidelity=declared).record
+>>> detections = hardware.process(record).detections
+
+``__init__.pyi`` says what can be had from here.
 """
 
-from importlib import import_module
-from typing import Any
+from hardware.lazy import lazy_names
 
 __version__ = "0.1.0"
-
-# Names are looked up when first used: `twin --help` must not wait for a renderer.
-_HOMES = {
-    "Capture": "twin.camera.acquisition",
-    "InputError": "twin.files",
-    "Scene": "twin.scene",
-    "System": "twin.system",
-    "capture": "twin.camera.acquisition",
-    "evaluate": "twin.camera.evaluation",
-    "load_scene": "twin.scene",
-    "load_system": "twin.system",
-    "load_radar": "twin.radar",
-    "radar_capture": "twin.radar",
-    "run": "twin.job",
-}
-__all__ = [*_HOMES]
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'twin' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_HOMES]
+__getattr__, __dir__ = lazy_names(__name__)

@@ -47,7 +47,7 @@ class Result:
 
 
 def run(
-    scene: str | Path,
+    scene: str | Path | Scene,
     system: str | Path | System | None = "workable",
     *,
     compare: str | Path | System | None = "paper",
@@ -65,12 +65,12 @@ def run(
     Parameters
     ----------
     scene
-        Bundled scene, folder with ``scene.xml``, or Mitsuba XML file.
+        Bundled scene, folder with ``scene.xml``, Mitsuba XML file, or a scene.
     system, compare
-        Bundled system or TOML file (None: no camera, the radar alone, in air that does not
-        attenuate); the second is shown beside the first (None: nothing is).
+        Bundled system, TOML file, or a system (None: no camera, the radar alone, in air that does
+        not attenuate); the second is shown beside the first (None: nothing is).
     radar
-        Bundled radar or TOML file (None: no radar).
+        Bundled radar, TOML file, or a design (None: no radar).
     pose
         Of the rig, in place of the scene's own.
     track
@@ -87,6 +87,11 @@ def run(
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
 
     Raises InputError (one line: file, field, value, what was expected) and EngineError.
+
+    >>> from twin.fidelity import PRESETS
+    >>> result = run("yard", radar=None, compare=None, fidelity=PRESETS["draft"], out="first")
+    >>> sorted(path.name for path in result.out.glob("*.h5"))
+    ['record.h5']
     """
     systems = _systems(system, compare)
     design = None if radar is None else load_radar(radar)

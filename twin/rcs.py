@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.units import quantity
 from twin.files import InputError, whole_folder
 from twin.progress import Stages
 
@@ -79,16 +80,16 @@ def run(request: Request, out: Path | None = None) -> "Sweep":
 
 
 def parse_range(text: str, name: str) -> Array:
-    """``START:STOP:STEP``, both ends included, or one number.
+    """``START:STOP:STEP`` in deg, both ends included, or one number; each may say its unit.
 
     Raises InputError naming the option.
     """
     wanted = f"{name}: {text!r}: expected START:STOP:STEP in deg, or one number"
     try:
-        numbers = [float(part) for part in text.split(":")]
+        numbers = [quantity(part, "deg", bare=True) for part in text.split(":")]
     except ValueError as error:
         raise InputError(wanted) from error
-    if len(numbers) not in (1, 3) or not np.isfinite(numbers).all():
+    if len(numbers) not in (1, 3):
         raise InputError(wanted)
     if len(numbers) == 1:
         return np.array(numbers, dtype=np.float64)

@@ -1,17 +1,31 @@
 """Typed TOML files: values with their source, and errors that name file, field and value."""
 
 import difflib
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from hardware.files import read_toml as read_checked
+from hardware.units import quantity, unit_of
 from twin.files import InputError
 
 T = TypeVar("T")
-# Numbers are numbers: no text, no true or false.
+
+#: In a JSON Schema: text with a unit, and keys whose schemas may be of numbers.
+_QUANTITY = r"^\s*[-+]?(\d|\.\d)"
+_LISTS = {"anyOf", "prefixItems"}
+# Numbers are numbers: no true or false, and text only where a field's name says its unit.
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Finite, Field(gt=0)]
 NonNegative = Annotated[Finite, Field(ge=0)]
@@ -23,7 +37,8 @@ Name = Annotated[str, Field(pattern=r"^[\w .,+()-]{1,80}$")]
 
 
 class Strict(BaseModel):
-    """Frozen, and an unknown field is an error.
+    """Frozen, and an unknown field is an error. A number may be text with a unit of the dimension
+    that the end of its field's name says (`hardware.units`): ``"200 um"`` for ``width_m``.
 
     ``alternatives``: groups of fields of which a section holds one or the other, each named by its
     first field. A file that gives the first of one group takes nothing of the others from its base
@@ -38,6 +53,29 @@ class Strict(BaseModel):
         """Pickled by content: classes like ``Sourced[float]`` cannot be found by their name."""
         return type(self).model_validate, (self.model_dump(),)
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _in_its_unit(cls, value: Any, info: ValidationInfo) -> Any:
+        name = info.field_name or ""
+        if not holds_numbers(cls.model_fields[name].annotation):
+            return value
+        return _converted(value, unit_of(name))
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: Any, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        found = handler(schema)
+        properties = handler.resolve_ref_schema(found).get("properties", {})
+        for name, field in cls.model_fields.items():
+            if name in properties and holds_numbers(field.annotation):
+                unit = unit_of(name)
+                said = f"in {unit}, or text with a unit" if unit else "or text in per cent"
+                properties[name] = _with_text(properties[name])
+                if not issubclass(cls, Sourced):  # whose field says it
+                    properties[name]["description"] = f"a number {said}"
+        return found
+
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """The same with some fields changed, validated as a file is: pydantic's own copy takes
         whatever it is given. Raises InputError naming field, value and what was expected.
@@ -46,11 +84,55 @@ class Strict(BaseModel):
             return super().model_copy(deep=deep)
         return self._validated({**_fields_set(self), **update})
 
+    def unchecked_copy(self, update: Mapping[str, Any]) -> Self:
+        """A copy for closed formulas alone, whose fields may hold what no file may: arrays, an
+        exposure that is longer than its period.
+        """
+        return super().model_copy(update=update)
+
     def _validated(self, content: Mapping[str, Any]) -> Self:
         try:
             return type(self).model_validate(content)
         except ValidationError as error:
             raise InputError(f"{type(self).__name__.lower()}: {describe(error)}") from error
+
+
+def holds_numbers(annotation: Any) -> bool:
+    """Whether a field holds numbers with a fraction, in a list or with a source, and no text."""
+    kinds = set(_kinds(annotation))
+    return float in kinds and str not in kinds
+
+
+def _kinds(annotation: Any) -> Iterator[type]:
+    if isinstance(annotation, type) and issubclass(annotation, Sourced):
+        yield from _kinds(annotation.model_fields["value"].annotation)
+    elif isinstance(annotation, type) and not get_args(annotation):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _kinds(inner)
+
+
+def _converted(value: Any, unit: str | None) -> Any:
+    """A value, with a source or in lists as well, whose text is a number of ``unit``."""
+    if isinstance(value, str):
+        return quantity(value, unit)
+    if isinstance(value, list | tuple):
+        return tuple(_converted(item, unit) for item in value)
+    if isinstance(value, dict) and "value" in value:
+        return value | {"value": _converted(value["value"], unit)}
+    return value
+
+
+def _with_text(schema: dict[str, Any]) -> dict[str, Any]:
+    """The JSON Schema of a number, or of lists of them, that takes text in its place."""
+    if schema.get("type") in ("number", "integer"):
+        return {"anyOf": [schema, {"type": "string", "pattern": _QUANTITY}]}
+    inner: dict[str, Any] = {
+        key: [_with_text(s) for s in schema[key]] for key in _LISTS if key in schema
+    }
+    if "items" in schema:
+        inner["items"] = _with_text(schema["items"])
+    return schema | inner
 
 
 def _fields_set(section: BaseModel) -> dict[str, Any]:
@@ -70,6 +152,18 @@ class Sourced(Strict, Generic[T]):
         if isinstance(data, dict | BaseModel):
             return data
         return {"value": data, "assumed": "given without a source"}
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: Any, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """A table, or the value alone."""
+        found = super().__get_pydantic_json_schema__(schema, handler)
+        own = handler.resolve_ref_schema(found)
+        table = dict(own)
+        own.clear()
+        own |= {"anyOf": [table, table["properties"]["value"]]}
+        return found
 
     @model_validator(mode="after")
     def _one_origin(self) -> "Sourced[T]":
@@ -109,7 +203,7 @@ class Entry(Strict):
         Without ``name``, the name says that something was changed. A field drops its alternatives,
         as in a file. Raises InputError naming field, value and what was expected.
         """
-        content = _fields_set(self) | {"name": _changed_name(self.name)}
+        content = _fields_set(self) | {"name": changed_name(self.name)}
         given: dict[str, dict[str, Any]] = {}
         for name, value in changes.items():
             section, _, field = name.partition(".")
@@ -153,7 +247,8 @@ M = TypeVar("M", bound=Entry)
 _CHANGED = " (changed)"
 
 
-def _changed_name(name: str) -> str:
+def changed_name(name: str) -> str:
+    """Name of what was made from something by changing some of its values."""
     return name if name.endswith(_CHANGED) else name[: 80 - len(_CHANGED)] + _CHANGED
 
 
@@ -176,6 +271,8 @@ def _fault(fault: Any) -> str:
     if fault["type"] == "missing":
         return f"{field}: missing"
     value = fault["input"]
+    if fault["type"] == "value_error" and isinstance(value, dict) and "value" in value:
+        value = value["value"]  # of a value with its source
     shown = "" if isinstance(value, dict | BaseModel) else f" = {value!r:.60}"
     return f"{field}{shown}: {message}"
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from hardware.commands.quantities import quantity_of
 from hardware.commands.radar import (
     CfarMethod,
     ClutterShape,
@@ -42,7 +43,10 @@ _RadarSetup = Annotated[
 _Calibrations = Annotated[
     list[Path], typer.Option("--calibration", help="From `ugv calibrate`; one a sensor.")
 ]
-_MaxAge = Annotated[float, typer.Option(help="Days after which a calibration is refused.")]
+_MaxAge = Annotated[
+    float,
+    typer.Option(help="Days after which a calibration is refused.", parser=quantity_of("d")),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -69,7 +73,9 @@ def capture(
     rig: Annotated[
         Path | None, typer.Option(help="TOML file: NAME = [x, y, z, qw, qx, qy, qz] of a sensor.")
     ] = None,
-    duration: Annotated[float, typer.Option(help="Seconds; default: until Ctrl-C.")] = math.inf,
+    duration: Annotated[
+        float, typer.Option(help="Seconds; default: until Ctrl-C.", parser=quantity_of("s"))
+    ] = math.inf,
     records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
 ) -> None:
     """Record what sensors send. Exit status 1: all was recorded that came, but a log among the
@@ -270,8 +276,10 @@ def calibrate_camera(
     dark: Annotated[str, typer.Argument(help="Log or URL: the lens covered.")],
     flat: Annotated[str, typer.Argument(help="Log or URL: the target fills the view.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
-    distance: Annotated[float, typer.Option(help="Of the target, m.")],
-    reflectance: Annotated[float, typer.Option(help="Of the target, Lambertian.")] = 1.0,
+    distance: Annotated[float, typer.Option(help="Of the target, m.", parser=quantity_of("m"))],
+    reflectance: Annotated[
+        float, typer.Option(help="Of the target, Lambertian.", parser=quantity_of(None))
+    ] = 1.0,
     settings: _Settings = None,
 ) -> None:
     """Dark and flat of a camera."""
@@ -287,8 +295,10 @@ def calibrate_camera(
 def calibrate_radar(
     source: Annotated[str, typer.Argument(help="Log or URL: the target in view.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
-    distance: Annotated[float, typer.Option(help="Of the target, m.")],
-    cross_section: Annotated[float, typer.Option(help="Of the target, m^2.")],
+    distance: Annotated[float, typer.Option(help="Of the target, m.", parser=quantity_of("m"))],
+    cross_section: Annotated[
+        float, typer.Option(help="Of the target, m^2.", parser=quantity_of("m^2"))
+    ],
     radar_setup: _RadarSetup = None,
 ) -> None:
     """Range offset and power of a radar."""

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.commands.quantities import quantity_of
+
 if TYPE_CHECKING:
     from hardware.radar.process import Processing
 
@@ -69,7 +71,8 @@ def detect(
     moving_only: MovingOnly = False,
     calibration: Annotated[Path | None, typer.Option(help="From `ugv calibrate radar`.")] = None,
     max_age: Annotated[
-        float, typer.Option(help="Days after which a calibration is refused.")
+        float,
+        typer.Option(help="Days after which a calibration is refused.", parser=quantity_of("d")),
     ] = 30.0,
     out: Annotated[
         Path | None, typer.Option(help="CSV to write; default RECORD-detections.csv.")
@@ -107,9 +110,15 @@ def detect(
 
 def image(
     record: Record,
-    near: Annotated[float, typer.Option(help="Nearest down-range, m.")] = 0.5,
-    far: Annotated[float, typer.Option(help="Farthest down-range, m.")] = 2.5,
-    width: Annotated[float, typer.Option(help="Cross-range from edge to edge, m.")] = 2.0,
+    near: Annotated[
+        float, typer.Option(help="Nearest down-range, m.", parser=quantity_of("m"))
+    ] = 0.5,
+    far: Annotated[
+        float, typer.Option(help="Farthest down-range, m.", parser=quantity_of("m"))
+    ] = 2.5,
+    width: Annotated[
+        float, typer.Option(help="Cross-range from edge to edge, m.", parser=quantity_of("m"))
+    ] = 2.0,
     cells: Annotated[int, typer.Option(help="Cells along each side.")] = 200,
     wall: Annotated[
         tuple[float, float, float] | None,

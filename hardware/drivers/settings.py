@@ -8,6 +8,7 @@ from typing import Any
 from hardware.drivers.messages import MAX_SHUTTERS
 from hardware.files import read_toml
 from hardware.patterns import PatternSet
+from hardware.units import quantity, unit_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +69,7 @@ class SpiSettings:
 
 def read_settings(path: str | Path) -> SpiSettings:
     """Read a file: the fields of `SpiSettings`, and those of `PatternSet` in a table ``patterns``.
+    Times may say their unit: ``integration_time_s = "315 us"``.
 
     Raises FileNotFoundError; ValueError naming the file and the field.
     """
@@ -79,9 +81,19 @@ def read_settings(path: str | Path) -> SpiSettings:
         )
     try:
         patterns = PatternSet(**_tuples(table))
-        return SpiSettings(patterns, **_tuples(fields))
+        return SpiSettings(patterns, **_tuples({n: _in_unit(n, v) for n, v in fields.items()}))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {str(error).replace('__init__()', 'it')}") from error
+
+
+def _in_unit(name: str, value: Any) -> Any:
+    unit = unit_of(name)
+    if not isinstance(value, str) or unit is None:
+        return value
+    try:
+        return quantity(value, unit)
+    except ValueError as error:
+        raise ValueError(f"{name} = {value!r:.60}: {error}") from None
 
 
 def _tuples(fields: dict[str, Any]) -> dict[str, Any]:

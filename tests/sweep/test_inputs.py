@@ -12,7 +12,7 @@ import pytest
 
 from twin.files import InputError, scenes_folder
 from twin.radar import load_radar
-from twin.sweep import load_study, open_sweep, sweep
+from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.evaluate import evaluate_chunk
 from twin.sweep.inputs import Inputs, inputs_of
 from twin.sweep.setup import changed
@@ -45,10 +45,10 @@ def test_a_sweep_that_is_killed_while_it_begins_begins_again(tmp_path: Path) -> 
     killed = (
         "import os, signal\n"
         "os.posix_fallocate = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"from twin.sweep import sweep\nsweep({str(path)!r}, out={str(out)!r})\n"
+        f"from twin.sweep import run_sweep\nrun_sweep({str(path)!r}, out={str(out)!r})\n"
     )
     assert subprocess.run([sys.executable, "-c", killed], check=False).returncode == -9
-    sweep(path, out=out)
+    run_sweep(path, out=out)
     assert np.isfinite(signal(out))
     assert [item.name for item in out.parent.iterdir()] == ["out"]
 
@@ -59,9 +59,9 @@ def test_two_sweeps_do_not_work_in_one_folder(tmp_path: Path) -> None:
     """
     path, out = closed_form(tmp_path), tmp_path / "runs" / "out"
     waits = (
-        "import time\nfrom twin.sweep import store, sweep\n"
+        "import time\nfrom twin.sweep import store, run_sweep\n"
         "def wait(*_): print('first result', flush=True); time.sleep(600)\n"
-        f"store.Store.add = wait\nsweep({str(path)!r}, out={str(out)!r})\n"
+        f"store.Store.add = wait\nrun_sweep({str(path)!r}, out={str(out)!r})\n"
     )
     first = subprocess.Popen([sys.executable, "-c", waits], stdout=subprocess.PIPE)
     try:
@@ -70,12 +70,12 @@ def test_two_sweeps_do_not_work_in_one_folder(tmp_path: Path) -> None:
         (tmp_path / "link").symlink_to(tmp_path / "runs")
         for name in (out, tmp_path / "link" / "out"):
             with pytest.raises(InputError, match=rf"another sweep works in it \(.*{first.pid} on"):
-                sweep(path, out=name)
-        sweep(path, out=tmp_path / "runs" / "other")
+                run_sweep(path, out=name)
+        run_sweep(path, out=tmp_path / "runs" / "other")
     finally:
         first.kill()
         first.communicate()
-    sweep(path, out=out)
+    run_sweep(path, out=out)
     assert np.isfinite(signal(out))
     assert sorted(item.name for item in out.parent.iterdir()) == ["other", "out"]
 
@@ -90,9 +90,9 @@ def test_a_disk_that_is_full_at_the_beginning_leaves_nothing(
     with monkeypatch.context() as patched:
         patched.setattr(os, "posix_fallocate", full)
         with pytest.raises(InputError, match="No space left"):
-            sweep(path, out=out)
+            run_sweep(path, out=out)
     assert not list(out.parent.iterdir())
-    sweep(path, out=out)
+    run_sweep(path, out=out)
     assert np.isfinite(signal(out))
 
 
@@ -101,12 +101,12 @@ def test_a_folder_is_of_one_system(tmp_path: Path) -> None:
     changed the old folder is refused, by the name of what changed, and a new one has the new light.
     """
     path, out = closed_form(tmp_path, 2.0), tmp_path / "out"
-    sweep(path, out=out)
-    sweep(path, out=out)  # the same content
+    run_sweep(path, out=out)
+    run_sweep(path, out=out)  # the same content
     closed_form(tmp_path, 1.0)
     with pytest.raises(InputError, match=r"other content of system mine\.toml"):
-        sweep(path, out=out)
-    sweep(path, out=tmp_path / "new")
+        run_sweep(path, out=out)
+    run_sweep(path, out=tmp_path / "new")
     assert signal(tmp_path / "new") == pytest.approx(signal(out) * 17 / 5, rel=1e-12)
 
 
@@ -116,11 +116,11 @@ def test_a_curve_counts_by_what_is_in_it(tmp_path: Path) -> None:
     curve.write_text("nm,T\n1500,0.8\n1600,0.8\n")
     csv = '[filter]\ntransmission_csv = { value = "filter.csv", source = "test" }\n'
     path, out = closed_form(tmp_path, extra=csv), tmp_path / "out"
-    sweep(path, out=out)
+    run_sweep(path, out=out)
     curve.write_text("nm,T\n1500,0.4\n1600,0.4\n")
     with pytest.raises(InputError, match=r"system mine\.toml"):
-        sweep(path, out=out)
-    sweep(path, out=tmp_path / "new")
+        run_sweep(path, out=out)
+    run_sweep(path, out=tmp_path / "new")
     assert signal(tmp_path / "new") == pytest.approx(signal(out) / 2, rel=1e-12)
 
 
@@ -146,14 +146,14 @@ def test_a_folder_is_of_one_scene(tmp_path: Path) -> None:
     shutil.copy(scenes_folder() / "materials.toml", world)
     path, out = tmp_path / "study.toml", tmp_path / "out"
     path.write_text(RENDERED.replace("table1", "world") + '[grid]\n"scene.rig.x_m" = [0.0, 0.1]\n')
-    sweep(path, out=out, workers=1)
+    run_sweep(path, out=out, workers=1)
     for file in (world / "meshes/patch_20.ply", world / "scene.toml", world / "materials.toml"):
         before = file.read_bytes()
         _change(file)
         with pytest.raises(InputError, match="other content of scene world"):
-            sweep(path, out=out, workers=1)
+            run_sweep(path, out=out, workers=1)
         file.write_bytes(before)
-        sweep(path, out=out, workers=1)
+        run_sweep(path, out=out, workers=1)
 
 
 def _change(path: Path) -> None:
@@ -217,9 +217,9 @@ def test_workers_that_live_long_see_the_new_system(tmp_path: Path) -> None:
     with LocalCluster(
         n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
     ) as cluster:
-        sweep(path, out=tmp_path / "old", scheduler=cluster.scheduler_address)
+        run_sweep(path, out=tmp_path / "old", scheduler=cluster.scheduler_address)
         closed_form(tmp_path, 1.0)
-        sweep(path, out=tmp_path / "new", scheduler=cluster.scheduler_address)
+        run_sweep(path, out=tmp_path / "new", scheduler=cluster.scheduler_address)
     ratio = signal(tmp_path / "new") / signal(tmp_path / "old")
     assert ratio == pytest.approx(17 / 5, rel=1e-12)
 

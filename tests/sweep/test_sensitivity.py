@@ -7,7 +7,7 @@ import pytest
 import xarray
 
 from twin.files import InputError
-from twin.sweep import load_study, open_sweep, sweep
+from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.dataset import Progress, dataset
 from twin.sweep.sensitivity import Share, sensitivities
 from twin.sweep.show import plot_sensitivities
@@ -53,7 +53,7 @@ def run(folder: Path, method: str, n: int, seed: int = 0, extra: str = "") -> xa
     path = folder / "study.toml"
     path.write_text(STUDY.format(method=method, n=n, seed=seed) + extra)
     out = folder / f"{method}-{n}-{seed}"
-    sweep(path, out=out)
+    run_sweep(path, out=out)
     return open_sweep(out).load()
 
 
@@ -159,7 +159,7 @@ def test_a_grid_beside_a_sample(tmp_path: Path) -> None:
     text = "".join(line for line in text.splitlines(True) if REFLECTANCE not in line)
     path = tmp_path / "study.toml"
     path.write_text(text + f'[grid]\n"{REFLECTANCE}" = [0.2, 0.5, 0.8]\n')
-    sweep(path, out=tmp_path / "out")
+    run_sweep(path, out=tmp_path / "out")
     shares = sensitivities(open_sweep(tmp_path / "out").load(), "signal_e_per_s")
     a, length = 0.06 / 0.5**2, np.log(2.0)
     b = ((1 - 1 / 16) / (4 * length)) / ((1 - 1 / 4) / (2 * length)) ** 2 - 1

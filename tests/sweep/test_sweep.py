@@ -19,7 +19,7 @@ from twin.camera.repaint import render_unpainted
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.scene import load_scene
-from twin.sweep import load_study, open_sweep, sweep
+from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.sensitivity import sensitivities
 from twin.sweep.show import pareto_front, plot_front, plot_plane
@@ -36,7 +36,7 @@ def test_grid_zip_and_sample_make_one_labelled_dataset(
         '[sample]\nmethod = "sobol"\nn = 4\n'
         '[sample.ranges]\n"system.optics.f_number" = { low = 1.0, high = 4.0, log = true }\n'
     )
-    summary = sweep(path, out=tmp_path / "out", scheduler=a_worker)
+    summary = run_sweep(path, out=tmp_path / "out", scheduler=a_worker)
     data = open_sweep(tmp_path / "out")
     assert summary.n_points == 24
     assert summary.n_failed == 0
@@ -133,13 +133,13 @@ def assert_is_what_one_process_gives(found: xarray.Dataset, path: Path) -> None:
 def test_results_do_not_depend_on_workers(study, tmp_path: Path) -> None:
     text = '[grid]\n"scene.rig.x_m" = [0.0, 0.2, 0.4, 0.6]\n"system.readout.read_noise_e" = '
     text += f"{[float(n) for n in range(1, 13)]}\n"
-    sweep(study(text), out=tmp_path / "out", workers=2)
+    run_sweep(study(text), out=tmp_path / "out", workers=2)
     assert_is_what_one_process_gives(open_sweep(tmp_path / "out"), study(text))
 
 
 def test_a_failed_point_is_a_row_with_its_error(study, a_worker: str, tmp_path: Path) -> None:
     path = study('[grid]\n"system.detector.part" = ["fga015", "g10768-1024d"]\n')
-    summary = sweep(path, out=tmp_path / "out", scheduler=a_worker)
+    summary = run_sweep(path, out=tmp_path / "out", scheduler=a_worker)
     data = open_sweep(tmp_path / "out")
     assert summary.n_failed == 1
     assert np.isfinite(data["snr_median"][0])
@@ -174,7 +174,7 @@ def test_closed_form_equals_the_budget_point_by_point(study, tmp_path: Path) -> 
         '"system.filter.width_m" = ["12 nm", "30 nm"]\n"system.optics.f_number" = [1.0, -1.0]\n',
         CLOSED,
     )
-    summary = sweep(path, out=tmp_path / "out")
+    summary = run_sweep(path, out=tmp_path / "out")
     data = open_sweep(tmp_path / "out")
     assert summary.n_points == 48
     assert summary.n_failed == 24
@@ -205,7 +205,7 @@ def test_closed_form_equals_the_budget_point_by_point(study, tmp_path: Path) -> 
 def test_what_is_of_noise_alone_says_so_beside_the_number(study, tmp_path: Path) -> None:
     """A sweep's labels, which are the titles of its pictures too."""
     path = study('[grid]\n"link.distance_m" = [1.0, 5.0]\n', CLOSED)
-    sweep(path, out=tmp_path / "out")
+    run_sweep(path, out=tmp_path / "out")
     data = open_sweep(tmp_path / "out")
     for name in ("snr", "minimum_time_s", "maximum_distance_m"):
         assert "neither lag nor clipping is counted" in data[name].attrs["long_name"]
@@ -222,7 +222,7 @@ def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_pa
         CLOSED,
     )
     start = time.perf_counter()
-    sweep(path, out=tmp_path / "out")
+    run_sweep(path, out=tmp_path / "out")
     assert time.perf_counter() - start < 20  # 5 s on an idle machine; see `make bench`
     data = open_sweep(tmp_path / "out")
     assert np.isfinite(data["snr"]).all()
@@ -255,7 +255,7 @@ def test_numbers_of_a_system_are_arrays_too(study, tmp_path: Path) -> None:
         CLOSED,
     )
     plan, start = load_study(path), time.perf_counter()
-    sweep(path, out=tmp_path / "out")
+    run_sweep(path, out=tmp_path / "out")
     assert time.perf_counter() - start < 30  # 2 s on an idle machine
     found = open_sweep(tmp_path / "out")["snr"].to_numpy()
     inputs = inputs_of(plan)
@@ -283,7 +283,7 @@ def test_curves_are_integrated_for_each_wavelength(study, tmp_path: Path) -> Non
         '"system.optics.transmission" = [0.9, 0.45]\n',
         CLOSED.replace('"snr"', '"signal_e_per_s"'),
     )
-    sweep(path, out=tmp_path / "out")
+    run_sweep(path, out=tmp_path / "out")
     data = open_sweep(tmp_path / "out")["signal_e_per_s"]
     signal = data.transpose("system.emitter.peak_wavelength_m", "system.optics.transmission")
     relative = signal.to_numpy() / float(signal[0, 0])
@@ -316,7 +316,7 @@ def test_kill_and_resume_give_the_same_bits(study, tmp_path: Path, kills_tried: 
             assert open_sweep(out).attrs["points"] == 8 * noises  # readable at any time
     with (out / "journal.jsonl").open("a") as journal:
         journal.write('{"start": 11')  # a line that a kill cut off
-    sweep(path, out=out, workers=1)
+    run_sweep(path, out=out, workers=1)
     assert kills >= 1
     assert_is_what_one_process_gives(open_sweep(out), path)
 
@@ -341,7 +341,7 @@ def test_a_running_scheduler_is_used_by_its_address(study, tmp_path: Path) -> No
                 break
             time.sleep(0.1)
         address = json.loads(file.read_text())["address"]
-        sweep(path, out=tmp_path / "far", scheduler=address)
+        run_sweep(path, out=tmp_path / "far", scheduler=address)
     finally:
         for process in reversed(processes):
             process.kill()
@@ -363,13 +363,13 @@ def test_a_scheduler_without_workers_is_said(
     quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50, "threads_per_worker": 1}
     with LocalCluster(n_workers=0, processes=False, **quiet) as cluster:
         with pytest.raises(InputError, match="no workers for 1 s; start one: dask worker"):
-            sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)
+            run_sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)
         assert "no workers; waiting" in capsys.readouterr().err
         monkeypatch.setattr("twin.sweep.workers._WITHOUT_WORKERS_S", 60.0)
         monkeypatch.setattr("twin.sweep.workers._LOOK_S", 0.1)
         late = Timer(0.5, cluster.scale, [1])
         late.start()
-        done = sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)
+        done = run_sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)
         late.join()
     assert done.n_failed == 0
     assert "no workers; waiting" in capsys.readouterr().err
@@ -421,19 +421,19 @@ def test_unknown_metrics_suggest_the_nearest(study, tmp_path: Path) -> None:
         load_study(study("", SMALL.replace("snr_median", "snr_medain")))
     plan = load_study(study("", SMALL.replace('"psnr_db"', '"nowhere:f"')))
     with pytest.raises(ValueError, match="No module"):
-        sweep(plan, out=tmp_path / "out")
+        run_sweep(plan, out=tmp_path / "out")
 
 
 def test_other_results_and_too_many_points_are_refused(study, tmp_path: Path) -> None:
     one = study('[grid]\n"link.distance_m" = [1.0]\n', CLOSED, name="one")
     two = study('[grid]\n"link.distance_m" = [2.0]\n', CLOSED, name="two")
-    sweep(one, out=tmp_path / "out")
+    run_sweep(one, out=tmp_path / "out")
     with pytest.raises(InputError, match="another study"):
-        sweep(two, out=tmp_path / "out")
+        run_sweep(two, out=tmp_path / "out")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter").write_text("x")
     with pytest.raises(InputError, match="holds no sweep"):
-        sweep(one, out=tmp_path / "full")
+        run_sweep(one, out=tmp_path / "full")
     with pytest.raises(InputError, match="holds no sweep"):
         open_sweep(tmp_path / "full")
     many = study(
@@ -444,7 +444,7 @@ def test_other_results_and_too_many_points_are_refused(study, tmp_path: Path) ->
         name="many",
     )
     with pytest.raises(InputError, match="20000000 points; --yes"):
-        sweep(many, out=tmp_path / "many")
+        run_sweep(many, out=tmp_path / "many")
     assert not (tmp_path / "many").exists()
 
 
@@ -454,14 +454,14 @@ def test_a_full_disk_is_found_before_the_work(study, tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(InputError, match="No space left"):
-        sweep(study('[grid]\n"scene.rig.x_m" = [0.0]\n'), out=tmp_path / "out", workers=1)
+        run_sweep(study('[grid]\n"scene.rig.x_m" = [0.0]\n'), out=tmp_path / "out", workers=1)
 
 
 def test_front_by_hand(study, tmp_path: Path) -> None:
     """Four points of which one is beaten."""
     gains = np.array([[1.0, 2.0, 3.0, 1.0, np.nan], [3.0, 2.0, 1.0, 1.0, 9.0]])
     assert sorted(pareto_front(gains)) == [0, 1, 2]
-    sweep(
+    run_sweep(
         study('[grid]\n"link.distance_m" = [1.0, 2.0]\n"link.reflectance" = [0.2, 0.4]\n', CLOSED),
         out=tmp_path / "out",
     )
@@ -476,7 +476,7 @@ def test_front_by_hand(study, tmp_path: Path) -> None:
 def test_radar_metrics_come_along(study, a_worker: str, tmp_path: Path) -> None:
     head = 'scene = "yard"\nmetrics = ["detections", "range_error_m"]\n'
     path = study('[grid]\n"radar.front_end.noise_figure_db" = [13.0, 70.0]\n', head)
-    sweep(path, out=tmp_path / "out", scheduler=a_worker)
+    run_sweep(path, out=tmp_path / "out", scheduler=a_worker)
     data = open_sweep(tmp_path / "out")
     assert data["detections"][0] == 5
     assert data["detections"][1] < 5

@@ -12,7 +12,7 @@ from twin import cli
 from twin.camera import capture
 from twin.files import InputError
 from twin.scene import load_scene
-from twin.sweep import Study, load_study, open_sweep, sweep
+from twin.sweep import Study, load_study, open_sweep, run_sweep
 from twin.sweep.dataset import column
 from twin.sweep.effects import check_points
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
@@ -31,7 +31,7 @@ def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Pa
         '"system.sky.illuminance_lx" = [100, 1e5]\n',
         SMALL.replace("psnr_db", "signal_e"),
     )
-    summary = sweep(path, out=tmp_path / "out", scheduler=a_worker)
+    summary = run_sweep(path, out=tmp_path / "out", scheduler=a_worker)
     data = open_sweep(tmp_path / "out").load()
     expected = np.array([[False, False], [False, True]])
     void = data["void"].transpose("system.detector.width_m", "system.sky.illuminance_lx")
@@ -118,7 +118,7 @@ def test_a_point_that_kills_its_worker_is_a_row_with_its_error(tmp_path: Path) -
     )
     head = SMALL.replace('"snr_median", "psnr_db"', '"mine:deadly"')
     path = write(tmp_path, '[grid]\n"system.optics.f_number" = [1.0, 2.0, 1.5]\n', head)
-    assert sweep(path, out=tmp_path / "out", workers=1).n_failed == 1
+    assert run_sweep(path, out=tmp_path / "out", workers=1).n_failed == 1
     data = open_sweep(tmp_path / "out").load()
     np.testing.assert_array_equal(data["mine:deadly"], [1.0, np.nan, 1.0])
     assert "died" in str(data["error"].to_numpy()[1])
@@ -181,7 +181,7 @@ def test_what_no_point_can_be_is_found_before_the_first(
 ) -> None:
     (tmp_path / "foggy.toml").write_text('base = "workable"\n[weather]\npart = "fog-200m"\n')
     with pytest.raises(InputError, match=complaint):
-        sweep(write(tmp_path, text, head), out=tmp_path / "out", workers=1)
+        run_sweep(write(tmp_path, text, head), out=tmp_path / "out", workers=1)
     assert not (tmp_path / "out").exists()
 
 
@@ -189,7 +189,7 @@ def test_one_point_that_can_be_is_enough(tmp_path: Path) -> None:
     """Others are rows with their errors: of a grid whose last point alone is possible too."""
     path = write(tmp_path, '[grid]\n"system.optics.f_number" = [-2.0, -1.0, 1.0]\n', CLOSED)
     check_points(plan := load_study(path), inputs_of(plan))
-    summary = sweep(path, out=tmp_path / "out")
+    summary = run_sweep(path, out=tmp_path / "out")
     assert summary.n_failed == 2
 
 
@@ -232,7 +232,7 @@ def test_a_parameter_without_effect_is_said(tmp_path: Path) -> None:
     assert psnr_db[0] == psnr_db[1]
     text = '[grid]\n"system.readout.read_noise_e" = [1.0, 9.0]\n"link.distance_m" = [1.0, 2.0]\n'
     head = 'model = "closed-form"\nmetrics = ["signal_e_per_s"]\n'
-    summary = sweep(write(tmp_path, text, head), out=tmp_path / "out")
+    summary = run_sweep(write(tmp_path, text, head), out=tmp_path / "out")
     assert summary.without_effect == ("system.readout.read_noise_e",)
 
 
@@ -261,7 +261,7 @@ def test_what_changes_together_may_repeat_values(tmp_path: Path) -> None:
         '[[zip]]\n"link.distance_m" = [1.0, 1.0, 2.0]\n"link.reflectance" = [0.2, 0.8, 0.8]\n',
         CLOSED,
     )
-    sweep(path, out=tmp_path / "out")
+    run_sweep(path, out=tmp_path / "out")
     data = open_sweep(tmp_path / "out").load()
     np.testing.assert_array_equal(data["link.distance_m"], [1.0, 1.0, 2.0])
     assert len(set(data["snr"].to_numpy().tolist())) == 3

@@ -18,13 +18,18 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
 
 
-def test_python_examples_run(capsys: pytest.CaptureFixture[str]) -> None:
+def test_python_examples_run(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for block in blocks("python"):
         exec(block, names)
     printed = capsys.readouterr().out
     assert "lmmse: PSNR" in printed
     assert "Detection(range_m=5.63" in printed
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert folder.name == "yard_(changed)-workable_(changed)-alone-hybrid-79_(changed)"
 
 
 def test_the_system_file_loads(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from twin.radar import load_radar
 from twin.radar.propagation.finding import trace as find_echoes
 from twin.scene import Pose, Rig, Scene, Sun, Target, load_scene
 from twin.system import load_system
-from twin.trade import Cost, Measurement, Trade, cheapest, choose, front, meter, trade
+from twin.trade import Cost, Measurement, Trade, cheapest, choose_fidelity, front, meter, run_trade
 from twin.trade.bodies import errors_of, reference_bodies
 from twin.trade.brute_force import Agreement, _agreement, _sampled_masks, _transport, check
 from twin.trade.camera import (
@@ -99,7 +99,7 @@ def walked(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
         patch.setattr("twin.trade.radar._FINEST", Fidelity(radar_tolerance=0.02))
         patch.setattr("twin.trade.radar._RUNGS", radar_rungs._RUNGS[:-1])  # the finest is slow
         patch.setattr("twin.trade.bodies._MOST_POINTS", 3_000_000)
-        found, folder = trade("yard", small[0], radar=small[1], out=out, seed=3)
+        found, folder = run_trade("yard", small[0], radar=small[1], out=out, seed=3)
     assert folder == out
     return found, out
 
@@ -466,9 +466,9 @@ def test_few_cells_need_more_paths_each() -> None:
 def test_choose_measures_and_returns_a_fidelity(small: tuple[Path, Path]) -> None:
     """A tolerance that nothing meets gives the reference; one that all meet, little work."""
     scene = load_scene("table1")
-    strict = choose(scene, 1e-9, system=small[0], radar=None)
+    strict = choose_fidelity(scene, 1e-9, system=small[0], radar=None)
     assert strict.quality == PRESETS["reference"].quality
-    loose = choose(scene, 1e9, system=small[0], radar=None)
+    loose = choose_fidelity(scene, 1e9, system=small[0], radar=None)
     assert loose.quality != strict.quality
 
 

@@ -202,8 +202,8 @@ class _Design:
         system = self.system
         if time_s is not None:
             exposure = Sourced(value=time_s, assumed="varied")
-            changed = system.acquisition.model_copy(update={"integration_time_s": exposure})
-            system = system.model_copy(update={"acquisition": changed})
+            changed = system.acquisition.unchecked_copy({"integration_time_s": exposure})
+            system = system.unchecked_copy({"acquisition": changed})
         return FrontEnd.of(system, self.responsivity)
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.commands.quantities import quantity_of
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -48,7 +50,8 @@ def budget(
         write = _table_1(design, console, whole_line=whole_line, filter_before_lens=before_lens)
         concerned = {"emitter", "filter", "optics", "sky"}
     else:
-        z, rho = _numbers("distances", distances), _numbers("reflectances", reflectances, most=1.0)
+        z = _numbers("distances", distances, "m")
+        rho = _numbers("reflectances", reflectances, None, most=1.0)
         write = _own_design(design, z, rho, console)
         concerned = {name.split(".")[0] for name, _ in design.values()}
     for name, value in design.values():
@@ -87,15 +90,16 @@ def _own_design(
     return lambda folder: write_design(design, rows, folder)
 
 
-def _numbers(name: str, text: str, most: float = math.inf) -> list[float]:
-    """Positive numbers between commas. Raises InputError."""
+def _numbers(name: str, text: str, unit: str | None, most: float = math.inf) -> list[float]:
+    """Positive numbers between commas, each with a unit or in ``unit``. Raises InputError."""
+    from hardware.units import quantity
     from twin.files import InputError
 
     try:
-        found = [float(word) for word in text.split(",")]
-    except ValueError:
-        found = []
-    if not found or not all(0 < number <= most and math.isfinite(number) for number in found):
+        found = [quantity(word, unit, bare=True) for word in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"{name}: {text!r}: {error}") from None
+    if not all(0 < number <= most and math.isfinite(number) for number in found):
         wanted = "positive numbers" if most == math.inf else f"numbers up to {most:g}"
         raise InputError(f"{name}: {text!r}: expected {wanted} with commas between them")
     return found
@@ -131,14 +135,23 @@ def safety(
 
 def rcs(
     mesh: Annotated[Path, typer.Argument(help="PLY, OBJ, STL or glTF file.")],
-    carrier_hz: Annotated[float, typer.Option("--carrier-hz", help="Carrier frequency.")],
+    carrier_hz: Annotated[
+        float,
+        typer.Option("--carrier-hz", help="Carrier frequency, Hz.", parser=quantity_of("Hz")),
+    ],
     azimuth: Annotated[
         str, typer.Option(help="START:STOP:STEP in deg, ends included; or one number.")
     ],
-    elevation: Annotated[float, typer.Option(help="Of the radar above the xy plane, deg.")] = 0.0,
+    elevation: Annotated[
+        float,
+        typer.Option(help="Of the radar above the xy plane, deg.", parser=quantity_of("deg")),
+    ] = 0.0,
     polarization: Annotated[str, typer.Option(help="V or H; VH, HV: sent, then received.")] = "V",
     distance: Annotated[
-        float | None, typer.Option(help="From the mesh's origin, m; default: far field.")
+        float | None,
+        typer.Option(
+            help="From the mesh's origin, m; default: far field.", parser=quantity_of("m")
+        ),
     ] = None,
     edges: Annotated[bool, typer.Option("--edges", help="Add diffraction at sharp edges.")] = False,
     scale: Annotated[float, typer.Option(help="Metres per unit of the mesh.")] = 1.0,
@@ -146,11 +159,15 @@ def rcs(
         str | None, typer.Option(help="Relative, such as 5.3-0.4j; default: a conductor.")
     ] = None,
     thickness: Annotated[
-        float | None, typer.Option(help="Of a dielectric sheet, m; default: a solid.")
+        float | None,
+        typer.Option(help="Of a dielectric sheet, m; default: a solid.", parser=quantity_of("m")),
     ] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(help="Estimated error of the echo, 0.001 to 1 of it; default: 0.005."),
+        typer.Option(
+            help="Estimated error of the echo, 0.001 to 1 of it; default: 0.005.",
+            parser=quantity_of(None),
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="CSV to write, with a PNG beside; default: print it.")

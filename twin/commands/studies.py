@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from hardware.commands.quantities import quantity_of
 from twin.commands.arguments import SceneArgument
 
 _REASONS = 3  # of failed points that are printed
@@ -21,7 +22,7 @@ def sweep(
     yes: Annotated[bool, typer.Option("--yes", help="Agree to more than 1e7 points.")] = False,
 ) -> None:
     """Sweep a design space; the same command resumes what was interrupted."""
-    from twin.sweep import sweep as run_sweep
+    from twin.sweep import run_sweep
 
     done = run_sweep(study, out=out, scheduler=scheduler, workers=workers, yes=yes)
     failed = f", {done.n_failed} failed" if done.n_failed else ""
@@ -77,7 +78,11 @@ def trade(
     system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
     radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
     tolerance: Annotated[
-        float, typer.Option(help="Error that counts as unseen, over the sensor's own noise.")
+        float,
+        typer.Option(
+            help="Error that counts as unseen, over the sensor's own noise.",
+            parser=quantity_of(None),
+        ),
     ] = 0.2,
     seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
     out: Annotated[
@@ -88,7 +93,7 @@ def trade(
     """Measure time, memory and error of every rung on a scene, and say which one to take."""
     from rich.console import Console
 
-    from twin.trade import trade as run_trade
+    from twin.trade import run_trade
     from twin.trade.report import print_trade
 
     found, folder = run_trade(

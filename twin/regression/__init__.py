@@ -33,25 +33,7 @@ another scene, system or number of seeds, or was edited.
 `twin.camera.acquisition.measure` takes.
 """
 
-from importlib import import_module
-from typing import Any
+from hardware.lazy import lazy_names
 
-# Looked up when first used: the plugin is loaded by every pytest of this environment.
-_HOMES = {
-    "CAMERA_METRICS": "twin.regression.metrics",
-    "Metric": "twin.regression.metrics",
-    "RADAR_METRICS": "twin.regression.metrics",
-    "Verdict": "twin.regression.statistics",
-    "compare": "twin.regression.statistics",
-}
-__all__ = [*_HOMES]
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'twin.regression' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_HOMES]
+# The plugin is loaded by every pytest of this environment.
+__getattr__, __dir__ = lazy_names(__name__)

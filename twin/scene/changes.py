@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hardware.units import quantity, unit_of
 from twin.files import InputError
-from twin.toml import no_such_field
+from twin.toml import changed_name, no_such_field
 
 if TYPE_CHECKING:
     from twin.scene.model import Pose, Scene, SceneObject, Target
@@ -45,10 +46,25 @@ def check_scene_name(name: str) -> None:
 
 def changed(scene: "Scene", changes: Mapping[str, Any]) -> "Scene":
     """See `Scene.with_`."""
+    if not changes:
+        return scene
     for name, value in changes.items():
         check_scene_name(name)
-        scene = _with(scene, name, value)
-    return scene
+        scene = _with(scene, name, _in_unit(name, value))
+    return replace(scene, name=changed_name(scene.name))
+
+
+def _in_unit(name: str, value: Any) -> Any:
+    """Text with a unit as a number in that of the name; a vector's parts alike."""
+    unit = unit_of(name)
+    if isinstance(value, tuple | list):
+        return tuple(_in_unit(name, part) for part in value)
+    if not isinstance(value, str) or not (unit or name.endswith(".reflectance")):
+        return value
+    try:
+        return quantity(value, unit)
+    except ValueError as error:
+        raise InputError(f"scene.{name} = {value!r:.60}: {error}") from None
 
 
 def _with(scene: "Scene", name: str, value: Any) -> "Scene":

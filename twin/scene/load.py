@@ -29,19 +29,26 @@ FARTHEST_ORIGIN_M = 1e9
 _COARSE_M = 1e-3  # step of a mesh file's float32 coordinates that is warned of
 
 
-def load_scene(scene: str | Path, pose: Pose | None = None) -> Scene:
+def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     """Read, validate and complete a scene.
 
     Parameters
     ----------
     scene
-        Name of a bundled scene, a folder with ``scene.xml``, or a Mitsuba XML file.
+        Name of a bundled scene, a folder with ``scene.xml``, or a Mitsuba XML file. A scene is
+        returned as it is, at the pose if one is given.
     pose
         Of the rig; default: that of ``scene.toml``, else the XML's camera, else one chosen from
         the geometry, with a warning that says so.
 
     Raises InputError, one line that names file, place, value and what was expected.
+
+    >>> scene = load_scene("yard")
+    >>> scene.name, scene.objects[0].name, scene.at_rest
+    ('yard', 'ground', False)
     """
+    if isinstance(scene, Scene):
+        return scene if pose is None else scene.at(pose)
     path = _find(scene)
     document = xml.read_xml(path)
     names = [shape.name for shape in document.shapes]

@@ -1,6 +1,7 @@
 """What a scene is made of: objects with materials, the rig, the sun, true targets."""
 
 import math
+import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from hardware.units import quantity
 from twin.files import InputError
 from twin.scene.materials import Material
 from twin.scene.texture import Reflectance, Texture
@@ -112,16 +114,26 @@ class Pose:
 
 
 def parse_pose(text: str) -> Pose:
-    """Pose from ``x,y,z[,yaw_deg[,pitch_deg[,roll_deg]]]``."""
+    """Pose from ``x,y,z[,yaw_deg[,pitch_deg[,roll_deg]]]``; each may say its unit.
+
+    >>> parse_pose("1,0,120 cm,0.1 rad").position_m
+    (1.0, 0.0, 1.2)
+    """
     try:
-        numbers = [float(part) for part in text.replace(",", " ").split()]
-        if not 3 <= len(numbers) <= 6 or not all(map(math.isfinite, numbers)):
+        words, units = _words(text), ("m", "m", "m", "deg", "deg", "deg")
+        numbers = [quantity(w, unit, bare=True) for w, unit in zip(words, units, strict=False)]
+        if not 3 <= len(words) <= 6:
             raise ValueError
     except ValueError:
         raise InputError(
             f"pose: {text!r}: expected x,y,z[,yaw_deg[,pitch_deg[,roll_deg]]] in metres and degrees"
         ) from None
     return Pose((numbers[0], numbers[1], numbers[2]), *numbers[3:])
+
+
+def _words(text: str) -> list[str]:
+    """What stands between commas, or between spaces before a number."""
+    return re.split(r"\s*,\s*|\s+(?=[-+.\d])", text.strip())
 
 
 @dataclass(frozen=True)
@@ -167,12 +179,13 @@ class Track:
 
 
 def parse_track(text: str) -> Track:
-    """Track from ``dx,dy,dz,count[,interval_s]``."""
+    """Track from ``dx,dy,dz,count[,interval_s]``; lengths and the time may say their unit."""
     try:
-        words = text.replace(",", " ").split()
-        numbers = [float(word) for word in (*words[:3], *words[4:])]
+        words, units = _words(text), ("m", "m", "m", "s")
+        quantities = (*words[:3], *words[4:])
+        numbers = [quantity(w, unit, bare=True) for w, unit in zip(quantities, units, strict=False)]
         count = int(words[3])
-        if not (3 <= len(numbers) <= 4 and all(map(math.isfinite, numbers)) and count > 0):
+        if len(words) > 5 or count < 1:
             raise ValueError
         if len(numbers) == 4 and numbers[3] <= 0:
             raise ValueError

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
 from twin.budget.link import (
     Link,
@@ -30,7 +29,6 @@ from twin.toml import Entry, Sourced
 Array = NDArray[Any]
 Columns = Mapping[str, Array]
 E = TypeVar("E", bound=Entry)
-B = TypeVar("B", bound=BaseModel)
 
 #: Numbers of a system that its link takes as arrays.
 _ARRAYS = (
@@ -166,13 +164,8 @@ def _filled(entry: E, own: Columns) -> E:
     for section, names in groupby(sorted(own), key=_section):
         part = getattr(entry, section, None)
         if part is not None:
-            sections[section] = _unchecked(part, dict(_fields(names, own)))
-    return _unchecked(entry, sections)
-
-
-def _unchecked(model: B, update: Mapping[str, Any]) -> B:
-    """Fields that hold arrays, which no field of a file may."""
-    return BaseModel.model_copy(model, update=update)
+            sections[section] = part.unchecked_copy(dict(_fields(names, own)))
+    return entry.unchecked_copy(sections)
 
 
 def _fields(names: Iterable[str], own: Columns) -> Iterator[tuple[str, Any]]:

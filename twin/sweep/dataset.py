@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.units import unit_of
 from twin.files import InputError
 from twin.sweep.names import CLOSED_FORM, RENDERED, is_own
-from twin.sweep.parameters import unit_of
 from twin.sweep.study import Study
 
 if TYPE_CHECKING:

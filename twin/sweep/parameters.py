@@ -13,9 +13,8 @@ import math
 import re
 from dataclasses import fields
 from functools import lru_cache
-from tokenize import TokenError
-from typing import Any
 
+from hardware.units import quantity, unit_of
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.scene.changes import SCENE_NAMES, check_scene_name
@@ -26,28 +25,6 @@ Value = bool | int | float | str
 
 #: The closed form's own: whether each may be 0, and the most it may be.
 LINK = {"link.distance_m": (False, math.inf), "link.reflectance": (True, 1.0)}
-#: Units that end a field's name, longest first.
-_UNITS = {
-    "_kg_per_m3": "kg/m^3",
-    "_mm_per_h": "mm/h",
-    "_m_per_s": "m/s",
-    "_w_per_sr": "W/sr",
-    "_a_per_w": "A/W",
-    "_ohm": "ohm",
-    "_deg": "degree",
-    "_hz": "Hz",
-    "_m2": "m^2",
-    "_lx": "lux",
-    "_dbi": "",
-    "_sr": "sr",
-    "_w": "W",
-    "_s": "s",
-    "_m": "m",
-    "_k": "K",
-    "_f": "F",
-    "_a": "A",
-    "_v": "V",
-}
 #: What a new render is not needed for.
 _LATER = re.compile(
     r"(system|weather|scene)?\.?(system\.)?("
@@ -75,15 +52,17 @@ def check_name(name: str) -> None:
 
 
 def check_value(name: str, value: Value) -> Value:
-    """A value in the SI unit of the parameter; text with a unit ("315 us") is converted.
+    """A value in the unit of the parameter; text with a unit ("315 us", "85 %") is converted.
 
     Raises ValueError for an unknown parameter, for a unit of another kind, and for a distance or
     reflectance of the closed form that can't be.
     """
     check_name(name)
-    unit = unit_of(name)
-    if isinstance(value, str) and unit is not None:
-        value = _in_unit(name, value, unit)
+    if isinstance(value, str) and (unit_of(name) or value.rstrip().endswith("%")):
+        try:
+            value = quantity(value, unit_of(name))
+        except ValueError as error:
+            raise ValueError(f"{name} = {value!r:.60}: {error}") from None
     if name in LINK:
         check_bounds(name, value, *LINK[name])
     return value
@@ -97,39 +76,6 @@ def check_bounds(name: str, value: Value, may_be_zero: bool, most: float) -> Non
     if not within or (value == 0 and not may_be_zero):
         wanted = "0 to 1" if most == 1 else "a positive number"
         raise ValueError(f"{name} = {value}: expected {wanted}")
-
-
-def _in_unit(name: str, value: str, unit: str) -> float:
-    """Text with a unit as a number of ``unit``."""
-    import pint
-
-    registry = _registry()
-    try:
-        # Digits that conversion does not blur: 12 nm is 1.2e-8 m.
-        return float(f"{registry.Quantity(value).to(unit).magnitude:.15g}")
-    except (
-        pint.PintError,
-        TypeError,
-        AttributeError,
-        ValueError,
-        SyntaxError,
-        TokenError,
-    ) as error:
-        raise ValueError(
-            f"{name} = {value!r}: expected a number or a quantity in {unit}"
-        ) from error
-
-
-def unit_of(name: str) -> str | None:
-    """Unit that the end of a name says, None where it says none."""
-    return next((unit for end, unit in _UNITS.items() if name.endswith(end)), None)
-
-
-@lru_cache(maxsize=1)
-def _registry() -> Any:
-    import pint
-
-    return pint.UnitRegistry(cache_folder=None)
 
 
 @lru_cache(maxsize=1)

@@ -42,7 +42,7 @@ class Summary:
     without_effect: tuple[str, ...] = ()
 
 
-def sweep(
+def run_sweep(
     study: str | Path | Study,
     *,
     out: str | Path | None = None,

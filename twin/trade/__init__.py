@@ -2,7 +2,7 @@
 
 from twin.trade.measurement import Choice, Cost, Measurement, cheapest, front
 from twin.trade.result import Trade
-from twin.trade.walk import TOLERANCE, choose, trade
+from twin.trade.walk import TOLERANCE, choose_fidelity, run_trade
 
 __all__ = [
     "TOLERANCE",
@@ -11,7 +11,7 @@ __all__ = [
     "Measurement",
     "Trade",
     "cheapest",
-    "choose",
+    "choose_fidelity",
     "front",
-    "trade",
+    "run_trade",
 ]

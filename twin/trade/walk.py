@@ -1,4 +1,4 @@
-"""`trade` walks the rungs and writes what it finds; `choose` returns the fidelity to take."""
+"""`run_trade` measures the rungs and writes a folder; `choose_fidelity` returns what to take."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -28,7 +28,7 @@ TOLERANCE = 0.2
 _STAGES_BESIDE_LIGHT = 1 + 1 + 1 + 3  # load, reference, brute force, noise
 
 
-def trade(
+def run_trade(
     scene: str | Path | Scene,
     system: str | Path | System = "workable",
     *,
@@ -69,7 +69,7 @@ def trade(
     return found, folder
 
 
-def choose(
+def choose_fidelity(
     scene: str | Path | Scene,
     tolerance: float = TOLERANCE,
     *,
@@ -80,8 +80,8 @@ def choose(
     """The cheapest fidelity whose measured error on a scene stays below the tolerance, in units of
     the sensor's own noise; the most accurate one where none does.
 
-    Measures as `trade` does, without the brute-force check and without writing anything. Costs are
-    timed: what is about equally fast may change places from run to run.
+    Measures as `run_trade` does, without the brute-force check and without writing anything. Costs
+    are timed: what is about equally fast may change places from run to run.
     """
     design, sensor = _inputs(system, radar, tolerance, seed)
     world = scene if isinstance(scene, Scene) else load_scene(scene)
