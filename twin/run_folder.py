@@ -77,7 +77,7 @@ def default_folder(settings: Mapping[str, Any]) -> Path:
     if track := settings["track"]:
         numbers = [*track["step_m"], track["count"], track["interval_s"]]
         words.append("track_" + ",".join(_number(n) for n in numbers if n is not None))
-    return named_folder(*words, *_knobs(settings["fidelity"]))
+    return named_folder(*words, *knob_words(settings["fidelity"]))
 
 
 def named_folder(*words: str) -> Path:
@@ -92,7 +92,7 @@ def unless(value: Any, default: Any, word: str, without: str = "") -> list[str]:
     return [word.format(value) if value is not None else without]
 
 
-def _knobs(knobs: Mapping[str, Any]) -> list[str]:
+def knob_words(knobs: Mapping[str, Any]) -> list[str]:
     """The nearest preset, unless it is the standard, and the knobs that differ from it."""
     differing = {
         name: [f.name for f in fields(known) if getattr(known, f.name) != knobs[f.name]]

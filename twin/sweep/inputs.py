@@ -6,7 +6,7 @@ result is of one content only, in a folder that is resumed, and in a worker that
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -21,6 +21,7 @@ from twin.scene import load_scene
 from twin.sweep.methods import method_digest
 from twin.sweep.modules import own_metric
 from twin.sweep.names import is_own, needs_radar
+from twin.sweep.objects import object_digest
 from twin.sweep.study import Study
 from twin.system import load_part, load_system
 
@@ -59,12 +60,13 @@ _MOST_LOADED = 64
 class Inputs:
     """Digests of a study's inputs, by kind and name: ``scene yard``, ``system mine.toml``.
 
-    Small enough to travel with every task; a worker reads each input itself, and holds it against
-    its digest.
+    Travels with every task; a worker reads each input itself, and holds it against its digest.
+    ``objects`` are inputs of a study that was made in Python, at hand already.
     """
 
     folder: Path
     digests: Mapping[str, str]
+    objects: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def stamp(self) -> str:
@@ -76,6 +78,8 @@ class Inputs:
 
         Raises InputError where it can't be read, or is another one by now.
         """
+        if f"{kind} {name}" in self.objects:
+            return self.objects[f"{kind} {name}"]
         expected = self.digests[f"{kind} {name}"]
         found, content = _loaded.get((kind, name, self.folder), ("", None))
         if found != expected:
@@ -103,6 +107,8 @@ class Inputs:
                     raise ChangedError(f"{key}: is another one on this worker; start it anew")
             elif kind in ("system", "radar", "part", "file"):
                 held, content = _loaded.get((kind, name, self.folder), ("", None))
+                if key in self.objects:
+                    held, content = expected, self.objects[key]
                 if held == expected and _digest(content) != expected:
                     raise ChangedError(f"{key}: a file of it has changed since this sweep began")
 
@@ -113,8 +119,11 @@ class ChangedError(InputError):
 
 def inputs_of(study: Study) -> Inputs:
     """Inputs of a study as they are now, read anew."""
-    digests = {f"{kind} {name}": _now(kind, name, study.folder) for kind, name in _named(study)}
-    return Inputs(study.folder, {_SOURCE: _source(), **digests})
+    digests = {_SOURCE: _source()} | {k: object_digest(v) for k, v in study.objects.items()}
+    for kind, name in _named(study):
+        if (key := f"{kind} {name}") not in digests:
+            digests[key] = _now(kind, name, study.folder)
+    return Inputs(study.folder, digests, study.objects)
 
 
 def _now(kind: str, name: str, folder: Path) -> str:

@@ -55,24 +55,37 @@ def run_sweep(
     Parameters
     ----------
     study
-        Its TOML file.
+        Its TOML file, or a study made in Python.
     out
         Folder; default ``runs/NAME``. The same command goes on where it was interrupted.
     scheduler
         Address of a running Dask scheduler, ``tcp://HOST:PORT``; default: processes here.
     workers
-        Processes here; default one per core. The results do not depend on it.
+        Processes here; default one per core; 0: this process itself. The results do not depend on
+        it. Processes import the script that starts them: its work belongs under
+        ``if __name__ == "__main__"``.
     yes
         Agree to more than 1e7 points.
 
     Raises InputError for a study that can't be run, a folder of another one or in which another
     sweep works, a full disk.
+
+    >>> from twin.sweep import open_sweep
+    >>> study = Study(
+    ...     name="lens",
+    ...     model="closed-form",
+    ...     metrics=["snr"],
+    ...     grid={"system.optics.f_number": [0.8, 1.6], "link.distance_m": ["2 m", "5 m"]},
+    ... )
+    >>> summary = run_sweep(study, workers=0)
+    >>> open_sweep(summary.out)["snr"].dims
+    ('system.optics.f_number', 'link.distance_m')
     """
     study = study if isinstance(study, Study) else load_study(study)
     if study.n_points > _MANY and not yes:
         raise InputError(f"{study.name}: {study.n_points} points; --yes to go ahead")
-    if workers is not None and workers < 1:
-        raise InputError(f"workers: {workers}: expected 1 or more")
+    if workers is not None and workers < 0:
+        raise InputError(f"workers: {workers}: expected 0 or more")
     closed = study.model == "closed-form"
     out = Path(out) if out is not None else Path("runs") / study.name
     inputs = inputs_of(study)
@@ -82,7 +95,7 @@ def run_sweep(
     with locked(out, "sweep"):
         store = begin(study, out, chunk, inputs, labels(study, own))
         if any(True for _ in store.todo()):
-            local = closed and scheduler is None and workers is None
+            local = scheduler is None and (workers == 0 or (closed and workers is None))
             pool = here() if local else dask(scheduler, workers)
             with _bar(study, store) as advance, pool as submit:
                 for result in _in_flight(submit, study, store, inputs):

@@ -53,7 +53,7 @@ def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
         scene_values=scene_values,
         system=system_of(study, values, inputs),
         radar=radar,
-        fidelity=_fidelity(groups.get("fidelity", {})),
+        fidelity=_fidelity(groups.get("fidelity", {}), inputs),
         method=str(groups.get("processing", {}).get("method", "lmmse")),
         seed=_seed(groups.get("seed", {}).get("", study.seed)),
     )
@@ -82,8 +82,9 @@ def _seed(value: Value) -> int:
     return value
 
 
-def _fidelity(values: Values) -> Fidelity:
-    base = preset(str(values.get("preset", "standard")))
+def _fidelity(values: Values, inputs: Inputs) -> Fidelity:
+    name = str(values.get("preset", "standard"))
+    base = preset(inputs.objects.get(f"fidelity {name}", name))
     return base.with_(**{name: v for name, v in values.items() if name != "preset"})
 
 

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 from twin.files import InputError
 from twin.sweep.methods import check_methods
 from twin.sweep.names import check_metrics
+from twin.sweep.objects import named
 from twin.sweep.parameters import check_value, is_optical
 from twin.sweep.relevance import check_effects
 from twin.toml import Finite, Name, Strict, describe, read_toml
@@ -47,6 +48,19 @@ class Study(Strict):
     ``grid``: every combination of values; ``zip``: parameters that change together; ``sample``:
     drawn points. All of them together make the product of their dimensions. ``set``: parameters
     that differ from scene and system in every point.
+
+    In Python scene, system, radar, parts and fidelities may be objects as well as names, as fields
+    and as values of ``scene``, ``system``, ``radar``, ``system.SECTION.part``, ``fidelity.preset``;
+    a metric may be a function of an `Outcome`. ``objects`` holds them by the names they get.
+
+    >>> from twin.system import load_system
+    >>> fast = load_system("workable").with_({"optics.f_number": 0.8})
+    >>> def brightest(outcome):
+    ...     "Electrons of the brightest cell."
+    ...     return outcome.capture.scene_e.max()
+    >>> study = Study(name="lens", metrics=[brightest], grid={"system": ["workable", fast]})
+    >>> study.n_points, study.point(1)
+    (2, {'system': 'workable (changed)'})
     """
 
     name: Name
@@ -61,6 +75,14 @@ class Study(Strict):
     zip: list[dict[str, Annotated[list[Value], Field(min_length=1)]]] = []
     sample: Sample | None = None
     folder: Path = Path()
+    objects: Annotated[dict[str, Any], Field(exclude=True, repr=False)] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _names_its_objects(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or "objects" in data:
+            return data
+        return named(data)
 
     @model_validator(mode="after")
     def _is_consistent(self) -> "Study":
@@ -166,8 +188,9 @@ def load_study(path: str | Path) -> Study:
         raise InputError(f"study: {str(path)!r} is no file")
     content = read_toml(path)
     content.setdefault("name", path.stem)
-    if "folder" in content:
-        raise InputError(f"{path}: folder: is no field of a study")
+    for field in ("folder", "objects"):
+        if field in content:
+            raise InputError(f"{path}: {field}: is no field of a study")
     try:
         study = Study.model_validate({**content, "folder": path.resolve().parent})
     except ValidationError as error:

@@ -1,0 +1,143 @@
+"""Sweeps made in Python: functions as metrics, objects as values, the same as by their names."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.fidelity import Fidelity
+from twin.files import InputError
+from twin.radar import load_radar
+from twin.scene import load_scene
+from twin.sweep import Study, load_study, open_sweep, run_sweep
+from twin.sweep.inputs import inputs_of
+from twin.system import load_part, load_system
+
+WORKABLE = load_system("workable")
+QUICK = Fidelity(samples=1, max_depth=1, noise="gaussian")
+
+
+def brightest(outcome) -> float:
+    """Electrons of the brightest cell."""
+    return float(outcome.capture.scene_e.max())
+
+
+brightest.unit = "e"  # type: ignore[attr-defined]
+
+
+def _study(**fields) -> Study:
+    return Study(
+        **{"name": "mine", "metrics": ["signal_e"], "set": {"fidelity.preset": QUICK}} | fields
+    )
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_functions_and_objects_in_this_process_and_in_another(tmp_path: Path, workers: int) -> None:
+    """A function that closes over a value travels too; what it gives is what the object does."""
+    factor = 2.0
+    dark = WORKABLE.with_({"emitter.radiant_intensity_w_per_sr": 0.0, "name": "dark"})
+    study = _study(
+        metrics=["signal_e", brightest, lambda outcome: factor * brightest(outcome)],
+        grid={"system": [WORKABLE, dark]},
+    )
+    done = run_sweep(study, out=tmp_path / "out", workers=workers)
+    assert done.n_failed == 0, done.reasons
+    data = open_sweep(done.out)
+    own, twice = (name for name in study.metrics if ":" in name)
+    assert own.endswith(":brightest")
+    assert data[own].attrs["units"] == "e"
+    assert data[own].attrs["long_name"] == "Electrons of the brightest cell."
+    np.testing.assert_array_equal(data[twice], 2 * data[own])
+    assert data[own].sel(system="workable") > data[own].sel(system="dark") == 0
+
+
+def test_objects_give_what_their_names_give(tmp_path: Path) -> None:
+    by_name = Study(
+        name="a",
+        metrics=("detections", "signal_e"),
+        scene="table1",
+        set={"fidelity.preset": "draft", "fidelity.radar": "targets"},
+        grid={"system.detector.part": ["fga015", "ingaas-apd-200"]},
+    )
+    parts = [load_part("fga015"), load_part("ingaas-apd-200")]
+    by_object = Study(
+        name="b",
+        metrics=("detections", "signal_e"),
+        scene=load_scene("table1"),
+        system=WORKABLE,
+        radar=load_radar("hybrid-79"),
+        set={"fidelity.preset": "draft", "fidelity.radar": "targets"},
+        grid={"system.detector.part": parts},
+    )
+    names = by_object.values_of("system.detector.part")
+    assert names == [part.name for part in parts]
+    found = [
+        open_sweep(run_sweep(study, out=tmp_path / study.name, workers=0).out)
+        for study in (by_name, by_object)
+    ]
+    for metric in ("detections", "signal_e"):
+        assert np.isfinite(found[0][metric]).all()
+        np.testing.assert_array_equal(found[0][metric], found[1][metric])
+
+
+def test_each_object_has_a_name_of_its_own() -> None:
+    changed = [WORKABLE.with_({"optics.f_number": f}) for f in (0.8, 0.9)]
+    study = _study(grid={"system": ["workable", WORKABLE, *changed]})
+    assert study.grid["system"] == [
+        "workable",
+        "workable_2",
+        "workable (changed)",
+        "workable (changed)_2",
+    ]
+
+
+def test_a_value_twice_is_named_by_what_the_user_gave() -> None:
+    with pytest.raises(ValueError, match="system: a value stands twice"):
+        _study(grid={"system": [WORKABLE, WORKABLE]})
+
+
+def test_arrays_are_values() -> None:
+    study = _study(grid={"system.optics.f_number": np.linspace(0.8, 1.0, 3), "seed": range(2)})
+    assert study.shape == (2, 3)  # a seed needs a new render: the slowest
+    assert study.point(0)["seed"] == 0
+
+
+def test_results_are_of_one_content() -> None:
+    """Of objects, of a function's source and of what it closes over."""
+
+    def scaled(factor: float):
+        return lambda outcome: factor * outcome.capture.noise.signal_e
+
+    def stamp(**fields) -> str:
+        return inputs_of(_study(**fields)).stamp
+
+    one = WORKABLE.with_({"optics.f_number": 0.8})
+    assert stamp(system=one) == stamp(system=WORKABLE.with_({"optics.f_number": 0.8}))
+    assert stamp(system=one) != stamp(system=WORKABLE.with_({"optics.f_number": 0.9}))
+    assert stamp(metrics=[scaled(1.0)]) == stamp(metrics=[scaled(1.0)])
+    assert stamp(metrics=[scaled(1.0)]) != stamp(metrics=[scaled(2.0)])
+    assert stamp(scene=load_scene("yard").with_({"rig.x_m": 1.0})) != stamp()
+
+
+def test_a_folder_of_another_object_is_refused(tmp_path: Path) -> None:
+    def run(f_number: float) -> None:
+        system = WORKABLE.with_({"optics.f_number": f_number})
+        where = {"link.distance_m": [2.0, 5.0]}
+        study = Study(name="mine", model="closed-form", metrics=["snr"], system=system, grid=where)
+        run_sweep(study, out=tmp_path / "out", workers=0)
+
+    run(0.8)
+    run(0.8)
+    with pytest.raises(InputError, match="other content of system workable"):
+        run(0.9)
+
+
+def test_objects_are_where_they_belong(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="system"):
+        _study(system=load_scene("yard"))
+    with pytest.raises(ValueError, match="f_number"):
+        _study(grid={"system.optics.f_number": [WORKABLE]})
+    path = tmp_path / "study.toml"
+    path.write_text('metrics = ["snr_median"]\nobjects = {}\n')
+    with pytest.raises(InputError, match=r"study\.toml: objects: is no field"):
+        load_study(path)
