@@ -1,37 +1,40 @@
 """Figures of scenes of any size: what the set-up takes, and what all echoes take.
 
 The set-up: roles, meshes, bodies, images, those in which the radar sees itself, and the ways worth
-tracing. Both the first time, and when one object has moved; echoes in CPU time of one thread, each
-scene in a process of its own. In cities of Sionna RT, a made one, and a terrain.
-`python -m benchmarks.large_scenes munich` measures the echoes of one scene: a city, `boxes`, or
-the number of points along a side of the terrain.
+tracing. Both the first time, and when one object has moved; from rays to echoes and to detections
+of one thread, each scene in a process of its own that ends after a quarter of an hour. In cities of
+Sionna RT, one of them with a car, a made one, and a terrain.
+`python -m benchmarks.large_scenes munich` measures one scene: a city, `munich-car`, `boxes`, or the
+number of points along a side of the terrain.
 """
 
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.timing import Figure, timed
+from hardware.radar.process import process
 from twin.engine import mitsuba, sionna
 from twin.files import scenes_folder
-from twin.radar import load_radar
-from twin.radar.propagation.finding import trace
+from twin.radar import load_radar, radar_echo
 from twin.radar.propagation.grouping import bodies_of
 from twin.radar.propagation.roles import Role, assign_roles
 from twin.radar.propagation.shape import boxes_of
 from twin.radar.propagation.stage import Stage, set_stage
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.materials import load_materials
+from twin.scene.meshes import read_mesh
 
+_LIMIT_S = 900  # of one scene's process, two frames
 _CITIES = ("munich", "etoile", "florence", "san_francisco")
 _TERRAIN = (708, 2237)  # points along a side: 1e6 and 1e7 triangles
 _BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
@@ -49,6 +52,7 @@ def figures() -> Iterator[Figure]:
     for name in _CITIES:
         yield from _of(name, load_scene(_bundled(name)))
         yield from _apart(name, name)
+    yield from _apart("munich with a car", "munich-car")
     yield from _of("10 000 boxes", _boxes(10_000))
     yield from _apart("10 000 boxes", "boxes")
     for side in _TERRAIN:
@@ -61,7 +65,7 @@ def _of(name: str, scene: Scene) -> Iterator[Figure]:
     start = time.perf_counter()
     stage = _set_up(scene)
     yield f"{name}: set-up, the first time", time.perf_counter() - start, "s"
-    moved = iter(_moved(scene, 0.1 * step) for step in range(1, 99))
+    moved = iter(_moved(scene, None, 0.1 * step) for step in range(1, 99))
     yield f"{name}: set-up, one object moved", timed(lambda: _set_up(next(moved)), runs=5), ""
     scattering = [o for o, r in zip(stage.items, stage.roles, strict=True) if r is Role.OPTICS]
     yield f"{name}: objects that scatter", float(len(scattering)), ""
@@ -78,10 +82,11 @@ def _set_up(scene: Scene) -> Stage:
     return stage
 
 
-def _moved(scene: Scene, metres: float) -> Scene:
-    """The smallest object moved."""
+def _moved(scene: Scene, name: str | None, metres: float) -> Scene:
+    """One object moved: that of a name, or the smallest."""
     boxes = boxes_of(scene.objects)
     item = scene.objects[int(np.argmin((boxes[:, 1] - boxes[:, 0]).max(axis=1)))]
+    item = next((o for o in scene.objects if o.name == name), item)
     there = replace(item, vertices_m=item.vertices_m + metres)
     return replace(scene, objects=tuple(there if o is item else o for o in scene.objects))
 
@@ -105,16 +110,33 @@ def _thing(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -
 
 
 def _boxes(count: int) -> Scene:
-    """Concrete boxes of a few metres over 1.2 km by 1.2 km, on the ground."""
+    """Concrete boxes of a few metres, turned at random, on the ground over 1.2 km by 1.2 km; the
+    radar looks down at them from 15 m.
+    """
     rng = np.random.default_rng(0)
     found = []
     for number in range(count):
-        size = rng.gamma(2, 2, 3) + 0.2
-        place = [*rng.uniform(-600, 600, 2), -1.0]
-        found.append(_thing(f"box {number}", _BOX * size + place, _SIDES.copy()))
-    corners = np.array([[-700, -700, -1], [700, -700, -1], [700, 700, -1], [-700, 700, -1.0]])
-    ground = _thing("ground", corners, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
-    return _scene([*found, ground])
+        size, turn = rng.gamma(2, 2, 3) + 0.2, rng.uniform(0, 2 * np.pi)
+        corners = (_BOX - [0.5, 0.5, 0]) * size
+        along = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0]])
+        level = corners[:, :2] @ along + [*rng.uniform(-600, 600, 2), 0]
+        found.append(_thing(f"box {number}", level + corners * [0, 0, 1], _SIDES.copy()))
+    around = np.array([[-700, -700, 0], [700, -700, 0], [700, 700, 0], [-700, 700, 0.0]])
+    ground = _thing("ground", around, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
+    scene = _scene([*found, ground])
+    rig = Rig(Pose((0.0, 0.0, 15.0)), radar=Pose((0.0, 0.0, 0.0), pitch_deg=6.0))
+    return replace(scene, rig=rig)
+
+
+def _with_car(scene: Scene) -> Scene:
+    """With a car on the ground, 8 m ahead of the radar, which stands 0.9 m above it."""
+    mesh = read_mesh(scenes_folder() / "bodies" / "car.ply")
+    off, axes = scene.rig.device("radar")
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    middle[2] = mesh.vertices[:, 2].min() + 0.9
+    place = scene.rig.position_m + off + 8.0 * axes[0]
+    car = _thing("car", (mesh.vertices - middle) @ axes + place, mesh.faces.astype(np.int32))
+    return replace(scene, objects=(*scene.objects, replace(car, material="metal")))
 
 
 def _terrain(side: int) -> Scene:
@@ -131,18 +153,25 @@ def _terrain(side: int) -> Scene:
 
 def _apart(name: str, scene: str) -> Iterator[Figure]:
     """A scene in a process of its own, for its memory."""
-    asked = subprocess.run(
-        [sys.executable, "-m", "benchmarks.large_scenes", scene],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    found: dict[str, Any] = json.loads(asked.stdout.splitlines()[-1])
-    for what, (value, unit) in found.items():
+    command = [sys.executable, "-m", "benchmarks.large_scenes", scene]
+    # Libraries of linear algebra wait for their other threads in CPU time.
+    one = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=one) as running:
+        try:
+            printed, _ = running.communicate(timeout=_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            running.kill()
+            printed, _ = running.communicate()
+            yield f"{name}: not done, stopped after", float(_LIMIT_S), "s"
+    for line in printed.splitlines():
+        what, value, unit = json.loads(line)
         yield f"{name}: {what}", value, unit
+    if running.returncode > 0:
+        yield f"{name}: failed, exit status", float(running.returncode), ""
 
 
-def _echoes(name: str) -> None:
+def _measured(name: str) -> Iterator[Figure]:
+    """Echoes and detections of a scene by one thread."""
     import resource
 
     import drjit as dr
@@ -150,24 +179,31 @@ def _echoes(name: str) -> None:
     sionna()
     mitsuba()
     dr.set_thread_count(1)
-    if name in _CITIES:
-        scene = load_scene(_bundled(name))
+    city, _, car = name.partition("-")
+    if city in _CITIES:
+        scene = load_scene(_bundled(city))
+        scene = _with_car(scene) if car else scene
     else:
         scene = _boxes(10_000) if name == "boxes" else _terrain(int(name))
-    found, radar = {}, load_radar("hybrid-79")
+    radar = load_radar("hybrid-79")
     for when in ("the first time", "one object moved"):
-        start = time.perf_counter()
-        _set_up(scene)
-        found[f"set-up, {when}, alone"] = (time.perf_counter() - start, "s")
-        begin = time.process_time()
-        echoes = trace(scene, radar).echoes
-        found[f"echoes, {when}, CPU time"] = (time.process_time() - begin, "s")
-        scene = _moved(scene, 0.1)
-    found["contributions"] = (float(len(echoes.delay_s)), "")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    found["memory at most"] = (peak * 1024 / 1e9, "GB")
-    print(json.dumps(found))
+        cpu, wall = time.process_time(), time.perf_counter()
+        echo = radar_echo(scene, radar)
+        yield f"rays to echoes, {when}, CPU time", time.process_time() - cpu, "s"
+        (found,) = echo.bursts
+        detections = process(echo.record()).detections
+        yield f"rays to detections, {when}, CPU time", time.process_time() - cpu, "s"
+        yield f"rays to detections, {when}, wall", time.perf_counter() - wall, "s"
+        yield f"contributions, {when}", float(len(found.echoes.delay_s)), ""
+        yield f"bodies that answer, {when}", float(len(found.bodies)), ""
+        strong = sum(body.level_db > -40 for body in found.bodies)
+        yield f"bodies within 40 dB of the strongest, {when}", float(strong), ""
+        yield f"detections, {when}", float(len(detections)), ""
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        yield f"memory at most, until {when}", peak / 1e9, "GB"
+        scene = _moved(scene, "car" if car else None, 0.1)
 
 
 if __name__ == "__main__":
-    _echoes(sys.argv[1])
+    for figure in _measured(sys.argv[1]):
+        print(json.dumps(figure), flush=True)

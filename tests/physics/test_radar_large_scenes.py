@@ -20,10 +20,20 @@ from tests.physics.radar_worlds import (
     plate,
     quad,
     thing,
+    trihedral,
     wave,
     world,
 )
-from twin.radar.propagation import culling, grouping, shape, sight, stage
+from twin.radar.propagation import (
+    bounces,
+    culling,
+    facets,
+    facing,
+    grouping,
+    shape,
+    sight,
+    stage,
+)
 from twin.radar.propagation.culling import Beam, beam_of, shares, ways_of, worth_tracing
 from twin.radar.propagation.environment import mirror_echoes
 from twin.radar.propagation.finding import trace
@@ -305,6 +315,75 @@ def test_launches_do_not_grow_with_the_patches() -> None:
             launches.append(len(dr.kernel_history()))
         assert len(set_up.flats) >= 2 * houses
     assert launches[1] <= launches[0] + 8
+
+
+# Portions.
+
+
+def hills(side: int) -> SceneObject:
+    """A mesh of two triangles for each of side^2 quadrangles, open, before and below the radar."""
+    along = np.linspace(0, 12, side + 1)
+    x, y = np.meshgrid(along + 3, along - 6, indexing="ij")
+    z = -1.5 + 0.2 * np.sin(2 * x) * np.cos(1.5 * y)
+    n = np.arange((side + 1) ** 2).reshape(side + 1, side + 1)
+    a, b, c, d = n[:-1, :-1], n[1:, :-1], n[1:, 1:], n[:-1, 1:]
+    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    return thing("hills", np.stack([x, y, z], axis=-1).reshape(-1, 3), faces, radar="optics")
+
+
+def test_portions_change_nothing(monkeypatch) -> None:
+    """Hills that shade each other, a corner, and balls before a mirror, in portions of 300: as many
+    contributions, and every body's echo over the band, to rounding. Fails where a portion's rows
+    are taken for another's.
+    """
+    corner = trihedral("corner", (9, 1, -0.3))
+    balls = [ball(f"b{i}", (6 + i, 1.5 - i, 0), 0.1, 3) for i in range(3)]
+    scene = world(hills(30), corner, *balls, plate("mirror", (14, 0, 0), 6.0, radar="surface"))
+    fidelity = OPTICS.with_(radar_tolerance=0.3, radar_bounces=3)
+    whole = trace(scene, RADAR, fidelity=fidelity)
+    monkeypatch.setattr(facing, "AT_ONCE", 300)
+    parts = trace(scene, RADAR, fidelity=fidelity)
+    assert len(parts.echoes.delay_s) == len(whole.echoes.delay_s) > 3000
+    assert len(whole.bodies) >= 4
+    level = {body.name: body.level_db for body in whole.bodies}
+    for body in parts.bodies:
+        assert body.level_db == pytest.approx(level[body.name], abs=1e-6)
+    for frequency in (77.2e9, 79e9, 80.8e9):
+        one, other = (wave(p.echoes, frequency) for p in (whole, parts))
+        assert abs(one - other) < 1e-9 * abs(one)
+
+
+def test_no_more_triangles_are_looked_at_together_than_a_portion_holds(monkeypatch) -> None:
+    """A mesh of 20 000 facets in portions of 1000, at two images of the radar: what is computed of
+    facets, of what tubes light, and of contributions. Tubes go on from a portion's quarter in up
+    to eight parts each.
+    """
+    most: dict[str, int] = {}
+
+    def counted(module, name: str, which: int):
+        compute = getattr(module, name)
+
+        def counting(*given):
+            triangles = getattr(given[which], "triangles", given[which])
+            most[name] = max(most.get(name, 0), len(triangles))
+            return compute(*given)
+
+        monkeypatch.setattr(module, name, counting)
+
+    monkeypatch.setattr(facing, "AT_ONCE", 1000)
+    counted(facing, "echoes_of", 2)
+    counted(facets, "echoes_of", 2)
+    counted(bounces, "echoes_of", 2)
+    counted(facets, "sampled", 1)
+    counted(facets, "quartered", 1)
+    counted(bounces, "reflected_on", 2)
+    counted(bounces, "rays_of", 2)
+    scene = world(hills(100), trihedral("corner", (9, 1, 0)), ground(-2.0))
+    found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_tolerance=0.3))
+    assert len(found.surfaces.delay_s) > 1000
+    assert set(most) == {"echoes_of", "sampled", "quartered", "reflected_on", "rays_of"}
+    assert max(most["echoes_of"], most["rays_of"]) == 1000
+    assert max(most.values()) <= 2 * 1000
 
 
 # Whole cities.

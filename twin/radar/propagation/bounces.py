@@ -141,7 +141,7 @@ class _Search:
         landed: list[_Landed] = []
         count = 0
         for part in parts:
-            for rows in portions(np.arange(len(part))):
+            for rows in portions(np.arange(len(part)), 4):  # which tubes may go on in
                 some = part if len(rows) == len(part) else part.taken(rows)
                 found = self.landed(some)
                 if found is None:
@@ -166,7 +166,8 @@ class _Search:
         lit, row = heard(self.s, self.scatterers, tubes.triangles, self.images)
         if not len(row):
             return None
-        echoes = echoes_of(self.s, self.scatterers, lit)
+        parts = (lit.taken(rows) for rows in portions(np.arange(len(lit))))
+        echoes = Echoes.joined([echoes_of(self.s, self.scatterers, part) for part in parts])
         # What a ray stands for may lie on other planes than the one that it meets.
         most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
         error = most * tubes.doubt[row]
