@@ -131,7 +131,8 @@ class _Search:
         between their rays.
         """
         spacing_m = spacing_of(self.s, facets.sizes())
-        rows = meeting(self.s, self.scatterers, facets, spacing_m)
+        # One ray each stands for four.
+        rows = meeting(self.s, self.scatterers, facets, spacing_m / 2)
         wholes = (facets.taken(some) for some in portions(rows))
         return self._begun(parted(self.s, whole, spacing_m)[0] for whole in wholes)
 
