@@ -20,10 +20,9 @@ from twin.budget import Link, audit, link_of
 from twin.budget.link import maximum_distance_m, minimum_time_s
 from twin.camera.acquisition import capture
 from twin.camera.evaluation import evaluate
-from twin.camera.mounting import devices
+from twin.camera.mounting import light_problem
 from twin.camera.stream import frames
 from twin.fidelity import Fidelity
-from twin.optics.devices import Grid
 from twin.optics.matrix import Start, transport_matrix
 from twin.optics.paths import Quality
 from twin.optics.radiometry import collection, wall_power_w
@@ -31,7 +30,6 @@ from twin.optics.reference import PatternRenderer
 from twin.optics.spectra import sun_band_irradiance
 from twin.optics.transport import transport
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
-from twin.scene.mitsuba import mitsuba_scene
 from twin.system import load_part, load_system
 from twin.toml import Sourced
 
@@ -55,9 +53,9 @@ def _accuracy() -> Iterator[Figure]:
     watt = system.emitter.radiant_intensity_w_per_sr.value * lens.transmission * lens.pupil_area_m2
     for distance in (2.0, 5.0, 10.0):
         scene = wall_at(distance)
-        emitter, _, _ = devices(scene, system)
-        world = mitsuba_scene(scene)
-        cells = transport(world, emitter, emitter, (64, 64), quality=Quality(16, 1), seed=1)
+        problem = light_problem(scene, system)
+        problem = replace(problem, detector=problem.emitter)
+        cells = transport(problem, (64, 64), quality=Quality(16, 1), seed=1)
         ratio = watt * cells.total.sum() / wall_power_w(system, 0.5, distance)
         yield f"wall at {distance:g} m: watts over closed form, less 1", 100 * (ratio - 1), "%"
 
@@ -77,8 +75,7 @@ def _findings() -> Iterator[Figure]:
 
 def _transport() -> Iterator[Figure]:
     scene, system = load_scene("yard"), load_system("workable")
-    emitter, detector, _ = devices(scene, system)
-    world, shape = mitsuba_scene(scene), (64, 64)
+    problem, shape = light_problem(scene, system), (64, 64)
     noise = capture(scene, system).noise.pixel_noise_e(system.patterns)
     best = capture(scene, system, fidelity=Fidelity(4096, 6), seed=99).cells_e
     for samples, depth in ((1, 1), (4, 2), (16, 2), (64, 4), (256, 6)):
@@ -86,7 +83,7 @@ def _transport() -> Iterator[Figure]:
         name = f"transport, {samples} samples, depth {depth}"
         yield (
             name,
-            timed(lambda q=quality: transport(world, emitter, detector, shape, quality=q, seed=1)),
+            timed(lambda q=quality: transport(problem, shape, quality=q, seed=1)),
             "",
         )
         error = capture(scene, system, fidelity=Fidelity(samples, depth), seed=5).cells_e - best
@@ -102,9 +99,8 @@ def _speed_up() -> Iterator[Figure]:
     compared is the cheapest that leaves no more.
     """
     scene, system = load_scene("yard"), load_system("workable")
-    emitter, detector, _ = devices(scene, system)
-    world, depth, samples = mitsuba_scene(scene), 4, 4
-    renderer = PatternRenderer(scene, emitter, detector, max_depth=depth)
+    problem, depth, samples = light_problem(scene, system), 4, 4
+    renderer = PatternRenderer(problem, max_depth=depth)
     for side in (64, 8):
         shape = (side, side)
         patterns = PatternSet(side, side, side**2)
@@ -117,14 +113,14 @@ def _speed_up() -> Iterator[Figure]:
         brute = one.scaled(renders / len(masks), f"{len(masks)} renders timed, scaled")
         name = f"{side} x {side} cells, depth {depth}"
         yield f"{name}: brute force, {renders} renders of {samples * 64**2} rays", brute, ""
-        best = transport(world, emitter, detector, shape, quality=Quality(4096, depth), seed=9)
+        best = transport(problem, shape, quality=Quality(4096, depth), seed=9)
         for rays in (1, 4, 16, 64, 256):
             quality = Quality(rays, depth)
 
             def once(
                 seed: int = 1, quality: Quality = quality, shape: tuple[int, int] = shape
             ) -> NDArray[np.float64]:
-                return transport(world, emitter, detector, shape, quality=quality, seed=seed).total
+                return transport(problem, shape, quality=quality, seed=seed).total
 
             error = np.sqrt(np.mean([(once(s) - best.total) ** 2 for s in range(4)]))
             if error <= brute_error:
@@ -147,13 +143,12 @@ def _moving() -> Iterator[Figure]:
             )
         }
     )
-    emitter, detector, _ = devices(scene, system)
-    world, steps = mitsuba_scene(scene), count()
+    problem, steps = light_problem(scene, system), count()
 
     def render() -> None:
         shift = np.array([0, 1e-3 * next(steps), 0])
-        here, there = (d.moved(np.eye(3), shift) for d in (emitter, detector))
-        transport(world, here, there, (64, 64), quality=Quality(16, 1), seed=next(steps))
+        moved = problem.moved(np.eye(3), shift)
+        transport(moved, (64, 64), quality=Quality(16, 1), seed=next(steps))
 
     name = f"moving rig, {scene.triangles} triangles, 64 x 64"
     yield f"{name}: render, 16 paths a cell, direct", timed(render, runs=25), ""
@@ -172,16 +167,15 @@ def _moving() -> Iterator[Figure]:
 def _line_sensor() -> Iterator[Figure]:
     """T between 16 LED rows and 256 columns: time, and error against 50 times the paths."""
     scene, system = load_scene("yard"), load_system("line-256x16")
-    emitter, detector, _ = devices(scene, system)
-    world, rows, columns = mitsuba_scene(scene), Grid(emitter, 16, 1), Grid(detector, 1, 256)
+    problem, rows, columns = light_problem(scene, system), (16, 1), (1, 256)
     best = transport_matrix(
-        world, rows, columns, quality=Quality(400**2, 1), seed=9, role="scatter"
+        problem, rows, columns, quality=Quality(400**2, 1), seed=9, role="scatter"
     )
     for role, side in (("scatter", 20), ("scatter", 56), ("dual", 320)):
 
         def work(role: Start = role, side: int = side) -> NDArray[np.float64]:
             quality = Quality(side**2, 1)
-            return transport_matrix(world, rows, columns, quality=quality, seed=1, role=role)
+            return transport_matrix(problem, rows, columns, quality=quality, seed=1, role=role)
 
         name = f"T, 16 rows x 256 columns, direct, {role}, {side}^2 paths"
         yield name, timed(work), ""

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from benchmarks.optical import wall_at
 from benchmarks.timing import Figure, timed
+from twin.optics.backscatter import backscatter, cell_rays
 from twin.optics.devices import Device
 from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
 from twin.optics.reference import PatternRenderer
 from twin.optics.transport import transport
-from twin.optics.veil import backscatter, cell_rays
 from twin.optics.weather import Air, air_of
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import load_part
@@ -45,37 +46,41 @@ def figures() -> Iterator[Figure]:
                     lacking.append(abs(figure[1]))
         yield f"{kind}: optical depth where 5 % is missing", np.interp(5.0, lacking, [*_DEPTH]), ""
     grid = (64, 64)
-    work = timed(lambda: backscatter(_EMITTER, _DETECTOR, grid, _DISTANCE_M, fog))
-    yield "veil of 64 x 64 cells", work, ""
+    problem = _before_wall(fog)
+    work = timed(lambda: backscatter(problem, grid, _DISTANCE_M))
+    yield "backscatter of 64 x 64 cells", work, ""
+
+
+def _before_wall(air: Air | None = None) -> LightProblem:
+    return LightProblem(mitsuba_scene(wall_at(_DISTANCE_M)), _EMITTER, _DETECTOR, air=air)
 
 
 def _errors(
     name: str, air: Air, depth: int, light: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> Iterator[Figure]:
-    """All cells lit: veil over wall, then the model's error at single and at full scattering."""
+    """All cells lit: backscatter over wall, the model's error at single and at full scattering."""
     cells, path = light
     wall = float((cells * air.transmission(path)).sum())
-    veil = float(backscatter(_EMITTER, _DETECTOR, (_SIZE, _SIZE), path / 2, air).sum())
-    yield f"{name}: veil over wall", 100 * veil / wall, "%"
+    problem = _before_wall(air)
+    added = float(backscatter(problem, (_SIZE, _SIZE), path / 2).value.sum())
+    yield f"{name}: backscatter over wall", 100 * added / wall, "%"
     everything = np.ones((_SIZE, _SIZE))
     for what, bounces, samples in (("single", 1, 64), ("full", depth, 256)):
-        scene = wall_at(_DISTANCE_M)
-        reference = PatternRenderer(scene, _EMITTER, _DETECTOR, max_depth=bounces, air=air)
+        reference = PatternRenderer(problem, max_depth=bounces)
         got = [reference.render(everything, samples=samples, seed=i) for i in range(8)]
         mean, error = np.mean(got), np.std(got, ddof=1) / math.sqrt(len(got))
-        yield f"{name}: model less {what} scattering", 100 * float((wall + veil) / mean - 1), "%"
+        yield f"{name}: model less {what} scattering", 100 * float((wall + added) / mean - 1), "%"
         yield f"{name}: standard error of {what} scattering", 100 * float(error / mean), "%"
     # Light scattered a little forward still lands in the field: it is not lost (delta-Eddington).
     kept = air.scattering_per_m * max(air.asymmetry, 0) ** 2
     scaled = float((cells * air.transmission(path) * np.exp(kept * path)).sum())
-    error = 100 * float((scaled + veil) / mean - 1)
+    error = 100 * float((scaled + added) / mean - 1)
     yield f"{name}: model without the forward peak's loss, less full scattering", error, "%"
 
 
 def _wall_light() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Direct light of the wall without air, and the mean path there and back, by cell."""
-    world = mitsuba_scene(wall_at(_DISTANCE_M))
     grid = (_SIZE, _SIZE)
-    cells = transport(world, _EMITTER, _DETECTOR, grid, quality=Quality(1024, 1), seed=1)
+    cells = transport(_before_wall(), grid, quality=Quality(1024, 1), seed=1)
     _, cosine = cell_rays(_EMITTER, grid, 8)
     return cells.total, 2 * (_DISTANCE_M / cosine).mean(axis=(2, 3))

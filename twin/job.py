@@ -8,7 +8,7 @@ from hardware.records import write_radar_record, write_record
 from hardware.records.sigmf import export_sigmf
 from twin.camera.acquisition import capture
 from twin.camera.evaluation import Evaluation, evaluate
-from twin.camera.mounting import devices
+from twin.camera.mounting import light_problem
 from twin.camera.truth import write_truth
 from twin.camera.view import View, render_view
 from twin.fidelity import Fidelity
@@ -142,18 +142,15 @@ def _compute(
     evaluations = []
     for system in systems:
         taken = capture(
-            scene, system, seed=seed, fidelity=fidelity, world=rendered, stage=stages.stage
+            scene, system, seed=seed, fidelity=fidelity, mesh_scene=rendered, stage=stages.stage
         )
         with stages.stage("reconstruction"):
             evaluations.append(evaluate(system, taken))
     with stages.stage("view"):
         first = evaluations[0]
-        emitter, _, _ = devices(scene, first.system)
         intensity = first.system.emitter.radiant_intensity_w_per_sr.value
         view = render_view(
-            rendered,
-            emitter,
-            scene.sun.direction,
+            light_problem(scene, first.system, rendered),
             sun_irradiance_w_per_m2=first.capture.sun_irradiance_w_per_m2,
             radiant_intensity_w_per_sr=intensity * first.capture.in_band_fraction,
             seed=seed,

@@ -2,12 +2,21 @@
 
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Any
+
+#: Opens a named stage of the work; what is run inside belongs to it.
+OpenStage = Callable[[str], AbstractContextManager[Any]]
 
 #: Signals received. A library may swallow the KeyboardInterrupt that one raises in its callback;
 #: the next stage raises it again.
 interrupts: list[int] = []
+
+
+def silently(name: str) -> AbstractContextManager[None]:
+    """A stage that nobody is told of."""
+    return nullcontext()
 
 
 class Stages:

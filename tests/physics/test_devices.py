@@ -10,7 +10,7 @@ import pytest
 from scipy import integrate, stats
 
 from twin.fidelity import Fidelity
-from twin.optics.devices import Device, Grid
+from twin.optics.devices import Device
 from twin.optics.emission import (
     cell_gains,
     emission_matrix,
@@ -19,6 +19,7 @@ from twin.optics.emission import (
 )
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
 from twin.optics.transport import sunlight, transport
 from twin.scene.meshes import Mesh
 from twin.scene.mitsuba import _assemble
@@ -38,8 +39,8 @@ def wall(distance_m: float, left=(-50.0, 50.0), up=(-50.0, 50.0)):
 
 
 def cells(emitter: Device, detector: Device = HERE, shape=(16, 16), world=None, quality=ALL):
-    found = transport(world or wall(5.0), emitter, detector, shape, quality=quality, seed=1)
-    return found.total
+    problem = LightProblem(world or wall(5.0), emitter, detector)
+    return transport(problem, shape, quality=quality, seed=1).total
 
 
 def test_blur_softens_an_edge_as_the_error_function() -> None:
@@ -64,14 +65,14 @@ def test_blur_and_fill_look_alike_from_both_sides() -> None:
     """Dual draws the blurred direction, scatter the blurred cell: one matrix. Student t over 12
     seeds each, false alarm 1e-4 over all entries.
     """
-    emitter = Grid(replace(HERE, blur_tan=0.05 * TAN, fill_factor=0.4), 4, 4)
-    detector = Grid(replace(HERE, blur_tan=0.02 * TAN, edge_illumination=0.5), 2, 4)
-    world = wall(5.0, left=(0.1, 50.0))
+    emitter = replace(HERE, blur_tan=0.05 * TAN, fill_factor=0.4)
+    detector = replace(HERE, blur_tan=0.02 * TAN, edge_illumination=0.5)
+    problem = LightProblem(wall(5.0, left=(0.1, 50.0)), emitter, detector)
     both = {
         role: np.array(
             [
                 transport_matrix(
-                    world, emitter, detector, quality=Quality(1024, 1), seed=s, role=role
+                    problem, (4, 4), (2, 4), quality=Quality(1024, 1), seed=s, role=role
                 )
                 for s in range(12)
             ]
@@ -160,7 +161,7 @@ def test_a_point_out_of_focus_is_seen_by_part_of_the_pupil(focus_m: float) -> No
     assert seen / whole == pytest.approx(segment if focus_m == math.inf else 0, abs=2e-3)
 
 
-def test_vignetting_darkens_the_edge_of_picture_and_sun_alike() -> None:
+def test_vignetting_darkens_the_edge_of_image_and_sun_alike() -> None:
     """v^(r^2): against the integral over the field; the sun's part at the edge's middle has v."""
     dim = replace(HERE, edge_illumination=0.5)
     node, weight = np.polynomial.legendre.leggauss(64)
@@ -168,8 +169,9 @@ def test_vignetting_darkens_the_edge_of_picture_and_sun_alike() -> None:
     cos = (1 + TAN**2 * r2) ** -0.5
     expected = (weight @ (cos**7 * 0.5**r2) @ weight) / (weight @ cos**7 @ weight)
     assert cells(HERE, dim).sum() / cells(HERE).sum() == pytest.approx(expected, rel=2e-3)
+    sun = np.array([-1.0, 0, 0])
     parts = [
-        sunlight(wall(5.0), d, np.array([-1.0, 0, 0]), shape=(65, 65), quality=ALL, seed=1).total
+        sunlight(LightProblem(wall(5.0), HERE, d, sun), (65, 65), quality=ALL, seed=1).total
         for d in (dim, HERE)
     ]
     ratio = parts[0] / parts[1]
@@ -266,9 +268,7 @@ def test_a_closed_white_box_loses_no_light() -> None:
     wide = replace(HERE, tan_half_field=3.0)
     for reflectance in (1.0, 0.8):
         paths = trace_paths(
-            _assemble([(mesh, reflectance)]),
-            wide,
-            wide,
+            LightProblem(_assemble([(mesh, reflectance)]), wide, wide),
             (2, 2),
             quality=Quality(224**2, 12),
             seed=4,

@@ -11,15 +11,16 @@ from scipy import stats
 
 from tests.physics.fog_walk import Bench, Fog, stripes_in_fog
 from twin.camera import capture
-from twin.camera.air import veil_of, where_air_scatters
+from twin.camera.air import where_air_scatters
 from twin.camera.light import render
 from twin.fidelity import Fidelity
 from twin.optics.by_object import gather_by_object
-from twin.optics.devices import Device, Grid
+from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
-from twin.optics.paths import DeviceLight, Quality, SunLight
+from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import trace_paths
-from twin.optics.transport import gather, transport
+from twin.optics.transport import sunlight, transport
 from twin.optics.weather import BACKWARD_ASYMMETRY, Air, air_of_system
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.scene.mitsuba import mitsuba_scene
@@ -48,6 +49,11 @@ def striped(distance_m: float, width: int) -> Scene:
     item = SceneObject("wall", corners, faces, uv, "white", image)
     rig = Rig(Pose((0.0, 0.0, 0.0)), detector=Pose((0.0, BASELINE_M, 0.0)))
     return Scene("stripes", Path(), "", (item,), rig, Sun(180.0, 0.0, 0.0))
+
+
+def before_stripes(width: int, air: Air | None = None) -> LightProblem:
+    """Stripes at 10 m, the detector beside the emitter."""
+    return LightProblem(mitsuba_scene(striped(10.0, width)), HERE, BESIDE, air=air)
 
 
 def foggy(folder: Path, weather: str) -> System:
@@ -94,9 +100,9 @@ def test_stripes_in_fog_have_the_contrast_of_a_random_walk(
         render(scene, s, fidelity=fidelity, seed=np.random.SeedSequence(5))
         for s in (clear_system, system)
     )
-    veil = veil_of(system, air, fog.emitter, fog.detector, fog.truth.depth_m).light
+    assert fog.backscatter is not None
     bright = tones(clear.light.cells, width)[0]
-    found = tones(fog.light.cells - veil, width) / bright
+    found = tones(fog.light.cells - fog.backscatter.light, width) / bright
     expected = walked(
         air.extinction_per_m,
         air.scattering_per_m / air.extinction_per_m,
@@ -113,10 +119,9 @@ def test_stripes_in_fog_have_the_contrast_of_a_random_walk(
 
 def test_delta_scaling_is_what_is_left_without_orders() -> None:
     """Zero orders: contrast stays that of clear air, light falls with the scaled extinction."""
-    world = mitsuba_scene(striped(10.0, 2))
     clear, scaled = (
-        transport(world, HERE, BESIDE, (N, N), quality=Quality(4, 1, None, 0), seed=1, air=air)
-        for air in (None, FOG)
+        transport(problem, (N, N), quality=Quality(4, 1, None, 0), seed=1)
+        for problem in (before_stripes(2), before_stripes(2, FOG))
     )
     a, b = (tones(g.total, 2) for g in (clear, scaled))
     np.testing.assert_allclose(b / a, math.exp(-2 * FOG.surface_extinction_per_m * 10), rtol=0.02)
@@ -129,38 +134,26 @@ def test_every_tracer_finds_the_same_light_in_fog(role) -> None:
     wall is walked from the other side: 1 % for what that way leaves out. Else Student's t over 8
     seeds each, false-alarm rate 1e-4.
     """
-    world, seeds, shape = mitsuba_scene(striped(10.0, 8)), range(8), (4, 8)
+    problem, seeds, shape = before_stripes(8, FOG), range(8), (4, 8)
+    quality = Quality(1024, 1)
     plain = np.array(
-        [
-            transport(
-                world, HERE, BESIDE, shape, quality=Quality(1024, 1), seed=s, air=FOG
-            ).total.sum()
-            for s in seeds
-        ]
+        [transport(problem, shape, quality=quality, seed=s).total.sum() for s in seeds]
     )
-    start, end = Grid(HERE, *shape), Grid(BESIDE, 4, 4)
     others = [
         [
-            transport_matrix(
-                world, start, end, quality=Quality(1024, 1), seed=100 + s, role=role, air=FOG
-            ).sum()
+            transport_matrix(problem, shape, (4, 4), quality=quality, seed=100 + s, role=role).sum()
             for s in seeds
         ]
     ]
     if role == "dual":
-        light, quality = DeviceLight(BESIDE, "pupil"), Quality(1024, 1)
         others.append(
             [
-                trace_paths(world, HERE, BESIDE, shape, quality=quality, seed=200 + s, air=FOG)
-                .light()
-                .sum()
+                trace_paths(problem, shape, quality=quality, seed=200 + s).light().sum()
                 for s in seeds
             ]
         )
-        once = gather_by_object(
-            world, start, light, role="emitter", quality=quality, seed=3, air=FOG
-        ).gathered(np.ones(1))
-        same = gather(world, start, light, role="emitter", quality=quality, seed=3, air=FOG)
+        once = gather_by_object(problem.from_emitter(shape, quality, 3)).gathered(np.ones(1))
+        same = transport(problem, shape, quality=quality, seed=3)
         np.testing.assert_allclose(once.total, same.total, rtol=1e-6)
         np.testing.assert_allclose(once.standard_error, same.standard_error, rtol=1e-4)
     for other in np.array(others):
@@ -175,13 +168,12 @@ def test_columns_of_a_line_sensor_blur_into_each_other() -> None:
     """What comes back is smeared over the columns as it is over the cells on its way out: either
     start gives the same matrix, and neighbours of the straight column get light.
     """
-    world = mitsuba_scene(striped(10.0, 8))
-    cells, columns, quality = Grid(HERE, 1, 8), Grid(HERE, 1, 8), Quality(128**2, 1)
+    fog, quality = replace(before_stripes(8, FOG), detector=HERE), Quality(128**2, 1)
     dual, scatter = (
-        transport_matrix(world, cells, columns, quality=quality, seed=1, role=role, air=FOG)
+        transport_matrix(fog, (1, 8), (1, 8), quality=quality, seed=1, role=role)
         for role in ("dual", "scatter")
     )
-    clear = transport_matrix(world, cells, columns, quality=quality, seed=1)
+    clear = transport_matrix(replace(fog, air=None), (1, 8), (1, 8), quality=quality, seed=1)
     assert clear[3, 4] < 1e-6 * clear[3, 3]
     assert dual[3, 4] > 0.02 * dual[3, 3]
     np.testing.assert_allclose(dual, scatter, atol=0.02 * dual.max())
@@ -191,11 +183,13 @@ def test_the_background_of_the_sun_is_conserved_by_forward_scattering() -> None:
     """Pure forward scattering (asymmetry 0.999, no absorption): what leaves one part of the field
     arrives in its neighbours. 2 % for the edge of the field and the noise.
     """
-    world = mitsuba_scene(striped(10.0, 8))
-    sun, quality = SunLight(np.array([-1.0, 0.0, 0.0])), Quality(16, 1)
+    sun = np.array([-1.0, 0.0, 0.0])
     clear, thick = (
-        gather(world, Grid(HERE, 16, 16), sun, role="pupil", quality=quality, seed=1, air=air)
-        for air in (None, Air(0.1, 0.1, 0.999))
+        sunlight(problem, (16, 16), quality=Quality(16, 1), seed=1)
+        for problem in (
+            replace(before_stripes(8, air), detector=HERE, sun_direction=sun)
+            for air in (None, Air(0.1, 0.1, 0.999))
+        )
     )
     assert thick.total.sum() == pytest.approx(clear.total.sum(), rel=0.02)
 
@@ -210,7 +204,7 @@ def test_thin_air_is_not_followed() -> None:
 
 
 def test_a_capture_says_how_fog_is_taken(tmp_path: Path) -> None:
-    """The model stands in the assumptions; the warning says that the real picture is hazier."""
+    """The model stands in the assumptions; the warning says that the real image is hazier."""
     taken = capture(
         striped(10.0, 8), foggy(tmp_path, '[weather]\npart = "fog-50m"\n'), fidelity=Fidelity(1, 1)
     )

@@ -8,9 +8,10 @@ import pytest
 from scipy import stats
 
 from hardware import PatternSet
-from twin.optics.devices import Device, Grid
+from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
 from twin.optics.reference import PatternRenderer
 from twin.optics.transport import transport
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
@@ -32,11 +33,11 @@ def wall(distance_m: float):
 @pytest.mark.parametrize("role", ["dual", "scatter"])
 def test_without_a_baseline_each_cell_meets_its_own_pixel(role) -> None:
     """Emitter and detector at one point: the matrix is diagonal, and its sum the closed form."""
-    grid = Grid(HERE, 8, 8)
-    matrix = transport_matrix(wall(5.0), grid, grid, quality=Quality(256, 1), seed=1, role=role)
+    problem, shape, quality = LightProblem(wall(5.0), HERE, HERE), (8, 8), Quality(256, 1)
+    matrix = transport_matrix(problem, shape, shape, quality=quality, seed=1, role=role)
     off = matrix - np.diag(np.diag(matrix))
     assert np.abs(off).sum() < 1e-5 * matrix.sum()
-    expected = transport(wall(5.0), HERE, HERE, (8, 8), quality=Quality(256, 1), seed=2).total
+    expected = transport(problem, shape, quality=quality, seed=2).total
     np.testing.assert_allclose(np.diag(matrix), expected.ravel(), rtol=1e-3)
 
 
@@ -48,8 +49,9 @@ def test_a_baseline_moves_pixels_the_way_geometry_says(role) -> None:
     """
     n, z = 8, 5.0
     left = Device(np.array([0, z * 2 * TAN / n, 0]), AHEAD, TAN)
+    problem = LightProblem(wall(z), HERE, left)
     matrix = transport_matrix(
-        wall(z), Grid(HERE, 4, n), Grid(left, 4, n), quality=Quality(64, 1), seed=1, role=role
+        problem, (4, n), (4, n), quality=Quality(64, 1), seed=1, role=role
     ).reshape(4, n, 4, n)
     for row in range(4):
         for column in range(n):
@@ -69,9 +71,8 @@ def test_line_sensor_is_what_mitsuba_renders_pattern_by_pattern(depth: int) -> N
     scene = load_scene("yard")
     emitter = Device(*scene.rig.device("emitter"), TAN)
     detector = Device(*scene.rig.device("detector"), TAN)
-    reference = PatternRenderer(scene, emitter, detector, max_depth=depth)
-    rows, columns = Grid(emitter, 16, 1), Grid(detector, 1, 16)
-    world, renders = mitsuba_scene(scene), 12
+    problem, renders = LightProblem(mitsuba_scene(scene), emitter, detector), 12
+    reference = PatternRenderer(problem, max_depth=depth)
     bound = stats.t.isf(1e-4 / 128 / 2, df=renders - 1)
     patterns = PatternSet(16, 1, 4, "sequency", "plain").masks().astype(float)
     brute = np.array(
@@ -91,7 +92,7 @@ def test_line_sensor_is_what_mitsuba_renders_pattern_by_pattern(depth: int) -> N
         ours = np.array(
             [
                 transport_matrix(
-                    world, rows, columns, quality=Quality(samples, depth), seed=s, role=role
+                    problem, (16, 1), (1, 16), quality=Quality(samples, depth), seed=s, role=role
                 )
                 @ patterns.reshape(4, 16).T
                 for s in range(renders)
@@ -117,14 +118,14 @@ def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
     not normal: only those with at least 1 % of the largest are tested.
     """
     scene = load_scene("yard")
-    world = mitsuba_scene(scene)
-    emitter = Grid(Device(*scene.rig.device("emitter"), TAN), 16, 1)
-    detector = Grid(Device(*scene.rig.device("detector"), TAN), 1, 32)
+    emitter = Device(*scene.rig.device("emitter"), TAN)
+    detector = Device(*scene.rig.device("detector"), TAN)
+    problem = LightProblem(mitsuba_scene(scene), emitter, detector)
     draws = {
         role: np.stack(
             [
                 transport_matrix(
-                    world, emitter, detector, quality=Quality(samples, 2), seed=s, role=role
+                    problem, (16, 1), (1, 32), quality=Quality(samples, 2), seed=s, role=role
                 )
                 for s in range(24)
             ]
@@ -136,9 +137,7 @@ def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
     lit = mean["dual"] > 0.01 * mean["dual"].max()
     t = (mean["dual"] - mean["scatter"])[lit] / np.hypot(error["dual"], error["scatter"])[lit]
     assert np.abs(t).max() < stats.t.isf(1e-4 / lit.sum() / 2, df=23)
-    plain = transport(
-        world, emitter.device, detector.device, (16, 1), quality=Quality(65536, 2), seed=5
-    )
+    plain = transport(problem, (16, 1), quality=Quality(65536, 2), seed=5)
     for d in draws.values():
         rows = d.sum(axis=1)
         off = rows.mean(axis=0) - plain.total.ravel()
@@ -178,30 +177,29 @@ def test_all_pixels_together_are_the_plain_transport(
     the whole, 1.6 % of a cell in which 4096 of them fall at random. Bounds at three and five of
     these standard deviations; masked by the start's field, 0.6 to 66 % were lost.
     """
-    world = wall(5.0)
-    start, end = Grid(emitter, *shape), Grid(detector, *columns)
-    plain = transport(world, emitter, detector, shape, quality=Quality(4096, 1), seed=2).total
+    problem = LightProblem(wall(5.0), emitter, detector)
+    plain = transport(problem, shape, quality=Quality(4096, 1), seed=2).total
     for role in roles:
-        ends = start.size if role == "dual" else end.size
-        quality = Quality(math.isqrt(4096 * start.size // ends) ** 2, 1)
-        summed = transport_matrix(world, start, end, quality=quality, seed=3, role=role).sum(axis=0)
+        ends = math.prod(shape if role == "dual" else columns)
+        quality = Quality(math.isqrt(4096 * math.prod(shape) // ends) ** 2, 1)
+        matrix = transport_matrix(problem, shape, columns, quality=quality, seed=3, role=role)
+        summed = matrix.sum(axis=0)
         assert summed.sum() == pytest.approx(plain.sum(), rel=3e-3)
         np.testing.assert_allclose(summed, plain.ravel(), atol=0.08 * plain.max())
 
 
 def test_same_seed_same_bits_and_roles_by_name() -> None:
-    grid = Grid(HERE, 4, 4)
-    world = wall(3.0)
-    a, b = (transport_matrix(world, grid, grid, quality=Quality(16, 2), seed=7) for _ in range(2))
+    problem, shape, quality = LightProblem(wall(3.0), HERE, HERE), (4, 4), Quality(16, 2)
+    a, b = (transport_matrix(problem, shape, shape, quality=quality, seed=7) for _ in range(2))
     np.testing.assert_array_equal(a, b)
     with pytest.raises(ValueError, match="role: 'both' is none of dual, scatter"):
-        transport_matrix(world, grid, grid, quality=Quality(4, 1), seed=1, role="both")
+        transport_matrix(problem, shape, shape, quality=quality, seed=1, role="both")
 
 
 def test_an_empty_view_gives_zeros() -> None:
     backwards = Device(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
-    grid = Grid(backwards, 4, 4)
-    matrix = transport_matrix(wall(3.0), grid, grid, quality=Quality(4, 3), seed=1)
+    problem = LightProblem(wall(3.0), backwards, backwards)
+    matrix = transport_matrix(problem, (4, 4), (4, 4), quality=Quality(4, 3), seed=1)
     assert matrix.shape == (16, 16)
     assert not matrix.any()
 
@@ -209,11 +207,11 @@ def test_an_empty_view_gives_zeros() -> None:
 @pytest.mark.parametrize("role", ["dual", "scatter"])
 def test_blocks_of_rows_land_where_they_belong(role, monkeypatch: pytest.MonkeyPatch) -> None:
     """Traced two rows at a time, the diagonal of a wall is the same but for noise."""
-    import twin.optics.transport as module
+    import twin.optics.tracer as module
 
-    grid, world, quality = Grid(HERE, 8, 8), wall(5.0), Quality(256, 1)
-    whole = transport_matrix(world, grid, grid, quality=quality, seed=1, role=role)
+    problem, shape, quality = LightProblem(wall(5.0), HERE, HERE), (8, 8), Quality(256, 1)
+    whole = transport_matrix(problem, shape, shape, quality=quality, seed=1, role=role)
     monkeypatch.setattr(module, "RAYS_AT_ONCE", 2 * 8 * 256)
-    parts = transport_matrix(world, grid, grid, quality=quality, seed=1, role=role)
+    parts = transport_matrix(problem, shape, shape, quality=quality, seed=1, role=role)
     np.testing.assert_allclose(np.diag(parts), np.diag(whole), rtol=1e-3)
     assert np.abs(parts - np.diag(np.diag(parts))).sum() < 1e-5 * parts.sum()

@@ -14,7 +14,8 @@ from twin.camera.shutters import shutters
 from twin.fidelity import Fidelity
 from twin.optics.devices import Device
 from twin.optics.paths import Quality
-from twin.optics.time_of_flight import Paths, gate, phase_tap, trace_paths
+from twin.optics.problem import LightProblem
+from twin.optics.time_of_flight import Paths, gate, phase_shutter, trace_paths
 from twin.optics.transport import transport
 from twin.optics.weather import Air
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
@@ -37,8 +38,8 @@ def paths_to_wall(distance_m: float, samples: int = 16) -> Paths:
     emitter = Device(np.zeros(3), np.eye(3), TAN)
     # A wider field than what is lit: no cell is cut by its edge.
     detector = Device(np.array([0, -BASELINE, 0]), np.eye(3), 2 * TAN)
-    world = mitsuba_scene(wall(distance_m))
-    return trace_paths(world, emitter, detector, (16, 16), quality=Quality(samples, 1), seed=1)
+    problem = LightProblem(mitsuba_scene(wall(distance_m)), emitter, detector)
+    return trace_paths(problem, (16, 16), quality=Quality(samples, 1), seed=1)
 
 
 def middle_lengths(distance_m: float, n: int = 16) -> np.ndarray:
@@ -84,14 +85,14 @@ def test_a_histogram_holds_all_the_light_at_the_right_time() -> None:
 def test_lengths_cost_no_light_on_the_yard() -> None:
     """Recorded paths and the fused tracer agree: Student t over 12 seeds each, 1e-4 over all."""
     scene = load_scene("yard")
-    world = mitsuba_scene(scene)
     emitter = Device(*scene.rig.device("emitter"), tan_half_field=TAN)
     detector = Device(*scene.rig.device("detector"), tan_half_field=TAN)
+    problem = LightProblem(mitsuba_scene(scene), emitter, detector)
     shape, quality = (8, 8), Quality(256, 4)
     both = [
         [
-            trace_paths(world, emitter, detector, shape, quality=quality, seed=s).light(),
-            transport(world, emitter, detector, shape, quality=quality, seed=100 + s).total,
+            trace_paths(problem, shape, quality=quality, seed=s).light(),
+            transport(problem, shape, quality=quality, seed=100 + s).total,
         ]
         for s in range(12)
     ]
@@ -101,14 +102,14 @@ def test_lengths_cost_no_light_on_the_yard() -> None:
     assert p.min() > 1e-4 / lit.sum()
 
 
-def test_taps_in_four_phases_give_the_phasor_back() -> None:
+def test_shutters_in_four_phases_give_the_phasor_back() -> None:
     paths = paths_to_wall(4.0)
     f, contrast = 15e6, 0.7
     phases = np.pi / 2 * np.arange(4)
-    taps = [paths.light(phase_tap(f, p, contrast)) for p in phases]
-    phasor = sum(t * np.exp(-1j * p) for t, p in zip(taps, phases, strict=True)) / contrast
+    taken = [paths.light(phase_shutter(f, p, contrast)) for p in phases]
+    phasor = sum(t * np.exp(-1j * p) for t, p in zip(taken, phases, strict=True)) / contrast
     np.testing.assert_allclose(phasor, paths.phasor(f), rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(sum(taps), 2 * paths.light(), rtol=1e-12)
+    np.testing.assert_allclose(sum(taken), 2 * paths.light(), rtol=1e-12)
 
 
 def test_a_gate_takes_the_part_of_the_pulse_that_arrives_in_it() -> None:
@@ -136,7 +137,7 @@ def with_time_of_flight(tmp_path: Path, section: str) -> System:
 def test_the_camera_measures_distance_by_phase(
     tmp_path: Path, frequencies: list[float], distance_m: float
 ) -> None:
-    """Record to distance by the vehicle's own software: 4 taps a frequency, each shown with every
+    """Record to distance by the vehicle's own software: 4 taken a frequency, each shown with every
     pattern; the wall at 19 m lies beyond the first wrap of both, 15 and 11.5 m. Within 3 sigma of
     shot noise, and the median within 1 mm (4 m) or 5 mm (19 m, 20 times less light).
     """
@@ -160,9 +161,9 @@ def test_gates_see_only_what_stands_in_their_range(tmp_path: Path) -> None:
         "gate_delays_s = [26e-9, 60e-9]\n"
     )
     system = with_time_of_flight(tmp_path, section)
-    taps = shutters(system)
-    assert taps[0].light_share == pytest.approx(0.01)
-    assert taps[0].open_share == pytest.approx(0.012)
+    taken = shutters(system)
+    assert taken[0].light_share == pytest.approx(0.01)
+    assert taken[0].open_share == pytest.approx(0.012)
     scene = wall(4.0)
     rendered = render(scene, system, fidelity=Fidelity(16, 1), seed=np.random.SeedSequence(1))
     taken = measure(scene, system, rendered, rng=np.random.default_rng(2))
@@ -232,13 +233,10 @@ def test_air_takes_its_share_of_every_path() -> None:
     world = mitsuba_scene(wall(20.0))
     clear, hazy = (
         transport(
-            world,
-            emitter,
-            emitter,
+            LightProblem(world, emitter, emitter, air=air),
             (16, 16),
             quality=Quality(16, 1),
             seed=1,
-            air=air,
         ).total
         for air in (None, Air(extinction_per_m=0.02, scattering_per_m=0.0, asymmetry=0.0))
     )

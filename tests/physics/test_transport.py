@@ -10,6 +10,7 @@ from scipy import stats
 from hardware import PatternSet
 from twin.optics.devices import Device
 from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
 from twin.optics.reference import PatternRenderer
 from twin.optics.transport import sunlight, transport
@@ -41,7 +42,8 @@ def on_wall(distance_m: float, baseline_m: float, quality: Quality, **scene) -> 
     world = mitsuba_scene(wall_scene(distance_m, **scene))
     emitter = Device(np.zeros(3), AHEAD, TAN)
     detector = Device(np.array([0, baseline_m, 0]), AHEAD, TAN)
-    return transport(world, emitter, detector, (32, 32), quality=quality, seed=1).total
+    problem = LightProblem(world, emitter, detector)
+    return transport(problem, (32, 32), quality=quality, seed=1).total
 
 
 @pytest.mark.parametrize("distance_m", [2.0, 5.0, 10.0])
@@ -90,7 +92,8 @@ def test_a_scene_in_map_coordinates_gives_the_same_light() -> None:
 def test_nothing_in_the_field_is_dark() -> None:
     world = mitsuba_scene(wall_scene(5.0))
     backwards = Device(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
-    cells = transport(world, backwards, backwards, (8, 8), quality=Quality(4, 2), seed=1)
+    problem = LightProblem(world, backwards, backwards)
+    cells = transport(problem, (8, 8), quality=Quality(4, 2), seed=1)
     assert not cells.total.any()
 
 
@@ -99,8 +102,12 @@ def test_a_disc_shaped_field_sees_its_share_of_the_square() -> None:
     world = mitsuba_scene(wall_scene(5.0))
     camera = Device(np.zeros(3), AHEAD, TAN)
     disc = replace(camera, outline="disc")
-    seen = transport(world, camera, disc, (64, 64), quality=Quality(64, 1), seed=1).total.sum()
-    whole = transport(world, camera, camera, (64, 64), quality=Quality(64, 1), seed=1).total.sum()
+    seen, whole = (
+        transport(
+            LightProblem(world, camera, detector), (64, 64), quality=Quality(64, 1), seed=1
+        ).total.sum()
+        for detector in (disc, camera)
+    )
     expected = math.pi / 4 * mean_cos_power(7, TAN, "disc") / mean_cos_power(7, TAN, "square")
     assert seen / whole == pytest.approx(expected, rel=3e-3)
 
@@ -110,7 +117,8 @@ def test_sun_on_a_wall_is_the_closed_form() -> None:
     scene = wall_scene(5.0)
     world = mitsuba_scene(scene)
     camera = Device(np.zeros(3), AHEAD, TAN)
-    seen = sunlight(world, camera, scene.sun.direction, quality=Quality(16, 2), seed=1).total.sum()
+    problem = LightProblem(world, camera, camera, scene.sun.direction)
+    seen = sunlight(problem, quality=Quality(16, 2), seed=1).total.sum()
     facing = math.cos(math.radians(30))
     expected = 0.5 / math.pi * facing * mean_cos_power(4, TAN, "square") * 4 * TAN**2
     assert seen == pytest.approx(expected, rel=1e-3)
@@ -121,7 +129,10 @@ def test_sun_casts_shadows_and_does_not_shine_through() -> None:
     world = mitsuba_scene(wall_scene(5.0))
     camera = Device(np.zeros(3), AHEAD, TAN)
     behind = np.array([1.0, 0.0, 0.0])
-    assert not sunlight(world, camera, behind, quality=Quality(4, 2), seed=1).total.any()
+    problem = LightProblem(world, camera, camera, behind)
+    assert not sunlight(problem, quality=Quality(4, 2), seed=1).total.any()
+    with pytest.raises(ValueError, match="sun_direction"):
+        sunlight(replace(problem, sun_direction=None), quality=Quality(4, 2), seed=1)
 
 
 def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
@@ -140,7 +151,8 @@ def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
     r = 0.5
     world = _assemble([(Mesh(np.array(ball.vertices), np.array(ball.faces)), r)])
     camera = Device(np.zeros(3), AHEAD, TAN)
-    light = transport(world, camera, camera, (8, 8), quality=Quality(1024, 8), seed=3)
+    problem = LightProblem(world, camera, camera)
+    light = transport(problem, (8, 8), quality=Quality(1024, 8), seed=3)
     solid = 4 * math.asin(math.sin(math.radians(10)) ** 2)
     # A diffuse bounce inside a sphere lands uniformly on it: the share that lands where the
     # pupil's field sees it is the integral of cos over the field / (4 pi).
@@ -154,23 +166,24 @@ def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
 def test_same_seed_same_bits() -> None:
     world = mitsuba_scene(load_scene("yard"))
     camera = Device(np.zeros(3), AHEAD, TAN)
+    problem = LightProblem(world, camera, camera)
     a, b, other = (
-        transport(world, camera, camera, (16, 16), quality=Quality(16, 3), seed=s).total
-        for s in (1, 1, 2)
+        transport(problem, (16, 16), quality=Quality(16, 3), seed=s).total for s in (1, 1, 2)
     )
     np.testing.assert_array_equal(a, b)
     assert (a != other).any()
 
 
-def test_blocks_of_rows_do_not_change_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_of_rows_do_not_change_the_image(monkeypatch: pytest.MonkeyPatch) -> None:
     """Large grids are traced in blocks; each has its own stream, so only noise may differ."""
-    import twin.optics.transport as module
+    import twin.optics.tracer as module
 
     world = mitsuba_scene(load_scene("yard"))
     camera = Device(np.zeros(3), AHEAD, TAN)
-    whole = transport(world, camera, camera, (16, 16), quality=Quality(64, 2), seed=1)
+    problem = LightProblem(world, camera, camera)
+    whole = transport(problem, (16, 16), quality=Quality(64, 2), seed=1)
     monkeypatch.setattr(module, "RAYS_AT_ONCE", 16 * 64 * 3)
-    parts = transport(world, camera, camera, (16, 16), quality=Quality(64, 2), seed=1)
+    parts = transport(problem, (16, 16), quality=Quality(64, 2), seed=1)
     z = (parts.total - whole.total) / np.maximum(
         np.hypot(parts.standard_error, whole.standard_error), 1e-12
     )
@@ -198,10 +211,9 @@ def test_ten_patterns_agree_with_mitsubas_projector() -> None:
     emitter = Device(*scene.rig.device("emitter"), TAN)
     detector = Device(*scene.rig.device("detector"), TAN)
     quality = Quality(1024, 4)
-    cells = transport(
-        mitsuba_scene(scene), emitter, detector, (size, size), quality=quality, seed=11
-    )
-    reference = PatternRenderer(scene, emitter, detector, max_depth=quality.max_depth)
+    problem = LightProblem(mitsuba_scene(scene), emitter, detector)
+    cells = transport(problem, (size, size), quality=quality, seed=11)
+    reference = PatternRenderer(problem, max_depth=quality.max_depth)
     patterns = PatternSet(size, size, 10, "sequency", "plain").masks().astype(float)
     bound = stats.t.isf(1e-4 / 10 / 2, df=renders - 1)  # the error is estimated from renders
     worst = dict.fromkeys(("as it is", "mirrored", "turned over"), 0.0)

@@ -3,21 +3,22 @@
 import itertools
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
 from twin.camera import capture
-from twin.camera.air import veil_of
 from twin.camera.light import render
 from twin.camera.mounting import field_points
 from twin.fidelity import Fidelity
 from twin.files import InputError
+from twin.optics.backscatter import _along, _in_field, airlight, backscatter, cell_rays
 from twin.optics.devices import Device
+from twin.optics.problem import LightProblem
 from twin.optics.radiometry import mean_cos_power
 from twin.optics.reference import PatternRenderer
-from twin.optics.veil import _along, _in_field, airlight, backscatter, cell_rays
 from twin.optics.weather import (
     Air,
     air_of,
@@ -30,6 +31,7 @@ from twin.optics.weather import (
     snow_extinction_per_m,
 )
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, Weather, load_part, load_system, part_names
 
 TAN = math.tan(math.radians(10))
@@ -42,6 +44,21 @@ WEATHERS = [name for name in part_names() if load_part(name).weather is not None
 
 def beside(*baseline_m: float, outline: str = "square") -> Device:
     return Device(np.array(baseline_m), AHEAD, TAN, outline)  # type: ignore[arg-type]
+
+
+def scattered_back(
+    detector: Device, shape: tuple[int, int], distance_m: Any, air: Air = FOG, **knobs: Any
+) -> np.ndarray:
+    """Of the emitter's light, whatever the scene."""
+    return backscatter(
+        LightProblem(None, EMITTER, detector, air=air), shape, distance_m, **knobs
+    ).light
+
+
+def sunlit(
+    camera: Device, shape: tuple[int, int], distance_m: float, direction: np.ndarray, air: Air = FOG
+) -> np.ndarray:
+    return airlight(LightProblem(None, camera, camera, direction, air), shape, distance_m)
 
 
 # Extinction.
@@ -155,7 +172,7 @@ def test_air_refuses_what_no_air_has(values) -> None:
         Air(*values)
 
 
-# The emitter's own veil.
+# Backscatter of the emitter's own light.
 
 
 @pytest.mark.parametrize("outline", ["square", "disc"])
@@ -213,7 +230,7 @@ def test_quadrature_keeps_its_promise(nodes: int, error: float) -> None:
             ray = tuple(rng.choice(np.argwhere(stop > low)))
             way, begin, end = directions[ray], low[ray], stop[ray]
 
-            def veil(s: float, air=air, way=way, detector=detector) -> float:
+            def from_air(s: float, air=air, way=way, detector=detector) -> float:
                 to = s * way - detector.origin_m
                 r = float(np.linalg.norm(to))
                 sent = air.scattering_per_m * float(air.phase(-way @ to / r))
@@ -222,15 +239,15 @@ def test_quadrature_keeps_its_promise(nodes: int, error: float) -> None:
             edges = begin + np.geomspace(1e-3, 1 + end - begin, 30) - 1e-3
             edges = np.append(edges[edges < end], end)
             pieces = itertools.pairwise(edges)
-            expected = sum(integrate.quad(veil, *p, epsabs=0, epsrel=1e-12)[0] for p in pieces)
+            expected = sum(integrate.quad(from_air, *p, epsabs=0, epsrel=1e-12)[0] for p in pieces)
             one = (way[None], detector, np.array([begin]), np.array([end]))
             found = _along(EMITTER.origin_m, *one, air, nodes)[0][0].sum()
             assert found == pytest.approx(expected, rel=error), (baseline, distance)
 
 
-def test_far_away_the_veil_is_the_lidar_equation() -> None:
+def test_far_away_backscatter_is_the_lidar_equation() -> None:
     """A gate far from a small baseline: beta exp(-2 sigma R) dR / R^2 per solid angle."""
-    near, far = (backscatter(EMITTER, beside(0, 0.1, 0), (4, 4), d, FOG) for d in (50.0, 50.1))
+    near, far = (scattered_back(beside(0, 0.1, 0), (4, 4), d) for d in (50.0, 50.1))
     _, cosine = cell_rays(EMITTER, (4, 4), 8)
     area = (2 * TAN) ** 2 / 16
     solid = area * (cosine**4).mean(axis=(2, 3))
@@ -239,39 +256,39 @@ def test_far_away_the_veil_is_the_lidar_equation() -> None:
     np.testing.assert_allclose(far - near, expected, rtol=2e-3)
 
 
-def test_the_veil_is_seen_only_where_the_fields_overlap() -> None:
+def test_backscatter_is_seen_only_where_the_fields_overlap() -> None:
     """Detector 0.3 m to the left, surface at 0.5 m: cells on the right are not yet seen."""
-    veil = backscatter(EMITTER, beside(0, 0.3, 0), (8, 8), 0.5, FOG)
-    assert not veil.any()
-    veil = backscatter(EMITTER, beside(0, 0.3, 0), (8, 8), 1.2, FOG)
-    assert (veil[:, 0] > 0).all()
-    assert not veil[:, -1].any()
-    mirrored = backscatter(EMITTER, beside(0, -0.3, 0), (8, 8), 1.2, FOG)
-    np.testing.assert_allclose(mirrored[:, ::-1], veil, rtol=1e-9)
-    below = backscatter(EMITTER, beside(0, 0, 0.3), (8, 8), 1.2, FOG)
-    np.testing.assert_allclose(below, veil.T, rtol=1e-9)
+    from_air = scattered_back(beside(0, 0.3, 0), (8, 8), 0.5)
+    assert not from_air.any()
+    from_air = scattered_back(beside(0, 0.3, 0), (8, 8), 1.2)
+    assert (from_air[:, 0] > 0).all()
+    assert not from_air[:, -1].any()
+    mirrored = scattered_back(beside(0, -0.3, 0), (8, 8), 1.2)
+    np.testing.assert_allclose(mirrored[:, ::-1], from_air, rtol=1e-9)
+    below = scattered_back(beside(0, 0, 0.3), (8, 8), 1.2)
+    np.testing.assert_allclose(below, from_air.T, rtol=1e-9)
 
 
 def test_each_cell_has_its_own_distance() -> None:
     """One cell with a near surface; the others see to infinity, which is finite."""
     distance = np.full((4, 4), np.inf)
     distance[1, 2] = 2.0
-    veil = backscatter(EMITTER, beside(0, 0.1, 0), (4, 4), distance, FOG)
-    near = backscatter(EMITTER, beside(0, 0.1, 0), (4, 4), 2.0, FOG)
-    free = backscatter(EMITTER, beside(0, 0.1, 0), (4, 4), 1e6, FOG)
-    assert veil[1, 2] == near[1, 2] < free[1, 2]
-    veil[1, 2] = free[1, 2]
-    np.testing.assert_allclose(veil, free, rtol=1e-9)
+    from_air = scattered_back(beside(0, 0.1, 0), (4, 4), distance)
+    near = scattered_back(beside(0, 0.1, 0), (4, 4), 2.0)
+    free = scattered_back(beside(0, 0.1, 0), (4, 4), 1e6)
+    assert from_air[1, 2] == near[1, 2] < free[1, 2]
+    from_air[1, 2] = free[1, 2]
+    np.testing.assert_allclose(from_air, free, rtol=1e-9)
 
 
-def test_air_that_does_not_scatter_has_no_veil() -> None:
-    assert not backscatter(EMITTER, beside(0, 0.1, 0), (4, 4), 9.0, Air(0.1, 0.0, 0.0)).any()
-    assert not airlight(EMITTER, (4, 4), 9.0, np.array([0, 0, 1.0]), Air(0.0, 0.0, 0.0)).any()
+def test_air_that_does_not_scatter_sends_nothing_back() -> None:
+    assert not scattered_back(beside(0, 0.1, 0), (4, 4), 9.0, Air(0.1, 0.0, 0.0)).any()
+    assert not sunlit(EMITTER, (4, 4), 9.0, np.array([0, 0, 1.0]), Air(0.0, 0.0, 0.0)).any()
 
 
 def test_two_pinholes_at_one_place_are_refused() -> None:
     with pytest.raises(ValueError, match="baseline"):
-        backscatter(EMITTER, beside(0, 0, 0), (4, 4), 9.0, FOG)
+        scattered_back(beside(0, 0, 0), (4, 4), 9.0)
 
 
 # The sun's.
@@ -281,24 +298,22 @@ def test_two_pinholes_at_one_place_are_refused() -> None:
 def test_airlight_is_the_closed_form(distance_m: float) -> None:
     """Isotropic: albedo / (4 pi) (1 - exp(-sigma d)) over the field's <cos^4>."""
     air = Air(0.02, 0.01, 0.0)
-    found = airlight(EMITTER, (16, 16), distance_m, np.array([0.0, 0.0, 1.0]), air).sum()
+    found = sunlit(EMITTER, (16, 16), distance_m, np.array([0.0, 0.0, 1.0]), air).sum()
     field = 4 * TAN**2 * mean_cos_power(4, TAN, "square")
     expected = 0.5 / (4 * math.pi) * -math.expm1(-0.02 * distance_m) * field
     assert found == pytest.approx(expected, rel=1e-3)
 
 
-def test_fog_glows_towards_the_sun() -> None:
+def test_airlight_is_brightest_towards_the_sun() -> None:
     """Sun low ahead against low behind: the phase function's ratio at those angles; and the cell
     nearest to the sun is the brightest.
     """
     ahead, behind = np.array([1.0, 0.0, 0.3]), np.array([-1.0, 0.0, 0.3])
     ahead, behind = ahead / np.linalg.norm(ahead), behind / np.linalg.norm(behind)
     narrow = Device(np.zeros(3), AHEAD, 1e-3)
-    ratio = (
-        airlight(narrow, (1, 1), 50.0, ahead, FOG) / airlight(narrow, (1, 1), 50.0, behind, FOG)
-    )[0, 0]
+    ratio = (sunlit(narrow, (1, 1), 50.0, ahead) / sunlit(narrow, (1, 1), 50.0, behind))[0, 0]
     assert ratio == pytest.approx(float(FOG.phase(ahead[0]) / FOG.phase(behind[0])), rel=1e-3)
-    cells = airlight(EMITTER, (4, 4), 50.0, ahead, FOG)
+    cells = sunlit(EMITTER, (4, 4), 50.0, ahead)
     assert cells[0].min() > cells[-1].max()
 
 
@@ -310,7 +325,7 @@ def test_wall_in_fog_agrees_with_volpath_at_single_scattering() -> None:
 
     Rationale: another integrator and phase function sampling, light followed the other way.
     Expected: Student's t for a false-alarm rate of 1e-4 over six comparisons, with a 0.05 %
-    allowance for the projector's texture. Fails (checked below) without the veil, and with the
+    allowance for the projector's texture. Fails (checked below) without backscatter, and with the
     pattern mirrored.
     """
     distance, size, renders = 10.0, 16, 16
@@ -320,8 +335,8 @@ def test_wall_in_fog_agrees_with_volpath_at_single_scattering() -> None:
     left[:, : size // 2] = 1
     top = left.T
     for air in (FOG, Air(0.1, 0.09, 0.0)):
-        light, veil = wall_and_veil(detector, size, distance, air)
-        reference = PatternRenderer(wall(distance), EMITTER, detector, max_depth=1, air=air)
+        light, from_air = wall_and_backscatter(detector, size, distance, air)
+        reference = PatternRenderer(before_wall(detector, distance, air), max_depth=1)
         for pattern in (np.ones_like(left), left, top):
             got = [reference.render(pattern, samples=64, seed=i) for i in range(renders)]
             error = np.std(got, ddof=1) / math.sqrt(renders)
@@ -329,26 +344,26 @@ def test_wall_in_fog_agrees_with_volpath_at_single_scattering() -> None:
             def off(expected: float, got=got, error=error) -> float:
                 return (abs(np.mean(got) - expected) - 5e-4 * expected) / error
 
-            expected = float((pattern * (light + veil)).sum())
+            expected = float((pattern * (light + from_air)).sum())
             assert off(expected) < bound
             assert off(float((pattern * light).sum())) > 10 * bound
             if pattern is left:
-                assert off(float((pattern[:, ::-1] * (light + veil)).sum())) > 10 * bound
+                assert off(float((pattern[:, ::-1] * (light + from_air)).sum())) > 10 * bound
 
 
 @pytest.mark.slow
 def test_dense_air_agrees_with_volpath_to_a_third_of_a_percent() -> None:
-    """Extinction 1 per m: only the veil is left. Student's t, false-alarm rate 1e-4.
+    """Extinction 1 per m: only backscatter is left. Student's t, false-alarm rate 1e-4.
 
     Fails where the camera's rays begin at Mitsuba's default of 1 cm: 1 % too bright.
     """
     air, detector, renders = Air(1.0, 0.9, 0.0), beside(0, 0.3, 0), 16
-    light, veil = wall_and_veil(detector, 16, 10.0, air)
-    reference = PatternRenderer(wall(10.0), EMITTER, detector, max_depth=1, air=air)
+    light, from_air = wall_and_backscatter(detector, 16, 10.0, air)
+    reference = PatternRenderer(before_wall(detector, 10.0, air), max_depth=1)
     lit = np.ones((16, 16))
     got = [reference.render(lit, samples=2048, seed=i) for i in range(renders)]
     bound = stats.t.isf(1e-4 / 2, df=renders - 1) * np.std(got, ddof=1) / math.sqrt(renders)
-    expected = float((light + veil).sum())
+    expected = float((light + from_air).sum())
     assert bound < 4e-3 * expected
     assert abs(np.mean(got) - expected) < bound + 5e-4 * expected
 
@@ -361,10 +376,14 @@ def wall(distance_m: float) -> Scene:
     return Scene("wall", Path(), "", (flat,), Rig(Pose((0.0, 0.0, 0.0))), Sun(180.0, 30.0, 1e5))
 
 
-def wall_and_veil(
+def before_wall(detector: Device, distance_m: float, air: Air) -> LightProblem:
+    return LightProblem(mitsuba_scene(wall(distance_m)), EMITTER, detector, air=air)
+
+
+def wall_and_backscatter(
     detector: Device, size: int, distance_m: float, air: Air
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Closed form of the wall's light with Beer-Lambert, 8 x 8 rays a cell; and the veil."""
+    """Closed form of the wall's light with Beer-Lambert, 8 x 8 rays a cell; and backscatter."""
     directions, cosine = cell_rays(EMITTER, (size, size), 8)
     s = distance_m / cosine
     point = s[..., None] * directions - detector.origin_m
@@ -373,8 +392,8 @@ def wall_and_veil(
     value = 0.5 / math.pi * (point[..., 0] / r) ** 2 / r**2 * seen * air.transmission(s + r)
     area = (2 * TAN) ** 2 / size**2
     light = area * (value * cosine**3).mean(axis=(2, 3))
-    veil = backscatter(EMITTER, detector, (size, size), s.mean(axis=(2, 3)), air)
-    return light, veil
+    from_air = scattered_back(detector, (size, size), s.mean(axis=(2, 3)), air)
+    return light, from_air
 
 
 @pytest.fixture
@@ -397,8 +416,8 @@ FOG_200_M = '[weather]\npart = "fog-200m"\n'
 
 def test_fog_dims_the_scene_and_lifts_its_darkest_cells(foggy) -> None:
     """Through the camera: the yard is wide against the fog's lobe, so most cells lose what delta
-    scaling takes, and gain the veil; cells that see the sky get a little of their neighbours' light
-    besides.
+    scaling takes, and gain backscatter; cells that see the sky get a little of their neighbours'
+    light besides.
     """
     scene = load_scene("yard")
     fidelity = Fidelity(1024, 1)
@@ -408,41 +427,43 @@ def test_fog_dims_the_scene_and_lifts_its_darkest_cells(foggy) -> None:
     foggy_light = render(scene, system, fidelity=fidelity, seed=np.random.SeedSequence(3))
     air = air_of_system(system)
     assert air is not None
-    veil = veil_of(system, air, clear.emitter, clear.detector, clear.truth.depth_m).light
+    assert foggy_light.backscatter is not None
+    from_air = foggy_light.backscatter.light
     # Way there and back through the middle of the cell: on smooth ground and walls.
     depth = clear.truth.depth_m.ravel()
     left, up = field_points((16, 16), clear.emitter.tan_half_field)
     way = 2 * depth * np.sqrt(1 + left**2 + up**2).ravel()
-    expected = clear.light.cells[0] * np.exp(-air.surface_extinction_per_m * way) + veil[0]
+    expected = clear.light.cells[0] * np.exp(-air.surface_extinction_per_m * way) + from_air[0]
     seen = np.isfinite(depth) & (clear.light.cells[0] > 0)
     ratio = foggy_light.light.cells[0][seen] / expected[seen]
     assert np.median(ratio) == pytest.approx(1, abs=0.01)
-    sky = foggy_light.light.cells[0][~seen] / veil[0][~seen]
+    sky = foggy_light.light.cells[0][~seen] / from_air[0][~seen]
     assert (sky > 1).all()
     assert sky.max() < 1.1
-    assert (veil > 0).all()
+    assert (from_air > 0).all()
     assert foggy_light.sun.sum() > 0
 
 
-def test_columns_of_a_line_sensor_share_the_veil(foggy) -> None:
+def test_columns_of_a_line_sensor_share_backscatter(foggy) -> None:
     """Strips side by side make the whole field; each sees its own part of the air."""
     air = Air(0.02, 0.019, 0.8)
     here = Device(np.zeros(3), np.eye(3), TAN)
     beside_it = Device(np.array([0, -0.05, 0]), np.eye(3), TAN)
-    whole = backscatter(here, beside_it, (4, 1), 20.0, air)
+    problem = LightProblem(None, here, beside_it, air=air)
+    whole = backscatter(problem, (4, 1), 20.0).light
     edges = np.linspace(-1, 1, 9)
     parts = [
-        backscatter(here, beside_it, (4, 1), 20.0, air, strip=(a, b), rays=32)
+        backscatter(problem, (4, 1), 20.0, strip=(a, b), rays=32).light
         for a, b in itertools.pairwise(edges)
     ]
-    fine = backscatter(here, beside_it, (4, 1), 20.0, air, rays=32)
+    fine = backscatter(problem, (4, 1), 20.0, rays=32).light
     np.testing.assert_allclose(sum(parts), fine, rtol=1e-9)
     assert whole.sum() == pytest.approx(fine.sum(), rel=0.2)
     # The detector stands to the right: light close by crosses its field from the left edge on.
     assert parts[0].sum() > parts[-1].sum()
 
 
-def test_time_of_flight_sees_the_veil_before_the_wall(foggy) -> None:
+def test_time_of_flight_sees_backscatter_before_the_wall(foggy) -> None:
     """In fog the paths' light is the plain light, and the phase says too near."""
     tof = "[time_of_flight]\nmodulation_hz = [10e6]\ncontrast = 1.0\n"
     scene = load_scene("yard")

@@ -15,7 +15,7 @@ from studies import CLOSED, SMALL
 
 from twin.camera import capture
 from twin.camera.light import render
-from twin.camera.repaint import render_unpainted
+from twin.camera.reflectance_rescaling import render_unit_reflectance
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.scene import load_scene
@@ -57,7 +57,7 @@ def test_grid_zip_and_sample_make_one_labelled_dataset(
 
 def test_a_point_is_what_a_capture_gives(study) -> None:
     """The same counts, bit for bit, as `capture` with the same values set by hand and the study's
-    seed, whether paint is put on afterwards or not; a seed that is varied is the capture's.
+    seed, whether reflectances are put in afterwards or not; a seed that is varied is the capture's.
     """
     text = '[grid]\n"system.detector.width_m" = ["2 mm"]\n"seed" = [3, 5]\n'
     for depth in (1, 2):
@@ -70,11 +70,12 @@ def test_a_point_is_what_a_capture_gives(study) -> None:
             np.testing.assert_array_equal(outcome.capture.record.counts, by_hand.record.counts)
 
 
-def test_paint_is_put_on_afterwards_without_another_render() -> None:
-    """Light by object times reflectance is the light of the painted scene: to float32's digits."""
+def test_reflectances_are_put_in_afterwards_without_another_render() -> None:
+    """Light by object times reflectance is what a render of these gives: to float32's digits."""
     scene, system = load_scene("yard"), load_system("workable")
     fidelity = Fidelity(16, 1)
-    unpainted = render_unpainted(scene, system, fidelity=fidelity, seed=np.random.SeedSequence(3))
+    seed = np.random.SeedSequence(3)
+    unit = render_unit_reflectance(scene, system, fidelity=fidelity, seed=seed)
     from dataclasses import replace
 
     for factor in (1.0, 0.3):
@@ -84,9 +85,9 @@ def test_paint_is_put_on_afterwards_without_another_render() -> None:
             else o
             for o in scene.objects
         )
-        painted = replace(scene, objects=objects)
-        expected = render(painted, system, fidelity=fidelity, seed=np.random.SeedSequence(3))
-        found = unpainted.painted(painted)
+        changed = replace(scene, objects=objects)
+        expected = render(changed, system, fidelity=fidelity, seed=np.random.SeedSequence(3))
+        found = unit.rescaled(changed)
         for a, b in (
             (found.light.cells, expected.light.cells),
             (found.sun, expected.sun),
@@ -95,7 +96,7 @@ def test_paint_is_put_on_afterwards_without_another_render() -> None:
             np.testing.assert_allclose(a, b, atol=1e-6 * b.max())
         np.testing.assert_array_equal(found.truth.depth_m, expected.truth.depth_m)
     with pytest.raises(ValueError, match="direct light"):
-        render_unpainted(scene, system, fidelity=Fidelity(4, 2), seed=np.random.SeedSequence(0))
+        render_unit_reflectance(scene, system, fidelity=Fidelity(4, 2), seed=seed)
 
 
 def test_only_what_differs_optically_is_rendered(study) -> None:

@@ -76,7 +76,7 @@ def test_a_sweep_judges_by_the_cells_that_receive_light(tmp_path: Path) -> None:
 
 
 def test_a_point_warns_as_a_capture_does(tmp_path: Path) -> None:
-    """A painted render says what a rendered one says: here of objects smaller than the spacing of
+    """A rescaled render says what a rendered one says: here of objects smaller than the spacing of
     rays, 4 x 4 cells of 4.
     """
     head = SMALL.replace("= 16", "= 4").replace("= 256", "= 16")

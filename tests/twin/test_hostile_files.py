@@ -16,7 +16,7 @@ import pytest
 import twin
 from twin.camera.acquisition import capture
 from twin.camera.mounting import check_clear, check_rig
-from twin.camera.repaint import render_unpainted
+from twin.camera.reflectance_rescaling import render_unit_reflectance
 from twin.camera.stream import frames
 from twin.fidelity import Fidelity
 from twin.files import InputError, new_folder, whole_folder
@@ -142,7 +142,7 @@ def test_air_wants_the_detector_beside_the_beam(
     for refused in (
         lambda: capture(scene, foggy),
         lambda: next(frames(scene, foggy, [scene.rig.pose])),
-        lambda: render_unpainted(
+        lambda: render_unit_reflectance(
             scene, foggy, fidelity=Fidelity(1, 1), seed=np.random.SeedSequence(0)
         ),
     ):

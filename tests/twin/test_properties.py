@@ -20,9 +20,10 @@ from twin.camera import Capture
 from twin.camera.acquisition import measure
 from twin.camera.light import Rendered, render
 from twin.fidelity import Fidelity
-from twin.optics.devices import Device, Grid
+from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
 from twin.radar import load_radar
 from twin.radar.acquisition import channel as received
 from twin.radar.propagation.atmosphere import Air
@@ -320,14 +321,15 @@ def test_light_takes_the_same_way_back(
     scene = mitsuba_scene(world(wall("a", 5.0, reflectance), wall("b", 4.0, 0.5, 0.6)))
     tan = math.tan(math.radians(10))
     turned = Pose((0.0, 0.0, 0.0), yaw_deg=yaw_deg).rotation.as_matrix().T
-    emitter = Grid(Device(np.zeros(3), np.eye(3), tan), 4, 4)
-    detector = Grid(Device(np.array([0.0, baseline_m, 0.0]), turned, tan), 4, 4)
+    emitter = Device(np.zeros(3), np.eye(3), tan)
+    detector = Device(np.array([0.0, baseline_m, 0.0]), turned, tan)
+    problem = LightProblem(scene, emitter, detector)
 
     def totals(role: str) -> np.ndarray:
         return np.array(
             [
                 transport_matrix(
-                    scene, emitter, detector, quality=Quality(256, depth), seed=s, role=role
+                    problem, (4, 4), (4, 4), quality=Quality(256, depth), seed=s, role=role
                 ).sum()
                 for s in range(16)
             ]

@@ -13,8 +13,8 @@ from twin.radar import load_radar
 from twin.run_folder import default_folder, run_folder, settings_of
 from twin.scene import Pose, Track, load_scene
 from twin.system import load_system
-from twin.trade.walk import TOLERANCE
-from twin.trade.walk import _folder as trade_folder
+from twin.trade.pareto import TOLERANCE
+from twin.trade.pareto import _folder as trade_folder
 
 FAST = Fidelity(samples=1, max_depth=1, radar="targets")
 RADAR = {"radar.h5", "detections.csv", "truth.csv", "range_doppler.png", "radar_cuts.png"}

@@ -35,7 +35,7 @@ from twin.trade import Cost, Measurement, Trade, cheapest, choose_fidelity, fron
 from twin.trade.bodies import errors_of, reference_bodies
 from twin.trade.brute_force import Agreement, _agreement, _sampled_masks, _transport, check
 from twin.trade.camera import (
-    View,
+    CameraCase,
     distributions,
     light_rungs,
     measure_light,
@@ -206,15 +206,15 @@ def test_the_reference_agrees_with_brute_force(walked: tuple[Trade, Path]) -> No
 
 def test_a_wrong_reference_is_found(small: tuple[Path, Path]) -> None:
     """Brute force is made from the transport itself here, with 0.1 % of scatter."""
-    view = View.of(load_scene("yard"), load_system(small[0]), 1)
-    masks, transport = _sampled_masks(view), _transport(view)
+    case = CameraCase.of(load_scene("yard"), load_system(small[0]), 1)
+    masks, transport = _sampled_masks(case), _transport(case)
     assert masks[0].all()
     assert len({m.tobytes() for m in masks}) == len(masks) == 8
     exact = masks.reshape(8, -1) @ transport.mean(axis=0)
     brute = exact[:, None] * (1 + 1e-3 * np.random.default_rng(0).normal(size=(8, 12)))
 
     def found(of: np.ndarray) -> Agreement:
-        return _agreement(view, brute, of, masks)
+        return _agreement(case, brute, of, masks)
 
     assert found(transport).holds
     assert not found(1.01 * transport).holds
@@ -230,9 +230,9 @@ def test_rows_of_leds_agree_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     (tmp_path / "rows.toml").write_text(
         'base = "line-256x16"\nname = "rows"\n[acquisition]\ncolumns = 16\n'
     )
-    view = View.of(load_scene("table1"), load_system(tmp_path / "rows.toml"), 2)
-    reference, _ = measure_light(view, silent)
-    agreement, by_force = check(view, reference)
+    case = CameraCase.of(load_scene("table1"), load_system(tmp_path / "rows.toml"), 2)
+    reference, _ = measure_light(case, silent)
+    agreement, by_force = check(case, reference)
     assert by_force is None
     assert agreement.holds
     assert agreement.worst_sigmas < 6
@@ -267,7 +267,7 @@ def test_without_noise_the_distribution_is_missed_altogether(walked: tuple[Trade
     converter's step, which is spread over.
     """
     none, gaussian, full = walked[0].of("noise")
-    front_end = View.of(load_scene("table1"), load_system("workable"), 0).chain.front_end
+    front_end = CameraCase.of(load_scene("table1"), load_system("workable"), 0).chain.front_end
     sigma = none.detail["noise_e"]
     expected = np.sqrt(2 / np.pi) * sigma - front_end.electrons_per_count / 4
     assert none.error == pytest.approx(expected, rel=0.02)

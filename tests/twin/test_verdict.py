@@ -299,7 +299,7 @@ def test_sweeps_measure_lit_cells_too(tmp_path: Path) -> None:
     assert 2 < distance < 100
 
 
-def test_the_veil_of_fog_is_no_signal(tmp_path: Path) -> None:
+def test_backscatter_of_fog_is_no_signal(tmp_path: Path) -> None:
     """Signal over noise falls with the air's transmission there and back, and no faster than the
     light that fog scatters forward explains; an empty field in fog is not lit.
     """
@@ -307,11 +307,11 @@ def test_the_veil_of_fog_is_no_signal(tmp_path: Path) -> None:
     path.write_text('base = "workable"\n[weather]\npart = "fog-200m"\n')
     clear = capture(load_scene("yard"), load_system("workable"), seed=1)
     foggy = capture(load_scene("yard"), load_system(path), seed=1)
-    assert np.median(foggy.veil_e) > 0.2 * np.median(foggy.cells_e)
-    np.testing.assert_allclose(foggy.scene_e + foggy.veil_e, foggy.cells_e)
+    assert np.median(foggy.backscatter_e) > 0.2 * np.median(foggy.cells_e)
+    np.testing.assert_allclose(foggy.scene_e + foggy.backscatter_e, foggy.cells_e)
     assert foggy.verdict.snr_median < clear.verdict.snr_median
     assert foggy.verdict.lit_share == pytest.approx(clear.verdict.lit_share, abs=0.1)
-    assert not clear.veil_e.any()
+    assert not clear.backscatter_e.any()
 
 
 def foggy_patch(tmp_path: Path, corners: str, visibility_m: float) -> tuple[Scene, System]:
@@ -338,7 +338,7 @@ def foggy_patch(tmp_path: Path, corners: str, visibility_m: float) -> tuple[Scen
     return load_scene(tmp_path), load_system(tmp_path / "system.toml")
 
 
-TAPS = "modulation_hz = [10e6]\nphase_steps = 4\ncontrast = 0.9\n"
+PHASES = "modulation_hz = [10e6]\nphase_steps = 4\ncontrast = 0.9\n"
 GATES = (
     "pulse_width_s = 20e-9\npulse_rate_hz = 1e5\ngate_width_s = 20e-9\n"
     "gate_delays_s = [0.0, 20e-9, 40e-9, 60e-9, 80e-9, 100e-9]\n"
@@ -346,7 +346,7 @@ GATES = (
 
 
 @pytest.mark.parametrize(
-    ("shutters", "intensity"), [(TAPS, 20.0), (GATES, 3e3)], ids=["taps", "gates"]
+    ("shutters", "intensity"), [(PHASES, 20.0), (GATES, 3e3)], ids=["phases", "gates"]
 )
 def test_what_fog_does_to_distances_is_told(
     tmp_path: Path, shutters: str, intensity: float
@@ -364,28 +364,28 @@ def test_what_fog_does_to_distances_is_told(
         )
         path.write_text(strong + "[time_of_flight]\n" + shutters)
         found = capture(scene, load_system(path), seed=1)
-        told = [w for w in found.warnings if "air's veil" in w]
+        told = [w for w in found.warnings if "backscatter is" in w]
         if not visibility_m:
-            assert found.veiled is None
+            assert found.range_error is None
             assert not told
             continue
-        assert found.veiled is not None
-        assert found.veiled.matters
+        assert found.range_error is not None
+        assert found.range_error.matters
         assert len(told) == 1
         assert str(found.verdict).endswith(
-            f"distances {found.veiled.error_m:.2g} m off by the air's veil (median)"
+            f"distances {found.range_error.error_m:.2g} m off because of backscatter (median)"
         )
         seen = range_image(found.record, "zero-fill").distance_m[0]
         left, up = field_points((16, 16), np.tan(np.radians(10.0)))
         true = 10.0 * np.sqrt(1 + left**2 + up**2)
         off = np.median(np.abs(seen - true))
-        assert found.veiled.error_m == pytest.approx(off, rel=0.2, abs=0.1)
+        assert found.range_error.error_m == pytest.approx(off, rel=0.2, abs=0.1)
 
 
 FACING = '<rotate y="1" angle="-90"/>'
 
 
-def test_fog_makes_no_picture_better(tmp_path: Path) -> None:
+def test_fog_makes_no_image_better(tmp_path: Path) -> None:
     """A grey wall at 10 m in ever thicker fog. The plain inverse's error is the noise alone, so its
     score follows from the scene's light and that noise (closed form; 256 cells leave 0.4 dB of
     draw, held to 5 of them), and no method's score rises as the fog thickens.

@@ -128,8 +128,8 @@ class _Design:
         """All cells lit, on one detector, through each shutter (n_shutters,)."""
         path = np.array(2 * distance_m)
         shares = [
-            tap.light_share * float(tap.response(path) if tap.response else 1.0)
-            for tap in shutters(self.system)
+            shutter.light_share * float(shutter.response(path) if shutter.response else 1.0)
+            for shutter in shutters(self.system)
         ]
         whole = wall_power_w(self.system, reflectance, distance_m) * self.in_band
         return whole / self.system.n_detectors * np.array(shares)
@@ -142,8 +142,7 @@ class _Design:
         self, distance_m: float, reflectance: float, time_s: float | None = None
     ) -> NoiseBudget:
         """Of one exposure with half of the cells lit, as long as the system's or ``time_s``."""
-        taps = shutters(self.system)
-        opened = float(np.mean([tap.open_share for tap in taps]))
+        opened = float(np.mean([shutter.open_share for shutter in shutters(self.system)]))
         half = (1 + dark_share(self.system)) / 2 * self.watt(distance_m, reflectance)
         fluctuation = self.system.emitter.intensity_noise
         return noise_budget(
@@ -155,18 +154,18 @@ class _Design:
 
     def snr(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
         """Signal of a cell over noise of a pixel, summed over the shutters."""
-        system, n_taps = self.system, len(shutters(self.system))
+        system, n_shutters = self.system, len(shutters(self.system))
         lit = self.watt(distance_m, reflectance) * self._front_end(time_s).electrons_per_watt
         cell = (1 - dark_share(system)) * lit / system.patterns.n_cells
         noise = self.budget(distance_m, reflectance, time_s).pixel_noise_e(system.patterns)
-        return math.sqrt(n_taps) * cell / noise
+        return math.sqrt(n_shutters) * cell / noise
 
     def fill(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
         """Mean of the brightest exposure, all cells lit, over the converter's range, or over the
         well if that is less.
         """
         front_end = self._front_end(time_s)
-        opened = np.array([tap.open_share for tap in shutters(self.system)])
+        opened = np.array([shutter.open_share for shutter in shutters(self.system)])
         sun_w = opened * reflectance * self.sun_w
         brightest_w = float((self.watts(distance_m, reflectance) + sun_w).max())
         electrons = brightest_w * front_end.electrons_per_watt + front_end.dark_e

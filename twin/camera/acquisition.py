@@ -1,6 +1,5 @@
 """One acquisition of the single-pixel camera, from scene and system to a record of counts."""
 
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
+from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_range_error
 from twin.camera.chain import Chain
 from twin.camera.distortion import distortions
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
-from twin.camera.light import Rendered, Stage, render
+from twin.camera.light import Rendered, render
 from twin.camera.truth import Truth
-from twin.camera.veiled import VeiledRange, veiled_range
 from twin.camera.verdict import (
     Verdict,
     blind,
@@ -29,6 +28,7 @@ from twin.optics.emission import emission_matrix, independent_patterns
 from twin.optics.radiometry import Collection
 from twin.optics.spectra import SUN_ASSUMPTION
 from twin.optics.weather import air_of_system
+from twin.progress import OpenStage, silently
 from twin.scene import Scene
 from twin.system import System
 from twin.warned import CaptureWarning, is_void
@@ -66,19 +66,19 @@ class Capture:
 
     ``cells_e`` (rows, columns) are the electrons that each cell, lit alone for one exposure, gives
     in the mean (a line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo
-    standard error; ``veil_e`` the part of them that the air sent back. ``snr`` is what an image
-    keeps of ``scene_e``, what the scene sent back and reconstructions are compared with, over noise
-    and distortion of a reconstructed pixel (inverse transform of the patterns shown): what
+    standard error; ``backscatter_e`` the part of them that the air sent back. ``snr`` is what an
+    image keeps of ``scene_e``, what the scene sent back and reconstructions are compared with, over
+    noise and distortion of a reconstructed pixel (inverse transform of the patterns shown): what
     exposures leave in the next ones and what rails cut off (`Distortion`); 0 where the detector
-    stands at a rail. ``veiled``: what the veil does to distances by time of flight, None where
-    there is none of it. ``background_w`` is the sun's power on one detector, their mean.
+    stands at a rail. ``range_error``: what backscatter does to distances by time of flight, None
+    where there is none of it. ``background_w`` is the sun's power on one detector, their mean.
     """
 
     record: SpiRecord
     truth: Truth
     cells_e: Array
     cells_error_e: Array
-    veil_e: Array
+    backscatter_e: Array
     snr: Array
     noise: NoiseBudget
     lens: Collection
@@ -89,17 +89,17 @@ class Capture:
     illuminance_lx: float
     assumptions: tuple[str, ...]
     warnings: tuple[CaptureWarning, ...]
-    veiled: VeiledRange | None = None
+    range_error: BackscatterRangeError | None = None
 
     @property
     def verdict(self) -> Verdict:
         """What an image made of the record can show."""
-        return judge(self.scene_e, self.snr, self.warnings, self.veiled)
+        return judge(self.scene_e, self.snr, self.warnings, self.range_error)
 
     @property
     def scene_e(self) -> Array:
-        """Electrons that each cell has from the scene: ``cells_e`` without the air's veil."""
-        return _without(self.cells_e, self.veil_e)
+        """Electrons that each cell has from the scene: ``cells_e`` without backscatter."""
+        return _without(self.cells_e, self.backscatter_e)
 
     @property
     def measured_scene_e(self) -> Array:
@@ -122,8 +122,8 @@ def capture(
     *,
     seed: int = 0,
     fidelity: Fidelity | None = None,
-    world: Any = None,
-    stage: Stage = lambda name: nullcontext(),
+    mesh_scene: Any = None,
+    stage: OpenStage = silently,
 ) -> Capture:
     """Acquire one frame: `render`, then `measure`.
 
@@ -135,14 +135,16 @@ def capture(
         Of every random draw: same seed, same counts, bit for bit.
     fidelity
         Knobs, each with the error it bounds.
-    world
+    mesh_scene
         `mitsuba_scene(scene)`, when it is at hand already.
     stage
         Called with each stage's name, for progress and timing.
     """
     light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
     fidelity = fidelity or Fidelity()
-    rendered = render(scene, system, fidelity=fidelity, seed=light_seed, world=world, stage=stage)
+    rendered = render(
+        scene, system, fidelity=fidelity, seed=light_seed, mesh_scene=mesh_scene, stage=stage
+    )
     with stage("detector"):
         rng = np.random.default_rng(noise_seed)
         return measure(scene, system, rendered, rng=rng, noise=fidelity.noise)
@@ -168,7 +170,7 @@ def measure(
     # An image is the sum over all shutters; a dark cell's light is in every exposure alike.
     to_e = (1 - dark_share(system)) * chain.front_end.electrons_per_watt
     cells_e = to_e * power.cells_w.sum(axis=0)
-    of_cells = np.sqrt(len(chain.taps)) * np.array(noise_e)
+    of_cells = np.sqrt(len(chain.shutters)) * np.array(noise_e)
     of_image = np.median(of_cells, axis=1)
     sky, depth_m = chain.sky, rendered.truth.depth_m
     record = chain.record(scene.rig.pose, counts, flags)
@@ -178,10 +180,12 @@ def measure(
     gone = blind(record) | found.total.hides(of_image)
     kept = np.maximum(found.total.kept, 0)[:, None]
     off = np.hypot(of_cells, found.total.error_e[:, None])
-    veil_e = to_e * power.veil_w.sum(axis=0)
-    scene_e = _without(cells_e, veil_e)
+    backscatter_e = to_e * power.backscatter_w.sum(axis=0)
+    scene_e = _without(cells_e, backscatter_e)
     snr = np.where(gone[:, None] | record.patterns.unmeasured_cells, 0.0, kept * scene_e / off)
-    veiled = veiled_range(record, to_e * power.cells_w, to_e * power.veil_w, np.array(noise_e))
+    range_error = backscatter_range_error(
+        record, to_e * power.cells_w, to_e * power.backscatter_w, np.array(noise_e)
+    )
     budget = chain.noise(signal_w, sun_w)
     spoilt = (
         *recorded(record, found.clipping, of_image),
@@ -190,10 +194,10 @@ def measure(
     return Capture(
         record=record,
         truth=rendered.truth,
-        cells_e=_picture(cells_e, system),
-        cells_error_e=_picture(to_e * power.error_w, system),
-        veil_e=_picture(veil_e, system),
-        snr=_picture(snr, system),
+        cells_e=_image(cells_e, system),
+        cells_error_e=_image(to_e * power.error_w, system),
+        backscatter_e=_image(backscatter_e, system),
+        snr=_image(snr, system),
         noise=budget,
         lens=chain.lens,
         signal_w=signal_w.reshape(-1, signal_w.shape[-1]),
@@ -207,21 +211,21 @@ def measure(
             *hidden_by_both(found, of_image, gone, spoilt),
             *_warnings(system, budget, float(sky.emitter.max()), scene_e, depth_m),
             *_diffraction(system, chain.lens),
-            *(veiled.warnings if veiled else ()),
+            *(range_error.warnings if range_error else ()),
             *rendered.warnings,
         ),
-        veiled=veiled,
+        range_error=range_error,
     )
 
 
-def _without(cells_e: Array, veil_e: Array) -> Array:
+def _without(cells_e: Array, backscatter_e: Array) -> Array:
     """Light of the scene; what is left of it by rounding alone is none."""
-    rest = cells_e - veil_e
+    rest = cells_e - backscatter_e
     return np.where(rest > _ROUNDING * cells_e, rest, 0.0)
 
 
-def _picture(by_detector: Array, system: System) -> Array:
-    """Cells of all detectors (n_detectors, n_cells) as one picture, detectors side by side."""
+def _image(by_detector: Array, system: System) -> Array:
+    """Cells of all detectors (n_detectors, n_cells) as one image, detectors side by side."""
     shape = (system.emitter.rows.value, system.emitter.columns.value)
     return np.hstack(list(by_detector.reshape(-1, *shape)))
 
@@ -283,8 +287,8 @@ def _thick_air(system: System, depth_m: Array) -> list[CaptureWarning]:
             "model",
             f"half of the surfaces stand behind an optical depth of {depth:.2g} or more: light "
             "that meets no surface and is scattered by the air more than once is left out; it lies "
-            "evenly over the picture, in fog some 3 % of all light at 0.5, 6 % at 1 and 10 % at 2; "
-            "the real picture is hazier",
+            "evenly over the image, in fog some 3 % of all light at 0.5, 6 % at 1 and 10 % at 2; "
+            "the real image is hazier",
         )
     ]
 

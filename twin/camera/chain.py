@@ -29,14 +29,14 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class Powers:
     """On the detectors, W: from each cell lit alone, (n_shutters, n_detectors, n_cells), with its
-    Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,). ``veil_w``: what of
-    ``cells_w`` the air sent back, which shows nothing of the scene.
+    Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,). ``backscatter_w``:
+    what of ``cells_w`` the air sent back, which shows nothing of the scene.
     """
 
     cells_w: Array
     error_w: Array
     sun_w: Array
-    veil_w: Array
+    backscatter_w: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Chain:
     system: System
     lens: Collection
     sky: Passband
-    taps: tuple[Shutter, ...]
+    shutters: tuple[Shutter, ...]
     front_end: FrontEnd
     gains: Array
 
@@ -59,7 +59,7 @@ class Chain:
             system=system,
             lens=collection(system),
             sky=passband(system, system.sky or own),
-            taps=shutters(system),
+            shutters=shutters(system),
             front_end=FrontEnd.of(system, responsivity),
             gains=cell_gains(system.emitter),
         )
@@ -72,7 +72,7 @@ class Chain:
     @property
     def open_share(self) -> Array:
         """Share of the time that the detector is open, by shutter."""
-        return np.array([tap.open_share for tap in self.taps])
+        return np.array([shutter.open_share for shutter in self.shutters])
 
     def powers(self, rendered: Rendered) -> Powers:
         """What rendered light is on the detectors."""
@@ -83,19 +83,21 @@ class Chain:
         if not system.emitter.has_lens:  # every LED lights the whole field
             passed = np.full_like(passed, passed.mean())
         watt = system.emitter.radiant_intensity_w_per_sr.value * collected * passed * self.gains
-        lights = [_through(tap, rendered.light.cells, rendered.paths) for tap in self.taps]
-        veil = np.zeros_like(lights)
-        if rendered.veil:
-            own = rendered.veil
-            veil = np.stack([_through(tap, own.light, own.paths) for tap in self.taps])
+        cells = self._through_shutters(rendered.light.cells, rendered.paths)
+        air = rendered.backscatter
+        backscatter = self._through_shutters(air.light, air.paths) if air else np.zeros_like(cells)
         sun = collected * rendered.sun * self.sky.sun_at(sun_angle)
         one = system.n_detectors == 1
         return Powers(
-            cells_w=watt * np.stack(lights),
+            cells_w=watt * cells,
             error_w=watt * rendered.light.error,
             sun_w=sun.sum(keepdims=True).reshape(1) if one else sun.sum(axis=0),
-            veil_w=watt * veil,
+            backscatter_w=watt * backscatter,
         )
+
+    def _through_shutters(self, cells: Array, paths: Paths | None) -> Array:
+        """Light (n_shutters, n_detectors, n_cells) that each shutter lets in."""
+        return np.stack([_through(shutter, cells, paths) for shutter in self.shutters])
 
     def steady(self, power: Powers) -> Array:
         """Signal before anything fluctuates, (n_exposures, n_shutters, n_detectors) in W."""
@@ -154,9 +156,12 @@ class Chain:
             flags=flags,
             patterns=self.patterns,
             shutters=np.array(
-                [(t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s) for t in self.taps]
+                [
+                    (t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s)
+                    for t in self.shutters
+                ]
             ),
-            pulse_width_s=self.taps[0].pulse_width_s,
+            pulse_width_s=self.shutters[0].pulse_width_s,
             integration_time_s=system.acquisition.integration_time_s.value,
             electrons_per_count=self.front_end.electrons_per_count,
             offset_counts=self.front_end.offset_counts,
@@ -166,14 +171,14 @@ class Chain:
         )
 
 
-def _through(tap: Shutter, cells: Array, paths: Paths | None) -> Array:
+def _through(shutter: Shutter, cells: Array, paths: Paths | None) -> Array:
     """Light (n_detectors, n_cells) that a shutter lets in."""
-    if tap.response is None:
+    if shutter.response is None:
         return cells
     assert paths is not None  # rendered for a system with time of flight
-    return paths.light(tap.response).reshape(1, -1) * tap.light_share
+    return paths.light(shutter.response).reshape(1, -1) * shutter.light_share
 
 
-def _by_detector(picture: Array, system: System) -> Array:
-    """Cells of a picture with the detectors side by side, (n_detectors, n_cells)."""
-    return np.stack(np.hsplit(picture, system.n_detectors)).reshape(system.n_detectors, -1)
+def _by_detector(image: Array, system: System) -> Array:
+    """Cells of an image with the detectors side by side, (n_detectors, n_cells)."""
+    return np.stack(np.hsplit(image, system.n_detectors)).reshape(system.n_detectors, -1)

@@ -21,7 +21,7 @@ class Distortion:
 
     ``kept`` (n_detectors,): factor between the image and the true one, by least squares.
     ``error_e`` (n_detectors,): root mean square of what no factor explains. ``contrast_e``:
-    standard deviation of the true picture of all detectors.
+    standard deviation of the true image of all detectors.
     """
 
     kept: Array
@@ -29,7 +29,7 @@ class Distortion:
     contrast_e: float
 
     def hides(self, noise_e: Array) -> Bools:
-        """Detectors whose picture is gone: what is left of its contrast is no more than the error,
+        """Detectors whose image is gone: what is left of its contrast is no more than the error,
         which noise (n_detectors,) does not cover.
         """
         kept = np.maximum(self.kept, 0)
@@ -53,13 +53,13 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
     """Of the mean counts of a camera against one that switches and settles at once and whose
     converter has no rails; images by inverse transform.
     """
-    patterns, front_end, n_taps = chain.patterns, chain.front_end, len(chain.taps)
+    patterns, front_end, n_shutters = chain.patterns, chain.front_end, len(chain.shutters)
 
     def image(exposed_w: Array, *, cut: bool) -> Array:
         electrons = exposed_w * front_end.electrons_per_watt + front_end.dark_e
         if cut:
             electrons = _cut_off(electrons, front_end)
-        summed = electrons.reshape(-1, n_taps, electrons.shape[-1]).sum(axis=1)
+        summed = electrons.reshape(-1, n_shutters, electrons.shape[-1]).sum(axis=1)
         return _image(summed, patterns)
 
     ideal_w = chain.exposed(prompt(chain.system, power.cells_w), power.sun_w)

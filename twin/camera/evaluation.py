@@ -1,9 +1,9 @@
 """How good an image is: reconstructions of one capture against its noise-free truth.
 
-The truth is the light of the scene. Fog lays a veil over an image, which is neither that nor noise:
-its expectation, which the twin knows, is taken from the image before it is scored. So a score falls
-with the light that fog leaves of the scene and with the noise of the veil, and gains nothing from
-the veil's brightness.
+The truth is the light of the scene. Fog adds backscatter to an image, which is neither that nor
+noise: its expectation, which the twin knows, is taken from the image before it is scored. So a
+score falls with the light that fog leaves of the scene and with the noise of backscatter, and gains
+nothing from its brightness.
 """
 
 from dataclasses import dataclass
@@ -76,10 +76,10 @@ def evaluate(
     return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))
 
 
-def score_of(capture: Capture, picture: NDArray[np.float64]) -> Score:
-    """`score` of a picture of a capture, less the air's veil, against the light of the scene."""
+def score_of(capture: Capture, image: NDArray[np.float64]) -> Score:
+    """`score` of an image of a capture, less backscatter, against the light of the scene."""
     truth = capture.measured_scene_e
-    return score(truth, picture - capture.veil_e if picture.shape == truth.shape else picture)
+    return score(truth, image - capture.backscatter_e if image.shape == truth.shape else image)
 
 
 def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:
@@ -99,6 +99,6 @@ def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:
     window = min(7, *(side - 1 + side % 2 for side in truth.shape))
     similar = np.nan  # undefined on images narrower than the smallest window
     if window >= 3:
-        pair = (np.where(known, picture, 0.0) for picture in (truth, image))
+        pair = (np.where(known, pixels, 0.0) for pixels in (truth, image))
         similar = structural_similarity(*pair, data_range=peak, win_size=window)
     return Score(float(10 * np.log10(peak**2 / error)), float(similar))

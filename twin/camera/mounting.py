@@ -1,7 +1,8 @@
-"""Emitter and detector of a system where a scene's rig holds them."""
+"""Emitter and detector of a system where a scene's rig holds them, and what they see and light."""
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +10,12 @@ from numpy.typing import NDArray
 from twin.files import InputError
 from twin.optics.devices import Device
 from twin.optics.emission import lobe_exponent
+from twin.optics.problem import LightProblem
 from twin.optics.radiometry import Collection, collection
 from twin.optics.weather import air_of_system
 from twin.scene import Scene
 from twin.scene.enclosure import touches
+from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -47,10 +50,20 @@ def devices(scene: Scene, system: System) -> tuple[Device, Device, Collection]:
     return emitter, detector, lens
 
 
+def light_problem(scene: Scene, system: System, mesh_scene: Any = None) -> LightProblem:
+    """What a system lights and sees of a scene, under the scene's sun and through the system's air;
+    ``mesh_scene`` is `mitsuba_scene(scene)`, when it is at hand.
+    """
+    emitter, detector, _ = devices(scene, system)
+    if mesh_scene is None:
+        mesh_scene = mitsuba_scene(scene)
+    return LightProblem(mesh_scene, emitter, detector, scene.sun.direction, air_of_system(system))
+
+
 def check_rig(scene: Scene, system: System) -> None:
     """Raise InputError where light of a rig is no number: its emitter or detector stand in a
     surface, to which the way is zero long; or, in air that scatters, the detector stands in the
-    emitter's own beam, whose veil is infinite there.
+    emitter's own beam, whose backscatter is infinite there.
     """
     check_clear(scene)
     if (air := air_of_system(system)) is None or not air.scattering_per_m:

@@ -1,4 +1,4 @@
-"""The shutters of one pattern: always open, the taps of a lock-in measurement, or gates."""
+"""The shutters of one pattern: always open, the phases of a lock-in measurement, or gates."""
 
 import math
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.time_of_flight import Response, gate, phase_tap
+from twin.optics.time_of_flight import Response, gate, phase_shutter
 from twin.system import System, TimeOfFlight
 
 Array = NDArray[np.float64]
@@ -37,16 +37,16 @@ def shutters(system: System) -> tuple[Shutter, ...]:
     if system.time_of_flight is None:
         return (Shutter(),)
     tof = system.time_of_flight
-    return _taps(tof) if tof.modulation_hz is not None else _gates(tof)
+    return _phases(tof) if tof.modulation_hz is not None else _gates(tof)
 
 
-def _taps(tof: TimeOfFlight) -> tuple[Shutter, ...]:
+def _phases(tof: TimeOfFlight) -> tuple[Shutter, ...]:
     assert tof.modulation_hz is not None  # a TimeOfFlight without gates has frequencies
     assert tof.contrast is not None
     contrast = tof.contrast.value
     return tuple(
         Shutter(
-            response=phase_tap(f, phase, contrast),
+            response=phase_shutter(f, phase, contrast),
             open_share=0.5,
             modulation_hz=f,
             phase_rad=phase,

@@ -1,4 +1,4 @@
-"""Frame after frame from a moving rig: the world is built once, only the sensors move.
+"""Frame after frame from a moving rig: the scene is built once, only the sensors move.
 
 Moving the rig costs nothing; moving geometry would rebuild the renderer's acceleration structure.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain
 from twin.camera.light import Rendered, render, render_light
-from twin.camera.mounting import check_rig, devices
+from twin.camera.mounting import check_rig, light_problem
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Fidelity
 from twin.optics.paths import Quality
@@ -51,21 +51,18 @@ def frames(
         Frame i is drawn from (seed, i): the same whatever came before.
     """
     check_rig(scene, system)
-    world, chain = mitsuba_scene(scene), Chain.of(system, scene.sun)
-    mounted = devices(scene.at(Pose((0.0, 0.0, 0.0))), system)[:2]
-    unknown = Truth(np.zeros(system.picture_shape), np.full(system.picture_shape, np.inf))
+    chain, unturned = Chain.of(system, scene.sun), scene.at(Pose((0.0, 0.0, 0.0)))
+    mounted = light_problem(unturned, system, mitsuba_scene(scene))
+    unknown = Truth(np.zeros(system.image_shape), np.full(system.image_shape, np.inf))
     for index, pose in enumerate(poses):
         *seeds, noise_seed = np.random.SeedSequence([seed, index]).spawn(3)
-        rotation = pose.rotation.as_matrix()
         shift = np.asarray(pose.position_m) - scene.rig.position_m
-        emitter, detector = (device.moved(rotation, shift) for device in mounted)
+        problem = mounted.moved(pose.rotation.as_matrix(), shift)
         truth = unknown  # a cell's angle to the detector is then that of its direction
         if system.weather:
-            truth = replace(unknown, depth_m=depths(world, emitter, system.picture_shape))
-        sun = scene.sun.direction
-        rendered = render_light(
-            world, system, emitter, detector, sun, truth, fidelity, sun_quality, seeds
-        )
+            depth = depths(problem.scene, problem.emitter, system.image_shape)
+            truth = replace(unknown, depth_m=depth)
+        rendered = render_light(problem, system, truth, fidelity, seeds, sun_quality=sun_quality)
         rng = np.random.default_rng(noise_seed)
         _, counts, flags = chain.take(chain.powers(rendered), rng=rng, noise=fidelity.noise)
         yield chain.record(pose, counts, flags, index)

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import Flag, SpiRecord
+from twin.camera.backscatter_ranging import BackscatterRangeError
 from twin.camera.distortion import Distortion, Distortions
-from twin.camera.veiled import VeiledRange
 from twin.detector import NoiseBudget
 from twin.warned import CaptureWarning, Kind, is_void
 
@@ -39,7 +39,7 @@ class Verdict:
     ``snr_median``, ``snr_best``: signal over noise and distortion per pixel, over the cells that
     receive light; nan where the record is void. ``lit_share``: of all cells, these.
     ``above_noise_share``: of these, the ones whose signal exceeds their noise. ``void_because``:
-    the warnings that leave nothing to see. ``veiled``: what the air does to distances.
+    the warnings that leave nothing to see. ``range_error``: what backscatter does to distances.
     """
 
     snr_median: float
@@ -47,7 +47,7 @@ class Verdict:
     lit_share: float
     above_noise_share: float
     void_because: tuple[CaptureWarning, ...] = ()
-    veiled: VeiledRange | None = None
+    range_error: BackscatterRangeError | None = None
 
     @property
     def void(self) -> bool:
@@ -65,11 +65,11 @@ class Verdict:
         """The finding in one sentence."""
         if self.void:
             return "void: " + "; ".join(self.void_because)
+        ranging = f"; {self.range_error}" if self.range_error and self.range_error.matters else ""
         which = "cells" if self.lit_share == 1 else f"{self.lit_share:.0%} of cells that are lit"
         return (
             f"SNR per pixel {_two_digits(self.snr_median)} (median of the {which}; "
-            f"{self.above_noise_share:.0%} of them above their noise)"
-            f"{f'; {self.veiled}' if self.veiled and self.veiled.matters else ''}"
+            f"{self.above_noise_share:.0%} of them above their noise){ranging}"
         )
 
 
@@ -82,9 +82,9 @@ def judge(
     cells_e: Array,
     snr: Array,
     warnings: Sequence[CaptureWarning],
-    veiled: VeiledRange | None = None,
+    range_error: BackscatterRangeError | None = None,
 ) -> Verdict:
-    """Verdict on a picture of cells, their SNR, and what the record says against itself."""
+    """Verdict on an image of cells, their SNR, and what the record says against itself."""
     lit = lit_cells(cells_e)
     void = tuple(w for w in warnings if w.void)
     share = float(lit.mean())
@@ -96,7 +96,7 @@ def judge(
         snr_best=float(seen.max()),
         lit_share=share,
         above_noise_share=float(np.mean(seen >= 1)),
-        veiled=veiled,
+        range_error=range_error,
     )
 
 
@@ -158,10 +158,10 @@ def hidden_by_both(
     found: Distortions, noise_e: Array, gone: Bools, warnings: Sequence[CaptureWarning]
 ) -> Iterator[CaptureWarning]:
     """Where all detectors (n_detectors,) are gone though no warning of one cause says so: what
-    exposures leave in the next ones and what rails cut off hide the picture between them.
+    exposures leave in the next ones and what rails cut off hide the image between them.
     """
     if gone.all() and not is_void(warnings):
-        text = f"lag and rails together hide the picture: {_cost(found.total, noise_e)}"
+        text = f"lag and rails together hide the image: {_cost(found.total, noise_e)}"
         yield CaptureWarning("lag", text, void=True)
 
 

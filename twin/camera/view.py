@@ -1,13 +1,14 @@
 """The scene at 1550 nm as a camera beside the emitter would see it."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.devices import Device, Grid
-from twin.optics.paths import DeviceLight, Light, Quality, SunLight
+from twin.optics.devices import Grid
+from twin.optics.paths import DeviceLight, Light, Quality
+from twin.optics.problem import LightProblem
+from twin.optics.tracer import Tracer
 from twin.optics.transport import gather
 
 Array = NDArray[np.float64]
@@ -27,9 +28,7 @@ class View:
 
 
 def render_view(
-    world: Any,
-    emitter: Device,
-    sun_direction: Array,
+    problem: LightProblem,
     *,
     sun_irradiance_w_per_m2: float,
     radiant_intensity_w_per_sr: float,
@@ -37,14 +36,15 @@ def render_view(
     samples: int = 16,
     seed: int = 0,
 ) -> View:
-    """Picture of the lit field, sun and emitter (all cells on) rendered apart."""
-    quality = Quality(samples=samples, max_depth=3)
+    """Image of the lit field from the emitter's place, without air; sun and emitter (all cells on)
+    rendered apart.
+    """
+    quality, camera = Quality(samples=samples, max_depth=3), Grid(problem.emitter, pixels, pixels)
 
     def seen(light: Light) -> Array:
-        grid = Grid(emitter, pixels, pixels)
-        return gather(world, grid, light, role="picture", quality=quality, seed=seed).total
+        return gather(Tracer(problem.scene, camera, "image", light, None, quality, seed)).total
 
     return View(
-        sun=sun_irradiance_w_per_m2 * seen(SunLight(sun_direction)),
-        emitter=radiant_intensity_w_per_sr * seen(DeviceLight(emitter, "emitter")),
+        sun=sun_irradiance_w_per_m2 * seen(problem.sun),
+        emitter=radiant_intensity_w_per_sr * seen(DeviceLight(problem.emitter, "emitter")),
     )

@@ -4,19 +4,16 @@ While light bounces once, transport is linear in each object's reflectance: one 
 combination of them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import Grid, Role
-from twin.optics.paths import Light, Quality
-from twin.optics.scattering import Medium
-from twin.optics.transport import Gathered, Kind, Task, blocks, path_values
-from twin.optics.weather import Air
+from twin.optics.tracer import Block, Bounce, Tracer
+from twin.optics.transport import Gathered, path_moments
 
 Array = NDArray[np.float64]
 
@@ -43,42 +40,26 @@ class ByObject:
         return Gathered(value, np.zeros_like(value), np.sqrt(variance.sum(axis=0)))
 
 
-def gather_by_object(
-    scene: Any,
-    camera: Grid,
-    light: Light,
-    *,
-    role: Role,
-    quality: Quality,
-    seed: int,
-    air: Air | None = None,
-) -> ByObject:
-    """Direct light of a scene's shapes, in their order; draws the paths that `gather` draws."""
-    medium = Medium(air, quality.air_orders) if air else None
-    task = Task(scene, camera, light, role, medium)
-    passes: list[tuple[Kind, tuple[int, ...]]] = [("direct", (seed,))]
-    if medium and medium.scatters:
-        passes.append(("scattered", (seed, 2)))
-    moments = [_of_shapes(task, quality.samples, kind, seeds) for kind, seeds in passes]
+def gather_by_object(tracer: Tracer) -> ByObject:
+    """Direct light of a scene's shapes, in their order; of the paths that `gather` draws."""
+    passes = [tracer.direct, tracer.scattered] if tracer.scatters else [tracer.direct]
+    moments = [_of_shapes(tracer, trace) for trace in passes]
     mean, square = np.moveaxis(np.array(moments), 2, 0)
-    return ByObject(mean, square, quality.samples)
+    return ByObject(mean, square, tracer.quality.samples)
 
 
-def _of_shapes(task: Task, samples: int, kind: Kind, seed: tuple[int, ...]) -> Array:
+def _of_shapes(tracer: Tracer, trace: Callable[[Block], Bounce]) -> Array:
     """Mean and mean square by shape, (n_objects, 2, rows, columns)."""
-    camera = task.camera
-    sums = []
-    for block in blocks(camera, samples):
-        value, hit = path_values(task, samples, kind, seed, block)
-        value, which = mitsuba().Float64(value), hit.shape
-        dr.eval(value, which)
+    samples, sums = tracer.quality.samples, []
+    for block in tracer.blocks(samples):
+        light = trace(block)
+        value = mitsuba().Float64(light.value)
+        dr.eval(value, light.shape)
         sums.append(
-            [_moments(dr.select(which == s, value, 0), samples) for s in task.scene.shapes()]
+            [
+                path_moments(dr.select(light.shape == shape, value, 0), samples)
+                for shape in tracer.scene.shapes()
+            ]
         )
     moments = np.concatenate([np.array(part) for part in sums], axis=-1)
-    return moments.reshape(-1, 2, camera.rows, camera.columns)
-
-
-def _moments(value: Any, samples: int) -> tuple[Array, Array]:
-    sums = [dr.block_reduce(dr.ReduceOp.Add, x, samples) for x in (value, value * value)]
-    return np.array(sums[0]) / samples, np.array(sums[1]) / samples
+    return moments.reshape(-1, 2, tracer.start.rows, tracer.start.columns)

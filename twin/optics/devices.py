@@ -15,7 +15,7 @@ from twin.engine import mitsuba
 from twin.optics.radiometry import Outline
 
 Array = NDArray[np.float64]
-Role = Literal["picture", "emitter", "pupil"]
+Role = Literal["image", "emitter", "pupil"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def started_rays(
     belong to the device at all: cells in the corners around a round field do not. A lens's blur
     sends rays of the field beyond its edge, and they count.
 
-    The mean of weight times what a ray finds is, per cell: for a ``picture`` the mean over it; for
+    The mean of weight times what a ray finds is, per cell: for an ``image`` the mean over it; for
     an ``emitter`` the integral over its solid angle per radiant intensity (of the whole device on
     its axis, where bare elements share it); for a ``pupil`` the integral over its projected solid
     angle.
@@ -100,7 +100,7 @@ def started_rays(
     if device.outline == "disc":
         within &= inside(device, left, up)
     ray, cos = _through_lens(device, left, up, rng)
-    if role == "picture":
+    if role == "image":
         return ray, mi.Float(1), within
     area = (2 * device.tan_half_field) ** 2 / grid.size
     weight = cos * cos * cos * dr.opaque(mi.Float, area)

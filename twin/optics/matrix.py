@@ -6,7 +6,6 @@ emitter. *Scatter*: paths start at the detector's pixels. Both give the same mat
 less noisy depends on whose cells are finer: start from the side with more cells.
 """
 
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import drjit as dr
@@ -14,36 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import Grid, Role, started_rays
-from twin.optics.paths import (
-    DeviceLight,
-    Quality,
-    albedo,
-    bounce,
-    connector,
-    next_event,
-    random_numbers,
-)
-from twin.optics.scattering import Medium
-from twin.optics.transport import blocks
-from twin.optics.travel import travel
-from twin.optics.weather import Air
+from twin.optics.devices import Grid
+from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
+from twin.optics.tracer import Block, Tracer
 
 Array = NDArray[np.float64]
 Start = Literal["dual", "scatter"]
 
 
 def transport_matrix(
-    scene: Any,
-    emitter: Grid,
-    detector: Grid,
+    problem: LightProblem,
+    cells: tuple[int, int],
+    pixels: tuple[int, int],
     *,
     quality: Quality,
     seed: int,
     role: Start = "dual",
-    air: Air | None = None,
 ) -> Array:
-    """T[pixel, cell], shape ``(detector.size, emitter.size)``, in 1/m^2.
+    """T[pixel, cell] between ``cells`` of the emitter and ``pixels`` of the detector, (rows,
+    columns) each, in 1/m^2: shape (n_pixels, n_cells).
 
     The power that cell i puts on pixel j is I tau A_pupil T[j, i]; summed over the pixels it is
     `transport`. Contributions are added in float64 in a fixed order: same seed, same bits.
@@ -53,69 +42,36 @@ def transport_matrix(
     if role not in get_args(Start):
         raise ValueError(f"role: {role!r} is none of dual, scatter")
     if role == "dual":
-        light = DeviceLight(detector.device, "pupil")
-        there = _Pass(scene, emitter, detector, light, "emitter", quality, seed, air)
-        return there.matrix().T
-    if emitter.device.pitch_m is not None:
+        tracer = problem.from_emitter(cells, quality, seed)
+        return _matrix(tracer, Grid(problem.detector, *pixels)).T
+    if problem.emitter.pitch_m is not None:
         raise ValueError("role: scatter needs an emitter behind a lens; take dual")
-    light = DeviceLight(emitter.device, "emitter")
-    back = _Pass(scene, detector, emitter, light, "pupil", quality, seed, air)
-    return back.matrix()
+    tracer = problem.from_detector(pixels, quality, seed)
+    return _matrix(tracer, Grid(problem.emitter, *cells))
 
 
-@dataclass(frozen=True, eq=False)
-class _Pass:
-    """Paths from the cells of one device to those of the other."""
+def _matrix(tracer: Tracer, other: Grid) -> Array:
+    """From every cell that paths start in (rows) to every cell of the device they connect to."""
+    blocks = tracer.blocks(tracer.quality.samples)
+    return np.concatenate([_rows(tracer, other, block) for block in blocks])
 
-    scene: Any
-    start: Grid
-    other: Grid
-    light: DeviceLight
-    role: Role
-    quality: Quality
-    seed: int
-    air: Air | None
 
-    def matrix(self) -> Array:
-        """From every cell to every cell, (start.size, other.size)."""
-        start = self.start
-        matrix = np.zeros((start.size, self.other.size))
-        for block in blocks(start, self.quality.samples):
-            matrix[block[0] * start.columns : block[1] * start.columns] = self._rows(block)
-        return matrix
-
-    def _rows(self, block: tuple[int, int]) -> Array:
-        """Of the start's cells in some rows."""
-        mi, start, quality = mitsuba(), self.start, self.quality
-        n_cells = (block[1] - block[0]) * start.columns
-        rng = random_numbers(n_cells * quality.samples, self.seed, block[0])
-        ray, throughput, active = started_rays(start, block, quality.samples, rng, self.role)
-        medium = Medium(self.air, quality.air_orders) if self.air else None
-        connect = connector(self.light, medium)
-        length = mi.Float(0)
-        samples = dr.opaque(mi.UInt32, quality.samples)
-        from_cell = dr.arange(mi.UInt32, n_cells * quality.samples) // samples
-        sums = np.zeros(n_cells * self.other.size)
-        for depth in range(quality.max_depth):
-            first = depth == 0
-            hit, ray, active, further = travel(self.scene, ray, medium, rng, active, first=first)
-            length = length + further
-            value, link = next_event(self.scene, hit, ray, connect, rng, active, first)
-            value *= throughput
-            if medium:
-                value *= medium.unabsorbed(length + link.length)
-            arrived = [_cell(self.other, left, up) for _, left, up in link.places]
-            parts = [
-                (value * fill if share is None else value * share * fill, cell)
-                for (share, _, _), (cell, fill) in zip(link.places, arrived, strict=True)
-            ]
-            if depth + 1 < quality.max_depth:
-                throughput = throughput * albedo(hit, active)
-                ray = bounce(hit, ray, rng)
-            dr.eval(parts, throughput, ray, active, length, rng)
-            for part, cell in parts:
-                sums += _sums(part, from_cell * self.other.size + cell, sums.size)
-        return sums.reshape(n_cells, self.other.size) / quality.samples
+def _rows(tracer: Tracer, other: Grid, block: Block) -> Array:
+    """Of the cells in some rows."""
+    mi, samples = mitsuba(), tracer.quality.samples
+    n_cells = (block[1] - block[0]) * tracer.start.columns
+    from_cell = dr.arange(mi.UInt32, n_cells * samples) // dr.opaque(mi.UInt32, samples)
+    sums = np.zeros(n_cells * other.size)
+    for bounce in tracer.bounces(block):
+        arrived = [_cell(other, left, up) for _, left, up in bounce.places]
+        parts = [
+            (bounce.value * fill if share is None else bounce.value * share * fill, cell)
+            for (share, _, _), (cell, fill) in zip(bounce.places, arrived, strict=True)
+        ]
+        dr.eval(parts)
+        for part, cell in parts:
+            sums += _sums(part, from_cell * other.size + cell, sums.size)
+    return sums.reshape(n_cells, other.size) / samples
 
 
 def _sums(value: Any, where: Any, size: int) -> Array:

@@ -1,7 +1,6 @@
-"""The steps of a light path at Lambertian surfaces: connect to a light, bounce.
+"""What a light path does at a surface: connect to a light, bounce; and how finely paths are drawn.
 
-All tracers (`transport`, `matrix`, `time_of_flight`) take these steps; they differ in what they add
-up. Surfaces are two-sided, with one reflectance at each point.
+Surfaces are Lambertian and two-sided, with one reflectance at each point.
 """
 
 from dataclasses import dataclass
@@ -89,19 +88,20 @@ class DeviceLight:
 Light = SunLight | DeviceLight
 
 
+#: Share of a connection's light (None: all), and where in the light's field it seems to come from.
+Place = tuple[Any, Any, Any]
+
+
 class Connection(NamedTuple):
     """From a surface to a light: direction, the ray that must be free, irradiance per light on a
-    surface facing it, and length of the way.
-
-    ``places``: shares of it (None: all) and where in the light's field each seems to come from; of
-    a sun none.
+    surface facing it, and length of the way. ``places``: parts of it; of a sun none.
     """
 
     direction: Any
     shadow_ray: Any
     weight: Any
     length: Any
-    places: tuple[tuple[Any, Any, Any], ...]
+    places: tuple[Place, ...]
 
 
 class _SunConnector:
@@ -147,7 +147,7 @@ class _DeviceConnector:
 
     def _through_air(
         self, medium: Medium, distance: Any, left: Any, up: Any, rng: Any
-    ) -> tuple[Any, tuple[tuple[Any, Any, Any], ...]]:
+    ) -> tuple[Any, tuple[Place, ...]]:
         """Share of the light that arrives inside the field, and what is straight and what is
         scattered of that.
         """
@@ -172,23 +172,6 @@ def connector(light: Light, medium: Medium | None = None) -> Any:
     if isinstance(light, SunLight):
         return _SunConnector(light)
     return _DeviceConnector(light, medium)
-
-
-def next_event(
-    scene: Any, hit: Any, ray: Any, connect: Any, rng: Any, active: Any, coherent: bool
-) -> tuple[Any, Connection]:
-    """Light that reaches a vertex straight from the light and goes back along the ray.
-
-    ``coherent`` says that neighbouring rays are alike, which makes tracing them cheaper.
-    """
-    mi = mitsuba()
-    link = connect(hit, rng)
-    cos_out = dr.dot(link.direction, hit.n)
-    same_side = cos_out * dr.dot(ray.d, hit.n) < 0
-    value = albedo(hit, active) * dr.abs(cos_out) * link.weight / dr.pi
-    lit = active & same_side & (value > 0)
-    lit &= ~scene.ray_test(link.shadow_ray, mi.Bool(coherent), lit)
-    return dr.select(lit, value, 0), link
 
 
 def bounce(hit: Any, ray: Any, rng: Any) -> Any:

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from twin.engine import mitsuba
 from twin.optics.devices import Device
+from twin.optics.problem import LightProblem
 from twin.optics.weather import BACKWARD_ASYMMETRY, Air
-from twin.scene import Scene
-from twin.scene.mitsuba import mitsuba_scene
 
 _FILM = 64  # pixels along the detector's field
 _FINE = 4  # texels along a cell: cos^3 in steps that cost below 0.1 %
@@ -24,31 +23,20 @@ class PatternRenderer:
 
     Parameters
     ----------
-    scene
-        What is lit.
-    emitter, detector
-        Square fields.
+    problem
+        What is lit and seen, both fields square, and through which air. The sun does not shine.
     max_depth
         Bounces, as in `Quality`; with air its scatterings count too: 1 is direct light and single
         backscatter.
-    air
-        Fills all space.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        emitter: Device,
-        detector: Device,
-        *,
-        max_depth: int,
-        air: Air | None = None,
-    ) -> None:
+    def __init__(self, problem: LightProblem, *, max_depth: int) -> None:
         mi = mitsuba()
+        emitter, detector, air = problem.emitter, problem.detector, problem.air
         if "disc" in (emitter.outline, detector.outline):
             raise ValueError("outline: the reference renderer knows square fields only")
         self._emitter = emitter
-        shapes = {f"s{i}": shape for i, shape in enumerate(mitsuba_scene(scene).shapes())}
+        shapes = {f"s{i}": shape for i, shape in enumerate(problem.scene.shapes())}
         scene_dict = {
             "type": "scene",
             # Mitsuba counts the emitter's own vertex; roulette would only add noise.
@@ -77,7 +65,7 @@ class PatternRenderer:
         # Radiance to irradiance on a flat pupil: cosine times solid angle, cos^4 per pixel.
         self._weight = (1 + u[:, None] ** 2 + u**2) ** -2 * (2 * tan / _FILM) ** 2
         self._mi, self._scene_dict = mi, scene_dict
-        self._world: dict[tuple[int, ...], tuple[Any, Any]] = {}
+        self._scenes: dict[tuple[int, ...], tuple[Any, Any]] = {}
 
     def render(self, pattern: NDArray[Any], *, samples: int, seed: int) -> float:
         """Bucket signal of one pattern (rows, columns) with ``samples`` paths per film pixel."""
@@ -88,12 +76,12 @@ class PatternRenderer:
     ) -> NDArray[np.float64]:
         """The same by column of the film, (64,): what the columns of a line sensor get."""
         texture = self._texture(pattern)[:, :, None]
-        if pattern.shape not in self._world:
-            self._world[pattern.shape] = self._with_projector(texture)
-        world, parameters = self._world[pattern.shape]
+        if pattern.shape not in self._scenes:
+            self._scenes[pattern.shape] = self._with_projector(texture)
+        scene, parameters = self._scenes[pattern.shape]
         parameters["projector.irradiance.data"] = texture
         parameters.update()
-        image = np.array(self._mi.render(world, spp=samples, seed=seed), dtype=np.float64)[..., 0]
+        image = np.array(self._mi.render(scene, spp=samples, seed=seed), dtype=np.float64)[..., 0]
         return np.asarray((image * self._weight).sum(axis=0))
 
     def _with_projector(self, texture: NDArray[np.float32]) -> tuple[Any, Any]:
@@ -104,8 +92,8 @@ class PatternRenderer:
             "irradiance": {"type": "bitmap", "bitmap": self._mi.Bitmap(texture), "raw": True}
             | {"filter_type": "nearest"},
         }
-        world = self._mi.load_dict({**self._scene_dict, "projector": projector})
-        return world, self._mi.traverse(world)
+        scene = self._mi.load_dict({**self._scene_dict, "projector": projector})
+        return scene, self._mi.traverse(scene)
 
     def _texture(self, pattern: NDArray[Any]) -> NDArray[np.float32]:
         """The plugin gives pi x texture on the plane at distance 1; intensity 1 gives cos^3."""

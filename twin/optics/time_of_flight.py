@@ -6,27 +6,14 @@ paths are traced once, and any shutter is a sum over them, in float64.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
-from twin.engine import mitsuba
-from twin.optics.devices import Device, Grid, started_rays
-from twin.optics.paths import (
-    DeviceLight,
-    Quality,
-    albedo,
-    bounce,
-    connector,
-    next_event,
-    random_numbers,
-)
-from twin.optics.scattering import Medium
-from twin.optics.travel import travel
-from twin.optics.weather import Air
+from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
 
 Array = NDArray[np.float64]
 #: Share of the light that counts, for path lengths in metres (any shape).
@@ -79,50 +66,24 @@ class Paths:
 
 
 def trace_paths(
-    scene: Any,
-    emitter: Device,
-    detector: Device,
-    shape: tuple[int, int],
-    *,
-    quality: Quality,
-    seed: int,
-    air: Air | None = None,
+    problem: LightProblem, shape: tuple[int, int], *, quality: Quality, seed: int
 ) -> Paths:
-    """Trace the paths of every cell to a detector, direct and indirect, and keep their lengths.
+    """Trace the paths of every cell to the detector, direct and indirect, and keep their lengths.
 
     Memory: 8 bytes for each of cells x samples x bounces.
     """
-    mi = mitsuba()
-    grid = Grid(emitter, *shape)
-    rng = random_numbers(grid.size * quality.samples, seed)
-    ray, throughput, active = started_rays(grid, (0, grid.rows), quality.samples, rng, "emitter")
-    medium = Medium(air, quality.air_orders) if air else None
-    connect = connector(DeviceLight(detector, "pupil"), medium)
-    throughput = throughput / quality.samples
-    travelled, found = mi.Float(0), []
-    for depth in range(quality.max_depth):
-        first = depth == 0
-        hit, ray, active, further = travel(scene, ray, medium, rng, active, first=first)
-        travelled = travelled + further
-        value, link = next_event(scene, hit, ray, connect, rng, active, first)
-        length = dr.select(value > 0, travelled + link.length, 0)
-        value *= throughput
-        if medium:
-            value *= medium.unabsorbed(length)
-        throughput = throughput * albedo(hit, active)
-        ray = bounce(hit, ray, rng)
-        dr.eval(value, length, throughput, ray, active, travelled, rng)
-        found.append((np.array(value), np.array(length)))
-    values, lengths = (
-        np.concatenate([part.reshape(grid.size, -1) for part in parts], axis=1)
-        for parts in zip(*found, strict=True)
-    )
-    return Paths(values, lengths, shape)
+    tracer = problem.from_emitter(shape, quality, seed)
+    values, lengths = [], []
+    for bounce in tracer.bounces((0, tracer.start.rows), 1 / quality.samples):
+        dr.eval(bounce.value, bounce.length)
+        values.append(np.array(bounce.value).reshape(tracer.start.size, -1))
+        lengths.append(np.array(bounce.length).reshape(tracer.start.size, -1))
+    return Paths(np.concatenate(values, axis=1), np.concatenate(lengths, axis=1), shape)
 
 
-def phase_tap(modulation_hz: float, phase_rad: float, contrast: float = 1.0) -> Response:
-    """Detector that is sensitive half of the time, in step with the modulation: one tap of a
-    lock-in measurement, (1 + contrast cos(2 pi f L / c - phase)) / 2.
+def phase_shutter(modulation_hz: float, phase_rad: float, contrast: float = 1.0) -> Response:
+    """Detector that is sensitive half of the time, in step with the modulation: one phase
+    of a lock-in measurement, (1 + contrast cos(2 pi f L / c - phase)) / 2.
     """
     k = 2 * np.pi * modulation_hz / constants.c
     return lambda length_m: (1 + contrast * np.cos(k * length_m - phase_rad)) / 2

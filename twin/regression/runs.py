@@ -47,7 +47,7 @@ class Outcome:
 
 
 def image_method(method: Method) -> Callable[[SpiRecord], Any]:
-    """A method as a function from a record to a picture, detectors side by side, in electrons.
+    """A method as a function from a record to an image, detectors side by side, in electrons.
 
     What a function of one's own gives is not checked here.
 
@@ -86,11 +86,14 @@ def _mirror(power: Powers, patterns: PatternSet) -> Powers:
     """Left and right exchanged, of cells and of the detectors side by side."""
 
     def flipped(cells: Array) -> Array:
-        picture = cells.reshape(*cells.shape[:-1], patterns.rows, patterns.columns)
-        return picture[..., ::-1, :, ::-1].reshape(cells.shape)
+        image = cells.reshape(*cells.shape[:-1], patterns.rows, patterns.columns)
+        return image[..., ::-1, :, ::-1].reshape(cells.shape)
 
     return Powers(
-        flipped(power.cells_w), flipped(power.error_w), power.sun_w[::-1], flipped(power.veil_w)
+        flipped(power.cells_w),
+        flipped(power.error_w),
+        power.sun_w[::-1],
+        flipped(power.backscatter_w),
     )
 
 
@@ -102,9 +105,9 @@ def true_cells(
     """
     found = measure(scene, system, light, rng=np.random.default_rng(0), noise="none")
     if mirrored:
-        flipped = {name: np.fliplr(getattr(found, name)) for name in ("cells_e", "veil_e")}
+        flipped = {name: np.fliplr(getattr(found, name)) for name in ("cells_e", "backscatter_e")}
         found = replace(found, **flipped)
-    return found.measured_scene_e, found.veil_e
+    return found.measured_scene_e, found.backscatter_e
 
 
 def run_camera(
@@ -129,8 +132,8 @@ def run_camera(
     taken = records(scene, system, light, seeds, noise, mirrored=mirrored)
     for seed, record in zip(seeds, taken, strict=True):
         content.update(record.counts.tobytes() + record.flags.tobytes())
-        truth, veil = (straight, other)[seed % 2]
-        images.append(_checked(solve(record), truth.shape) - veil)
+        truth, backscatter = (straight, other)[seed % 2]
+        images.append(_checked(solve(record), truth.shape) - backscatter)
         truths.append(truth)
     return Outcome(_figures(metrics, truths, images), straight[0], images, content.hexdigest())
 

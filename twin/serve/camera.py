@@ -104,7 +104,7 @@ class VirtualCamera:
         chain = Chain.of(system, sun)
         self._adc_bits = chain.front_end.adc_bits
         self._shutters = tuple(
-            (t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s) for t in chain.taps
+            (t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s) for t in chain.shutters
         )
         if system.n_detectors > 255:
             raise InputError(

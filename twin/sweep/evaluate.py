@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin.camera.acquisition import Capture, measure
 from twin.camera.light import Rendered, render
 from twin.camera.mounting import devices
-from twin.camera.repaint import can_repaint, render_unpainted
+from twin.camera.reflectance_rescaling import can_rescale, render_unit_reflectance
 from twin.radar.acquisition import radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
 from twin.sweep.closed_form import closed_form
@@ -166,14 +166,14 @@ def _seeds(made: Setup) -> list[np.random.SeedSequence]:
 
 
 def _rendered(made: Setup, inputs: Inputs) -> Rendered:
-    """Light of a point; points that differ only later on, or in paint, share one render."""
+    """Light of a point; points that differ only later on, or in reflectance, share one render."""
     emitter, detector, _ = devices(made.scene, made.system)
-    paintable = can_repaint(made.system, made.fidelity)
+    rescalable = can_rescale(made.system, made.fidelity)
     key = (
         inputs.stamp,
-        made.scene_key(painted=not paintable),
+        made.scene_key(reflectances=not rescalable),
         *(_device_key(device) for device in (emitter, detector)),
-        made.system.picture_shape,
+        made.system.image_shape,
         made.system.n_detectors,
         made.system.weather,
         made.system.time_of_flight is None,
@@ -184,12 +184,14 @@ def _rendered(made: Setup, inputs: Inputs) -> Rendered:
         made.seed,
     )
     draw = _seeds(made)[0]
-    if paintable:
-        unpainted = _LIGHT.get(
+    if rescalable:
+        unit = _LIGHT.get(
             key,
-            lambda: render_unpainted(made.scene, made.system, fidelity=made.fidelity, seed=draw),
+            lambda: render_unit_reflectance(
+                made.scene, made.system, fidelity=made.fidelity, seed=draw
+            ),
         )
-        return unpainted.painted(made.scene)
+        return unit.rescaled(made.scene)
     return _LIGHT.get(
         key, lambda: render(made.scene, made.system, fidelity=made.fidelity, seed=draw)
     )

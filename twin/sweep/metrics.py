@@ -39,7 +39,7 @@ class Outcome:
 
     @cached_property
     def score(self) -> Score:
-        """The image, less the air's veil, against the light of the scene."""
+        """The image, less backscatter, against the light of the scene."""
         return score_of(self.capture, self.reconstruction.picture)
 
     @cached_property

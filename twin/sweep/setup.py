@@ -29,9 +29,9 @@ class Setup:
     seed: int
     scene_values: tuple[tuple[str, Value], ...]
 
-    def scene_key(self, *, painted: bool = True) -> tuple[tuple[str, Value], ...]:
-        """Tells scenes of one study apart; without paint, those that differ by more than that."""
-        if painted:
+    def scene_key(self, *, reflectances: bool = True) -> tuple[tuple[str, Value], ...]:
+        """Tells scenes of one study apart; without reflectances, those that differ by more."""
+        if reflectances:
             return self.scene_values
         return tuple(
             (name, "any" if name.endswith(".reflectance") else value)

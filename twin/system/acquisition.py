@@ -90,7 +90,7 @@ class TimeOfFlight(Strict):
 
     @property
     def n_phases(self) -> int:
-        """Taps per modulation frequency."""
+        """Phase shutters per modulation frequency."""
         return self.phase_steps.value if self.phase_steps else 4
 
     @property

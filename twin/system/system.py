@@ -134,7 +134,7 @@ class System(Entry):
         return columns.value if columns else self.detector.pixels.value
 
     @property
-    def picture_shape(self) -> tuple[int, int]:
+    def image_shape(self) -> tuple[int, int]:
         """Rows and columns of the virtual image, detectors side by side."""
         return self.emitter.rows.value, self.emitter.columns.value * self.n_detectors
 

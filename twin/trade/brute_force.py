@@ -1,6 +1,6 @@
 """The check from outside: Mitsuba's projector and path tracer on a sample of the patterns."""
 
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from twin.camera.light import render_light
 from twin.optics.devices import Device
 from twin.optics.paths import Quality
+from twin.optics.problem import LightProblem
 from twin.optics.reference import PatternRenderer
-from twin.optics.weather import air_of_system
-from twin.trade.camera import Reference, View, reference_rung
+from twin.trade.camera import CameraCase, Reference, reference_rung
 from twin.trade.measurement import Cost, Measurement
 from twin.trade.meter import metered
 
@@ -57,30 +57,24 @@ class Agreement:
         )
 
 
-def check(view: View, reference: Reference) -> tuple[Agreement | None, Measurement | None]:
+def check(case: CameraCase, reference: Reference) -> tuple[Agreement | None, Measurement | None]:
     """Agreement of the reference, and brute force as a rung for comparison.
 
     (None, None) for bare LEDs: the projector has a lens. The rung is None for line sensors, whose
     columns the reference renderer does not tell apart as fine.
     """
-    system = view.system
+    system = case.system
     if not system.emitter.has_lens:
         return None, None
-    masks, transport = _sampled_masks(view), _transport(view)
-    renderer = PatternRenderer(
-        view.scene,
-        _ideal(view.emitter),
-        _ideal(view.detector),
-        max_depth=_BOUNCES,
-        air=air_of_system(system),
-    )
-    seeds = np.random.SeedSequence([view.seed, 4]).generate_state(len(masks) * (1 + _SEEDS))
+    masks, transport = _sampled_masks(case), _transport(case)
+    renderer = PatternRenderer(_ideal_problem(case), max_depth=_BOUNCES)
+    seeds = np.random.SeedSequence([case.seed, 4]).generate_state(len(masks) * (1 + _SEEDS))
     table = seeds.reshape(len(masks), -1).tolist()
     brute, costs = _renders(renderer, masks, table)
-    agreement = _agreement(view, brute, transport, masks)
+    agreement = _agreement(case, brute, transport, masks)
     if system.n_detectors > 1:
         return agreement, None
-    return agreement, _rung(view, reference, brute, costs)
+    return agreement, _rung(case, reference, brute, costs)
 
 
 def _renders(
@@ -99,12 +93,12 @@ def _renders(
     return np.array(renders), costs
 
 
-def _sampled_masks(view: View) -> NDArray[np.uint8]:
+def _sampled_masks(case: CameraCase) -> NDArray[np.uint8]:
     """The first exposure, all lit, and others at random; the all dark one is left out."""
-    patterns = view.system.patterns
+    patterns = case.system.patterns
     first = 2 if patterns.mode == "differential" else 1
     others = np.arange(first, patterns.n_exposures)
-    rng = np.random.default_rng([view.seed, 3])
+    rng = np.random.default_rng([case.seed, 3])
     chosen = rng.choice(others, min(_PATTERNS - 1, len(others)), replace=False)
     numbers = [0, *sorted(chosen.tolist())]
     return np.concatenate([patterns.masks(slice(n, n + 1)) for n in numbers])
@@ -119,62 +113,58 @@ def _square(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.kron(mask, np.ones((side // rows, side // columns), dtype=np.uint8))
 
 
-def _transport(view: View) -> Array:
+def _transport(case: CameraCase) -> Array:
     """Light of each cell on all detectors together, by run, (n_runs, n_cells), between the same
     ideal devices.
     """
-    no_sun = Quality(1, 1)
-    found = []
+    rung, light = reference_rung(case.system), []
     for run in range(_TRANSPORT_RUNS):
+        seeds = np.random.SeedSequence([case.seed, 5, run]).spawn(2)
         rendered = render_light(
-            view.world,
-            view.system,
-            _ideal(view.emitter),
-            _ideal(view.detector),
-            view.scene.sun.direction,
-            view.truth,
-            reference_rung(view.system),
-            no_sun,
-            np.random.SeedSequence([view.seed, 5, run]).spawn(2),
+            _ideal_problem(case), case.system, case.truth, rung, seeds, sun_quality=Quality(1, 1)
         )
-        found.append(rendered.light.cells.sum(axis=0))
-    return np.array(found)
+        light.append(rendered.light.cells.sum(axis=0))
+    return np.array(light)
 
 
-def _agreement(view: View, brute: Array, transport: Array, masks: NDArray[np.uint8]) -> Agreement:
+def _agreement(
+    case: CameraCase, brute: Array, transport: Array, masks: NDArray[np.uint8]
+) -> Agreement:
     signals = transport @ masks.reshape(len(masks), -1).T.astype(np.float64)  # (n_runs, n_patterns)
     whole, per_seed, per_run = brute.mean(axis=1).sum(), brute.sum(axis=0), signals.sum(axis=1)
     if not whole:
-        return _described(view, 0.0, 0.0, 0.0, len(masks))
+        return _described(case, 0.0, 0.0, 0.0, len(masks))
     error = np.hypot(_standard_error(per_seed), _standard_error(per_run)) / whole
     off = signals.mean(axis=0) - brute.mean(axis=1)
     own = np.hypot(_standard_error(brute.T), _standard_error(signals))
     worst = np.max(np.abs(off) / np.where(own, own, np.inf))
     difference = per_run.mean() / whole - 1
-    return _described(view, float(difference), float(error), float(worst), len(masks))
+    return _described(case, float(difference), float(error), float(worst), len(masks))
 
 
-def _described(view: View, off: float, error: float, worst: float, patterns: int) -> Agreement:
-    given = [*_set(view.emitter, "emitter"), *_set(view.detector, "detector")]
+def _described(
+    case: CameraCase, off: float, error: float, worst: float, patterns: int
+) -> Agreement:
+    given = [*_set(case.problem.emitter, "emitter"), *_set(case.problem.detector, "detector")]
     return Agreement(
         difference=off,
         standard_error=error,
         worst_sigmas=worst,
         patterns=patterns,
-        of_exposures=view.system.patterns.n_exposures,
+        of_exposures=case.system.patterns.n_exposures,
         renders_each=_SEEDS,
         paths_each=_SAMPLES * 64**2,
         idealised=f"; both without {', '.join(given)}" if given else "",
     )
 
 
-def _rung(view: View, reference: Reference, brute: Array, costs: list[Cost]) -> Measurement:
+def _rung(case: CameraCase, reference: Reference, brute: Array, costs: list[Cost]) -> Measurement:
     """Brute force for the whole set: its noise passes through the same inverse transform."""
-    patterns = view.system.patterns
+    patterns = case.system.patterns
     per_value = np.sqrt(2.0) if patterns.mode == "differential" else 2.0
     sigma = np.sqrt(np.mean(brute.var(axis=1, ddof=1)))
     light = float(reference.rendered.light.cells.sum())
-    to_e = float(reference.picture.cells_e.sum()) / light if light else 0.0
+    to_e = float(reference.signals.cells_e.sum()) / light if light else 0.0
     error = float(per_value * sigma * np.sqrt(patterns.count) / patterns.n_cells * to_e)
     times = np.array([(c.low_s, c.seconds, c.high_s) for c in costs]).mean(axis=0)
     low, median, high = (patterns.n_exposures * times).tolist()
@@ -186,10 +176,15 @@ def _rung(view: View, reference: Reference, brute: Array, costs: list[Cost]) -> 
         error=error,
         unit="e-",
         over_noise=error / float(reference.noise_e[0]),
-        detail={"error_w": error / view.electrons_per_watt},
+        detail={"error_w": error / case.electrons_per_watt},
         note=f"{brute.size} renders of {_SAMPLES * 64**2} paths timed, scaled to "
         f"{patterns.n_exposures}; noise alone",
     )
+
+
+def _ideal_problem(case: CameraCase) -> LightProblem:
+    problem = case.problem
+    return replace(problem, emitter=_ideal(problem.emitter), detector=_ideal(problem.detector))
 
 
 def _ideal(device: Device) -> Device:

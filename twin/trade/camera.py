@@ -1,11 +1,10 @@
 """Rungs of the camera: paths, bounces, the side they start on; and the noise of an exposure."""
 
 import math
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +13,18 @@ from hardware.patterns import PatternSet, fwht
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import dark_share
 from twin.camera.light import Rendered, render_light
-from twin.camera.mounting import devices
+from twin.camera.mounting import light_problem
 from twin.camera.truth import Truth, render_truth
 from twin.detector import FrontEnd, expose
 from twin.fidelity import PRESETS, Fidelity, Noise, Start
-from twin.optics.devices import Device
+from twin.optics.problem import LightProblem
+from twin.progress import OpenStage
 from twin.scene import Scene
-from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
 from twin.trade.measurement import Cost, Measurement
 from twin.trade.meter import metered
 
 Array = NDArray[np.float64]
-Stage = Callable[[str], AbstractContextManager[Any]]
 
 _DEPTHS = (1, 2, 4)
 _REFERENCE_RUNS = 4
@@ -36,40 +34,27 @@ _EXPOSURES, _DRAWS = 8, 20_000  # distributions compared, and how many numbers t
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CameraCase:
     """A scene seen by a system, with everything at hand that is the same on every rung."""
 
     scene: Scene
     system: System
-    world: Any
+    problem: LightProblem
     truth: Truth
-    emitter: Device
-    detector: Device
     chain: Chain
     seed: int
 
     @classmethod
-    def of(cls, scene: Scene, system: System, seed: int) -> "View":
-        """Load the world once and look at it."""
-        emitter, detector, _ = devices(scene, system)
-        world = mitsuba_scene(scene)
-        truth = render_truth(world, emitter, system.picture_shape)
-        chain = Chain.of(system, scene.sun)
-        return cls(scene, system, world, truth, emitter, detector, chain, seed)
+    def of(cls, scene: Scene, system: System, seed: int) -> "CameraCase":
+        """Load the scene's triangles once and look at them."""
+        problem = light_problem(scene, system)
+        truth = render_truth(problem.scene, problem.emitter, system.image_shape)
+        return cls(scene, system, problem, truth, Chain.of(system, scene.sun), seed)
 
     def light(self, fidelity: Fidelity, *key: int) -> Rendered:
         """Light of emitter and sun; another key draws other paths."""
-        return render_light(
-            self.world,
-            self.system,
-            self.emitter,
-            self.detector,
-            self.scene.sun.direction,
-            self.truth,
-            fidelity,
-            fidelity.quality,
-            np.random.SeedSequence([self.seed, *key]).spawn(2),
-        )
+        seeds = np.random.SeedSequence([self.seed, *key]).spawn(2)
+        return render_light(self.problem, self.system, self.truth, fidelity, seeds)
 
     @property
     def electrons_per_watt(self) -> float:
@@ -78,7 +63,7 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class CellSignals:
     """Electrons of each cell lit alone, (n_detectors, n_cells), as far as the patterns shown can
     tell them; and the sun's power on all detectors, W.
     """
@@ -87,18 +72,18 @@ class Picture:
     sun_w: float
 
     @classmethod
-    def of(cls, view: View, rendered: Rendered) -> "Picture":
+    def of(cls, case: CameraCase, rendered: Rendered) -> "CellSignals":
         """Through lens, filter and shutters."""
-        power = view.chain.powers(rendered)
-        cells = view.electrons_per_watt * power.cells_w.sum(axis=0)
-        return cls(told_apart(cells, view.system.patterns), float(power.sun_w.sum()))
+        power = case.chain.powers(rendered)
+        cells = case.electrons_per_watt * power.cells_w.sum(axis=0)
+        return cls(told_apart(cells, case.system.patterns), float(power.sun_w.sum()))
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
     """Mean of several renders, and the noise of a pixel under it, (n_detectors,), electrons."""
 
-    picture: Picture
+    signals: CellSignals
     noise_e: Array
     rendered: Rendered
 
@@ -120,50 +105,52 @@ def light_rungs(system: System) -> list[Fidelity]:
     return [Fidelity(s, d, start=side) for side in starts for d in _DEPTHS for s in samples]
 
 
-def measure_light(view: View, stage: Stage) -> tuple[Reference, list[Measurement]]:
+def measure_light(case: CameraCase, stage: OpenStage) -> tuple[Reference, list[Measurement]]:
     """Every rung against the mean of several renders of the reference."""
-    finest = reference_rung(view.system)
+    finest = reference_rung(case.system)
     with stage("reference light"):
-        cost, rendered = metered(partial(view.light, finest, 0), least=_REFERENCE_RUNS)
-        pictures = [Picture.of(view, light) for light in rendered]
-        cells = np.mean([p.cells_e for p in pictures], axis=0)
-        sun_w = float(np.mean([p.sun_w for p in pictures]))
-        reference = Reference(Picture(cells, sun_w), _pixel_noise(view, rendered[0]), rendered[0])
+        cost, rendered = metered(partial(case.light, finest, 0), least=_REFERENCE_RUNS)
+        signals = [CellSignals.of(case, light) for light in rendered]
+        cells = np.mean([p.cells_e for p in signals], axis=0)
+        sun_w = float(np.mean([p.sun_w for p in signals]))
+        reference = Reference(
+            CellSignals(cells, sun_w), _pixel_noise(case, rendered[0]), rendered[0]
+        )
         # One render's scatter about the mean of all, which it is part of.
-        unbiased = np.sqrt(len(pictures) / (len(pictures) - 1))
+        unbiased = np.sqrt(len(signals) / (len(signals) - 1))
         name = f"reference: {finest.samples} paths, {finest.max_depth} bounces"
-        found = _compared(view, name, finest, cost, pictures, reference)
+        found = _compared(case, name, finest, cost, signals, reference)
         found = replace(
             found,
             error=found.error * unbiased,
             over_noise=found.over_noise * unbiased,
             detail=found.detail | {"error_w": found.detail["error_w"] * unbiased},
-            note=f"scatter of {len(pictures)} renders; their mean is what all are compared with",
+            note=f"scatter of {len(signals)} renders; their mean is what all are compared with",
         )
     measured = []
-    for number, rung in enumerate(light_rungs(view.system), start=1):
+    for number, rung in enumerate(light_rungs(case.system), start=1):
         with stage(f"light: {_name(rung)}"):
-            cost, rendered = metered(partial(view.light, rung, number))
-            pictures = [Picture.of(view, light) for light in rendered]
-            measured.append(_compared(view, _name(rung), rung, cost, pictures, reference))
+            cost, rendered = metered(partial(case.light, rung, number))
+            signals = [CellSignals.of(case, light) for light in rendered]
+            measured.append(_compared(case, _name(rung), rung, cost, signals, reference))
     return reference, [*measured, found]
 
 
 def _compared(
-    view: View,
+    case: CameraCase,
     name: str,
     fidelity: Fidelity,
     cost: Cost,
-    pictures: list[Picture],
+    signals: list[CellSignals],
     reference: Reference,
 ) -> Measurement:
     """Root mean square over cells and runs."""
-    off = np.stack([p.cells_e for p in pictures]) - reference.picture.cells_e
+    off = np.stack([p.cells_e for p in signals]) - reference.signals.cells_e
     error = float(np.sqrt(np.mean(off**2)))
     over_noise = np.abs(off) / reference.noise_e[:, None]
-    scale = float(np.sqrt(np.mean(reference.picture.cells_e**2)))
-    total = float(np.mean([p.cells_e.sum() for p in pictures]))
-    sun_w = float(np.mean([p.sun_w for p in pictures]))
+    scale = float(np.sqrt(np.mean(reference.signals.cells_e**2)))
+    total = float(np.mean([p.cells_e.sum() for p in signals]))
+    sun_w = float(np.mean([p.sun_w for p in signals]))
     return Measurement(
         ladder="light",
         name=name,
@@ -174,25 +161,25 @@ def _compared(
         over_noise=float(np.sqrt(np.mean(over_noise**2))),
         detail={
             "median_over_noise": float(np.median(over_noise)),
-            "error_w": error / view.electrons_per_watt,
+            "error_w": error / case.electrons_per_watt,
             "relative": _ratio(error, scale),
-            "total_light_off": _ratio(total, float(reference.picture.cells_e.sum()), 1.0) - 1,
-            "sun_off": _ratio(sun_w, reference.picture.sun_w, 1.0) - 1,
+            "total_light_off": _ratio(total, float(reference.signals.cells_e.sum()), 1.0) - 1,
+            "sun_off": _ratio(sun_w, reference.signals.sun_w, 1.0) - 1,
         },
     )
 
 
-def _pixel_noise(view: View, rendered: Rendered) -> Array:
+def _pixel_noise(case: CameraCase, rendered: Rendered) -> Array:
     """Noise of a pixel of the image, by detector, electrons."""
-    chain = view.chain
+    chain = case.chain
     power = chain.powers(rendered)
     signal_w, _, _ = chain.take(power, rng=np.random.default_rng(0), noise="none")
     sun_w = float(chain.open_share.mean()) * power.sun_w
     pixel_e = [
-        chain.noise(signal, sun).pixel_noise_e(view.system.patterns)
+        chain.noise(signal, sun).pixel_noise_e(case.system.patterns)
         for signal, sun in zip(np.moveaxis(signal_w, -1, 0), sun_w, strict=True)
     ]
-    return np.sqrt(len(chain.taps)) * np.array(pixel_e)
+    return np.sqrt(len(chain.shutters)) * np.array(pixel_e)
 
 
 def _name(rung: Fidelity) -> str:
@@ -208,21 +195,21 @@ def _ratio(value: float, scale: float, of_nothing: float = 0.0) -> float:
     return value / scale if scale else of_nothing
 
 
-def measure_noise(view: View, reference: Reference, stage: Stage) -> list[Measurement]:
+def measure_noise(case: CameraCase, reference: Reference, stage: OpenStage) -> list[Measurement]:
     """Noise rungs: how far the distribution of an exposure's counts is from the full one's.
 
     The distance is Wasserstein's, the mean shift of a sorted sample, for exposures spread over the
     range of signals; the worst one counts. The full rung is the reference; what two samples of it
     differ by is in the others' errors.
     """
-    power = view.chain.powers(reference.rendered)
+    power = case.chain.powers(reference.rendered)
     rungs: tuple[Noise, ...] = get_args(Noise)
-    samples, found = _samples(view, power, rungs), []
+    samples, found = _samples(case, power, rungs), []
     truth = samples["full"][0]
     spread = truth.std(axis=1)
     for rung in rungs:
         with stage(f"noise: {rung}"):
-            cost, _ = metered(partial(_one_frame, view, power, rung))
+            cost, _ = metered(partial(_one_frame, case, power, rung))
             shift = np.abs(samples[rung][1] - truth).mean(axis=1)
             worst = int(np.argmax(shift / spread))
             own = float(shift[worst] / spread[worst])
@@ -245,17 +232,19 @@ def measure_noise(view: View, reference: Reference, stage: Stage) -> list[Measur
     return found
 
 
-def _one_frame(view: View, power: Powers, kind: Noise, seed: int) -> None:
-    view.chain.take(power, rng=np.random.default_rng([view.seed, seed]), noise=kind)
+def _one_frame(case: CameraCase, power: Powers, kind: Noise, seed: int) -> None:
+    case.chain.take(power, rng=np.random.default_rng([case.seed, seed]), noise=kind)
 
 
-def _samples(view: View, power: Powers, rungs: Sequence[Noise]) -> dict[Noise, tuple[Array, Array]]:
+def _samples(
+    case: CameraCase, power: Powers, rungs: Sequence[Noise]
+) -> dict[Noise, tuple[Array, Array]]:
     """Of exposures spread over the range of signals."""
-    rng = np.random.default_rng([view.seed, 2])
-    signal_w, _, _ = view.chain.take(power, rng=rng, noise="none")
-    light = signal_w + view.chain.open_share[:, None] * power.sun_w
+    rng = np.random.default_rng([case.seed, 2])
+    signal_w, _, _ = case.chain.take(power, rng=rng, noise="none")
+    light = signal_w + case.chain.open_share[:, None] * power.sun_w
     levels = np.quantile(light, np.linspace(0, 1, _EXPOSURES))
-    return distributions(levels, view.chain.front_end, rungs, rng)
+    return distributions(levels, case.chain.front_end, rungs, rng)
 
 
 def distributions(

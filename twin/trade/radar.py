@@ -5,8 +5,6 @@ what the cheaper descriptions leave out, or declare otherwise, is their error. R
 not here: their speckle is one draw of many, and no error.
 """
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.fidelity import PRESETS, Fidelity
+from twin.progress import OpenStage
 from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
 from twin.radar.propagation.atmosphere import Air
@@ -26,7 +25,6 @@ from twin.trade.measurement import Cost, Measurement
 from twin.trade.meter import metered
 
 Complex = NDArray[np.complex128]
-Stage = Callable[[str], AbstractContextManager[Any]]
 
 #: Who finds the echoes, tolerances of the synthesis.
 _RUNGS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
@@ -56,7 +54,9 @@ class _Bins:
         return float(np.sqrt(np.mean(np.abs(self.channel) ** 2)))
 
 
-def measure_radar(scene: Scene, radar: RadarDesign, seed: int, stage: Stage) -> list[Measurement]:
+def measure_radar(
+    scene: Scene, radar: RadarDesign, seed: int, stage: OpenStage
+) -> list[Measurement]:
     """Every rung against the direct sum over the echoes of the reference.
 
     The error over noise is that of the range-Doppler map: the error's whole energy, as if it were

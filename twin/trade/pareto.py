@@ -1,27 +1,23 @@
-"""`run_trade` measures the rungs and writes a folder; `choose_fidelity` returns what to take."""
+"""The Pareto front of time and error: `run_trade` measures it, `choose_fidelity` takes from it."""
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
 from twin.fidelity import Fidelity
 from twin.files import InputError, whole_folder
-from twin.progress import Stages
+from twin.progress import OpenStage, Stages, silently
 from twin.radar import RadarDesign, load_radar
 from twin.run_folder import named_folder, unless
 from twin.scene import Scene, load_scene
 from twin.system import System, load_system
 from twin.trade.brute_force import Agreement, check
-from twin.trade.camera import View, light_rungs, measure_light, measure_noise
+from twin.trade.camera import CameraCase, light_rungs, measure_light, measure_noise
 from twin.trade.measurement import Choice, Ladder, Measurement, cheapest
 from twin.trade.meter import metered
 from twin.trade.radar import STAGES, measure_radar
 from twin.trade.result import Trade
-
-Stage = Callable[[str], AbstractContextManager[Any]]
 
 #: Of the sensor's own noise: an error of a fifth adds 4 % to its power, 0.17 dB.
 TOLERANCE = 0.2
@@ -61,10 +57,10 @@ def run_trade(
     expected = _STAGES_BESIDE_LIGHT + len(light_rungs(design)) + STAGES * bool(sensor)
     with Stages(expected) as stages:
         with stages.stage("load"):
-            world = scene if isinstance(scene, Scene) else load_scene(scene)
-        folder = Path(out or _folder(world, design, sensor, tolerance, seed))
+            loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+        folder = Path(out or _folder(loaded, design, sensor, tolerance, seed))
         with whole_folder(folder) as partial:
-            found = _measure(world, design, sensor, tolerance, seed, stages.stage, checked=True)
+            found = _measure(loaded, design, sensor, tolerance, seed, stages.stage, checked=True)
             write_trade(found, partial)
     return found, folder
 
@@ -84,12 +80,8 @@ def choose_fidelity(
     are timed: what is about equally fast may change places from run to run.
     """
     design, sensor = _inputs(system, radar, tolerance, seed)
-    world = scene if isinstance(scene, Scene) else load_scene(scene)
-
-    def quietly(name: str) -> AbstractContextManager[Any]:
-        return nullcontext()
-
-    return _measure(world, design, sensor, tolerance, seed, quietly, checked=False).fidelity
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    return _measure(loaded, design, sensor, tolerance, seed, silently, checked=False).fidelity
 
 
 def _folder(
@@ -123,18 +115,18 @@ def _measure(
     radar: RadarDesign | None,
     tolerance: float,
     seed: int,
-    stage: Stage,
+    stage: OpenStage,
     *,
     checked: bool,
 ) -> Trade:
-    view = View.of(scene, system, seed)
-    reference, measured = measure_light(view, stage)
+    case = CameraCase.of(scene, system, seed)
+    reference, measured = measure_light(case, stage)
     agreement = None
     if checked:
         with stage("brute force"):
-            agreement, by_force = check(view, reference)
+            agreement, by_force = check(case, reference)
         measured += [by_force] if by_force else []
-    measured += measure_noise(view, reference, stage)
+    measured += measure_noise(case, reference, stage)
     measured += measure_radar(scene, radar, seed, stage) if radar else []
     choices = {}
     for ladder in get_args(Ladder):

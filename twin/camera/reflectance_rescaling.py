@@ -1,44 +1,40 @@
-"""One render for every reflectance: light split by object, put together for any paint.
+"""One render for every reflectance: light split by object, each part times its own.
 
 Holds while light bounces once and one bucket collects it; textured objects keep their texture.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.air import Veil, glow, veil_of, where_air_scatters
+from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
 from twin.camera.light import SUN_PARTS, Light, Rendered
 from twin.camera.limits import grazing, unsampled
-from twin.camera.mounting import check_rig, devices
+from twin.camera.mounting import check_rig, light_problem
 from twin.camera.truth import Truth, depths, incidence_cosines, object_shares
 from twin.fidelity import Fidelity
 from twin.optics.by_object import ByObject, gather_by_object
-from twin.optics.devices import Device, Grid
-from twin.optics.paths import DeviceLight, SunLight
-from twin.optics.weather import air_of_system
+from twin.optics.devices import Device
 from twin.scene import Scene
-from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
 
-def can_repaint(system: System, fidelity: Fidelity) -> bool:
+def can_rescale(system: System, fidelity: Fidelity) -> bool:
     """Whether one render serves every reflectance."""
     return fidelity.max_depth == 1 and system.n_detectors == 1 and not system.time_of_flight
 
 
 @dataclass(frozen=True, eq=False)
-class Unpainted:
+class UnitReflectanceLight:
     """Light of emitter and sun by object, per unit of reflectance; and what does not depend on it.
 
     ``shares``: mean over each cell of an object's presence (its texture, if it has one),
     (n_objects, rows, columns). ``cosines`` (rows, columns) of incidence in the middle of each cell;
-    ``warnings``: what rays leave uncertain whatever the paint.
+    ``warnings``: what rays leave uncertain whatever the reflectance.
     """
 
     emitter_parts: ByObject
@@ -47,12 +43,12 @@ class Unpainted:
     depth_m: Array
     emitter: Device
     detector: Device
-    veil: Veil | None
-    glow: Array
+    backscatter: CellBackscatter | None
+    airlight: Array | None
     cosines: Array
     warnings: tuple[CaptureWarning, ...]
 
-    def painted(self, scene: Scene) -> Rendered:
+    def rescaled(self, scene: Scene) -> Rendered:
         """As `render` gives it, with the reflectances of a scene of the same objects."""
         reflectance = np.array(
             [o.reflectance if isinstance(o.reflectance, float) else 1.0 for o in scene.objects]
@@ -62,14 +58,14 @@ class Unpainted:
         cells = light.total.reshape(1, -1)
         return Rendered(
             light=Light(
-                cells + self.veil.light if self.veil else cells,
+                cells + self.backscatter.light if self.backscatter else cells,
                 light.standard_error.reshape(1, -1),
             ),
-            sun=sun + self.glow,
+            sun=sun if self.airlight is None else sun + self.airlight,
             truth=Truth(np.tensordot(reflectance, self.shares, axes=1), self.depth_m),
             emitter=self.emitter,
             detector=self.detector,
-            veil=self.veil,
+            backscatter=self.backscatter,
             warnings=(
                 *self.warnings,
                 *grazing(light.total.reshape(self.cosines.shape), self.cosines),
@@ -77,60 +73,39 @@ class Unpainted:
         )
 
 
-def render_unpainted(
+def render_unit_reflectance(
     scene: Scene, system: System, *, fidelity: Fidelity, seed: np.random.SeedSequence
-) -> Unpainted:
+) -> UnitReflectanceLight:
     """Render a scene for a system and every reflectance; draws what `render` draws.
 
     Raises ValueError where one render does not serve every reflectance.
     """
-    if not can_repaint(system, fidelity):
-        raise ValueError("fidelity: only direct light on one bucket can be repainted")
+    if not can_rescale(system, fidelity):
+        raise ValueError("fidelity: only direct light on one bucket scales with the reflectances")
     check_rig(scene, system)
-    emitter, detector, _ = devices(scene, system)
-    world = mitsuba_scene(_white(scene))
-    shape = system.picture_shape
-    air = air_of_system(system)
+    problem = light_problem(_with_unit_reflectance(scene), system)
+    mesh_scene, emitter, shape = problem.scene, problem.emitter, system.image_shape
     first, second = (int(child.generate_state(1)[0]) for child in seed.spawn(2))
-    depth = depths(world, emitter, shape)
-    quality = where_air_scatters(air, depth, fidelity.quality)
-    nothing: Any = 0.0
-    direction = scene.sun.direction
-    parts = (SUN_PARTS, SUN_PARTS)
-    return Unpainted(
-        emitter_parts=gather_by_object(
-            world,
-            Grid(emitter, *shape),
-            DeviceLight(detector, "pupil"),
-            role="emitter",
-            quality=quality,
-            seed=first,
-            air=air,
-        ),
-        sun_parts=gather_by_object(
-            world,
-            Grid(detector, *parts),
-            SunLight(direction),
-            role="pupil",
-            quality=quality,
-            seed=second,
-            air=air,
-        ),
-        shares=object_shares(world, emitter, shape),
+    depth, sun_parts = depths(mesh_scene, emitter, shape), (SUN_PARTS, SUN_PARTS)
+    quality = where_air_scatters(problem.air, depth, fidelity.quality)
+    return UnitReflectanceLight(
+        emitter_parts=gather_by_object(problem.from_emitter(shape, quality, first)),
+        sun_parts=gather_by_object(problem.from_sun(sun_parts, quality, second)),
+        shares=object_shares(mesh_scene, emitter, shape),
         depth_m=depth,
         emitter=emitter,
-        detector=detector,
-        veil=veil_of(system, air, emitter, detector, depth) if air else None,
-        glow=glow(air, world, detector, parts, direction) if air else nothing,
-        cosines=incidence_cosines(world, emitter, shape),
+        detector=problem.detector,
+        backscatter=backscatter_of(system, problem, depth) if problem.air else None,
+        airlight=airlight_of(problem, sun_parts) if problem.air else None,
+        cosines=incidence_cosines(mesh_scene, emitter, shape),
         warnings=tuple(unsampled(scene, emitter, shape[0] * shape[1] * fidelity.samples)),
     )
 
 
-def _white(scene: Scene) -> Scene:
+def _with_unit_reflectance(scene: Scene) -> Scene:
     """The scene with every plain object's reflectance 1."""
-    painted = [
+    objects = [
         replace(item, reflectance=1.0) if isinstance(item.reflectance, float) else item
         for item in scene.objects
     ]
-    return replace(scene, objects=tuple(painted))
+    return replace(scene, objects=tuple(objects))

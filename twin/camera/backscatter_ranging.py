@@ -1,4 +1,4 @@
-"""What light that the air sends back does to distances by time of flight."""
+"""What backscatter of the air does to distances by time of flight."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class VeiledRange:
-    """The veil's part of the light by shutter, from the least to the most, and what it does to the
-    distance of cells with light of the scene: median error, m, beside the median of what noise
+class BackscatterRangeError:
+    """Backscatter's part of the light by shutter, from the least to the most, and what it does to
+    the distance of cells with light of the scene: median error, m, beside the median of what noise
     alone makes the vehicle claim, and the largest.
     """
 
@@ -32,7 +32,7 @@ class VeiledRange:
 
     def __str__(self) -> str:
         """The finding in a few words."""
-        return f"distances {self.error_m:.2g} m off by the air's veil (median)"
+        return f"distances {self.error_m:.2g} m off because of backscatter (median)"
 
     @property
     def warnings(self) -> tuple[CaptureWarning, ...]:
@@ -42,31 +42,32 @@ class VeiledRange:
         return (
             CaptureWarning(
                 "design",
-                f"the air's veil is {self.least_share:.0%} to {self.most_share:.0%} of the light "
-                f"by tap or gate: distances are {self.error_m:.2g} m off (median; up to "
+                f"backscatter is {self.least_share:.0%} to {self.most_share:.0%} of the light "
+                f"by phase or gate: distances are {self.error_m:.2g} m off (median; up to "
                 f"{self.largest_m:.2g} m), where noise alone makes {self.claimed_m:.2g} m; "
-                "one modulation frequency cannot tell: time_of_flight, gates behind the veil can",
+                "one modulation frequency cannot tell the two apart, gates that open later can: "
+                "time_of_flight",
             ),
         )
 
 
-def veiled_range(
-    record: SpiRecord, cells_e: Array, veil_e: Array, noise_e: Array
-) -> VeiledRange | None:
-    """The vehicle's own distances of noise-free images with and without the veil.
+def backscatter_range_error(
+    record: SpiRecord, cells_e: Array, backscatter_e: Array, noise_e: Array
+) -> BackscatterRangeError | None:
+    """The vehicle's own distances of noise-free images with and without backscatter.
 
     Parameters
     ----------
-    cells_e, veil_e
+    cells_e, backscatter_e
         Electrons of each cell, and the air's part of them, (n_shutters, n_detectors, n_cells).
     noise_e
         Of each cell in one shutter's image, (n_detectors, n_cells).
 
-    None without time of flight or veil, and where nothing of the scene comes back.
+    None without time of flight or backscatter, and where nothing of the scene comes back.
     """
-    scene_e = cells_e - veil_e
+    scene_e = cells_e - backscatter_e
     lit = scene_e.sum(axis=0) > 1e-6 * scene_e.sum(axis=0).max(initial=0.0)
-    if not (record.shutters[:, [0, 3]].any() and veil_e.any() and lit.any()):
+    if not (record.shutters[:, [0, 3]].any() and backscatter_e.any() and lit.any()):
         return None
     shape = (*cells_e.shape[:2], record.patterns.rows, record.patterns.columns)
     errors = np.broadcast_to(noise_e.reshape(shape[1:]), shape)
@@ -79,8 +80,10 @@ def veiled_range(
     if not known.any():
         return None
     total = cells_e.sum(axis=(1, 2))
-    share = np.divide(veil_e.sum(axis=(1, 2)), total, out=np.zeros_like(total), where=total > 0)
-    return VeiledRange(
+    share = np.divide(
+        backscatter_e.sum(axis=(1, 2)), total, out=np.zeros_like(total), where=total > 0
+    )
+    return BackscatterRangeError(
         least_share=float(share.min()),
         most_share=float(share.max()),
         error_m=float(np.median(off[known])),

@@ -5,36 +5,54 @@ what meets one is `twin.optics.transport`'s. `twin.optics.reference` has all of 
 a path tracer.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.optics.devices import Device
+from twin.optics.problem import LightProblem
 from twin.optics.weather import Air
 
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class Backscatter:
+    """What each cell's light brings back from the air, by the nodes of the quadrature.
+
+    ``value`` in 1/m^2 and ``length_m`` of the way there and back, (rows, columns, n) each.
+    """
+
+    value: Array
+    length_m: Array
+
+    @property
+    def light(self) -> Array:
+        """Of each cell, (rows, columns): as `transport` gives it for surfaces; the two add up."""
+        return self.value.sum(axis=-1)
+
+
 def backscatter(
-    emitter: Device,
-    detector: Device,
+    problem: LightProblem,
     shape: tuple[int, int],
     distance_m: Any,
-    air: Air,
     *,
     strip: tuple[float, float] = (-1.0, 1.0),
     nodes: int = 24,
     rays: int = 2,
-) -> Array:
-    """Irradiance on the detector's pupil per radiant intensity of each cell, 1/m^2.
+) -> Backscatter:
+    """Irradiance on the detector's pupil per radiant intensity of each of the emitter's cells.
 
-    As `transport` gives it for surfaces; the two add up. A line integral along each ray to the
-    first surface, of what the air scatters there towards the detector, with two-way extinction,
-    the pupil's cosine and the detector's field.
+    A line integral along each ray to the first surface, of what the air scatters there towards the
+    detector, with two-way extinction, the pupil's cosine and the detector's field. The scene's own
+    surfaces are not asked: ``distance_m`` says where they are.
 
     Parameters
     ----------
+    problem
+        With air.
     shape
         Rows and columns of cells.
     distance_m
@@ -51,29 +69,10 @@ def backscatter(
     Raises
     ------
     ValueError
-        Where a ray in the detector's field passes through the detector itself: two pinholes at one
-        place have no finite veil.
+        Without air; and where a ray in the detector's field passes through the detector itself: two
+        pinholes at one place have no finite backscatter.
     """
-    value, _ = backscatter_paths(
-        emitter, detector, shape, distance_m, air, strip=strip, nodes=nodes, rays=rays
-    )
-    return value.sum(axis=-1)
-
-
-def backscatter_paths(
-    emitter: Device,
-    detector: Device,
-    shape: tuple[int, int],
-    distance_m: Any,
-    air: Air,
-    *,
-    strip: tuple[float, float] = (-1.0, 1.0),
-    nodes: int = 24,
-    rays: int = 2,
-) -> tuple[Array, Array]:
-    """The parts of `backscatter` and the length of the way of each, m, by the nodes of its
-    quadrature: two arrays (rows, columns, rays^2 x nodes).
-    """
+    emitter, detector, air = problem.emitter, problem.detector, _air(problem)
     directions, cosine = cell_rays(emitter, shape, rays)
     distance = np.broadcast_to(np.asarray(distance_m, dtype=np.float64), shape)[..., None, None]
     start, stop = _in_field(emitter.origin_m, directions, detector, strip)
@@ -90,37 +89,39 @@ def backscatter_paths(
         )
     area = (2 * emitter.tan_half_field) ** 2 / (shape[0] * shape[1])
     value *= area * cosine[..., None] ** 3 / rays**2
-    return value.reshape(*shape, -1), length.reshape(*shape, -1)
+    return Backscatter(value.reshape(*shape, -1), length.reshape(*shape, -1))
 
 
 def airlight(
-    camera: Device,
-    shape: tuple[int, int],
-    distance_m: Any,
-    direction: Array,
-    air: Air,
-    *,
-    rays: int = 2,
+    problem: LightProblem, shape: tuple[int, int], distance_m: Any, *, rays: int = 2
 ) -> Array:
-    """Irradiance on the pupil per irradiance of the sun, by part of the field; (rows, columns).
+    """Irradiance on the pupil per irradiance of the sun, by part of the detector's field; (rows,
+    columns).
 
     As `sunlight` gives it for surfaces. The scattered share of what the ray loses on its way:
-    albedo p(angle) (1 - exp(-extinction x distance)), with ``direction`` (3,) towards the sun. The
-    sun's irradiance is that at the sensor, everywhere: shadows of objects in the air, and its own
-    extinction between there and here, are left out.
+    albedo p(angle) (1 - exp(-extinction x distance)). The sun's irradiance is that at the sensor,
+    everywhere: shadows of objects in the air, and its own extinction between there and here, are
+    left out. Raises ValueError without air or sun.
     """
+    camera, air, direction = problem.detector, _air(problem), problem.sun.direction
     directions, cosine = cell_rays(camera, shape, rays)
     distance = np.broadcast_to(np.asarray(distance_m, dtype=np.float64), shape)[..., None, None]
     if not air.scattering_per_m:
         return np.zeros(shape)
     lost = -np.expm1(-air.extinction_per_m * distance)
-    # Light travels against `direction`, then against the ray.
+    # Light travels against the sun's direction, then against the ray.
     radiance = air.phase(directions @ np.asarray(direction)) * lost
     radiance *= air.scattering_per_m / air.extinction_per_m
     if camera.outline == "disc":
         radiance[cosine < 1 / np.sqrt(1 + camera.tan_half_field**2)] = 0
     area = (2 * camera.tan_half_field) ** 2 / (shape[0] * shape[1])
     return area * (radiance * cosine**4).mean(axis=(2, 3))
+
+
+def _air(problem: LightProblem) -> Air:
+    if problem.air is None:
+        raise ValueError("air: is not given")
+    return problem.air
 
 
 def cell_rays(device: Device, shape: tuple[int, int], rays: int) -> tuple[Array, Array]:
@@ -200,7 +201,8 @@ def _along(
     least = 1e-9 * max(float(np.linalg.norm(offset)), 1e-100)
     if ((miss <= least) & (start <= nearest) & (nearest <= stop)).any():
         raise ValueError(
-            "baseline: a ray of the emitter passes through the detector, whose veil is infinite"
+            "baseline: a ray of the emitter passes through the detector, where backscatter is "
+            "infinite"
         )
     miss = np.maximum(miss, least)
     x, weight = np.polynomial.legendre.leggauss(nodes)

@@ -1,0 +1,64 @@
+"""What light transport is asked: a scene, who lights it and who looks, the sun, and the air."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.optics.devices import Device, Grid
+from twin.optics.paths import DeviceLight, Quality, SunLight
+from twin.optics.tracer import Tracer
+from twin.optics.weather import Air
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LightProblem:
+    """Everything that light depends on, for every tracer and every closed form of it.
+
+    Parameters
+    ----------
+    scene
+        Mitsuba scene of Lambertian surfaces, as `twin.scene.mitsuba.mitsuba_scene` makes it.
+    emitter, detector
+        Where they stand and how they radiate and see.
+    sun_direction : (3,) array, optional
+        Unit vector towards the sun.
+    air
+        Fills all space; None: there is none.
+    """
+
+    scene: Any
+    emitter: Device
+    detector: Device
+    sun_direction: Array | None = None
+    air: Air | None = None
+
+    def moved(self, rotation: Array, shift_m: Array) -> "LightProblem":
+        """Both devices after a rigid motion, as `Device.moved`; scene and sun stay."""
+        emitter, detector = (d.moved(rotation, shift_m) for d in (self.emitter, self.detector))
+        return replace(self, emitter=emitter, detector=detector)
+
+    def from_emitter(self, shape: tuple[int, int], quality: Quality, seed: int) -> Tracer:
+        """Paths from the cells of the emitter, (rows, columns), to the detector's pupil."""
+        cells, pupil = Grid(self.emitter, *shape), DeviceLight(self.detector, "pupil")
+        return Tracer(self.scene, cells, "emitter", pupil, self.air, quality, seed)
+
+    def from_detector(self, shape: tuple[int, int], quality: Quality, seed: int) -> Tracer:
+        """Paths from the pixels of the detector, (rows, columns), to the emitter."""
+        pixels, light = Grid(self.detector, *shape), DeviceLight(self.emitter, "emitter")
+        return Tracer(self.scene, pixels, "pupil", light, self.air, quality, seed)
+
+    def from_sun(self, shape: tuple[int, int], quality: Quality, seed: int) -> Tracer:
+        """Paths from parts of the detector's field, (rows, columns), to the sun."""
+        parts = Grid(self.detector, *shape)
+        return Tracer(self.scene, parts, "pupil", self.sun, self.air, quality, seed)
+
+    @property
+    def sun(self) -> SunLight:
+        """The sun as a light. Raises ValueError without a direction."""
+        if self.sun_direction is None:
+            raise ValueError("sun_direction: is not given")
+        return SunLight(self.sun_direction)
