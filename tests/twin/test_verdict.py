@@ -210,10 +210,10 @@ def test_a_picture_of_the_exposures_before_is_void(slow: dict[str, float]) -> No
 
 
 @pytest.mark.parametrize("excess", [1.2, 1.23])
-def test_lag_and_rails_that_hide_the_picture_together_are_void(
+def test_lag_and_rails_that_hide_the_image_together_are_void(
     full_scale_ohm: float, excess: float
 ) -> None:
-    """A switching time that alone leaves an SNR of 0.01 and a gain that alone leaves a picture:
+    """A switching time that alone leaves an SNR of 0.01 and a gain that alone leaves a image:
     with both nothing is above what is false, and SNR 0 is no finding but a void record.
     """
     gain = {"readout__transimpedance_ohm": excess * full_scale_ohm}
@@ -222,7 +222,7 @@ def test_lag_and_rails_that_hide_the_picture_together_are_void(
     assert not taken("table1", small(**slow)).void
     found = taken("table1", small(**gain, **slow))
     assert not found.snr.any()
-    assert str(found.verdict).startswith("void: lag and rails together hide the picture")
+    assert str(found.verdict).startswith("void: lag and rails together hide the image")
 
 
 def test_an_amplifiers_pole_is_the_integral_of_its_step() -> None:
