@@ -131,8 +131,7 @@ class _Search:
         between their rays.
         """
         spacing_m = spacing_of(self.s, facets.sizes())
-        # One ray each stands for four.
-        rows = meeting(self.s, self.scatterers, facets, spacing_m / 2)
+        rows = meeting(self.s, self.scatterers, facets, spacing_m)
         wholes = (facets.taken(some) for some in portions(rows))
         return self._begun(parted(self.s, whole, spacing_m)[0] for whole in wholes)
 

@@ -20,9 +20,9 @@ Indices = NDArray[np.integer]
 def meeting(
     s: Station, scatterers: Scatterers, facets: Facing, spacing_m: float
 ) -> NDArray[np.intp]:
-    """Rows of facets by which something may be seen: the ray that they or one that shares a corner
-    with them, lit from the same source, reflects at the centroid of any of their parts of a size
-    meets something.
+    """Rows of facets by which something may be seen: a ray that is reflected at the centroid of one
+    of their parts of a size meets something, or that of a neighbour or of a neighbour's neighbour,
+    lit from the same source. Neighbours share a corner.
     """
     corners, count = _corners(s)
 
@@ -36,7 +36,11 @@ def meeting(
             part = parts if len(some) == len(parts) else parts.taken(some)
             is_met = met_by(s, scatterers, part, 1).is_valid[0]
             is_near[own(rows[row[some[is_met]]])] = True
-    found = [rows[is_near[own(rows)].any(axis=1)] for rows in portions(facets.all)]
+    is_nearby = np.zeros_like(is_near)
+    for rows in portions(facets.all):
+        at = own(rows)
+        is_nearby[at[is_near[at].any(axis=1)]] = True
+    found = [rows[is_nearby[own(rows)].any(axis=1)] for rows in portions(facets.all)]
     return np.concatenate([np.zeros(0, dtype=np.intp), *found])
 
 
