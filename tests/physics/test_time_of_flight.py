@@ -102,6 +102,27 @@ def test_lengths_cost_no_light_on_the_yard() -> None:
     assert p.min() > 1e-4 / lit.sum()
 
 
+def test_lengths_grow_with_every_bounce() -> None:
+    """From the middle of a sphere of radius 3 m: 6 m with one bounce, a chord of up to 6 m more
+    with each further one.
+    """
+    import trimesh
+
+    ball = trimesh.creation.icosphere(5, radius=3.0)
+    item = SceneObject("ball", np.array(ball.vertices), np.array(ball.faces), None, "white", 0.5)
+    scene = Scene("ball", Path(), "", (item,), Rig(Pose((0.0, 0.0, 0.0))), Sun(180.0, 0.0, 1e5))
+    here = Device(np.zeros(3), np.eye(3), 3.0)
+    problem = LightProblem(mitsuba_scene(scene), here, here)
+    paths = trace_paths(problem, (2, 2), quality=Quality(1024, 3), seed=1)
+    value, length = (x.reshape(4, 3, -1) for x in (paths.value, paths.length_m))
+    for bounces in range(3):
+        seen = length[:, bounces][value[:, bounces] > 0]
+        assert seen.size > 1000
+        assert seen.min() > 6 - 0.02 if bounces == 0 else seen.min() > 6
+        assert seen.max() < 6 * (bounces + 1) + 0.02
+        assert np.mean(seen) == pytest.approx(6 + 4 * bounces, rel=0.15)
+
+
 def test_shutters_in_four_phases_give_the_phasor_back() -> None:
     paths = paths_to_wall(4.0)
     f, contrast = 15e6, 0.7

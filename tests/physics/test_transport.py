@@ -14,6 +14,7 @@ from twin.optics.problem import LightProblem
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
 from twin.optics.reference import PatternRenderer
 from twin.optics.transport import sunlight, transport
+from twin.optics.weather import Air
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import load_system
@@ -189,6 +190,27 @@ def test_blocks_of_rows_do_not_change_the_image(monkeypatch: pytest.MonkeyPatch)
     )
     assert np.abs(z).max() < 6
     assert parts.total.shape == (16, 16)
+
+
+@pytest.mark.parametrize("kind", ["direct", "scattered", "indirect"])
+def test_every_kind_of_light_is_that_of_its_rows(kind: str) -> None:
+    """In fog, by row of the yard, whose upper rows see the sky: in blocks of four rows as at once.
+
+    Bright corners leave bounced light noisy: the correlation over the rows is above 0.9, and is
+    below 0.5 where every block traces the first rows.
+    """
+    camera = Device(np.zeros(3), AHEAD, TAN)
+    problem = LightProblem(
+        mitsuba_scene(load_scene("yard")), camera, camera, air=Air(0.08, 0.078, 0.85)
+    )
+    tracer = problem.from_emitter((16, 16), Quality(256, 2, 256), 1)
+
+    def rows(first: int, last: int) -> np.ndarray:
+        light = getattr(tracer, kind)((first, last))
+        return np.array(getattr(light, "value", light)).reshape(last - first, -1).mean(axis=1)
+
+    whole, parts = rows(0, 16), np.concatenate([rows(i, i + 4) for i in range(0, 16, 4)])
+    assert np.corrcoef(parts, whole)[0, 1] > 0.9
 
 
 def test_quality_names_its_fault() -> None:
