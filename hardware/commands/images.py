@@ -28,7 +28,7 @@ def reconstruct(
         Path | None, typer.Option(help="NumPy archive to write; default RECORD-METHOD.npz.")
     ] = None,
 ) -> None:
-    """Reconstruct the image of a record, and distances where it has lock-in taps or gates."""
+    """Reconstruct the image of a record, and distances where it has phase shutters or gates."""
     import time
 
     import numpy as np
@@ -105,7 +105,7 @@ def _distances(record: "SpiRecord", found: "RangeImage") -> str:
     import numpy as np
 
     hz = np.unique(record.shutters[:, 0])
-    how = f"taps at {', '.join(f'{f / 1e6:g}' for f in hz)} MHz" if hz.any() else "gates"
+    how = f"phases at {', '.join(f'{f / 1e6:g}' for f in hz)} MHz" if hz.any() else "gates"
     head = f"{len(record.shutters)} {how}, distances up to {found.longest_m:.4g} m"
     sure = found.confidence > 0.95
     if not sure.any():

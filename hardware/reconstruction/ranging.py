@@ -1,8 +1,9 @@
 """Distance images from a record whose patterns were shown with several shutters.
 
-Taps of a lock-in measurement: each tap's image is reconstructed by itself, by any method. Cell by
-cell the taps of one modulation frequency are b + Re(z exp(j phase)); least squares over the phases
-gives the phasor z, the phasors of all frequencies the distance (`hardware.reconstruction.depth`).
+Phase shutters of a lock-in measurement: the image of each is reconstructed by itself, by any
+method. Cell by cell those of one modulation frequency are b + Re(z exp(j phase)); least squares
+over the phases gives the phasor z, the phasors of all frequencies the distance
+(`hardware.reconstruction.depth`).
 
 Gates: each gate's image is a slice of the scene, as thick as gate and pulse together; what
 neighbouring ones hold of a cell tells where in them it lies (`hardware.reconstruction.gating`).
@@ -34,8 +35,8 @@ PULSE_UNKNOWN = (
 class RangeImage:
     """Amplitude and distance of every cell; arrays ``(n_detectors, rows, columns)``.
 
-    ``amplitude`` in photo-electrons of a cell lit alone for one exposure: of taps, half the
-    modulated light (contrast included), mean over the frequencies; of gates, the whole echo.
+    ``amplitude`` in photo-electrons of a cell lit alone for one exposure: of phase shutters, half
+    the modulated light (contrast included), mean over the frequencies; of gates, the whole echo.
     ``distance_m`` is half the way from emitter to detector, NaN where no light is. Cells that the
     patterns do not measure have NaN for both.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
@@ -56,10 +57,10 @@ class RangeImage:
 def range_image(
     record: SpiRecord, method: str = "lmmse", *, mixing: Mixing | None = None
 ) -> RangeImage:
-    """Amplitude and distance of every cell of a record with taps or gates.
+    """Amplitude and distance of every cell of a record with phase shutters or gates.
 
-    Raises ValueError for a record whose shutter was always open, one with both taps and gates, a
-    frequency whose phases leave its phasor open, and whatever `reconstruct` refuses.
+    Raises ValueError for a record whose shutter was always open, one with both, a frequency
+    whose phases leave its phasor open, and whatever `reconstruct` refuses.
 
     A record that does not state its pulse (schema version 2 and older) may have had any pulse up to
     the gate's length: the distance is the middle of these, and the error covers them.
@@ -67,11 +68,11 @@ def range_image(
     modulated, gated = record.shutters[:, 0] > 0, record.shutters[:, 3] > 0
     if not (modulated.all() or gated.all()) or (modulated & gated).any():
         raise ValueError(
-            "shutters: expected the taps of one or more modulation frequencies, or gates"
+            "shutters: expected the phases of one or more modulation frequencies, or gates"
         )
     if modulated.all():
         list(_phase_systems(record.shutters))  # refuses what no image could mend
-    taken = [reconstruct(tap, method, mixing=mixing) for tap in record.by_shutter]
+    taken = [reconstruct(part, method, mixing=mixing) for part in record.by_shutter]
     images = np.stack([found.image for found in taken])
     errors = np.stack([_error(found, record.patterns.count) for found in taken])
     told = np.isfinite(images[0])
@@ -122,17 +123,17 @@ def _error(found: Reconstruction, count: int) -> Array:
 
 
 def _phase_systems(shutters: Array) -> Iterator[tuple[float, NDArray[np.intp], Array]]:
-    """Frequency, its taps, and the (2, n_taps) matrix that gives Re z and Im z by least squares."""
+    """Frequency, its shutters, the (2, n_phases) matrix that gives Re z, Im z by least squares."""
     for frequency in np.unique(shutters[:, 0]):
-        taps = np.flatnonzero(shutters[:, 0] == frequency)
-        phase = shutters[taps, 1]
+        phases = np.flatnonzero(shutters[:, 0] == frequency)
+        phase = shutters[phases, 1]
         model = np.stack([np.cos(phase), -np.sin(phase), np.ones_like(phase)], axis=1)
         if np.linalg.matrix_rank(model, tol=1e-6) < 3:
             raise ValueError(
                 f"shutters: phases {phase} at {frequency:.6g} Hz, at least three different ones "
                 "are needed"
             )
-        yield float(frequency), taps, np.linalg.pinv(model)[:2]
+        yield float(frequency), phases, np.linalg.pinv(model)[:2]
 
 
 def _from_phases(
@@ -143,11 +144,11 @@ def _from_phases(
 ) -> RangeImage:
     shape = images.shape[1:]
     phasors, noise = [], []
-    for _, taps, solve in systems:
-        real, imaginary = np.tensordot(solve, images[taps], 1)
+    for _, phases, solve in systems:
+        real, imaginary = np.tensordot(solve, images[phases], 1)
         phasors.append((real + 1j * imaginary).ravel())
         # Of both parts alike: their mean variance.
-        noise.append(np.sqrt(np.tensordot((solve**2).mean(axis=0), errors[taps] ** 2, 1)).ravel())
+        noise.append(np.sqrt(np.tensordot((solve**2).mean(axis=0), errors[phases] ** 2, 1)).ravel())
     found = depth(np.stack(phasors), [system[0] for system in systems], np.stack(noise))
     return RangeImage(
         method=method,

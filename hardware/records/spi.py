@@ -41,7 +41,7 @@ class SpiRecord:
         Rig in the world at the start: x, y, z in metres, unit quaternion w, x, y, z (REP 103).
     shutters : (n_shutters, 4) float64
         Every pattern is shown once with each shutter, one after another: modulation frequency, Hz,
-        and phase, rad, of a lock-in tap, or delay and width of a gate, s. All zero: always open.
+        and phase, rad, of a phase shutter, or delay and width of a gate, s. All zero: always open.
         Gates open that long after the light's pulse begins.
     pulse_width_s
         Length of the light's pulse, of gates; 0: none, or not stated.

@@ -200,7 +200,7 @@ def test_the_all_lit_reference_stands_for_row_0() -> None:
 
 
 def test_distances_without_a_level_are_said_to_be() -> None:
-    """Two-megahertz taps with row 0 lost: each tap's level is missing from its phasor."""
+    """Shutters at two megahertz with row 0 lost: the level of each is missing from its phasor."""
     patterns = PatternSet(8, 8, 64)
     n = 4 * patterns.n_exposures
     flags = np.zeros(n, np.uint8)

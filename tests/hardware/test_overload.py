@@ -125,7 +125,7 @@ def test_measurements_that_do_not_fit_are_dropped_whole(
         lambda payload: payload[:30] + struct.pack("<4d", 0, 0, 1e-9, -1e-9),
         lambda payload: payload[:30] + struct.pack("<4d", 1e7, 0, 1e-9, 1e-9),
     ],
-    ids=["nan", "inf", "negative frequency", "negative width", "tap and gate at once"],
+    ids=["nan", "inf", "negative frequency", "negative width", "phase and gate at once"],
 )
 def test_shutters_that_no_device_has_are_refused(
     firmware: Any, spoil: Callable[[bytes], bytes]

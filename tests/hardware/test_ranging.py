@@ -1,4 +1,4 @@
-"""Distance images from records with taps or gates, against light simulated from the definition."""
+"""Distance images from phase shutters or gates, against light simulated from the definition."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ def scene(side: int = 16) -> tuple[np.ndarray, np.ndarray]:
 
 
 def record_of(cells: np.ndarray, shutters: np.ndarray, patterns: PatternSet) -> SpiRecord:
-    """``cells`` (n_shutters, n_cells) over the sun, which differs from tap to tap by nothing."""
+    """``cells`` (n_shutters, n_cells) over the sun, which is the same in every shutter."""
     electrons = np.stack([patterns.signal(c) for c in cells], axis=1) + 1e6
     n = electrons.size
     return SpiRecord(
@@ -49,12 +49,12 @@ def record_of(cells: np.ndarray, shutters: np.ndarray, patterns: PatternSet) -> 
 def lock_in(
     frequencies: tuple[float, ...], n_phases: int, noise: float = 0.0, count: int = 256
 ) -> SpiRecord:
-    """Taps (1 + contrast cos(2 pi f tau - phase)) / 2, contrast 0.8."""
+    """Phase shutters (1 + contrast cos(2 pi f tau - phase)) / 2, contrast 0.8."""
     light, distance = scene()
-    taps = [(f, p) for f in frequencies for p in 2 * np.pi * np.arange(n_phases) / n_phases]
+    steps = [(f, p) for f in frequencies for p in 2 * np.pi * np.arange(n_phases) / n_phases]
     tau = 2 * distance.ravel() / C_M_PER_S
-    cells = [light.ravel() * (1 + 0.8 * np.cos(2 * np.pi * f * tau - p)) / 2 for f, p in taps]
-    shutters = np.array([(f, p, 0.0, 0.0) for f, p in taps])
+    cells = [light.ravel() * (1 + 0.8 * np.cos(2 * np.pi * f * tau - p)) / 2 for f, p in steps]
+    shutters = np.array([(f, p, 0.0, 0.0) for f, p in steps])
     record = record_of(np.array(cells), shutters, PatternSet(16, 16, count))
     draw = np.random.default_rng(0).normal(size=record.counts.shape) * noise
     return replace(record, counts=np.rint(record.counts + draw).astype(np.int32))
@@ -92,7 +92,7 @@ def test_the_sign_of_the_phase_is_that_of_depth() -> None:
 def test_standard_errors_are_the_errors_made() -> None:
     """Zero-fill of all patterns: the noise found in the record explains the errors.
 
-    256 cells in two taps' worth of independent noise: the ratio's standard deviation is 4.4 % and
+    256 cells in two phases' worth of independent noise: the ratio's standard deviation is 4.4 % and
     that of the noise found in the record about 5 %; bounds at five of both.
     """
     _, distance = scene()
@@ -107,7 +107,7 @@ def test_an_image_of_a_record_with_taps_is_their_sum() -> None:
     record = lock_in(TWO, 4)
     light, _ = scene()
     np.testing.assert_allclose(reconstruct(record, "zero-fill").image[0], 4 * light, rtol=1e-4)
-    parts = [reconstruct(tap, "zero-fill").image for tap in record.by_shutter]
+    parts = [reconstruct(part, "zero-fill").image for part in record.by_shutter]
     np.testing.assert_allclose(sum(parts), reconstruct(record, "zero-fill").image, rtol=1e-9)
 
 
@@ -251,8 +251,8 @@ def test_noise_alone_is_no_echo() -> None:
 @pytest.mark.parametrize(
     ("shutters", "complaint"),
     [
-        (np.zeros((1, 4)), "shutters: expected the taps"),
-        (np.array([[1e7, 0, 0, 0], [0, 0, 1e-8, 1e-8]]), "shutters: expected the taps"),
+        (np.zeros((1, 4)), "shutters: expected the phases"),
+        (np.array([[1e7, 0, 0, 0], [0, 0, 1e-8, 1e-8]]), "shutters: expected the phases"),
         (np.array([[1e7, 0, 0, 0], [1e7, np.pi, 0, 0]]), "at least three"),
         (np.array([[1e7, 1.0, 0, 0]] * 3), "at least three"),
         (np.array([[1e7, p, 0, 0] for p in (0, 2, 4)] + [[2e7, 0, 0, 0]]), "2e.07 Hz, at least"),
@@ -267,7 +267,7 @@ def test_shutters_that_tell_no_distance_are_refused(shutters: np.ndarray, compla
 @pytest.mark.parametrize(
     ("record", "line"),
     [
-        (lock_in(TWO, 4), "8 taps at 10, 13 MHz, distances up to 149.9 m: 21 to "),
+        (lock_in(TWO, 4), "8 phases at 10, 13 MHz, distances up to 149.9 m: 21 to "),
         (gated(np.arange(15) * 2e-8, 2e-8, 2e-8), "15 gates, distances up to 44.97 m: 21 to "),
     ],
 )

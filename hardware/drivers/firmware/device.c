@@ -103,14 +103,14 @@ static void identify(struct device *d, uint8_t tag)
     send(d, body, to + length);
 }
 
-/* All zero: always open; else a tap (frequency and phase) or a gate (delay and width). */
+/* All zero: always open; else a phase shutter (frequency and phase) or a gate (delay and width). */
 static bool possible(const struct shutter *s)
 {
-    bool tap = s->modulation_hz > 0 && s->gate_delay_s == 0 && s->gate_width_s == 0;
+    bool phase = s->modulation_hz > 0 && s->gate_delay_s == 0 && s->gate_width_s == 0;
     bool gate = s->modulation_hz == 0 && s->phase_rad == 0 && s->gate_width_s > 0;
     bool open = s->modulation_hz == 0 && s->phase_rad == 0 && s->gate_delay_s == 0 &&
                 s->gate_width_s == 0;
-    return (tap || gate || open) && s->phase_rad >= 0 && s->gate_delay_s >= 0 &&
+    return (phase || gate || open) && s->phase_rad >= 0 && s->gate_delay_s >= 0 &&
            isfinite(s->modulation_hz) && isfinite(s->phase_rad) && isfinite(s->gate_delay_s) &&
            isfinite(s->gate_width_s);
 }
@@ -147,7 +147,7 @@ static void configure(struct device *d, uint8_t tag, const uint8_t *in, size_t s
     else if (!(period == 0 || (period >= integration + p->readout_time_s && period <= 1e3)))
         why = "pattern_period_s: shorter than integration and read-out, or no number";
     else if (!shutters_possible)
-        why = "shutters: a tap, a gate, or all zero is expected, without negative numbers";
+        why = "shutters: a phase, a gate, or all zero is expected, without negative numbers";
     else
         why = patterns_set(&d->patterns, (uint32_t)get(in, 2), (uint32_t)get(in + 2, 2),
                            (uint32_t)get(in + 4, 4), in[8], in[9]);
