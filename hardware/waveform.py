@@ -33,6 +33,10 @@ class OfdmWaveform:
         Cyclic prefix before the first of them; echoes from beyond c prefix / 2 fall out of step.
     symbols
         ``zadoff-chu``: constant modulus, flat envelope. ``flat``: all ones (an impulse in time).
+
+    >>> wave = OfdmWaveform(79e9, 4096, 250e3, 256, 20e-6, repeats=4, prefix_s=1e-6)
+    >>> f"{wave.range_cell_m:.3f} m, up to {wave.max_range_m:.0f} m"
+    '0.146 m, up to 600 m'
     """
 
     carrier_hz: float

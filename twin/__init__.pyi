@@ -7,6 +7,8 @@ from twin.camera import evaluate as evaluate
 from twin.engine import EngineError as EngineError
 from twin.fidelity import PRESETS as PRESETS
 from twin.fidelity import Fidelity as Fidelity
+from twin.fidelity import LightFidelity as LightFidelity
+from twin.fidelity import RadarFidelity as RadarFidelity
 from twin.files import InputError as InputError
 from twin.job import Result as Result
 from twin.job import run as run

@@ -1,7 +1,13 @@
-"""How closely the twin follows physics: every knob in one object, each with the error it bounds."""
+"""How closely the twin follows physics: every knob in one object, each with the error it bounds.
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args
+The knobs are of two kinds, those of light and those of the radar; a `Fidelity` is both. Each knob
+says beside its default what values it takes and which of two is the stricter.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, Self, TypeVar, get_args
 
 from twin.optics.paths import Quality
 
@@ -9,10 +15,129 @@ Noise = Literal["none", "gaussian", "full"]
 Start = Literal["auto", "dual", "scatter"]
 RadarRung = Literal["targets", "paths", "optics", "rough"]
 
+K = TypeVar("K", bound="Knobs")
+
+_BELOW_1 = math.nextafter(1.0, 0.0)
+
 
 @dataclass(frozen=True)
-class Fidelity:
-    """Knobs of both chains. ``a | b`` takes the stricter of each.
+class Rule:
+    """What a knob takes, and which of two values is the stricter.
+
+    ``check`` says what is wrong with a value, nothing where it is right.
+    """
+
+    check: Callable[[Any], str]
+    stricter: Callable[[Any, Any], Any]
+
+
+def _whole(least: int, *, optional: bool = False) -> dict[str, Rule]:
+    """A whole number, the stricter the more; ``optional``: or None."""
+
+    def check(value: Any) -> str:
+        if value is None and optional:
+            return ""
+        if isinstance(value, bool) or not isinstance(value, int):
+            return "is no int"
+        return f"is less than {least}" if value < least else ""
+
+    return {"rule": Rule(check, max)}
+
+
+def _depth(least: float) -> dict[str, Rule]:
+    """A number, the stricter the more."""
+
+    def check(value: Any) -> str:
+        return "" if _is_number(value) and value >= least else f"is less than {least:g}"
+
+    return {"rule": Rule(check, max)}
+
+
+def _tolerance(low: float, high: float) -> dict[str, Rule]:
+    """A number, the stricter the less."""
+
+    def check(value: Any) -> str:
+        within = _is_number(value) and low <= value <= high
+        return "" if within else f"is not in {low:g} to {high:g}"
+
+    return {"rule": Rule(check, min)}
+
+
+def _one_of(kind: Any, stricter: Callable[[Any, Any], Any] | None = None) -> dict[str, Rule]:
+    """One of some words, the stricter the later it stands among them."""
+    known = get_args(kind)
+
+    def check(value: Any) -> str:
+        return "" if value in known else f"is none of {', '.join(known)}"
+
+    def later(one: Any, other: Any) -> Any:
+        return max(one, other, key=known.index)
+
+    return {"rule": Rule(check, stricter or later)}
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _named_side(one: Start, other: Start) -> Start:
+    """The side to start from, when only one of the two names it: neither is stricter."""
+    return one if other == "auto" else other
+
+
+@dataclass(frozen=True)
+class Knobs:
+    """Checks knobs by their rules; ``a | b`` takes the stricter of each."""
+
+    def __post_init__(self) -> None:
+        for knob in fields(self):
+            value = getattr(self, knob.name)
+            if wrong := knob.metadata["rule"].check(value):
+                raise ValueError(f"{knob.name}: {value!r:.60} {wrong}")
+
+    def __or__(self, other: Self) -> Self:
+        """The stricter of each knob."""
+        one, two = self._said(), other._said()
+        stricter = {
+            knob.name: knob.metadata["rule"].stricter(
+                getattr(one, knob.name), getattr(two, knob.name)
+            )
+            for knob in fields(self)
+        }
+        return type(self)(**stricter)
+
+    def _said(self) -> Self:
+        """The same, with what a default stands for."""
+        return self
+
+    def with_(self, changes: Mapping[str, Any] | None = None, **knobs: Any) -> Self:
+        """The same with some knobs changed. Raises ValueError for a knob that is none, or a value
+        that it does not take.
+
+        >>> Fidelity().with_({"radar_tolerance": 0.03}) == Fidelity(radar_tolerance=0.03)
+        True
+        >>> Fidelity().with_(radar_tolerance=3)
+        Traceback (most recent call last):
+        ValueError: radar_tolerance: 3 is not in 0.001 to 1
+        """
+        new = {**(changes or {}), **knobs}
+        unknown = new.keys() - {knob.name for knob in fields(self)}
+        if unknown:
+            raise ValueError(f"fidelity: no knob {', '.join(sorted(unknown))}")
+        return replace(self, **new)
+
+    def part(self, kind: type[K]) -> K:
+        """The knobs of light alone, or those of the radar alone: what results depend on.
+
+        >>> Fidelity(samples=16, radar="paths").part(RadarFidelity)
+        RadarFidelity(radar='paths', ...)
+        """
+        return kind(**{knob.name: getattr(self, knob.name) for knob in fields(kind)})
+
+
+@dataclass(frozen=True)
+class LightFidelity(Knobs):
+    """Knobs of the camera chain.
 
     samples
         Paths per cell, a square number: noise of direct light, falling as samples^-0.75.
@@ -27,6 +152,36 @@ class Fidelity:
     noise
         ``none``: counts of the mean, rounded. ``gaussian``: shot noise as a normal distribution,
         wrong in shape below some 100 electrons. ``full``: Poisson.
+    air_orders
+        Scatterings that are followed in the air on the way to a surface, and as many back: light of
+        more is lost, 1e-10 of it at an optical depth of 1 and 2e-5 at 3. 0: what is scattered
+        forward stays in its cell, whose contrast is then too high by the optical depth.
+    """
+
+    samples: int = field(default=64, metadata=_whole(1))
+    max_depth: int = field(default=4, metadata=_whole(1))
+    indirect_samples: int | None = field(default=None, metadata=_whole(1, optional=True))
+    start: Start = field(default="auto", metadata=_one_of(Start, _named_side))
+    noise: Noise = field(default="full", metadata=_one_of(Noise))
+    air_orders: int = field(default=12, metadata=_whole(0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.quality  # has its own checks
+
+    def _said(self) -> Self:
+        return replace(self, indirect_samples=self.quality.further_samples)
+
+    @property
+    def quality(self) -> Quality:
+        """Knobs of the path tracer."""
+        return Quality(self.samples, self.max_depth, self.indirect_samples, self.air_orders)
+
+
+@dataclass(frozen=True)
+class RadarFidelity(Knobs):
+    """Knobs of the radar chain.
+
     radar
         ``targets``: declared targets straight ahead, without the scene: no multipath, no clutter,
         no shadows. ``paths``: traced through the scene, where small far meshes answer from tables.
@@ -71,84 +226,28 @@ class Fidelity:
         error is 0.7 % of its peak, 0.06 dB.
     radar_scatterers
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
-    air_orders
-        Scatterings that are followed in the air on the way to a surface, and as many back: light of
-        more is lost, 1e-10 of it at an optical depth of 1 and 2e-5 at 3. 0: what is scattered
-        forward stays in its cell, whose contrast is then too high by the optical depth.
     """
 
-    samples: int = 64
-    max_depth: int = 4
-    indirect_samples: int | None = None
-    start: Start = "auto"
-    noise: Noise = "full"
-    radar: RadarRung = "optics"
-    nufft_tolerance: float = 1e-6
-    radar_tolerance: float = 0.1
-    radar_bounces: int = 3
-    radar_images: int = 1
-    radar_edges: int = 0
-    radar_shadow_db: float = 40.0
-    radar_shadowed: int = 0
-    radar_table_nodes: int = 4
-    radar_scatterers: int = 50_000
-    air_orders: int = 12
+    radar: RadarRung = field(default="optics", metadata=_one_of(RadarRung))
+    nufft_tolerance: float = field(default=1e-6, metadata=_tolerance(1e-14, _BELOW_1))
+    radar_tolerance: float = field(default=0.1, metadata=_tolerance(1e-3, 1.0))
+    radar_bounces: int = field(default=3, metadata=_whole(1))
+    radar_images: int = field(default=1, metadata=_whole(0))
+    radar_edges: int = field(default=0, metadata=_whole(0))
+    radar_shadow_db: float = field(default=40.0, metadata=_depth(0.0))
+    radar_shadowed: int = field(default=0, metadata=_whole(0))
+    radar_table_nodes: int = field(default=4, metadata=_whole(1))
+    radar_scatterers: int = field(default=50_000, metadata=_whole(1))
 
-    def __post_init__(self) -> None:
-        _ = self.quality  # has its own checks
-        for name, kind in (("start", Start), ("noise", Noise), ("radar", RadarRung)):
-            value = getattr(self, name)
-            if value not in get_args(kind):
-                raise ValueError(f"{name}: {value!r} is none of {', '.join(get_args(kind))}")
-        for name, least in (
-            ("radar_bounces", 1),
-            ("radar_images", 0),
-            ("radar_edges", 0),
-            ("radar_shadow_db", 0),
-            ("radar_shadowed", 0),
-            ("radar_table_nodes", 1),
-            ("radar_scatterers", 1),
-        ):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}: {getattr(self, name)} is less than {least}")
-        if not 1e-3 <= self.radar_tolerance <= 1:
-            raise ValueError(f"radar_tolerance: {self.radar_tolerance} is not in 0.001 to 1")
-        if not 1e-14 <= self.nufft_tolerance < 1:
-            raise ValueError(f"nufft_tolerance: {self.nufft_tolerance} is not in 1e-14 to 1")
 
-    @property
-    def quality(self) -> Quality:
-        """Knobs of the path tracer."""
-        return Quality(self.samples, self.max_depth, self.indirect_samples, self.air_orders)
+@dataclass(frozen=True)
+class Fidelity(RadarFidelity, LightFidelity):
+    """Knobs of both chains, those of light first. ``a | b`` takes the stricter of each.
 
-    def __or__(self, other: "Fidelity") -> "Fidelity":
-        """The stricter of each knob; a side to start from, when only one of the two names it."""
-        further = max(self.quality.further_samples, other.quality.further_samples)
-        return Fidelity(
-            samples=max(self.samples, other.samples),
-            max_depth=max(self.max_depth, other.max_depth),
-            indirect_samples=further,
-            start=self.start if other.start == "auto" else other.start,
-            noise=max(self.noise, other.noise, key=get_args(Noise).index),
-            radar=max(self.radar, other.radar, key=get_args(RadarRung).index),
-            radar_tolerance=min(self.radar_tolerance, other.radar_tolerance),
-            radar_bounces=max(self.radar_bounces, other.radar_bounces),
-            radar_images=max(self.radar_images, other.radar_images),
-            radar_edges=max(self.radar_edges, other.radar_edges),
-            radar_shadowed=max(self.radar_shadowed, other.radar_shadowed),
-            radar_shadow_db=max(self.radar_shadow_db, other.radar_shadow_db),
-            radar_table_nodes=max(self.radar_table_nodes, other.radar_table_nodes),
-            radar_scatterers=max(self.radar_scatterers, other.radar_scatterers),
-            nufft_tolerance=min(self.nufft_tolerance, other.nufft_tolerance),
-            air_orders=max(self.air_orders, other.air_orders),
-        )
-
-    def with_(self, **changes: Any) -> "Fidelity":
-        """The same with some knobs changed. Raises ValueError for a knob that is none."""
-        unknown = changes.keys() - {field.name for field in fields(self)}
-        if unknown:
-            raise ValueError(f"fidelity: no knob {', '.join(sorted(unknown))}")
-        return replace(self, **changes)
+    >>> fine = PRESETS["draft"] | Fidelity(radar_tolerance=0.03)
+    >>> fine.samples, fine.radar_tolerance
+    (64, 0.03)
+    """
 
 
 #: A look at a design; most cells far below the sensor's own noise, though on the yard the rms over
@@ -171,8 +270,8 @@ PRESETS = {
 }
 
 
-def preset(name: "str | Fidelity") -> Fidelity:
-    """A preset by name. Raises ValueError for one that is none."""
+def preset(name: str | Fidelity) -> Fidelity:
+    """A preset by name; a fidelity as it is. Raises ValueError for a name that is none."""
     if isinstance(name, Fidelity):
         return name
     if name not in PRESETS:

@@ -70,6 +70,10 @@ class PatternSet:
         second detector sees its complement (both sides of a micro-mirror).
     subset
         With order ``custom``: rows of the natural-order matrix, in the order shown.
+
+    >>> patterns = PatternSet(rows=8, columns=8, count=16)
+    >>> patterns.n_cells, patterns.n_exposures  # every pattern, and its complement
+    (64, 32)
     """
 
     rows: int

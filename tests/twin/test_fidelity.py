@@ -1,10 +1,12 @@
 """The knobs: stricter of two, presets, and what each rung leaves out."""
 
+from dataclasses import asdict, fields
+
 import numpy as np
 import pytest
 
 from twin.camera import capture
-from twin.fidelity import PRESETS, Fidelity, preset
+from twin.fidelity import PRESETS, Fidelity, LightFidelity, RadarFidelity, preset
 from twin.optics.paths import Quality
 from twin.radar import load_radar, radar_capture
 from twin.scene import load_scene
@@ -15,7 +17,7 @@ def test_the_stricter_of_two_wins_knob_by_knob() -> None:
     rough = Fidelity(samples=4, max_depth=6, noise="none", nufft_tolerance=1e-8, radar="paths")
     fine = Fidelity(samples=256, max_depth=1, radar="targets", start="dual")
     both = rough | fine
-    assert both == Fidelity(256, 6, 64, "dual", "full", "paths", 1e-8)
+    assert both == Fidelity(256, 6, 64, "dual", radar="paths", nufft_tolerance=1e-8)
     assert both == fine | rough
     assert both | both == both
 
@@ -41,6 +43,12 @@ def test_presets_are_ordered_by_strictness() -> None:
         {"start": "left"},
         {"nufft_tolerance": 0.0},
         {"radar_tolerance": 0.0},
+        {"radar_tolerance": "fine"},
+        {"radar_bounces": 2.5},
+        {"radar_edges": True},
+        {"radar_shadow_db": -1.0},
+        {"max_depth": None},
+        {"nufft_tolerance": float("nan")},
     ],
 )
 def test_wrong_knobs_are_named(wrong: dict[str, object]) -> None:
@@ -53,6 +61,28 @@ def test_wrong_knobs_are_named(wrong: dict[str, object]) -> None:
         Fidelity().with_(radar_rays=200_000)
     with pytest.raises(ValueError, match="is none of draft"):
         preset("fast")
+
+
+def test_every_knob_has_a_rule_that_takes_its_default() -> None:
+    """And of two values the same one is stricter whichever comes first, for every knob."""
+    usual, fine = Fidelity(), PRESETS["reference"]
+    for knob in fields(Fidelity):
+        rule = knob.metadata["rule"]
+        assert rule.check(getattr(usual, knob.name)) == ""
+        if knob.name != "indirect_samples":  # None stands for a share of the samples
+            pair = getattr(usual, knob.name), getattr(fine, knob.name)
+            assert rule.stricter(*pair) == rule.stricter(*pair[::-1])
+    assert usual | fine == fine | usual == fine.with_(indirect_samples=256)
+
+
+def test_light_and_radar_have_knobs_of_their_own() -> None:
+    fidelity = Fidelity(samples=16, radar_tolerance=0.03)
+    light, radar = fidelity.part(LightFidelity), fidelity.part(RadarFidelity)
+    assert light == LightFidelity(samples=16)
+    assert radar == RadarFidelity(radar_tolerance=0.03)
+    assert Fidelity(**asdict(light), **asdict(radar)) == fidelity
+    assert (light | LightFidelity(max_depth=8)).max_depth == 8
+    assert fidelity.with_({"samples": 4}) == fidelity.with_(samples=4)
 
 
 def test_without_noise_counts_are_the_mean_of_noisy_ones() -> None:

@@ -139,6 +139,14 @@ def capture(
         `mitsuba_scene(scene)`, when it is at hand already.
     stage
         Called with each stage's name, for progress and timing.
+
+    >>> from twin.fidelity import PRESETS
+    >>> from twin.scene import load_scene
+    >>> from twin.system import load_system
+    >>> system = load_system("workable")
+    >>> taken = capture(load_scene("table1"), system, seed=1, fidelity=PRESETS["draft"])
+    >>> taken.record.counts.shape == (system.n_exposures, system.n_detectors)
+    True
     """
     light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
     fidelity = fidelity or Fidelity()

@@ -168,6 +168,13 @@ def radar_capture(
 
     Raises InputError where a material has no data at the carrier, a target stands at the radar, a
     record would not fit in memory, or bursts overlap.
+
+    >>> from twin.radar import load_radar
+    >>> from twin.scene import load_scene
+    >>> radar, declared = load_radar("hybrid-79"), Fidelity(radar="targets")
+    >>> taken = radar_capture(load_scene("yard"), radar, seed=1, fidelity=declared)
+    >>> len(taken.truth), taken.record.counts.dtype
+    (5, dtype('int16'))
     """
     echo = radar_echo(
         scene,

@@ -11,6 +11,7 @@ from twin.camera.acquisition import Capture, measure
 from twin.camera.light import Rendered, render
 from twin.camera.mounting import devices
 from twin.camera.reflectance_rescaling import can_rescale, render_unit_reflectance
+from twin.fidelity import RadarFidelity
 from twin.radar.acquisition import radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
 from twin.sweep.closed_form import closed_form
@@ -147,7 +148,8 @@ def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcom
     def evaluated() -> RadarEvaluation:
         assert made.radar is not None  # a study with radar metrics has one
         radar, weather = made.radar, made.system.weather
-        key = (inputs.stamp, made.scene_key(), radar, weather, made.fidelity, made.seed)
+        knobs = made.fidelity.part(RadarFidelity)  # those of light leave the radar as it is
+        key = (inputs.stamp, made.scene_key(), radar, weather, knobs, made.seed)
 
         def work() -> RadarEvaluation:
             taken = radar_capture(

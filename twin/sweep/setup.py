@@ -85,7 +85,7 @@ def _seed(value: Value) -> int:
 def _fidelity(values: Values, inputs: Inputs) -> Fidelity:
     name = str(values.get("preset", "standard"))
     base = preset(inputs.objects.get(f"fidelity {name}", name))
-    return base.with_(**{name: v for name, v in values.items() if name != "preset"})
+    return base.with_({name: v for name, v in values.items() if name != "preset"})
 
 
 _entries, _scenes = Held(256), Held(64)  # most points share theirs
