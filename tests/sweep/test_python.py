@@ -132,6 +132,16 @@ def test_a_folder_of_another_object_is_refused(tmp_path: Path) -> None:
         run(0.9)
 
 
+def test_a_curve_of_an_object_that_changes_meanwhile_is_told(tmp_path: Path) -> None:
+    curve = tmp_path / "filter.csv"
+    curve.write_text("nm,T\n1530,0\n1550,0.5\n1570,0\n")
+    inputs = inputs_of(_study(system=WORKABLE.with_({"filter.transmission_csv": str(curve)})))
+    inputs.check()
+    curve.write_text("nm,T\n1530,0\n1550,0.6\n1570,0\n")
+    with pytest.raises(InputError, match="a file of it has changed"):
+        inputs.check()
+
+
 def test_objects_are_where_they_belong(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="system"):
         _study(system=load_scene("yard"))
