@@ -28,7 +28,7 @@ def test_python_examples_run(
     printed = capsys.readouterr().out
     assert "lmmse: PSNR" in printed
     assert "Detection(range_m=5.63" in printed
-    (folder,) = (tmp_path / "runs").iterdir()
+    (folder,) = (tmp_path / "runs").glob("yard*")
     assert folder.name == "yard_(changed)-workable_(changed)-alone-hybrid-79_(changed)"
 
 
