@@ -1,4 +1,4 @@
-"""False alarms of every bundled radar with its own faults: measured rate over the rate asked for.
+"""False alarms of every bundled radar with its own faults: measured rate over the nominal one.
 
 Oscillator, leakage, I/Q imbalance and converter are the radar's; nothing is before it, or a few
 strong targets. Cells of a target are not counted: its window's main lobe along range and rate. What
@@ -16,7 +16,7 @@ from hardware.radar import Cfar, MapNoise, RangeDopplerMap, cfar_threshold
 from hardware.radar.burst import demodulate
 from hardware.radar.process import Processing, process
 from hardware.radar.range_doppler import range_doppler
-from hardware.records import RadarRecord
+from hardware.records import QuaternionPose, RadarRecord
 from hardware.waveform import C_M_PER_S
 from twin.radar import load_radar
 from twin.radar.device.burst import burst_channel
@@ -41,13 +41,13 @@ def figures() -> Iterator[Figure]:
         strong = STILL if name == "prototype" else STRONG
         for scene, targets in (("empty", ()), ("strong targets", strong)):
             alarms, cells = count(name, range(maps), targets, RATES)
-            for asked, seen in zip(RATES, alarms, strict=True):
-                what = f"{name}, {scene}: false alarms over {asked:g}"
-                yield f"{what} ({seen} in {cells} cells)", seen / cells / asked, ""
-            for asked in (*RATES, 1e-8):
-                seen = false_detections(name, range(maps), targets, asked)
-                what = f"{name}, {scene}: false detections over {asked:g}"
-                yield f"{what} ({seen} in {cells} cells)", seen / cells / asked, ""
+            for nominal, seen in zip(RATES, alarms, strict=True):
+                what = f"{name}, {scene}: false alarms over {nominal:g}"
+                yield f"{what} ({seen} in {cells} cells)", seen / cells / nominal, ""
+            for nominal in (*RATES, 1e-8):
+                seen = false_detections(name, range(maps), targets, nominal)
+                what = f"{name}, {scene}: false detections over {nominal:g}"
+                yield f"{what} ({seen} in {cells} cells)", seen / cells / nominal, ""
 
 
 def count(
@@ -68,8 +68,8 @@ def count(
         counted = _empty(image, taken.waveform.max_range_m, targets)
         cells += int(counted.sum())
         for i, rate in enumerate(rates):
-            asked = replace(how.cfar, false_alarm=rate)
-            alarms[i] += np.sum(above(image, asked, how.window) & counted)
+            cfar = replace(how.cfar, false_alarm=rate)
+            alarms[i] += np.sum(above(image, cfar, how.window) & counted)
     return [int(n) for n in alarms], cells
 
 
@@ -153,16 +153,10 @@ def record(
         flags=flags[None],
         carriers_hz=burst.carriers_hz,
         transmitter=burst.transmitter,
-        transmitters_m=burst.transmitters_m,
-        receivers_m=burst.receivers_m,
         waveform=wave,
-        root_watt_per_count=scale,
-        transmit_power_w=radar.front_end.transmit_power_w.value,
-        antenna_gain_dbi=radar.antenna.ahead_dbi,
-        losses_db=radar.front_end.losses_db.value,
-        leakage_delay_s=radar.leakage.delay_s.value if radar.leakage else float("nan"),
+        front_end=radar.recorded_front_end(scale),
         device=name,
-        pose=np.array([[0.0, 0, 0, 1, 0, 0, 0]]),
+        pose=(QuaternionPose(),),
     )
 
 

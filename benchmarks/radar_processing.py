@@ -132,7 +132,7 @@ def _angles() -> Iterator[Figure]:
     burst = demodulate(cube(replace(WIDE, n_slots=8), [Echo((4, 0, 0))], **MIMO))
     rng = np.random.default_rng(0)
     places = np.arange(8) / 2
-    still = replace(burst, late_s=np.zeros(8))  # standing target: no turns to unfold
+    still = replace(burst, tdm_offset_s=np.zeros(8))  # standing target: no turns to unfold
     for snr_db in (17, 20, 30, 40):
         each = 10 ** (snr_db / 10) / 8
         errors = []
@@ -174,7 +174,7 @@ def _false_alarms() -> Iterator[Figure]:
             map_ = range_doppler(noise, small)
             found += len(detected(noise, small, map_, Cfar(rate), at_most=10**6))
         expected = rate * 2**16 * runs
-        name = f"false detections by default, asked {rate:g}: measured over asked"
+        name = f"false detections by default, nominal {rate:g}: measured over nominal"
         yield name, found / expected, ""
         yield f"{name}, 95 % half width", float(1.96 / np.sqrt(expected)), ""
     rng = np.random.default_rng(2)
@@ -193,7 +193,7 @@ def _false_alarms() -> Iterator[Figure]:
                     )
         for i, method in enumerate(("ca", "go")):
             for j, rate in enumerate((1e-3, 1e-4, 1e-6)):
-                name = f"false alarms, {method}, {window}, asked {rate:g}: measured over asked"
+                name = f"false alarms, {method}, {window}, nominal {rate:g}: measured over nominal"
                 expected = rate * 2**20 * runs
                 seen = counts[:, i, j].sum()
                 clump = 1.0 if window == "boxcar" else 2.6**2

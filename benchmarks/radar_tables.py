@@ -80,7 +80,7 @@ def _table(what: str, target: Target, carrier_hz: float) -> Iterator[Figure]:
 def _frames(scene: Scene) -> Iterator[Figure]:
     """The street's trihedral at 140 m, everything else declared or silent."""
     radar, paths = load_radar("hybrid-79"), Fidelity(radar="paths")
-    asked = replace(
+    tabulated = replace(
         scene,
         objects=tuple(
             replace(o, radar="table") if o.name == "trihedral" else o for o in scene.objects
@@ -89,7 +89,7 @@ def _frames(scene: Scene) -> Iterator[Figure]:
     yield "street, paths, all declared", timed(lambda: trace(scene, radar, fidelity=paths)), ""
     yield (
         "street, paths, trihedral from its table",
-        timed(lambda: trace(asked, radar, fidelity=paths)),
+        timed(lambda: trace(tabulated, radar, fidelity=paths)),
         "",
     )
     yield (

@@ -84,14 +84,14 @@ class _Peer:
     def ways(self, max_depth: int, **kinds: bool) -> list[tuple[Array, Complex]]:
         """Lengths in m and amplitudes of the ways to each receiver."""
         sionna()
-        asked = dict.fromkeys(("specular_reflection", "diffuse_reflection", "refraction"), False)
+        switches = dict.fromkeys(("specular_reflection", "diffuse_reflection", "refraction"), False)
         found = _solver()(
             self.scene,
             max_depth=max_depth,
             los=True,
             samples_per_src=10**5,
             seed=1,
-            **asked | kinds,
+            **switches | kinds,
         )
         shape = (self.n_receivers, -1)
         real, imaginary, late, valid = (

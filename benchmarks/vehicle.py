@@ -16,8 +16,9 @@ import hardware
 from benchmarks.timing import Figure, Timing, timed
 from hardware import PatternSet, reconstruct
 from hardware.drivers import SpiCamera, SpiSettings
-from hardware.drivers.radio import FrontEnd, Schedule, acquire, open_radio
+from hardware.drivers.radio import Schedule, acquire, open_radio
 from hardware.drivers.radio.setup import read_setup
+from hardware.records import RadarFrontEnd
 from twin.camera.stream import still_light, stills
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_echo
@@ -91,7 +92,7 @@ def _virtual_camera() -> Iterator[Figure]:
             lambda send, overrun: VirtualCamera(
                 system,
                 scene.sun,
-                lambda asked: stills(scene, asked, fidelity=quick, rendered=light),
+                lambda system: stills(scene, system, fidelity=quick, rendered=light),
                 clock=clock,
                 send=send,
             ),
@@ -147,7 +148,7 @@ def _rates() -> Iterator[Figure]:
         yield f"virtual radio in real pace, {scene}, prototype: steps that came late", late, "%"
 
 
-def _captured(url: str, schedule: Schedule, front_end: FrontEnd) -> tuple[float, float]:
+def _captured(url: str, schedule: Schedule, front_end: RadarFrontEnd) -> tuple[float, float]:
     """Sweeps a second, and per cent of steps that are flagged."""
     with open_radio(url) as radio:
         acquire(radio, schedule, front_end, bursts=_WARM_SWEEPS)
