@@ -1,3 +1,7 @@
+from hardware.errors import DeviceError as DeviceError
+from hardware.errors import HardwareError as HardwareError
+from hardware.errors import InputError as InputError
+from hardware.errors import LinkError as LinkError
 from hardware.patterns import PatternSet as PatternSet
 from hardware.radar.cfar_rule import Cfar as Cfar
 from hardware.radar.detection import Detection as Detection
@@ -18,7 +22,10 @@ from hardware.reconstruction import reconstruct as reconstruct
 from hardware.recording import Log as Log
 from hardware.recording import read_records as read_records
 from hardware.records import Flag as Flag
+from hardware.records import QuaternionPose as QuaternionPose
+from hardware.records import RadarFrontEnd as RadarFrontEnd
 from hardware.records import RadarRecord as RadarRecord
+from hardware.records import Shutter as Shutter
 from hardware.records import SpiRecord as SpiRecord
 from hardware.records import read_radar_record as read_radar_record
 from hardware.records import read_record as read_record

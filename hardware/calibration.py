@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar import Detection
 from hardware.reconstruction import reconstruct
 from hardware.records import SpiRecord, container
@@ -63,15 +64,15 @@ class CameraCalibration:
     def of(cls, dark: SpiRecord, flat: SpiRecord, target: Target) -> Self:
         """From two records.
 
-        Raises ValueError for records of two cameras, or a cell no brighter than in the dark.
+        Raises InputError for records of two cameras, or a cell no brighter than in the dark.
         """
         if dark.device != flat.device:
-            raise ValueError(f"device: the dark is of {dark.device!r}, the flat of {flat.device!r}")
+            raise InputError(f"device: the dark is of {dark.device!r}, the flat of {flat.device!r}")
         unlit, lit = (
             reconstruct(r, "zero-fill").image / r.integration_time_s for r in (dark, flat)
         )
         if unlit.shape != lit.shape or (lit <= unlit).any():
-            raise ValueError("flat: a cell is no brighter than in the dark, or is missing there")
+            raise InputError("flat: a cell is no brighter than in the dark, or is missing there")
         return cls(flat.device, time.time_ns(), unlit, lit, target)
 
     def reflectance(self, image: Array, record: SpiRecord, distance_m: float) -> Array:
@@ -80,11 +81,11 @@ class CameraCalibration:
         A cell's beam lights more surface farther away, with the same power in all; what comes back
         into the lens falls with one square of the distance.
 
-        Raises ValueError for another camera or other cells.
+        Raises InputError for another camera or other cells.
         """
         _check_device(self.device, record.device)
         if image.shape != self.flat.shape:
-            raise ValueError(f"image: shape {image.shape}, calibrated {self.flat.shape}")
+            raise InputError(f"image: shape {image.shape}, calibrated {self.flat.shape}")
         light = image / record.integration_time_s - self.dark
         scale = self.target.size * (distance_m / self.target.distance_m) ** 2
         return np.asarray(light / (self.flat - self.dark) * scale)
@@ -106,11 +107,11 @@ class RadarCalibration:
 
     @classmethod
     def of(cls, device: str, detections: Sequence[Detection], target: Target) -> Self:
-        """From the strongest detection near the target. Raises ValueError where there is none."""
+        """From the strongest detection near the target. Raises InputError where there is none."""
         away = target.distance_m
         near = [found for found in detections if abs(found.range_m - away) < _NEAR_M]
         if not near:
-            raise ValueError(f"detections: none within {_NEAR_M:g} m of the target at {away:g} m")
+            raise InputError(f"detections: none within {_NEAR_M:g} m of the target at {away:g} m")
         best = max(near, key=lambda found: found.power_w)
         constant = best.power_w * away**4 / target.size
         return cls(device, time.time_ns(), best.range_m - away, constant, target)
@@ -162,26 +163,26 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
 def read_calibration(path: str | Path, *, max_age_s: float = math.inf) -> Calibration:
     """Read a file of either kind.
 
-    Raises FileNotFoundError; ValueError for a file that is none, of another version, or older than
+    Raises FileNotFoundError; InputError for a file that is none, of another version, or older than
     ``max_age_s``.
     """
     faults = []
     for kind, layout in _LAYOUTS.items():
         try:
             fields, target = container.read(layout, path)
-        except ValueError as error:
+        except InputError as error:
             faults.append(str(error))
             continue
         found: Calibration = kind(**fields, target=Target(**target))
         age_s = (time.time_ns() - found.made_ns) * 1e-9
         if age_s > max_age_s:
-            raise ValueError(
+            raise InputError(
                 f"{path}: {age_s / 86400:.3g} days old, at most {max_age_s / 86400:.3g} are allowed"
             )
         return found
-    raise ValueError("; ".join(faults))
+    raise InputError("; ".join(faults))
 
 
 def _check_device(calibrated: str, measured: str) -> None:
     if calibrated != measured:
-        raise ValueError(f"device: calibrated {calibrated!r}, measured {measured!r}")
+        raise InputError(f"device: calibrated {calibrated!r}, measured {measured!r}")

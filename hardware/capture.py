@@ -15,7 +15,8 @@ from hardware.sources import Records, open_source
 
 if TYPE_CHECKING:
     from hardware.drivers import SpiSettings
-    from hardware.drivers.radio import FrontEnd, Schedule
+    from hardware.drivers.radio import Schedule
+    from hardware.records import RadarFrontEnd
 
 _log = logging.getLogger(__name__)
 
@@ -53,7 +54,7 @@ def capture(
     urls: Sequence[str],
     log: Log,
     settings: "SpiSettings | None" = None,
-    setup: "tuple[Schedule, FrontEnd] | None" = None,
+    setup: "tuple[Schedule, RadarFrontEnd] | None" = None,
     *,
     duration_s: float = float("inf"),
     records: int = 0,

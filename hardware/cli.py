@@ -5,6 +5,7 @@ import sys
 import typer
 
 from hardware.commands import images, log, radar
+from hardware.errors import HardwareError
 from hardware.files import one_line, said
 
 app = typer.Typer(
@@ -27,10 +28,10 @@ def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
     try:
         sys.exit(app(sys.argv[1:] or ["--help"], standalone_mode=False))
+    except HardwareError as error:
+        message = str(error)
     except OSError as error:
         message = said(error)
-    except ValueError as error:
-        message = str(error)
     except MemoryError as error:
         message = f"out of memory ({error})" if str(error) else "out of memory"
     except Exception as error:

@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from hardware.errors import InputError
+
 #: Of a dotted key of TOML.
 _MOST_KEY_PARTS = 64
 #: Characters of an error; the longest of the tools' own are about half of that.
@@ -22,7 +24,7 @@ _MOST_LINE = 3000
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Content of a TOML file.
 
-    Raises OSError where it cannot be read; ValueError, one line that begins with the file, where
+    Raises OSError where it cannot be read; InputError, one line that begins with the file, where
     it is no regular file, no TOML, no UTF-8, nested too deeply, or holds a whole number beyond the
     64 bits of TOML 1.0.
     """
@@ -34,7 +36,7 @@ def _toml(text: str) -> dict[str, Any]:
     # Each part of a key is a table within a table, and tomllib takes the square of their number.
     for part in re.split(r"[=,{}\[\]\n]", re.sub(r"\.{2,}", "", text)):
         if part.count(".") >= _MOST_KEY_PARTS:
-            raise ValueError(f"nested too deeply: more than {_MOST_KEY_PARTS} parts of a key")
+            raise InputError(f"nested too deeply: more than {_MOST_KEY_PARTS} parts of a key")
     content = tomllib.loads(text)
     left: list[tuple[str, Any]] = list(content.items())
     while left:
@@ -44,7 +46,7 @@ def _toml(text: str) -> dict[str, Any]:
         elif isinstance(value, list):
             left += [(name, inner) for inner in value]
         elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-            raise ValueError(f"{name}: a whole number of {value.bit_length()} bits, expected 64")
+            raise InputError(f"{name}: a whole number of {value.bit_length()} bits, expected 64")
     return content
 
 
@@ -58,16 +60,16 @@ def _parsed(path: str | Path, kind: str, parse: Callable[[str], Any]) -> Any:
     try:
         return parse(content.decode("utf-8"))
     except RecursionError:
-        raise ValueError(f"{path}: no valid {kind}: nested too deeply") from None
+        raise InputError(f"{path}: no valid {kind}: nested too deeply") from None
     except ValueError as error:
-        raise ValueError(f"{path}: no valid {kind}: {error}") from error
+        raise InputError(f"{path}: no valid {kind}: {error}") from error
 
 
 def read_regular(path: str | Path) -> bytes:
-    """Content of a file. Raises OSError; ValueError for a device or pipe, which may never end."""
+    """Content of a file. Raises OSError; InputError for a device or pipe, which may never end."""
     with Path(path).open("rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise ValueError(f"{path}: expected a regular file")
+            raise InputError(f"{path}: expected a regular file")
         return file.read()
 
 
@@ -80,21 +82,29 @@ def one_line(message: str) -> str:
 
 
 @contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
-    """A place to write to, beside ``path``, which takes its name at the end, or is removed.
+def place_beside(path: str | Path) -> Iterator[Path]:
+    """A place to write a file or a folder to, beside ``path``; what is still there at the end is
+    removed.
 
-    What killed processes of this machine left of the same file is removed too. An OSError names
-    ``path``.
+    What killed processes of this machine left of the same path is removed too. An OSError that
+    names no file names ``path``.
     """
     path = Path(path)
     partial = partial_path(path)
     with naming(path):
-        remove_leftovers(path)
+        _remove_leftovers(path)
         try:
             yield partial
-            os.replace(partial, path)
         finally:
-            partial.unlink(missing_ok=True)
+            _remove(partial)
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """A `place_beside` that takes the name of ``path`` at the end, if nothing fails."""
+    with place_beside(path) as partial:
+        yield partial
+        os.replace(partial, path)
 
 
 @contextmanager
@@ -120,16 +130,20 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.{_machine()}-{os.getpid()}.partial")
 
 
-def remove_leftovers(path: Path) -> None:
+def _remove_leftovers(path: Path) -> None:
     """Remove what processes of this machine that run no more left at their `partial_path`."""
     ours = re.compile(re.escape(f".{path.name}.{_machine()}-") + r"(\d+)\.partial")
     for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
         found = ours.fullmatch(left.name)
         if found and not _runs(int(found[1])):
-            if left.is_dir():
-                shutil.rmtree(left, ignore_errors=True)
-            else:
-                left.unlink(missing_ok=True)
+            _remove(left)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _machine() -> str:

@@ -7,11 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.calibration import CameraCalibration, RadarCalibration
+from hardware.errors import InputError
 from hardware.radar import Detection
 from hardware.radar.process import Frame, Processing, frames
 from hardware.reconstruction import reconstruct
 from hardware.recording import Log, Received, ros
 from hardware.records import RadarRecord, SpiRecord
+from hardware.sliding_images import SlidingImages
+from hardware.tracks import RadarTracks
+from hardware.tracks import cloud as track_cloud
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,8 @@ def process(
     how: Processing | None = None,
     camera: CameraCalibration | None = None,
     radar: RadarCalibration | None = None,
+    tracks: RadarTracks | None = None,
+    sliding: SlidingImages | None = None,
 ) -> Outcome:
     """Append the image of a camera's record, or each burst's detections of a radar's.
 
@@ -37,12 +43,18 @@ def process(
     cells are not measured. The
     radar's are those of `hardware.radar.process.process`, as ``ugv detect`` lists them, as `cloud`.
 
-    Raises ValueError for a calibration of another device.
+    With ``tracks`` the confirmed tracks of each burst follow, in the world's frame
+    (`hardware.tracks.cloud`); with ``sliding`` the images are those of its window instead of
+    ``method``'s.
+
+    Raises InputError for a calibration of another device.
     """
     sensor = received.topic.rsplit("/", 1)[0] or "/sensor"
     if isinstance(received.record, SpiRecord):
+        if sliding:
+            return _images(received, received.record, log, sensor, sliding, camera)
         return _image(received, received.record, log, sensor, method, camera)
-    return _detections(received, received.record, log, sensor, how, radar)
+    return _detections(received, received.record, log, sensor, how, radar, tracks)
 
 
 def _image(
@@ -66,6 +78,25 @@ def _image(
     )
 
 
+def _images(
+    received: Received,
+    record: SpiRecord,
+    log: Log,
+    sensor: str,
+    sliding: SlidingImages,
+    calibration: CameraCalibration | None,
+) -> Outcome:
+    n = 0
+    for time_ns, cells in sliding.update(sensor, record):
+        if calibration:
+            cells = calibration.reflectance(cells, record, calibration.target.distance_m)
+        stamp = received.clock.host_ns(time_ns) if received.clock else received.host_ns
+        picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
+        log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
+        n += 1
+    return Outcome((f"{n} images",))
+
+
 def _detections(
     received: Received,
     record: RadarRecord,
@@ -73,6 +104,7 @@ def _detections(
     sensor: str,
     how: Processing | None,
     calibration: RadarCalibration | None,
+    tracks: RadarTracks | None,
 ) -> Outcome:
     lines: list[str] = []
     warnings: list[str] = []
@@ -83,7 +115,14 @@ def _detections(
         log.message(f"{sensor}/detections", ros.POINTS, points, received.host_ns, stamp)
         ranged = bool(found) and not np.isnan(found[0].range_m)
         strongest = f", the strongest at {found[0].range_m:.3f} m" if ranged else ""
-        lines.append(f"burst {frame.burst}: {len(found)} detections{strongest}")
+        followed = ""
+        if tracks:
+            time_ns = int(record.device_time_ns[frame.burst].flat[0])
+            confirmed = tracks.update(sensor, found, time_ns, record.pose[frame.burst])
+            points = ros.points(track_cloud(confirmed), stamp, "world")
+            log.message(f"{sensor}/tracks", ros.POINTS, points, received.host_ns, stamp)
+            followed = f", {len(confirmed)} tracks"
+        lines.append(f"burst {frame.burst}: {len(found)} detections{strongest}{followed}")
         warnings += frame.warnings
     return Outcome(tuple(lines), tuple(warnings))
 
@@ -93,12 +132,12 @@ def calibrated(
 ) -> tuple[Detection, ...]:
     """Detections of a burst, with ranges and cross-sections by a calibration where there is one.
 
-    Raises ValueError for a calibration of another device.
+    Raises InputError for a calibration of another device.
     """
     if calibration is None:
         return frame.detections
     if calibration.device != record.device:
-        raise ValueError(f"device: calibrated {calibration.device!r}, measured {record.device!r}")
+        raise InputError(f"device: calibrated {calibration.device!r}, measured {record.device!r}")
     return tuple(calibration.corrected(one, frame.waveform) for one in frame.detections)
 
 

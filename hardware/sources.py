@@ -15,14 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from hardware.drivers.clock import ClockFilter
+from hardware.errors import InputError
 from hardware.recording.reading import Ending, Received, read_records
 
 if TYPE_CHECKING:
     from hardware.drivers import SpiSettings
-    from hardware.drivers.radio import FrontEnd, Radio, Schedule
+    from hardware.drivers.radio import Radio, Schedule
+    from hardware.records import RadarFrontEnd
 
 
-class SourceError(ValueError):
+class SourceError(InputError):
     """A URL that leads to no records: of no known kind, or of a kind that is not installed."""
 
 
@@ -37,7 +39,7 @@ _LOOK_S = 0.1
 def open_source(
     url: str,
     settings: "SpiSettings | None" = None,
-    setup: "tuple[Schedule, FrontEnd] | None" = None,
+    setup: "tuple[Schedule, RadarFrontEnd] | None" = None,
     *,
     over: threading.Event | None = None,
     ending: Ending | None = None,
@@ -93,7 +95,7 @@ def replay(
     ``ending`` and what is raised: as `read_records`.
     """
     if not speed > 0:
-        raise ValueError(f"speed: {speed} is not positive")
+        raise InputError(f"speed: {speed} is not positive")
     over, first_ns, begun_s = over or threading.Event(), None, time.monotonic()
     for received in read_records(path, ending):
         first_ns = received.host_ns if first_ns is None else first_ns
@@ -113,7 +115,9 @@ def _camera(url: str, settings: "SpiSettings", over: threading.Event | None) -> 
             yield Received("/spi/record", record, time.time_ns(), camera.clock)
 
 
-def _radio(url: str, schedule: "Schedule", front_end: "FrontEnd", over: threading.Event) -> Records:
+def _radio(
+    url: str, schedule: "Schedule", front_end: "RadarFrontEnd", over: threading.Event
+) -> Records:
     from hardware.drivers.radio import acquire, open_radio
 
     clock = ClockFilter()

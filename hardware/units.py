@@ -11,6 +11,8 @@ import unicodedata
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from hardware.errors import InputError
+
 if TYPE_CHECKING:
     from fractions import Fraction
 
@@ -108,13 +110,13 @@ def quantity(text: str, unit: str | None, *, bare: bool = False) -> float:
     """Text with a unit as a number of ``unit``; None: a pure number, given in per cent or ppm.
 
     ``bare``: text without a unit is a number of ``unit`` already. Powers are read as dBm too,
-    cross-sections as dBsm, temperatures as degC. Raises ValueError that says what was expected.
+    cross-sections as dBsm, temperatures as degC. Raises InputError that says what was expected.
 
     >>> quantity("200 um", "m"), quantity("10 dBm", "W"), quantity("85 %", None)
     (0.0002, 0.01, 0.85)
     >>> quantity("20 klx", "m")
     Traceback (most recent call last):
-    ValueError: expected a number or a quantity in m; 'klx' is of another dimension
+    hardware.errors.InputError: expected a number or a quantity in m; 'klx' is of another dimension
     """
     text = unicodedata.normalize("NFKC", text.strip())
     match = _NUMBER.match(text) if len(text) <= _LONGEST else None
@@ -152,16 +154,16 @@ def _converted(number: str, given: str, unit: str | None) -> float:
         return float(Fraction(number) + Fraction(_ZERO_CELSIUS_K))
     try:
         factor, powers = _parsed(given)
-    except ValueError as error:
+    except InputError as error:
         raise _wrong(unit, str(error)) from None
     if unit in _DECIBELS or _parsed(unit)[1] != powers:
         raise _wrong(unit, f"{given!r} is of another dimension")
     return float(Fraction(number) * factor / _parsed(unit)[0])
 
 
-def _wrong(unit: str | None, why: str = "") -> ValueError:
+def _wrong(unit: str | None, why: str = "") -> InputError:
     wanted = "a number, or per cent" if unit is None else f"a number or a quantity in {unit}"
-    return ValueError(f"expected {wanted}" + (f"; {why}" if why else ""))
+    return InputError(f"expected {wanted}" + (f"; {why}" if why else ""))
 
 
 @lru_cache(maxsize=256)
@@ -170,7 +172,7 @@ def _parsed(unit: str) -> "tuple[Fraction, _Powers]":
     from fractions import Fraction
 
     if not _PRODUCT.fullmatch(unit):
-        raise ValueError(f"{unit!r} is no known unit")
+        raise InputError(f"{unit!r} is no known unit")
     factor, powers, sign = Fraction(1), _Powers(), 1
     for token in re.findall(r"[*·/]|[^\s*·/]+", unit):
         if token in "*·/":
@@ -179,7 +181,7 @@ def _parsed(unit: str) -> "tuple[Fraction, _Powers]":
         match = _POWER.fullmatch(token)
         known = _known(match[1]) if match else None
         if match is None or known is None:
-            raise ValueError(f"{token!r} is no known unit")
+            raise InputError(f"{token!r} is no known unit")
         power = sign * int(match[2] or 1)
         factor *= known[0] ** power
         for base, of_base in known[1].items():

@@ -11,6 +11,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
+
 C_M_PER_S = 299_792_458.0
 Symbols = Literal["zadoff-chu", "flat"]
 
@@ -51,22 +53,22 @@ class OfdmWaveform:
     def __post_init__(self) -> None:
         for name in ("carrier_hz", "subcarrier_spacing_hz", "slot_period_s"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"{name}: {getattr(self, name)} is not a positive number")
+                raise InputError(f"{name}: {getattr(self, name)} is not a positive number")
         for name in ("n_subcarriers", "n_slots", "repeats"):
             if getattr(self, name) < 1:
-                raise ValueError(f"{name}: {getattr(self, name)} is less than 1")
+                raise InputError(f"{name}: {getattr(self, name)} is less than 1")
         if not self.prefix_s >= 0:
-            raise ValueError(f"prefix_s: {self.prefix_s} is negative")
+            raise InputError(f"prefix_s: {self.prefix_s} is negative")
         busy = self.prefix_s + self.repeats * self.symbol_s
         if busy > self.slot_period_s * (1 + 1e-9):
-            raise ValueError(
+            raise InputError(
                 f"slot_period_s: {self.slot_period_s:g} s is shorter than prefix and repeats "
                 f"({busy:g} s)"
             )
         if self.bandwidth_hz >= 2 * self.carrier_hz:
-            raise ValueError(f"carrier_hz: {self.carrier_hz:g} is less than half the bandwidth")
+            raise InputError(f"carrier_hz: {self.carrier_hz:g} is less than half the bandwidth")
         if self.symbols not in get_args(Symbols):
-            raise ValueError(f"symbols: {self.symbols!r} is none of {', '.join(get_args(Symbols))}")
+            raise InputError(f"symbols: {self.symbols!r} is none of {', '.join(get_args(Symbols))}")
 
     @property
     def symbol_s(self) -> float:

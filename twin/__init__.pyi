@@ -4,12 +4,13 @@ from twin.camera import Capture as Capture
 from twin.camera import Evaluation as Evaluation
 from twin.camera import capture as capture
 from twin.camera import evaluate as evaluate
-from twin.engine import EngineError as EngineError
+from twin.errors import EngineError as EngineError
+from twin.errors import InputError as InputError
+from twin.errors import TwinError as TwinError
 from twin.fidelity import PRESETS as PRESETS
 from twin.fidelity import Fidelity as Fidelity
 from twin.fidelity import LightFidelity as LightFidelity
 from twin.fidelity import RadarFidelity as RadarFidelity
-from twin.files import InputError as InputError
 from twin.job import Result as Result
 from twin.job import run as run
 from twin.radar import RadarCapture as RadarCapture

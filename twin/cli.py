@@ -7,7 +7,6 @@ import sys
 import typer
 
 from twin.commands import catalogue, figures, scenes, serving, studies
-from twin.engine import EngineError
 from twin.progress import interrupts
 
 app = typer.Typer(
@@ -43,7 +42,8 @@ def _twin() -> None:
 
 def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
-    from twin.files import InputError
+    from hardware.errors import HardwareError
+    from twin.errors import TwinError
 
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
@@ -51,12 +51,12 @@ def main() -> None:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         if not interrupts:
             sys.exit(code)
+    except (TwinError, HardwareError) as error:
+        message = str(error)
     except OSError as error:
         from hardware.files import said
 
         message = said(error)
-    except (InputError, EngineError) as error:
-        message = str(error)
     except MemoryError as error:
         message = f"out of memory ({error})" if str(error) else "out of memory"
     except Exception as error:

@@ -13,6 +13,10 @@ from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
+from twin.errors import EngineError
+
+__all__ = ["OLDEST_LLVM", "EngineError", "ensure_llvm", "llvm_version", "mitsuba", "sionna"]
+
 #: Tried and found good: 19. Newer ones are expected to work, 17 and 18 were never tried.
 OLDEST_LLVM = 19
 _WHERE = (
@@ -28,10 +32,6 @@ _REMEDY = (
     f"install libLLVM {OLDEST_LLVM} or newer (Debian, Ubuntu: sudo apt-get install libllvm19) "
     "or name one in DRJIT_LIBLLVM_PATH"
 )
-
-
-class EngineError(RuntimeError):
-    """The renderer can't be started on this machine, or what computes with it fails."""
 
 
 def mitsuba() -> ModuleType:

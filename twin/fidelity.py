@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeVar, get_args
 
+from twin.errors import InputError
 from twin.optics.paths import Quality
 
 Noise = Literal["none", "gaussian", "full"]
@@ -93,7 +94,7 @@ class Knobs:
         for knob in fields(self):
             value = getattr(self, knob.name)
             if wrong := knob.metadata["rule"].check(value):
-                raise ValueError(f"{knob.name}: {value!r:.60} {wrong}")
+                raise InputError(f"{knob.name}: {value!r:.60} {wrong}")
 
     def __or__(self, other: Self) -> Self:
         """The stricter of each knob."""
@@ -111,19 +112,19 @@ class Knobs:
         return self
 
     def with_(self, changes: Mapping[str, Any] | None = None, **knobs: Any) -> Self:
-        """The same with some knobs changed. Raises ValueError for a knob that is none, or a value
+        """The same with some knobs changed. Raises InputError for a knob that is none, or a value
         that it does not take.
 
         >>> Fidelity().with_({"radar_tolerance": 0.03}) == Fidelity(radar_tolerance=0.03)
         True
         >>> Fidelity().with_(radar_tolerance=3)
         Traceback (most recent call last):
-        ValueError: radar_tolerance: 3 is not in 0.001 to 1
+        twin.errors.InputError: radar_tolerance: 3 is not in 0.001 to 1
         """
         new = {**(changes or {}), **knobs}
         unknown = new.keys() - {knob.name for knob in fields(self)}
         if unknown:
-            raise ValueError(f"fidelity: no knob {', '.join(sorted(unknown))}")
+            raise InputError(f"fidelity: no knob {', '.join(sorted(unknown))}")
         return replace(self, **new)
 
     def part(self, kind: type[K]) -> K:
@@ -271,9 +272,9 @@ PRESETS = {
 
 
 def preset(name: str | Fidelity) -> Fidelity:
-    """A preset by name; a fidelity as it is. Raises ValueError for a name that is none."""
+    """A preset by name; a fidelity as it is. Raises InputError for a name that is none."""
     if isinstance(name, Fidelity):
         return name
     if name not in PRESETS:
-        raise ValueError(f"fidelity: {name!r} is none of {', '.join(PRESETS)}")
+        raise InputError(f"fidelity: {name!r} is none of {', '.join(PRESETS)}")
     return PRESETS[name]

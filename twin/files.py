@@ -3,7 +3,6 @@
 import fcntl
 import os
 import platform
-import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -11,11 +10,19 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from twin.errors import InputError
+
+__all__ = [
+    "InputError",
+    "catalog_folder",
+    "check_out",
+    "locked",
+    "new_folder",
+    "scenes_folder",
+    "whole_folder",
+]
+
 _HERE = Path(__file__).parent
-
-
-class InputError(ValueError):
-    """What the user gave is wrong; the message names the file, the field and what was expected."""
 
 
 def scenes_folder() -> Path:
@@ -29,6 +36,15 @@ def catalog_folder() -> Path:
     return _HERE / "catalog"
 
 
+def check_out(out: str | Path | None) -> None:
+    """Raise InputError for a folder to write to that is named by an empty text; as a path, that is
+    the current folder.
+    """
+    named = str(out).strip("." if isinstance(out, Path) else None)
+    if out is not None and not named:
+        raise InputError("out: is empty, expected a folder to write to")
+
+
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
     """A folder to write in, whose files move to ``out`` only when everything is written.
@@ -37,30 +53,27 @@ def whole_folder(out: Path) -> Iterator[Path]:
     next one. Files of an earlier run are replaced, other files stay. Raises InputError when ``out``
     can't be written.
     """
-    from hardware.files import naming, partial_path, remove_leftovers
+    from hardware.files import place_beside
 
     out = Path(out).absolute()
-    partial = partial_path(out)
     created = [folder for folder in out.parents if not folder.exists()]
     try:
         if out.exists() and not (out.is_dir() and os.access(out, os.W_OK)):
             raise InputError(f"{out}: expected a folder that can be written to")
-        remove_leftovers(out)
-        try:
-            partial.mkdir(parents=True)
-        except OSError as error:
-            raise InputError(f"{out}: can't be written to ({error.strerror})") from error
-        with naming(out):
+        with place_beside(out) as partial:
+            try:
+                partial.mkdir(parents=True)
+            except OSError as error:
+                raise InputError(f"{out}: can't be written to ({error.strerror})") from error
             yield partial
-        written = list(partial.iterdir())
-        for path in written:
-            if (out / path.name).is_dir():
-                raise InputError(f"{out / path.name}: is a folder, expected a place for a file")
-        out.mkdir(exist_ok=True)
-        for path in written:
-            os.replace(path, out / path.name)
+            written = list(partial.iterdir())
+            for path in written:
+                if (out / path.name).is_dir():
+                    raise InputError(f"{out / path.name}: is a folder, expected a place for a file")
+            out.mkdir(exist_ok=True)
+            for path in written:
+                os.replace(path, out / path.name)
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
         for folder in created:
             with suppress(OSError):  # not empty: something was written
                 folder.rmdir()
@@ -73,19 +86,15 @@ def new_folder(out: Path) -> Iterator[Path]:
     ``out`` does not exist yet, or is empty. On any failure nothing of it is left; what a kill
     leaves is removed by the next one. Raises InputError when ``out`` can't be written.
     """
-    from hardware.files import partial_path, remove_leftovers
+    from hardware.files import place_beside
 
     out = Path(out).absolute()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(out)
-        partial = partial_path(out)
-        partial.mkdir()
-        try:
+        with place_beside(out) as partial:
+            partial.mkdir()
             yield partial
             os.replace(partial, out)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
         raise InputError(f"{out}: {error.strerror or error}") from error
 

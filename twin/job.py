@@ -7,14 +7,16 @@ from pathlib import Path
 from hardware.records import write_radar_record, write_record
 from hardware.records.sigmf import export_sigmf
 from twin.camera.acquisition import capture
+from twin.camera.acquisition import stages as camera_stages
 from twin.camera.evaluation import Evaluation, evaluate
 from twin.camera.mounting import light_problem
 from twin.camera.truth import write_truth
 from twin.camera.view import View, render_view
 from twin.fidelity import Fidelity
-from twin.files import InputError
+from twin.files import InputError, check_out
 from twin.progress import Stages
 from twin.radar import RadarDesign, load_radar, radar_capture
+from twin.radar.acquisition import STAGES as RADAR_STAGES
 from twin.radar.evaluation import (
     RadarEvaluation,
     evaluate_radar,
@@ -27,9 +29,6 @@ from twin.run_folder import default_folder, run_folder, settings_of
 from twin.scene import Pose, Scene, Track, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, Weather, load_system
-
-_STAGES_PER_SYSTEM = 6
-_STAGES_OF_RADAR = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +96,11 @@ def run(
     design = None if radar is None else load_radar(radar)
     if not systems and design is None:
         raise InputError("system, radar: both are none, expected at least one of them")
-    if out is not None and not str(out).strip():
-        raise InputError("out: is empty, expected a folder to write to")
+    check_out(None if out is None else str(out))
     if seed < 0:
         raise InputError(f"seed: {seed}: expected 0 or more")
     fidelity = fidelity or Fidelity()
-    expected = 2 + _STAGES_PER_SYSTEM * len(systems) + (_STAGES_OF_RADAR if design else 0)
-    with Stages(expected) as stages:
+    with Stages(len(stage_names(systems, design))) as stages:
         with stages.stage("load"):
             world = load_scene(scene, pose)
             world = replace(world, track=track) if track else world
@@ -132,6 +129,19 @@ def run(
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
             write_report(world, view, evaluations, echoes, seed, stages, partial)
     return Result(world, view, evaluations, echoes, folder, stages.seconds)
+
+
+def stage_names(systems: Sequence[System], radar: RadarDesign | None) -> list[str]:
+    """Stages of a run, in their order."""
+    names = ["load"]
+    if systems:
+        names.append("scene")
+        for system in systems:
+            names += [*camera_stages(system), "reconstruction"]
+        names.append("view")
+    if radar:
+        names += [*RADAR_STAGES, "radar processing"]
+    return [*names, "figures"]
 
 
 def _compute(

@@ -136,11 +136,10 @@ def _load(request: Request, surface: "Surface") -> "Target":
 
     mesh = validate(read_mesh(request.mesh), str(request.mesh))
     scaled = mesh.transformed(np.diag([request.scale] * 3 + [1.0]))
+    kept = validate(scaled, str(request.mesh))
     try:
-        return Target.from_mesh(scaled, surface, str(request.mesh))
-    except InputError:
-        raise
-    except ValueError as error:
+        return Target(kept.vertices, kept.faces, (surface,))
+    except InputError as error:
         raise InputError(f"{request.mesh}: {error}; is --scale right?") from error
 
 
@@ -157,12 +156,9 @@ def _surface(request: Request) -> "Surface":
         raise InputError(
             f"permittivity: {request.permittivity!r}: expected a number such as 5.3-0.4j"
         ) from error
-    try:
-        if request.thickness_m is None:
-            return Surface(backing=value)
-        return Surface((Layer(value, request.thickness_m),), backing=1)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    if request.thickness_m is None:
+        return Surface(backing=value)
+    return Surface((Layer(value, request.thickness_m),), backing=1)
 
 
 def _plot(request: Request, result: "Sweep", path: Path) -> None:

@@ -16,6 +16,7 @@ from pydantic import (
     model_validator,
 )
 
+from hardware.errors import InputError as VehicleInputError
 from hardware.files import read_toml as read_checked
 from hardware.units import quantity, unit_of
 from twin.files import InputError
@@ -281,7 +282,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Content of a TOML file; InputError with line and column where it is malformed."""
     try:
         return read_checked(path)
-    except ValueError as error:
+    except VehicleInputError as error:
         raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{path}: can't be read ({error.strerror})") from error

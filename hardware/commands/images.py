@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.errors import InputError
+
 if TYPE_CHECKING:
     from hardware.reconstruction import Mixing, RangeImage, Reconstruction
     from hardware.records import SpiRecord
@@ -36,12 +38,14 @@ def reconstruct(
     from hardware import read_record
     from hardware import reconstruct as to_image
     from hardware.reconstruction import range_image
+    from hardware.records.state import ALWAYS_OPEN
 
     loaded = read_record(record)
     start = time.perf_counter()
     calibrated = _mixing(mixing) if mixing else None
     found = to_image(loaded, method, mixing=calibrated)
-    ranged = range_image(loaded, method, mixing=calibrated) if loaded.shutters.any() else None
+    timed = any(shutter != ALWAYS_OPEN for shutter in loaded.shutters)
+    ranged = range_image(loaded, method, mixing=calibrated) if timed else None
     elapsed = time.perf_counter() - start
     for warning in dict.fromkeys((*found.warnings, *(ranged.warnings if ranged else ()))):
         print(f"warning: {record}: {warning}", file=sys.stderr)
@@ -104,7 +108,7 @@ def _distances(record: "SpiRecord", found: "RangeImage") -> str:
     """One line: how distance was measured, and what came out where it is sure."""
     import numpy as np
 
-    hz = np.unique(record.shutters[:, 0])
+    hz = np.unique([shutter.modulation_hz for shutter in record.shutters])
     how = f"phases at {', '.join(f'{f / 1e6:g}' for f in hz)} MHz" if hz.any() else "gates"
     head = f"{len(record.shutters)} {how}, distances up to {found.longest_m:.4g} m"
     sure = found.confidence > 0.95
@@ -127,8 +131,8 @@ def _mixing(path: Path) -> "Mixing":
         # Mapped: a file that promises more than it holds is refused before memory is taken.
         matrix = np.load(path, mmap_mode="r")
     except (ValueError, EOFError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
     if not isinstance(matrix, np.ndarray) or matrix.ndim != 3 or matrix.dtype.kind not in "fiu":
         shape = getattr(matrix, "shape", "of an archive")
-        raise ValueError(f"{path}: shape {shape}, expected numbers of (n_emitters, rows, columns)")
+        raise InputError(f"{path}: shape {shape}, expected numbers of (n_emitters, rows, columns)")
     return Mixing(matrix.reshape(len(matrix), -1).astype(np.float64), *matrix.shape[1:])

@@ -21,15 +21,17 @@ from hardware.commands.radar import (
     Window,
     processing,
 )
+from hardware.errors import InputError
 
 if TYPE_CHECKING:
     import threading
 
     from hardware.calibration import Calibration
     from hardware.drivers import SpiSettings
-    from hardware.drivers.radio import FrontEnd, Schedule
+    from hardware.drivers.radio import Schedule
     from hardware.recording import Received
     from hardware.recording.reading import Ending
+    from hardware.records import RadarFrontEnd
 
 _Kind = TypeVar("_Kind")
 #: Exit status of a command that did its work on what of a log is whole, while some is lost.
@@ -103,10 +105,10 @@ def capture(
                 print("stopped")
             print(f"{out}: {n.total()} records in {time.monotonic() - begun:.1f} s")
         if not n:
-            raise ValueError(f"{', '.join(urls)}: no record came")
+            raise InputError(f"{', '.join(urls)}: no record came")
     for topic in n:
         if missed[topic] == n[topic]:
-            raise ValueError(
+            raise InputError(
                 f"{out}: {topic}: every slot of its {n[topic]} records is overrun, nothing was "
                 "heard: the bursts reach the radio after their time. Give the setup more time "
                 "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
@@ -116,6 +118,7 @@ def capture(
 
 def process(
     source: Annotated[str, typer.Argument(help="A log, or the URL of a sensor.")],
+    *,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="New log; default SOURCE-processed.mcap.")
     ] = None,
@@ -131,6 +134,10 @@ def process(
     window: Window = None,
     resolve: Resolve = False,
     moving_only: MovingOnly = False,
+    tracks: Annotated[bool, typer.Option(help="Follow detections from burst to burst.")] = False,
+    image_every: Annotated[
+        int, typer.Option(help="An image after so many patterns, from a sliding window; 0: a set.")
+    ] = 0,
 ) -> None:
     """Turn records into images and detections; a radar's as `ugv detect` does."""
     from hardware.calibration import CameraCalibration, RadarCalibration
@@ -138,7 +145,11 @@ def process(
     from hardware.processing import process as run
     from hardware.recording import Log
     from hardware.recording.reading import Ending
+    from hardware.sliding_images import SlidingImages
+    from hardware.tracks import RadarTracks
 
+    followed = RadarTracks() if tracks else None
+    sliding = SlidingImages(image_every) if image_every else None
     found = [_calibration(path, max_age) for path in calibration]
     camera = next((one for one in found if isinstance(one, CameraCalibration)), None)
     radar = next((one for one in found if isinstance(one, RadarCalibration)), None)
@@ -152,8 +163,17 @@ def process(
             if over.is_set():
                 break
             try:
-                outcome = run(received, log, method=method, how=how, camera=camera, radar=radar)
-            except ValueError as error:
+                outcome = run(
+                    received,
+                    log,
+                    method=method,
+                    how=how,
+                    camera=camera,
+                    radar=radar,
+                    tracks=followed,
+                    sliding=sliding,
+                )
+            except InputError as error:
                 if not received.record.flags.any():
                     raise
                 # Too little of this record arrived; the next one may be whole.
@@ -169,7 +189,7 @@ def process(
             print("stopped")
         if not n:
             whole = "whole " if failed else ""
-            raise ValueError(f"{source}: no {whole}record in it{_because(ending)}")
+            raise InputError(f"{source}: no {whole}record in it{_because(ending)}")
     print(f"written: {target}")
     _tell({source.removeprefix("replay:").partition("?")[0]: ending})
 
@@ -188,7 +208,7 @@ def replay(
         since_s = (received.host_ns - first_ns) * 1e-9
         print(f"{since_s:10.3f} s  {received.topic}  {_flags(received)}", flush=True)
     if first_ns is None:
-        raise ValueError(f"{path}: no record in it{_because(ending)}")
+        raise InputError(f"{path}: no record in it{_because(ending)}")
     _tell({path: ending})
 
 
@@ -213,7 +233,7 @@ def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
                 missing[found.topic] += exposures_between(last.get(found.topic), record)
                 last[found.topic] = record
     if ending.fault and not counts:
-        raise ValueError(f"{path}: no whole message in it: {ending.fault}")
+        raise InputError(f"{path}: no whole message in it: {ending.fault}")
     length_s = max(times[1] - times[0], 0) * 1e-9 if counts else 0.0
     print(f"{path}: {sum(counts.values())} messages over {length_s:.3f} s")
     for topic, n in sorted(counts.items()):
@@ -267,7 +287,7 @@ def export(
             export_sigmf(received.record, out / f"radar-{n:06d}")
             n += 1
     if not n:
-        raise ValueError(f"{path}: no radar record in it{_because(ending)}")
+        raise InputError(f"{path}: no radar record in it{_because(ending)}")
     print(f"{out}: {n} recordings")
     _tell({path: ending})
 
@@ -348,7 +368,7 @@ def _first(incoming: "Iterator[Received]", source: str, kind: type[_Kind]) -> _K
     for received in incoming:
         if isinstance(received.record, kind):
             return received.record
-    raise ValueError(f"{source}: no {kind.__name__} in it")
+    raise InputError(f"{source}: no {kind.__name__} in it")
 
 
 def _settings(path: Path | None) -> "SpiSettings | None":
@@ -357,7 +377,7 @@ def _settings(path: Path | None) -> "SpiSettings | None":
     return read_settings(path) if path else None
 
 
-def _setup(path: Path | None) -> "tuple[Schedule, FrontEnd] | None":
+def _setup(path: Path | None) -> "tuple[Schedule, RadarFrontEnd] | None":
     from hardware.drivers.radio.setup import read_setup
 
     return read_setup(path) if path else None

@@ -4,6 +4,8 @@ from collections.abc import Callable
 
 import typer
 
+from hardware.errors import InputError
+
 
 def quantity_of(unit: str | None) -> Callable[[str | float], float]:
     """Parser of an option that is a number in ``unit``, or text with a unit of its dimension; None:
@@ -17,7 +19,7 @@ def quantity_of(unit: str | None) -> Callable[[str | float], float]:
             return given
         try:
             return quantity(given, unit, bare=True)
-        except ValueError as error:
+        except InputError as error:
             raise typer.BadParameter(f"{given!r:.60}: {error}") from None
 
     parse.__name__ = unit or "number"

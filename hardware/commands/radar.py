@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hardware.commands.quantities import quantity_of
+from hardware.errors import InputError
 
 if TYPE_CHECKING:
     from hardware.radar.process import Processing
@@ -56,13 +57,14 @@ def _shape(asked: str | None) -> float | str | None:
     try:
         return asked if asked in (None, "fitted") else float(asked)
     except ValueError:
-        raise ValueError(
+        raise InputError(
             f"--clutter-shape: {asked!r}, expected a positive number or 'fitted'"
         ) from None
 
 
 def detect(
     record: Record,
+    *,
     false_alarm: FalseAlarm = None,
     cfar: CfarMethod = None,
     clutter_shape: ClutterShape = None,
@@ -90,7 +92,7 @@ def detect(
 
     reference = read_calibration(calibration, max_age_s=86400 * max_age) if calibration else None
     if not (reference is None or isinstance(reference, RadarCalibration)):
-        raise ValueError(f"{calibration}: the calibration of a camera, expected a radar's")
+        raise InputError(f"{calibration}: the calibration of a camera, expected a radar's")
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only)
     loaded, table = read_radar_record(record), []
     for frame in frames(loaded, how):
@@ -110,6 +112,7 @@ def detect(
 
 def image(
     record: Record,
+    *,
     near: Annotated[
         float, typer.Option(help="Nearest down-range, m.", parser=quantity_of("m"))
     ] = 0.5,
@@ -138,7 +141,7 @@ def image(
     from hardware.records import read_radar_record
 
     if cells < 1 or not near < far or not width > 0:
-        raise ValueError(f"image: {cells} cells from {near:g} to {far:g} m, {width:g} m wide")
+        raise InputError(f"image: {cells} cells from {near:g} to {far:g} m, {width:g} m wide")
     focused = focus(
         read_radar_record(record),
         np.linspace(near, far, cells),

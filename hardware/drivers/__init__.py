@@ -6,10 +6,10 @@ The camera's is imported when it is asked for: the radio's needs neither its fra
 from typing import TYPE_CHECKING, Any
 
 from hardware.drivers.clock import ClockModel
+from hardware.errors import DeviceError, LinkError
 
 if TYPE_CHECKING:
-    from hardware.drivers.link import LinkError
-    from hardware.drivers.spi import DeviceError, Patience, SpiCamera, SpiSettings
+    from hardware.drivers.spi import Patience, SpiCamera, SpiSettings
 
 __all__ = ["ClockModel", "DeviceError", "LinkError", "Patience", "SpiCamera", "SpiSettings"]
 
@@ -17,6 +17,6 @@ __all__ = ["ClockModel", "DeviceError", "LinkError", "Patience", "SpiCamera", "S
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from hardware.drivers import link, spi
+    from hardware.drivers import spi
 
-    return getattr(link if name == "LinkError" else spi, name)
+    return getattr(spi, name)

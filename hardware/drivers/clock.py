@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hardware.errors import InputError
+
 _KEPT = 64
 
 
@@ -46,11 +48,11 @@ class ClockFilter:
     def add(self, sent_ns: int, received_ns: int, replied_ns: int, returned_ns: int) -> None:
         """Take one exchange: t0, t1, t2, t3.
 
-        Raises ValueError for a reply that came before the request, on either clock.
+        Raises InputError for a reply that came before the request, on either clock.
         """
         trip = (returned_ns - sent_ns) - (replied_ns - received_ns)
         if returned_ns < sent_ns or replied_ns < received_ns or trip < 0:
-            raise ValueError(
+            raise InputError(
                 f"time exchange: {sent_ns}, {received_ns}, {replied_ns}, {returned_ns} ns run back"
             )
         offset = (received_ns - sent_ns + replied_ns - returned_ns) // 2

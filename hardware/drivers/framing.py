@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 from cobs import cobs
 
+from hardware.errors import InputError
+
 #: Bytes of a frame before stuffing, its checksum among them, and after it.
 MAX_FRAME = 4096
 MAX_ENCODED = MAX_FRAME + (MAX_FRAME + 253) // 254
@@ -27,10 +29,10 @@ class Frame(NamedTuple):
 def encode(frame: Frame) -> bytes:
     """Bytes on the wire, the closing zero among them.
 
-    Raises ValueError for a payload beyond `MAX_PAYLOAD`, or a type or tag that is no byte.
+    Raises InputError for a payload beyond `MAX_PAYLOAD`, or a type or tag that is no byte.
     """
     if len(frame.payload) > MAX_PAYLOAD:
-        raise ValueError(f"payload: {len(frame.payload)} bytes, at most {MAX_PAYLOAD}")
+        raise InputError(f"payload: {len(frame.payload)} bytes, at most {MAX_PAYLOAD}")
     body = bytes((frame.type, frame.tag)) + frame.payload
     return cobs.encode(body + zlib.crc32(body).to_bytes(_CHECKSUM, "little")) + b"\0"
 

@@ -4,14 +4,12 @@ import select
 import time
 from typing import Any
 
+from hardware.errors import InputError, LinkError
+
 #: Bytes taken at once; also what a read may return at most.
 _CHUNK = 65536
 #: Pause between looks at a port that cannot be waited on (rfc2217://).
 _POLL_S = 1e-3
-
-
-class LinkError(ConnectionError):
-    """The line is gone: unplugged, closed by the other side, or it takes no more bytes."""
 
 
 class Link:
@@ -27,7 +25,7 @@ class Link:
     write_timeout_s
         How long the other side may refuse to take bytes; not of ``rfc2217://``.
 
-    Raises LinkError where the URL cannot be opened, ValueError where it is none.
+    Raises LinkError where the URL cannot be opened, InputError where it is none.
     """
 
     def __init__(self, url: str, *, baud: int = 115_200, write_timeout_s: float = 1.0) -> None:
@@ -42,6 +40,8 @@ class Link:
             )
         except OSError as error:
             raise LinkError(f"{url}: {error}") from error
+        except ValueError as error:  # pyserial's own, for what is no URL
+            raise InputError(f"{url}: {error}") from error
         try:
             self._handle: int | None = self._port.fileno()
         except (AttributeError, OSError):  # UnsupportedOperation is an OSError

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.drivers.framing import MAX_PAYLOAD, Frame
+from hardware.errors import InputError
 from hardware.patterns import Mode, Order
+from hardware.records.state import ALWAYS_OPEN, Shutter
 
 PROTOCOL_VERSION = 1
 
@@ -56,7 +58,7 @@ class _Fixed:
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """Message in a payload. Raises ValueError unless it fits to the byte."""
+        """Message in a payload. Raises InputError unless it fits to the byte."""
         _expect(cls, payload, cls.LAYOUT.size)
         return cls(*cls.LAYOUT.unpack(payload))
 
@@ -88,7 +90,7 @@ class Configure:
     exposures_per_frame: int
     integration_time_s: float
     pattern_period_s: float
-    shutters: tuple[tuple[float, float, float, float], ...] = ((0.0, 0.0, 0.0, 0.0),)
+    shutters: tuple[Shutter, ...] = (ALWAYS_OPEN,)
 
     def pack(self) -> bytes:
         """Payload."""
@@ -108,13 +110,13 @@ class Configure:
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """Message in a payload. Raises ValueError unless it fits to the byte."""
+        """Message in a payload. Raises InputError unless it fits to the byte."""
         head, rest = _split(cls, payload, cls.LAYOUT)
         rows, columns, count, order, mode, gain, n, per_frame, integration, period = head
         if not 1 <= n <= MAX_SHUTTERS:
-            raise ValueError(f"Configure: {n} shutters, expected 1 to {MAX_SHUTTERS}")
+            raise InputError(f"Configure: {n} shutters, expected 1 to {MAX_SHUTTERS}")
         _expect(cls, rest, 32 * n)
-        shutters = tuple(tuple(row) for row in np.frombuffer(rest, "<f8").reshape(n, 4).tolist())
+        shutters = tuple(Shutter(*row) for row in np.frombuffer(rest, "<f8").reshape(n, 4).tolist())
         return cls(
             rows, columns, count, order, mode, gain, per_frame, integration, period, shutters
         )
@@ -136,7 +138,7 @@ class Upload:
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """Message in a payload. Raises ValueError where it is too short."""
+        """Message in a payload. Raises InputError where it is too short."""
         (offset,), data = _split(cls, payload, struct.Struct("<I"))
         return cls(offset, data)
 
@@ -212,9 +214,9 @@ class Identity:
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """Message in a payload. Raises ValueError where it does not fit."""
+        """Message in a payload. Raises InputError where it does not fit."""
         head, name = _split(cls, payload, cls.LAYOUT)
-        return cls(*(*head, name.decode()))
+        return cls(*(*head, _text(cls, name)))
 
 
 @dataclass(frozen=True)
@@ -316,11 +318,11 @@ class Measurement:
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """Message in a payload. Raises ValueError unless it fits to the byte."""
+        """Message in a payload. Raises InputError unless it fits to the byte."""
         head, rest = _split(cls, payload, cls.LAYOUT)
         run, sequence, time_ns, first, n, detectors, form = head
         if n < 1 or detectors < 1 or form > cls.WIDE | cls.FLAGGED:
-            raise ValueError(f"Measurement: {n} exposures, {detectors} detectors, form {form}")
+            raise InputError(f"Measurement: {n} exposures, {detectors} detectors, form {form}")
         size = n * detectors * (4 if form & cls.WIDE else 2)
         _expect(cls, rest, size + (n if form & cls.FLAGGED else 0))
         counts = np.frombuffer(rest, "<i4" if form & cls.WIDE else "<u2", n * detectors)
@@ -345,9 +347,9 @@ class Refused:
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """Message in a payload. Raises ValueError where it does not fit."""
+        """Message in a payload. Raises InputError where it does not fit."""
         (code,), text = _split(cls, payload, struct.Struct("<B"))
-        return cls(code, text.decode())
+        return cls(code, _text(cls, text))
 
 
 Request: TypeAlias = Identify | Configure | Upload | Arm | Start | Stop | Query | Time
@@ -365,19 +367,26 @@ def to_frame(message: Message, tag: int = 0) -> Frame:
 
 
 def from_frame(frame: Frame) -> Message:
-    """Message of a frame. Raises ValueError for an unknown type or a payload that does not fit."""
+    """Message of a frame. Raises InputError for an unknown type or a payload that does not fit."""
     kind = _BY_TYPE.get(frame.type)
     if kind is None:
-        raise ValueError(f"type {frame.type:#04x}: no message of the protocol")
+        raise InputError(f"type {frame.type:#04x}: no message of the protocol")
     return kind.unpack(frame.payload)
 
 
 def _split(kind: type, payload: bytes, layout: struct.Struct) -> tuple[tuple[Any, ...], bytes]:
     if len(payload) < layout.size:
-        raise ValueError(f"{kind.__name__}: {len(payload)} bytes, expected {layout.size} or more")
+        raise InputError(f"{kind.__name__}: {len(payload)} bytes, expected {layout.size} or more")
     return layout.unpack_from(payload), payload[layout.size :]
+
+
+def _text(kind: type, data: bytes) -> str:
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{kind.__name__}: {error}") from error
 
 
 def _expect(kind: type, payload: bytes, size: int) -> None:
     if len(payload) != size:
-        raise ValueError(f"{kind.__name__}: {len(payload)} bytes, expected {size}")
+        raise InputError(f"{kind.__name__}: {len(payload)} bytes, expected {size}")

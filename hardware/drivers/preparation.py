@@ -2,7 +2,6 @@
 
 import zlib
 
-from hardware.drivers.dialogue import DeviceError, Dialogue
 from hardware.drivers.messages import (
     MODE_CODES,
     ORDER_CODES,
@@ -17,14 +16,16 @@ from hardware.drivers.messages import (
     Status,
     Upload,
 )
+from hardware.drivers.request_client import RequestClient
 from hardware.drivers.settings import SpiSettings
 from hardware.drivers.table import table_bytes
+from hardware.errors import DeviceError
 
 #: What a device says of times (s) and counts is refused from here on, as no device's.
 _MOST = 1e9
 
 
-def identify(device: Dialogue) -> Identity:
+def identify(device: RequestClient) -> Identity:
     """Who is there. Raises DeviceError where it is none that this software can drive."""
     identity = device.ask(Identify(), Identity)
     if identity.version != PROTOCOL_VERSION:
@@ -39,7 +40,7 @@ def identify(device: Dialogue) -> Identity:
     return identity
 
 
-def prepare(device: Dialogue, identity: Identity, settings: SpiSettings) -> Configured:
+def prepare(device: RequestClient, identity: Identity, settings: SpiSettings) -> Configured:
     """Configure the camera, bring it the table where it does not hold it, arm it.
 
     Raises DeviceError where it cannot do or does not understand what is asked for.
@@ -66,7 +67,7 @@ def prepare(device: Dialogue, identity: Identity, settings: SpiSettings) -> Conf
     return made
 
 
-def _request(device: Dialogue, identity: Identity, settings: SpiSettings) -> Configure:
+def _request(device: RequestClient, identity: Identity, settings: SpiSettings) -> Configure:
     """By name where the device knows the order, else for a table that is uploaded."""
     patterns = settings.patterns
     mode = MODE_CODES.index(patterns.mode)
@@ -103,11 +104,11 @@ def _possible(made: Configured, identity: Identity, exposures: int, size: int) -
     )
 
 
-def _upload(device: Dialogue, table: bytes, crc: int) -> None:
+def _upload(device: RequestClient, table: bytes, crc: int) -> None:
     """Bring the table, unless the device holds it still."""
     held = device.status()
     if (held.table_bytes, held.table_crc) == (len(table), crc):
         return
-    device.tally.uploads += 1
+    device.statistics.uploads += 1
     for at in range(0, len(table), Upload.MOST):
         device.ask(Upload(at, table[at : at + Upload.MOST]), Status)

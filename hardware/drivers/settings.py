@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from hardware.drivers.messages import MAX_SHUTTERS
+from hardware.errors import InputError
 from hardware.files import read_toml
 from hardware.patterns import PatternSet
+from hardware.records.state import ALWAYS_OPEN, AT_ORIGIN, QuaternionPose, Shutter
 from hardware.units import quantity, unit_of
 
 
@@ -25,11 +27,11 @@ class SpiSettings:
         Step of the device's amplifier, from 0.
     exposures_per_frame
         0: the device chooses.
-    shutters : (n_shutters, 4)
+    shutters
         As in `SpiRecord`.
     pulse_width_s
         Length of the emitter's pulse where the shutters are gates, for the records.
-    pose : (7,)
+    pose
         Of the rig, for the records.
     upload
         Send the patterns even where the device knows their order.
@@ -40,50 +42,62 @@ class SpiSettings:
     pattern_period_s: float = 0.0
     gain: int = 0
     exposures_per_frame: int = 0
-    shutters: tuple[tuple[float, float, float, float], ...] = ((0.0, 0.0, 0.0, 0.0),)
+    shutters: tuple[Shutter, ...] = (ALWAYS_OPEN,)
     pulse_width_s: float = 0.0
-    pose: tuple[float, ...] = (0, 0, 0, 1, 0, 0, 0)
+    pose: QuaternionPose = AT_ORIGIN
     upload: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.integration_time_s < math.inf:
-            raise ValueError(f"integration_time_s: {self.integration_time_s} is not positive")
+            raise InputError(f"integration_time_s: {self.integration_time_s} is not positive")
         if not 0 <= self.pattern_period_s < math.inf:
-            raise ValueError(f"pattern_period_s: {self.pattern_period_s} is no time")
+            raise InputError(f"pattern_period_s: {self.pattern_period_s} is no time")
         if not 0 <= self.pulse_width_s < math.inf:
-            raise ValueError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
+            raise InputError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
         for name, most in (("gain", 0xFF), ("exposures_per_frame", 0xFFFF)):
             value = getattr(self, name)
             if not isinstance(value, int) or not 0 <= value <= most:
-                raise ValueError(f"{name}: {value} is no whole number between 0 and {most}")
+                raise InputError(f"{name}: {value} is no whole number between 0 and {most}")
         if not 1 <= len(self.shutters) <= MAX_SHUTTERS:
-            raise ValueError(f"shutters: {len(self.shutters)}, expected 1 to {MAX_SHUTTERS}")
-        for shutter in self.shutters:
-            if len(shutter) != 4 or not all(0 <= value < math.inf for value in shutter):
-                raise ValueError(
-                    f"shutters: {shutter}, expected four finite numbers, none of them negative"
-                )
-        if len(self.pose) != 7 or not all(map(math.isfinite, self.pose)):
-            raise ValueError(f"pose: {self.pose}, expected x y z, quaternion w x y z")
+            raise InputError(f"shutters: {len(self.shutters)}, expected 1 to {MAX_SHUTTERS}")
+        for name, make, values in (
+            ("shutters", Shutter.from_numbers, self.shutters),
+            ("pose", QuaternionPose.from_numbers, (self.pose,)),
+        ):
+            for value in values:
+                try:
+                    make(value)
+                except InputError as error:
+                    raise InputError(f"{name}: {error}") from error
 
 
 def read_settings(path: str | Path) -> SpiSettings:
     """Read a file: the fields of `SpiSettings`, and those of `PatternSet` in a table ``patterns``.
     Times may say their unit: ``integration_time_s = "315 us"``.
 
-    Raises FileNotFoundError; ValueError naming the file and the field.
+    Raises FileNotFoundError; InputError naming the file and the field.
     """
     fields = read_toml(path)
     table = fields.pop("patterns", {})
     if not isinstance(table, dict):
-        raise ValueError(
+        raise InputError(
             f"{path}: patterns = {table!r:.60}: expected a table of rows, columns, count"
         )
     try:
         patterns = PatternSet(**_tuples(table))
-        return SpiSettings(patterns, **_tuples({n: _in_unit(n, v) for n, v in fields.items()}))
+        return SpiSettings(patterns, **_state({n: _in_unit(n, v) for n, v in fields.items()}))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {str(error).replace('__init__()', 'it')}") from error
+        raise InputError(f"{path}: {str(error).replace('__init__()', 'it')}") from error
+
+
+def _state(fields: dict[str, Any]) -> dict[str, Any]:
+    """Fields with pose and shutters as their types."""
+    made = dict(fields)
+    if "pose" in made:
+        made["pose"] = QuaternionPose.from_numbers(made["pose"])
+    if "shutters" in made:
+        made["shutters"] = tuple(map(Shutter.from_numbers, made["shutters"]))
+    return made
 
 
 def _in_unit(name: str, value: Any) -> Any:
@@ -92,8 +106,8 @@ def _in_unit(name: str, value: Any) -> Any:
         return value
     try:
         return quantity(value, unit)
-    except ValueError as error:
-        raise ValueError(f"{name} = {value!r:.60}: {error}") from None
+    except InputError as error:
+        raise InputError(f"{name} = {value!r:.60}: {error}") from None
 
 
 def _tuples(fields: dict[str, Any]) -> dict[str, Any]:

@@ -8,18 +8,16 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-
 from hardware.drivers.assembly import Assembly, ExposureSet
 from hardware.drivers.clock import ClockModel
-from hardware.drivers.dialogue import DeviceError, Dialogue, Patience, Tally
-from hardware.drivers.link import LinkError
 from hardware.drivers.messages import Configured, Measurement, Start, State, Status, Stop
 from hardware.drivers.preparation import identify, prepare
+from hardware.drivers.request_client import Patience, RequestClient, Statistics
 from hardware.drivers.settings import SpiSettings
+from hardware.errors import DeviceError, LinkError
 from hardware.records import SpiRecord
 
-__all__ = ["DeviceError", "Patience", "SpiCamera", "SpiSettings", "Tally"]
+__all__ = ["DeviceError", "Patience", "SpiCamera", "SpiSettings", "Statistics"]
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +54,7 @@ class SpiCamera:
     record is asked for: a slow consumer fills the system's buffers, then the device's, which drops
     whole frames and says so; nothing here grows.
 
-    Raises LinkError where there is no line within ``patience``, TimeoutError where nobody answers,
+    Raises LinkError where there is no line within ``patience``, NoAnswerError where nobody answers,
     DeviceError for a refusal, and for a device that measures nothing however often it is started.
     """
 
@@ -74,8 +72,8 @@ class SpiCamera:
         self._on_loss = on_loss
         self._run: _Run | None = None
         self._starts_in_vain = 0
-        self._device = Dialogue(url, patience=patience or Patience(), baud=baud, over=over)
-        self.tally = self._device.tally
+        self._device = RequestClient(url, patience=patience or Patience(), baud=baud, over=over)
+        self.statistics = self._device.statistics
         try:
             self.identity = identify(self._device)
         except BaseException:
@@ -156,15 +154,15 @@ class SpiCamera:
             if message is None and self._device.over.is_set():
                 return []
             if isinstance(message, Measurement):
-                self.tally.frames += 1
+                self.statistics.frames += 1
                 self._starts_in_vain = 0
                 run.frames_at_silence = None
                 before = run.assembly.refused
                 sets = list(run.assembly.take(message))
-                self.tally.refused += run.assembly.refused - before
+                self.statistics.refused += run.assembly.refused - before
                 return sets
             return self._judge(message or self.status())
-        except (LinkError, TimeoutError) as error:
+        except LinkError as error:
             _log.warning("%s: %s; opening it again", self.url, error)
             self._device.reconnect()
             return self._judge(self.status())
@@ -190,7 +188,7 @@ class SpiCamera:
             return list(run.assembly.finish(status.frames))
         else:
             _log.warning("%s: the device was reset; starting anew", self.url)
-        self.tally.restarts += 1
+        self.statistics.restarts += 1
         self._starts_in_vain += 1
         if self._starts_in_vain > self._device.patience.attempts:
             raise DeviceError(
@@ -208,7 +206,7 @@ class SpiCamera:
         while True:
             try:
                 return self._start(sets)
-            except (LinkError, TimeoutError, DeviceError):
+            except (LinkError, DeviceError):
                 if time.monotonic() > deadline or self._device.over.is_set():
                     raise
                 self._device.reconnect()
@@ -223,7 +221,7 @@ class SpiCamera:
         assert run is not None
         try:
             self._device.ask(Stop(), Status)
-        except (LinkError, TimeoutError, DeviceError) as error:
+        except (LinkError, DeviceError) as error:
             _log.warning("%s: not stopped: %s", self.url, error)
 
     def _record(self, found: ExposureSet, made: Configured) -> SpiRecord:
@@ -239,12 +237,12 @@ class SpiCamera:
             offset_counts=made.offset_counts,
             adc_bits=self.identity.adc_bits,
             device=self.identity.device,
-            pose=np.array(settings.pose, np.float64),
-            shutters=np.array(settings.shutters, np.float64),
+            pose=settings.pose,
+            shutters=settings.shutters,
             pulse_width_s=settings.pulse_width_s,
         )
 
     def _lost(self, lost: range) -> None:
-        self.tally.lost += lost.stop - lost.start
+        self.statistics.lost += lost.stop - lost.start
         _log.warning("%s: frames %d to %d lost", self.url, lost.start, lost.stop - 1)
         self._on_loss(lost)

@@ -13,6 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns.orders import ORDERS, ordered_indices
 from hardware.patterns.transform import fwht, fwht_in_place, hadamard_rows
 
@@ -87,32 +88,32 @@ class PatternSet:
         for name in ("rows", "columns"):
             size = getattr(self, name)
             if size < 1 or size & (size - 1):
-                raise ValueError(f"{name}: {size} is not a power of two")
+                raise InputError(f"{name}: {size} is not a power of two")
         if self.n_cells > MOST_CELLS:
-            raise ValueError(
+            raise InputError(
                 f"rows, columns: {self.rows} x {self.columns} cells, at most {MOST_CELLS} are known"
             )
         if not 1 <= self.count <= self.n_cells:
-            raise ValueError(f"count: {self.count} is not between 1 and {self.n_cells}")
+            raise InputError(f"count: {self.count} is not between 1 and {self.n_cells}")
         if self.order not in get_args(Order):
-            raise ValueError(f"order: {self.order!r} is none of {', '.join(get_args(Order))}")
+            raise InputError(f"order: {self.order!r} is none of {', '.join(get_args(Order))}")
         if self.mode not in get_args(Mode):
-            raise ValueError(f"mode: {self.mode!r} is none of {', '.join(get_args(Mode))}")
+            raise InputError(f"mode: {self.mode!r} is none of {', '.join(get_args(Mode))}")
         if (self.order == "custom") != (self.subset is not None):
-            raise ValueError("subset: belongs to order 'custom', and to no other")
+            raise InputError("subset: belongs to order 'custom', and to no other")
         if self.subset is not None:
             self._check_subset(self.subset)
         if self.mode == "s-matrix" and 0 not in self.indices:
-            raise ValueError("mode: 's-matrix' needs row 0, its dark frame, among the patterns")
+            raise InputError("mode: 's-matrix' needs row 0, its dark frame, among the patterns")
 
     def _check_subset(self, subset: tuple[int, ...]) -> None:
         if len(subset) != self.count:
-            raise ValueError(f"subset: {len(subset)} rows, expected {self.count}")
+            raise InputError(f"subset: {len(subset)} rows, expected {self.count}")
         if len(set(subset)) != len(subset):
-            raise ValueError("subset: a row stands in it twice")
+            raise InputError("subset: a row stands in it twice")
         outside = [row for row in subset if not 0 <= row < self.n_cells]
         if outside:
-            raise ValueError(f"subset: {outside[0]} is not between 0 and {self.n_cells - 1}")
+            raise InputError(f"subset: {outside[0]} is not between 0 and {self.n_cells - 1}")
 
     @classmethod
     def of(
@@ -120,11 +121,11 @@ class PatternSet:
     ) -> "PatternSet":
         """Any rows of the natural-order matrix, in the order given.
 
-        Raises ValueError for what is no whole number, and for what `PatternSet` refuses.
+        Raises InputError for what is no whole number, and for what `PatternSet` refuses.
         """
         rows_shown = np.asarray(indices)
         if rows_shown.size and rows_shown.dtype.kind not in "iu":
-            raise ValueError(f"indices: {rows_shown.dtype}, expected whole numbers")
+            raise InputError(f"indices: {rows_shown.dtype}, expected whole numbers")
         subset = tuple(int(row) for row in rows_shown)
         return cls(rows, columns, len(subset), "custom", mode, subset)
 
@@ -210,7 +211,7 @@ class PatternSet:
         """
         t = np.asarray(cells, dtype=np.float64)
         if t.shape[0] != self.n_cells:
-            raise ValueError(f"cells: first axis is {t.shape[0]}, expected {self.n_cells}")
+            raise InputError(f"cells: first axis is {t.shape[0]}, expected {self.n_cells}")
         rows, signs = self.exposures
         total = t.sum(axis=0)
         projected = fwht(t)[rows] * signs.reshape(-1, *(1,) * (t.ndim - 1))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware import compiled
+from hardware.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -14,7 +15,7 @@ def fwht(values: NDArray[np.floating] | NDArray[np.integer]) -> Array:
     """Walsh-Hadamard transform H x along the first axis, natural order, unnormalised.
 
     Additions only, in float64: exact for integers as long as sums stay below 2**53. Applied twice
-    it returns n x. Raises ValueError unless the first axis is a power of two.
+    it returns n x. Raises InputError unless the first axis is a power of two.
     """
     x = np.array(values, dtype=np.float64, order="C")
     return fwht_in_place(x)
@@ -24,9 +25,9 @@ def fwht_in_place(x: Array) -> Array:
     """The same, overwriting a C-contiguous float64 array ``(n, ...)``, which is also returned."""
     n = x.shape[0]
     if n < 1 or n & (n - 1):
-        raise ValueError(f"length {n} is not a power of two")
+        raise InputError(f"length {n} is not a power of two")
     if x.dtype != np.float64 or not x.flags.c_contiguous:
-        raise ValueError(f"array: {x.dtype}, expected C-contiguous float64")
+        raise InputError(f"array: {x.dtype}, expected C-contiguous float64")
     if x.size == 0:
         return x
     if compiled.available():

@@ -16,7 +16,7 @@ Two bodies a whole span apart share a cell of the map. Taken with its own rate, 
 leaves the other to be seen with its own.
 
 Where the migration of a span is less than about a cell the rates cannot be told apart so; of an
-array whose transmitters take turns, the phases across them may (`hardware.radar.angles`).
+array with time-division multiplexing, the phases across them may (`hardware.radar.angles`).
 """
 
 from collections.abc import Sequence
@@ -183,7 +183,9 @@ def unfolded(
                 continue  # no echo, but what is left of those before it
             moved.append(solved)
         if _more_than_its_smear(evidence, waveform):
-            beneath = _beneath(channel, waveform, one, solved, blocks, kept, noise_w, evidence)
+            beneath = _beneath(
+                channel, waveform, one, solved, blocks, kept, noise_w=noise_w, evidence=evidence
+            )
             if beneath and beneath[0].power_w >= least_w:
                 moved.append(beneath)
                 kept.append(beneath)
@@ -267,6 +269,7 @@ def _beneath(
     solved: Measured,
     blocks: Blocks,
     others: Sequence[Measured],
+    *,
     noise_w: float,
     evidence: RateEvidence,
 ) -> Measured | None:

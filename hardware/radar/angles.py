@@ -1,8 +1,9 @@
 """Direction of a target from its amplitude on every pair of transmitter and receiver.
 
-Each pair acts as one antenna at the sum of their places (the virtual array). Transmitters take
-turns, so a moving target turns the phase between them: that is taken out with its rate. As the
-turns fold the rate, every rate that the migration through range cells left open is tried.
+Each pair acts as one antenna at the sum of their places (the virtual array). Transmitters send one
+after another (TDM), so a moving target rotates the phase between them: that is taken out with its
+rate. As the schedule folds the rate, every rate is tried that the migration through range cells
+left open.
 """
 
 from dataclasses import dataclass
@@ -25,8 +26,8 @@ class Direction:
     """Direction cosines to the left and up, their standard errors, and the range rate.
 
     NaN along an axis on which the array has no extent. ``alternatives_m_per_s``: range rates that
-    the phases across the transmitters' turns cannot exclude, likeliest first; the direction holds
-    for ``range_rate_m_per_s``.
+    the phases across the TDM schedule cannot exclude, likeliest first; the direction holds for
+    ``range_rate_m_per_s``.
     """
 
     left: float
@@ -67,7 +68,7 @@ def direction(amplitude: Complex, burst: Burst, rates_m_per_s: ArrayLike, snr: f
     amplitude : (n_channels,)
         Of the target, from `detected`.
     burst
-        Places and turns of the channels.
+        Places and TDM offsets of the channels.
     rates_m_per_s : (n_rates,) or one
         Range rates that the target may have, likeliest first.
     snr
@@ -137,7 +138,7 @@ def steering(places: Array, cosines: Array) -> Complex:
 def compensated(amplitude: Complex, burst: Burst, range_rate_m_per_s: float) -> Complex:
     """Amplitudes as if all transmitters had sent at once."""
     doppler = 2 * range_rate_m_per_s * burst.waveform.carrier_hz / C_M_PER_S
-    return np.asarray(amplitude * np.exp(2j * np.pi * doppler * burst.late_s))
+    return np.asarray(amplitude * np.exp(2j * np.pi * doppler * burst.tdm_offset_s))
 
 
 def _strongest(amplitude: Complex, places: Array, seen: NDArray[np.bool_]) -> Array:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import Complex, Precision, demodulated
 from hardware.radar.demodulation import samples as measured
@@ -34,8 +35,8 @@ class Burst:
         In root watts; transmitters first, then receivers.
     waveform
         Of each channel: all carrier steps together, and only the slots in which its transmitter
-        sends, so that its velocity ambiguity is that of the turns.
-    late_s : (n_channels,)
+        sends, so that its velocity ambiguity is that of the TDM schedule.
+    tdm_offset_s : (n_channels,)
         By how much a channel's slots come after the mean of all.
     transmitter_m, receiver_m : (n_channels, 3)
         Phase centres in the antenna's frame.
@@ -49,7 +50,7 @@ class Burst:
 
     channel: Complex
     waveform: OfdmWaveform
-    late_s: Array
+    tdm_offset_s: Array
     transmitter_m: Array
     receiver_m: Array
     whole: bool
@@ -82,38 +83,39 @@ def demodulate(
     reference_delay_s, range_rate_m_per_s
         See `stitch`; without a delay that of the record's leakage.
 
-    Raises ValueError for another waveform, for transmitters that take no even turns, or where
-    nothing can be used.
+    Raises InputError for another waveform, for transmitters without a regular TDM schedule, or
+    where nothing can be used.
     """
     if waveform is not None and waveform != record.waveform:
-        raise ValueError(f"waveform: {waveform} is not the record's, {record.waveform}")
+        raise InputError(f"waveform: {waveform} is not the record's, {record.waveform}")
     part = usable(record, burst)
-    turns = even_turns(record.transmitter[: part.n_slots])
+    schedule = tdm_schedule(record.transmitter[: part.n_slots])
     steps = range(part.n_steps)
     wave = record.waveform
-    n_transmitters, n_turns = turns.shape
-    slots = wave.slot_times_s[turns]
-    own = replace(wave, n_slots=n_turns, slot_period_s=wave.slot_period_s * n_transmitters)
+    n_transmitters, n_rounds = schedule.shape
+    slots = wave.slot_times_s[schedule]
+    leakage_s = record.front_end.leakage_delay_s
+    own = replace(wave, n_slots=n_rounds, slot_period_s=wave.slot_period_s * n_transmitters)
     samples = [measured(record.iq[burst, step, : part.n_slots], precision) for step in steps]
     samples = without_images(samples, wave)
     lacking: tuple[str, ...] = ()
     seen = True
     motion = relative_noise = None
-    if leakage and np.isfinite(record.leakage_delay_s):
-        if leakage_snr(samples, wave, record.leakage_delay_s) > _SEEN_IN_A_SLOT:
-            samples = [with_steady_phase(step, wave, record.leakage_delay_s) for step in samples]
+    if leakage and np.isfinite(leakage_s):
+        if leakage_snr(samples, wave, leakage_s) > _SEEN_IN_A_SLOT:
+            samples = [with_steady_phase(step, wave, leakage_s) for step in samples]
             if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
-                cleaned, relative_noise = without_phase_noise(
-                    samples[0], wave, record.leakage_delay_s, turns
-                )
+                cleaned, relative_noise = without_phase_noise(samples[0], wave, leakage_s, schedule)
                 samples = [cleaned]
         else:
             means = [step.mean(axis=0, keepdims=True) for step in samples]
-            snr = leakage_snr(means, wave, record.leakage_delay_s)
+            snr = leakage_snr(means, wave, leakage_s)
             seen = snr > _SEEN
             if not seen:
-                lacking = (_unseen(burst, record.leakage_delay_s, snr, len(samples)),)
-    cube = [_channels(step, turns, wave, record.root_watt_per_count) for step in samples]
+                lacking = (_unseen(burst, leakage_s, snr, len(samples)),)
+    cube = [
+        _channels(step, schedule, wave, record.front_end.root_watt_per_count) for step in samples
+    ]
     if len(record.carriers_hz) == 1:
         joined, wide = cube[0], own
     else:
@@ -122,24 +124,24 @@ def demodulate(
             np.stack(cube, axis=1).astype(np.complex128),
             own,
             record.carriers_hz[: part.n_steps],
-            record.leakage_delay_s if reference_delay_s is None else reference_delay_s,
+            leakage_s if reference_delay_s is None else reference_delay_s,
             step_times_s=1e-9 * record.device_time_ns[burst, : part.n_steps, 0].astype(np.float64),
             range_rate_m_per_s=range_rate_m_per_s,
             reference_seen=seen or reference_delay_s is not None,
         )
         joined, wide, motion = stitched.channel, stitched.waveform, stitched.motion
-    if leakage and np.isfinite(record.leakage_delay_s):
-        joined = without_leakage(joined, wide, record.leakage_delay_s)
+    if leakage and np.isfinite(leakage_s):
+        joined = without_leakage(joined, wide, leakage_s)
     if motion is not None:
         joined = joined * motion[:, None]
-    used = record.transmitter[turns[:, 0]]
-    n_receivers = len(record.receivers_m)
+    used = record.transmitter[schedule[:, 0]]
+    n_receivers = len(record.front_end.receivers_m)
     return Burst(
         channel=joined,
         waveform=wide,
-        late_s=np.repeat(slots.mean(axis=1) - slots.mean(), n_receivers),
-        transmitter_m=np.repeat(record.transmitters_m[used], n_receivers, axis=0),
-        receiver_m=np.tile(record.receivers_m, (n_transmitters, 1)),
+        tdm_offset_s=np.repeat(slots.mean(axis=1) - slots.mean(), n_receivers),
+        transmitter_m=np.repeat(record.front_end.transmitters_m[used], n_receivers, axis=0),
+        receiver_m=np.tile(record.front_end.receivers_m, (n_transmitters, 1)),
         whole=part.whole,
         warnings=(*part.warnings, *lacking),
         relative_noise=relative_noise,
@@ -177,28 +179,29 @@ def _noise_of_steps(steps: list[Complex]) -> Array | None:
     return np.asarray(power / mean)[:, None] if power.min() > 0 else None
 
 
-def even_turns(transmitter: NDArray[np.uint8]) -> NDArray[np.intp]:
-    """Slots of each transmitter that sends at all, (n_transmitters, n_turns), by its number.
+def tdm_schedule(transmitter: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """Time-division multiplexing: slots (n_transmitters, n_rounds) of each transmitter that sends
+    at all, by its number.
 
-    A last, incomplete round is left out. Raises ValueError unless they take turns evenly.
+    A last, incomplete round is left out. Raises InputError unless every round has the same order.
     """
     names = np.unique(transmitter)
-    n_turns = len(transmitter) // len(names)
-    rounds = transmitter[: n_turns * len(names)].reshape(n_turns, len(names))
+    n_rounds = len(transmitter) // len(names)
+    rounds = transmitter[: n_rounds * len(names)].reshape(n_rounds, len(names))
     if (rounds != rounds[0]).any() or len(np.unique(rounds[0])) != len(names):
-        raise ValueError(
-            f"transmitter: slots of {', '.join(map(str, names))} do not take even turns"
+        raise InputError(
+            f"transmitter: slots of {', '.join(map(str, names))} follow no regular TDM schedule"
         )
-    return (np.arange(n_turns)[:, None] * len(names) + np.argsort(rounds[0])).T
+    return (np.arange(n_rounds)[:, None] * len(names) + np.argsort(rounds[0])).T
 
 
 def _channels(
-    samples: Complex, turns: NDArray[np.intp], waveform: OfdmWaveform, root_watt_per_count: float
+    samples: Complex, schedule: NDArray[np.intp], waveform: OfdmWaveform, root_watt_per_count: float
 ) -> Complex:
-    """Channels (n_channels, n_subcarriers, n_turns) of one step's samples in counts."""
+    """Channels (n_channels, n_subcarriers, n_rounds) of one step's samples in counts."""
     channels = []
-    for slots in turns:
-        regular = slice(int(slots[0]), int(slots[-1]) + 1, len(turns))  # a view, no copy
+    for slots in schedule:
+        regular = slice(int(slots[0]), int(slots[-1]) + 1, len(schedule))  # a view, no copy
         for receiver in range(samples.shape[1]):
             counts = samples[regular, receiver]
             channels.append(demodulated(counts, waveform, root_watt_per_count).T)

@@ -42,7 +42,7 @@ def cfar_threshold(
     noise
         What is known of the map's; default: independent cells of one channel.
 
-    Raises ValueError when the map leaves no cells to tell the noise from.
+    Raises InputError when the map leaves no cells to tell the noise from.
     """
     noise = noise or MapNoise()
     if noise.relative_noise is not None:

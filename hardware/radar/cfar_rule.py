@@ -23,6 +23,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.k_distribution import quantile, survival
 from hardware.radar.windows import correlation, taper
 
@@ -59,15 +60,15 @@ class Cfar:
 
     def __post_init__(self) -> None:
         if not 0 < self.false_alarm < 1:
-            raise ValueError(f"false_alarm: {self.false_alarm} is no probability")
+            raise InputError(f"false_alarm: {self.false_alarm} is no probability")
         if self.method not in get_args(Method):
-            raise ValueError(f"method: {self.method!r} is none of {', '.join(get_args(Method))}")
+            raise InputError(f"method: {self.method!r} is none of {', '.join(get_args(Method))}")
         for name in ("guard", "training"):
             if min(getattr(self, name)) < 0:
-                raise ValueError(f"{name}: {getattr(self, name)} is negative")
+                raise InputError(f"{name}: {getattr(self, name)} is negative")
         shape: object = self.shape
         if shape != "fitted" and not (isinstance(shape, int | float) and shape > 0):
-            raise ValueError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
+            raise InputError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +180,7 @@ def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[Mask]:
         ring[tuple(middle)] = False
         regions = [ring]
     if not all(region.any() for region in regions):
-        raise ValueError(f"training: no cells left of a map of {tuple(shape)} to tell the noise")
+        raise InputError(f"training: no cells left of a map of {tuple(shape)} to tell the noise")
     return regions
 
 

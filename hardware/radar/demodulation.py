@@ -34,7 +34,7 @@ def channel(
     whole, so that an echo of power P has the modulus sqrt(P) everywhere.
     """
     counts = samples(record.iq[burst, step, :, receiver], precision)
-    return demodulated(counts, record.waveform, record.root_watt_per_count).T
+    return demodulated(counts, record.waveform, record.front_end.root_watt_per_count).T
 
 
 def samples(counts: NDArray[np.int16], precision: Precision = "double") -> Complex:

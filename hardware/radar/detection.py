@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.cfar_rule import Cfar
 from hardware.radar.demodulation import Complex
 from hardware.radar.peaks import Peaks, peaks_above
@@ -97,7 +98,7 @@ def detected(
     check_channel(channel, waveform)
     cells = tuple(s * image.oversampling for s in channel.shape[-2:])
     if image.power_w.shape != cells:
-        raise ValueError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")
+        raise InputError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")
     if all(size <= 2 * g + 1 for size, g in zip(cells, cfar.guard, strict=True)):
         return []  # nothing but guard cells: nothing to tell the noise from
     if window == "boxcar" or cfar.shape != float("inf"):  # what is between cells is known of noise

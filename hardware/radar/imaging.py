@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.burst import Burst, demodulate
+from hardware.records.state import positions, rotations
 from hardware.waveform import C_M_PER_S
 
 if TYPE_CHECKING:
@@ -34,7 +36,7 @@ class Wall:
 
     def __post_init__(self) -> None:
         if not (self.thickness_m >= 0 and self.permittivity >= 1):
-            raise ValueError(
+            raise InputError(
                 f"wall: thickness {self.thickness_m} m and permittivity {self.permittivity}, "
                 "expected at least 0 and 1"
             )
@@ -82,7 +84,7 @@ def image(
     leakage
         Take the record's leakage away, where its delay is known.
 
-    Raises ValueError when the first burst is already broken.
+    Raises InputError when the first burst is already broken.
     """
     bursts, warnings = _whole_bursts(record, leakage)
     cells, places, turned = _in_middle_frame(record, len(bursts), down_range_m, cross_range_m)
@@ -150,7 +152,7 @@ def _whole_bursts(record: "RadarRecord", leakage: bool) -> tuple[list[Burst], tu
     for number in range(len(record.iq)):
         try:
             burst = demodulate(record, number, leakage=leakage)
-        except ValueError:
+        except InputError:
             if not bursts:
                 raise
             warnings.append(f"burst {number} cannot be used")
@@ -158,7 +160,7 @@ def _whole_bursts(record: "RadarRecord", leakage: bool) -> tuple[list[Burst], tu
         warnings += burst.warnings
         if not burst.whole:
             if not bursts:
-                raise ValueError(burst.warnings[0])
+                raise InputError(burst.warnings[0])
             break
         bursts.append(burst)
     if len(bursts) < len(record.iq):
@@ -170,13 +172,11 @@ def _in_middle_frame(
     record: "RadarRecord", n_bursts: int, down_range_m: Array, cross_range_m: Array
 ) -> tuple[Array, Array, Array]:
     """Cells (n_down, n_cross, 3), antenna places (n_bursts, 3) and axes (n_bursts, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
     poses = record.pose[:n_bursts]
     middle = n_bursts // 2
-    axes = Rotation.from_quat(poses[:, [4, 5, 6, 3]])
+    axes, at_m = rotations(poses), positions(poses)
     home = axes[middle].inv()
-    places = home.apply(poses[:, :3] - poses[middle, :3])
+    places = home.apply(at_m - at_m[middle])
     # Cross-range counts from the middle of the track, between two poses of an even number.
     origin = places.mean(axis=0)
     down, cross = np.meshgrid(down_range_m, cross_range_m, indexing="ij")

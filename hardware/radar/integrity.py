@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.records.container import Flag
 
 if TYPE_CHECKING:
@@ -31,10 +32,10 @@ class Usable:
 def usable(record: "RadarRecord", burst: int = 0) -> Usable:
     """What of a burst can be processed together: all up to the first gap or overflow.
 
-    Raises ValueError where nothing comes before it, and for a burst that the record lacks.
+    Raises InputError where nothing comes before it, and for a burst that the record lacks.
     """
     if not 0 <= burst < len(record.iq):
-        raise ValueError(f"burst: {burst}, the record holds {len(record.iq)}")
+        raise InputError(f"burst: {burst}, the record holds {len(record.iq)}")
     n_steps, n_slots = record.flags[burst].shape
     lost = _lost(record, burst)
     warnings = _levels(record, burst)
@@ -44,8 +45,8 @@ def usable(record: "RadarRecord", burst: int = 0) -> Usable:
     why = "flagged as overrun or reset" if _flagged(record, burst)[step, slot] else "after a gap"
     n_steps, n_slots = (step, n_slots) if step else (1, slot)
     where = f"burst {burst}, step {step}, slot {slot}: {why}"
-    if n_slots < 2 * len(record.transmitters_m):
-        raise ValueError(f"{where}; too little comes before it")
+    if n_slots < 2 * len(record.front_end.transmitters_m):
+        raise InputError(f"{where}; too little comes before it")
     done = f"the {n_steps} steps before it" if step else f"the {n_slots} slots before it"
     return Usable(n_steps, n_slots, False, (f"{where}; processed are {done}", *warnings))
 

@@ -8,6 +8,7 @@ spaced line.
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.angles import extents, virtual_places
 from hardware.radar.burst import Burst
 
@@ -21,7 +22,7 @@ def music(amplitude: Complex, burst: Burst, n_targets: int, part: int | None = N
     Parameters
     ----------
     amplitude : (n_channels,) or (n_channels, n_snapshots)
-        Compensated for the transmitters' turns, see `compensated`.
+        Compensated for the transmitters' TDM offsets, see `compensated`.
     burst
         Its channels must form an evenly spaced line to the left.
     n_targets
@@ -30,13 +31,13 @@ def music(amplitude: Complex, burst: Burst, n_targets: int, part: int | None = N
         Length of the shifted parts; default two thirds of the line. Longer resolves more, shorter
         averages more.
 
-    Raises ValueError for another array, or for more targets than it can tell.
+    Raises InputError for another array, or for more targets than it can tell.
     """
     places = virtual_places(burst) / burst.waveform.wavelength_m
     line, spacing = _even_line(places)
     size = part or -(-2 * len(line) // 3)
     if not 0 < n_targets < size or size + n_targets > len(line) + n_targets * (n_targets > 1):
-        raise ValueError(
+        raise InputError(
             f"n_targets: {n_targets} of a line of {len(line)} places in parts of {size}"
         )
     on_line = np.stack([amplitude[at].mean(axis=0) for at in line]).reshape(len(line), -1)
@@ -50,7 +51,7 @@ def _even_line(places: Array) -> tuple[list[NDArray[np.intp]], float]:
     spots = np.unique(left)
     gaps = np.diff(spots)
     if len(spots) < 2 or np.ptp(gaps) > 1e-3 * gaps.mean() or extents(places)[2] > 1e-3:
-        raise ValueError("burst: its channels are no evenly spaced line to the left")
+        raise InputError("burst: its channels are no evenly spaced line to the left")
     return [np.nonzero(left == spot)[0] for spot in spots], float(gaps.mean())
 
 

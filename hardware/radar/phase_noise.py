@@ -96,10 +96,10 @@ def _slopes(phase: Array, time: Array) -> Array:
 
 
 def without_phase_noise(
-    samples: Complex, waveform: OfdmWaveform, delay_s: float, turns: NDArray[np.intp]
+    samples: Complex, waveform: OfdmWaveform, delay_s: float, schedule: NDArray[np.intp]
 ) -> tuple[Complex, Array | None]:
     """Samples (n_slots, n_receivers, n_subcarriers) less the leakage's phase noise within slots,
-    and the noise (n_subcarriers, n_turns) of every cell of range and rate over that of others at
+    and the noise (n_subcarriers, n_rounds) of every cell of range and rate over that of others at
     its range; None where all are alike.
 
     Beside a strong echo phase noise is told by the mirror image alone, whose thermal noise comes
@@ -111,7 +111,7 @@ def without_phase_noise(
         Of one carrier, in any unit.
     waveform, delay_s
         What was sent, and when the leakage arrives.
-    turns : (n_transmitters, n_turns)
+    schedule : (n_transmitters, n_rounds)
         Slots of each transmitter.
     """
     from scipy.fft import fft2, ifft2
@@ -121,7 +121,7 @@ def without_phase_noise(
     unit = (leak / np.where(modulus > 0, modulus, 1.0)).astype(samples.dtype)
     cleaned = samples.copy()
     spectra, levels = [], []
-    for slots in turns:
+    for slots in schedule:
         sent = samples[slots]
         level = np.einsum("mrt,t->r", sent, leak.conj().astype(samples.dtype))
         level /= len(slots) * np.sum(modulus**2)
@@ -131,7 +131,7 @@ def without_phase_noise(
         spectra.append(fft2(relative, norm="ortho", workers=-1))
         levels.append(level)
     noise, more = phase_noise(np.stack(spectra))
-    for slots, level, part in zip(turns, levels, noise, strict=True):
+    for slots, level, part in zip(schedule, levels, noise, strict=True):
         within = 1j * ifft2(part, norm="ortho", workers=-1).imag * unit
         cleaned[slots] -= within[:, None] * level[:, None].astype(samples.dtype)
     if more is None:

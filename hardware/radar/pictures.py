@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.detection import Detection
 from hardware.radar.imaging import RadarImage
 
@@ -16,12 +17,12 @@ from hardware.radar.imaging import RadarImage
 def write_png(path: Path, power: NDArray[np.floating[Any]], span_db: float = 50.0) -> None:
     """White at the peak, black ``span_db`` below; row 0 on top, columns as they come.
 
-    Raises ValueError where Pillow (the extra ``png``) is not installed.
+    Raises InputError where Pillow (the extra ``png``) is not installed.
     """
     try:
         from PIL import Image
     except ImportError as error:
-        raise ValueError(f"{path}: PNG needs Pillow: pip install 'ugv-twin[png]'") from error
+        raise InputError(f"{path}: PNG needs Pillow: pip install 'ugv-twin[png]'") from error
     peak = float(power.max(initial=0.0)) or 1.0
     with np.errstate(divide="ignore"):
         level = 1 + 10 * np.log10(power / peak) / span_db

@@ -151,9 +151,9 @@ def process(
             with_cross_section(
                 point,
                 taken.waveform,
-                record.transmit_power_w,
-                record.antenna_gain_dbi,
-                record.losses_db,
+                record.front_end.transmit_power_w,
+                record.front_end.antenna_gain_dbi,
+                record.front_end.losses_db,
             )
             for point in points
         ),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.demodulation import Complex
 from hardware.radar.whitening import whitened
 from hardware.radar.windows import taper
@@ -71,7 +72,7 @@ def range_doppler(
     relative_noise : (n_subcarriers, n_slots) or (n_subcarriers, 1)
         Mean noise of the cells without a window, where it is known, see `Burst`.
 
-    Raises ValueError for a channel that is not the waveform's.
+    Raises InputError for a channel that is not the waveform's.
     """
     check_channel(channel, waveform)
     n, m = channel.shape[-2:]
@@ -108,10 +109,10 @@ def _through_window(noise: Array | None, window: str, oversampling: int) -> Arra
 
 
 def check_channel(channel: Complex, waveform: OfdmWaveform) -> None:
-    """Raise ValueError unless a channel has the waveform's subcarriers and slots."""
+    """Raise InputError unless a channel has the waveform's subcarriers and slots."""
     expected = waveform.n_subcarriers, waveform.n_slots
     if channel.ndim not in (2, 3) or channel.shape[-2:] != expected:
-        raise ValueError(
+        raise InputError(
             f"channel: shape {channel.shape}, expected (..., {expected[0]}, {expected[1]}) "
             "subcarriers and slots of the waveform"
         )

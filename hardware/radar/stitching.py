@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -72,12 +73,12 @@ def stitch(
     reference_seen
         Without it steps are joined as they are: phases that are fitted to noise make echoes of it.
 
-    Raises ValueError for steps that leave gaps or overlap, or an unknown reference delay.
+    Raises InputError for steps that leave gaps or overlap, or an unknown reference delay.
     """
     order = np.argsort(carriers_hz)
     wide = _wide(waveform, carriers_hz[order])
     if not np.isfinite(reference_delay_s):
-        raise ValueError(
+        raise InputError(
             "leakage_delay_s: unknown; carrier steps cannot be joined without the delay of the "
             "leakage or of a reference target"
         )
@@ -112,7 +113,7 @@ def _wide(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:
     gaps = np.diff(carriers) / waveform.bandwidth_hz
     if np.any(np.abs(gaps - 1) > 1e-6):
         at = int(np.argmax(np.abs(gaps - 1)))
-        raise ValueError(
+        raise InputError(
             f"carriers_hz: {carriers[at]:.9g} and {carriers[at + 1]:.9g} are not one step of "
             f"{waveform.bandwidth_hz:g} Hz apart"
         )

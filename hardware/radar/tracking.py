@@ -25,6 +25,7 @@ from hardware.radar.filtering import (
     predicted,
     updated,
 )
+from hardware.records.state import QuaternionPose
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,7 @@ class Tracker:
         self,
         detections: Sequence[Detection],
         elapsed_s: float,
-        pose: Array | None = None,
+        pose: QuaternionPose | None = None,
         velocity_m_per_s: Sequence[float] | Array = (0.0, 0.0),
     ) -> list[Track]:
         """Take in a frame; the confirmed tracks.
@@ -100,8 +101,8 @@ class Tracker:
             Of one burst. Those without a range are left out.
         elapsed_s
             Since the last frame.
-        pose : (7,)
-            Antenna in the world, as in a record; default: the origin, looking along x.
+        pose
+            Antenna in the world; default: the origin, looking along x.
         velocity_m_per_s : (2,)
             Of the antenna in the world, to which range rates are relative.
         """
@@ -201,12 +202,10 @@ def _range_alone(readings: Readings) -> Measurement:
     return replace(readings[0], value=np.array([readings[0].value[0], np.nan, np.nan]))
 
 
-def _antenna(pose: Array | None, velocity_m_per_s: Sequence[float] | Array) -> Antenna:
+def _antenna(pose: QuaternionPose | None, velocity_m_per_s: Sequence[float] | Array) -> Antenna:
     """The antenna in the plane, from its pose in space."""
-    from scipy.spatial.transform import Rotation
-
     velocity = np.asarray(velocity_m_per_s, np.float64)
     if pose is None:
         return Antenna(np.zeros(2), np.array([1.0, 0.0]), velocity)
-    ahead = Rotation.from_quat(pose[[4, 5, 6, 3]]).apply([1.0, 0.0, 0.0])[:2]
-    return Antenna(pose[:2], ahead / np.linalg.norm(ahead), velocity)
+    ahead = pose.rotation.apply([1.0, 0.0, 0.0])[:2]
+    return Antenna(pose.position_m[:2], ahead / np.linalg.norm(ahead), velocity)

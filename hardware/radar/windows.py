@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 def taper(name: str, size: int) -> Array:
     """Window of mean 1: peaks keep their power, noise grows by the mean square. Read-only.
 
-    Raises ValueError for a name that SciPy does not know.
+    Raises InputError for a name that SciPy does not know.
     """
     from scipy.signal import get_window
 

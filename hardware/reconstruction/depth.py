@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hardware.errors import InputError
+
 Array = NDArray[np.float64]
 
 C_M_PER_S = 299_792_458.0
@@ -64,23 +66,23 @@ def depth(
         What a device's own contrasts, relative, and phases, rad, may differ by from frequency to
         frequency: frequencies that differ by no more do not contradict each other.
 
-    Raises ValueError for shapes that do not fit, frequencies that are not positive, or values
+    Raises InputError for shapes that do not fit, frequencies that are not positive, or values
     that are not numbers.
     """
     z = np.atleast_2d(np.asarray(phasors, dtype=np.complex128))
     f = np.atleast_1d(np.asarray(modulation_hz, dtype=np.float64))
     if z.ndim != 2 or len(f) != len(z):
-        raise ValueError(f"phasors: shape {z.shape}, expected ({len(f)}, n_cells)")
+        raise InputError(f"phasors: shape {z.shape}, expected ({len(f)}, n_cells)")
     if not (np.isfinite(f).all() and (f > 0).all()):
-        raise ValueError(f"modulation_hz: {f} are not all positive numbers")
+        raise InputError(f"modulation_hz: {f} are not all positive numbers")
     sigma = np.asarray(noise, dtype=np.float64)
     sigma = np.broadcast_to(sigma[:, None] if sigma.ndim == 1 else sigma, z.shape)
     if not (np.isfinite(z).all() and np.isfinite(sigma).all() and (sigma >= 0).all()):
-        raise ValueError("phasors: values or noise are not numbers, or noise is negative")
+        raise InputError("phasors: values or noise are not numbers, or noise is negative")
     limit = common_range_m(f)
     longest = limit if longest_m is None else float(longest_m)
     if not 0 < longest <= limit * (1 + 1e-12):
-        raise ValueError(f"longest_m: {longest} is not above 0 and at most {limit:.6g}")
+        raise InputError(f"longest_m: {longest} is not above 0 and at most {limit:.6g}")
 
     size = np.abs(z)
     least = 1e-12 * size.max(initial=0.0)  # keeps a noiseless phasor's precision finite

@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.reconstruction.cosine import dct_matrix
 from hardware.reconstruction.prior import prior_spectrum
 
@@ -15,7 +16,7 @@ Array = NDArray[np.float64]
 def haar_matrix(n: int) -> Array:
     """Orthonormal Haar functions, coarse to fine, one per row. ``n`` is a power of two."""
     if n & (n - 1):
-        raise ValueError(f"Haar functions: {n} is not a power of two")
+        raise InputError(f"Haar functions: {n} is not a power of two")
     matrix = np.ones((1, 1))
     while len(matrix) < n:
         half = len(matrix)

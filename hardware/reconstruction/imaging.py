@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.reconstruction.registry import METHODS, Array, Method, load_plugins
@@ -86,13 +87,13 @@ def reconstruct(
     sums over them changes LMMSE, and what starts from it (FISTA, TV, patches), by 1e-13 of the
     image's range. ``OPENBLAS_NUM_THREADS=1`` fixes it.
 
-    Raises ValueError for an unknown method, a mixing that does not fit, patterns whose matrices
+    Raises InputError for an unknown method, a mixing that does not fit, patterns whose matrices
     would not fit into memory, or a record in which too much is lost.
     """
     if method not in METHODS:
         load_plugins()
     if method not in METHODS:
-        raise ValueError(f"method: {method!r} is none of {', '.join(METHODS)}")
+        raise InputError(f"method: {method!r} is none of {', '.join(METHODS)}")
     received = with_level(record.received)
     solve, sensing = METHODS[method], Sensing(received.patterns, mixing)
     measured = measurements(received)

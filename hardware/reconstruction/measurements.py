@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction.noise import finest_patterns, noise_beside_detail, noise_of_sums
 from hardware.records import SpiRecord
@@ -134,7 +135,7 @@ def _without_constant(electrons: Array, patterns: PatternSet, finest: NDArray[np
     """Values of a plain set or an S-matrix, the constant they share told by the finest patterns."""
     whole = np.flatnonzero(patterns.indices == 0)
     if whole.size == 0:
-        raise ValueError("patterns: a plain set needs the all-lit pattern among its patterns")
+        raise InputError("patterns: a plain set needs the all-lit pattern among its patterns")
     lit = electrons if patterns.mode == "plain" else -electrons
     values = 2 * lit - lit[whole[0]]
     return values - values[finest].mean(axis=0) if finest.size else values

@@ -9,17 +9,18 @@ Gates: each gate's image is a slice of the scene, as thick as gate and pulse tog
 neighbouring ones hold of a cell tells where in them it lies (`hardware.reconstruction.gating`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.reconstruction.depth import C_M_PER_S, depth
 from hardware.reconstruction.gating import Echo, echo
 from hardware.reconstruction.imaging import LEVEL_UNKNOWN, Reconstruction, reconstruct
 from hardware.reconstruction.sensing import Mixing
-from hardware.records import Flag, SpiRecord
+from hardware.records import Flag, Shutter, SpiRecord
 
 Array = NDArray[np.float64]
 
@@ -59,18 +60,20 @@ def range_image(
 ) -> RangeImage:
     """Amplitude and distance of every cell of a record with phase shutters or gates.
 
-    Raises ValueError for a record whose shutter was always open, one with both, a frequency
+    Raises InputError for a record whose shutter was always open, one with both, a frequency
     whose phases leave its phasor open, and whatever `reconstruct` refuses.
 
     A record that does not state its pulse (schema version 2 and older) may have had any pulse up to
     the gate's length: the distance is the middle of these, and the error covers them.
     """
-    modulated, gated = record.shutters[:, 0] > 0, record.shutters[:, 3] > 0
-    if not (modulated.all() or gated.all()) or (modulated & gated).any():
-        raise ValueError(
+    shutters = record.shutters
+    modulated = all(shutter.modulated for shutter in shutters)
+    gated = all(shutter.gated for shutter in shutters)
+    if not (modulated or gated) or any(one.modulated and one.gated for one in shutters):
+        raise InputError(
             "shutters: expected the phases of one or more modulation frequencies, or gates"
         )
-    if modulated.all():
+    if modulated:
         list(_phase_systems(record.shutters))  # refuses what no image could mend
     taken = [reconstruct(part, method, mixing=mixing) for part in record.by_shutter]
     images = np.stack([found.image for found in taken])
@@ -95,7 +98,7 @@ def distances(record: SpiRecord, images: Array, errors: Array, method: str = "")
     """`range_image` of images that are at hand: electrons by shutter and their standard errors,
     (n_shutters, n_detectors, rows, columns), whatever the record's own counts are.
     """
-    if (record.shutters[:, 0] > 0).all():
+    if all(shutter.modulated for shutter in record.shutters):
         return _from_phases(method, images, errors, list(_phase_systems(record.shutters)))
     return _from_gates(method, images, errors, record)
 
@@ -122,14 +125,20 @@ def _error(found: Reconstruction, count: int) -> Array:
     return np.broadcast_to(each[:, None, None], found.image.shape)
 
 
-def _phase_systems(shutters: Array) -> Iterator[tuple[float, NDArray[np.intp], Array]]:
-    """Frequency, its shutters, the (2, n_phases) matrix that gives Re z, Im z by least squares."""
-    for frequency in np.unique(shutters[:, 0]):
-        phases = np.flatnonzero(shutters[:, 0] == frequency)
-        phase = shutters[phases, 1]
+def _phase_systems(
+    shutters: Sequence[Shutter],
+) -> Iterator[tuple[float, NDArray[np.intp], Array]]:
+    """Frequency, the places of its shutters, and the (2, n_phases) matrix that gives Re z and Im z
+    of their images by least squares.
+    """
+    modulation_hz = np.array([shutter.modulation_hz for shutter in shutters])
+    phase_rad = np.array([shutter.phase_rad for shutter in shutters])
+    for frequency in np.unique(modulation_hz):
+        phases = np.flatnonzero(modulation_hz == frequency)
+        phase = phase_rad[phases]
         model = np.stack([np.cos(phase), -np.sin(phase), np.ones_like(phase)], axis=1)
         if np.linalg.matrix_rank(model, tol=1e-6) < 3:
-            raise ValueError(
+            raise InputError(
                 f"shutters: phases {phase} at {frequency:.6g} Hz, at least three different ones "
                 "are needed"
             )
@@ -161,7 +170,8 @@ def _from_phases(
 
 
 def _from_gates(method: str, images: Array, errors: Array, record: SpiRecord) -> RangeImage:
-    gates, stated = record.shutters[:, 2:], record.pulse_width_s > 0
+    gates = np.array([(one.gate_delay_s, one.gate_width_s) for one in record.shutters])
+    stated = record.pulse_width_s > 0
     flat = images.reshape(len(images), -1), errors.reshape(len(images), -1)
     found = echo(*flat, gates, record.pulse_width_s) if stated else _brightest(*flat, gates)
     lit = found.amplitude > 0

@@ -20,6 +20,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction.sensing import Sensing
 
@@ -54,14 +55,14 @@ class Method:
         noise_variance: float | Array,
         sensing: Sensing | PatternSet,
     ) -> tuple[Array, Array | None]:
-        """Solve. Raises ValueError for values that do not fit, or are not numbers."""
+        """Solve. Raises InputError for values that do not fit, or are not numbers."""
         problem = Sensing(sensing) if isinstance(sensing, PatternSet) else sensing
         if len(values) != problem.count:
-            raise ValueError(f"values: {len(values)}, the pattern set has {problem.count}")
+            raise InputError(f"values: {len(values)}, the pattern set has {problem.count}")
         if not (np.isfinite(values).all() and np.isfinite(noise_variance).all()):
-            raise ValueError("values: hold what is not a number")
+            raise InputError("values: hold what is not a number")
         if self.grid_only and problem.mixing:
-            raise ValueError(f"method: {self.name!r} needs a clean grid of cells, without mixing")
+            raise InputError(f"method: {self.name!r} needs a clean grid of cells, without mixing")
         if not (self.joint and values.ndim == 1):
             return self.solve(values, noise_variance, problem)  # type: ignore[arg-type]
         cells, error = self.solve(values[:, None], np.atleast_1d(noise_variance), problem)  # type: ignore[arg-type]
@@ -86,13 +87,13 @@ def method(
 ) -> Callable[
     [Callable[..., tuple[Array, Array | None]]], Callable[..., tuple[Array, Array | None]]
 ]:
-    """Register a function as a reconstruction method. Raises ValueError for a name in use."""
+    """Register a function as a reconstruction method. Raises InputError for a name in use."""
 
     def register(
         solve: Callable[..., tuple[Array, Array | None]],
     ) -> Callable[..., tuple[Array, Array | None]]:
         if name in METHODS:
-            raise ValueError(f"method: {name!r} is registered twice")
+            raise InputError(f"method: {name!r} is registered twice")
         summary = (solve.__doc__ or "").strip().split("\n")[0]
         METHODS[name] = Method(name, summary, solve, joint, grid_only, slow, errors_in_95)
         return solve

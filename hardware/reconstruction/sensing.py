@@ -6,6 +6,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns import PatternSet, fwht_in_place, hadamard_rows
 
 Array = NDArray[np.float64]
@@ -31,12 +32,12 @@ class Mixing:
 
     def __post_init__(self) -> None:
         if self.matrix.ndim != 2 or self.matrix.shape[1] != self.rows * self.columns:
-            raise ValueError(
+            raise InputError(
                 f"mixing: shape {self.matrix.shape}, expected (n_emitters, "
                 f"{self.rows} * {self.columns})"
             )
         if not np.isfinite(self.matrix).all():
-            raise ValueError("mixing: holds what is not a number")
+            raise InputError("mixing: holds what is not a number")
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Sensing:
 
     def __post_init__(self) -> None:
         if self.mixing and len(self.mixing.matrix) != self.patterns.n_cells:
-            raise ValueError(
+            raise InputError(
                 f"mixing: {len(self.mixing.matrix)} emitters, the patterns have "
                 f"{self.patterns.n_cells}"
             )

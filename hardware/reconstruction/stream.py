@@ -10,6 +10,7 @@ the whole set; in a fast one the newest patterns rule and the older ones keep wh
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction.cosine import filtered
 from hardware.reconstruction.prior import prior_scale, prior_spectrum, walsh_variance
@@ -35,7 +36,7 @@ class SlidingWindow:
 
     def __init__(self, patterns: PatternSet, noise_variance: float) -> None:
         if not (np.isfinite(noise_variance) and noise_variance >= 0):
-            raise ValueError(f"noise_variance: {noise_variance} is not a number from 0 on")
+            raise InputError(f"noise_variance: {noise_variance} is not a number from 0 on")
         self.patterns, self.noise_variance = patterns, float(noise_variance)
         self._sensing = Sensing(patterns)
         self._blocks = WalshBlocks.of((patterns.rows, patterns.columns), patterns.indices)
@@ -69,13 +70,13 @@ class SlidingWindow:
         """
         places = np.asarray(places)
         if places.shape != np.shape(values):
-            raise ValueError(f"values: shape {np.shape(values)}, expected {places.shape}")
+            raise InputError(f"values: shape {np.shape(values)}, expected {places.shape}")
         if not (np.isfinite(values).all() and np.isfinite(time_s)):
-            raise ValueError("values: hold what is not a number")
+            raise InputError("values: hold what is not a number")
         if places.size and (places.min() < 0 or places.max() >= self.patterns.count):
-            raise ValueError(f"places: outside 0 to {self.patterns.count - 1}")
+            raise InputError(f"places: outside 0 to {self.patterns.count - 1}")
         if time_s < self._time_s.max():
-            raise ValueError(f"time_s: {time_s} lies before {self._time_s.max()}")
+            raise InputError(f"time_s: {time_s} lies before {self._time_s.max()}")
         self._learn_motion(places, values, time_s)
         self._values[places] = values
         self._time_s[places] = time_s

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.reconstruction.cosine import dct_matrix
 from hardware.reconstruction.prior import cell_variance, prior_spectrum, walsh_to_cosine
 
@@ -53,10 +54,10 @@ class WalshBlocks:
 
     @classmethod
     def of(cls, shape: tuple[int, int], indices: Integers) -> "WalshBlocks":
-        """Blocks of the rows ``indices`` of a grid; ValueError where they are too large."""
+        """Blocks of the rows ``indices`` of a grid; InputError where they are too large."""
         size = bytes_needed(shape, indices)
         if size > MOST_BYTES:
-            raise ValueError(
+            raise InputError(
                 f"patterns: {len(indices)} of {shape[0] * shape[1]} need {size / 2**30:.3g} GiB of "
                 f"matrices, at most {MOST_BYTES / 2**30:g} are granted; take all patterns, fewer, "
                 "or another method"

@@ -9,6 +9,8 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
+
 _HEADER = b"\0\1\0\0"  # plain CDR, little-endian
 _FORMS = {
     "bool": "?",
@@ -62,11 +64,11 @@ class Writer:
 
 
 class Reader:
-    """The same the other way. Raises ValueError where the message ends too early."""
+    """The same the other way. Raises InputError where the message ends too early."""
 
     def __init__(self, message: bytes) -> None:
         if message[:4] != _HEADER:
-            raise ValueError(f"message: begins with {message[:4].hex()}, expected 00010000")
+            raise InputError(f"message: begins with {message[:4].hex()}, expected 00010000")
         self._data, self._at = memoryview(message)[4:], 0
 
     def number(self, kind: str) -> int | float:
@@ -94,6 +96,6 @@ class Reader:
 
     def _take(self, size: int) -> memoryview:
         if self._at + size > len(self._data):
-            raise ValueError(f"message: ends after {len(self._data)} bytes, too early")
+            raise InputError(f"message: ends after {len(self._data)} bytes, too early")
         self._at += size
         return self._data[self._at - size : self._at]

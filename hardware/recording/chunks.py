@@ -9,6 +9,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
+from hardware.errors import InputError
+
 #: Of one chunk when unpacked. `Log` closes one at 1 MiB and the message that goes beyond; more is
 #: not taken into memory, whatever a file claims.
 MOST_CHUNK_BYTES = 1 << 29
@@ -16,7 +18,7 @@ MOST_CHUNK_BYTES = 1 << 29
 _PIECE_BYTES, _MOST_DEFINITIONS_BYTES = 1 << 14, 1 << 25
 
 
-class RefusedError(ValueError):
+class RefusedError(InputError):
     """A chunk that is not read at all, whatever it holds."""
 
 
@@ -58,7 +60,7 @@ def _records(stream: ReadDataStream, length: int) -> Iterator[Schema | Channel |
     while stream.count < length:
         kind, size = stream.read1(), stream.read8()
         if kind == 0:
-            raise ValueError("a record of no kind")
+            raise InputError("a record of no kind")
         if found := one_record(kind, stream, size):
             yield found
 

@@ -8,6 +8,7 @@ from typing import Any, get_origin, get_type_hints
 import numpy as np
 
 from hardware.drivers.clock import ClockModel
+from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.recording.cdr import Reader, Writer
 from hardware.recording.ros import HEADER_PARTS, Definition, put_header
@@ -36,12 +37,15 @@ class Kind:
     @cached_property
     def scalars(self) -> dict[str, str]:
         """ROS type of each setting and parameter; parameters carry their group's name."""
-        layout, own, grouped = self.layout, *map(get_type_hints, (self.record, self.group))
+        layout, grouped, own = self.layout, get_type_hints(self.group), dict[str, Any]()
+        for kind in (self.record, *layout.parts.values()):
+            own |= get_type_hints(kind)
         found = {name: _SCALARS.get(own[name], "string") for name in layout.settings}
         for name in layout.parameters:
             hint = grouped[name]
-            kind = "string" if get_origin(hint) else _SCALARS.get(hint, "string")
-            found[f"{layout.group}_{name}"] = kind
+            found[f"{layout.group}_{name}"] = (
+                "string" if get_origin(hint) else _SCALARS.get(hint, "string")
+            )
         return found
 
     @cached_property
@@ -77,7 +81,7 @@ class Kind:
         writer.number("float64", clock.drift)
         writer.number("float64", clock.error_ns)
         group = getattr(record, layout.group)
-        values = [getattr(record, name) for name in layout.settings]
+        values = [layout.value(record, name) for name in layout.settings]
         values += [getattr(group, name) for name in layout.parameters]
         for kind, value in zip(self.scalars.values(), values, strict=True):
             writer.text(value) if kind == "string" else writer.number(kind, value)
@@ -86,14 +90,14 @@ class Kind:
             writer.number("bool", value is not None)
             writer.array(np.asarray(value or (), np.int64))
         for name, (dtype, _) in layout.arrays.items():
-            array = np.asarray(getattr(record, name), dtype)
+            array = np.asarray(layout.value(record, name), dtype)
             writer.array(np.asarray(array.shape, np.uint32))
             writer.array(array)
         return writer.message
 
     def unpack(self, message: bytes) -> tuple[Any, ClockModel | None]:
         """Record of a message, and the clock; one of an older schema version is read without what
-        was added since. Raises ValueError where it is none.
+        was added since. Raises InputError where it is none.
         """
         layout, reader = self.layout, Reader(message)
         for kind in ("int32", "uint32"):
@@ -101,7 +105,7 @@ class Kind:
         reader.text()
         form, version = reader.text(), int(reader.number("uint32"))
         if form != layout.format or not 1 <= version <= layout.version:
-            raise ValueError(
+            raise InputError(
                 f"{form} of schema version {version}; this software reads {layout.format} "
                 f"of versions 1 to {layout.version}"
             )
@@ -128,7 +132,7 @@ class Kind:
                 continue
             shape = reader.array("uint32").tolist()
             fields[name] = reader.array(str(np.dtype(dtype))).reshape(shape)
-        record = self.record(**{layout.group: self.group(**group)}, **fields)
+        record = self.record(**{layout.group: self.group(**group)}, **layout.arguments(fields))
         return record, None if math.isnan(clock.error_ns) else clock
 
 

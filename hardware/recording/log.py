@@ -10,15 +10,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import numpy as np
 from mcap.writer import CompressionType, Writer
-from numpy.typing import NDArray
 
 from hardware.drivers.clock import ClockModel
+from hardware.errors import InputError
 from hardware.files import naming
 from hardware.recording import ros
 from hardware.recording.kinds import Record, kind_of
 from hardware.recording.ros import Definition
+from hardware.records import SpiRecord
+from hardware.records.state import QuaternionPose
 
 _CHUNK_BYTES = 1 << 20
 
@@ -97,7 +98,8 @@ class Log:
         child = kind.pose_of or frame
         if child in self._extrinsics:  # the rig's pose says it all
             return
-        for pose in np.atleast_2d(record.pose):
+        poses = (record.pose,) if isinstance(record, SpiRecord) else record.pose
+        for pose in poses:
             moved = ros.transform(pose, stamp, "world", child)
             self.message("/tf", ros.TRANSFORMS, moved, host_ns, stamp)
 
@@ -150,8 +152,13 @@ class Log:
         return self._schemas[definition.name]
 
 
-def _pose(name: str, values: Sequence[float]) -> NDArray[np.float64]:
-    pose = np.asarray(values, np.float64)
-    if pose.shape != (7,) or not np.isfinite(pose).all() or not pose[3:].any():
-        raise ValueError(f"extrinsics: {name}: {values}, expected x y z, quaternion w x y z")
+def _pose(name: str, values: Sequence[float]) -> QuaternionPose:
+    try:
+        pose = QuaternionPose.from_numbers(values)
+        if not any(pose[3:]):
+            raise InputError
+    except (TypeError, ValueError):
+        raise InputError(
+            f"extrinsics: {name}: {values}, expected x y z, quaternion w x y z"
+        ) from None
     return pose

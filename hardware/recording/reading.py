@@ -18,7 +18,8 @@ from mcap.records import Channel, Chunk, Message, MessageIndex, Schema
 from mcap.writer import CompressionType, Writer
 
 from hardware.drivers.clock import ClockModel
-from hardware.files import naming, partial_path, remove_leftovers
+from hardware.errors import InputError
+from hardware.files import place_beside
 from hardware.recording.chunks import (
     MOST_CHUNK_BYTES,
     RefusedError,
@@ -91,19 +92,19 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
     A chunk that is broken is passed over, what stands behind it is read; a file that was cut short
     is read to where it ends.
 
-    Raises FileNotFoundError; ValueError for a file that is no MCAP, or of which nothing is read
+    Raises FileNotFoundError; InputError for a file that is no MCAP, or of which nothing is read
     because a chunk is too large or packed in a way that is not known.
     """
     path, ending = Path(path), ending or Ending()
     with path.open("rb") as file:
         if not _MAGIC.startswith(file.read(len(_MAGIC))):
-            raise ValueError(f"{path}: no MCAP file")
+            raise InputError(f"{path}: no MCAP file")
         walk, n = _Walk(file, path.stat().st_size, ending), 0
         for found in walk.messages():
             n += 1
             yield found
         if walk.refused and not n:
-            raise ValueError(f"{path}: {walk.refused}")
+            raise InputError(f"{path}: {walk.refused}")
 
 
 class _Definitions:
@@ -291,7 +292,7 @@ def _in_words(error: Exception) -> str:
 def unpacked(path: str | Path, found: Logged) -> Received | None:
     """Record in a message of a log, None for a message of another kind.
 
-    Raises ValueError for a broken one, naming the file.
+    Raises InputError for a broken one, naming the file.
     """
     kind = BY_NAME.get(found.schema.name)
     if kind is None:
@@ -299,7 +300,7 @@ def unpacked(path: str | Path, found: Logged) -> Received | None:
     try:
         record, clock = kind.unpack(found.message.data)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: {found.topic}: {error}") from error
+        raise InputError(f"{path}: {found.topic}: {error}") from error
     return Received(found.topic, record, found.message.log_time, clock)
 
 
@@ -307,7 +308,7 @@ def read_records(path: str | Path, ending: Ending | None = None) -> Iterator[Rec
     """Records in a log, bit for bit as they went in.
 
     A log that was not finished, or is damaged, gives what of it is whole. Then ``ending`` says
-    so; without it a warning is logged. Raises as `read_messages`, and ValueError for a broken
+    so; without it a warning is logged. Raises as `read_messages`, and InputError for a broken
     message.
     """
     tell, ending = ending is None, ending or Ending()
@@ -336,26 +337,22 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
     thrown away, the file as it was stays beside it, as NAME-damaged. A log with which nothing was
     wrong stays as it is.
 
-    Raises as `read_messages`, and ValueError where not one message can be read; then too the file
+    Raises as `read_messages`, and InputError where not one message can be read; then too the file
     stays as it is.
     """
     path, ending = Path(path), Ending()
     target = Path(out) if out else path
-    partial, original = partial_path(target), None
-    with naming(target):
-        remove_leftovers(target)
-        try:
-            with partial.open("xb") as file:
-                kept = _copy(read_messages(path, ending), file)
-            if ending.fault is not None and not kept:
-                raise ValueError(f"{path}: no whole message in it: {ending.fault}")
-            if ending.lost and not out:
-                original = _beside(path)
-                os.rename(path, original)
-            if ending.fault is not None or out:
-                os.replace(partial, target)
-        finally:
-            partial.unlink(missing_ok=True)
+    original = None
+    with place_beside(target) as partial:
+        with partial.open("xb") as file:
+            kept = _copy(read_messages(path, ending), file)
+        if ending.fault is not None and not kept:
+            raise InputError(f"{path}: no whole message in it: {ending.fault}")
+        if ending.lost and not out:
+            original = _beside(path)
+            os.rename(path, original)
+        if ending.fault is not None or out:
+            os.replace(partial, target)
     return Recovered(kept, ending, original)
 
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.recording.cdr import Writer
+from hardware.records.state import QuaternionPose
 
 _TIME = "int32 sec\nuint32 nanosec\n"
 _HEADER = "builtin_interfaces/Time stamp\nstring frame_id\n"
@@ -74,7 +76,7 @@ def points(columns: Mapping[str, NDArray[np.floating]], stamp_ns: int, frame: st
     """Cloud of points, float32, from columns of equal length; x, y and z among them."""
     n = {len(values) for values in columns.values()}
     if len(n) != 1 or not {"x", "y", "z"} <= columns.keys():
-        raise ValueError(f"points: columns {', '.join(columns)} of lengths {sorted(n)}")
+        raise InputError(f"points: columns {', '.join(columns)} of lengths {sorted(n)}")
     table = np.stack([np.asarray(values, "<f4") for values in columns.values()], axis=1)
     writer = Writer()
     put_header(writer, stamp_ns, frame)
@@ -94,13 +96,12 @@ def points(columns: Mapping[str, NDArray[np.floating]], stamp_ns: int, frame: st
     return writer.message
 
 
-def transform(pose: NDArray[np.float64], stamp_ns: int, parent: str, child: str) -> bytes:
-    """One transform: pose of the child in its parent, x y z (m), quaternion w x y z."""
+def transform(pose: QuaternionPose, stamp_ns: int, parent: str, child: str) -> bytes:
+    """One transform: pose of the child in its parent."""
     writer = Writer()
     writer.number("uint32", 1)
     put_header(writer, stamp_ns, parent)
     writer.text(child)
-    x, y, z, *quaternion = np.asarray(pose, np.float64).tolist()
-    for value in (x, y, z, *quaternion[1:], quaternion[0]):
+    for value in (*pose[:3], pose.qx, pose.qy, pose.qz, pose.qw):
         writer.number("float64", value)
     return writer.message

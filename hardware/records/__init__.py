@@ -8,10 +8,14 @@ and schema version.
 from hardware.records.container import Flag
 from hardware.records.radar import RadarRecord, read_radar_record, write_radar_record
 from hardware.records.spi import SpiRecord, read_record, write_record
+from hardware.records.state import QuaternionPose, RadarFrontEnd, Shutter
 
 __all__ = [
     "Flag",
+    "QuaternionPose",
+    "RadarFrontEnd",
     "RadarRecord",
+    "Shutter",
     "SpiRecord",
     "read_radar_record",
     "read_record",

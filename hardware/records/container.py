@@ -1,7 +1,7 @@
 """The file behind every record: HDF5 with a format name and a schema version."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from enum import IntFlag
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
+from hardware.errors import InputError
 from hardware.files import whole_file
 
 #: Bytes that an array may unpack to, over those that it takes in the file: deflate's limit.
@@ -33,7 +34,9 @@ class Layout:
 
     ``arrays`` maps a name to its type on disk and its meaning. ``added`` names the version since
     which an array or a setting is there; older files are read without it. ``optional`` parameters
-    are lists of integers that stand in the file only where they are set.
+    are lists of integers that stand in the file only where they are set. ``parts`` maps a field of
+    the record to its class, whose own fields stand in the file beside those of the record;
+    ``objects`` maps a field to what makes it of its array.
     """
 
     format: str
@@ -44,6 +47,28 @@ class Layout:
     parameters: tuple[str, ...]
     added: Mapping[str, int] = field(default_factory=dict)
     optional: tuple[str, ...] = ()
+    parts: Mapping[str, type[Any]] = field(default_factory=dict)
+    objects: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
+
+    def value(self, record: Any, name: str) -> Any:
+        """A setting or an array of a record."""
+        for part, kind in self.parts.items():
+            if name in {own.name for own in fields(kind)}:
+                return getattr(getattr(record, part), name)
+        return getattr(record, name)
+
+    def arguments(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the record's class, of settings and arrays by their names in the file."""
+        made = dict(values)
+        for part, kind in self.parts.items():
+            own = [field.name for field in fields(kind) if field.name in made]
+            made[part] = kind(**{name: made.pop(name) for name in own})
+        for name in self.objects.keys() & made.keys():
+            try:
+                made[name] = self.objects[name](made[name])
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{name}: {error}") from error
+        return made
 
     def has(self, name: str, version: int) -> bool:
         """Whether a setting or an array was there already in a schema version."""
@@ -63,7 +88,7 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
         file.attrs["format"] = layout.format
         file.attrs["schema_version"] = layout.version
         for name in layout.settings:
-            file.attrs[name] = getattr(record, name)
+            file.attrs[name] = layout.value(record, name)
         group = file.create_group(layout.group)
         for name in layout.parameters:
             group.attrs[name] = getattr(getattr(record, layout.group), name)
@@ -71,7 +96,7 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
             if (value := getattr(getattr(record, layout.group), name)) is not None:
                 group.create_dataset(name, data=np.asarray(value, dtype=np.int64))
         for name, (dtype, meaning) in layout.arrays.items():
-            data = np.asarray(getattr(record, name), dtype=dtype)
+            data = np.asarray(layout.value(record, name), dtype=dtype)
             file.create_dataset(name, data=data).attrs["meaning"] = meaning
         file.flush()
         image = file.id.get_file_image()
@@ -82,7 +107,7 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
 def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Settings with arrays, and the group's parameters, of a file in this layout.
 
-    Raises FileNotFoundError, or ValueError for another format, another version, or a broken file.
+    Raises FileNotFoundError, or InputError for another format, another version, or a broken file.
     """
     import h5py
 
@@ -93,48 +118,65 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
         with h5py.File(path, "r") as file:
             version = _check(layout, file)
             there = [n for n in layout.settings if layout.has(n, version)]
-            fields = {n: _value(file, n) for n in there}
+            values = {n: _value(file, n) for n in there}
             for name, (dtype, _) in layout.arrays.items():
                 if layout.has(name, version):
-                    fields[name] = _array(file, name, np.dtype(dtype))
+                    values[name] = _array(file, name, np.dtype(dtype))
             group = _inside(file, layout.group)
             if not isinstance(group, h5py.Group):
-                raise ValueError(f"{layout.group}: expected a group")
+                raise InputError(f"{layout.group}: expected a group")
             parameters = {name: _value(group, name) for name in layout.parameters}
             for name in layout.optional:
                 if name in group:
                     parameters[name] = tuple(_array(group, name, np.dtype(np.int64)).tolist())
-            return fields, parameters
+            return values, parameters
     except (KeyError, OSError, RuntimeError, TypeError, ValueError) as error:  # HDF5 has them all
         text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
-        raise ValueError(f"{path}: {text}") from error
+        raise InputError(f"{path}: {text}") from error
 
 
 def check_shapes(record: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise ValueError unless every named array has its shape."""
+    """Raise InputError unless every named array has its shape."""
     for name, shape in shapes.items():
         if getattr(record, name).shape != shape:
-            raise ValueError(f"{name}: shape {getattr(record, name).shape}, expected {shape}")
+            raise InputError(f"{name}: shape {getattr(record, name).shape}, expected {shape}")
+
+
+def check_types(record: Any, **types: type) -> None:
+    """Raise InputError unless every named field is of its type."""
+    for name, kind in types.items():
+        if not isinstance(value := getattr(record, name), kind):
+            raise InputError(f"{name}: a {type(value).__name__}, expected a {kind.__name__}")
+
+
+def check_tuples(record: Any, **types: type) -> None:
+    """Raise InputError unless every named field is a tuple of values of its type."""
+    for name, kind in types.items():
+        value = getattr(record, name)
+        if type(value) is not tuple or not all(isinstance(one, kind) for one in value):
+            raise InputError(
+                f"{name}: a {type(value).__name__}, expected a tuple of {kind.__name__}"
+            )
 
 
 def check_positive(record: Any, *names: str) -> None:
-    """Raise ValueError unless every named field is a positive, finite number."""
+    """Raise InputError unless every named field is a positive, finite number."""
     for name in names:
         value = getattr(record, name)
         if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name}: {value} is not a positive number")
+            raise InputError(f"{name}: {value} is not a positive number")
 
 
 def _check(layout: Layout, file: Any) -> int:
     """The file's schema version, if it can be read."""
     found = _value(file, "format") if "format" in file.attrs else None
     if found != layout.format:
-        raise ValueError(f"not a {layout.format}: its format is {found!r:.60}")
+        raise InputError(f"not a {layout.format}: its format is {found!r:.60}")
     version = _value(file, "schema_version")
     if not isinstance(version, int):
-        raise ValueError(f"schema_version: {version!r:.40} is no whole number")
+        raise InputError(f"schema_version: {version!r:.40} is no whole number")
     if not 1 <= version <= layout.version:
-        raise ValueError(f"schema version {version}, this software reads 1 to {layout.version}")
+        raise InputError(f"schema version {version}, this software reads 1 to {layout.version}")
     return version
 
 
@@ -143,7 +185,7 @@ def _inside(group: Any, name: str) -> Any:
     import h5py
 
     if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
-        raise ValueError(f"{name}: stands in another file, expected it in this one")
+        raise InputError(f"{name}: stands in another file, expected it in this one")
     return group[name]
 
 
@@ -154,29 +196,29 @@ def _array(group: Any, name: str, dtype: "np.dtype[Any]") -> Any:
     found = _inside(group, name)
     if not isinstance(found, h5py.Dataset) or not np.can_cast(found.dtype, dtype, "same_kind"):
         kind = getattr(found, "dtype", "a group")
-        raise ValueError(f"{name}: {kind}, expected an array of {dtype}")
+        raise InputError(f"{name}: {kind}, expected an array of {dtype}")
     if found.is_virtual or found.external:
-        raise ValueError(f"{name}: stands in another file, expected it in this one")
+        raise InputError(f"{name}: stands in another file, expected it in this one")
     held = min(found.id.get_storage_size(), found.file.id.get_filesize())
     if found.nbytes > _MOST_RATIO * held:
-        raise ValueError(
+        raise InputError(
             f"{name}: {found.nbytes} bytes of shape {found.shape}, but the file holds {held}"
         )
     return found[()].astype(dtype)
 
 
 def _value(group: Any, name: str) -> Any:
-    """A single number or text among the attributes. Raises ValueError for anything else."""
+    """A single number or text among the attributes. Raises InputError for anything else."""
     import h5py
 
     held = h5py.h5a.open(group.id, name.encode())
     if shape := held.get_space().shape:
-        raise ValueError(f"{name}: an array of shape {shape}, expected one value")
+        raise InputError(f"{name}: an array of shape {shape}, expected one value")
     # Of other types (sequences, references) a broken file ends the process in HDF5 itself.
     if held.get_type().get_class() not in _plain_types():
-        raise ValueError(f"{name}: neither a number nor a text")
+        raise InputError(f"{name}: neither a number nor a text")
     if (size := held.get_storage_size()) > _MOST_ATTRIBUTE_BYTES:
-        raise ValueError(
+        raise InputError(
             f"{name}: a text of {size} bytes, at most {_MOST_ATTRIBUTE_BYTES} are read"
         )
     value = group.attrs[name]
@@ -185,7 +227,7 @@ def _value(group: Any, name: str) -> Any:
             text = value if isinstance(value, bytes) else value.encode("utf-8", "surrogateescape")
             return text.decode("utf-8")
         except UnicodeError as error:
-            raise ValueError(f"{name}: {error}") from error
+            raise InputError(f"{name}: {error}") from error
     return value.item() if isinstance(value, np.generic) else value
 
 

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.records import container
+from hardware.records.state import QuaternionPose, RadarFrontEnd
 from hardware.waveform import OfdmWaveform
 
 
@@ -28,24 +30,14 @@ class RadarRecord:
         What the radio was tuned to at each step, in the order of time.
     transmitter : (n_slots,) uint8
         Which transmitter sends in each slot.
-    transmitters_m, receivers_m : (n_transmitters, 3), (n_receivers, 3) float64
-        Phase centres in the antenna's frame: x ahead, y left, z up.
     waveform
         What was sent in each step; its carrier is that of the first.
-    root_watt_per_count
-        The front end's calibration: one count is this wave amplitude at the antenna's port.
-    transmit_power_w
-        At the antenna's port.
-    antenna_gain_dbi
-        Of one transmitter or receiver, along x; NaN when nobody measured it.
-    losses_db
-        From the antennas' ports on and back, all told (radome, feeds).
-    leakage_delay_s
-        Of the direct way from transmitter to receiver, by calibration; NaN when unknown.
+    front_end
+        Calibration, antennas and their places.
     device
         Identification, as the device reports it.
-    pose : (n_bursts, 7) float64
-        Antenna in the world: x, y, z in metres, unit quaternion w, x, y, z (REP 103).
+    pose
+        Antenna in the world at each burst, n_bursts of them.
     """
 
     iq: NDArray[np.int16]
@@ -53,53 +45,50 @@ class RadarRecord:
     flags: NDArray[np.uint8]
     carriers_hz: NDArray[np.float64]
     transmitter: NDArray[np.uint8]
-    transmitters_m: NDArray[np.float64]
-    receivers_m: NDArray[np.float64]
     waveform: OfdmWaveform
-    root_watt_per_count: float
-    transmit_power_w: float
-    antenna_gain_dbi: float
-    losses_db: float
-    leakage_delay_s: float
+    front_end: RadarFrontEnd
     device: str
-    pose: NDArray[np.float64]
+    pose: tuple[QuaternionPose, ...]
 
     def __post_init__(self) -> None:
-        wave = self.waveform
+        container.check_types(self, front_end=RadarFrontEnd)
+        container.check_tuples(self, pose=QuaternionPose)
+        wave, end = self.waveform, self.front_end
         n_bursts, n_steps = len(self.iq), len(self.carriers_hz)
         shape = (n_bursts, n_steps, wave.n_slots)
         shapes: dict[str, tuple[int, ...]] = {
-            "iq": (*shape, len(self.receivers_m), wave.n_subcarriers, 2),
+            "iq": (*shape, len(end.receivers_m), wave.n_subcarriers, 2),
             "device_time_ns": shape,
             "flags": shape,
             "carriers_hz": (n_steps,),
             "transmitter": (wave.n_slots,),
-            "transmitters_m": (len(self.transmitters_m), 3),
-            "receivers_m": (len(self.receivers_m), 3),
-            "pose": (n_bursts, 7),
         }
         container.check_shapes(self, shapes)
         if self.iq.dtype != np.int16:
-            raise ValueError(f"iq: dtype {self.iq.dtype}, expected int16")
+            raise InputError(f"iq: dtype {self.iq.dtype}, expected int16")
         if n_steps == 0 or self.carriers_hz[0] != wave.carrier_hz:
-            raise ValueError(f"carriers_hz: {self.carriers_hz} does not begin at the waveform's")
-        if self.transmitter.max(initial=0) >= len(self.transmitters_m):
-            raise ValueError(
+            raise InputError(f"carriers_hz: {self.carriers_hz} does not begin at the waveform's")
+        if len(self.pose) != n_bursts:
+            raise InputError(f"pose: {len(self.pose)}, expected one for each of {n_bursts} bursts")
+        if self.transmitter.max(initial=0) >= len(end.transmitters_m):
+            raise InputError(
                 f"transmitter: {self.transmitter.max(initial=0)}, but transmitters_m holds "
-                f"{len(self.transmitters_m)}"
+                f"{len(end.transmitters_m)}"
             )
         if not (np.isfinite(self.carriers_hz).all() and (self.carriers_hz > 0).all()):
-            raise ValueError("carriers_hz: a value is no positive number")
-        for name in ("transmitters_m", "receivers_m", "pose"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise ValueError(f"{name}: a value is no number")
-        container.check_positive(self, "root_watt_per_count", "transmit_power_w")
+            raise InputError("carriers_hz: a value is no positive number")
+        if not np.isfinite(self.pose).all():
+            raise InputError("pose: a value is no number")
 
     @property
     def wave(self) -> NDArray[np.complex128]:
         """Received wave in root watts, (n_bursts, n_steps, n_slots, n_receivers, n_subcarriers)."""
-        counts = self.iq.astype(np.float64) * self.root_watt_per_count
+        counts = self.iq.astype(np.float64) * self.front_end.root_watt_per_count
         return counts[..., 0] + 1j * counts[..., 1]
+
+
+def _poses(rows: NDArray[np.float64]) -> tuple[QuaternionPose, ...]:
+    return tuple(map(QuaternionPose.from_numbers, rows.tolist()))
 
 
 LAYOUT = container.Layout(
@@ -138,6 +127,8 @@ LAYOUT = container.Layout(
         ),
         2,
     ),
+    parts={"front_end": RadarFrontEnd},
+    objects={"pose": _poses},
     group="waveform",
     parameters=(
         "carrier_hz",
@@ -160,7 +151,7 @@ def write_radar_record(record: RadarRecord, path: str | Path) -> None:
 def read_radar_record(path: str | Path) -> RadarRecord:
     """Read a record written by `write_radar_record`.
 
-    Raises FileNotFoundError; ValueError for a file that is no radar record, of another schema
+    Raises FileNotFoundError; InputError for a file that is no radar record, of another schema
     version, or incomplete.
     """
     fields, parameters = container.read(LAYOUT, path)
@@ -168,9 +159,9 @@ def read_radar_record(path: str | Path) -> RadarRecord:
         waveform = OfdmWaveform(**parameters)
         if "carriers_hz" not in fields:
             fields = _from_version_1(fields, waveform)
-        return RadarRecord(waveform=waveform, **fields)
+        return RadarRecord(waveform=waveform, **LAYOUT.arguments(fields))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
 
 
 def _from_version_1(fields: dict[str, Any], waveform: OfdmWaveform) -> dict[str, Any]:

@@ -41,7 +41,7 @@ def _described(sigmf: Any, record: RadarRecord, data: Path) -> Any:
         f"OFDM radar, {n_bursts} bursts, {n_steps} carrier steps, {n_slots} slots of "
         f"{wave.slot_period_s:g} s, {n_receivers} receivers, "
         f"{wave.n_subcarriers} samples per slot, symbols {wave.symbols}; "
-        f"one count is {record.root_watt_per_count:g} root watts"
+        f"one count is {record.front_end.root_watt_per_count:g} root watts"
     )
     file = sigmf.SigMFFile(
         data_file=str(data),

@@ -1,14 +1,16 @@
 """One acquisition of the single-pixel camera: counts per pattern and detector."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.records import container
 from hardware.records.container import Flag
+from hardware.records.state import ALWAYS_OPEN, QuaternionPose, Shutter
 
 _BY_EXPOSURE = ("counts", "device_time_ns", "sequence", "flags")
 
@@ -37,12 +39,10 @@ class SpiRecord:
         Counts run from 0 to 2**adc_bits - 1.
     device
         Identification, as the device reports it.
-    pose : (7,) float64
-        Rig in the world at the start: x, y, z in metres, unit quaternion w, x, y, z (REP 103).
-    shutters : (n_shutters, 4) float64
-        Every pattern is shown once with each shutter, one after another: modulation frequency, Hz,
-        and phase, rad, of a phase shutter, or delay and width of a gate, s. All zero: always open.
-        Gates open that long after the light's pulse begins.
+    pose
+        Rig in the world at the start.
+    shutters
+        Every pattern is shown once with each shutter, one after another.
     pulse_width_s
         Length of the light's pulse, of gates; 0: none, or not stated.
     """
@@ -57,45 +57,47 @@ class SpiRecord:
     offset_counts: float
     adc_bits: int
     device: str
-    pose: NDArray[np.float64]
-    shutters: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 4)))
+    pose: QuaternionPose
+    shutters: tuple[Shutter, ...] = (ALWAYS_OPEN,)
     pulse_width_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.shutters.ndim != 2 or self.shutters.shape[1] != 4 or not len(self.shutters):
-            raise ValueError(f"shutters: shape {self.shutters.shape}, expected (n_shutters, 4)")
-        if not (np.isfinite(self.shutters).all() and (self.shutters >= 0).all()):
-            raise ValueError("shutters: a value is negative or no number")
+        container.check_types(self, pose=QuaternionPose)
+        container.check_tuples(self, shutters=Shutter)
+        if not self.shutters:
+            raise InputError("shutters: none, expected at least one")
+        if not all(0 <= value < np.inf for shutter in self.shutters for value in shutter):
+            raise InputError("shutters: a value is negative or no number")
         if not 0 <= self.pulse_width_s < np.inf:
-            raise ValueError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
+            raise InputError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
         n = self.patterns.n_exposures * len(self.shutters)
-        shapes = {"device_time_ns": (n,), "sequence": (n,), "flags": (n,), "pose": (7,)}
+        shapes = {"device_time_ns": (n,), "sequence": (n,), "flags": (n,)}
         container.check_shapes(self, shapes)
         if self.counts.ndim != 2 or self.counts.shape[0] != n:
-            raise ValueError(f"counts: shape {self.counts.shape}, expected ({n}, n_detectors)")
+            raise InputError(f"counts: shape {self.counts.shape}, expected ({n}, n_detectors)")
         if self.counts.shape[1] == 0 or self.counts.shape[1] % self.patterns.n_arms:
-            raise ValueError(
+            raise InputError(
                 f"counts: {self.counts.shape[1]} detectors, expected {self.patterns.n_arms} "
                 "for each image"
             )
         if not np.issubdtype(self.counts.dtype, np.integer):
-            raise ValueError(f"counts: dtype {self.counts.dtype}, expected integers")
+            raise InputError(f"counts: dtype {self.counts.dtype}, expected integers")
         if not 1 <= self.adc_bits <= 31:
-            raise ValueError(f"adc_bits: {self.adc_bits} is not between 1 and 31")
+            raise InputError(f"adc_bits: {self.adc_bits} is not between 1 and 31")
         top = 2**self.adc_bits - 1
         if self.counts.size and not (self.counts.min() >= 0 and self.counts.max() <= top):
-            raise ValueError(f"counts: outside 0 to {top}, the range of {self.adc_bits} bits")
+            raise InputError(f"counts: outside 0 to {top}, the range of {self.adc_bits} bits")
         container.check_positive(self, "integration_time_s", "electrons_per_count")
         if not np.isfinite(self.offset_counts):
-            raise ValueError(f"offset_counts: {self.offset_counts} is not a number")
+            raise InputError(f"offset_counts: {self.offset_counts} is not a number")
         if not np.isfinite(self.pose).all():
-            raise ValueError("pose: a value is no number")
+            raise InputError("pose: a value is no number")
 
     @property
     def received(self) -> "SpiRecord":
         """The record of the patterns that arrived whole: itself, where nothing is lost.
 
-        A pattern goes with its complement and with all its shutters. Raises ValueError where one
+        A pattern goes with its complement and with all its shutters. Raises InputError where one
         is lost that the others need (the references), or all are.
         """
         if not (self.flags & Flag.LOST).any():
@@ -106,7 +108,7 @@ class SpiRecord:
         each = 2 if patterns.mode == "differential" else 1
         kept = here[head:].reshape(patterns.count, each).all(axis=1)
         if not (here[:head].all() and kept.any()):
-            raise ValueError("flags: exposures are lost without which nothing can be measured")
+            raise InputError("flags: exposures are lost without which nothing can be measured")
         exposures = np.concatenate([here[:head], np.repeat(kept, each)])
         rows = np.repeat(exposures, n_shutters)
         return replace(
@@ -157,6 +159,10 @@ def exposures_between(before: SpiRecord | None, after: SpiRecord) -> int:
     return step if step < 2**31 else 0
 
 
+def _shutters(rows: NDArray[np.float64]) -> tuple[Shutter, ...]:
+    return tuple(map(Shutter.from_numbers, rows.tolist()))
+
+
 LAYOUT = container.Layout(
     format="ugv-spi-record",
     version=3,
@@ -177,6 +183,7 @@ LAYOUT = container.Layout(
         "shutters": (np.float64, "per shutter: modulation Hz, phase rad, gate delay s, width s"),
     },
     added={"shutters": 2, "pulse_width_s": 3},
+    objects={"pose": QuaternionPose.from_numbers, "shutters": _shutters},
     group="patterns",
     parameters=("rows", "columns", "count", "order", "mode"),
     optional=("subset",),
@@ -194,11 +201,11 @@ def write_record(record: SpiRecord, path: str | Path) -> None:
 def read_record(path: str | Path) -> SpiRecord:
     """Read a record written by `write_record`, on any platform.
 
-    Raises FileNotFoundError; ValueError for a file that is no record, of another schema version,
+    Raises FileNotFoundError; InputError for a file that is no record, of another schema version,
     or incomplete.
     """
     fields, patterns = container.read(LAYOUT, path)
     try:
-        return SpiRecord(patterns=PatternSet(**patterns), **fields)
+        return SpiRecord(patterns=PatternSet(**patterns), **LAYOUT.arguments(fields))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from hardware.radar import Cfar, OfdmWaveform, range_doppler
 from hardware.radar.detection import detected
 from hardware.radar.superresolution import resolve
-from hardware.records import RadarRecord
+from hardware.records import QuaternionPose, RadarFrontEnd, RadarRecord
 
 C = 299_792_458.0
 HERE = np.zeros((1, 3))
@@ -106,17 +106,24 @@ def cube(
         flags=np.zeros(shape[:3], np.uint8),
         carriers_hz=carriers,
         transmitter=senders,
-        transmitters_m=np.asarray(transmitters_m, dtype=float),
-        receivers_m=np.asarray(receivers_m, dtype=float),
         waveform=waveform,
-        root_watt_per_count=float(scale),
-        transmit_power_w=0.01,
-        antenna_gain_dbi=gain_dbi,
-        losses_db=0.0,
-        leakage_delay_s=leakage[1] if leakage else float("nan"),
+        front_end=RadarFrontEnd(
+            root_watt_per_count=float(scale),
+            transmit_power_w=0.01,
+            antenna_gain_dbi=gain_dbi,
+            losses_db=0.0,
+            leakage_delay_s=leakage[1] if leakage else float("nan"),
+            transmitters_m=np.asarray(transmitters_m, dtype=float),
+            receivers_m=np.asarray(receivers_m, dtype=float),
+        ),
         device="test",
-        pose=poses,
+        pose=tuple(QuaternionPose(*numbers) for numbers in poses.tolist()),
     )
+
+
+def calibrated(record: RadarRecord, **changes: float) -> RadarRecord:
+    """The record of a front end that is known otherwise."""
+    return replace(record, front_end=replace(record.front_end, **changes))
 
 
 def two_targets(rng: np.random.Generator, wave: OfdmWaveform, snr_db: float, cells: float):

@@ -18,12 +18,13 @@ zmq = pytest.importorskip("zmq")
 from hardware.capture import capture  # noqa: E402
 from hardware.drivers import DeviceError, Patience, SpiCamera  # noqa: E402
 from hardware.drivers.messages import State  # noqa: E402
-from hardware.drivers.radio import FrontEnd, RadioError, Schedule  # noqa: E402
+from hardware.drivers.radio import RadioError, Schedule  # noqa: E402
 from hardware.drivers.radio.setup import read_setup, write_setup  # noqa: E402
 from hardware.drivers.settings import read_settings  # noqa: E402
 from hardware.radar import OfdmWaveform  # noqa: E402
 from hardware.recording import Log, read_records  # noqa: E402
 from hardware.recording.reading import Ending  # noqa: E402
+from hardware.records import RadarFrontEnd  # noqa: E402
 
 SCHEDULE = Schedule(OfdmWaveform(2.5e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6), (2.5e9,), 2e-3)
 #: The silent radio asks for this much patience; nothing below may take a third of it.
@@ -81,7 +82,7 @@ def refused(command: dict[str, Any]) -> dict[str, Any]:
 def files(tmp_path: Path) -> list[str | Path]:
     """Options that name settings of a camera and setup of a radio."""
     (tmp_path / "camera.toml").write_text(SETTINGS)
-    write_setup(SCHEDULE, FrontEnd(1e-9, 0.01), tmp_path / "radar.json")
+    write_setup(SCHEDULE, RadarFrontEnd(1e-9, 0.01), tmp_path / "radar.json")
     return ["--settings", tmp_path / "camera.toml", "--radar-setup", tmp_path / "radar.json"]
 
 

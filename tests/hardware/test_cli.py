@@ -8,6 +8,7 @@ from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.reconstruction import METHODS, Mixing
+from hardware.records import QuaternionPose
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SpiRecord]:
         offset_counts=0.0,
         adc_bits=24,
         device="test",
-        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+        pose=QuaternionPose(),
     )
     path = tmp_path_factory.mktemp("record") / "frame.h5"
     write_record(made, path)

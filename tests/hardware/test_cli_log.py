@@ -28,6 +28,7 @@ from hardware.drivers.messages import State
 from hardware.drivers.settings import read_settings
 from hardware.radar import Detection
 from hardware.recording import Log, read_messages, read_records
+from hardware.records import QuaternionPose
 
 
 def record(cells: np.ndarray, device: str = "camera") -> SpiRecord:  # type: ignore[type-arg]
@@ -44,7 +45,7 @@ def record(cells: np.ndarray, device: str = "camera") -> SpiRecord:  # type: ign
         offset_counts=50.0,
         adc_bits=24,
         device=device,
-        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+        pose=QuaternionPose(),
     )
 
 

@@ -27,7 +27,7 @@ from hardware.files import (
     whole_file,
 )
 from hardware.recording import read_messages, recover
-from hardware.records import read_record, write_record
+from hardware.records import QuaternionPose, read_record, write_record
 
 #: None of the files below is larger; what they promise is 256 MiB and more.
 _FILE_BYTES, _MEMORY_BYTES = 1 << 18, 1 << 24
@@ -66,7 +66,7 @@ def record() -> SpiRecord:
         offset_counts=0.0,
         adc_bits=16,
         device="camera",
-        pose=np.array([0, 0, 0, 1.0, 0, 0, 0]),
+        pose=QuaternionPose(),
     )
 
 

@@ -23,7 +23,7 @@ from hardware.reconstruction.methods.total_variation import total_variation
 from hardware.reconstruction.prior import cell_variance, prior_spectrum, walsh_variance
 from hardware.reconstruction.projection import projection
 from hardware.reconstruction.pursuit import batch_omp
-from hardware.records import Flag
+from hardware.records import Flag, QuaternionPose
 
 
 @pytest.fixture(params=["compiled", "NumPy"])
@@ -48,7 +48,7 @@ def record_of(electrons: np.ndarray, patterns: PatternSet, bits: int = 31) -> Sp
         offset_counts=0.0,
         adc_bits=bits,
         device="test",
-        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+        pose=QuaternionPose(),
     )
 
 

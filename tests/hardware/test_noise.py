@@ -10,7 +10,7 @@ from scipy import fft, integrate, stats
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.reconstruction import METHODS, measurements, noise, range_image
 from hardware.reconstruction.imaging import LEVEL_UNKNOWN
-from hardware.records import Flag
+from hardware.records import Flag, Shutter
 
 from .test_methods import record_of, scene
 
@@ -212,7 +212,7 @@ def test_distances_without_a_level_are_said_to_be() -> None:
         device_time_ns=np.arange(n, dtype=np.int64),
         sequence=np.arange(n, dtype=np.uint32),
         flags=flags,
-        shutters=np.array([[2e6, k * np.pi / 2, 0, 0] for k in range(4)]),
+        shutters=tuple(Shutter(2e6, k * np.pi / 2) for k in range(4)),
     )
     assert LEVEL_UNKNOWN in range_image(record).warnings
     assert LEVEL_UNKNOWN not in range_image(replace(record, flags=0 * flags)).warnings

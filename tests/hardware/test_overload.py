@@ -56,7 +56,7 @@ def test_an_overloaded_camera_answers_stops_and_tells_what_it_left_out(firmware:
         before = camera._device.ask(Stop(), type(status))
         time.sleep(0.05)
         after = camera.status()
-        assert camera.tally.restarts == camera.tally.reconnects == 0
+        assert camera.statistics.restarts == camera.statistics.reconnects == 0
     assert min(waits) < 0.1
     assert status.dropped > 0.5 * status.frames
     assert max(ages) < BACKLOG_S + BUSY_S

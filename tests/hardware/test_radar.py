@@ -21,7 +21,13 @@ from hardware.radar import (
     range_doppler,
 )
 from hardware.radar.windows import taper
-from hardware.records import RadarRecord, read_radar_record, write_radar_record
+from hardware.records import (
+    QuaternionPose,
+    RadarFrontEnd,
+    RadarRecord,
+    read_radar_record,
+    write_radar_record,
+)
 
 C = 299_792_458.0
 HYBRID = OfdmWaveform(79e9, 4096, 976_562.5, 256, 39.0625e-6, 37, 1.024e-6)
@@ -53,16 +59,10 @@ def record_of(received: np.ndarray, wave: OfdmWaveform, scale: float) -> RadarRe
         flags=np.zeros((1, 1, wave.n_slots), np.uint8),
         carriers_hz=np.array([wave.carrier_hz]),
         transmitter=np.zeros(wave.n_slots, np.uint8),
-        transmitters_m=np.zeros((1, 3)),
-        receivers_m=np.zeros((1, 3)),
         waveform=wave,
-        root_watt_per_count=scale,
-        transmit_power_w=1.0,
-        antenna_gain_dbi=20.0,
-        losses_db=0.0,
-        leakage_delay_s=float("nan"),
+        front_end=RadarFrontEnd(scale, 1.0, antenna_gain_dbi=20.0, losses_db=0.0),
         device="test",
-        pose=np.array([[0, 0, 0, 1, 0, 0, 0]], dtype=np.float64),
+        pose=(QuaternionPose(),),
     )
 
 
@@ -237,8 +237,8 @@ def test_radar_record_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.iq, record.iq)
     assert back.waveform == record.waveform
     assert back.iq.dtype == np.int16
-    assert back.antenna_gain_dbi == 20.0
-    assert np.isnan(back.leakage_delay_s)
+    assert back.front_end.antenna_gain_dbi == 20.0
+    assert np.isnan(back.front_end.leakage_delay_s)
 
 
 def test_version_1_is_read_as_one_burst_of_one_antenna(tmp_path: Path) -> None:
@@ -255,9 +255,10 @@ def test_version_1_is_read_as_one_burst_of_one_antenna(tmp_path: Path) -> None:
             del file.attrs[name]
         file.attrs["schema_version"] = 1
     back = read_radar_record(tmp_path / "r.h5")
-    for name in ("iq", "device_time_ns", "flags", "pose", "carriers_hz", "receivers_m"):
+    for name in ("iq", "device_time_ns", "flags", "pose", "carriers_hz"):
         np.testing.assert_array_equal(getattr(back, name), getattr(record, name))
-    assert np.isnan(back.antenna_gain_dbi)
+    assert np.array_equal(back.front_end.receivers_m, record.front_end.receivers_m)
+    assert np.isnan(back.front_end.antenna_gain_dbi)
 
 
 @pytest.mark.parametrize(
@@ -265,8 +266,9 @@ def test_version_1_is_read_as_one_burst_of_one_antenna(tmp_path: Path) -> None:
     [
         ({"carriers_hz": np.array([78e9])}, "does not begin"),
         ({"transmitter": np.ones(SMALL.n_slots, np.uint8)}, "transmitters_m holds 1"),
-        ({"receivers_m": np.zeros((2, 3))}, "iq: shape"),
-        ({"pose": np.zeros((2, 7))}, "pose: shape"),
+        ({"front_end": RadarFrontEnd(1.0, 1.0, receivers_m=np.zeros((2, 3)))}, "iq: shape"),
+        ({"pose": np.zeros((1, 7))}, "pose: a ndarray, expected a tuple"),
+        ({"pose": (QuaternionPose(),) * 2}, "pose: 2, expected one for each of 1"),
     ],
 )
 def test_a_record_that_contradicts_itself_is_refused(change, told) -> None:

@@ -21,7 +21,7 @@ from hardware.radar.process import Processing, process
 from hardware.radar.quadrature import image_ratios
 from hardware.radar.whitening import whitened
 from hardware.waveform import OfdmWaveform
-from tests.hardware.radar_cubes import STEP, WIDE, C, Echo, cube
+from tests.hardware.radar_cubes import STEP, WIDE, C, Echo, calibrated, cube
 
 #: 3 transmitters by turns and 4 receivers, as `hybrid-79-mimo`, an eighth of its cells.
 TURNS = OfdmWaveform(79e9, 1024, 3.90625e6, 129, 39.0625e-6, 37, 0.25e-6)
@@ -103,12 +103,8 @@ def noisy_leakage(echoes, thermal_db: float, phase_rad: float, seed: int = 0):
     exact = echo_samples(bare, echoes) + turned
     exact = exact + 10 ** (thermal_db / 20) * noise(rng, 129, 4, n)
     parts = np.stack([exact.real, exact.imag], axis=-1) / 1e-4
-    return replace(
-        bare,
-        iq=np.rint(parts).astype(np.int16)[None, None],
-        root_watt_per_count=1e-4,
-        leakage_delay_s=LEAKAGE_S,
-    )
+    record = replace(bare, iq=np.rint(parts).astype(np.int16)[None, None])
+    return calibrated(record, root_watt_per_count=1e-4, leakage_delay_s=LEAKAGE_S)
 
 
 def echo_samples(record, echoes) -> np.ndarray:
@@ -118,8 +114,10 @@ def echo_samples(record, echoes) -> np.ndarray:
     total = np.zeros((129, 4, n), dtype=complex)
     for echo in echoes:
         place = np.asarray(echo.place_m) + np.outer(TURNS.slot_times_s, echo.velocity_m_per_s)
-        sending = np.linalg.norm(place - record.transmitters_m[record.transmitter], axis=-1)
-        receiving = np.linalg.norm(place[:, None] - record.receivers_m, axis=-1)
+        sending = np.linalg.norm(
+            place - record.front_end.transmitters_m[record.transmitter], axis=-1
+        )
+        receiving = np.linalg.norm(place[:, None] - record.front_end.receivers_m, axis=-1)
         delay = ((sending[:, None] + receiving) / C)[..., None]
         spectrum = np.exp(-2j * np.pi * (TURNS.carrier_hz * delay % 1.0 + f * delay))
         spectrum *= np.sqrt(echo.power_w) * TURNS.sent()
@@ -299,7 +297,7 @@ def test_steps_without_leakage_are_joined_as_they_are_and_said_to_be() -> None:
     carriers = 2.26e9 + 20e6 * np.arange(25)
     for seed in range(12):
         silent = cube(STEP, [], carriers_hz=carriers, noise_w=1e-10, seed=seed)
-        frame = process(replace(silent, leakage_delay_s=4e-9))
+        frame = process(calibrated(silent, leakage_delay_s=4e-9))
         assert not frame.detections
         assert any("no leakage is seen at its delay of 4e-09 s" in line for line in frame.warnings)
 
@@ -312,7 +310,7 @@ def test_leakage_that_is_not_there_turns_no_echo() -> None:
     echo = Echo((5.0, 0.0, 0.0), 1e-9)
     record = cube(WIDE, [echo], noise_w=1e-3 * echo.power_w * WIDE.n_subcarriers * WIDE.n_slots)
     plain, told = (
-        process(replace(record, leakage_delay_s=delay)) for delay in (float("nan"), 2e-9)
+        process(calibrated(record, leakage_delay_s=delay)) for delay in (float("nan"), 2e-9)
     )
     assert len(plain.detections) == len(told.detections) == 1
     assert told.detections[0].power_w == pytest.approx(plain.detections[0].power_w, rel=0.1)

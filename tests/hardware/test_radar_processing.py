@@ -7,12 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from radar_cubes import CARRIERS, HALF, MIMO, STEP, WIDE, C, Echo, cube, resolved, two_targets
+from radar_cubes import (
+    CARRIERS,
+    HALF,
+    MIMO,
+    STEP,
+    WIDE,
+    C,
+    Echo,
+    calibrated,
+    cube,
+    resolved,
+    two_targets,
+)
 from scipy import stats
 
 from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
 from hardware.radar.angles import compensated, direction
-from hardware.radar.burst import demodulate, even_turns
+from hardware.radar.burst import demodulate, tdm_schedule
 from hardware.radar.clutter import without_leakage, without_static
 from hardware.radar.detection import detected
 from hardware.radar.music import music
@@ -272,9 +284,11 @@ def test_music_tells_two_of_one_cell_apart() -> None:
 
 
 def test_turns_that_are_none_are_refused() -> None:
-    with pytest.raises(ValueError, match="do not take even turns"):
-        even_turns(np.array([0, 0, 1, 0], dtype=np.uint8))
-    np.testing.assert_array_equal(even_turns(np.array([1, 0, 1, 0, 1], np.uint8)), [[1, 3], [0, 2]])
+    with pytest.raises(ValueError, match="follow no regular TDM schedule"):
+        tdm_schedule(np.array([0, 0, 1, 0], dtype=np.uint8))
+    np.testing.assert_array_equal(
+        tdm_schedule(np.array([1, 0, 1, 0, 1], np.uint8)), [[1, 3], [0, 2]]
+    )
 
 
 # Carrier steps.
@@ -408,7 +422,7 @@ def test_cross_section_is_the_radar_equations() -> None:
     kept = float(wave.slot_gain(np.array(2 * 5.0 / wave.wavelength_m))) ** 2
     record = cube(wave, [from_above(5.0, 0.0, 5.0, power_w=power * kept)])
     assert process(record).detections[0].rcs_m2 == pytest.approx(4.0, rel=0.01)
-    assert np.isnan(process(replace(record, antenna_gain_dbi=np.nan)).detections[0].rcs_m2)
+    assert np.isnan(process(calibrated(record, antenna_gain_dbi=np.nan)).detections[0].rcs_m2)
 
 
 def test_angles_and_turns_agree_with_what_was_compensated() -> None:

@@ -14,6 +14,7 @@ from scipy import stats
 
 from hardware.radar.detection import Detection, standard_errors
 from hardware.radar.tracking import Track, Tracker
+from hardware.records import QuaternionPose
 from hardware.waveform import OfdmWaveform
 
 #: One transmitter of three, of a radar at 79 GHz with 12 antennas half a wavelength apart.
@@ -312,7 +313,7 @@ def test_an_ambiguous_rate_is_settled_by_the_track(likeliest: str) -> None:
 
 def test_a_turned_vehicles_tracks_are_in_the_world() -> None:
     rng, error = np.random.default_rng(5), np.array([0.05, 0.01, 0.1])
-    pose = np.array([1.0, 2.0, 0.0, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])  # looks along y
+    pose = QuaternionPose(1.0, 2.0, 0.0, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # looks along y
     tracker = Tracker(confirm=1)
     track = tracker.update([seen(np.array([10.0, 0.0, 0.0, 0.0]), error, rng)], 0.1, pose)[0]
     np.testing.assert_allclose(track.state[:2], [1.0, 12.0], atol=0.5)
@@ -326,7 +327,7 @@ def test_a_moving_vehicle_sees_standing_targets_stand() -> None:
     rng, tracker, error = np.random.default_rng(8), Tracker(), errors(20)
     target = np.array([20.0, 6.0, 0.0, 0.0])
     for k in range(44):
-        pose = np.array([0.5 * k, 0, 0, 1, 0, 0, 0.0])
+        pose = QuaternionPose(0.5 * k)
         relative = target - [0.5 * k, 0, 5.0, 0]
         tracker.update([seen(relative, error, rng)], 0.1, pose, velocity_m_per_s=(5.0, 0.0))
     track = max(tracker.tracks, key=lambda one: one.hits)

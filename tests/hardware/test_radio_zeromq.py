@@ -13,7 +13,6 @@ zmq = pytest.importorskip("zmq")
 
 from hardware.drivers.radio import (  # noqa: E402
     Fault,
-    FrontEnd,
     RadioError,
     Schedule,
     acquire,
@@ -22,6 +21,7 @@ from hardware.drivers.radio import (  # noqa: E402
 from hardware.drivers.radio.stream import StreamRadio, requested  # noqa: E402
 from hardware.drivers.radio.zeromq import ZeroMqRadio  # noqa: E402
 from hardware.radar import OfdmWaveform  # noqa: E402
+from hardware.records import RadarFrontEnd  # noqa: E402
 
 WAVE = OfdmWaveform(2.5e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6)
 N = 16 * 72
@@ -109,7 +109,7 @@ def test_commands_and_samples_cross_the_wire() -> None:
         assert heard.there.all()
         assert (heard.start_ns, heard.faults) == (1000, Fault(0))
         schedule = Schedule(WAVE, (2.5e9,), step_period_s=2e-3)
-        record = acquire(radio, schedule, FrontEnd(1e-9, 0.01))
+        record = acquire(radio, schedule, RadarFrontEnd(1e-9, 0.01))
         assert not record.flags.any()
     assert [c["do"] for c in peer.commands[:3]] == ["open", "tune", "time"]
     assert peer.commands[-1]["do"] == "close"
@@ -317,7 +317,7 @@ def test_plain_virtual_radio(style: str) -> None:
             heard = radio.burst(sent, 0)
             assert np.array_equal(heard.samples[0], (0.5 * sent).astype(np.complex64))
             assert heard.start_ns == k * N * 50
-        record = acquire(radio, Schedule(WAVE, (2.5e9,), 2e-3), FrontEnd(1e-9, 0.01))
+        record = acquire(radio, Schedule(WAVE, (2.5e9,), 2e-3), RadarFrontEnd(1e-9, 0.01))
         assert not record.flags.any()
         with pytest.raises(RadioError, match="stands at 2500000000 Hz, asked for 2520000000 Hz"):
             radio.tune(2.52e9)

@@ -1,5 +1,6 @@
 """Distance images from phase shutters or gates, against light simulated from the definition."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from hardware.reconstruction import METHODS, range_image
 from hardware.reconstruction.depth import C_M_PER_S
 from hardware.reconstruction.gating import echo
 from hardware.reconstruction.ranging import AT_RAIL, PULSE_UNKNOWN
-from hardware.records import Flag
+from hardware.records import Flag, QuaternionPose, Shutter
 
 TWO = (10e6, 13e6)
 
@@ -26,7 +27,9 @@ def scene(side: int = 16) -> tuple[np.ndarray, np.ndarray]:
     return light, distance
 
 
-def record_of(cells: np.ndarray, shutters: np.ndarray, patterns: PatternSet) -> SpiRecord:
+def record_of(
+    cells: np.ndarray, shutters: Sequence[Sequence[float]], patterns: PatternSet
+) -> SpiRecord:
     """``cells`` (n_shutters, n_cells) over the sun, which is the same in every shutter."""
     electrons = np.stack([patterns.signal(c) for c in cells], axis=1) + 1e6
     n = electrons.size
@@ -41,8 +44,8 @@ def record_of(cells: np.ndarray, shutters: np.ndarray, patterns: PatternSet) -> 
         offset_counts=0.0,
         adc_bits=31,
         device="test",
-        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
-        shutters=shutters,
+        pose=QuaternionPose(),
+        shutters=tuple(Shutter(*numbers) for numbers in shutters),
     )
 
 
@@ -54,7 +57,7 @@ def lock_in(
     steps = [(f, p) for f in frequencies for p in 2 * np.pi * np.arange(n_phases) / n_phases]
     tau = 2 * distance.ravel() / C_M_PER_S
     cells = [light.ravel() * (1 + 0.8 * np.cos(2 * np.pi * f * tau - p)) / 2 for f, p in steps]
-    shutters = np.array([(f, p, 0.0, 0.0) for f, p in steps])
+    shutters = [(f, p) for f, p in steps]
     record = record_of(np.array(cells), shutters, PatternSet(16, 16, count))
     draw = np.random.default_rng(0).normal(size=record.counts.shape) * noise
     return replace(record, counts=np.rint(record.counts + draw).astype(np.int32))
@@ -84,7 +87,7 @@ def test_the_sign_of_the_phase_is_that_of_depth() -> None:
     phases = np.pi / 2 * np.arange(4)
     tau = 2 * 4.0 / C_M_PER_S
     cells = np.outer((1 + np.cos(2 * np.pi * f * tau - phases)) / 2, np.full(64, 1e6))
-    shutters = np.stack([np.full(4, f), phases, np.zeros(4), np.zeros(4)], axis=1)
+    shutters = [(f, phase) for phase in phases.tolist()]
     found = range_image(record_of(cells, shutters, patterns), "zero-fill")
     np.testing.assert_allclose(found.distance_m, 4.0, atol=1e-4)
 
@@ -117,7 +120,7 @@ def gated(delays_s: np.ndarray, width_s: float, pulse_s: float, stated: bool = T
     tau = 2 * distance.ravel() / C_M_PER_S
     overlap = [np.minimum(tau + pulse_s, d + width_s) - np.maximum(tau, d) for d in delays_s]
     cells = light.ravel() * np.maximum(overlap, 0) / pulse_s
-    shutters = np.array([(0.0, 0.0, d, width_s) for d in delays_s])
+    shutters = [(0.0, 0.0, d, width_s) for d in delays_s]
     record = record_of(cells, shutters, PatternSet(16, 16, 256))
     return replace(record, pulse_width_s=pulse_s) if stated else record
 
@@ -251,14 +254,16 @@ def test_noise_alone_is_no_echo() -> None:
 @pytest.mark.parametrize(
     ("shutters", "complaint"),
     [
-        (np.zeros((1, 4)), "shutters: expected the phases"),
-        (np.array([[1e7, 0, 0, 0], [0, 0, 1e-8, 1e-8]]), "shutters: expected the phases"),
+        ([()], "shutters: expected the phases"),
+        ([(1e7,), (0.0, 0.0, 1e-8, 1e-8)], "shutters: expected the phases"),
         (np.array([[1e7, 0, 0, 0], [1e7, np.pi, 0, 0]]), "at least three"),
         (np.array([[1e7, 1.0, 0, 0]] * 3), "at least three"),
         (np.array([[1e7, p, 0, 0] for p in (0, 2, 4)] + [[2e7, 0, 0, 0]]), "2e.07 Hz, at least"),
     ],
 )
-def test_shutters_that_tell_no_distance_are_refused(shutters: np.ndarray, complaint: str) -> None:
+def test_shutters_that_tell_no_distance_are_refused(
+    shutters: Sequence[Sequence[float]], complaint: str
+) -> None:
     cells = np.ones((len(shutters), 16))
     with pytest.raises(ValueError, match=complaint):
         range_image(record_of(cells, shutters, PatternSet(4, 4, 16)), "zero-fill")

@@ -10,7 +10,7 @@ from hardware.patterns import fwht
 from hardware.reconstruction import METHODS, fits_in_memory, measurements
 from hardware.reconstruction.methods.lmmse import lmmse_plan
 from hardware.reconstruction.sensing import Sensing
-from hardware.records import Flag
+from hardware.records import Flag, QuaternionPose
 
 lmmse = METHODS["lmmse"]
 
@@ -31,7 +31,7 @@ def record_of(
         offset_counts=0.0,
         adc_bits=31,
         device="test",
-        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+        pose=QuaternionPose(),
     )
 
 

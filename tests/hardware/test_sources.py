@@ -12,6 +12,7 @@ from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord
 from hardware.recording import Received, read_records
+from hardware.records import QuaternionPose
 from hardware.sources import SourceError, open_source
 
 RECORD = SpiRecord(
@@ -25,7 +26,7 @@ RECORD = SpiRecord(
     offset_counts=0.0,
     adc_bits=12,
     device="elsewhere",
-    pose=np.array([0, 0, 0, 1, 0, 0, 0], np.float64),
+    pose=QuaternionPose(),
 )
 
 

@@ -29,7 +29,7 @@ from hardware.drivers.messages import (
     to_frame,
 )
 from hardware.drivers.table import table_bytes
-from hardware.records import Flag
+from hardware.records import Flag, QuaternionPose, Shutter
 
 QUICK = Patience(reply_s=0.4, attempts=3, reconnect_s=5.0, between_attempts_s=0.05)
 PATTERNS = PatternSet(8, 8, 64)
@@ -96,12 +96,15 @@ def bridged(terminal: str) -> Iterator[Bridge]:
 
 
 def test_records_are_what_the_device_measured(firmware: Any) -> None:
-    pose = (1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0)
+    pose = QuaternionPose(1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0)
     settings = replace(SETTINGS, gain=1, pattern_period_s=25e-6, pose=pose)
     with firmware.running("--fast") as path, SpiCamera(path, settings, patience=QUICK) as camera:
         records = list(camera.records(sets=20))
         assert camera.clock is not None
-        assert vars(camera.tally) == {**dict.fromkeys(vars(camera.tally), 0), "frames": 40}
+        assert vars(camera.statistics) == {
+            **dict.fromkeys(vars(camera.statistics), 0),
+            "frames": 40,
+        }
     assert len(records) == 20
     for number, record in enumerate(records):
         np.testing.assert_array_equal(record.counts, firmware.counts(PATTERNS, gain=1))
@@ -112,7 +115,7 @@ def test_records_are_what_the_device_measured(firmware: Any) -> None:
         np.testing.assert_array_equal(record.flags, flags)
         assert (record.electrons_per_count, record.offset_counts) == (0.5, 100.0)
         assert (record.integration_time_s, record.adc_bits) == (10e-6, 16)
-        assert tuple(record.pose) == pose
+        assert record.pose == pose
     assert records[1].device_time_ns[0] - records[0].device_time_ns[0] == 128 * 25_000
 
 
@@ -125,7 +128,7 @@ def test_patterns_by_name_or_uploaded_are_the_same(firmware: Any, order: str, mo
         if order == "custom"
         else PatternSet(4, 8, 20, order, mode)  # type: ignore[arg-type]
     )
-    shutters = ((1e7, 0.0, 0.0, 0.0), (1e7, 1.0, 0.0, 0.0))
+    shutters = (Shutter(1e7), Shutter(1e7, 1.0))
     settings = SpiSettings(
         patterns, 10e-6, shutters=shutters, pulse_width_s=2e-8, exposures_per_frame=7
     )
@@ -188,7 +191,7 @@ def test_a_reset_device_is_set_up_and_started_again(firmware: Any) -> None:
         SpiCamera(path, SETTINGS, patience=QUICK) as camera,
     ):
         records = list(camera.records(sets=40))
-        assert camera.tally.restarts == 1
+        assert camera.statistics.restarts == 1
     resets = [number for number, r in enumerate(records) if (r.flags & Flag.RESET).any()]
     assert resets == [0, 16]
     assert len(records) == 40
@@ -209,8 +212,8 @@ def test_a_table_is_sent_again_only_to_a_device_that_lost_it(
         SpiCamera(path, settings, patience=QUICK) as camera,
     ):
         records = list(camera.records(sets=40 if uploads > 1 else 16))
-        assert camera.tally.restarts >= 1
-        assert camera.tally.uploads == uploads
+        assert camera.statistics.restarts >= 1
+        assert camera.statistics.uploads == uploads
     for record in records:
         np.testing.assert_array_equal(record.counts, firmware.counts(settings.patterns))
 
@@ -221,7 +224,7 @@ def test_a_device_that_falls_silent_is_started_again(firmware: Any) -> None:
         SpiCamera(path, SETTINGS, patience=QUICK) as camera,
     ):
         records = list(camera.records(sets=8))
-        assert camera.tally.restarts >= 1
+        assert camera.statistics.restarts >= 1
     assert len(records) == 8
 
 
@@ -238,9 +241,9 @@ def test_a_broken_line_is_opened_again_and_the_run_goes_on(firmware: Any) -> Non
             records.append(record)
             if len(records) in (50, 150):
                 bridge.cut.set()
-        assert camera.tally.reconnects >= 1
-        assert camera.tally.restarts == 0
-        n_lost = camera.tally.lost
+        assert camera.statistics.reconnects >= 1
+        assert camera.statistics.restarts == 0
+        n_lost = camera.statistics.lost
     missing = {number for numbers in lost for number in numbers}
     assert n_lost == len(missing)
     check_against(firmware, records, missing)
@@ -264,8 +267,8 @@ def test_a_port_behind_rfc2217_is_as_good_as_the_terminal_itself(firmware: Any) 
             records.append(record)
             if len(records) == 20:
                 cut.set()
-        assert camera.tally.reconnects >= 1
-        assert camera.tally.restarts == 0
+        assert camera.statistics.reconnects >= 1
+        assert camera.statistics.restarts == 0
     check_against(firmware, records, {number for numbers in lost for number in numbers})
     assert 20 <= len(records) <= 200
 
@@ -299,7 +302,7 @@ def test_spoiled_bytes_are_lost_frames_and_nothing_else(firmware: Any) -> None:
         with SpiCamera(bridge.url, SETTINGS, on_loss=lost.append, patience=stubborn) as camera:
             bridge.spoil = spoil
             records = list(camera.records(sets=300))
-            assert camera.tally.rejected > 0
+            assert camera.statistics.rejected > 0
     missing = {number for numbers in lost for number in numbers}
     assert missing
     check_against(firmware, records, missing)
@@ -340,7 +343,7 @@ def test_lost_patterns_are_left_out_of_the_image() -> None:
         offset_counts=0.0,
         adc_bits=24,
         device="test",
-        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+        pose=QuaternionPose(),
     )
     assert record.received is record
     flags, counts = record.flags.copy(), record.counts.copy()
@@ -418,8 +421,8 @@ def test_what_the_device_cannot_do_is_refused(
         {"exposures_per_frame": -1},
         {"gain": 1.5},
         {"shutters": ()},
-        {"shutters": ((float("nan"), 0.0, 0.0, 0.0),)},
-        {"shutters": ((0.0, 0.0, -1e-9, 1e-9),)},
+        {"shutters": (Shutter(float("nan")),)},
+        {"shutters": (Shutter(gate_delay_s=-1e-9, gate_width_s=1e-9),)},
         {"shutters": ((1e7, 0.0),)},
         {"pose": (0.0,) * 6},
     ],

@@ -9,6 +9,7 @@ from scipy.constants import c as light_speed
 
 from hardware.radar import channel
 from hardware.records import read_radar_record, write_radar_record
+from hardware.records.state import positions
 from twin.fidelity import Fidelity
 from twin.files import InputError, scenes_folder
 from twin.radar import load_radar, radar_capture
@@ -54,10 +55,10 @@ def test_a_track_sees_a_target_from_every_stop() -> None:
     scene = world(target(point, rcs_m2=1e4), track=track)
     record = radar_capture(scene, radar, fidelity=QUIET).record
     assert record.iq.shape[0] == 9
-    np.testing.assert_allclose(record.pose[:, 1], 0.015 * np.arange(9), atol=1e-12)
+    np.testing.assert_allclose(positions(record.pose)[:, 1], 0.015 * np.arange(9), atol=1e-12)
     middle = radar.ofdm.n_subcarriers // 2
     seen = [channel(record, burst=b)[middle].mean() for b in range(9)]
-    ranges = np.linalg.norm(point - record.pose[:, :3], axis=1)
+    ranges = np.linalg.norm(point - positions(record.pose), axis=1)
     exact = np.exp(-4j * np.pi * (ranges / radar.ofdm.wavelength_m % 1.0))
     assert np.abs(np.angle(np.array(seen) / exact)).max() < 3e-3
 
@@ -130,9 +131,9 @@ def test_an_array_finds_a_targets_azimuth() -> None:
     steer = 2 * np.pi * np.sin(beams) / radar.ofdm.wavelength_m
     undo = np.exp(2j * np.pi * radar.ofdm.frequency_offsets_hz * delay)[:, None]
     total = np.zeros(len(beams), dtype=complex)
-    for receiver, at in enumerate(record.receivers_m):
+    for receiver, at in enumerate(record.front_end.receivers_m):
         seen = channel(record, receiver=receiver) * undo
-        for sender, there in enumerate(record.transmitters_m):
+        for sender, there in enumerate(record.front_end.transmitters_m):
             value = seen[:, record.transmitter == sender].mean()
             total += value * np.exp(-1j * steer * (at[1] + there[1]))
     assert np.degrees(beams[np.argmax(np.abs(total))]) == pytest.approx(-23.0, abs=0.15)
@@ -142,7 +143,7 @@ def test_an_arrays_record_says_who_sends() -> None:
     taken = radar_capture(world(target((20.0, 0, 0))), load_radar("hybrid-79-mimo"), fidelity=FREE)
     assert taken.record.transmitter[:7].tolist() == [0, 1, 2, 0, 1, 2, 0]
     assert taken.record.iq.shape == (1, 1, 255, 4, 4096, 2)
-    assert taken.record.leakage_delay_s == 0.3e-9
+    assert taken.record.front_end.leakage_delay_s == 0.3e-9
     assert any("take turns by slot" in a and "8.1 m/s" in a for a in taken.assumptions)
     assert not taken.record.flags.any()
 

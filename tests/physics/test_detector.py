@@ -11,7 +11,7 @@ from designs import QUIET
 from scipy import constants, stats
 
 from hardware import PatternSet, SpiRecord, reconstruct
-from hardware.records import Flag
+from hardware.records import Flag, QuaternionPose
 from twin.detector import FrontEnd, expose, noise_budget
 from twin.system import System, load_part, load_system
 
@@ -37,7 +37,7 @@ def record_from(counts: np.ndarray, patterns: PatternSet, front_end: FrontEnd) -
         offset_counts=front_end.offset_counts,
         adc_bits=front_end.adc_bits,
         device="test",
-        pose=np.array([0, 0, 0, 1, 0, 0, 0], dtype=np.float64),
+        pose=QuaternionPose(),
     )
 
 

@@ -92,16 +92,20 @@ class Driven(Source):
                 records = camera.records()
                 found.append(list(islice(records, SETS)))
                 records.close()
-            assert (camera.tally.lost, camera.tally.rejected, camera.tally.restarts) == (0, 0, 0)
+            assert (
+                camera.statistics.lost,
+                camera.statistics.rejected,
+                camera.statistics.restarts,
+            ) == (0, 0, 0)
         return found
 
     def uploads(self, wanted: list[SpiSettings]) -> list[int]:
         sent = []
         with SpiCamera(self.url, wanted[0], patience=PATIENCE) as camera:
             for camera.settings in wanted:
-                before = camera.tally.uploads
+                before = camera.statistics.uploads
                 check(camera.acquire(), camera.settings)
-                sent.append(camera.tally.uploads - before)
+                sent.append(camera.statistics.uploads - before)
         return sent
 
     def table_crc(self, wanted: SpiSettings) -> int:

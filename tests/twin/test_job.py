@@ -23,7 +23,7 @@ from twin.camera.light import render
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
 from twin.files import InputError, whole_folder
-from twin.job import run
+from twin.job import run, stage_names
 from twin.radar import load_radar
 from twin.scene import load_scene, parse_pose
 from twin.system import load_system
@@ -114,12 +114,15 @@ def test_the_radar_record_alone_gives_the_detections(finished: Path) -> None:
 
 def test_paths_and_sigmf_come_on_request_and_the_radar_can_stay_away(tmp_path: Path) -> None:
     common = {"compare": None, "fidelity": FAST}
-    run("table1", out=tmp_path / "a", paths=True, sigmf=True, **common)
+    result = run("table1", out=tmp_path / "a", paths=True, sigmf=True, **common)
     run("table1", out=tmp_path / "b", radar=None, **common)
     extra = {"paths.csv", "radar.sigmf-data", "radar.sigmf-meta"}
     radar = {"radar.h5", "detections.csv", "truth.csv", "range_doppler.png", "radar_cuts.png"}
     assert {path.name for path in (tmp_path / "a").iterdir()} == FILES | extra
     assert {path.name for path in (tmp_path / "b").iterdir()} == FILES - radar
+    # The progress bar counts the stages that there are.
+    names = stage_names([one.system for one in result.evaluations], load_radar("hybrid-79"))
+    assert set(names) == set(result.seconds)
 
 
 def test_an_empty_scene_runs_to_its_report(tmp_path: Path) -> None:

@@ -215,7 +215,7 @@ def test_several_poses_in_turn(twin_truth, tmp_path: Path) -> None:
 
     def dark_from_the_second(record):
         image = lmmse(record)
-        return image if record.pose[0] == 0.0 else 0.8 * image
+        return image if record.pose.x_m == 0.0 else 0.8 * image
 
     def camera(method, reason: str | None = None, poses=poses):
         fixture = Regression(twin_truth, tmp_path, tmp_path, "test", "test", reason, [])

@@ -33,7 +33,7 @@ from hardware.drivers.messages import (
     to_frame,
 )
 from hardware.recording import Log
-from hardware.records import Flag
+from hardware.records import Flag, Shutter
 from hardware.sources import open_source
 from twin.camera.acquisition import capture
 from twin.camera.stream import stills
@@ -57,8 +57,13 @@ def test_camera_and_twin_give_the_same_counts(world, line: str, tmp_path: Path) 
         SpiCamera(url, SETTINGS) as camera,
     ):
         records = list(camera.records(sets=100))
-        tally = camera.tally
-    assert (tally.lost, tally.rejected, tally.refused, tally.restarts) == (0, 0, 0, 0)
+        statistics = camera.statistics
+    assert (statistics.lost, statistics.rejected, statistics.refused, statistics.restarts) == (
+        0,
+        0,
+        0,
+        0,
+    )
     expected = direct(world, SETTINGS, 100)
     assert len(records) == 100
     for number, (got, wanted) in enumerate(zip(records, expected, strict=True)):
@@ -118,7 +123,7 @@ def test_what_the_host_asks_for(world, patterns: PatternSet, integration_s: floa
         ({"gain": 1}, "gain: no such step"),
         ({"integration_time_s": 1e-8}, "integration_time_s: outside"),
         ({"pattern_period_s": 81e-6}, "pattern_period_s: shorter"),
-        ({"shutters": ((1e7, 0.0, 0.0, 0.0),)}, "shutters: this camera has"),
+        ({"shutters": (Shutter(1e7),)}, "shutters: this camera has"),
         ({"patterns": PatternSet.of(16, 16, [7, 200, 9])}, "the table of no order that I know"),
     ],
 )
@@ -137,7 +142,7 @@ def test_an_uploaded_table_is_shown_and_outlives_a_restart(world) -> None:
     wanted = replace(SETTINGS, patterns=patterns, upload=True)
     with served(world) as server, SpiCamera(server.line.url, wanted) as camera:
         first, second = camera.acquire(), camera.acquire()
-        uploads = camera.tally.uploads
+        uploads = camera.statistics.uploads
     (expected,) = direct(world, wanted, 1)
     for record in (first, second):
         assert np.array_equal(record.counts, expected.counts)
@@ -234,8 +239,8 @@ def test_what_arrives_is_right_and_what_does_not_is_named(world, name: str) -> N
         SpiCamera(server.line.url, wanted, patience=PATIENCE, on_loss=lost.extend) as camera,
     ):
         records = list(camera.records(sets=40))
-        tally = camera.tally
-    assert tally.restarts == 0
+        statistics = camera.statistics
+    assert statistics.restarts == 0
     expected = {int(k): r for k, r in enumerate(direct(world, wanted, 40))}
     gone = set(range(160))
     for record in records:
@@ -256,8 +261,8 @@ def test_a_reset_begins_anew(world) -> None:
         SpiCamera(server.line.url, SETTINGS, patience=PATIENCE) as camera,
     ):
         records = list(islice(camera.records(), 60))
-        tally = camera.tally
-    assert tally.restarts >= 1
+        statistics = camera.statistics
+    assert statistics.restarts >= 1
     starts = [k for k, r in enumerate(records) if r.flags[0] & Flag.RESET]
     assert len(starts) >= 2
     first = direct(world, SETTINGS, 1)[0]
@@ -273,7 +278,7 @@ def test_a_line_that_is_cut_is_opened_again(world) -> None:
         SpiCamera(server.line.url, SETTINGS, patience=PATIENCE, on_loss=lost.extend) as camera,
     ):
         records = list(camera.records(sets=30))
-        assert camera.tally.reconnects >= 1
+        assert camera.statistics.reconnects >= 1
     expected = direct(world, SETTINGS, 30)
     for record in records:
         here = (record.flags & Flag.LOST) == 0

@@ -96,7 +96,7 @@ def test_both_commands_find_the_same(radar: str, seen: Seen) -> None:
     np.testing.assert_allclose(cloud["x"], ranges * np.cos(azimuth), rtol=1e-6)
     np.testing.assert_allclose(cloud["y"], ranges * np.sin(azimuth), rtol=1e-6, atol=1e-6)
     assert np.isnan(cloud["z"]).all()  # none of these arrays reaches upwards
-    assert np.isnan(cloud["y"]).all() == (len(capture(radar).record.receivers_m) == 1)
+    assert np.isnan(cloud["y"]).all() == (len(capture(radar).record.front_end.receivers_m) == 1)
     nearest = min(target.range_m for target in capture(radar).truth)
     cell_m = twin.load_radar(radar).ofdm.range_cell_m / len(capture(radar).record.carriers_hz)
     assert np.abs(cloud["range_m"] - nearest).min() < cell_m / 4

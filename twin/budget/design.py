@@ -17,7 +17,13 @@ from twin.camera.shutters import shutters
 from twin.detector import FrontEnd, NoiseBudget, noise_budget
 from twin.files import InputError
 from twin.optics.passband import passband
-from twin.optics.radiometry import Collection, collection, mean_cos_power, wall_power_w
+from twin.optics.radiometry import (
+    Collection,
+    cell_centres,
+    collection,
+    mean_cos_power,
+    wall_power_w,
+)
 from twin.optics.spectra import responsivity_a_per_w
 from twin.system import Sky, System
 from twin.toml import Sourced
@@ -222,6 +228,6 @@ def _where_at(rising: Callable[[float], float], ends: tuple[float, float], level
 
 def _field(lens: Collection) -> tuple[Array, NDArray[np.bool_]]:
     """Angles to the axis over the square around the field, and what of it is outside, alike."""
-    side = ((np.arange(_PARTS) + 0.5) / _PARTS * 2 - 1) * lens.tan_half_field
+    side = cell_centres(_PARTS) * lens.tan_half_field
     radius = np.hypot(side[:, None], side)
     return np.arctan(radius), (lens.outline == "disc") & (radius > lens.tan_half_field)

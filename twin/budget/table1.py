@@ -13,6 +13,7 @@ from twin.budget.link import (
     noise_e,
 )
 from twin.files import InputError
+from twin.optics.radiometry import cell_centres
 from twin.optics.spectra import in_band_fraction, responsivity_a_per_w, sun_in_band
 from twin.system import Detector, Part, System
 
@@ -84,7 +85,7 @@ def _responsivity(system: System, part: Part) -> float:
     found = responsivity_a_per_w(detector, emitter, system.filter)
     try:
         detector.check_quantum_limit(found, emitter.peak_wavelength_m.value)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"part {part.name}: {error}") from error
     return found
 
@@ -93,7 +94,7 @@ def _share(system: System, over_field: bool) -> float:
     if not over_field:
         return in_band_fraction(system.emitter, system.filter)
     edge = np.tan(np.radians(system.optics.field_of_view_deg.value / 2))
-    side = (np.arange(32) + 0.5) / 32 * edge  # a quarter of the field
+    side = cell_centres(64)[32:] * edge  # a quarter of the field
     angles = np.degrees(np.arctan(np.hypot(side[:, None], side)))
     shares = [in_band_fraction(system.emitter, system.filter, a) for a in angles.ravel()]
     return float(np.mean(shares))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
+from twin.camera import light
 from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_range_error
 from twin.camera.chain import Chain
 from twin.camera.distortion import distortions
@@ -116,6 +117,11 @@ class Capture:
         return is_void(self.warnings)
 
 
+def stages(system: System) -> tuple[str, ...]:
+    """Names of the stages of `capture`."""
+    return (*light.stages(system), "detector")
+
+
 def capture(
     scene: Scene,
     system: System,
@@ -171,14 +177,12 @@ def measure(
     power = chain.powers(rendered)
     signal_w, counts, flags = chain.take(power, rng=rng, noise=noise)
     sun_w = float(chain.open_share.mean()) * power.sun_w
-    noise_e = [
-        chain.noise(signal, sun).cells_noise_e(system.patterns)
-        for signal, sun in zip(np.moveaxis(signal_w, -1, 0), sun_w, strict=True)
-    ]
+    budgets = chain.noise_by_detector(signal_w, power.sun_w)
+    noise_e = np.array([budget.cells_noise_e(system.patterns) for budget in budgets])
     # An image is the sum over all shutters; a dark cell's light is in every exposure alike.
     to_e = (1 - dark_share(system)) * chain.front_end.electrons_per_watt
     cells_e = to_e * power.cells_w.sum(axis=0)
-    of_cells = np.sqrt(len(chain.shutters)) * np.array(noise_e)
+    of_cells = np.sqrt(len(chain.shutters)) * noise_e
     of_image = np.median(of_cells, axis=1)
     sky, depth_m = chain.sky, rendered.truth.depth_m
     record = chain.record(scene.rig.pose, counts, flags)
@@ -192,7 +196,7 @@ def measure(
     scene_e = _without(cells_e, backscatter_e)
     snr = np.where(gone[:, None] | record.patterns.unmeasured_cells, 0.0, kept * scene_e / off)
     range_error = backscatter_range_error(
-        record, to_e * power.cells_w, to_e * power.backscatter_w, np.array(noise_e)
+        record, to_e * power.cells_w, to_e * power.backscatter_w, noise_e
     )
     budget = chain.noise(signal_w, sun_w)
     spoilt = (

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from hardware.reconstruction.ranging import distances
 from hardware.records import SpiRecord
+from hardware.records.state import ALWAYS_OPEN
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
@@ -67,13 +68,14 @@ def backscatter_range_error(
     """
     scene_e = cells_e - backscatter_e
     lit = scene_e.sum(axis=0) > 1e-6 * scene_e.sum(axis=0).max(initial=0.0)
-    if not (record.shutters[:, [0, 3]].any() and backscatter_e.any() and lit.any()):
+    timed = any(shutter != ALWAYS_OPEN for shutter in record.shutters)
+    if not (timed and backscatter_e.any() and lit.any()):
         return None
     shape = (*cells_e.shape[:2], record.patterns.rows, record.patterns.columns)
     errors = np.broadcast_to(noise_e.reshape(shape[1:]), shape)
     seen, true = (distances(record, part.reshape(shape), errors) for part in (cells_e, scene_e))
     off = np.abs(seen.distance_m - true.distance_m)
-    if record.shutters[:, 0].any():  # phases repeat
+    if any(shutter.modulated for shutter in record.shutters):  # phases repeat
         off = np.minimum(off, np.abs(seen.longest_m - off))
     off, claimed = (x.ravel()[lit.ravel()] for x in (off, true.standard_error_m))
     known = np.isfinite(off) & np.isfinite(claimed)

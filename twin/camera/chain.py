@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet
-from hardware.records import SpiRecord
+from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
 from twin.camera.illumination import amplifier_residue, shown, steady
 from twin.camera.light import Rendered
-from twin.camera.shutters import Shutter, shutters
+from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
 from twin.fidelity import Noise
 from twin.optics.emission import cell_gains
@@ -46,7 +46,7 @@ class Chain:
     system: System
     lens: Collection
     sky: Passband
-    shutters: tuple[Shutter, ...]
+    shutters: tuple[ShutterResponse, ...]
     front_end: FrontEnd
     gains: Array
 
@@ -141,6 +141,18 @@ class Chain:
         relative = fluctuation.value if fluctuation else 0.0
         return noise_budget(signal_w, sun_w, self.front_end, relative)
 
+    def noise_by_detector(self, signal_w: Array, sun_w: Array) -> list[NoiseBudget]:
+        """Budget of each detector, in one exposure.
+
+        ``signal_w`` (n_exposures, n_shutters, n_detectors) as `take` gives it; ``sun_w``
+        (n_detectors,) while the detector is open.
+        """
+        sun_w = float(self.open_share.mean()) * sun_w
+        return [
+            self.noise(signal, sun)
+            for signal, sun in zip(np.moveaxis(signal_w, -1, 0), sun_w, strict=True)
+        ]
+
     def record(
         self, pose: Pose, counts: NDArray[np.int32], flags: NDArray[np.uint8], number: int = 0
     ) -> SpiRecord:
@@ -148,30 +160,24 @@ class Chain:
         n, system = len(counts), self.system
         period_ns = system.acquisition.pattern_period_s.value * 1e9
         exposures = np.arange(number * n, (number + 1) * n)
-        x, y, z, w = pose.rotation.as_quat()
         return SpiRecord(
             counts=counts,
             device_time_ns=np.rint(exposures * period_ns).astype(np.int64),
             sequence=(exposures % 2**32).astype(np.uint32),
             flags=flags,
             patterns=self.patterns,
-            shutters=np.array(
-                [
-                    (t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s)
-                    for t in self.shutters
-                ]
-            ),
+            shutters=tuple(shutter.recorded for shutter in self.shutters),
             pulse_width_s=self.shutters[0].pulse_width_s,
             integration_time_s=system.acquisition.integration_time_s.value,
             electrons_per_count=self.front_end.electrons_per_count,
             offset_counts=self.front_end.offset_counts,
             adc_bits=self.front_end.adc_bits,
             device=f"twin {__version__}: {system.name}",
-            pose=np.array([*pose.position_m, w, x, y, z]),
+            pose=QuaternionPose.of(pose.position_m, pose.rotation),
         )
 
 
-def _through(shutter: Shutter, cells: Array, paths: Paths | None) -> Array:
+def _through(shutter: ShutterResponse, cells: Array, paths: Paths | None) -> Array:
     """Light (n_detectors, n_cells) that a shutter lets in."""
     if shutter.response is None:
         return cells

@@ -80,6 +80,11 @@ class Rendered:
         return np.degrees(np.arccos(np.clip(cos, -1, 1))), np.degrees(np.arctan(parts))
 
 
+def stages(system: System) -> tuple[str, ...]:
+    """Names of the stages of `render`."""
+    return ("scene", "truth", "transport", "sun", *(("air",) if system.weather else ()))
+
+
 def render(
     scene: Scene,
     system: System,

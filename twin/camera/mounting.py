@@ -11,7 +11,7 @@ from twin.files import InputError
 from twin.optics.devices import Device
 from twin.optics.emission import lobe_exponent
 from twin.optics.problem import LightProblem
-from twin.optics.radiometry import Collection, collection
+from twin.optics.radiometry import Collection, cell_centres, collection
 from twin.optics.weather import air_of_system
 from twin.scene import Scene
 from twin.scene.enclosure import touches
@@ -101,5 +101,6 @@ def _tan(angle_deg: float) -> float:
 
 def field_points(shape: tuple[int, ...], tan_half_field: float) -> tuple[Array, Array]:
     """Middle of each cell on the plane at distance 1, left and up."""
-    up, left = (tan_half_field * (1 - (2 * np.arange(n) + 1) / n) for n in shape)
+    # From 0, so that the middle of an odd number is no negative zero.
+    up, left = (tan_half_field * (0.0 - cell_centres(n)) for n in shape)
     return np.broadcast_to(left, shape), np.broadcast_to(up[:, None], shape)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.records import Shutter
+from hardware.records.state import ALWAYS_OPEN
 from twin.optics.time_of_flight import Response, gate, phase_shutter
 from twin.system import System, TimeOfFlight
 
@@ -13,50 +15,45 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Shutter:
+class ShutterResponse:
     """What one exposure makes of light by the length of its path.
 
     ``response``: share of the emitter's light that counts, None for all of it; ``light_share`` the
-    share of the time that the emitter shines, ``open_share`` that the detector is open. The rest is
-    how a record names it: modulation and phase, or delay and width of a gate,
-    and the pulse that it belongs to.
+    share of the time that the emitter shines, ``open_share`` that the detector is open. A record
+    holds the rest: ``recorded``, and the length of the pulse that it belongs to.
     """
 
     response: Response | None = None
     light_share: float = 1.0
     open_share: float = 1.0
-    modulation_hz: float = 0.0
-    phase_rad: float = 0.0
-    gate_delay_s: float = 0.0
-    gate_width_s: float = 0.0
+    recorded: Shutter = ALWAYS_OPEN
     pulse_width_s: float = 0.0
 
 
-def shutters(system: System) -> tuple[Shutter, ...]:
+def shutters(system: System) -> tuple[ShutterResponse, ...]:
     """Shutters of a system, in the order in which each pattern is shown with them."""
     if system.time_of_flight is None:
-        return (Shutter(),)
+        return (ShutterResponse(),)
     tof = system.time_of_flight
     return _phases(tof) if tof.modulation_hz is not None else _gates(tof)
 
 
-def _phases(tof: TimeOfFlight) -> tuple[Shutter, ...]:
+def _phases(tof: TimeOfFlight) -> tuple[ShutterResponse, ...]:
     assert tof.modulation_hz is not None  # a TimeOfFlight without gates has frequencies
     assert tof.contrast is not None
     contrast = tof.contrast.value
     return tuple(
-        Shutter(
+        ShutterResponse(
             response=phase_shutter(f, phase, contrast),
             open_share=0.5,
-            modulation_hz=f,
-            phase_rad=phase,
+            recorded=Shutter(modulation_hz=f, phase_rad=float(phase)),
         )
         for f in tof.modulation_hz.value
         for phase in 2 * math.pi * np.arange(tof.n_phases) / tof.n_phases
     )
 
 
-def _gates(tof: TimeOfFlight) -> tuple[Shutter, ...]:
+def _gates(tof: TimeOfFlight) -> tuple[ShutterResponse, ...]:
     assert tof.gate_delays_s is not None  # a TimeOfFlight without frequencies has all of these
     assert tof.gate_width_s is not None
     assert tof.pulse_width_s is not None
@@ -64,12 +61,11 @@ def _gates(tof: TimeOfFlight) -> tuple[Shutter, ...]:
     pulse, rate = tof.pulse_width_s.value, tof.pulse_rate_hz.value
     width = tof.gate_width_s.value
     return tuple(
-        Shutter(
+        ShutterResponse(
             response=gate(pulse, delay, width),
             light_share=pulse * rate,
             open_share=width * rate,
-            gate_delay_s=delay,
-            gate_width_s=width,
+            recorded=Shutter(gate_delay_s=delay, gate_width_s=width),
             pulse_width_s=pulse,
         )
         for delay in tof.gate_delays_s.value

@@ -36,11 +36,10 @@ def budget(
     """A system of one's own in closed form; without one, the paper's Table 1 and frame rates."""
     from rich.console import Console
 
-    from twin.files import InputError, whole_folder
+    from twin.files import InputError, check_out, whole_folder
     from twin.system import load_system
 
-    if out is not None and not str(out).strip("."):
-        raise InputError("out: is empty, expected a folder to write to")
+    check_out(out)
     of_table_1 = table_1 or system is None
     if not of_table_1 and (whole_line or before_lens):
         raise InputError("--whole-line, --filter-before-lens: are of the paper's table: --table-1")
@@ -113,15 +112,14 @@ def safety(
     from rich.console import Console
 
     from twin.budget.safety import assumptions, hazards, print_safety, write_safety
-    from twin.files import InputError, whole_folder
+    from twin.files import InputError, check_out, whole_folder
     from twin.system import load_system
 
-    if out is not None and not str(out).strip("."):
-        raise InputError("out: is empty, expected a folder to write to")
+    check_out(out)
     design = load_system(system)
     try:
         rows = hazards(design)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{system}: emitter.peak_wavelength_m: {error}") from error
     rows += hazards(design, 850e-9)
     print_safety(design, rows, Console(width=None if sys.stdout.isatty() else 150))

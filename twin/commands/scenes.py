@@ -139,10 +139,6 @@ def import_(
 
 def _fidelity(name: str, radar_model: str | None) -> "Fidelity":
     from twin.fidelity import preset
-    from twin.files import InputError
 
-    try:
-        chosen = preset(name)
-        return chosen.with_(radar=radar_model) if radar_model else chosen
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    chosen = preset(name)
+    return chosen.with_(radar=radar_model) if radar_model else chosen

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
+
 Array = NDArray[np.float64]
 
 #: IEC 60825-1, 4.3 e): time base of class 1 above 400 nm without intended long viewing.
@@ -58,17 +60,17 @@ def t2_s(subtense_rad: float) -> float:
 
 
 def is_retinal(wavelength_m: float) -> bool:
-    """Whether light of 700-1400 nm, which reaches the retina. ValueError outside 700-1800 nm."""
+    """Whether light of 700-1400 nm, which reaches the retina. InputError outside 700-1800 nm."""
     nm = wavelength_m * 1e9
     if not 700 <= nm < 1800:
-        raise ValueError(f"wavelength_m: {wavelength_m:g} is not between 700e-9 and 1800e-9")
+        raise InputError(f"wavelength_m: {wavelength_m:g} is not between 700e-9 and 1800e-9")
     return nm < 1400
 
 
 def mpe_j_per_m2(wavelength_m: float, time_s: Any, subtense_rad: float = 0.0) -> Array:
     """Maximum permissible exposure of the cornea (Tables A.1, A.2), J/m^2.
 
-    ``time_s`` from 1 ns to 30 000 s, an array; ValueError outside. ``subtense_rad`` of the
+    ``time_s`` from 1 ns to 30 000 s, an array; InputError outside. ``subtense_rad`` of the
     apparent source counts at 700-1400 nm only.
     """
     t = _time(time_s)
@@ -187,12 +189,12 @@ def _retinal_limit(
 
 def _retinal(wavelength_m: float) -> float:
     if not is_retinal(wavelength_m):
-        raise ValueError(f"wavelength_m: {wavelength_m:g} does not reach the retina")
+        raise InputError(f"wavelength_m: {wavelength_m:g} does not reach the retina")
     return wavelength_m * 1e9
 
 
 def _time(time_s: Any) -> Array:
     t = np.asarray(time_s, dtype=np.float64)
     if not ((t >= 1e-9) & (t <= 3e4)).all():
-        raise ValueError(f"time_s: {time_s} is not between 1e-9 and 3e4")
+        raise InputError(f"time_s: {time_s} is not between 1e-9 and 3e4")
     return t

@@ -5,11 +5,17 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.files import InputError
 from twin.system import System
 
 Outline = Literal["square", "disc"]
+
+
+def cell_centres(n: int) -> NDArray[np.float64]:
+    """Middles of n cells side by side across a field from -1 to 1."""
+    return (2 * np.arange(n) + 1) / n - 1
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ def wall_power_w(
     """
     lens = collection(system)
     if lens.outline != "square" and baseline_m:
-        raise ValueError("closed form with a baseline holds for square fields only")
+        raise InputError("closed form with a baseline holds for square fields only")
     t, shift = lens.tan_half_field, baseline_m / distance_m
     node, weight = np.polynomial.legendre.leggauss(64)
     if lens.outline == "square":

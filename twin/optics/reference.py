@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin.engine import mitsuba
 from twin.optics.devices import Device
 from twin.optics.problem import LightProblem
+from twin.optics.radiometry import cell_centres
 from twin.optics.weather import BACKWARD_ASYMMETRY, Air
 
 _FILM = 64  # pixels along the detector's field
@@ -61,7 +62,7 @@ class PatternRenderer:
             **shapes,
         }
         tan = detector.tan_half_field
-        u = ((np.arange(_FILM) + 0.5) / _FILM * 2 - 1) * tan
+        u = cell_centres(_FILM) * tan
         # Radiance to irradiance on a flat pupil: cosine times solid angle, cos^4 per pixel.
         self._weight = (1 + u[:, None] ** 2 + u**2) ** -2 * (2 * tan / _FILM) ** 2
         self._mi, self._scene_dict = mi, scene_dict
@@ -98,7 +99,7 @@ class PatternRenderer:
     def _texture(self, pattern: NDArray[Any]) -> NDArray[np.float32]:
         """The plugin gives pi x texture on the plane at distance 1; intensity 1 gives cos^3."""
         shape = (pattern.shape[0] * _FINE, pattern.shape[1] * _FINE)
-        y, x = (((np.arange(n) + 0.5) / n * 2 - 1) * self._emitter.tan_half_field for n in shape)
+        y, x = (cell_centres(n) * self._emitter.tan_half_field for n in shape)
         cos3 = (1 + y[:, None] ** 2 + x**2) ** -1.5
         return (np.kron(pattern, np.ones((_FINE, _FINE))) * cos3 / np.pi).astype(np.float32)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from twin.errors import InputError
 from twin.system import Detector, Emitter, Filter, Sky
 from twin.system.curves import read_curve, read_responsivity, read_transmission
 
@@ -59,12 +60,12 @@ def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width
     is direct light: the standard's global tilt holds the sky's blue light too, and 9 % less at
     1550 nm per lux.
 
-    Raises ValueError for a band outside the table.
+    Raises InputError for a band outside the table.
     """
     nm, spectrum = _direct()
     low, high = ((center_wavelength_m + side * width_m / 2) * 1e9 for side in (-1, 1))
     if low < nm[0] or high > nm[-1]:
-        raise ValueError(f"band {low:g} to {high:g} nm is outside the solar spectrum's table")
+        raise InputError(f"band {low:g} to {high:g} nm is outside the solar spectrum's table")
     return _integral(nm, spectrum, low, high) * illuminance_lx / _illuminance(nm, spectrum)
 
 

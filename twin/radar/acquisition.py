@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.records import RadarRecord
+from hardware.records import QuaternionPose, RadarRecord
 from hardware.waveform import C_M_PER_S
 from twin import __version__
 from twin.fidelity import Fidelity
@@ -30,6 +30,8 @@ from twin.warned import CaptureWarning, is_void
 _NEAREST_M = 0.1  # a point target nearer than this is no point
 _MOST_CELLS = 2**28  # of one record: a gigabyte
 _SEEDLESS = ("targets", "optics")  # rungs whose echoes no seed changes
+#: Stages of `radar_capture`.
+STAGES = ("radar paths", "radar signal")
 Stage = Callable[[str], AbstractContextManager[Any]]
 
 
@@ -269,7 +271,7 @@ def _air(weather: Weather | None, radar: RadarDesign) -> Air:
     try:
         for carrier in radar.burst.carriers_hz[[0, -1]]:
             air.db_per_m(float(carrier))
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"radar {radar.name}: waveform.{error}") from error
     return air
 
@@ -335,20 +337,14 @@ def _record(
         flags=flags,
         carriers_hz=burst.carriers_hz,
         transmitter=burst.transmitter,
-        transmitters_m=burst.transmitters_m,
-        receivers_m=burst.receivers_m,
         waveform=burst.waveform,
-        root_watt_per_count=scale,
-        transmit_power_w=radar.front_end.transmit_power_w.value,
-        antenna_gain_dbi=radar.antenna.ahead_dbi,
-        losses_db=radar.front_end.losses_db.value,
-        leakage_delay_s=radar.leakage.delay_s.value if radar.leakage else float("nan"),
+        front_end=radar.recorded_front_end(scale),
         device=f"twin {__version__}: {radar.name}",
-        pose=np.array([_antenna_pose(world) for world in worlds]),
+        pose=tuple(map(_antenna_pose, worlds)),
     )
 
 
-def _antenna_pose(scene: Scene) -> list[float]:
+def _antenna_pose(scene: Scene) -> QuaternionPose:
     offset, _ = scene.rig.device("radar")
-    x, y, z, w = (scene.rig.pose.rotation * scene.rig.radar.rotation).as_quat()
-    return [*(scene.rig.position_m + offset), w, x, y, z]
+    rotation = scene.rig.pose.rotation * scene.rig.radar.rotation
+    return QuaternionPose.of(scene.rig.position_m + offset, rotation)

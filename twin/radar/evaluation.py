@@ -121,7 +121,7 @@ def evaluate_radar(
 
 def _joinable(record: RadarRecord) -> RadarRecord:
     """The record; of one whose carrier steps nothing joins, the first step alone."""
-    if len(record.carriers_hz) == 1 or np.isfinite(record.leakage_delay_s):
+    if len(record.carriers_hz) == 1 or np.isfinite(record.front_end.leakage_delay_s):
         return record
     first = {name: getattr(record, name)[:, :1] for name in ("iq", "device_time_ns", "flags")}
     return replace(record, carriers_hz=record.carriers_hz[:1], **first)

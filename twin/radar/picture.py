@@ -1,15 +1,16 @@
 """What back-projection over a track shows, beside what is really there."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
 from hardware.radar.imaging import RadarImage, image
-from hardware.records import RadarRecord
+from hardware.records import QuaternionPose, RadarRecord
+from hardware.records.state import positions, rotations
 from twin.radar.device.design import RadarDesign
 from twin.scene import Scene, Target
 
@@ -92,10 +93,9 @@ def track_picture(scene: Scene, radar: RadarDesign, record: RadarRecord) -> Trac
     )
 
 
-def _middle(pose: Array) -> tuple[Array, Array]:
+def _middle(poses: Sequence[QuaternionPose]) -> tuple[Array, Array]:
     """Origin and axes (rows) of the picture."""
-    quaternion = pose[len(pose) // 2, [4, 5, 6, 3]]
-    return pose[:, :3].mean(axis=0), np.asarray(Rotation.from_quat(quaternion).as_matrix()).T
+    return positions(poses).mean(axis=0), poses[len(poses) // 2].rotation.as_matrix().T
 
 
 def _outline(vertices: Array, low: Array, high: Array) -> Array | None:
@@ -113,8 +113,9 @@ def _unit_wave(radar: RadarDesign, record: RadarRecord, target: Target) -> float
     """What 1 m^2 in the target's place would show in the picture, root watts: the mean over stops,
     at the middle of the band.
     """
-    axes = Rotation.from_quat(record.pose[:, [4, 5, 6, 3]])
-    ways = axes.inv().apply(np.asarray(target.position_m) - record.pose[:, :3])
+    ways = (
+        rotations(record.pose).inv().apply(np.asarray(target.position_m) - positions(record.pose))
+    )
     ranges = np.linalg.norm(ways, axis=1)
     powers = [
         radar.received_power_w(float(r), 1.0, (float(x), float(y), float(z)))

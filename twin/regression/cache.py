@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from hardware.files import whole_file
 from twin.digest import source_digest
 
 T = TypeVar("T")
@@ -38,9 +39,8 @@ class Store:
             with suppress(OSError, EOFError, pickle.UnpicklingError):
                 return self._read(path)
             made = make()
-            partial = path.with_suffix(f".{os.getpid()}")
-            partial.write_bytes(pickle.dumps(made))
-            partial.replace(path)
+            with whole_file(path) as partial:
+                partial.write_bytes(pickle.dumps(made))
             self._forget_oldest()
             return made
 

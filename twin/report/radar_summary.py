@@ -74,10 +74,10 @@ def _parts(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
     """Bursts, carrier steps and antennas where there are several."""
     record, radar = evaluation.capture.record, evaluation.radar
     n_bursts, n_steps, _, n_receivers = record.iq.shape[:4]
-    n_transmitters = len(record.transmitters_m)
+    n_transmitters = len(record.front_end.transmitters_m)
     found = []
     if n_bursts > 1:
-        length = float(np.linalg.norm(record.pose[-1, :3] - record.pose[0, :3]))
+        length = float(np.linalg.norm(record.pose[-1].position_m - record.pose[0].position_m))
         found.append(("bursts", f"{n_bursts} along {si(length, 'm')}; map: the first"))
     if n_steps > 1:
         last = record.carriers_hz[-1] / 1e9

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hardware.errors import InputError as VehicleInputError
 from hardware.units import quantity, unit_of
 from twin.files import InputError
 from twin.toml import changed_name, no_such_field
@@ -63,7 +64,7 @@ def _in_unit(name: str, value: Any) -> Any:
         return value
     try:
         return quantity(value, unit)
-    except ValueError as error:
+    except VehicleInputError as error:
         raise InputError(f"scene.{name} = {value!r:.60}: {error}") from None
 
 

@@ -4,6 +4,8 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+from pydantic import ValidationError
+
 from hardware.drivers.framing import Deframer, Frame, encode
 from hardware.drivers.messages import (
     MODE_CODES,
@@ -32,6 +34,7 @@ from hardware.drivers.messages import (
 )
 from hardware.drivers.settings import SpiSettings
 from hardware.drivers.table import table_bytes
+from hardware.errors import InputError as VehicleInputError
 from hardware.patterns import Order, PatternSet
 from hardware.records import Flag, SpiRecord
 from twin import __version__
@@ -103,9 +106,7 @@ class VirtualCamera:
         self._sun, self._records, self._overrun = sun, records, overrun
         chain = Chain.of(system, sun)
         self._adc_bits = chain.front_end.adc_bits
-        self._shutters = tuple(
-            (t.modulation_hz, t.phase_rad, t.gate_delay_s, t.gate_width_s) for t in chain.shutters
-        )
+        self._n_shutters = len(chain.shutters)
         if system.n_detectors > 255:
             raise InputError(
                 f"{system.name}: {system.n_detectors} detectors, the protocol carries up to 255"
@@ -201,7 +202,7 @@ class VirtualCamera:
                     raise _RefusedError(Refusal.UNKNOWN, "no request of the protocol")
         except _RefusedError as error:
             return Refused(*error.args)
-        except ValueError as error:
+        except VehicleInputError as error:
             unknown = str(error).startswith("type ")
             return Refused(Refusal.UNKNOWN if unknown else Refusal.MALFORMED, str(error)[:150])
 
@@ -237,7 +238,7 @@ class VirtualCamera:
         most = Measurement.most_exposures(self.system.n_detectors)
         self._request, self._configured, self._state = request, system, State.CONFIGURED
         self._made = Configured(
-            exposures=system.patterns.n_exposures * len(self._shutters),
+            exposures=system.patterns.n_exposures * self._n_shutters,
             exposures_per_frame=min(request.exposures_per_frame or _FRAME_EXPOSURES, most),
             detectors=self.system.n_detectors,
             table_bytes=size,
@@ -275,7 +276,7 @@ class VirtualCamera:
                 shutters=request.shutters,
             )
             return configured(self.system, settings)
-        except ValueError as error:
+        except (VehicleInputError, ValidationError) as error:
             raise _RefusedError(Refusal.UNSUPPORTED, " ".join(str(error).split())[:150]) from error
 
     def _upload(self, offset: int, portion: bytes) -> Status:
@@ -285,7 +286,7 @@ class VirtualCamera:
             raise _RefusedError(Refusal.MALFORMED, "Upload: no bytes")
         try:
             self._table.take(offset, portion)
-        except ValueError as error:
+        except InputError as error:
             raise _RefusedError(Refusal.TABLE, str(error)) from error
         return self._status()
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from hardware.drivers.settings import SpiSettings
 from twin.camera.shutters import shutters
+from twin.errors import InputError
 from twin.system import System
 
 #: Limits of the integration time, s.
@@ -14,29 +15,27 @@ def configured(system: System, settings: SpiSettings) -> System:
     """A system with the patterns, integration time and pattern period of a driver's settings.
 
     Cells, gain and shutters are the system's own; a pattern period of 0 is the shortest, with the
-    system's own time for read-out. Raises ValueError, which names the field, for what the camera
+    system's own time for read-out. Raises InputError, which names the field, for what the camera
     cannot do.
     """
     own, asked = system.patterns, settings.patterns
     if (asked.rows, asked.columns) != (own.rows, own.columns):
-        raise ValueError(f"rows, columns: the emitter has {own.rows} x {own.columns} cells")
+        raise InputError(f"rows, columns: the emitter has {own.rows} x {own.columns} cells")
     if settings.gain:
-        raise ValueError("gain: no such step")
-    taps = [
-        (s.modulation_hz, s.phase_rad, s.gate_delay_s, s.gate_width_s) for s in shutters(system)
-    ]
-    if np.shape(settings.shutters) != np.shape(taps) or not np.allclose(
-        settings.shutters, taps, rtol=1e-12, atol=0
+        raise InputError("gain: no such step")
+    own_shutters = tuple(response.recorded for response in shutters(system))
+    if len(settings.shutters) != len(own_shutters) or not np.allclose(
+        settings.shutters, own_shutters, rtol=1e-12, atol=0
     ):
-        raise ValueError(f"shutters: this camera has {taps}")
+        raise InputError(f"shutters: this camera has {[tuple(one) for one in own_shutters]}")
     integration = settings.integration_time_s
     if not INTEGRATION_S[0] <= integration <= INTEGRATION_S[1]:
-        raise ValueError("integration_time_s: outside what this camera can do")
+        raise InputError("integration_time_s: outside what this camera can do")
     shown = system.acquisition
     readout = shown.pattern_period_s.value - shown.integration_time_s.value
     period = settings.pattern_period_s or integration + readout
     if not integration + readout * (1 - 1e-9) <= period <= 1e3:
-        raise ValueError("pattern_period_s: shorter than integration and read-out, or no number")
+        raise InputError("pattern_period_s: shorter than integration and read-out, or no number")
     content = system.model_dump()
     for name, value in {
         "n_patterns": asked.count,

@@ -16,7 +16,8 @@ from hardware.drivers.radio.interface import (
     Tuned,
 )
 from hardware.drivers.radio.samples import SlotGrid, highest_level, spectrum, symbol
-from hardware.drivers.radio.schedule import FrontEnd, Schedule
+from hardware.drivers.radio.schedule import Schedule
+from hardware.records import RadarFrontEnd
 from twin import __version__
 from twin.files import InputError
 from twin.radar import RadarDesign
@@ -79,10 +80,10 @@ class VirtualRadio(Radio):
         self._sweep, self._late = -1, 0
         self._step = 0
         self._begin()
-        if (n := len(self._record.transmitters_m)) > 1:
+        if (n := len(self._record.front_end.transmitters_m)) > 1:
             raise InputError(f"radar {radar.name}: {n} transmitters, expected 1 for a radio")
         self.carriers_hz = self._record.carriers_hz
-        self.n_receivers = len(self._record.receivers_m)
+        self.n_receivers = len(self._record.front_end.receivers_m)
 
     @property
     def n_samples(self) -> int:
@@ -90,19 +91,9 @@ class VirtualRadio(Radio):
         return self.waveform.n_slots * self.grid.slot
 
     @property
-    def front_end(self) -> FrontEnd:
+    def front_end(self) -> RadarFrontEnd:
         """What a calibration of this radio would find."""
-        record = self._record
-        return FrontEnd(
-            root_watt_per_count=record.root_watt_per_count,
-            transmit_power_w=record.transmit_power_w,
-            level=self.level,
-            antenna_gain_dbi=record.antenna_gain_dbi,
-            losses_db=record.losses_db,
-            leakage_delay_s=record.leakage_delay_s,
-            transmitters_m=tuple(tuple(p) for p in record.transmitters_m.tolist()),
-            receivers_m=tuple(tuple(p) for p in record.receivers_m.tolist()),
-        )
+        return self._record.front_end
 
     @property
     def schedule(self) -> Schedule:
@@ -115,6 +106,7 @@ class VirtualRadio(Radio):
             tuple(self.carriers_hz.tolist()),
             step_period_s=period,
             settling_s=(period - burst_s) / 10,  # it locks at once: the rest is left to the host
+            level=self.level,
         )
 
     def tune(self, carrier_hz: float) -> Tuned:

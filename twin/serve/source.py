@@ -13,18 +13,21 @@ import heapq
 import threading
 import time
 from collections.abc import Generator, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from itertools import count
 from typing import get_args
 from urllib.parse import parse_qsl, unquote
 
+from pydantic import ValidationError
+
 from hardware.drivers import SpiSettings
 from hardware.drivers.clock import ClockModel
+from hardware.errors import DeviceError
 from hardware.recording.reading import Received
 from hardware.records import RadarRecord, SpiRecord
 from twin.camera.stream import still_light, stills
+from twin.errors import EngineError, InputError
 from twin.fidelity import Fidelity
-from twin.files import InputError
 from twin.radar import load_radar
 from twin.scene import load_scene
 from twin.serve.clock import DeviceClock, Pace
@@ -61,7 +64,8 @@ def records(
 
     A record comes once the device would have measured it (``real``), or as soon as it is computed
     (``fast``). The scene is read, and lit for the camera, before this returns. Raises InputError
-    for what is wrong in the URL, the files that it names or the settings.
+    for what is wrong in the URL, the files that it names or the settings; DeviceError where the
+    engine fails.
     """
     name, options = _parsed(url)
     paces: dict[str, Pace] = {pace: pace for pace in get_args(Pace)}
@@ -75,12 +79,22 @@ def records(
     camera = radar = None
     if options["system"] != "none":
         system = _system(url, options["system"], settings)
-        light = still_light(scene, system, seed=seed, fidelity=fidelity)
+        with _engine_as_device(url):
+            light = still_light(scene, system, seed=seed, fidelity=fidelity)
         camera = stills(scene, system, seed=seed, fidelity=fidelity, rendered=light)
     if options["radar"] != "none":
         radar = Sweeps(scene, load_radar(options["radar"]), seed, fidelity)
     clock = DeviceClock(paces[options["pace"]])
     return _received(camera, radar, clock, over or threading.Event())
+
+
+@contextmanager
+def _engine_as_device(name: str) -> Iterator[None]:
+    """To the vehicle an engine that fails is a device that fails."""
+    try:
+        yield
+    except EngineError as error:
+        raise DeviceError(f"{name}: {error}") from error
 
 
 def _parsed(url: str) -> tuple[str, dict[str, str]]:
@@ -101,7 +115,7 @@ def _system(url: str, name: str, settings: SpiSettings | None) -> System:
         return system
     try:
         return configured(system, settings)
-    except ValueError as error:
+    except (InputError, ValidationError) as error:
         raise InputError(f"{url}: settings: {' '.join(str(error).split())}") from error
 
 
@@ -124,6 +138,7 @@ def _received(
             prefetcher = Prefetcher(radar.record)
             stack.callback(prefetcher.close)
             sensors.append(_timed("/radar/record", _prefetched(prefetcher, over)))
+            stack.enter_context(_engine_as_device("radar"))
         for _, topic, record in heapq.merge(*sensors, key=lambda item: item[0]):
             end_ns = int(record.device_time_ns.flat[-1])
             while (left_s := clock.left_s(end_ns)) > 0 and not over.is_set():

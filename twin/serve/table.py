@@ -1,5 +1,7 @@
 """The table of patterns that a virtual camera is sent, as PROTOCOL.md keeps and forgets it."""
 
+from twin.errors import InputError
+
 
 class UploadedTable:
     """What is held of it: ``data``, out of ``size`` bytes; 0 where none is expected."""
@@ -16,10 +18,10 @@ class UploadedTable:
         self.size = size
 
     def take(self, offset: int, portion: bytes) -> None:
-        """Raises ValueError for a portion out of place."""
+        """Raises InputError for a portion out of place."""
         held = 0 if self._kept else len(self.data)
         if offset > held or offset + len(portion) > self.size:
-            raise ValueError("Upload: beyond what is here, or beyond the table")
+            raise InputError("Upload: beyond what is here, or beyond the table")
         if self._kept:
             self._kept = False
             self.data.clear()

@@ -9,7 +9,7 @@ import json
 import time
 from collections import deque
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hardware.drivers.radio.interface import Radio, RadioError, Reception
 from hardware.drivers.radio.stream import request, requested
 from hardware.drivers.radio.zeromq import MOST_JSON, PROTOCOL_VERSION, to_samples
+from hardware.errors import InputError as VehicleInputError
 from twin.files import InputError
 from twin.serve.faults import RadioFaults
 
@@ -119,9 +120,8 @@ class RadioServer:
                 if self._happens(self._faults.stall):
                     time.sleep(self._faults.stall_s)
             answer, samples = self._done(sender, command, frames[1:])
-        except (RadioError, ValueError, TypeError, KeyError, OverflowError) as error:
-            text = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
-            answer = {"error": text}
+        except (RadioError, VehicleInputError) as error:
+            answer = {"error": str(error)}
         number = command.get("number")
         answer["number"] = number if isinstance(number, int) else None
         self._commands.send_multipart([sender, b"", json.dumps(answer).encode(), *samples])
@@ -132,12 +132,12 @@ class RadioServer:
         name, now = command.get("do"), time.monotonic()
         if name == "open":
             if self._client not in (None, sender) and now - self._heard_at < _LEASE_S:
-                raise ValueError("busy: another client has the radio")
+                raise InputError("busy: another client has the radio")
             if command.get("version") != PROTOCOL_VERSION:
-                raise ValueError(f"version {command.get('version')!r}, expected {PROTOCOL_VERSION}")
+                raise InputError(f"version {command.get('version')!r}, expected {PROTOCOL_VERSION}")
             self._client = sender
         if sender != self._client:
-            raise ValueError("open the radio first")
+            raise InputError("open the radio first")
         self._heard_at = now
         if name == "open":
             return {
@@ -150,14 +150,16 @@ class RadioServer:
             self._client = None
             return {}, []
         if name == "tune":
-            tuned = self.radio.tune(float(command["carrier_hz"]))
+            tuned = self.radio.tune(_number(command, "carrier_hz", float))
             return {"carrier_hz": tuned.carrier_hz, "time_ns": tuned.locked_ns}, []
         if name == "time":
             return {"time_ns": self.radio.now_ns()}, []
         if name == "burst":
-            heard = self._burst(to_samples(frames[0] if frames else b""), int(command["start_ns"]))
+            heard = self._burst(
+                to_samples(frames[0] if frames else b""), _number(command, "start_ns", int)
+            )
             return _told(heard), [heard.samples.tobytes()] if heard.there.any() else []
-        raise ValueError(f"do: {name!r:.40}, expected open, tune, time, burst or close")
+        raise InputError(f"do: {name!r:.40}, expected open, tune, time, burst or close")
 
     def _burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
         heard = self.radio.burst(samples, start_ns)
@@ -170,7 +172,7 @@ class RadioServer:
         self._asked = False
         try:
             samples = to_samples(message)
-        except ValueError:
+        except VehicleInputError:
             return  # the convention has no way to refuse
         self._to_send = np.concatenate([self._to_send, samples])[-2 * self.n_samples :]
         while self._client is None and len(self._to_send) >= self.n_samples:
@@ -205,14 +207,27 @@ class RadioServer:
 
 def _parsed(frame: bytes) -> dict[str, Any]:
     if len(frame) > MOST_JSON:
-        raise ValueError(f"command of {len(frame)} bytes, expected at most {MOST_JSON}")
+        raise InputError(f"command of {len(frame)} bytes, expected at most {MOST_JSON}")
     try:
         command = json.loads(frame)
     except (ValueError, RecursionError) as error:
-        raise ValueError("command is no JSON") from error
+        raise InputError("command is no JSON") from error
     if not isinstance(command, dict):
-        raise ValueError("command is no JSON object")
+        raise InputError("command is no JSON object")
     return command
+
+
+_Number = TypeVar("_Number", int, float)
+
+
+def _number(command: dict[str, Any], name: str, kind: type[_Number]) -> _Number:
+    """A number of a command. Raises InputError."""
+    if name not in command:
+        raise InputError(f"{name!r} is missing")
+    try:
+        return kind(command[name])
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name}: {command[name]!r:.40}, expected a number") from error
 
 
 def _told(heard: Reception) -> dict[str, Any]:

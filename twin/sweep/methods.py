@@ -16,14 +16,14 @@ _running: dict[str, str] = {}
 
 
 def check_methods(names: Iterable[Any]) -> None:
-    """Raise ValueError, with the nearest name, for a method that does not exist."""
+    """Raise InputError, with the nearest name, for a method that does not exist."""
     for name in names:
         if name not in METHODS:
             load_plugins()
         if name not in METHODS:
             near = difflib.get_close_matches(str(name), METHODS, n=1)
             hint = f"did you mean {near[0]}?" if near else f"expected {', '.join(METHODS)}"
-            raise ValueError(f"processing.method = {name!r}: is unknown; {hint}")
+            raise InputError(f"processing.method = {name!r}: is unknown; {hint}")
 
 
 def method_digest(name: str) -> str:

@@ -4,6 +4,8 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from twin.errors import InputError
+
 
 @dataclass(frozen=True)
 class Named:
@@ -60,13 +62,13 @@ def needs_image(metrics: Iterable[str]) -> bool:
 
 
 def check_metrics(metrics: tuple[str, ...], model: str) -> None:
-    """Raise ValueError, with the nearest name, for a metric that a model does not have."""
+    """Raise InputError, with the nearest name, for a metric that a model does not have."""
     known = RENDERED if model == "rendered" else CLOSED_FORM
     for name in metrics:
         if name in known or (is_own(name) and model == "rendered"):
             continue
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(known)}"
-        raise ValueError(f"metrics: {name!r} is unknown{hint}")
+        raise InputError(f"metrics: {name!r} is unknown{hint}")
     if len(set(metrics)) != len(metrics):
-        raise ValueError("metrics: a name stands twice")
+        raise InputError("metrics: a name stands twice")

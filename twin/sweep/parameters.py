@@ -14,7 +14,9 @@ import re
 from dataclasses import fields
 from functools import lru_cache
 
+from hardware.errors import InputError as VehicleInputError
 from hardware.units import quantity, unit_of
+from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.scene.changes import SCENE_NAMES, check_scene_name
@@ -41,41 +43,41 @@ def is_optical(name: str) -> bool:
 
 
 def check_name(name: str) -> None:
-    """Raise ValueError, with the nearest name, for a parameter that does not exist."""
+    """Raise InputError, with the nearest name, for a parameter that does not exist."""
     if name in _plain_names():
         return
     if name.startswith("scene."):
         check_scene_name(name.removeprefix("scene."))
         return
     near = difflib.get_close_matches(name, _plain_names(), n=1)
-    raise ValueError(f"{name}: is no parameter" + (f"; did you mean {near[0]}?" if near else ""))
+    raise InputError(f"{name}: is no parameter" + (f"; did you mean {near[0]}?" if near else ""))
 
 
 def check_value(name: str, value: Value) -> Value:
     """A value in the unit of the parameter; text with a unit ("315 us", "85 %") is converted.
 
-    Raises ValueError for an unknown parameter, for a unit of another kind, and for a distance or
+    Raises InputError for an unknown parameter, for a unit of another kind, and for a distance or
     reflectance of the closed form that can't be.
     """
     check_name(name)
     if isinstance(value, str) and (unit_of(name) or value.rstrip().endswith("%")):
         try:
             value = quantity(value, unit_of(name))
-        except ValueError as error:
-            raise ValueError(f"{name} = {value!r:.60}: {error}") from None
+        except VehicleInputError as error:
+            raise InputError(f"{name} = {value!r:.60}: {error}") from None
     if name in LINK:
         check_bounds(name, value, *LINK[name])
     return value
 
 
 def check_bounds(name: str, value: Value, may_be_zero: bool, most: float) -> None:
-    """Raise ValueError for what is no finite number above 0, or from 0, up to ``most``."""
+    """Raise InputError for what is no finite number above 0, or from 0, up to ``most``."""
     if isinstance(value, bool | str):
-        raise ValueError(f"{name} = {value!r}: expected a number")
+        raise InputError(f"{name} = {value!r}: expected a number")
     within = math.isfinite(value) and 0 <= value <= most
     if not within or (value == 0 and not may_be_zero):
         wanted = "0 to 1" if most == 1 else "a positive number"
-        raise ValueError(f"{name} = {value}: expected {wanted}")
+        raise InputError(f"{name} = {value}: expected {wanted}")
 
 
 @lru_cache(maxsize=1)

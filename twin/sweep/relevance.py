@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable
 
+from twin.errors import InputError
 from twin.sweep.names import needs_image, needs_radar
 
 #: All that the closed form looks at: one pixel on the axis, without air.
@@ -25,7 +26,7 @@ _OF_IMAGE = re.compile(r"processing\.method")
 
 
 def check_effects(model: str, parameters: Iterable[str], metrics: tuple[str, ...]) -> None:
-    """Raise ValueError for a parameter that no metric of the study depends on."""
+    """Raise InputError for a parameter that no metric of the study depends on."""
     rules = [(_CLOSED_FORM, False, 'the closed form does not depend on it: model = "rendered"')]
     if model == "rendered":
         rules = [(_OF_LINK, True, 'belongs to model = "closed-form"')]
@@ -36,4 +37,4 @@ def check_effects(model: str, parameters: Iterable[str], metrics: tuple[str, ...
     for name in parameters:
         for pattern, refused, why in rules:
             if (pattern.fullmatch(name) is not None) is refused:
-                raise ValueError(f"{name}: has no effect here; {why}")
+                raise InputError(f"{name}: has no effect here; {why}")

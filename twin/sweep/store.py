@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.format import open_memmap
 from pydantic import ValidationError
 
-from hardware.files import read_json
+from hardware.files import place_beside, read_json
 from twin.digest import versions
 from twin.files import InputError, new_folder
 from twin.sweep.dataset import Progress, dataset
@@ -118,14 +118,14 @@ class Store:
 
     def finish(self) -> None:
         """Write the dataset, whole or not at all."""
-        partial, final = self.out / "results.partial", self.out / "results.zarr"
-        shutil.rmtree(partial, ignore_errors=True)
-        try:
-            self.dataset().to_zarr(partial, mode="w", zarr_format=2, consolidated=False)
-        except OSError as error:
-            raise self._full(error) from error
-        shutil.rmtree(final, ignore_errors=True)
-        os.replace(partial, final)
+        final = self.out / "results.zarr"
+        with place_beside(final) as partial:
+            try:
+                self.dataset().to_zarr(partial, mode="w", zarr_format=2, consolidated=False)
+            except OSError as error:
+                raise self._full(error) from error
+            shutil.rmtree(final, ignore_errors=True)
+            os.replace(partial, final)
 
     def dataset(self) -> "xarray.Dataset":
         """Everything so far, labelled; points not done and points that failed are NaN."""

@@ -93,12 +93,12 @@ class Study(Strict):
         for names in groups:
             for name in names:
                 if name in seen:
-                    raise ValueError(f"{name}: is given twice")
+                    raise InputError(f"{name}: is given twice")
                 seen.add(name)
         for index, together in enumerate(self.zip):
             lengths = {name: len(values) for name, values in together.items()}
             if len(set(lengths.values())) != 1:
-                raise ValueError(f"zip.{index}: lists of different lengths: {lengths}")
+                raise InputError(f"zip.{index}: lists of different lengths: {lengths}")
         check_metrics(self.metrics, self.model)
         for name, value in self.set.items():
             check_value(name, value)
@@ -205,7 +205,7 @@ def _column(name: str, values: list[Value]) -> NDArray[Any]:
     checked = [check_value(name, value) for value in values]
     kinds = sorted({_kind(value) for value in checked})
     if len(kinds) > 1:
-        raise ValueError(f"{name}: holds {' and '.join(kinds)}, expected values of one kind")
+        raise InputError(f"{name}: holds {' and '.join(kinds)}, expected values of one kind")
     return np.array(checked)
 
 
@@ -218,7 +218,7 @@ def _kind(value: Value) -> str:
 def _grid_column(name: str, values: list[Value]) -> NDArray[Any]:
     column = _column(name, values)
     if len(set(column.tolist())) != len(column):
-        raise ValueError(f"{name}: a value stands twice")
+        raise InputError(f"{name}: a value stands twice")
     return column
 
 
@@ -229,7 +229,7 @@ def _crossed(n: int, d: int, seed: int) -> NDArray[np.float64]:
     from SALib.sample import sobol
 
     if n & (n - 1):
-        raise ValueError(f"sample.n: {n}: expected a power of two with saltelli")
+        raise InputError(f"sample.n: {n}: expected a power of two with saltelli")
     problem = {"num_vars": d, "names": list(range(d)), "bounds": [[0.0, 1.0]] * d}
     return np.asarray(sobol.sample(problem, n, calc_second_order=False, seed=seed))
 
@@ -250,10 +250,10 @@ def _drawn(sample: Sample) -> dict[str, NDArray[Any]]:
     for share, (name, bounds) in zip(unit.T, sample.ranges.items(), strict=True):
         low, high = (check_value(name, v) for v in (bounds.low, bounds.high))
         if not (isinstance(low, float | int) and isinstance(high, float | int) and low < high):
-            raise ValueError(f"sample.ranges.{name}: expected numbers, low below high")
+            raise InputError(f"sample.ranges.{name}: expected numbers, low below high")
         if bounds.log:
             if low <= 0:
-                raise ValueError(f"sample.ranges.{name}.low: {low}: expected above 0 with log")
+                raise InputError(f"sample.ranges.{name}.low: {low}: expected above 0 with log")
             columns[name] = low * (high / low) ** share
         else:
             columns[name] = low + (high - low) * share

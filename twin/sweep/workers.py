@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from twin.errors import EngineError
 from twin.files import InputError
 
 _AHEAD = 3  # runs waiting for each worker: memory stays bounded whatever the number of points
@@ -15,7 +16,7 @@ _AHEAD = 3  # runs waiting for each worker: memory stays bounded whatever the nu
 _WITHOUT_WORKERS_S, _LOOK_S = 60.0, 2.0
 
 
-class WorkerDiedError(RuntimeError):
+class WorkerDiedError(EngineError):
     """A piece of work ended the process of every worker that tried it."""
 
 

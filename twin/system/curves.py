@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError as VehicleInputError
 from hardware.files import read_regular
 from twin.files import InputError
 from twin.system.detector import Detector
@@ -39,7 +40,7 @@ def curves(*files: Sourced[str] | None) -> tuple[bytes, ...]:
         return tuple(read_regular(file.value) for file in files if file is not None)
     except OSError as error:
         raise InputError(f"{error.filename}: can't be read ({error.strerror})") from error
-    except ValueError as error:
+    except VehicleInputError as error:
         raise InputError(str(error)) from error
 
 
@@ -101,7 +102,7 @@ def read_responsivity(detector: Detector) -> tuple[Array, Array]:
         worst = int(np.argmax(curve / nm))
         try:
             detector.check_quantum_limit(float(curve[worst]), float(nm[worst]) * 1e-9)
-        except ValueError as error:
+        except InputError as error:
             raise InputError(f"{path}: {error}") from error
         return nm, curve
     return np.array([900.0, 1700.0]), np.full(2, detector.responsivity_a_per_w.value)

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy import constants
 
+from twin.errors import InputError
 from twin.toml import Count, Finite, NonNegative, Positive, Sourced, Strict
 
 
@@ -41,18 +42,18 @@ class Detector(Strict):
     @model_validator(mode="after")
     def _has_its_sides(self) -> "Detector":
         if (self.shape.value == "rectangle") == (self.height_m is None):
-            raise ValueError("a rectangle has width_m and height_m, a disc or square width_m alone")
+            raise InputError("a rectangle has width_m and height_m, a disc or square width_m alone")
         return self
 
     @model_validator(mode="after")
     def _says_what_gain_costs(self) -> "Detector":
         stated = [self.excess_noise_factor, self.ionisation_ratio]
         if self.gain is None and any(stated):
-            raise ValueError("excess_noise_factor and ionisation_ratio belong to a gain")
+            raise InputError("excess_noise_factor and ionisation_ratio belong to a gain")
         if self.gain is not None and (stated[0] is None) == (stated[1] is None):
-            raise ValueError("gain needs either excess_noise_factor or ionisation_ratio")
+            raise InputError("gain needs either excess_noise_factor or ionisation_ratio")
         if self.multiplication == 1 and self.excess_noise > 1:
-            raise ValueError(
+            raise InputError(
                 f"excess_noise_factor = {self.excess_noise:g}: a gain of 1 multiplies nothing and "
                 "adds no noise, expected 1"
             )
@@ -74,7 +75,7 @@ class Detector(Strict):
         return k * m + (1 - k) * (2 - 1 / m)
 
     def check_quantum_limit(self, responsivity_a_per_w: float, wavelength_m: float) -> None:
-        """Raise ValueError for more than one electron a photon before multiplication, anywhere in
+        """Raise InputError for more than one electron a photon before multiplication, anywhere in
         arrays of designs.
         """
         limit = quantum_limit_a_per_w(wavelength_m)
@@ -84,7 +85,7 @@ class Detector(Strict):
         worst = np.argmax(designs[0] / (designs[2] * designs[3]))
         found, at_m, electron, gain = (float(column.flat[worst]) for column in designs)
         if found > gain * electron * (1 + 1e-6):
-            raise ValueError(
+            raise InputError(
                 f"detector.responsivity_a_per_w = {found:g}: at {at_m * 1e9:g} nm one electron a "
                 f"photon is {electron:.4g} A/W"
                 + (f", {gain * electron:.4g} A/W with a gain of {gain:g}" if self.gain else "")
@@ -130,13 +131,13 @@ class Readout(Strict):
     @model_validator(mode="after")
     def _is_one_amplifier(self) -> "Readout":
         if (self.transimpedance_ohm is None) == (self.feedback_capacitance_f is None):
-            raise ValueError("needs either transimpedance_ohm or feedback_capacitance_f")
+            raise InputError("needs either transimpedance_ohm or feedback_capacitance_f")
         return self
 
     @model_validator(mode="after")
     def _offset_is_in_range(self) -> "Readout":
         if self.adc_offset_v.value >= self.adc_full_scale_v.value:
-            raise ValueError(
+            raise InputError(
                 f"adc_offset_v = {self.adc_offset_v.value:g} leaves nothing of adc_full_scale_v, "
                 f"{self.adc_full_scale_v.value:g}"
             )

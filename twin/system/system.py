@@ -6,6 +6,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 
+from hardware.errors import InputError as VehicleInputError
 from hardware.patterns import PatternSet
 from twin.files import InputError, catalog_folder
 from twin.system.acquisition import Acquisition, TimeOfFlight
@@ -41,7 +42,7 @@ class System(Entry):
     def _patterns_exist(self) -> "System":
         try:
             _ = self.patterns
-        except ValueError as error:
+        except VehicleInputError as error:
             field, rest = str(error).split(":", 1)
             places = {"count": "n_patterns", "subset": "order", "mode": "mode"}
             place = f"acquisition.{places[field]}" if field in places else f"emitter.{field}"

@@ -174,12 +174,9 @@ def _pixel_noise(case: CameraCase, rendered: Rendered) -> Array:
     chain = case.chain
     power = chain.powers(rendered)
     signal_w, _, _ = chain.take(power, rng=np.random.default_rng(0), noise="none")
-    sun_w = float(chain.open_share.mean()) * power.sun_w
-    pixel_e = [
-        chain.noise(signal, sun).pixel_noise_e(case.system.patterns)
-        for signal, sun in zip(np.moveaxis(signal_w, -1, 0), sun_w, strict=True)
-    ]
-    return np.sqrt(len(chain.shutters)) * np.array(pixel_e)
+    budgets = chain.noise_by_detector(signal_w, power.sun_w)
+    pixel_e = np.array([budget.pixel_noise_e(case.system.patterns) for budget in budgets])
+    return np.sqrt(len(chain.shutters)) * pixel_e
 
 
 def _name(rung: Fidelity) -> str:

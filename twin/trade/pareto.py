@@ -5,8 +5,8 @@ from typing import get_args
 
 import numpy as np
 
-from twin.fidelity import Fidelity
-from twin.files import InputError, whole_folder
+from twin.fidelity import Fidelity, Noise
+from twin.files import InputError, check_out, whole_folder
 from twin.progress import OpenStage, Stages, silently
 from twin.radar import RadarDesign, load_radar
 from twin.run_folder import named_folder, unless
@@ -21,7 +21,6 @@ from twin.trade.result import Trade
 
 #: Of the sensor's own noise: an error of a fifth adds 4 % to its power, 0.17 dB.
 TOLERANCE = 0.2
-_STAGES_BESIDE_LIGHT = 1 + 1 + 1 + 3  # load, reference, brute force, noise
 
 
 def run_trade(
@@ -51,10 +50,10 @@ def run_trade(
     """
     from twin.trade.report import write_trade
 
-    if out is not None and not str(out).strip(" ."):
-        raise InputError("out: is empty, expected a folder to write to")
+    check_out(out)
     design, sensor = _inputs(system, radar, tolerance, seed)
-    expected = _STAGES_BESIDE_LIGHT + len(light_rungs(design)) + STAGES * bool(sensor)
+    beside = ("load", "reference light", "brute force", *get_args(Noise))
+    expected = len(beside) + len(light_rungs(design)) + STAGES * bool(sensor)
     with Stages(expected) as stages:
         with stages.stage("load"):
             loaded = scene if isinstance(scene, Scene) else load_scene(scene)

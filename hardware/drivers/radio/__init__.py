@@ -3,12 +3,11 @@
 from hardware.drivers.radio.calibration import Calibration, calibrate
 from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
 from hardware.drivers.radio.opening import open_radio
-from hardware.drivers.radio.schedule import FrontEnd, Schedule, acquire, carriers
+from hardware.drivers.radio.schedule import Schedule, acquire, carriers
 
 __all__ = [
     "Calibration",
     "Fault",
-    "FrontEnd",
     "Radio",
     "RadioError",
     "Reception",

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.drivers.radio.interface import Radio, RadioError
-from hardware.drivers.radio.schedule import FrontEnd, Schedule, acquire
+from hardware.drivers.radio.schedule import Schedule, acquire
 from hardware.radar import channel
 from hardware.records.container import Flag
+from hardware.records.state import RadarFrontEnd
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,14 +21,19 @@ class Calibration:
     one delay and one gain explain: noise, reflections and interference lower it below 1.
     """
 
-    front_end: FrontEnd
+    front_end: RadarFrontEnd
     delay_s: float
     gain_db: NDArray[np.float64]
     coherence: NDArray[np.float64]
 
 
 def calibrate(
-    radio: Radio, schedule: Schedule, front_end: FrontEnd, *, attenuation_db: float, delay_s: float
+    radio: Radio,
+    schedule: Schedule,
+    front_end: RadarFrontEnd,
+    *,
+    attenuation_db: float,
+    delay_s: float,
 ) -> Calibration:
     """Run the schedule once with a cable from the transmitter's port to the receiver's.
 

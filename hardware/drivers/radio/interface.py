@@ -9,6 +9,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import LinkError
+
 #: Counts of a sample at full scale: 16 bits on the wire, 1.0 in complex64.
 FULL_SCALE_COUNTS = 32767
 
@@ -23,7 +25,7 @@ class Fault(IntFlag):
     TIMEOUT = 16  # samples did not come in time
 
 
-class RadioError(OSError):
+class RadioError(LinkError):
     """The radio cannot be found, refuses, or no longer answers. One line, says which radio."""
 
 

@@ -4,6 +4,7 @@ import threading
 from urllib.parse import urlsplit
 
 from hardware.drivers.radio.interface import Radio
+from hardware.errors import InputError
 
 
 def open_radio(
@@ -21,22 +22,22 @@ def open_radio(
     over
         Once it is set, an answer is no longer waited for: RadioError. UHD's own waits are short.
 
-    Raises ValueError for another URL, RadioError (an OSError) where the radio cannot be had.
+    Raises InputError for another URL, RadioError (an OSError) where the radio cannot be had.
     """
     expected = f"radio: {url!r}, expected uhd:ARGS or zmq://HOST:PORT"
     if url.startswith("uhd:"):
         from hardware.drivers.radio.usrp import UhdRadio
 
         if sample_rate_hz is None:
-            raise ValueError(f"radio: {url}: sample_rate_hz is missing")
+            raise InputError(f"radio: {url}: sample_rate_hz is missing")
         return UhdRadio(url.removeprefix("uhd:"), sample_rate_hz=sample_rate_hz)
     try:
         parts = urlsplit(url)
         port = parts.port
     except ValueError as error:
-        raise ValueError(expected) from error
+        raise InputError(expected) from error
     if parts.scheme != "zmq" or not parts.hostname or port is None or parts.path.strip("/"):
-        raise ValueError(expected)
+        raise InputError(expected)
     from hardware.drivers.radio.zeromq import ZeroMqRadio
 
     return ZeroMqRadio(parts.hostname, port, over=over)

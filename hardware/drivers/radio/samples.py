@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.drivers.radio.interface import FULL_SCALE_COUNTS, Reception
+from hardware.errors import InputError
 from hardware.records.container import Flag
 from hardware.waveform import OfdmWaveform
 
@@ -26,7 +27,7 @@ class SlotGrid:
 
     @staticmethod
     def of(waveform: OfdmWaveform) -> "SlotGrid":
-        """Grid of a waveform. Raises ValueError where prefix or slot miss the sampling grid."""
+        """Grid of a waveform. Raises InputError where prefix or slot miss the sampling grid."""
         prefix, slot = (
             _whole(name, getattr(waveform, name), waveform.bandwidth_hz)
             for name in ("prefix_s", "slot_period_s")
@@ -49,13 +50,13 @@ def symbol(waveform: OfdmWaveform, level: float) -> NDArray[np.complex64]:
     level
         Root mean square, of full scale.
 
-    Raises ValueError where it peaks above full scale.
+    Raises InputError where it peaks above full scale.
     """
     wave = np.fft.ifft(np.fft.ifftshift(waveform.sent())) * np.sqrt(waveform.n_subcarriers)
     samples = (level * wave).astype(np.complex64)
     peak = float(np.abs(samples).max())
     if not 0 < peak <= 1 + 1e-6:
-        raise ValueError(f"level: {level:g} makes the symbol peak at {peak:g} of full scale")
+        raise InputError(f"level: {level:g} makes the symbol peak at {peak:g} of full scale")
     return samples
 
 
@@ -117,5 +118,5 @@ def counts(
 def _whole(name: str, duration_s: float, rate_hz: float) -> int:
     samples = duration_s * rate_hz
     if abs(samples - round(samples)) > _GRID * max(samples, 1):
-        raise ValueError(f"{name}: {duration_s:g} s is no whole number of samples ({samples:.6g})")
+        raise InputError(f"{name}: {duration_s:g} s is no whole number of samples ({samples:.6g})")
     return round(samples)

@@ -1,36 +1,21 @@
 """The stepped-carrier schedule: tune, settle, one burst per step at its time; a record of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hardware.drivers.radio import samples
 from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
+from hardware.errors import InputError
 from hardware.records.radar import RadarRecord
+from hardware.records.state import AT_ORIGIN, QuaternionPose, RadarFrontEnd
 from hardware.waveform import OfdmWaveform
 
 Order = Literal["ascending", "descending", "shuffled"]
 
 _MOST_OFF_HZ = 1e3  # of the carrier: 0.004 rad of phase at 100 m
-
-
-@dataclass(frozen=True)
-class FrontEnd:
-    """What calibration and the mounting say about the radio; fields as in `RadarRecord`.
-
-    ``transmit_power_w`` belongs to samples at ``level`` (root mean square, of full scale).
-    """
-
-    root_watt_per_count: float
-    transmit_power_w: float
-    level: float = 0.5
-    antenna_gain_dbi: float = float("nan")
-    losses_db: float = float("nan")
-    leakage_delay_s: float = float("nan")
-    transmitters_m: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
-    receivers_m: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
 
 
 @dataclass(frozen=True)
@@ -49,6 +34,8 @@ class Schedule:
         Between the report that the oscillator has locked and the burst.
     lead_s
         Between the command and the first burst, for the way to the device.
+    level
+        Root mean square of the samples sent, of full scale.
     """
 
     waveform: OfdmWaveform
@@ -56,16 +43,17 @@ class Schedule:
     step_period_s: float
     settling_s: float = 1e-3
     lead_s: float = 10e-3
+    level: float = 0.5
 
     def __post_init__(self) -> None:
         if not self.carriers_hz or self.carriers_hz[0] != self.waveform.carrier_hz:
-            raise ValueError(f"carriers_hz: {self.carriers_hz} does not begin at the waveform's")
+            raise InputError(f"carriers_hz: {self.carriers_hz} does not begin at the waveform's")
         for name in ("settling_s", "lead_s"):
             if not 0 <= getattr(self, name) < 3600:
-                raise ValueError(f"{name}: {getattr(self, name)} is not between 0 and 3600 s")
+                raise InputError(f"{name}: {getattr(self, name)} is not between 0 and 3600 s")
         least = self.burst_s + self.settling_s
         if not least <= self.step_period_s < 3600:
-            raise ValueError(
+            raise InputError(
                 f"step_period_s: {self.step_period_s:g} s is shorter than burst and settling "
                 f"({least:g} s)"
             )
@@ -95,7 +83,7 @@ def carriers(
     ``shuffled``: range and Doppler do not couple along a sweep as they do on a ramp.
     """
     if order not in get_args(Order):
-        raise ValueError(f"order: {order!r} is none of {', '.join(get_args(Order))}")
+        raise InputError(f"order: {order!r} is none of {', '.join(get_args(Order))}")
     steps = center_hz + (np.arange(n_steps) - (n_steps - 1) / 2) * spacing_hz
     if order == "descending":
         steps = steps[::-1]
@@ -107,29 +95,31 @@ def carriers(
 def acquire(
     radio: Radio,
     schedule: Schedule,
-    front_end: FrontEnd,
+    front_end: RadarFrontEnd,
     *,
     bursts: int = 1,
-    pose: ArrayLike = (0, 0, 0, 1, 0, 0, 0),
+    pose: QuaternionPose | Sequence[QuaternionPose] = AT_ORIGIN,
 ) -> RadarRecord:
     """Run the schedule ``bursts`` times.
 
     Parameters
     ----------
     radio, schedule, front_end
-        Who sends what when.
+        Who sends what when, and what its counts mean; ``transmit_power_w`` belongs to the
+        schedule's ``level``.
     bursts
         Sweeps over all carriers.
-    pose : (7,) or (bursts, 7)
-        As in `RadarRecord`.
+    pose
+        Of the antenna: one, or one for each burst.
 
     What is lost stands in the record as zeros under `Flag.OVERRUN`: a sample, a late burst, a
     burst of which nothing came. Raises RadioError where the radio no longer answers or tunes
-    elsewhere, ValueError where schedule, front end and radio do not fit.
+    elsewhere, InputError where schedule, front end and radio do not fit.
     """
     wave = schedule.waveform
     _check(radio, schedule, front_end)
-    sent = samples.burst(wave, front_end.level)
+    sent = samples.burst(wave, schedule.level)
+    poses = (pose,) * bursts if isinstance(pose, QuaternionPose) else tuple(pose)
     shape = (bursts, len(schedule.carriers_hz), wave.n_slots)
     iq = np.empty((*shape, radio.n_receivers, wave.n_subcarriers, 2), dtype=np.int16)
     times = np.empty(shape, dtype=np.int64)
@@ -155,16 +145,10 @@ def acquire(
         flags=flags,
         carriers_hz=tuned[0],
         transmitter=np.zeros(wave.n_slots, dtype=np.uint8),
-        transmitters_m=np.array(front_end.transmitters_m),
-        receivers_m=np.array(front_end.receivers_m),
         waveform=replace(wave, carrier_hz=float(tuned[0, 0])),
-        root_watt_per_count=front_end.root_watt_per_count,
-        transmit_power_w=front_end.transmit_power_w,
-        antenna_gain_dbi=front_end.antenna_gain_dbi,
-        losses_db=front_end.losses_db,
-        leakage_delay_s=front_end.leakage_delay_s,
+        front_end=front_end,
         device=radio.device,
-        pose=np.array(np.broadcast_to(pose, (bursts, 7)), dtype=np.float64),
+        pose=poses,
     )
 
 
@@ -177,16 +161,16 @@ def _tune(radio: Radio, carrier_hz: float) -> Tuned:
     return tuned
 
 
-def _check(radio: Radio, schedule: Schedule, front_end: FrontEnd) -> None:
+def _check(radio: Radio, schedule: Schedule, front_end: RadarFrontEnd) -> None:
     bandwidth = schedule.waveform.bandwidth_hz
     if abs(radio.sample_rate_hz - bandwidth) > 1e-6 * bandwidth:
-        raise ValueError(
+        raise InputError(
             f"{radio.device}: {radio.sample_rate_hz:g} samples/s, expected the waveform's "
             f"{bandwidth:g}"
         )
     if len(front_end.transmitters_m) != 1:
-        raise ValueError(f"transmitters_m: {len(front_end.transmitters_m)}, the radio has 1")
+        raise InputError(f"transmitters_m: {len(front_end.transmitters_m)}, the radio has 1")
     if len(front_end.receivers_m) != radio.n_receivers:
-        raise ValueError(
+        raise InputError(
             f"receivers_m: {len(front_end.receivers_m)}, the radio has {radio.n_receivers}"
         )

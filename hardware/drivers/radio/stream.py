@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
 from hardware.drivers.radio.zeromq import to_samples
+from hardware.errors import InputError
 
 #: Samples that one answer brings, at most.
 MOST_SAMPLES = 2**16
@@ -132,7 +133,7 @@ class StreamRadio(Radio):
         self._asked = False
         try:
             part = to_samples(self._receive.recv())
-        except ValueError as error:
+        except InputError as error:
             raise RadioError(f"{self.device}: {error}") from error
         if len(part) > most:
             raise RadioError(f"{self.device}: more samples came back than were sent")

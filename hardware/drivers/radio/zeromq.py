@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hardware.drivers.radio.answer import MOST_NS, Answer
 from hardware.drivers.radio.interface import Radio, RadioError, Reception, Tuned
+from hardware.errors import InputError
 
 PROTOCOL_VERSION = 2
 #: Bytes of the JSON of one message, at most.
@@ -29,12 +30,12 @@ _MOST_PATIENCE_S = 3600.0
 
 
 def to_samples(frame: bytes) -> NDArray[np.complex64]:
-    """Samples of a frame. Raises ValueError unless it holds whole, finite ones."""
+    """Samples of a frame. Raises InputError unless it holds whole, finite ones."""
     if len(frame) % 8:
-        raise ValueError(f"{len(frame)} bytes, expected complex samples of 8")
+        raise InputError(f"{len(frame)} bytes, expected complex samples of 8")
     samples = np.frombuffer(frame, dtype="<c8")
     if not np.isfinite(samples).all():
-        raise ValueError("a sample is not a number")
+        raise InputError("a sample is not a number")
     return samples
 
 
@@ -111,7 +112,7 @@ class ZeroMqRadio(Radio):
         faults, there = answer.faults(), answer.there(n)
         try:
             heard = to_samples(b"".join(frames))
-        except ValueError as error:
+        except InputError as error:
             raise RadioError(f"{self.device}: burst: {error}") from error
         if not heard.size:
             return Reception.nothing(self.n_receivers, n, started, faults)
@@ -168,7 +169,7 @@ class ZeroMqRadio(Radio):
     def _parsed(self, message: bytes) -> dict[str, Any]:
         try:
             if len(message) > MOST_JSON:
-                raise ValueError(f"{len(message)} bytes")
+                raise InputError(f"{len(message)} bytes")
             answer = json.loads(message)
         except (ValueError, RecursionError) as error:
             raise RadioError(f"{self.device}: answer is no JSON: {error}") from error

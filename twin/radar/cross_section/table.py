@@ -32,6 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from hardware.files import whole_file
+from twin.errors import InputError
 from twin.radar.cross_section.bistatic import scattering_dyadics
 from twin.radar.cross_section.optics import Quality, thinning
 from twin.radar.scattering.target import Target
@@ -80,7 +82,7 @@ class Table:
     file
         To begin with, and to write what is new to; an unreadable one is as none.
 
-    Raises ValueError where a sphere would have more than 3e9 nodes.
+    Raises InputError where a sphere would have more than 3e9 nodes.
     """
 
     def __init__(
@@ -105,7 +107,7 @@ class Table:
         step = wavelength / (2 * self.extent_m * nodes)
         self._side = int(np.ceil(np.pi / 2 / step))  # cells along a face of the cube
         if self.nodes > _MOST_NODES:
-            raise ValueError(
+            raise InputError(
                 f"{self.extent_m / wavelength:.4g} wavelengths at {nodes} nodes per lobe are "
                 f"{self.nodes:.2g} directions, expected at most {_MOST_NODES:.0e}"
             )
@@ -238,6 +240,5 @@ def _read(file: Path | None) -> tuple[Nodes, Complex]:
 def _write(file: Path, keys: Nodes, values: Complex) -> None:
     """Whole or not at all; of two processes the last one's pairs stay."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_suffix(f".{os.getpid()}.npz")
-    np.savez(partial, keys=keys, values=values)
-    partial.replace(file)
+    with whole_file(file) as partial, partial.open("wb") as opened:
+        np.savez(opened, keys=keys, values=values)

@@ -1,4 +1,4 @@
-"""One burst: carrier steps in time, transmitters by turns, receivers side by side.
+"""One burst: carrier steps in time, time-division multiplexed transmitters, receivers side by side.
 
 Each step, transmitter and receiver by itself is a radar with one antenna: what its place and its
 time change about an echo's delay goes into the delay, so into the carrier's phase and the envelope
@@ -41,12 +41,11 @@ class Burst:
 
     def waveform_of(self, step: int, transmitter: int) -> OfdmWaveform:
         """What one transmitter sends in one step."""
-        turns = len(self.transmitters_m)
         return replace(
             self.waveform,
             carrier_hz=float(self.carriers_hz[step]),
             n_slots=len(range(self.waveform.n_slots)[self.slots(transmitter)]),
-            slot_period_s=self.waveform.slot_period_s * turns,
+            slot_period_s=self.waveform.slot_period_s * len(self.transmitters_m),
         )
 
     def seen(

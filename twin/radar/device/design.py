@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy import constants
 
+from hardware.records import RadarFrontEnd
 from hardware.waveform import C_M_PER_S, OfdmWaveform, Symbols
 from twin.files import catalog_folder
 from twin.radar.device.antenna import Antenna
@@ -49,7 +50,7 @@ class Waveform(Strict):
     symbols: Sourced[Symbols]
 
 
-class FrontEnd(Strict):
+class FrontEndDesign(Strict):
     """Power, noise figure, losses (two-way, all told), mixer and converter.
 
     noise_counts
@@ -152,7 +153,7 @@ class RadarDesign(Entry):
     """One radar; without `elements` it has one transmitter and one receiver at the same place."""
 
     waveform: Waveform
-    front_end: FrontEnd
+    front_end: FrontEndDesign
     antenna: Antenna
     band: Band
     elements: Elements | None = None
@@ -206,6 +207,19 @@ class RadarDesign(Entry):
             step_times_s=period * (number - (count - 1) / 2),
             transmitters_m=np.array(self.elements.transmitters_m.value if self.elements else one),
             receivers_m=np.array(self.elements.receivers_m.value if self.elements else one),
+        )
+
+    def recorded_front_end(self, root_watt_per_count: float) -> RadarFrontEnd:
+        """What a record says of the front end, its counts scaled so."""
+        burst = self.burst
+        return RadarFrontEnd(
+            root_watt_per_count=root_watt_per_count,
+            transmit_power_w=self.front_end.transmit_power_w.value,
+            antenna_gain_dbi=self.antenna.ahead_dbi,
+            losses_db=self.front_end.losses_db.value,
+            leakage_delay_s=self.leakage.delay_s.value if self.leakage else math.nan,
+            transmitters_m=burst.transmitters_m,
+            receivers_m=burst.receivers_m,
         )
 
     @property

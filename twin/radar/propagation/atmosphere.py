@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.system import Weather
 
 Polarization = Literal["horizontal", "vertical"]
@@ -30,12 +31,12 @@ class Air:
     def db_per_m(self, carrier_hz: float) -> float:
         """Attenuation of power per metre of way.
 
-        Raises ValueError outside 1 to 350 GHz, where P.676 line by line and P.838 both hold.
+        Raises InputError outside 1 to 350 GHz, where P.676 line by line and P.838 both hold.
         """
         if self.weather is None:
             return 0.0
         if not 1e9 <= carrier_hz <= 350e9:
-            raise ValueError(
+            raise InputError(
                 f"carrier_hz: {carrier_hz:g} is not between 1e9 and 350e9, where the attenuation "
                 "of air and rain is known"
             )

@@ -68,7 +68,7 @@ def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -
     x, y, z = body.sphere[0].tolist()
     try:
         table = table_of(body, carrier, nodes)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{place}: radar = 'table': {error}") from error
     point = Target(item.name, (x, y, z), item.velocity_m_per_s, 1.0, "its table", item.name)
     return Tabulated(point, table, assumed)

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from twin.errors import InputError
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -34,7 +36,7 @@ class Surface:
     ``backing`` None is a perfect conductor, 1 is air (a sheet or wall), anything else fills the
     half-space. What a wall lets through is not followed any further.
 
-    Raises ValueError on a permittivity that gains power or a layer without thickness.
+    Raises InputError on a permittivity that gains power or a layer without thickness.
     """
 
     layers: tuple[Layer, ...] = ()
@@ -44,10 +46,10 @@ class Surface:
         media = [layer.permittivity for layer in self.layers]
         for value in media + ([] if self.backing is None else [self.backing]):
             if not np.isfinite(value) or value == 0 or np.imag(value) > 0:
-                raise ValueError(f"permittivity: {value}: expected eps' - j eps'', eps'' >= 0")
+                raise InputError(f"permittivity: {value}: expected eps' - j eps'', eps'' >= 0")
         for layer in self.layers:
             if not (np.isfinite(layer.thickness_m) and layer.thickness_m > 0):
-                raise ValueError(f"thickness_m: {layer.thickness_m}: expected above 0")
+                raise InputError(f"thickness_m: {layer.thickness_m}: expected above 0")
 
     def reflection(self, cosine: Array, carrier_hz: float) -> tuple[Complex, Complex]:
         """Coefficients of E across (TE) and H across (TM) the plane of incidence.

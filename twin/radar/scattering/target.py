@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
+from twin.errors import InputError
 from twin.radar.scattering.surface import PEC, Surface
 from twin.scene.meshes import Mesh, validate
 
@@ -23,7 +24,7 @@ class Target:
     Faces count from both sides; which way they wind does not matter. Phases and cross-sections
     refer to the origin of the vertices' frame.
 
-    Raises ValueError on a mesh that no renderer may see, or larger than 100 km.
+    Raises InputError on a mesh that no renderer may see, or larger than 100 km.
     """
 
     vertices_m: Array
@@ -34,10 +35,10 @@ class Target:
     def __post_init__(self) -> None:
         kept = validate(Mesh(self.vertices_m, self.faces), "target")
         if len(kept.faces) != len(self.faces):
-            raise ValueError(f"target: {len(self.faces) - len(kept.faces)} faces have no area")
+            raise InputError(f"target: {len(self.faces) - len(kept.faces)} faces have no area")
         reach = float(np.abs(self.vertices_m).max())
         if reach > _LARGEST_M:
-            raise ValueError(f"target: reaches to {reach:.3g} m, expected at most {_LARGEST_M:g} m")
+            raise InputError(f"target: reaches to {reach:.3g} m, expected at most {_LARGEST_M:g} m")
 
     @classmethod
     def from_mesh(cls, mesh: Mesh, surface: Surface = PEC, place: str = "target") -> "Target":

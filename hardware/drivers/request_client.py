@@ -1,4 +1,6 @@
-"""Requests and replies on a line that is opened again where it breaks."""
+"""A client of the camera's protocol: requests and replies on a line that is opened again where it
+breaks.
+"""
 
 import itertools
 import logging
@@ -11,7 +13,7 @@ from typing import TypeVar
 
 from hardware.drivers.clock import ClockFilter
 from hardware.drivers.framing import Deframer, encode
-from hardware.drivers.link import Link, LinkError
+from hardware.drivers.link import Link
 from hardware.drivers.messages import (
     Configured,
     Identity,
@@ -26,6 +28,7 @@ from hardware.drivers.messages import (
     from_frame,
     to_frame,
 )
+from hardware.errors import DeviceError, InputError, LinkError, NoAnswerError
 
 _log = logging.getLogger(__name__)
 _Expected = TypeVar("_Expected", Identity, Configured, Status, TimeReply)
@@ -36,13 +39,11 @@ _SYNC_PERIOD_S = 1.0
 _LOOK_S = 0.1
 
 
-class DeviceError(ValueError):
-    """The device refused a request, or does not do what the protocol says."""
-
-
 @dataclass
-class Tally:
-    """What became of the frames, since the camera was opened; ``uploads``: tables sent to it."""
+class Statistics:
+    """Counts of frames since the camera was opened: measured, lost, broken on the line, refused by
+    the driver; of new lines and new starts; of tables sent (``uploads``).
+    """
 
     frames: int = 0
     lost: int = 0
@@ -63,11 +64,10 @@ class Patience:
     between_attempts_s: float = 0.1
 
 
-class Dialogue:
-    """With the device at a URL.
+class RequestClient:
+    """Asks the device at a URL.
 
-    ``inbox`` holds what it sent unasked, ``clock`` is its clock against ``time.time_ns``, ``tally``
-    counts what is to be counted.
+    ``inbox`` holds what it sent unasked, ``clock`` is its clock against ``time.time_ns``.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Dialogue:
         self, url: str, *, patience: Patience, baud: int, over: threading.Event | None = None
     ) -> None:
         self.over = over or threading.Event()
-        self.url, self.patience, self.tally = url, patience, Tally()
+        self.url, self.patience, self.statistics = url, patience, Statistics()
         self.inbox: deque[Measurement | Status] = deque(maxlen=4096)
         self.clock = ClockFilter()
         self._baud = baud
@@ -99,7 +99,7 @@ class Dialogue:
         return any(isinstance(message, Measurement) for message in self.inbox)
 
     def ask(self, request: Request, expected: type[_Expected]) -> _Expected:
-        """Send a request until it is answered. Raises TimeoutError, DeviceError, LinkError."""
+        """Send a request until it is answered. Raises NoAnswerError, DeviceError, LinkError."""
         asked = 0
         while asked < self.patience.attempts and not (asked and self.over.is_set()):
             asked += 1
@@ -117,7 +117,7 @@ class Dialogue:
                         answer = message
             if answer is not None:
                 return answer
-        raise TimeoutError(
+        raise NoAnswerError(
             f"{self.url}: no answer to {type(request).__name__} after "
             f"{asked} attempts of {self.patience.reply_s:g} s"
         )
@@ -151,11 +151,11 @@ class Dialogue:
         while True:
             self._link.close()
             self._link, self._deframer = self._open(), Deframer()
-            self.tally.reconnects += 1
+            self.statistics.reconnects += 1
             try:
                 self.status()
                 return
-            except (LinkError, TimeoutError):
+            except LinkError:
                 if time.monotonic() > deadline or self.over.is_set():
                     raise
                 time.sleep(self.patience.between_attempts_s)
@@ -175,14 +175,14 @@ class Dialogue:
         now_ns = time.time_ns()
         before = self._deframer.rejected
         frames = self._deframer.feed(data)
-        self.tally.rejected += self._deframer.rejected - before
+        self.statistics.rejected += self._deframer.rejected - before
         for frame in frames:
             try:
                 message = from_frame(frame)
                 if isinstance(message, TimeReply):
                     self.clock.add(message.host_ns, message.received_ns, message.sent_ns, now_ns)
-            except ValueError as error:
-                self.tally.rejected += 1
+            except InputError as error:
+                self.statistics.rejected += 1
                 _log.warning("%s: %s", self.url, error)
             else:
                 yield frame.tag, message

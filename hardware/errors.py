@@ -1,0 +1,25 @@
+"""Errors of the vehicle's software, by kind; each is also the built-in error of its kind.
+
+`HardwareError` is the root: what a command answers with one line. Anything else, a ValueError out
+of a library among them, is a fault of the software itself.
+"""
+
+
+class HardwareError(Exception):
+    """What this package raises when something other than its own code is wrong."""
+
+
+class InputError(HardwareError, ValueError):
+    """A file, an argument or a record is wrong; the message names it and what was expected."""
+
+
+class DeviceError(HardwareError, ValueError):
+    """A device refused a request, or does not do what its protocol says."""
+
+
+class LinkError(HardwareError, ConnectionError):
+    """The line to a device is gone: unplugged, closed by the other side, or it takes no bytes."""
+
+
+class NoAnswerError(LinkError, TimeoutError):
+    """The line is there, but nobody answers on it."""

@@ -1,0 +1,156 @@
+"""State of a device, as records, drivers and log hold it: pose, shutters, the radar's front end.
+
+Each has one definition, with one order of its numbers; in files they stand as plain arrays.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hardware.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+
+class QuaternionPose(NamedTuple):
+    """Place and orientation of a rig or an antenna in the world (REP 103: x forward, y left, z up).
+
+    Metres, and the unit quaternion with its real part first: the order of every file and setting.
+    The default stands in the origin and looks along x.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    z_m: float = 0.0
+    qw: float = 1.0
+    qx: float = 0.0
+    qy: float = 0.0
+    qz: float = 0.0
+
+    @classmethod
+    def of(cls, position_m: ArrayLike, rotation: "Rotation") -> "QuaternionPose":
+        """A place (3,) and a rotation from the posed frame to the world."""
+        x, y, z = np.asarray(position_m, np.float64).tolist()
+        qx, qy, qz, qw = rotation.as_quat().tolist()
+        return cls(x, y, z, qw, qx, qy, qz)
+
+    @classmethod
+    def from_numbers(cls, values: Iterable[float]) -> "QuaternionPose":
+        """From x, y, z, qw, qx, qy, qz. Raises InputError unless these are 7 finite numbers."""
+        numbers = tuple(float(value) for value in values)
+        if len(numbers) != 7 or not all(map(math.isfinite, numbers)):
+            raise InputError(f"{numbers}, expected x y z, quaternion w x y z")
+        return cls(*numbers)
+
+    @property
+    def position_m(self) -> Array:
+        """Place, (3,)."""
+        return np.array(self[:3])
+
+    @property
+    def rotation(self) -> "Rotation":
+        """From the posed frame to the world."""
+        return rotations([self])[0]
+
+
+#: In the world's origin, looking along x.
+AT_ORIGIN = QuaternionPose()
+
+
+def positions(poses: Sequence[QuaternionPose]) -> Array:
+    """Places, (n, 3), in metres."""
+    return np.array(poses, np.float64).reshape(-1, 7)[:, :3]
+
+
+def rotations(poses: Sequence[QuaternionPose]) -> "Rotation":
+    """Rotations from the posed frames to the world, n of them."""
+    from scipy.spatial.transform import Rotation  # takes 0.1 s to import
+
+    return Rotation.from_quat(np.array(poses, np.float64).reshape(-1, 7)[:, [4, 5, 6, 3]])
+
+
+class Shutter(NamedTuple):
+    """When the detector is open during an exposure of a time-of-flight measurement.
+
+    Modulation frequency (Hz) and phase (rad) of a lock-in measurement, or delay after the beginning
+    of the light's pulse and width (s) of a gate. The default is always open.
+    """
+
+    modulation_hz: float = 0.0
+    phase_rad: float = 0.0
+    gate_delay_s: float = 0.0
+    gate_width_s: float = 0.0
+
+    @classmethod
+    def from_numbers(cls, values: Iterable[float]) -> "Shutter":
+        """From the four numbers. Raises InputError unless all are finite and none is negative."""
+        numbers = tuple(float(value) for value in values)
+        if len(numbers) != 4 or not all(0 <= value < math.inf for value in numbers):
+            raise InputError(f"{numbers}, expected four finite numbers, none of them negative")
+        return cls(*numbers)
+
+    @property
+    def modulated(self) -> bool:
+        """Whether it belongs to a lock-in measurement."""
+        return self.modulation_hz > 0
+
+    @property
+    def gated(self) -> bool:
+        """Whether it is a gate."""
+        return self.gate_width_s > 0
+
+
+#: No time of flight.
+ALWAYS_OPEN = Shutter()
+
+
+def _origin() -> Array:
+    return np.zeros((1, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class RadarFrontEnd:
+    """A radar between its antennas and its counts, as calibration and mounting tell it.
+
+    Parameters
+    ----------
+    root_watt_per_count
+        One count is this wave amplitude at the antenna's port.
+    transmit_power_w
+        At the antenna's port.
+    antenna_gain_dbi
+        Of one transmitter or receiver, along x; NaN when nobody measured it.
+    losses_db
+        From the antennas' ports on and back, all told (radome, feeds); NaN when unknown.
+    leakage_delay_s
+        Of the direct way from transmitter to receiver, by calibration; NaN when unknown.
+    transmitters_m, receivers_m : (n_transmitters, 3), (n_receivers, 3) float64
+        Phase centres in the antenna's frame: x ahead, y left, z up.
+    """
+
+    root_watt_per_count: float
+    transmit_power_w: float
+    antenna_gain_dbi: float = math.nan
+    losses_db: float = math.nan
+    leakage_delay_s: float = math.nan
+    transmitters_m: Array = field(default_factory=_origin)
+    receivers_m: Array = field(default_factory=_origin)
+
+    def __post_init__(self) -> None:
+        for name in ("transmitters_m", "receivers_m"):
+            places = getattr(self, name)
+            if places.shape != (len(places), 3):
+                raise InputError(f"{name}: shape {places.shape}, expected ({len(places)}, 3)")
+            if not np.isfinite(places).all():
+                raise InputError(f"{name}: a value is no number")
+        for name in ("root_watt_per_count", "transmit_power_w"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name}: {value} is not a positive number")

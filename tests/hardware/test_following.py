@@ -1,0 +1,135 @@
+"""`ugv process --tracks` and `--image-every`: what one record after another adds up to."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from radar_cubes import WIDE, Echo, cube
+from ugv_command import ugv
+
+from hardware import InputError, PatternSet, QuaternionPose, SpiRecord
+from hardware.radar import Detection
+from hardware.reconstruction import METHODS, measurements
+from hardware.recording import Log, read_messages
+from hardware.records import Flag
+from hardware.sliding_images import SlidingImages
+from hardware.tracks import RadarTracks, cloud
+
+STEP_NS = 10**8
+
+
+def detection(range_m: float, azimuth_rad: float, rate: float) -> Detection:
+    return Detection(
+        range_m=range_m,
+        range_rate_m_per_s=rate,
+        power_w=1.0,
+        snr_db=30.0,
+        range_error_m=0.01,
+        range_rate_error_m_per_s=0.05,
+        azimuth_rad=azimuth_rad,
+        azimuth_error_rad=0.005,
+    )
+
+
+def test_a_target_at_rest_stands_still_before_a_moving_antenna() -> None:
+    """5 m/s ahead towards a post at 20 m: the post's own velocity is 0 within its error."""
+    tracks = RadarTracks()
+    for k in range(8):
+        ahead = 20.0 - 0.5 * k
+        found = [detection(ahead, 0.0, -5.0)]
+        confirmed = tracks.update("/radar", found, k * STEP_NS, QuaternionPose(0.5 * k))
+    (track,) = confirmed
+    columns = cloud([track])
+    assert columns["x"][0] == pytest.approx(20.0, abs=3 * columns["x_error_m"][0])
+    speed, error = columns["velocity_x_m_per_s"][0], columns["velocity_x_error_m_per_s"][0]
+    assert error < 0.5
+    assert abs(speed) < 3 * error
+    assert columns["hits"][0] == 7  # of the first burst the antenna's velocity is unknown
+
+
+def test_sensors_are_followed_apart_and_anew_where_the_clock_runs_back() -> None:
+    tracks = RadarTracks()
+    for k in range(5):
+        for sensor in ("/one", "/two"):
+            found = [detection(10.0, 0.1, 0.0)] if sensor == "/one" else []
+            confirmed = tracks.update(sensor, found, k * STEP_NS, QuaternionPose())
+            assert len(confirmed) == (sensor == "/one" and k >= 3)
+    assert not tracks.update("/one", [detection(10.0, 0.1, 0.0)], 0, QuaternionPose())
+
+
+def test_without_an_azimuth_the_range_alone_is_told() -> None:
+    tracks = RadarTracks()
+    for k in range(4):
+        found = [detection(10.0 - 0.1 * k, np.nan, -1.0)]
+        confirmed = tracks.update("/radar", found, k * STEP_NS, QuaternionPose())
+    columns = cloud(confirmed)
+    assert np.isnan([columns[name][0] for name in ("x", "y", "velocity_x_m_per_s")]).all()
+    assert columns["range_m"][0] == pytest.approx(9.7, abs=0.05)
+    assert columns["range_rate_m_per_s"][0] == pytest.approx(-1.0, abs=0.1)
+    assert {len(values) for values in cloud([]).values()} == {0}
+
+
+def camera_record(number: int = 0, mode: str = "differential") -> SpiRecord:
+    patterns = PatternSet(8, 8, 64, mode=mode)  # type: ignore[arg-type]
+    cells = np.outer(np.hanning(8), np.hanning(8)).ravel() * 1e4
+    n = patterns.n_exposures
+    noise = np.random.default_rng(number).normal(scale=30.0, size=(n, 1))
+    return SpiRecord(
+        counts=np.rint(patterns.signal(cells[:, None]) + 1e4 + noise).astype(np.int32),
+        device_time_ns=(number * n + np.arange(n, dtype=np.int64)) * 100_000,
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=np.zeros(n, np.uint8),
+        patterns=patterns,
+        integration_time_s=1e-4,
+        electrons_per_count=1.0,
+        offset_counts=0.0,
+        adc_bits=31,
+        device="camera",
+        pose=QuaternionPose(),
+    )
+
+
+@pytest.mark.parametrize("mode", ["differential", "reference"])
+def test_after_a_whole_set_the_sliding_image_is_that_of_the_set(mode: str) -> None:
+    record = camera_record(mode=mode)
+    images = list(SlidingImages(24).update("/spi", record))
+    assert len(images) == 3  # 24, 48 and all 64 patterns
+    measured = measurements(record)
+    values, variance = measured.values[:, 0], float(measured.noise_variance[0])
+    expected = METHODS["lmmse"](values, variance, record.patterns)[0].reshape(8, 8)
+    # The same estimator by other sums; with what a full set's plan rounds.
+    np.testing.assert_allclose(images[-1][1][0], expected, atol=1e-3 * np.ptp(expected))
+    per_pattern = 2 if mode == "differential" else 1
+    head = record.patterns.n_exposures - 64 * per_pattern
+    times = [time for time, _ in images]
+    assert times == [record.device_time_ns[head + per_pattern * n - 1] for n in (24, 48, 64)]
+
+
+def test_lost_patterns_are_passed_over() -> None:
+    sliding = SlidingImages(64)
+    ((_, whole),) = sliding.update("/spi", camera_record())
+    flags = np.zeros(128, np.uint8)
+    flags[40:48] = Flag.LOST
+    ((_, after),) = sliding.update("/spi", replace(camera_record(1), flags=flags))
+    assert np.abs(after - whole).max() < 0.05 * np.ptp(whole)
+    with pytest.raises(InputError, match=r"^every: 0"):
+        SlidingImages(0)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    """Four bursts of a target that comes nearer: a track from the fourth on; four images a set."""
+    with Log(tmp_path / "run.mcap") as log:
+        for k in range(4):
+            made = cube(WIDE, [Echo((6.0 - 0.1 * k, 0.0, 0.0))], noise_w=1e-10, seed=k)
+            later = replace(made, device_time_ns=made.device_time_ns + k * STEP_NS)
+            log.record("/radar/record", later, host_ns=1 + k)
+        log.record("/spi/record", camera_record(), host_ns=9)
+    out = tmp_path / "out.mcap"
+    done = ugv("process", tmp_path / "run.mcap", "-o", out, "--tracks", "--image-every", "16")
+    assert done.returncode == 0, done.stderr
+    bursts = [line for line in done.stdout.splitlines() if "burst 0" in line]
+    assert [line.rsplit(", ", 1)[1] for line in bursts] == [f"{n} tracks" for n in (0, 0, 0, 1)]
+    assert "/spi/record: 4 images" in done.stdout
+    topics = [one.topic for one in read_messages(out)]
+    assert (topics.count("/radar/tracks"), topics.count("/spi/image")) == (4, 4)

@@ -1,0 +1,67 @@
+"""Errors of the simulator: one root, by kind, and what the vehicle makes of them."""
+
+import sys
+
+import pytest
+
+import twin
+from hardware import DeviceError
+from hardware.errors import InputError as VehicleInputError
+from twin import cli
+from twin.errors import EngineError, InputError, TwinError
+from twin.serve.source import records
+from twin.sweep.inputs import ChangedError
+from twin.sweep.workers import WorkerDiedError
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "builtin"),
+    [
+        (InputError, VehicleInputError, ValueError),
+        (ChangedError, InputError, ValueError),
+        (EngineError, TwinError, RuntimeError),
+        (WorkerDiedError, EngineError, RuntimeError),
+    ],
+)
+def test_every_error_has_its_kind(
+    error: type[Exception], kind: type[Exception], builtin: type[Exception]
+) -> None:
+    assert issubclass(error, kind)
+    assert issubclass(error, builtin)
+    assert issubclass(error, TwinError)
+    assert (twin.InputError, twin.EngineError) == (InputError, EngineError)
+
+
+@pytest.mark.parametrize("error", [InputError("a: b"), EngineError("a: b"), DeviceError("a: b")])
+def test_a_command_tells_an_error_of_a_kind_in_one_line(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("twin.system.load_system", fails)
+    monkeypatch.setattr(sys, "argv", ["twin", "budget", "--system", "mine"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "twin: error: a: b\n"
+
+
+def test_a_library_s_value_error_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ValueError("operands could not be broadcast")
+
+    monkeypatch.setattr("twin.system.load_system", fails)
+    monkeypatch.setattr(sys, "argv", ["twin", "budget", "--system", "mine"])
+    with pytest.raises(ValueError, match="broadcast") as caught:
+        cli.main()
+    assert not isinstance(caught.value, TwinError)
+
+
+def test_to_the_vehicle_an_engine_that_fails_is_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise EngineError("no libLLVM")
+
+    monkeypatch.setattr("twin.serve.source.still_light", fails)
+    with pytest.raises(DeviceError, match=r"^twin:yard: no libLLVM$"):
+        records("twin:yard")
