@@ -124,7 +124,8 @@ class Knobs:
         new = {**(changes or {}), **knobs}
         unknown = new.keys() - {knob.name for knob in fields(self)}
         if unknown:
-            raise InputError(f"fidelity: no knob {', '.join(sorted(unknown))}")
+            gone = "".join(f"; {old} {REPLACED[old]}" for old in sorted(unknown & REPLACED.keys()))
+            raise InputError(f"fidelity: no knob {', '.join(sorted(unknown))}{gone}")
         return replace(self, **new)
 
     def part(self, kind: type[K]) -> K:
@@ -250,6 +251,9 @@ class Fidelity(RadarFidelity, LightFidelity):
     (64, 0.03)
     """
 
+
+#: Knobs of earlier versions, and what became of them.
+REPLACED = {"radar_rays": "gave way to radar_tolerance, the error of the echo of every body"}
 
 #: A look at a design; most cells far below the sensor's own noise, though on the yard the rms over
 #: cells is half of it (`twin trade` measures that); comparison.

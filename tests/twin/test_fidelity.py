@@ -57,7 +57,7 @@ def test_wrong_knobs_are_named(wrong: dict[str, object]) -> None:
         Fidelity(**wrong)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no knob"):
         Fidelity().with_(speed=1)
-    with pytest.raises(ValueError, match="no knob radar_rays"):
+    with pytest.raises(ValueError, match="radar_rays gave way to radar_tolerance"):
         Fidelity().with_(radar_rays=200_000)
     with pytest.raises(ValueError, match="is none of draft"):
         preset("fast")

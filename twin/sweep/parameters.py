@@ -17,7 +17,7 @@ from functools import lru_cache
 from hardware.errors import InputError as VehicleInputError
 from hardware.units import quantity, unit_of
 from twin.errors import InputError
-from twin.fidelity import Fidelity
+from twin.fidelity import REPLACED, Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.scene.changes import SCENE_NAMES, check_scene_name
 from twin.system import System
@@ -49,6 +49,9 @@ def check_name(name: str) -> None:
     if name.startswith("scene."):
         check_scene_name(name.removeprefix("scene."))
         return
+    section, _, knob = name.rpartition(".")
+    if section == "fidelity" and knob in REPLACED:
+        raise InputError(f"{name}: is no parameter any more; it {REPLACED[knob]}")
     near = difflib.get_close_matches(name, _plain_names(), n=1)
     raise InputError(f"{name}: is no parameter" + (f"; did you mean {near[0]}?" if near else ""))
 

@@ -80,6 +80,10 @@ class _Radars(Station):
         )
         return turned(re, here, departure), turned(im, here, departure)
 
+    def both_ways(self, source: Any, receiver: Any) -> Any:
+        """Never: one place sends, others receive."""
+        return self.mi.Bool(False)
+
 
 def _radars(
     subject: Subject,

@@ -24,7 +24,7 @@ from twin.radar.propagation.tubes import Tubes, heard, reflected_on
 
 Array = NDArray[np.float64]
 
-_DEEPEST = 8, 3  # divisions of facets by four, and of roots of tubes by sixteen
+_DEEPEST = 12, 3  # divisions of facets by four, and of roots of tubes by sixteen
 _COARSE_DEPTH = 0, 0
 _COARSE = 0.5  # tolerance of the first pass, at least
 
@@ -196,7 +196,7 @@ class _Search:
                 done[:] = True
             for landed in begun.landed:
                 ends = done[landed.root]
-                budget.accept(landed.lit, landed.error, ends)
+                budget.accept(landed.lit.body, landed.error, ends)
                 some = np.flatnonzero(ends & landed.is_lit)
                 if len(some):
                     lit.append((landed.lit.taken(some), landed.echoes.chosen(some)))

@@ -16,6 +16,7 @@ from twin.radar.propagation.triangles import (
     Triangles,
     incident_on,
 )
+from twin.radar.propagation.walls import Passage
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.scattering.triangle import bend, largest, mean_over, node, span
 
@@ -27,6 +28,7 @@ _OBLIQUE = 8.0  # rad across a triangle from which its corners answer one by one
 _TURNED = 0.7  # of the phase by which a slope grows until the end of a burst
 _NARROW = 0.15  # size over distance up to which a triangle's edges tell the most that it gets
 _NEAREST = 0.05  # of the distance of the centroid
+_MOST_AGAIN = 0.9  # of a wave within a wall from one round trip to the next
 #: Corners of the four equal parts of a triangle, by its corners 0 to 2 and the middles 3 to 5 of
 #: its edges.
 _QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
@@ -41,6 +43,7 @@ class Echoes:
     ``length_m``, the path by the centroid, where ``gain`` is the antenna's, out and back, in
     amplitude. With the gain: ``strength``, a bound of what it or any part of it returns, and
     ``curved``, what the curvature of phase and amplitude may still change.
+    Both directions of a way that goes out by one image and home by another count as one echo.
     """
 
     amplitude: Complex
@@ -89,34 +92,75 @@ def reflection(
     """At the centroid: direction of the wave, the normal against it, direction and field (Re, Im)
     of the reflected wave.
     """
-    place = lit.center
-    direction = dr.normalize(place - wave.origin)
-    normal = normal_of(s, lit.face, place, wave.origin)
+    direction = dr.normalize(lit.center - wave.origin)
+    normal = normal_of(s, lit.face, lit.center, wave.origin)
+    field = wave.field, wave.field_im
+    away, out, out_im = _mirrored(s, scatterers, lit, direction, normal, field)
+    return direction, normal, away, out, out_im
+
+
+def _mirrored(
+    s: Station,
+    scatterers: Scatterers,
+    lit: Triangles,
+    direction: Any,
+    normal: Any,
+    field: tuple[Any, Any],
+) -> tuple[Any, Any, Any]:
+    """Direction and field (Re, Im) of what facets reflect of a wave."""
     cosine = -dr.dot(normal, direction)
     number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
     surface = dr.gather(s.mi.UInt32, scatterers.surface, number)
     row = coefficients_at(s.mi, s.table, surface, cosine, s.mi.Bool(True))
-    out, out_im = reflected(wave.field, wave.field_im, direction, normal, row)
-    return direction, normal, direction + 2 * cosine * normal, out, out_im
+    out, out_im = reflected(*field, direction, normal, row)
+    return direction + 2 * cosine * normal, out, out_im
 
 
 def amplitude_of(
     s: Station, scatterers: Scatterers, lit: Triangles, wave: Incident
 ) -> tuple[Any, Any, Leg]:
-    """Echo of all currents in phase (Re, Im), without the antenna's gain, and the leg home."""
+    """Echo of all currents in phase (Re, Im), without the antenna's gain, and the leg home.
+
+    Of triangles lit directly that answer to another image than they are lit from, both directions
+    of the way together. Currents of physical optics are not reciprocal: each direction has its own.
+    """
     place = lit.center
-    direction, normal, away, out, out_im = reflection(s, scatterers, lit, wave)
+    normal = normal_of(s, lit.face, place, wave.origin)
     home = leg(s, lit.receiver, place, normal * 0, s.mi.Bool(True), tested=False)
-    way = (direction, away, normal, home.back)
-    current = radiating(wave.field, out, *way)
-    current_im = radiating(wave.field_im, out_im, *way)
-    re = dr.dot(home.field, current) - dr.dot(home.field_im, current_im)
-    im = dr.dot(home.field, current_im) + dr.dot(home.field_im, current)
+    there = dr.normalize(place - wave.origin), (wave.field, wave.field_im)
+    back = -home.back, (home.field, home.field_im)
+    re, im = _induced(s, scatterers, lit, normal, there, back)
+    if lit.waves is None:
+        more = _induced(s, scatterers, lit, normal, back, there)
+        both = s.both_ways(lit.source, lit.receiver)
+        re, im = (a + dr.select(both, b, 0) for a, b in zip((re, im), more, strict=True))
     a, b, c = lit.corners
     area = dr.norm(dr.cross(b - a, c - a)) / 2
     # a = -j / (8 pi) times the sum.
     scale = area / (8 * dr.pi * dr.norm(place - wave.origin) * home.length)
     return scale * im, -scale * re, home
+
+
+def _induced(
+    s: Station,
+    scatterers: Scatterers,
+    lit: Triangles,
+    normal: Any,
+    wave: tuple[Any, tuple[Any, Any]],
+    heard: tuple[Any, tuple[Any, Any]],
+) -> tuple[Any, Any]:
+    """What one wave's currents at centroids are worth to another one's source (Re, Im); each by its
+    direction and field.
+    """
+    direction, field = wave
+    towards, kept = heard
+    away, out, out_im = _mirrored(s, scatterers, lit, direction, normal, field)
+    current = radiating(field[0], out, direction, away, normal, -towards)
+    current_im = radiating(field[1], out_im, direction, away, normal, -towards)
+    return (
+        dr.dot(kept[0], current) - dr.dot(kept[1], current_im),
+        dr.dot(kept[0], current_im) + dr.dot(kept[1], current),
+    )
 
 
 def level_at(
@@ -165,6 +209,9 @@ def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
     if scatterers.half_time_s:
         turned = scatterers.half_time_s * k * _turning(s, scatterers, lit, wave, home)
         curved += strength * dr.minimum(_TURNED * turned * strength / most, 1)
+    if s.walls is not None:  # what runs to and fro within walls comes again
+        again = 1 + _again(wave.passage) + _again(home.passage)
+        strength, curved = strength * again, curved * again
     mean = [fine + more for fine, more in zip(finer, change, strict=True)]
     values = (re, im, *mean, length, dr.exp(gain), strength, curved)
     dr.eval(values)
@@ -172,6 +219,12 @@ def echoes_of(s: Station, scatterers: Scatterers, lit: Triangles) -> Echoes:
         np.broadcast_to(np.array(value), len(lit)) for value in values
     )
     return Echoes(re + 1j * im, mean_re + 1j * mean_im, *rest)
+
+
+def _again(passage: Passage) -> Any:
+    """All round trips within a wall over the first way through, in amplitude, in phase."""
+    share = dr.sqrt(dr.square(passage.rho_re) + dr.square(passage.rho_im))
+    return dr.minimum(share, _MOST_AGAIN) / (1 - dr.minimum(share, _MOST_AGAIN))
 
 
 def _turning(s: Station, scatterers: Scatterers, lit: Triangles, wave: Incident, home: Leg) -> Any:

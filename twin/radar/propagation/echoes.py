@@ -28,6 +28,7 @@ from twin.radar.propagation.optics import (
 from twin.radar.propagation.paths import Heard, Path, Propagation
 from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import assign_roles, declared_alone
+from twin.radar.propagation.silent import silent_objects
 from twin.radar.propagation.stage import Stage, set_stage
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
@@ -59,6 +60,7 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
         surfaces=dense[0],
         diffuse=dense[1],
         heard=_heard(Rays.joined([surfaces, diffuse]), Contributions.joined(dense), stage, radar),
+        warnings=silent_objects(scene, radar, roles),
         objects=tuple(item.name for item in stage.items),
         object_of_surface=surfaces.object,
         bodies=bodies,

@@ -8,6 +8,7 @@ triangles, taken as independent, add up to the tolerance.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,6 @@ from twin.radar.propagation.parts import parted, sizes, spacing_of
 from twin.radar.propagation.scatterers import Scatterers
 from twin.radar.propagation.shadows import cut, sampled
 from twin.radar.propagation.triangles import Triangles, quartered
-from twin.transfer import host
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -39,6 +39,7 @@ _UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return m
 _FINEST_M = 0.01
 _MIXED = 0.25  # of its strength: error of a triangle that is partly seen
 _BENT = 1.0  # of what a bent border changes: what is left then
+_AT_ONCE = 8192  # echoes that are summed together, which the processor's cache holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,15 +111,30 @@ class Budget:
     ) -> Complex:
         """Sum of echoes, the phase of whose path they lack, (count, n_frequencies)."""
         count = len(self.level) if count is None else count
-        found = np.zeros((count, len(self._wave_numbers)), dtype=np.complex128)
+        n = len(self._wave_numbers)
+        found = np.zeros((count, n), dtype=np.complex128)
         lowest = self._wave_numbers[0]
-        step = self._wave_numbers[min(1, len(self._wave_numbers) - 1)] - lowest
-        wave = echo * _waves(lowest * length_m)
-        turn = _waves(step * length_m)
-        for column in found.T:
-            column.real = np.bincount(body, wave.real, len(found))
-            column.imag = np.bincount(body, wave.imag, len(found))
-            wave *= turn
+        step = self._wave_numbers[min(1, n - 1)] - lowest
+        # Frequency a + p b by a product of matrices: turned by a steps, times turned by p b steps.
+        p = int(np.ceil(np.sqrt(n)))
+        q = -(-n // p)
+        order = np.argsort(body.astype(np.uint16) if count < 2**16 else body, kind="stable")
+        for begin in range(0, len(order), _AT_ONCE):
+            some = order[begin : begin + _AT_ONCE]
+            turn, whose = _waves(step * length_m[some]), body[some]
+            fine = np.empty((p, len(some)), dtype=np.complex128)
+            fine[0] = echo[some] * _waves(lowest * length_m[some])
+            far = turn.copy()
+            for i in range(1, p):
+                np.multiply(fine[i - 1], turn, out=fine[i])
+                far *= turn
+            wide = np.ones((q, len(some)), dtype=np.complex128)
+            for i in range(1, q):
+                np.multiply(wide[i - 1], far, out=wide[i])
+            ends = [0, *(np.flatnonzero(np.diff(whose)) + 1).tolist(), len(some)]
+            for first, last in pairwise(ends):
+                sums = wide[:, first:last] @ fine[:, first:last].T
+                found[whose[first]] += sums.ravel()[:n]
         return found
 
     def consider(self, parts: "Sequence[Leaves]") -> None:
@@ -140,11 +156,9 @@ class Budget:
             leaves.body, leaves.weight * leaves.echoes.total, leaves.echoes.length_m
         )
 
-    def accept(self, lit: Triangles, error: Array, which: NDArray[np.bool_]) -> None:
+    def accept(self, body: NDArray[np.intp], error: Array, which: NDArray[np.bool_]) -> None:
         """Count errors that some triangles leave, affordable or not."""
-        source, receiver = host([lit.source, lit.receiver], len(lit))
-        left = np.where(source == receiver, error, 2 * error)  # other ways are walked back, too
-        self._accepted += np.bincount(lit.body[which], left[which] ** 2, len(self._accepted))
+        self._accepted += np.bincount(body[which], error[which] ** 2, len(self._accepted))
 
     @property
     def accepted(self) -> Array:
@@ -252,9 +266,12 @@ def settled(
         budget.consider([seen.leaves, seen.cut])
         done = budget.affordable(seen.leaves.body, seen.error) & ~seen.is_doubtful
         done &= ~seen.is_wide
+        error = seen.error
         if depth == deepest:
             done[:] = True
-        budget.accept(seen.leaves.triangles, seen.error, done)
+            doubt = np.where(seen.is_doubtful, _MIXED * seen.leaves.echoes.strength, 0.0)
+            error = error + doubt
+        budget.accept(seen.leaves.body, error, done)
         for part, kept in ((seen.leaves, done), (seen.cut, done[seen.row])):
             left = np.flatnonzero(kept & (part.weight != 0))
             if len(left):

@@ -66,6 +66,10 @@ class Station:
         """The antenna's field of amplitude 1 (Re, Im) in a direction, by way of images."""
         return turned(self.vertical, -self.boresight, departure), self.mi.Vector3d(0)
 
+    def both_ways(self, source: Any, receiver: Any) -> Any:
+        """Whether the same antenna also hears what takes a way in the other direction."""
+        return source != receiver
+
 
 def station(
     mi: Any,

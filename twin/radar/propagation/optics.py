@@ -18,6 +18,7 @@ from twin.radar.propagation.rays import Rays
 from twin.radar.propagation.roles import Role
 from twin.radar.propagation.rough import Rough, rough_echoes
 from twin.radar.propagation.scatterers import scatterers
+from twin.radar.propagation.shape import boxes_of, distances_m
 from twin.radar.propagation.stage import Stage
 from twin.radar.scattering.surface import TABLE_STEPS
 from twin.radar.synthesis import Contributions
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 
 #: Of shadows on bodies: a way round an obstacle 30 dB below the straight one is -60 dB in an echo.
 _DEEPEST_DB = 30.0
-_FREQUENCIES = 5  # over the band, at which a body's echo is summed
+_FREQUENCIES = 5, 64  # over the band, at which a body's echo is summed, at least and at most
 
 
 def scattered(
@@ -43,7 +44,7 @@ def scattered(
         stage.station,
         scatterers(stage, radar.antenna, body, radar.burst_s / 2),
         stage.images,
-        wave_numbers(radar),
+        wave_numbers(radar, _extent_m(stage, body)),
         fidelity.radar_tolerance,
         fidelity.radar_bounces,
         OF_NOISE * noise_amplitude(radar) / loss_of(radar),
@@ -56,12 +57,28 @@ def loss_of(radar: RadarDesign) -> float:
     return float(10 ** (-radar.front_end.losses_db.value / 20))
 
 
-def wave_numbers(radar: RadarDesign) -> Array:
-    """A few over the band, at which the echoes of bodies are summed, in rad/m."""
-    wave = radar.ofdm
-    offsets = np.linspace(-0.5, 0.5, _FREQUENCIES) * wave.bandwidth_hz
+def wave_numbers(radar: RadarDesign, extent_m: float) -> Array:
+    """Some over the band, at which the echoes of bodies are summed, in rad/m: as close as bodies of
+    that extent in range ask for, c / 2 over the spacing of frequencies, or as a bound allows.
+    """
+    wave, (least, most) = radar.ofdm, _FREQUENCIES
+    count = np.ceil(2 * wave.bandwidth_hz * extent_m / speed_of_light) + 1
+    offsets = np.linspace(-0.5, 0.5, int(np.clip(count, least, most))) * wave.bandwidth_hz
     numbers: Array = 2 * np.pi / speed_of_light * (wave.carrier_hz + offsets)
     return numbers
+
+
+def _extent_m(stage: Stage, body: NDArray[np.int32]) -> float:
+    """The most that a body reaches from its nearest point to its farthest, as boxes tell."""
+    box = boxes_of([stage.originals[i] for i in np.flatnonzero(body >= 0)])
+    whose = body[body >= 0]
+    middle, half = box.mean(axis=1) - stage.anchor_m - stage.place, np.diff(box, axis=1)[:, 0] / 2
+    nearest = distances_m(box, stage.anchor_m + stage.place)
+    farthest = np.linalg.norm(np.abs(middle) + half, axis=1)
+    low, high = np.full(whose.max() + 1, np.inf), np.zeros(whose.max() + 1)
+    np.minimum.at(low, whose, nearest)
+    np.maximum.at(high, whose, farthest)
+    return float((high - low).max())
 
 
 def diffracted(stage: Stage, fidelity: Fidelity) -> tuple[Rays, list[str]]:

@@ -9,7 +9,7 @@ from twin.transfer import host
 
 Array = NDArray[np.float64]
 
-_CLOSEST = 2.0  # wavelengths between rays
+_CLOSEST = 0.5  # wavelengths between rays
 _MORE = 80_000  # parts of facets, which keep rays wider apart
 _STEPS = 64  # of sizes, in an octave
 
@@ -37,7 +37,7 @@ def longest_edges(a: Array, b: Array, c: Array) -> Array:
 
 
 def spacing_of(s: Station, size_m: Array) -> float:
-    """The most of the sizes of parts in m, of triangles of sizes (n,): two wavelengths, or what
+    """The most of the sizes of parts in m, of triangles of sizes (n,): half a wavelength, or what
     some eighty thousand more of them allow. What is larger by any share becomes four.
     """
     closest_m = _CLOSEST * float(s.wavelength[0])

@@ -31,7 +31,8 @@ LARGE = 3.0
 LARGE_BESIDE_OPTICS = 10.0
 _MOSTLY = 0.5  # share of an object's area in such patches, else the rest of it would be silent
 _BENT = 10.0  # radius of curvature over distance: at 10 an image is off by 1 + d / R, 0.8 dB
-_SMALLEST = 3.0  # wavelengths from which physical optics is more than an order of magnitude
+#: Wavelengths from which physical optics is more than an order of magnitude.
+SMALLEST = 3.0
 #: Wavelengths up to which a table begins by itself: 20 000 rays a direction, 0.2 s a way at most.
 _LARGEST_TABLE = 40.0
 
@@ -119,7 +120,7 @@ def _by_size(shape: Shape, distance_m: float, wavelength_m: float, is_declared: 
     is_flat = shape.bend_radius_m >= _BENT * distance_m
     if large_m2 >= _MOSTLY * shape.area_m2 and is_flat:
         return Role.SURFACE
-    if shape.size_m >= _SMALLEST * wavelength_m:
+    if shape.size_m >= SMALLEST * wavelength_m:
         return Role.OPTICS
     return Role.TARGET if is_declared else Role.OBSTACLE
 
@@ -127,4 +128,4 @@ def _by_size(shape: Shape, distance_m: float, wavelength_m: float, is_declared: 
 def _has_table(shape: Shape, distance_m: float, wavelength_m: float) -> bool:
     size = shape.size_m
     is_far = distance_m >= 2 * size**2 / wavelength_m
-    return is_far and _SMALLEST * wavelength_m <= size <= _LARGEST_TABLE * wavelength_m
+    return is_far and SMALLEST * wavelength_m <= size <= _LARGEST_TABLE * wavelength_m

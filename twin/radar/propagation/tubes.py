@@ -325,17 +325,19 @@ def _lit_on(
 def heard(
     s: Station, scatterers: Scatterers, landed: Triangles, images: Sequence[Image]
 ) -> tuple[Triangles, NDArray[np.intp]]:
-    """Lit triangles with every image from their source on that sees their side as receiver, and the
-    row of each.
+    """Lit triangles with every image that sees their side as receiver, and the row of each.
+
+    What goes out by one image and home by another is a way of its own in each direction, met on
+    other facets last.
     """
-    face, source = np.array(landed.face).astype(np.intp), np.array(landed.source)
+    face = np.array(landed.face).astype(np.intp)
     (origin,) = host([origin_of(s, landed)], len(landed))
     point, normal = s.world.plane_table[face, :3], s.world.plane_table[face, 3:]
     side = np.sum((origin - point) * normal, axis=1)
     rows, receivers = [], []
     for number, image in enumerate(images):
         same = np.sum((image.place - point) * normal, axis=1) * side > 0
-        some = np.flatnonzero(same & (number >= source) & scatterers.heard[number, face])
+        some = np.flatnonzero(same & scatterers.heard[number, face])
         rows.append(some)
         receivers.append(np.full(len(some), number))
     row, receiver = np.concatenate(rows), np.concatenate(receivers)
