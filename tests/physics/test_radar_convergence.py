@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import mirrored_currents
+from benchmarks import mirrored_currents, radar_estimates
 from benchmarks.radar_scene import _errors, _times
 from tests.physics.plate_sums import turned_plate
 from tests.physics.radar_worlds import (
+    GAIN,
     RADAR,
     WAVELENGTH_M,
     ball,
@@ -18,13 +19,16 @@ from tests.physics.radar_worlds import (
     quad,
     thing,
     trihedral,
+    wave,
     world,
 )
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.propagation.convergence import BodyEcho, band_of, body_echoes, unconverged
+from twin.radar.propagation.facets import Budget
 from twin.radar.propagation.finding import trace
+from twin.radar.propagation.optics import wave_numbers
 from twin.radar.propagation.paths import Propagation
 from twin.radar.remarks import _unconverged
 from twin.report.radar_summary import radar_summary
@@ -60,15 +64,13 @@ def estimates(found: Propagation) -> dict[str, float]:
 
 @pytest.mark.parametrize("tolerance", [0.3, 0.1, 0.03])
 def test_estimates_are_of_the_size_of_the_errors(scene: Scene, tolerance: float) -> None:
-    """Against tolerance 0.01, errors are 0.1 to 1.9 times the estimates. Without what is left out
-    the ball's at 0.3 is 2.4 times.
-    """
+    """Errors against tolerance 0.01: 95 of 100 are to be within the estimate."""
     found = at(tolerance, scene)
     estimated, off = estimates(found), errors(found, at(0.01, scene))
     assert set(estimated) == set(off) == {"ball", "screen", "corner"}
     for name, error in off.items():
-        assert error < 2.2 * estimated[name], name
-        assert estimated[name] < tolerance, name
+        assert error < estimated[name], name
+        assert estimated[name] < 3 * tolerance, name
     assert unconverged(found.bodies) == []
     assert not any("converged" in text for text in found.assumptions)
 
@@ -84,7 +86,7 @@ def test_what_is_divided_no_further_is_named(scene: Scene, monkeypatch: pytest.M
     assert screen.estimated_error > errors(found, at(0.01, scene))["screen"] > 0.1
     (text,) = unconverged(found.bodies)
     assert text.startswith("echo of screen converged to ")
-    assert text.endswith("% only (estimated), asked for 10 % (fidelity.radar_tolerance)")
+    assert text.endswith("% only (in 95 of 100 cases), asked for 10 % (fidelity.radar_tolerance)")
     assert text in found.assumptions
     assert text in taken.assumptions
     assert [w.kind for w in taken.warnings if w == text] == ["rendering"]
@@ -103,9 +105,9 @@ def test_doubts_of_tubes_count(monkeypatch: pytest.MonkeyPatch) -> None:
     signs = [[0, 0, -1], [0, 0, 1], [-1, 1, 1], [-1, 1, -1], [-1, -1, 1], [-1, -1, -1]]
     corners = half * np.array(signs, dtype=float) @ turn.T + [10, 0.4, 0]
     scene = world(thing("dihedral", corners, [[0, 1, 2], [0, 2, 3], [1, 0, 5], [1, 5, 4]]))
-    assert estimates(at(0.03, scene))["dihedral"] < 0.03
+    assert estimates(at(0.03, scene))["dihedral"] < 3 * 0.03
     monkeypatch.setattr("twin.radar.propagation.bounces._DEEPEST", (8, 0))
-    assert estimates(at(0.03, scene))["dihedral"] > 0.03
+    assert estimates(at(0.03, scene))["dihedral"] > 3 * 0.03
 
 
 @pytest.mark.parametrize("pitch_deg", [0.0, -60.0, -80.0])
@@ -122,6 +124,54 @@ def test_over_ground_both_directions_have_their_own_currents(pitch_deg: float) -
     assert np.linalg.norm(echo - truth) < 0.006 * np.linalg.norm(truth)
     (estimate,) = estimates(found).values()
     assert np.linalg.norm(echo - truth) < estimate * np.linalg.norm(echo)
+
+
+@pytest.mark.parametrize("family", ["plates", "dihedral", "corner", "box", "near", "needles"])
+def test_errors_of_random_bodies_are_within_the_estimate(family: str) -> None:
+    """Against currents summed in float64. In some of a hundred they are not, and not by far."""
+    found = [c for seed in (3, 4) for c in radar_estimates.compared(family, seed, (0.1,))]
+    assert all(c.error < 1.5 * c.estimate for c in found)
+    assert all(c.error < 1.2 * c.tolerance for c in found)
+
+
+@pytest.mark.parametrize("tolerance", [0.3, 0.1, 0.03])
+def test_a_wall_far_larger_than_the_beam(tolerance: float) -> None:
+    """30 m wide at 10 m, against an infinite one's -lambda G / (8 pi R). Divided eight times by
+    four, parts were 12 cm wide at least: off by 13 % at any tolerance.
+    """
+    wall = plate("w", (10, 0.17, 0.11), 30.0, radar="optics")
+    found = trace(world(wall), RADAR, fidelity=Fidelity(radar_tolerance=tolerance))
+    expected = GAIN * WAVELENGTH_M / (8 * np.pi * 10)
+    assert abs(wave(found.echoes)) == pytest.approx(expected, rel=min(tolerance, 0.05))
+
+
+def test_a_long_body_has_its_own_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two equal balls 1.5 m apart in range are of one body: over the band their power is twice that
+    of one. Five frequencies 1 GHz apart, which hear both in step every 15 cm, say four times.
+    """
+    stage = wave_numbers(RADAR, 1.5)
+    assert 40 <= len(stage) <= 64
+    assert len(wave_numbers(RADAR, 0.05)) == 5
+    assert len(wave_numbers(RADAR, 100.0)) == 64
+    pair = np.array([0, 0], dtype=np.intp), np.ones(2, dtype=complex), np.array([10.0, 13.0])
+    level = [
+        np.sqrt(np.mean(np.abs(Budget(1, 0.1, numbers, 0.0).summed(*pair)) ** 2))
+        for numbers in (stage, wave_numbers(RADAR, 0.05))
+    ]
+    assert level[0] == pytest.approx(np.sqrt(2), rel=0.03)
+    assert abs(level[1] / np.sqrt(2) - 1) > 0.15
+
+
+def test_what_is_small_and_silent_is_named() -> None:
+    """A triangle of 3 mm at 1 m stands 57 dB over the noise."""
+    flake = thing("flake", np.array([[1, 0, 0], [1, 0.003, 0], [1, 0, 0.003]]), [[0, 1, 2]])
+    (text,) = at(0.1, world(flake)).warnings
+    assert text.startswith("flake only casts a shadow, smaller than 3 wavelengths (4.2 mm)")
+    assert "57 dB over the noise" in text
+    far = thing("flake", flake.vertices_m + [200, 0, 0], flake.faces)
+    assert at(0.1, world(far)).warnings == ()
+    told = thing("flake", flake.vertices_m, flake.faces, radar="obstacle")
+    assert at(0.1, world(told)).warnings == ()
 
 
 def test_levels_are_those_of_the_bodies() -> None:
@@ -148,10 +198,10 @@ def test_errors_count_against_the_least_level() -> None:
     names = [("a",), ("b",), ("c",)]
     loud = body_echoes(names, echo, np.array([0.05, 0.005, 0.0]), 0.1, 0.0)
     assert [body.name for body in loud] == ["a", "b"]
-    assert [body.estimated_error for body in loud] == pytest.approx([0.05, 0.5])
+    assert [body.estimated_error for body in loud] == pytest.approx([0.1505, 1.5005])
     assert [body.level_db for body in loud] == pytest.approx([0.0, -60.0])
     noisy = body_echoes(names, echo, np.array([0.05, 0.005, 0.0]), 0.1, 0.01)
-    assert [body.estimated_error for body in noisy] == pytest.approx([0.05, 0.05])
+    assert [body.estimated_error for body in noisy] == pytest.approx([0.1505, 0.1505])
 
 
 def test_of_a_track_the_worst_burst_is_named() -> None:
@@ -163,13 +213,13 @@ def test_of_a_track_the_worst_burst_is_named() -> None:
         return Propagation((), (), (), bodies=bodies)
 
     assert _unconverged([burst(0.05, 0.2)]) == []
-    assert _unconverged([burst(0.3, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)]) == [
-        "echoes of b, a converged to 123, 30 % only (estimated), asked for 10 % "
+    assert _unconverged([burst(0.7, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)]) == [
+        "echoes of b, a converged to 123, 30 % only (in 95 of 100 cases), asked for 10 % "
         "(fidelity.radar_tolerance)"
     ]
-    (text,) = _unconverged([burst(*np.linspace(0.8, 0.3, 8))])
+    (text,) = _unconverged([burst(*np.linspace(1.8, 0.7, 8))])
     assert "echoes of a, b, c, d, e, f converged" in text
-    assert "(estimated) (and 2 more, by less)" in text
+    assert "(in 95 of 100 cases) (and 2 more, by less)" in text
 
 
 def test_the_benchmark_measures_every_body(tmp_path: Path) -> None:
