@@ -180,10 +180,10 @@ def _box(rng: np.random.Generator) -> Case:
 
 def _ball(rng: np.random.Generator) -> Case:
     """A ball partly in the shadow of a plate."""
-    mesh = trimesh.creation.icosphere(3, radius=rng.uniform(0.02, 0.06))
+    mesh = trimesh.creation.icosphere(2, radius=rng.uniform(0.008, 0.025))
     center = _around(rng, (1.0, 4.0, 20.0), 0.1)
-    before = center * rng.uniform(0.6, 0.9) + rng.uniform(-0.03, 0.03, 3)
-    plate = _square(rng.uniform(0.02, 0.06, 2)) @ _turned(rng, 40).T + before
+    before = center * rng.uniform(0.6, 0.9) + rng.uniform(-0.02, 0.02, 3)
+    plate = _square(rng.uniform(0.01, 0.03, 2)) @ _turned(rng, 40).T + before
     return Case((_thing("ball", mesh.vertices + center, mesh.faces), _quad("plate", plate)))
 
 

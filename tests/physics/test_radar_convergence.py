@@ -166,7 +166,7 @@ def test_what_is_small_and_silent_is_named() -> None:
     """A triangle of 3 mm at 1 m stands 57 dB over the noise."""
     flake = thing("flake", np.array([[1, 0, 0], [1, 0.003, 0], [1, 0, 0.003]]), [[0, 1, 2]])
     (text,) = at(0.1, world(flake)).warnings
-    assert text.startswith("flake only casts a shadow, smaller than 3 wavelengths (4.2 mm)")
+    assert text.startswith("flake only casts a shadow, smaller than 3 wavelengths (4.5 mm)")
     assert "57 dB over the noise" in text
     far = thing("flake", flake.vertices_m + [200, 0, 0], flake.faces)
     assert at(0.1, world(far)).warnings == ()
@@ -214,7 +214,7 @@ def test_of_a_track_the_worst_burst_is_named() -> None:
 
     assert _unconverged([burst(0.05, 0.2)]) == []
     assert _unconverged([burst(0.7, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)]) == [
-        "echoes of b, a converged to 123, 30 % only (in 95 of 100 cases), asked for 10 % "
+        "echoes of b, a converged to 123, 70 % only (in 95 of 100 cases), asked for 10 % "
         "(fidelity.radar_tolerance)"
     ]
     (text,) = _unconverged([burst(*np.linspace(1.8, 0.7, 8))])
