@@ -19,6 +19,7 @@ _ROOMS = (
     "weather",
     "radar",
     "radar_scene",
+    "radar_estimates",
     "large_scenes",
     "radar_signal",
     "radar_tables",

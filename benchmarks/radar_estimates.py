@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _TOLERANCES = (0.3, 0.1, 0.03)
-_SCENES = 20  # of every family
+_SCENES = 10  # of every family
 _SPACING_M = 3.8e-3 / 8
 
 

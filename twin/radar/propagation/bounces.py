@@ -1,6 +1,7 @@
 """Echoes of all bodies by physical optics: facets lit by the radar, then by each other.
 
-A first, coarse pass tells how strong every body answers; the second is as fine as this asks for.
+A first, coarse pass tells how strong every body answers; the second is as fine as this asks for,
+and is repeated where a body turns out to be far fainter.
 """
 
 from collections.abc import Iterable, Sequence
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 
 _DEEPEST = 12, 3  # divisions of facets by four, and of roots of tubes by sixteen
 _COARSE_DEPTH = 0, 0
+_MOST_PASSES = 3  # further ones, where bodies seemed louder than they are
 _COARSE = 0.5  # tolerance of the first pass, at least
 
 
@@ -63,6 +65,11 @@ def scattered_by(
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
     budget = Budget(count, tolerance, wave_numbers, floor, coarse)
     found = search.leaves(whole, tubes, budget, _DEEPEST)
+    for _ in range(_MOST_PASSES):
+        if (again := budget.renewed()) is None:
+            break
+        budget = again
+        found = search.leaves(whole, tubes, budget, _DEEPEST)
     leaves = [_worth_it(part, budget) for part in found]
     rays = Rays.joined(
         [

@@ -39,6 +39,7 @@ _UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return m
 _FINEST_M = 0.01
 _MIXED = 0.25  # of its strength: error of a triangle that is partly seen
 _BENT = 1.0  # of what a bent border changes: what is left then
+_FALLEN = 2.0  # level of a body and errors that it may have: from which another pass is needed
 _AT_ONCE = 8192  # echoes that are summed together, which the processor's cache holds
 
 
@@ -100,6 +101,21 @@ class Budget:
         if coarse is not None:
             self.level = coarse.level
             self.pending = coarse._settled - coarse.direct
+        self._highest = np.zeros(n_bodies)  # level that errors were accepted for
+        self._most: Array | float = np.inf  # level, as a pass as fine as this one found it
+
+    def renewed(self) -> "Budget | None":
+        """For another pass, where this one accepted too much since bodies seemed louder than they
+        are; None where it did not.
+        """
+        fallen = self._highest > _FALLEN * self.level
+        if not (fallen & (self.accepted > _FALLEN * self.tolerance * self.level)).any():
+            return None
+        again = Budget(
+            len(self.level), self.tolerance, self._wave_numbers, self._floor, self, self._weakest
+        )
+        again._most = self.level
+        return again
 
     def expect(self, body: NDArray[np.intp], strength: Array) -> None:
         """A first guess: all echoes out of phase."""
@@ -158,6 +174,7 @@ class Budget:
 
     def accept(self, body: NDArray[np.intp], error: Array, which: NDArray[np.bool_]) -> None:
         """Count errors that some triangles leave, affordable or not."""
+        self._highest = np.maximum(self._highest, self.level)
         self._accepted += np.bincount(body[which], error[which] ** 2, len(self._accepted))
 
     @property
@@ -168,7 +185,7 @@ class Budget:
     def _rank(self, level: Array) -> None:
         strongest = float(level.max(initial=0.0))
         least = np.maximum(self._weakest * strongest, self._floor / self.tolerance)
-        self.level = np.maximum(level, np.maximum(least, 1e-300))
+        self.level = np.minimum(np.maximum(level, np.maximum(least, 1e-300)), self._most)
 
     def allowed(self, body: NDArray[np.intp]) -> Array:
         """Error that the body of each may have in all, (n,)."""
