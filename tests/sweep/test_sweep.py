@@ -380,7 +380,7 @@ def test_a_scheduler_without_workers_is_said(
     ("text", "complaint"),
     [
         ('[grid]\n"system.optics.f_numbr" = [1.0]\n', "did you mean system.optics.f_number?"),
-        ('[set]\n"fidelity.radar_rays" = 9\n', "radar_rays: .* it gave way to radar_tolerance"),
+        ('[grid]\n"fidelity.radar_rays" = [9]\n', "any more; it gave way to radar_tolerance"),
         ('[grid]\n"system.optics.f_number" = []\n', "f_number"),
         ('[grid]\n"scene.objects.*.colour" = [1.0]\n', "'colour' is none of reflectance"),
         ('[grid]\n"system.optics.f_number" = [1.0, 1.0]\n', "stands twice"),
