@@ -163,11 +163,11 @@ def test_a_long_body_has_its_own_level(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_is_small_and_silent_is_named() -> None:
-    """A triangle of 3 mm at 1 m stands 57 dB over the noise."""
+    """A triangle of 3 mm at 1 m stands 58 dB over the noise."""
     flake = thing("flake", np.array([[1, 0, 0], [1, 0.003, 0], [1, 0, 0.003]]), [[0, 1, 2]])
     (text,) = at(0.1, world(flake)).warnings
     assert text.startswith("flake only casts a shadow, smaller than 3 wavelengths (4.5 mm)")
-    assert "57 dB over the noise" in text
+    assert "58 dB over the noise" in text
     far = thing("flake", flake.vertices_m + [200, 0, 0], flake.faces)
     assert at(0.1, world(far)).warnings == ()
     told = thing("flake", flake.vertices_m, flake.faces, radar="obstacle")
