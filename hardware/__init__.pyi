@@ -2,12 +2,14 @@ from hardware.errors import DeviceError as DeviceError
 from hardware.errors import HardwareError as HardwareError
 from hardware.errors import InputError as InputError
 from hardware.errors import LinkError as LinkError
+from hardware.own_functions import OwnFunctionError as OwnFunctionError
 from hardware.patterns import PatternSet as PatternSet
 from hardware.radar.cfar_rule import Cfar as Cfar
 from hardware.radar.detection import Detection as Detection
 from hardware.radar.detection import detect as detect
 from hardware.radar.imaging import RadarImage as RadarImage
 from hardware.radar.imaging import image as image
+from hardware.radar.own_detection import detection_of as detection_of
 from hardware.radar.process import Frame as Frame
 from hardware.radar.process import Processing as Processing
 from hardware.radar.process import process as process
@@ -15,8 +17,10 @@ from hardware.radar.range_doppler import RangeDopplerMap as RangeDopplerMap
 from hardware.radar.range_doppler import range_doppler as range_doppler
 from hardware.radar.tracking import Tracker as Tracker
 from hardware.reconstruction import METHODS as METHODS
+from hardware.reconstruction import Method as Method
 from hardware.reconstruction import RangeImage as RangeImage
 from hardware.reconstruction import Reconstruction as Reconstruction
+from hardware.reconstruction import method_of as method_of
 from hardware.reconstruction import range_image as range_image
 from hardware.reconstruction import reconstruct as reconstruct
 from hardware.recording import Log as Log

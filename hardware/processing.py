@@ -10,7 +10,8 @@ from hardware.calibration import CameraCalibration, RadarCalibration
 from hardware.errors import InputError
 from hardware.radar import Detection
 from hardware.radar.process import Frame, Processing, frames
-from hardware.reconstruction import reconstruct
+from hardware.reconstruction import Method, reconstruct
+from hardware.reconstruction.registry import Solve
 from hardware.recording import Log, Received, ros
 from hardware.records import RadarRecord, SpiRecord
 from hardware.sliding_images import SlidingImages
@@ -30,7 +31,7 @@ def process(
     received: Received,
     log: Log,
     *,
-    method: str = "lmmse",
+    method: str | Method | Solve = "lmmse",
     how: Processing | None = None,
     camera: CameraCalibration | None = None,
     radar: RadarCalibration | None = None,
@@ -62,7 +63,7 @@ def _image(
     record: SpiRecord,
     log: Log,
     sensor: str,
-    method: str,
+    method: str | Method | Solve,
     calibration: CameraCalibration | None,
 ) -> Outcome:
     image = reconstruct(record, method)
@@ -122,7 +123,7 @@ def _detections(
             points = ros.points(track_cloud(confirmed), stamp, "world")
             log.message(f"{sensor}/tracks", ros.POINTS, points, received.host_ns, stamp)
             followed = f", {len(confirmed)} tracks"
-        lines.append(f"burst {frame.burst}: {len(found)} detections{strongest}{followed}")
+        lines.append(f"burst {frame.burst}: {len(found)} detections{frame.by}{strongest}{followed}")
         warnings += frame.warnings
     return Outcome(tuple(lines), tuple(warnings))
 

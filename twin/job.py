@@ -4,6 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hardware.errors import InputError as VehicleInputError
+from hardware.radar.own_detection import Detect, OwnDetection
+from hardware.radar.process import Processing
+from hardware.reconstruction import Method, method_of
+from hardware.reconstruction.registry import Solve
 from hardware.records import write_radar_record, write_record
 from hardware.records.sigmf import export_sigmf
 from twin.camera.acquisition import capture
@@ -58,6 +63,8 @@ def run(
     fidelity: Fidelity | None = None,
     paths: bool = False,
     sigmf: bool = False,
+    method: str | Method | Solve | None = None,
+    detection: str | Detect | None = None,
 ) -> Result:
     """Run both chains on a scene and write everything to a folder.
 
@@ -85,6 +92,13 @@ def run(
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
 
+    method
+        A reconstruction shown beside the bundled ones: a name, a function, ``file.py:function``,
+        see `hardware.reconstruct`.
+    detection
+        In place of the vehicle's CFAR: a function, ``file.py:function`` or an installed name, see
+        `hardware.Processing`.
+
     Raises InputError (one line: file, field, value, what was expected) and EngineError.
 
     >>> from twin.fidelity import PRESETS
@@ -99,6 +113,7 @@ def run(
     check_out(None if out is None else str(out))
     if seed < 0:
         raise InputError(f"seed: {seed}: expected 0 or more")
+    solve, how = _own(method, detection)
     fidelity = fidelity or Fidelity()
     with Stages(len(stage_names(systems, design))) as stages:
         with stages.stage("load"):
@@ -112,6 +127,8 @@ def run(
             pose,
             track,
             fidelity,
+            method=solve.name if solve else None,
+            detection=how.detection.name if isinstance(how.detection, OwnDetection) else None,
         )
         folder = default_folder(settings) if out is None else Path(out)
         with run_folder(folder, settings) as partial:
@@ -119,13 +136,13 @@ def run(
             evaluations: tuple[Evaluation, ...] = ()
             echoes: RadarEvaluation | None = None
             if systems:
-                view, evaluations = _compute(world, systems, seed, fidelity, stages)
+                view, evaluations = _compute(world, systems, seed, fidelity, stages, solve)
                 first = evaluations[0].capture
                 write_truth(first.truth, partial / "truth.exr")
                 write_record(first.record, partial / "record.h5")
             if design:
                 weather = systems[0].weather if systems else None
-                echoes = _radar(world, design, weather, seed, fidelity, stages)
+                echoes = _radar(world, design, weather, seed, fidelity, stages, how)
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
             write_report(world, view, evaluations, echoes, seed, stages, partial)
     return Result(world, view, evaluations, echoes, folder, stages.seconds)
@@ -144,8 +161,24 @@ def stage_names(systems: Sequence[System], radar: RadarDesign | None) -> list[st
     return [*names, "figures"]
 
 
+def _own(
+    method: str | Method | Solve | None, detection: str | Detect | None
+) -> tuple[Method | None, Processing]:
+    """What the vehicle does with the records. Raises InputError."""
+    try:
+        solve = None if method is None else method_of(method)
+        return solve, Processing(detection=detection)
+    except VehicleInputError as error:
+        raise InputError(str(error)) from error
+
+
 def _compute(
-    scene: Scene, systems: Sequence[System], seed: int, fidelity: Fidelity, stages: Stages
+    scene: Scene,
+    systems: Sequence[System],
+    seed: int,
+    fidelity: Fidelity,
+    stages: Stages,
+    method: Method | None,
 ) -> tuple[View, tuple[Evaluation, ...]]:
     with stages.stage("scene"):
         rendered = mitsuba_scene(scene)
@@ -155,7 +188,7 @@ def _compute(
             scene, system, seed=seed, fidelity=fidelity, mesh_scene=rendered, stage=stages.stage
         )
         with stages.stage("reconstruction"):
-            evaluations.append(evaluate(system, taken))
+            evaluations.append(evaluate(system, taken, method=method))
     with stages.stage("view"):
         first = evaluations[0]
         intensity = first.system.emitter.radiant_intensity_w_per_sr.value
@@ -175,12 +208,13 @@ def _radar(
     seed: int,
     fidelity: Fidelity,
     stages: Stages,
+    how: Processing,
 ) -> RadarEvaluation:
     taken = radar_capture(
         scene, design, seed=seed, fidelity=fidelity, weather=weather, stage=stages.stage
     )
     with stages.stage("radar processing"):
-        return evaluate_radar(design, taken, scene=scene)
+        return evaluate_radar(design, taken, how, scene=scene)
 
 
 def _write_radar(radar: RadarEvaluation, folder: Path, *, paths: bool, sigmf: bool) -> None:

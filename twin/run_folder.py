@@ -48,8 +48,13 @@ def settings_of(
     pose: Pose | None,
     track: Track | None,
     fidelity: Fidelity,
+    *,
+    method: str | None = None,
+    detection: str | None = None,
 ) -> dict[str, Any]:
-    """What a run is made of, ready for JSON; pose and track where they are not the scene's own."""
+    """What a run is made of, ready for JSON; pose and track where they are not the scene's own, a
+    reconstruction beside the bundled ones and a user's own detection by name and digest.
+    """
     return {
         "scene": scene,
         "system": systems[0] if systems else None,
@@ -59,6 +64,8 @@ def settings_of(
         "pose": _pose(pose) if pose else None,
         "track": asdict(track) if track else None,
         "fidelity": asdict(fidelity),
+        "method": method,
+        "detection": detection,
     }
 
 
@@ -77,6 +84,7 @@ def default_folder(settings: Mapping[str, Any]) -> Path:
     if track := settings["track"]:
         numbers = [*track["step_m"], track["count"], track["interval_s"]]
         words.append("track_" + ",".join(_number(n) for n in numbers if n is not None))
+    words += unless(settings["method"], None, "{}") + unless(settings["detection"], None, "{}")
     return named_folder(*words, *knob_words(settings["fidelity"]))
 
 

@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
 
 def reconstruct(
     record: Annotated[Path, typer.Argument(help="Record of a single-pixel camera (HDF5).")],
-    method: Annotated[str, typer.Option(help="See `ugv methods`.")] = "lmmse",
+    method: Annotated[str, typer.Option(help="See `ugv methods`; or file.py:function.")] = "lmmse",
     mixing: Annotated[
         Path | None,
         typer.Option(help="NumPy file (n_emitters, rows, columns): what each emitter lights."),
@@ -37,15 +37,15 @@ def reconstruct(
 
     from hardware import read_record
     from hardware import reconstruct as to_image
-    from hardware.reconstruction import range_image
+    from hardware.reconstruction import method_of, range_image
     from hardware.records.state import ALWAYS_OPEN
 
-    loaded = read_record(record)
+    solve, loaded = method_of(method), read_record(record)
     start = time.perf_counter()
     calibrated = _mixing(mixing) if mixing else None
-    found = to_image(loaded, method, mixing=calibrated)
+    found = to_image(loaded, solve, mixing=calibrated)
     timed = any(shutter != ALWAYS_OPEN for shutter in loaded.shutters)
-    ranged = range_image(loaded, method, mixing=calibrated) if timed else None
+    ranged = range_image(loaded, solve, mixing=calibrated) if timed else None
     elapsed = time.perf_counter() - start
     for warning in dict.fromkeys((*found.warnings, *(ranged.warnings if ranged else ()))):
         print(f"warning: {record}: {warning}", file=sys.stderr)
@@ -57,7 +57,7 @@ def reconstruct(
         f"{rows} x {columns}"
     )
     print(
-        f"{method}: {1e3 * elapsed:.3g} ms; cells {np.nanmin(found.image):.3g} to "
+        f"{solve.name}: {1e3 * elapsed:.3g} ms; cells {np.nanmin(found.image):.3g} to "
         f"{np.nanmax(found.image):.3g} e-"
     )
     print(f"noise of one measurement: {_noise(found)}")
@@ -78,7 +78,7 @@ def reconstruct(
             "distance_standard_error_m": ranged.standard_error_m,
             "distance_confidence": ranged.confidence,
         }
-    target = out or record.with_name(f"{record.stem}-{method}.npz")
+    target = out or record.with_name(f"{record.stem}-{solve.name}.npz")
     with target.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
     print(f"written: {target}")

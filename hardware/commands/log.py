@@ -15,6 +15,7 @@ from hardware.commands.quantities import quantity_of
 from hardware.commands.radar import (
     CfarMethod,
     ClutterShape,
+    DetectionOption,
     FalseAlarm,
     MovingOnly,
     Resolve,
@@ -122,7 +123,7 @@ def process(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="New log; default SOURCE-processed.mcap.")
     ] = None,
-    method: Annotated[str, typer.Option(help="See `ugv methods`.")] = "lmmse",
+    method: Annotated[str, typer.Option(help="See `ugv methods`; or file.py:function.")] = "lmmse",
     settings: _Settings = None,
     radar_setup: _RadarSetup = None,
     calibration: _Calibrations = [],  # noqa: B006 (typer copies it)
@@ -138,11 +139,13 @@ def process(
     image_every: Annotated[
         int, typer.Option(help="An image after so many patterns, from a sliding window; 0: a set.")
     ] = 0,
+    detection: DetectionOption = None,
 ) -> None:
     """Turn records into images and detections; a radar's as `ugv detect` does."""
     from hardware.calibration import CameraCalibration, RadarCalibration
     from hardware.interruption import asked_to_end
     from hardware.processing import process as run
+    from hardware.reconstruction import method_of
     from hardware.recording import Log
     from hardware.recording.reading import Ending
     from hardware.sliding_images import SlidingImages
@@ -153,7 +156,8 @@ def process(
     found = [_calibration(path, max_age) for path in calibration]
     camera = next((one for one in found if isinstance(one, CameraCalibration)), None)
     radar = next((one for one in found if isinstance(one, RadarCalibration)), None)
-    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only)
+    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
+    solve = method_of(method)
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
     n, failed, ending = 0, False, Ending()
@@ -166,7 +170,7 @@ def process(
                 outcome = run(
                     received,
                     log,
-                    method=method,
+                    method=solve,
                     how=how,
                     camera=camera,
                     radar=radar,

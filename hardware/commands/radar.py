@@ -20,6 +20,9 @@ ClutterShape = Annotated[
     str | None,
     typer.Option(help="Of K-distributed clutter, or `fitted` to each map; default inf: noise."),
 ]
+DetectionOption = Annotated[
+    str | None, typer.Option(help="Your own in place of CFAR: file.py:function.")
+]
 Window = Annotated[str | None, typer.Option(help="SciPy's name of a window.")]
 Resolve = Annotated[bool, typer.Option(help="Split targets nearer than a cell.")]
 MovingOnly = Annotated[bool, typer.Option(help="Leave out what stands still.")]
@@ -38,11 +41,14 @@ def processing(
     window: str | None,
     resolve: bool,
     moving_only: bool,
+    detection: str | None = None,
 ) -> "Processing":
     """What ``ugv detect`` and ``ugv process`` do with a burst; None leaves a default as it is."""
+    from hardware.radar.own_detection import detection_of
     from hardware.radar.process import Processing
 
-    how = Processing(resolve=resolve, moving_only=moving_only)
+    own = None if detection is None else detection_of(detection)
+    how = Processing(detection=own, resolve=resolve, moving_only=moving_only)
     asked = {"false_alarm": false_alarm, "method": cfar, "shape": _shape(clutter_shape)}
     changed = {name: value for name, value in asked.items() if value is not None}
     return replace(
@@ -71,6 +77,7 @@ def detect(
     window: Window = None,
     resolve: Resolve = False,
     moving_only: MovingOnly = False,
+    detection: DetectionOption = None,
     calibration: Annotated[Path | None, typer.Option(help="From `ugv calibrate radar`.")] = None,
     max_age: Annotated[
         float,
@@ -93,12 +100,12 @@ def detect(
     reference = read_calibration(calibration, max_age_s=86400 * max_age) if calibration else None
     if not (reference is None or isinstance(reference, RadarCalibration)):
         raise InputError(f"{calibration}: the calibration of a camera, expected a radar's")
-    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only)
+    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
     loaded, table = read_radar_record(record), []
     for frame in frames(loaded, how):
         _warn(record, frame.warnings)
         found = calibrated(frame, loaded, reference)
-        print(f"{record}: burst {frame.burst}: {len(found)} detections")
+        print(f"{record}: burst {frame.burst}: {len(found)} detections{frame.by}")
         for line in rows_of(found) if found else ():
             print(line)
         if png and frame.burst == 0:

@@ -1,6 +1,6 @@
 """From a burst of a record to a point cloud: range, rate, direction, cross-section, and the map."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -23,6 +23,7 @@ from hardware.radar.detection import (
 )
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.music import music
+from hardware.radar.own_detection import Detect, OwnDetection, detection_of
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.superresolution import resolve
@@ -63,6 +64,9 @@ class Processing:
         told apart, or listed, up to there, see `unfolded`. An echo must be found first, on a map
         that does not follow it: what moves n range cells within a burst is 20 log10 n dB weaker
         there than it is measured afterwards, see `OfdmWaveform.migration_gain`.
+    detection
+        A user's own in place of CFAR and all refinement: a function of (channel, waveform, image),
+        ``file.py:function``, or an installed name, see `detection_of`.
     """
 
     window: str = "blackmanharris"
@@ -77,6 +81,11 @@ class Processing:
     reference_delay_s: float | None = None
     range_rate_m_per_s: float = 0.0
     fastest_m_per_s: float = 50.0
+    detection: str | OwnDetection | Detect | None = None
+
+    def __post_init__(self) -> None:
+        if self.detection is not None:
+            object.__setattr__(self, "detection", detection_of(self.detection))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +93,7 @@ class Frame:
     """What one burst showed: detections, strongest first, the map, and what was wrong with it.
 
     ``clutter`` says how far the map is from noise, which thresholds assume unless `Cfar` says
-    otherwise.
+    otherwise. ``detection`` is the name of a user's own detection, with a digest of its source.
     """
 
     burst: int
@@ -94,6 +103,12 @@ class Frame:
     whole: bool
     warnings: tuple[str, ...]
     clutter: ClutterFit
+    detection: str = ""
+
+    @property
+    def by(self) -> str:
+        """Whose detections these are, in words; nothing of the bundled ones."""
+        return f" by {self.detection}" if self.detection else ""
 
 
 def process(
@@ -129,22 +144,15 @@ def process(
     if image.relative_noise is not None:
         even = even / image.relative_noise
     # Cells that a window makes exceed a level together: 7 for blackmanharris, 1 without one.
-    windows_gain = noise_gain(how.window, channel.shape[-2:])
-    clutter = fit(even, image.n_channels, windows_gain**1.4)
-    cfar = fitted(even, how.cfar, image.n_channels)
-    if how.cfar.shape == "fitted" and how.window != "boxcar":
-        plain = clutter_between_echoes(channel, taken.waveform, image, how.window)
-        if not plain.is_noise:
-            cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
-    # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
-    found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
-    noise_w = image.noise_w / windows_gain
-    found = unfolded(channel, taken.waveform, found, noise_w, how.fastest_m_per_s)
-    warnings = (*taken.warnings, *_warnings(burst, len(found), image.n_channels, how, clutter))
-    found = found[: how.at_most]
-    if how.resolve:
-        found = _resolved(found, channel, taken.waveform, noise_w, how.cfar.false_alarm)
-    points = [point for one in found for point in _points(one, taken, how.per_cell)]
+    clutter = fit(even, image.n_channels, noise_gain(how.window, channel.shape[-2:]) ** 1.4)
+    own = None if how.detection is None else detection_of(how.detection)
+    points: Sequence[Detection]
+    if own is None:
+        points, warnings = _detections(channel, taken, image, even, clutter, how, burst)
+    else:
+        points = own(channel, taken.waveform, image)
+        warnings = _cut(burst, len(points), how)
+        points = points[: how.at_most]
     return Frame(
         burst=burst,
         detections=tuple(
@@ -160,21 +168,44 @@ def process(
         image=image,
         waveform=taken.waveform,
         whole=taken.whole,
-        warnings=(*warnings, *_ambiguous(points)),
+        warnings=(*taken.warnings, *warnings),
         clutter=clutter,
+        detection=own.name if own else "",
     )
+
+
+def _detections(
+    channel: Complex,
+    taken: Burst,
+    image: RangeDopplerMap,
+    even: NDArray[np.floating],
+    clutter: ClutterFit,
+    how: Processing,
+    burst: int,
+) -> tuple[list[Detection], list[str]]:
+    """Detections by CFAR and refinement, and what of them is not as it should be."""
+    cfar = fitted(even, how.cfar, image.n_channels)
+    if how.cfar.shape == "fitted" and how.window != "boxcar":
+        plain = clutter_between_echoes(channel, taken.waveform, image, how.window)
+        if not plain.is_noise:
+            cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
+    # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
+    found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
+    noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
+    found = unfolded(channel, taken.waveform, found, noise_w, how.fastest_m_per_s)
+    warnings = _warnings(burst, len(found), image.n_channels, how, clutter)
+    found = found[: how.at_most]
+    if how.resolve:
+        found = _resolved(found, channel, taken.waveform, noise_w, how.cfar.false_alarm)
+    points = [point for one in found for point in _points(one, taken, how.per_cell)]
+    return points, [*warnings, *_ambiguous(points)]
 
 
 def _warnings(
     burst: int, n_found: int, n_channels: int, how: Processing, clutter: ClutterFit
 ) -> list[str]:
     """What of the detections is not as it should be."""
-    told = []
-    if n_found > how.at_most:
-        told.append(
-            f"burst {burst}: more than {how.at_most} detections; the strongest {how.at_most} are "
-            "kept (at_most)"
-        )
+    told = _cut(burst, n_found, how)
     if not clutter.is_noise and how.cfar.shape == float("inf"):
         told.append(
             f"burst {burst}: the map is no noise: {clutter.exceedance:.2g} times as many cells as "
@@ -184,6 +215,15 @@ def _warnings(
             "alarms as asked for (a CFAR with its shape fitted holds the rate)"
         )
     return told
+
+
+def _cut(burst: int, n_found: int, how: Processing) -> list[str]:
+    if n_found <= how.at_most:
+        return []
+    return [
+        f"burst {burst}: more than {how.at_most} detections; the strongest {how.at_most} are "
+        "kept (at_most)"
+    ]
 
 
 def frames(

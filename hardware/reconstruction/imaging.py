@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
-from hardware.reconstruction.registry import METHODS, Array, Method, load_plugins
+from hardware.reconstruction.own_method import method_of
+from hardware.reconstruction.registry import Array, Method, Solve
 from hardware.reconstruction.sensing import Mixing, Sensing
 from hardware.records import Flag, SpiRecord
 
@@ -63,7 +63,7 @@ class Reconstruction:
 
 
 def reconstruct(
-    record: SpiRecord, method: str = "lmmse", *, mixing: Mixing | None = None
+    record: SpiRecord, method: str | Method | Solve = "lmmse", *, mixing: Mixing | None = None
 ) -> Reconstruction:
     """Reconstruct an image from a record.
 
@@ -72,8 +72,9 @@ def reconstruct(
     record
         From the twin or from a device.
     method
-        A name in `METHODS`. Default: linear minimum mean-square error under a 1/f^2 prior, noise
-        level taken from the record.
+        A name in `METHODS`, or a user's own: a function of (values, noise_variance, sensing), or
+        ``file.py:function``, see `method_of`. Default: linear minimum mean-square error under a
+        1/f^2 prior, noise level taken from the record.
     mixing
         Calibrated map from image cells to emitter elements, where these are no clean grid.
 
@@ -90,12 +91,9 @@ def reconstruct(
     Raises InputError for an unknown method, a mixing that does not fit, patterns whose matrices
     would not fit into memory, or a record in which too much is lost.
     """
-    if method not in METHODS:
-        load_plugins()
-    if method not in METHODS:
-        raise InputError(f"method: {method!r} is none of {', '.join(METHODS)}")
+    solve = method_of(method)
     received = with_level(record.received)
-    solve, sensing = METHODS[method], Sensing(received.patterns, mixing)
+    sensing = Sensing(received.patterns, mixing)
     measured = measurements(received)
     variance, most = measured.noise_variance, measured.most_noise_variance
     cells, error = _solved(solve, measured.values, variance, sensing)
@@ -109,7 +107,7 @@ def reconstruct(
         error = np.where(np.isnan(most), np.nan, error)
     shape, told = (-1, *sensing.shape), sensing.measured[:, None]
     return Reconstruction(
-        method=method,
+        method=solve.name,
         image=np.where(told, cells, np.nan).T.reshape(shape),
         standard_error=None if error is None else np.where(told, error, np.nan).T.reshape(shape),
         errors_in_95=solve.errors_in_95(sensing),

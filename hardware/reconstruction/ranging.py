@@ -19,6 +19,8 @@ from hardware.errors import InputError
 from hardware.reconstruction.depth import C_M_PER_S, depth
 from hardware.reconstruction.gating import Echo, echo
 from hardware.reconstruction.imaging import LEVEL_UNKNOWN, Reconstruction, reconstruct
+from hardware.reconstruction.own_method import method_of
+from hardware.reconstruction.registry import Method, Solve
 from hardware.reconstruction.sensing import Mixing
 from hardware.records import Flag, Shutter, SpiRecord
 
@@ -56,7 +58,7 @@ class RangeImage:
 
 
 def range_image(
-    record: SpiRecord, method: str = "lmmse", *, mixing: Mixing | None = None
+    record: SpiRecord, method: str | Method | Solve = "lmmse", *, mixing: Mixing | None = None
 ) -> RangeImage:
     """Amplitude and distance of every cell of a record with phase shutters or gates.
 
@@ -75,13 +77,14 @@ def range_image(
         )
     if modulated:
         list(_phase_systems(record.shutters))  # refuses what no image could mend
-    taken = [reconstruct(part, method, mixing=mixing) for part in record.by_shutter]
+    solve = method_of(method)
+    taken = [reconstruct(part, solve, mixing=mixing) for part in record.by_shutter]
     images = np.stack([found.image for found in taken])
     errors = np.stack([_error(found, record.patterns.count) for found in taken])
     told = np.isfinite(images[0])
     unsure = told & np.isnan(errors).any(axis=0)
     images, errors = np.nan_to_num(images), np.nan_to_num(errors)  # no light: no distance
-    found = distances(record, images, errors, method)
+    found = distances(record, images, errors, solve.name)
     level = tuple(warning for warning in taken[0].warnings if warning == LEVEL_UNKNOWN)
     blind = _blind(record)
     unknown = blind[:, None, None] | unsure

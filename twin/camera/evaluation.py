@@ -11,7 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.reconstruction import Reconstruction, fits_in_memory, reconstruct
+from hardware.reconstruction import (
+    METHODS,
+    Method,
+    Reconstruction,
+    fits_in_memory,
+    method_of,
+    reconstruct,
+)
+from hardware.reconstruction.registry import Solve
 from twin.camera.acquisition import Capture
 from twin.camera.verdict import Verdict
 from twin.system import System
@@ -62,15 +70,22 @@ class Evaluation:
 
 
 def evaluate(
-    system: System, capture: Capture, reconstructions: list[Reconstruction] | None = None
+    system: System,
+    capture: Capture,
+    reconstructions: list[Reconstruction] | None = None,
+    *,
+    method: str | Method | Solve | None = None,
 ) -> Evaluation:
-    """Score reconstructions of a capture, by default those of `SHOWN` that fit in memory.
+    """Score reconstructions of a capture, by default those of `SHOWN` that fit in memory, and that
+    by ``method``, a bundled one or a user's own, see `hardware.reconstruct`.
 
     Raises ValueError for a reconstruction on another grid than the capture's.
     """
     record = capture.record
-    shown = [name for name in SHOWN if fits_in_memory(name, record.patterns)]
-    images = reconstructions or [reconstruct(record, name) for name in shown]
+    shown = [METHODS[name] for name in SHOWN if fits_in_memory(name, record.patterns)]
+    if method is not None and (own := method_of(method)) not in shown:
+        shown.append(own)
+    images = reconstructions or [reconstruct(record, solve) for solve in shown]
     scored = [(image, score_of(capture, image.picture)) for image in images]
     scored.sort(key=lambda pair: -pair[1].psnr_db)
     return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))

@@ -39,6 +39,13 @@ def run(
     radar_model: Annotated[
         str | None, typer.Option(help="targets, paths, optics or rough, in place of fidelity's.")
     ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(help="Reconstruction beside the bundled ones: a name or file.py:function."),
+    ] = None,
+    detection: Annotated[
+        str | None, typer.Option(help="Radar detection in place of CFAR: file.py:function.")
+    ] = None,
 ) -> None:
     """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
     from twin.job import run as run_job
@@ -57,6 +64,8 @@ def run(
         fidelity=_fidelity(fidelity, radar_model),
         paths=paths,
         sigmf=sigmf,
+        method=method,
+        detection=detection,
     )
     for warning in result.scene.warnings:
         print(f"warning: {warning}", file=sys.stderr)

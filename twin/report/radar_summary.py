@@ -41,6 +41,7 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "assumptions": evaluation.capture.assumptions,
         "window": evaluation.how.window,
         "false_alarm": evaluation.how.cfar.false_alarm,
+        "detection": evaluation.frame.detection,
         "cfar": _CFAR[evaluation.how.cfar.method],
         "picture": _picture(evaluation),
         "n_paths": len(evaluation.capture.propagation.paths),

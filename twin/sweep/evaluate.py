@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.process import Processing
 from twin.camera.acquisition import Capture, measure
 from twin.camera.light import Rendered, render
 from twin.camera.mounting import devices
@@ -149,13 +150,14 @@ def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcom
         assert made.radar is not None  # a study with radar metrics has one
         radar, weather = made.radar, made.system.weather
         knobs = made.fidelity.part(RadarFidelity)  # those of light leave the radar as it is
-        key = (inputs.stamp, made.scene_key(), radar, weather, knobs, made.seed)
+        how = Processing(detection=made.detection)
+        key = (inputs.stamp, made.scene_key(), radar, weather, knobs, made.seed, how)
 
         def work() -> RadarEvaluation:
             taken = radar_capture(
                 made.scene, radar, seed=made.seed, fidelity=made.fidelity, weather=weather
             )
-            return evaluate_radar(radar, taken)
+            return evaluate_radar(radar, taken, how)
 
         return _RADAR.get(key, work)
 

@@ -18,7 +18,7 @@ from twin.digest import digest, source_digest
 from twin.files import InputError
 from twin.radar.device.design import load_radar
 from twin.scene import load_scene
-from twin.sweep.methods import method_digest
+from twin.sweep.methods import method_digest, own_detection, own_method
 from twin.sweep.modules import own_metric
 from twin.sweep.names import is_own, needs_radar
 from twin.sweep.objects import object_digest
@@ -102,8 +102,8 @@ class Inputs:
             if key == _SOURCE:
                 if _source() != expected:
                     raise ChangedError(f"{_SOURCE}: is another one on this worker; start it anew")
-            elif kind == "method":
-                if method_digest(name) != expected:
+            elif kind == "method" and key not in self.objects:
+                if method_digest(name, self.folder) != expected:
                     raise ChangedError(f"{key}: is another one on this worker; start it anew")
             elif kind in ("system", "radar", "part", "file"):
                 held, content = _loaded.get((kind, name, self.folder), ("", None))
@@ -127,7 +127,11 @@ def inputs_of(study: Study) -> Inputs:
 
 
 def _now(kind: str, name: str, folder: Path) -> str:
-    return method_digest(name) if kind == "method" else _load(kind, name, folder)[0]
+    return (
+        method_digest(name, folder)
+        if kind == "method" and ":" not in name
+        else _load(kind, name, folder)[0]
+    )
 
 
 def _named(study: Study) -> Iterator[tuple[str, str]]:
@@ -149,6 +153,8 @@ def _named(study: Study) -> Iterator[tuple[str, str]]:
     if rendered:
         for name in dict.fromkeys(study.values_of("processing.method")):
             yield "method", str(name)
+        for own in filter(None, dict.fromkeys(study.values_of("processing.detection"))):
+            yield "detection", str(own)
         for name in filter(is_own, study.metrics):
             yield "metric", name
 
@@ -162,8 +168,7 @@ def _load(kind: str, name: str, folder: Path) -> tuple[str, Any]:
     """Digest and content; of what can't be read the InputError that says so."""
     try:
         content = _READERS[kind](name, folder)
-        found = content[0] if kind == "metric" else _digest(content)
-        content = content[1] if kind == "metric" else content
+        found, content = content if kind in _FUNCTIONS else (_digest(content), content)
     except (InputError, OSError) as error:
         content = error if isinstance(error, InputError) else InputError(str(error))
         found = _digest(content)
@@ -174,6 +179,8 @@ def _load(kind: str, name: str, folder: Path) -> tuple[str, Any]:
     return found, content
 
 
+#: Kinds that are read with their digest.
+_FUNCTIONS = ("metric", "method", "detection")
 _READERS: dict[str, Callable[[str, Path], Any]] = {
     "scene": lambda name, folder: load_scene(beside(name, folder)),
     "system": lambda name, folder: load_system(beside(name, folder)),
@@ -181,6 +188,8 @@ _READERS: dict[str, Callable[[str, Path], Any]] = {
     "part": lambda name, folder: load_part(str(beside(name, folder))),
     "file": lambda name, folder: Path(beside(name, folder)),
     "metric": own_metric,
+    "method": own_method,
+    "detection": own_detection,
 }
 
 

@@ -1,4 +1,6 @@
-"""Reconstruction methods of a study: the vehicle's own, and those of installed packages."""
+"""Reconstruction and detection of a study: the vehicle's own, those of installed packages, and a
+user's functions.
+"""
 
 import difflib
 import sys
@@ -7,7 +9,10 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from hardware.reconstruction import METHODS
+from hardware.errors import InputError as VehicleInputError
+from hardware.own_functions import OwnFunctionError
+from hardware.radar.own_detection import OwnDetection, detection_of
+from hardware.reconstruction import METHODS, Method, method_of
 from hardware.reconstruction.registry import load_plugins
 from twin.files import InputError
 
@@ -15,9 +20,39 @@ from twin.files import InputError
 _running: dict[str, str] = {}
 
 
+def own_method(name: str, folder: Path) -> tuple[str, Method]:
+    """Digest and method of ``file.py:function``. Raises InputError for one that can't be found."""
+    try:
+        method = method_of(name, folder=folder)
+    except VehicleInputError as error:
+        raise InputError(f"processing.method: {error}") from error
+    return method.name, method
+
+
+def own_detection(name: str, folder: Path) -> tuple[str, OwnDetection]:
+    """Digest and detection of ``file.py:function`` or an installed name. Raises InputError."""
+    try:
+        detection = detection_of(name, folder=folder)
+    except OwnFunctionError as error:
+        raise InputError(f"processing.detection: {error}") from error
+    return detection.name, detection
+
+
+def check_functions(methods: Iterable[Any], detections: Iterable[Any], folder: Path) -> None:
+    """Raise InputError for a user's own function that can't be found."""
+    for name in (text for text in map(str, methods) if ":" in text):
+        own_method(name, folder)
+    for name in filter(None, map(str, detections)):
+        own_detection(name, folder)
+
+
 def check_methods(names: Iterable[Any]) -> None:
-    """Raise InputError, with the nearest name, for a method that does not exist."""
+    """Raise InputError, with the nearest name, for a method that does not exist; what has the form
+    of a function, ``PLACE:FUNCTION``, is looked for when the sweep begins.
+    """
     for name in names:
+        if ":" in str(name):
+            continue
         if name not in METHODS:
             load_plugins()
         if name not in METHODS:
@@ -26,10 +61,12 @@ def check_methods(names: Iterable[Any]) -> None:
             raise InputError(f"processing.method = {name!r}: is unknown; {hint}")
 
 
-def method_digest(name: str) -> str:
-    """SHA-256 of the source of a method's module. Raises InputError when that has changed since
+def method_digest(name: str, folder: Path) -> str:
+    """Digest of the source of a method's module. Raises InputError when that has changed since
     this process loaded it: a registered method can't be loaded twice.
     """
+    if ":" in name:
+        return own_method(name, folder)[0]
     check_methods([name])
     file = getattr(sys.modules[METHODS[name].solve.__module__], "__file__", None)
     found = sha256(Path(file).read_bytes()).hexdigest() if file else ""

@@ -29,8 +29,11 @@ _KINDS: dict[str, type] = {
 }
 #: Parameters whose values may be objects; those that end in ``.part`` may be parts.
 _OF_PARAMETER = {name: name for name in ("scene", "system", "radar")} | {
-    "fidelity.preset": "fidelity"
+    "fidelity.preset": "fidelity",
+    "processing.method": "method",
+    "processing.detection": "detection",
 }
+_FUNCTIONS = ("metric", "method", "detection")
 _ROOTS = ("scene", "system", "radar")
 
 
@@ -98,7 +101,7 @@ class _Names:
         """A name for an object; everything else as it is."""
         if isinstance(value, np.generic):
             return value.item()
-        is_function = kind == "metric" and callable(value)
+        is_function = kind in _FUNCTIONS and callable(value)
         if kind is None or not (is_function or isinstance(value, _KINDS.get(kind, ()))):
             return value
         for key, other in self.objects.items():

@@ -4,8 +4,8 @@
 ``system.weather.FIELD``; ``scene``, ``scene.rig.x_m`` (y, z; yaw, pitch, roll in deg),
 ``scene.sun.FIELD``, ``scene.objects.NAME.reflectance`` and ``.shift_x_m`` (y, z; NAME may be
 ``*``), ``scene.targets.NAME.rcs_m2``; ``fidelity.KNOB``, ``fidelity.preset``;
-``radar.SECTION.FIELD``; ``seed``; ``processing.method``; ``link.distance_m`` and
-``link.reflectance`` of the closed form.
+``radar.SECTION.FIELD``; ``seed``; ``processing.method``, ``processing.detection`` (empty: the
+vehicle's own); ``link.distance_m`` and ``link.reflectance`` of the closed form.
 """
 
 import difflib
@@ -85,7 +85,8 @@ def check_bounds(name: str, value: Value, may_be_zero: bool, most: float) -> Non
 
 @lru_cache(maxsize=1)
 def _plain_names() -> tuple[str, ...]:
-    names = ["scene", "system", "radar", "seed", "processing.method", "fidelity.preset"]
+    names = ["scene", "system", "radar", "seed", "fidelity.preset"]
+    names += ["processing.method", "processing.detection"]
     names += [f"scene.{name}" for name in SCENE_NAMES]
     names += [f"fidelity.{field.name}" for field in fields(Fidelity)]
     names += LINK

@@ -19,7 +19,7 @@ _CLOSED_FORM = re.compile(
 )
 _OF_LINK = re.compile(r"link\..*")
 _OF_RADAR = re.compile(
-    r"radar(\..*)?|fidelity\.(radar.*|nufft_tolerance)|scene\.targets\..*|"
+    r"radar(\..*)?|processing\.detection|fidelity\.(radar.*|nufft_tolerance)|scene\.targets\..*|"
     r"(system\.)?weather\.(temperature_k|pressure_pa|water_vapour_kg_per_m3)"
 )
 _OF_IMAGE = re.compile(r"processing\.method")

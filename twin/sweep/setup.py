@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from hardware.radar.own_detection import Detect, OwnDetection
+from hardware.reconstruction import Method
+from hardware.reconstruction.registry import Solve
 from twin.fidelity import Fidelity, preset
 from twin.files import InputError
 from twin.radar.device.design import RadarDesign
@@ -25,7 +28,8 @@ class Setup:
     system: System
     radar: RadarDesign | None
     fidelity: Fidelity
-    method: str
+    method: str | Method | Solve
+    detection: OwnDetection | Detect | None
     seed: int
     scene_values: tuple[tuple[str, Value], ...]
 
@@ -54,7 +58,8 @@ def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
         system=system_of(study, values, inputs),
         radar=radar,
         fidelity=_fidelity(groups.get("fidelity", {}), inputs),
-        method=str(groups.get("processing", {}).get("method", "lmmse")),
+        method=_method(groups.get("processing", {}), inputs),
+        detection=_detection(groups.get("processing", {}), inputs),
         seed=_seed(groups.get("seed", {}).get("", study.seed)),
     )
 
@@ -74,6 +79,19 @@ def _groups(values: Values) -> dict[str, Values]:
             root, rest = "system", name
         groups.setdefault(root, {})[rest] = value
     return groups
+
+
+def _method(values: Values, inputs: Inputs) -> str | Method | Solve:
+    name = str(values.get("method", "lmmse"))
+    if ":" in name or f"method {name}" in inputs.objects:
+        own: Method | Solve = inputs.get("method", name)
+        return own
+    return name
+
+
+def _detection(values: Values, inputs: Inputs) -> OwnDetection | Detect | None:
+    name = str(values.get("detection", ""))
+    return inputs.get("detection", name) if name else None
 
 
 def _seed(value: Value) -> int:

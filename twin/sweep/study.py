@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
-from twin.sweep.methods import check_methods
+from twin.sweep.methods import check_functions, check_methods
 from twin.sweep.names import check_metrics
 from twin.sweep.objects import named
 from twin.sweep.parameters import check_value, is_optical
@@ -51,7 +51,9 @@ class Study(Strict):
 
     In Python scene, system, radar, parts and fidelities may be objects as well as names, as fields
     and as values of ``scene``, ``system``, ``radar``, ``system.SECTION.part``, ``fidelity.preset``;
-    a metric may be a function of an `Outcome`. ``objects`` holds them by the names they get.
+    a metric may be a function of an `Outcome`, and so may values of ``processing.method`` and
+    ``processing.detection`` be functions, as `hardware.reconstruct` and `hardware.Processing` take
+    them. ``objects`` holds them by the names they get.
 
     >>> from twin.system import load_system
     >>> fast = load_system("workable").with_({"optics.f_number": 0.8})
@@ -197,6 +199,12 @@ def load_study(path: str | Path) -> Study:
         raise InputError(f"{path}: {describe(error)}") from error
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
+    if study.model == "rendered":
+        methods, detections = (study.values_of(f"processing.{k}") for k in ("method", "detection"))
+        try:
+            check_functions(methods, detections, study.folder)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
     return study
 
 

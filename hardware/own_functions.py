@@ -1,0 +1,256 @@
+"""A user's own functions in place of bundled ones: given as an object, as ``file.py:function``, or
+by the name under which an installed package offers them.
+"""
+
+import functools
+import importlib.util
+import inspect
+import pickle
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from types import CodeType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+from hardware.errors import InputError
+
+
+class OwnFunctionError(InputError):
+    """A user's own function is missing, takes other arguments, or returns what cannot be used."""
+
+
+@dataclass(frozen=True)
+class OwnFunction:
+    """A function with its name and the SHA-256 of its source.
+
+    Of a function from a file the digest is that of the file and of the modules beside it that it
+    imports; of an object that of its own source, defaults and enclosed values.
+    """
+
+    function: Callable[..., Any]
+    name: str
+    digest: str
+
+    @property
+    def label(self) -> str:
+        """Name and digest: what results of this function are called."""
+        return f"{self.name}-{self.digest[:8]}"
+
+
+def is_file_function(text: str) -> bool:
+    """Whether a text has the form ``file.py:function``."""
+    path, colon, name = text.rpartition(":")
+    return bool(colon) and path.endswith(".py") and name.isidentifier()
+
+
+def own_function(
+    given: str | Callable[..., Any],
+    arguments: tuple[str, ...],
+    *,
+    group: str = "",
+    folder: Path | None = None,
+) -> OwnFunction:
+    """The function that a user gave.
+
+    Parameters
+    ----------
+    given
+        A callable; ``file.py:function``; a name in an entry-point group.
+    arguments
+        Names of what it will be called with, all by position.
+    group
+        The entry-point group.
+    folder
+        What a relative path starts from; default the working directory.
+
+    Raises OwnFunctionError for a file or function that does not exist, a file that cannot be
+    imported, or a function that does not take these arguments.
+
+    >>> def brightest(values, noise_variance, sensing):
+    ...     return values
+    >>> own_function(brightest, ("values", "noise_variance", "sensing")).name
+    'brightest'
+    """
+    if callable(given):
+        found = OwnFunction(given, _name(given), digest_of(given))
+    elif is_file_function(given):
+        found = _from_file(given, folder or Path())
+    else:
+        found = _installed(given, group)
+    try:
+        inspect.signature(found.function).bind(*arguments)
+    except TypeError:
+        told = given if isinstance(given, str) else found.name
+        raise OwnFunctionError(
+            f"{told}: takes {inspect.signature(found.function)}, expected a function of "
+            f"({', '.join(arguments)})"
+        ) from None
+    except ValueError:  # a compiled function that does not say what it takes
+        pass
+    return found
+
+
+def digest_of(function: Callable[..., Any]) -> str:
+    """SHA-256 of a callable's source, code, defaults and enclosed values; not of what it calls."""
+    found = sha256()
+    for piece in _pieces(function, set()):
+        found.update(len(piece).to_bytes(8, "little") + piece)
+    return found.hexdigest()
+
+
+def _pieces(value: Any, seen: set[int]) -> Iterator[bytes]:
+    if id(value) in seen:
+        return
+    if isinstance(value, functools.partial):
+        yield b"partial"
+        for part in (value.func, *value.args, *sorted(value.keywords.items())):
+            yield from _pieces(part, seen)
+    elif isinstance(value, MethodType):
+        yield from _pieces(value.__func__, seen)
+        yield from _pieces(value.__self__, seen)
+    elif isinstance(value, FunctionType):
+        seen.add(id(value))
+        yield _source(value)
+        yield from _code(value.__code__)
+        for part in (
+            *_enclosed(value),
+            *(value.__defaults__ or ()),
+            *(value.__kwdefaults__ or {}).items(),
+        ):
+            yield from _pieces(part, seen)
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _pieces(part, seen)
+    else:
+        if callable(value):
+            yield _source(value if isinstance(value, type) else type(value))
+        try:
+            yield pickle.dumps(value, protocol=5)
+        except Exception:  # any class may refuse in any way
+            yield type(value).__qualname__.encode()
+
+
+def _code(code: CodeType) -> Iterator[bytes]:
+    """What a function does, where its source cannot be had; not where it stands."""
+    yield code.co_code
+    yield repr(code.co_names).encode()
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _code(constant)
+        elif not isinstance(constant, frozenset):  # whose order is not fixed
+            yield repr(constant).encode()
+
+
+def _enclosed(function: FunctionType) -> Iterator[Any]:
+    for cell in function.__closure__ or ():
+        with suppress(ValueError):  # not assigned yet
+            yield cell.cell_contents
+
+
+def _source(value: Any) -> bytes:
+    try:
+        return inspect.getsource(value).encode()
+    except (OSError, TypeError):
+        return getattr(value, "__qualname__", type(value).__qualname__).encode()
+
+
+def _name(function: Callable[..., Any]) -> str:
+    if isinstance(function, functools.partial):
+        return _name(function.func)
+    name = getattr(function, "__name__", type(function).__name__)
+    return name.strip("<>")
+
+
+def _from_file(given: str, folder: Path) -> OwnFunction:
+    text, _, name = given.rpartition(":")
+    path = (folder / text).resolve()
+    if not path.is_file():
+        raise OwnFunctionError(f"{given}: {path} does not exist")
+    try:
+        files = _files(path)
+        source = sha256()
+        for other in sorted(files.values()):
+            source.update(sha256(other.read_bytes()).digest())
+        module = _module(path, files, source.hexdigest())
+    except Exception as error:  # a user's file may fail in any way
+        raise OwnFunctionError(f"{path}: {type(error).__name__}: {error}") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        offered = [n for n, f in vars(module).items() if isinstance(f, FunctionType)]
+        raise OwnFunctionError(
+            f"{given}: {path} has no function {name!r}, only {', '.join(offered) or 'none'}"
+        )
+    return OwnFunction(function, name, source.hexdigest())
+
+
+def _files(path: Path) -> dict[str, Path]:
+    """The file itself and what it imports from beside it, by module name."""
+    from modulefinder import ModuleFinder
+
+    finder = ModuleFinder(path=[str(path.parent)])
+    finder.run_script(str(path))
+    return {
+        name: Path(file)
+        for name, item in finder.modules.items()
+        if (file := getattr(item, "__file__", None))
+    }
+
+
+def _module(path: Path, files: dict[str, Path], digest: str) -> ModuleType:
+    """The file as a module of a name that no other file or version has; imported once."""
+    name = f"{path.stem}_{sha256(str(path).encode()).hexdigest()[:8]}_{digest[:16]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    code = compile(path.read_bytes(), str(path), "exec")
+    beside = {other: file for other, file in files.items() if other != "__main__"}
+    with _importing_from(path.parent, beside):
+        sys.modules[name] = module
+        try:
+            exec(code, module.__dict__)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return module
+
+
+@contextmanager
+def _importing_from(folder: Path, beside: dict[str, Path]) -> Iterator[None]:
+    """Modules of a folder are found first, and read anew; afterwards names are whose they were."""
+    before = {name: sys.modules.pop(name) for name in beside if name in sys.modules}
+    for file in beside.values():
+        with suppress(OSError):  # bytecode is told apart by seconds and size alone
+            Path(importlib.util.cache_from_source(str(file))).unlink(missing_ok=True)
+    importlib.invalidate_caches()
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            sys.path.remove(str(folder))
+        if str(folder) not in sys.path:
+            sys.path.append(str(folder))  # for what a function imports when it is called
+        for name in beside:
+            sys.modules.pop(name, None)
+        sys.modules.update(before)
+
+
+def _installed(given: str, group: str) -> OwnFunction:
+    from importlib.metadata import entry_points
+
+    points = entry_points(group=group) if group else ()
+    for point in points:
+        if point.name == given:
+            function = point.load()
+            return OwnFunction(function, given, digest_of(function))
+    names = sorted(point.name for point in points)
+    raise OwnFunctionError(
+        f"{given!r}: is unknown, expected file.py:function"
+        + (f" or a name in the entry-point group {group}" if group else "")
+        + (f" ({', '.join(names)})" if names else "")
+    )
