@@ -386,6 +386,25 @@ def test_no_more_triangles_are_looked_at_together_than_a_portion_holds(monkeypat
     assert max(most.values()) <= 2 * 1000
 
 
+def test_errors_of_what_there_is_no_room_to_divide_are_told(monkeypatch) -> None:
+    """Two plates that face each other at an angle, a ball between them: of 16 roots of tubes and
+    of 64 triangles only the most uncertain ones are divided. Estimates of the errors grow, and a
+    remark names a body.
+    """
+    corners = np.array([[0, 0, -0.2], [0.4, 0, -0.2], [0.4, 0, 0.2], [0, 0, 0.2]])
+    turned = trimesh.transformations.rotation_matrix(np.radians(80), [0, 0, 1])[:3, :3]
+    walls = [quad(f"w{i}", way + [4, 0, 0]) for i, way in enumerate((corners, corners @ turned.T))]
+    scene = world(*walls, ball("b", (3.9, 0.2, 0), 0.05, 3))
+    whole = trace(scene, RADAR, fidelity=OPTICS)
+    monkeypatch.setattr(bounces, "MOST_ROOTS", 16)
+    monkeypatch.setattr(facets, "MOST_TRIANGLES", 64)
+    some = trace(scene, RADAR, fidelity=OPTICS)
+    assert len(some.echoes.delay_s) < len(whole.echoes.delay_s) / 2
+    known = {body.name: body.estimated_error for body in whole.bodies}
+    assert max(body.estimated_error / known[body.name] for body in some.bodies) > 3
+    assert any("converged to" in line for line in some.assumptions)
+
+
 # Whole cities.
 
 

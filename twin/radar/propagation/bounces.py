@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.currents import Echoes, echoes_of
 from twin.radar.propagation.escapes import meeting
 from twin.radar.propagation.facets import Budget, Leaves, settled
-from twin.radar.propagation.facing import Facing, facing, lit_by, portions
+from twin.radar.propagation.facing import Facing, facing, largest, lit_by, portions
 from twin.radar.propagation.images import Image
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.parts import parted, spacing_of
@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 _DEEPEST = 12, 3  # divisions of facets by four, and of roots of tubes by sixteen
 _COARSE_DEPTH = 0, 0
 _MOST_PASSES = 3  # further ones, where bodies seemed louder than they are
+#: Roots of one size, the most uncertain ones: what their tubes light takes some 2 GB. The rest is
+#: divided no further, and its error counts as it is.
+MOST_ROOTS = 2**16
 _COARSE = 0.5  # tolerance of the first pass, at least
 
 
@@ -201,6 +204,7 @@ class _Search:
             done = budget.affordable(roots.body, error)
             if depth == deepest:
                 done[:] = True
+            done |= ~largest(np.where(done, 0.0, square), MOST_ROOTS // 16)
             for landed in begun.landed:
                 ends = done[landed.root]
                 budget.accept(landed.lit.body, landed.error, ends)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.currents import Echoes, echoes_of
-from twin.radar.propagation.facing import Facing, portions
+from twin.radar.propagation.facing import Facing, largest, portions
 from twin.radar.propagation.hidden import wholly_hidden
 from twin.radar.propagation.legs import Station
 from twin.radar.propagation.parts import parted, sizes, spacing_of
@@ -37,6 +37,9 @@ _CUT = 0.02
 _UNSEEN_M = 0.1  # size of triangles on which a shadow may pass between four rays
 _UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return more are divided
 _FINEST_M = 0.01
+#: Triangles of one size, the strongest ones over what is allowed: some 2 GB. The others are divided
+#: no further, and their errors and doubts count as they are.
+MOST_TRIANGLES = 2**21
 _MIXED = 0.25  # of its strength: error of a triangle that is partly seen
 _BENT = 1.0  # of what a bent border changes: what is left then
 _FALLEN = 2.0  # level of a body and errors that it may have: from which another pass is needed
@@ -283,12 +286,13 @@ def settled(
         budget.consider([seen.leaves, seen.cut])
         done = budget.affordable(seen.leaves.body, seen.error) & ~seen.is_doubtful
         done &= ~seen.is_wide
-        error = seen.error
         if depth == deepest:
             done[:] = True
-            doubt = np.where(seen.is_doubtful, _MIXED * seen.leaves.echoes.strength, 0.0)
-            error = error + doubt
-        budget.accept(seen.leaves.body, error, done)
+        known = seen.leaves
+        share = known.echoes.strength / budget.allowed(known.body)
+        done |= ~largest(np.where(done, 0.0, share), MOST_TRIANGLES // 4)
+        doubt = np.where(seen.is_doubtful, _MIXED * known.echoes.strength, 0.0)
+        budget.accept(known.body, seen.error + doubt, done)
         for part, kept in ((seen.leaves, done), (seen.cut, done[seen.row])):
             left = np.flatnonzero(kept & (part.weight != 0))
             if len(left):

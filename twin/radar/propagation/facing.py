@@ -32,6 +32,15 @@ def portions(rows: Rows, parts: int = 1) -> Iterator[Rows]:
         yield rows[first : first + size]
 
 
+def largest(values: Array, count: int) -> NDArray[np.bool_]:
+    """Which of some values, (n,), are the largest ones, as many as asked for, and not 0."""
+    found = values > 0
+    if np.count_nonzero(found) > count:
+        found[:] = False
+        found[np.argsort(-values, kind="stable")[:count]] = True
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Facing:
     """Whole facets of the world, each lit directly from an image and heard at one, (n,)."""
