@@ -303,7 +303,7 @@ def settled(
             break
         some, is_partly = seen.leaves.triangles.taken(rest), seen.is_partly[rest]
         times = min(2 if len(rest) < _FEW else 1, deepest - depth)
-        parts = portions(np.arange(len(rest)), 4)
+        parts = portions(np.arange(len(rest)), 4**times)
         seen = _Seen.joined([further(some.taken(rows), is_partly[rows], times) for rows in parts])
         depth += times
     return found
