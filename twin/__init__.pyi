@@ -4,6 +4,9 @@ from twin.camera import Capture as Capture
 from twin.camera import Evaluation as Evaluation
 from twin.camera import capture as capture
 from twin.camera import evaluate as evaluate
+from twin.detector import Detector as Detector
+from twin.detector import FrontEnd as FrontEnd
+from twin.detector import NoiseBudget as NoiseBudget
 from twin.errors import EngineError as EngineError
 from twin.errors import InputError as InputError
 from twin.errors import TwinError as TwinError

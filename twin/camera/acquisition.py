@@ -23,7 +23,7 @@ from twin.camera.verdict import (
     lagging,
     recorded,
 )
-from twin.detector import NoiseBudget
+from twin.detector import Detector, NoiseBudget
 from twin.fidelity import Fidelity, Noise
 from twin.optics.emission import emission_matrix, independent_patterns
 from twin.optics.radiometry import Collection
@@ -130,6 +130,7 @@ def capture(
     fidelity: Fidelity | None = None,
     mesh_scene: Any = None,
     stage: OpenStage = silently,
+    detector: Detector | None = None,
 ) -> Capture:
     """Acquire one frame: `render`, then `measure`.
 
@@ -145,6 +146,9 @@ def capture(
         `mitsuba_scene(scene)`, when it is at hand already.
     stage
         Called with each stage's name, for progress and timing.
+    detector
+        A user's own, a `Detector`, in place of the system's detector and readout, whose area, pole
+        and integration time still count; it must be of the same integration time.
 
     >>> from twin.fidelity import PRESETS
     >>> from twin.scene import load_scene
@@ -161,7 +165,7 @@ def capture(
     )
     with stage("detector"):
         rng = np.random.default_rng(noise_seed)
-        return measure(scene, system, rendered, rng=rng, noise=fidelity.noise)
+        return measure(scene, system, rendered, rng=rng, noise=fidelity.noise, detector=detector)
 
 
 def measure(
@@ -171,9 +175,10 @@ def measure(
     *,
     rng: np.random.Generator,
     noise: Noise = "full",
+    detector: Detector | None = None,
 ) -> Capture:
     """Light to counts: filter, lens, detector, amplifier and converter of a system."""
-    chain = Chain.of(system, scene.sun)
+    chain = Chain.of(system, scene.sun, detector)
     power = chain.powers(rendered)
     signal_w, counts, flags = chain.take(power, rng=rng, noise=noise)
     sun_w = float(chain.open_share.mean()) * power.sun_w
@@ -217,7 +222,7 @@ def measure(
         sun_irradiance_w_per_m2=float(sky.sun_w_per_m2[0]),
         in_band_fraction=float(sky.emitter[0]),
         illuminance_lx=sky.illuminance_lx,
-        assumptions=_assumptions(scene, system),
+        assumptions=(*_assumptions(scene, system), *_own(detector)),
         warnings=(
             *spoilt,
             *hidden_by_both(found, of_image, gone, spoilt),
@@ -228,6 +233,12 @@ def measure(
         ),
         range_error=range_error,
     )
+
+
+def _own(detector: Detector | None) -> tuple[str, ...]:
+    if detector is None:
+        return ()
+    return (f"detector: {type(detector).__name__} in place of the system's detector and readout",)
 
 
 def _without(cells_e: Array, backscatter_e: Array) -> Array:

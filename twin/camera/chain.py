@@ -12,7 +12,8 @@ from twin import __version__
 from twin.camera.illumination import amplifier_residue, shown, steady
 from twin.camera.light import Rendered
 from twin.camera.shutters import ShutterResponse, shutters
-from twin.detector import FrontEnd, NoiseBudget, expose, noise_budget
+from twin.detector import Detector, FrontEnd, NoiseBudget
+from twin.detector.interface import check_detector, exposed
 from twin.fidelity import Noise
 from twin.optics.emission import cell_gains
 from twin.optics.passband import Passband, passband
@@ -47,12 +48,14 @@ class Chain:
     lens: Collection
     sky: Passband
     shutters: tuple[ShutterResponse, ...]
-    front_end: FrontEnd
+    front_end: Detector
     gains: Array
 
     @classmethod
-    def of(cls, system: System, sun: Sun) -> "Chain":
-        """Chain of a system, under its own sky or else the scene's sun."""
+    def of(cls, system: System, sun: Sun, detector: Detector | None = None) -> "Chain":
+        """Chain of a system, under its own sky or else the scene's sun; ``detector``: in place of
+        the system's own with its readout. Raises InputError for one that lacks something.
+        """
         own = Sky(illuminance_lx=Sourced(value=sun.illuminance_lx, source="scene.toml"))
         responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
         return cls(
@@ -60,7 +63,9 @@ class Chain:
             lens=collection(system),
             sky=passband(system, system.sky or own),
             shutters=shutters(system),
-            front_end=FrontEnd.of(system, responsivity),
+            front_end=FrontEnd.of(system, responsivity)
+            if detector is None
+            else check_detector(detector),
             gains=cell_gains(system.emitter),
         )
 
@@ -117,8 +122,8 @@ class Chain:
         """
         fluctuating = None if noise == "none" else rng
         signal_w = shown(self.system, power.cells_w, rng=fluctuating, steady_w=steady_w)
-        exposed = self.settled(self.exposed(signal_w, power.sun_w), power.sun_w)
-        counts, flags = expose(exposed, self.front_end, rng=rng, noise=noise)
+        settled_w = self.settled(self.exposed(signal_w, power.sun_w), power.sun_w)
+        counts, flags = exposed(self.front_end, settled_w, rng, noise)
         return signal_w, counts, flags
 
     def exposed(self, signal_w: Array, sun_w: Array) -> Array:
@@ -139,7 +144,7 @@ class Chain:
         """Budget at the mean of exposures."""
         fluctuation = self.system.emitter.intensity_noise
         relative = fluctuation.value if fluctuation else 0.0
-        return noise_budget(signal_w, sun_w, self.front_end, relative)
+        return self.front_end.noise_budget(signal_w, sun_w, relative)
 
     def noise_by_detector(self, signal_w: Array, sun_w: Array) -> list[NoiseBudget]:
         """Budget of each detector, in one exposure.

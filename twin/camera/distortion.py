@@ -9,7 +9,6 @@ from hardware.patterns import PatternSet, fwht_in_place
 from hardware.reconstruction.measurements import hadamard_values
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import prompt
-from twin.detector import FrontEnd
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -53,12 +52,11 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
     """Of the mean counts of a camera against one that switches and settles at once and whose
     converter has no rails; images by inverse transform.
     """
-    patterns, front_end, n_shutters = chain.patterns, chain.front_end, len(chain.shutters)
+    patterns, detector, n_shutters = chain.patterns, chain.front_end, len(chain.shutters)
 
     def image(exposed_w: Array, *, cut: bool) -> Array:
-        electrons = exposed_w * front_end.electrons_per_watt + front_end.dark_e
-        if cut:
-            electrons = _cut_off(electrons, front_end)
+        linear = exposed_w * detector.electrons_per_watt + detector.dark_e
+        electrons = detector.mean_e(exposed_w) if cut else linear
         summed = electrons.reshape(-1, n_shutters, electrons.shape[-1]).sum(axis=1)
         return _image(summed, patterns)
 
@@ -70,11 +68,6 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
         clipping=_against(true, image(ideal_w, cut=True)),
         total=_against(true, image(slow_w, cut=True)),
     )
-
-
-def _cut_off(electrons: Array, front_end: FrontEnd) -> Array:
-    top = (2**front_end.adc_bits - 1 - front_end.offset_counts) * front_end.electrons_per_count
-    return np.minimum(electrons, min(top, front_end.full_well_e))
 
 
 def _image(electrons: Array, patterns: PatternSet) -> Array:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import constants
 
 from hardware.records import Flag
+from twin.detector.noise import NoiseBudget, noise_budget
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -81,6 +82,28 @@ class FrontEnd:
     def shot_variance(self) -> float:
         """Variance over mean of the collected electrons, M F."""
         return self.gain * self.excess_noise
+
+    def expose(
+        self,
+        power_w: Array,
+        *,
+        rng: np.random.Generator,
+        noise: Literal["none", "gaussian", "full"] = "full",
+    ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+        """Counts and flags, see `expose`."""
+        return expose(power_w, self, rng=rng, noise=noise)
+
+    def mean_e(self, power_w: Array) -> Array:
+        """Mean electrons that the counts tell of a power, W: up to the rail and the well."""
+        top = (2**self.adc_bits - 1 - self.offset_counts) * self.electrons_per_count
+        linear = power_w * self.electrons_per_watt + self.dark_e
+        return np.minimum(linear, min(top, self.full_well_e))
+
+    def noise_budget(
+        self, signal_w: Array, background_w: float | Array, emitter_noise: float = 0.0
+    ) -> NoiseBudget:
+        """Budget at the mean of exposures, see `noise_budget`."""
+        return noise_budget(signal_w, background_w, self, emitter_noise)
 
     @property
     def amplifier_e(self) -> float:

@@ -1,12 +1,15 @@
 """The noise budget of one exposure, and what it leaves of each pixel."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware.patterns import PatternSet, fwht_in_place
-from twin.detector.front_end import FrontEnd
+
+if TYPE_CHECKING:
+    from twin.detector.front_end import FrontEnd
 
 Array = NDArray[np.float64]
 
@@ -56,7 +59,7 @@ _FLICKER_OF_A_PAIR = 6.593
 def noise_budget(
     signal_w: Array,
     background_w: float | Array,
-    front_end: FrontEnd,
+    front_end: "FrontEnd",
     emitter_noise: float = 0.0,
 ) -> NoiseBudget:
     """Budget at the mean of the exposures ``signal_w``, W, and of the background.

@@ -15,7 +15,7 @@ from twin.camera.illumination import dark_share
 from twin.camera.light import Rendered, render_light
 from twin.camera.mounting import light_problem
 from twin.camera.truth import Truth, render_truth
-from twin.detector import FrontEnd, expose
+from twin.detector import Detector
 from twin.fidelity import PRESETS, Fidelity, Noise, Start
 from twin.optics.problem import LightProblem
 from twin.progress import OpenStage
@@ -245,13 +245,13 @@ def _samples(
 
 
 def distributions(
-    levels_w: Array, front_end: FrontEnd, rungs: Sequence[Noise], rng: np.random.Generator
+    levels_w: Array, front_end: Detector, rungs: Sequence[Noise], rng: np.random.Generator
 ) -> dict[Noise, tuple[Array, Array]]:
     """Two sorted samples of electrons for each rung, (n_exposures, n_draws)."""
 
     def drawn(kind: Noise) -> Array:
         many = np.repeat(levels_w[None], _DRAWS, axis=0)
-        counts, _ = expose(many, front_end, rng=rng, noise=kind)
+        counts, _ = front_end.expose(many, rng=rng, noise=kind)
         # Spread over its step, so that rounding does not pass for shape.
         electrons = (counts + rng.uniform(-0.5, 0.5, counts.shape)) * front_end.electrons_per_count
         return np.sort(electrons, axis=0).T
