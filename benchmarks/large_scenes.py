@@ -26,10 +26,10 @@ from hardware.radar.process import process
 from twin.engine import mitsuba, sionna
 from twin.files import scenes_folder
 from twin.radar import load_radar, radar_echo
-from twin.radar.propagation.grouping import bodies_of
-from twin.radar.propagation.roles import Role, assign_roles
-from twin.radar.propagation.shape import boxes_of
-from twin.radar.propagation.stage import Stage, set_stage
+from twin.radar.propagation.meshes.grouping import bodies_of
+from twin.radar.propagation.meshes.shape import boxes_of
+from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
+from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.materials import load_materials
 from twin.scene.meshes import read_mesh
@@ -67,17 +67,21 @@ def _of(name: str, scene: Scene) -> Iterator[Figure]:
     yield f"{name}: set-up, the first time", time.perf_counter() - start, "s"
     moved = iter(_moved(scene, None, 0.1 * step) for step in range(1, 99))
     yield f"{name}: set-up, one object moved", timed(lambda: _set_up(next(moved)), runs=5), ""
-    scattering = [o for o, r in zip(stage.items, stage.roles, strict=True) if r is Role.OPTICS]
+    scattering = [
+        o for o, r in zip(stage.items, stage.roles, strict=True) if r is ScatteringModel.OPTICS
+    ]
     yield f"{name}: objects that scatter", float(len(scattering)), ""
     yield f"{name}: images, with the radar", float(len(stage.images)), ""
     yield f"{name}: ways worth tracing", float(stage.worth.sum()), ""
 
 
-def _set_up(scene: Scene) -> Stage:
+def _set_up(scene: Scene) -> PreparedScene:
     radar = load_radar("hybrid-79")
-    stage = set_stage(scene, radar, assign_roles(scene, radar.ofdm.wavelength_m, "optics"), 1)
+    stage = prepare_scene(
+        scene, radar, assign_scattering_models(scene, radar.ofdm.wavelength_m, "optics"), 1
+    )
     items = zip(stage.items, stage.roles, strict=True)
-    bodies_of([item for item, role in items if role is Role.OPTICS])
+    bodies_of([item for item, role in items if role is ScatteringModel.OPTICS])
     stage.seen_by_itself()
     return stage
 

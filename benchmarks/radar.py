@@ -11,7 +11,7 @@ from benchmarks.timing import Figure, timed
 from hardware.radar.process import process
 from twin.radar import load_radar, radar_capture
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.sionna_paths import sionna_paths
+from twin.radar.propagation.sionna.paths import sionna_paths
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Pose, Rig, Scene, Sun, Target, load_scene
 

@@ -17,10 +17,10 @@ from benchmarks.mirrored_currents import echoes
 from benchmarks.timing import Figure
 from twin.fidelity import Fidelity
 from twin.radar import load_radar
-from twin.radar.propagation.convergence import band_of
-from twin.radar.propagation.culling import OF_NOISE, noise_amplitude
-from twin.radar.propagation.facets import WEAKEST
-from twin.radar.propagation.finding import trace
+from twin.radar.propagation.facets.convergence import band_of
+from twin.radar.propagation.facets.division import WEAKEST
+from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
+from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.scene.materials import load_materials
 from twin.trade.bodies import echoes_by_body

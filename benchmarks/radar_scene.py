@@ -17,9 +17,9 @@ from hardware.radar.process import process
 from twin.fidelity import PRESETS, Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.acquisition import channel
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.solvers import trace
 from twin.scene import Scene, load_scene
 from twin.trade.bodies import Bodies, echoes_by_body, errors_of, reference_bodies
 

@@ -11,7 +11,7 @@ from twin.fidelity import Fidelity
 from twin.radar import load_radar
 from twin.radar.cross_section.bistatic import scattering_dyadics
 from twin.radar.cross_section.table import QUALITY, Table
-from twin.radar.propagation.finding import trace
+from twin.radar.propagation.solvers import trace
 from twin.radar.scattering.target import Target
 from twin.scene import Scene, load_scene
 

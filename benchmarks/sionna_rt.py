@@ -18,11 +18,11 @@ from scipy.special import erfc
 from benchmarks.timing import Figure, timed
 from twin.engine import mitsuba, sionna
 from twin.radar import load_radar
-from twin.radar.propagation.around import legs_to, screens
-from twin.radar.propagation.materials import radio_properties
-from twin.radar.propagation.points import PointLegs, point_legs
-from twin.radar.propagation.roles import assign_roles
-from twin.radar.propagation.stage import Stage, set_stage
+from twin.radar.propagation.diffraction.around_edges import legs_to, screens
+from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
+from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
+from twin.radar.propagation.scene.materials import radio_properties
+from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.scene.materials import load_materials
 
@@ -103,17 +103,17 @@ class _Peer:
         ]
 
 
-def _stage(items: Sequence[SceneObject], begin: Array, order: int) -> Stage:
+def _stage(items: Sequence[SceneObject], begin: Array, order: int) -> PreparedScene:
     x, y, z = begin.tolist()
     rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((x, y, z)))
     sun = Sun(180.0, 30.0, 0.0)
     scene = Scene("peer", Path("peer"), "", tuple(items), rig, sun, (), materials=_MATERIALS)
-    roles = assign_roles(scene, _WAVELENGTH_M, "optics")
-    stage = set_stage(scene, _RADAR, roles, order)
+    roles = assign_scattering_models(scene, _WAVELENGTH_M, "optics")
+    stage = prepare_scene(scene, _RADAR, roles, order)
     return stage.with_images(stage.all_images)  # those that no body is heard by, too
 
 
-def _received(legs: PointLegs) -> Complex:
+def _received(legs: PointPaths) -> Complex:
     """Amplitude in a vertical antenna, as Sionna has it."""
     upwards = np.array([0, 0, 1.0]) - legs.back * legs.back[:, 2:]
     upwards /= np.linalg.norm(upwards, axis=1, keepdims=True)
@@ -147,10 +147,10 @@ def _street() -> Iterator[Figure]:
     )
     for order in (1, 2):
 
-        def ours(order: int = order) -> list[PointLegs]:
+        def ours(order: int = order) -> list[PointPaths]:
             stage = _stage(items, begin, order)
             at, off = ends - stage.anchor_m, np.zeros_like(ends)
-            return [point_legs(stage.station, i, at, off) for i in range(len(stage.images))]
+            return [paths_to_points(stage.station, i, at, off) for i in range(len(stage.images))]
 
         def theirs(order: int = order) -> list[tuple[Array, Complex]]:
             return peer.ways(order, specular_reflection=True)
@@ -196,7 +196,7 @@ def _pane() -> Iterator[Figure]:
         turn = np.exp(-1j * _K * _PANE_M * q)
         due = (1 - r**2) * turn / (1 - (r * turn) ** 2) * np.exp(1j * _K * _PANE_M * cosine)
         stage = _stage([item], begin, 0)
-        leg = point_legs(stage.station, 0, end - stage.anchor_m, np.zeros((1, 3)))
+        leg = paths_to_points(stage.station, 0, end - stage.anchor_m, np.zeros((1, 3)))
         straight = 1 / (2 * _K * leg.length[0])
         inside = leg.ring.rho[0] * np.exp(-1j * _K * leg.ring.lag_m[0])
         ours = _received(leg)[0] / straight * np.exp(-1j * _K * leg.extra[0]) / (1 - inside)
@@ -233,7 +233,7 @@ def _edge() -> Iterator[Figure]:
         def theirs(peer: _Peer = peer) -> tuple[Array, Complex]:
             return peer.ways(1, diffraction=True, edge_diffraction=True)[0]
 
-        def ours(stage: Stage = stage, obstacles: Any = obstacles) -> PointLegs:
+        def ours(stage: PreparedScene = stage, obstacles: Any = obstacles) -> PointPaths:
             mitsuba()  # or the other engine's kind of numbers
             at = end - stage.anchor_m
             return legs_to(stage.station, obstacles, 0, at, np.zeros((1, 3)))[0]

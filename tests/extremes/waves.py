@@ -15,8 +15,8 @@ from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import channel as received
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.free_space import straight_paths
+from twin.radar.propagation.scene.atmosphere import Air
 from twin.scene import Pose, Rig, Scene, Sun, Target
 from twin.scene.settings import SceneSettings
 

@@ -7,7 +7,7 @@ from twin.system import Weather, load_part
 
 pytest.importorskip("itur")
 
-from twin.radar.propagation.atmosphere import Air, gas_db_per_km, rain_db_per_km
+from twin.radar.propagation.scene.atmosphere import Air, gas_db_per_km, rain_db_per_km
 
 CLEAR, RAIN = load_part("clear-air").weather, load_part("rain-10").weather
 

@@ -14,8 +14,8 @@ from twin.radar.acquisition import channel
 from twin.radar.device.design import Oscillator, RadarDesign
 from twin.radar.device.front_end import arriving, digitize, full_scale_w, image_rejection_db
 from twin.radar.device.oscillator import apply, draw, residual_rad
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.atmosphere import Air
 
 NOTHING = Propagation(paths=(), roles=(), assumptions=())
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.constants import epsilon_0, speed_of_light
 
 from tests.physics.radar_worlds import MATERIALS
-from twin.radar.propagation.materials import radio_properties
+from twin.radar.propagation.scene.materials import radio_properties
 
 # Handbook of Radar Scattering Statistics for Terrain (Ulaby and Dobson, 1989), mean sigma_0 in dB
 # at 4 to 8 GHz: P1 + P2 exp(-P3 t) + P4 cos(P5 t + P6), t the angle of incidence in rad.

@@ -14,10 +14,10 @@ from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import contributions
 from twin.radar.device.design import RadarDesign
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.materials import radio_properties
-from twin.radar.propagation.roles import Role, assign_roles
-from twin.radar.propagation.sionna_paths import sionna_paths
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.materials import radio_properties
+from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
+from twin.radar.propagation.sionna.paths import sionna_paths
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target, load_scene
 from twin.scene.materials import load_materials
 
@@ -169,8 +169,8 @@ def test_small_plates_do_not_mirror() -> None:
     """A plate of the Fresnel zone's size would answer with pi d^2 under the image method."""
     radar = load_radar("hybrid-79")
     scene = world(plate("sign", 20.0, 0.3))
-    (role,) = assign_roles(scene, radar.ofdm.wavelength_m)
-    assert role.role is Role.OBSTACLE
+    (role,) = assign_scattering_models(scene, radar.ofdm.wavelength_m)
+    assert role.role is ScatteringModel.OBSTACLE
     assert sionna_paths(scene, radar).paths == ()
 
 

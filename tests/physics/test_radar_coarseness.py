@@ -17,8 +17,8 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.radar import radar_capture
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.shape import shape_of
+from twin.radar.propagation.meshes.shape import shape_of
+from twin.radar.propagation.solvers import trace
 
 
 def coarse(*objects) -> list[str]:

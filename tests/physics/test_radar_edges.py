@@ -27,11 +27,11 @@ from tests.physics.radar_worlds import (
 from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import PRESETS
 from twin.radar.cross_section import Quality, sweep
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.optics import diffracted, scattered
-from twin.radar.propagation.rays import Rays
-from twin.radar.propagation.roles import assign_roles
-from twin.radar.propagation.stage import set_stage
+from twin.radar.propagation.one_way.rays import Rays
+from twin.radar.propagation.physical_optics import diffracted, scattered
+from twin.radar.propagation.prepared_scene import prepare_scene
+from twin.radar.propagation.scene.scattering_models import assign_scattering_models
+from twin.radar.propagation.solvers import trace
 from twin.radar.scattering import Radar, Target, edge_diffraction, sharp_edges
 from twin.scene import Pose, Rig, Scene, SceneObject
 
@@ -63,15 +63,15 @@ def turned(mesh: trimesh.Trimesh, radar: Radar, distance_m: float) -> SceneObjec
 
 def rays_of(scene: Scene, **knobs) -> Rays:
     """Of surfaces and edges, without the antenna's gain."""
-    roles = assign_roles(scene, WAVELENGTH_M, "optics")
-    stage, fidelity = set_stage(scene, RADAR, roles, 1), EDGES.with_(**knobs)
+    roles = assign_scattering_models(scene, WAVELENGTH_M, "optics")
+    stage, fidelity = prepare_scene(scene, RADAR, roles, 1), EDGES.with_(**knobs)
     return Rays.joined([scattered(stage, RADAR, fidelity)[0], diffracted(stage, fidelity)[0]])
 
 
 def edges_of(scene: Scene) -> Rays:
     """Those of sharp edges alone."""
-    roles = assign_roles(scene, WAVELENGTH_M, "optics")
-    return diffracted(set_stage(scene, RADAR, roles, 1), EDGES)[0]
+    roles = assign_scattering_models(scene, WAVELENGTH_M, "optics")
+    return diffracted(prepare_scene(scene, RADAR, roles, 1), EDGES)[0]
 
 
 def total(rays: Rays) -> complex:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, thing, world
-from twin.radar.propagation.escapes import meeting
-from twin.radar.propagation.facing import lit_by
-from twin.radar.propagation.meetings import met_by
-from twin.radar.propagation.optics import _bodies
-from twin.radar.propagation.roles import assign_roles
-from twin.radar.propagation.scatterers import scatterers
-from twin.radar.propagation.stage import set_stage
+from twin.radar.propagation.facets.escapes import meeting
+from twin.radar.propagation.facets.facing import lit_by
+from twin.radar.propagation.facets.meetings import met_by
+from twin.radar.propagation.facets.scatterers import scatterers
+from twin.radar.propagation.physical_optics import _bodies
+from twin.radar.propagation.prepared_scene import prepare_scene
+from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.scene import SceneObject
 
 
@@ -41,7 +41,7 @@ def test_neighbours_of_what_sees_something_are_looked_at(is_loose: bool) -> None
     """
     item = loose(mirror()) if is_loose else mirror()
     scene = world(item, ball("ball", (10.0, 1.5, 0.0), 0.1, level=3))
-    stage = set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), 0)
+    stage = prepare_scene(scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, "optics"), 0)
     s, b = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
     facets = lit_by(s, b, stage.images)
     lit = facets.taken(facets.all)

@@ -37,10 +37,10 @@ from twin.radar import RadarDesign, load_radar
 from twin.radar.acquisition import contributions
 from twin.radar.cross_section import Quality, sweep
 from twin.radar.device.antenna import Antenna
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.beams import antenna_gain
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.pieces import split
+from twin.radar.propagation.facets.pieces import split
+from twin.radar.propagation.one_way.beams import antenna_gain
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.solvers import trace
 from twin.radar.scattering import Target
 from twin.radar.scattering.triangle import mean_over, node
 from twin.scene import Scene

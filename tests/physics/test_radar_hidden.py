@@ -7,14 +7,14 @@ import pytest
 import trimesh
 
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, ground, quad, thing, world
-from twin.radar.propagation.convexity import convex_parts
-from twin.radar.propagation.facing import facing
-from twin.radar.propagation.hidden import wholly_hidden
-from twin.radar.propagation.optics import _bodies
-from twin.radar.propagation.roles import assign_roles
-from twin.radar.propagation.scatterers import scatterers
-from twin.radar.propagation.shadows import seen
-from twin.radar.propagation.stage import set_stage
+from twin.radar.propagation.facets.convexity import convex_parts
+from twin.radar.propagation.facets.facing import facing
+from twin.radar.propagation.facets.hidden import wholly_hidden
+from twin.radar.propagation.facets.scatterers import scatterers
+from twin.radar.propagation.facets.shadows import seen
+from twin.radar.propagation.physical_optics import _bodies
+from twin.radar.propagation.prepared_scene import prepare_scene
+from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.scene import Scene, SceneObject
 
 BOX = trimesh.creation.box(extents=(1, 1, 1))
@@ -49,7 +49,7 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
     """
     rng = np.random.default_rng(seed)
     scene = yard(rng)
-    stage = set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), 1)
+    stage = prepare_scene(scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, "optics"), 1)
     assert len(stage.images) == 3  # the radar, in the ground, in the mirror
     s, bodies = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
     facets = facing(s, bodies, stage.images)

@@ -15,10 +15,10 @@ from tests.physics.radar_worlds import (
     quad,
     world,
 )
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.optics import scattered
-from twin.radar.propagation.roles import assign_roles
-from twin.radar.propagation.stage import set_stage
+from twin.radar.propagation.physical_optics import scattered
+from twin.radar.propagation.prepared_scene import prepare_scene
+from twin.radar.propagation.scene.scattering_models import assign_scattering_models
+from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, SceneObject, Target
 
 TWICE = OPTICS.with_(radar_images=2)
@@ -134,13 +134,13 @@ def test_echoes_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
     here = np.array([12.0, 3.0, 0.0])
     there = mirrored(mirrored(here, "ahead"), "side")
     scene = world(AHEAD, SIDE, ball("b", here))
-    stage = set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), 2)
+    stage = prepare_scene(scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, "optics"), 2)
     twice = [n for n in range(len(stage.images)) if len(stage.via(n)) == 2]
     assert {stage.via(n) for n in twice} == {("side", "ahead")}
     rays, _, _ = scattered(stage, RADAR, knobs)
     over = rays.chosen(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
     alone = world(ball("b", there))
-    free = set_stage(alone, RADAR, assign_roles(alone, WAVELENGTH_M, "optics"), 0)
+    free = prepare_scene(alone, RADAR, assign_scattering_models(alone, WAVELENGTH_M, "optics"), 0)
     found, expected = (
         np.sum(r.amplitude * np.exp(-1j * K * r.length_m))
         for r in (over, scattered(free, RADAR, knobs)[0])

@@ -24,23 +24,17 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
-from twin.radar.propagation import (
-    bounces,
-    culling,
-    facets,
-    facing,
-    grouping,
-    shape,
-    sight,
-    stage,
-)
-from twin.radar.propagation.culling import Beam, beam_of, shares, ways_of, worth_tracing
-from twin.radar.propagation.environment import mirror_echoes
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.images import Image
-from twin.radar.propagation.roles import Role, assign_roles
-from twin.radar.propagation.stage import Stage, set_stage
-from twin.radar.propagation.world import Flats
+from twin.radar.propagation import prepared_scene
+from twin.radar.propagation.facets import bodies, division, facing
+from twin.radar.propagation.meshes import grouping, shape
+from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
+from twin.radar.propagation.scene import culling, image_search
+from twin.radar.propagation.scene.culling import Beam, beam_of, shares, ways_of, worth_tracing
+from twin.radar.propagation.scene.images import Image
+from twin.radar.propagation.scene.mesh_scene import Flats
+from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
+from twin.radar.propagation.single_paths import mirror_echoes
+from twin.radar.propagation.solvers import trace
 from twin.scene import Scene, SceneObject, load_scene
 
 EVERYWHERE = Beam(np.ones(721))
@@ -51,8 +45,10 @@ def block(name: str, center, size, **more) -> SceneObject:
     return thing(name, BOX.vertices * np.asarray(size) + np.asarray(center), BOX.faces, **more)
 
 
-def staged(scene: Scene, order: int = 1) -> Stage:
-    return set_stage(scene, RADAR, assign_roles(scene, WAVELENGTH_M, "optics"), order)
+def staged(scene: Scene, order: int = 1) -> PreparedScene:
+    return prepare_scene(
+        scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, "optics"), order
+    )
 
 
 # Bodies.
@@ -122,7 +118,7 @@ def test_one_object_that_moves_is_all_that_is_looked_at_anew(monkeypatch) -> Non
     for step in range(3):
         moved = replace(items[7], vertices_m=items[7].vertices_m + step)
         scene = world(*items[:7], moved, *items[8:])
-        assign_roles(scene, WAVELENGTH_M, "optics")
+        assign_scattering_models(scene, WAVELENGTH_M, "optics")
         grouping.bodies_of(scene.objects)
     assert len(measured) == 1500
     del items, moved, scene
@@ -235,7 +231,7 @@ def test_culling_loses_no_more_than_its_bound(seed: int, monkeypatch) -> None:
     limit = 10.0 ** rng.uniform(-6, -4)
     found = []
     for allowed in (limit, 0.0):
-        monkeypatch.setattr(stage, "_limit", lambda radar, allowed=allowed: allowed)
+        monkeypatch.setattr(prepared_scene, "_limit", lambda radar, allowed=allowed: allowed)
         echoes = trace(scene, RADAR, fidelity=fidelity)
         found.append((staged(scene).worth.sum(), wave(echoes.echoes, CARRIER_HZ)))
     (fewer, culled), (more, whole) = found
@@ -274,11 +270,11 @@ def street(rng: np.random.Generator, houses: int) -> Scene:
 def test_no_image_is_lost_to_what_is_known_of_patches(monkeypatch) -> None:
     """Two reflections: the same images as when rays are sent to every patch from every image."""
     scene = street(np.random.default_rng(3), 3)
-    monkeypatch.setattr(stage, "beam_of", lambda antenna: EVERYWHERE)
-    monkeypatch.setattr(stage, "_limit", lambda radar: 0.0)
+    monkeypatch.setattr(prepared_scene, "beam_of", lambda antenna: EVERYWHERE)
+    monkeypatch.setattr(prepared_scene, "_limit", lambda radar: 0.0)
     found = {image.patches for image in staged(scene, 2).all_images}
     monkeypatch.setattr(
-        sight, "shares", lambda ways, boxes, *_: np.ones((len(ways.place), len(boxes)))
+        image_search, "shares", lambda ways, boxes, *_: np.ones((len(ways.place), len(boxes)))
     )
     assert {image.patches for image in staged(scene, 2).all_images} == found
     assert len(found) > 30
@@ -286,7 +282,7 @@ def test_no_image_is_lost_to_what_is_known_of_patches(monkeypatch) -> None:
 
 def test_the_radar_sees_itself_over_the_same_mirrors_as_over_all_images(monkeypatch) -> None:
     """Sequences of one image and another one reversed: every echo of the search over all images."""
-    monkeypatch.setattr(stage, "_limit", lambda radar: 0.0)
+    monkeypatch.setattr(prepared_scene, "_limit", lambda radar: 0.0)
     scene = street(np.random.default_rng(4), 3)
     once, twice = staged(scene, 1).seen_by_itself(), staged(scene, 2)
     whole = twice.with_images(twice.all_images)
@@ -372,12 +368,12 @@ def test_no_more_triangles_are_looked_at_together_than_a_portion_holds(monkeypat
 
     monkeypatch.setattr(facing, "AT_ONCE", 1000)
     counted(facing, "echoes_of", 2)
-    counted(facets, "echoes_of", 2)
-    counted(bounces, "echoes_of", 2)
-    counted(facets, "sampled", 1)
-    counted(facets, "quartered", 1)
-    counted(bounces, "reflected_on", 2)
-    counted(bounces, "rays_of", 2)
+    counted(division, "echoes_of", 2)
+    counted(bodies, "echoes_of", 2)
+    counted(division, "sampled", 1)
+    counted(division, "quartered", 1)
+    counted(bodies, "reflected_on", 2)
+    counted(bodies, "rays_of", 2)
     scene = world(hills(100), trihedral("corner", (9, 1, 0)), ground(-2.0))
     found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_tolerance=0.3))
     assert len(found.surfaces.delay_s) > 1000
@@ -396,8 +392,8 @@ def test_errors_of_what_there_is_no_room_to_divide_are_told(monkeypatch) -> None
     walls = [quad(f"w{i}", way + [4, 0, 0]) for i, way in enumerate((corners, corners @ turned.T))]
     scene = world(*walls, ball("b", (3.9, 0.2, 0), 0.05, 3))
     whole = trace(scene, RADAR, fidelity=OPTICS)
-    monkeypatch.setattr(bounces, "MOST_ROOTS", 16)
-    monkeypatch.setattr(facets, "MOST_TRIANGLES", 64)
+    monkeypatch.setattr(bodies, "MOST_ROOTS", 16)
+    monkeypatch.setattr(division, "MOST_TRIANGLES", 64)
     some = trace(scene, RADAR, fidelity=OPTICS)
     assert len(some.echoes.delay_s) < len(whole.echoes.delay_s) / 2
     known = {body.name: body.estimated_error for body in whole.bodies}
@@ -433,7 +429,7 @@ def test_cities_are_set_up_in_work_that_their_objects_bound(name: str, monkeypat
     set_up = staged(scene)
     count = len(measured)
     assert count >= len(scene.objects)
-    scatterers = sum(role is Role.OPTICS for role in set_up.roles)
+    scatterers = sum(role is ScatteringModel.OPTICS for role in set_up.roles)
     assert set_up.worth.sum() < 0.1 * scatterers * len(set_up.all_images)
     boxes = shape.boxes_of(scene.objects)
     assert grouping.near_pairs(boxes)[1] < 100 * len(boxes)

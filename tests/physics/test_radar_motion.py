@@ -26,9 +26,9 @@ from tests.physics.radar_worlds import (
 from twin.radar.acquisition import channel, radar_capture
 from twin.radar.device.burst import Burst, burst_channel
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.paths import contributions_of_paths
+from twin.radar.propagation.result import contributions_of_paths
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis import Contributions, direct_sum
 from twin.scene import Pose, Target
 

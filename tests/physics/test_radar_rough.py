@@ -21,13 +21,13 @@ from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import Fidelity
 from twin.radar import load_radar
 from twin.radar.acquisition import contributions
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.optics import speckle
-from twin.radar.propagation.paths import Propagation
-from twin.radar.propagation.roles import assign_roles
-from twin.radar.propagation.rough import coherent
-from twin.radar.propagation.stage import set_stage
+from twin.radar.propagation.physical_optics import surface_clutter
+from twin.radar.propagation.prepared_scene import prepare_scene
+from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.scattering_models import assign_scattering_models
+from twin.radar.propagation.solvers import trace
+from twin.radar.propagation.surface_clutter import coherent
 from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject
 
@@ -207,11 +207,13 @@ def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
     """A rough wall, seen through or solid, and its image: no way from its points over itself."""
     panel = box("panel", (3.0, -15, -15), (3.0125, 15, 15), material)
     s = replace(scene(panel), materials=rough(material))
-    stage = set_stage(s, RADAR, assign_roles(s, WAVELENGTH_M, "rough"), 1, is_rough=True)
+    stage = prepare_scene(
+        s, RADAR, assign_scattering_models(s, WAVELENGTH_M, "rough"), 1, is_rough=True
+    )
     assert {stage.via(n) for n in range(len(stage.images))} == {()}  # nothing else is heard over it
     stage = stage.with_images(stage.all_images)
     assert ("panel",) in {stage.via(n) for n in range(len(stage.images))}
-    rays = speckle(s, stage, Fidelity(radar="rough"), 0)[0]
+    rays = surface_clutter(s, stage, Fidelity(radar="rough"), 0)[0]
     assert len(rays.source) > 1000
     assert not rays.source.any()
     assert not rays.receiver.any()
@@ -228,9 +230,9 @@ def test_the_floor_behind_a_mirror() -> None:
     """
     mirror = plate("mirror", (22.0, 0, 0), 60.0)
     s = scene(floor(), mirror)
-    roles = assign_roles(s, WAVELENGTH_M, "rough")
-    stage = set_stage(s, RADAR, roles, 1, is_rough=True)
-    rays = speckle(s, stage, Fidelity(radar="rough"), 0)[0]
+    roles = assign_scattering_models(s, WAVELENGTH_M, "rough")
+    stage = prepare_scene(s, RADAR, roles, 1, is_rough=True)
+    rays = surface_clutter(s, stage, Fidelity(radar="rough"), 0)[0]
     (number,) = {int(n) for n in rays.source if n}
     n = 1000
     x = 8 + 12 * (np.arange(n) + 0.5) / n
@@ -248,7 +250,7 @@ def test_the_floor_behind_a_mirror() -> None:
 @pytest.mark.parametrize("carrier", [2.2e9, 2.8e9, 76.5e9, 80.5e9])
 def test_every_material_answers_in_both_bands(carrier: float) -> None:
     """With a permittivity of at least 1 and a loss, each from a source or assumed."""
-    from twin.radar.propagation.materials import radio_properties
+    from twin.radar.propagation.scene.materials import radio_properties
 
     for name, row in MATERIALS.items():
         permittivity, conductivity, _ = radio_properties(name, row, carrier)

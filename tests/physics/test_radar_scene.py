@@ -24,10 +24,10 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.files import InputError
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.materials import radio_properties
-from twin.radar.propagation.roles import Role, assign_roles
-from twin.radar.propagation.sionna_paths import sionna_paths
+from twin.radar.propagation.scene.materials import radio_properties
+from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
+from twin.radar.propagation.sionna.paths import sionna_paths
+from twin.radar.propagation.solvers import trace
 from twin.radar.scattering import Radar
 from twin.radar.scattering.reference import image_integral
 from twin.scene import Pose, Rig, Scene, Target
@@ -106,18 +106,20 @@ def test_who_scatters_is_a_rule_that_a_scene_can_override() -> None:
     tiny = plate("tiny", (20.0, 0, 0), 0.002)
     sphere = ball("ball", (20.0, 0, 0), 5.0)
     scene = world(small, wall, tiny, sphere)
-    roles = {a.name: a.role for a in assign_roles(scene, WAVELENGTH_M, "optics")}
+    roles = {a.name: a.role for a in assign_scattering_models(scene, WAVELENGTH_M, "optics")}
     assert roles == {
-        "small": Role.OPTICS,
-        "wall": Role.SURFACE,
-        "tiny": Role.OBSTACLE,
-        "ball": Role.OPTICS,
+        "small": ScatteringModel.OPTICS,
+        "wall": ScatteringModel.SURFACE,
+        "tiny": ScatteringModel.OBSTACLE,
+        "ball": ScatteringModel.OPTICS,
     }
-    (one,) = assign_roles(world(replace(small, radar="obstacle")), WAVELENGTH_M, "optics")
-    assert (one.role, one.declared) == (Role.OBSTACLE, True)
+    (one,) = assign_scattering_models(
+        world(replace(small, radar="obstacle")), WAVELENGTH_M, "optics"
+    )
+    assert (one.role, one.declared) == (ScatteringModel.OBSTACLE, True)
     # The cheap rung knows no physical optics.
-    (one,) = assign_roles(world(replace(small, radar="optics")), WAVELENGTH_M, "paths")
-    assert one.role is Role.OBSTACLE
+    (one,) = assign_scattering_models(world(replace(small, radar="optics")), WAVELENGTH_M, "paths")
+    assert one.role is ScatteringModel.OBSTACLE
 
 
 def test_a_smoothly_bent_surface_is_no_mirror() -> None:
@@ -128,8 +130,10 @@ def test_a_smoothly_bent_surface_is_no_mirror() -> None:
     n = np.arange(20)
     faces = np.vstack([np.column_stack([n, n + 1, n + 22]), np.column_stack([n, n + 22, n + 21])])
 
-    (role,) = assign_roles(world(thing("b", np.vstack([low, high]), faces)), WAVELENGTH_M, "optics")
-    assert role.role is Role.OPTICS
+    (role,) = assign_scattering_models(
+        world(thing("b", np.vstack([low, high]), faces)), WAVELENGTH_M, "optics"
+    )
+    assert role.role is ScatteringModel.OPTICS
 
 
 def test_a_declared_role_needs_a_target(tmp_path) -> None:

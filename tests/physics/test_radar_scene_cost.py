@@ -11,7 +11,7 @@ import pytest
 from tests.physics.radar_worlds import RADAR, ball, ground, plate, trihedral, world
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
-from twin.radar.propagation.finding import trace
+from twin.radar.propagation.solvers import trace
 from twin.scene import Scene
 
 
@@ -48,7 +48,7 @@ MILLION = """
 import resource
 import numpy as np
 from tests.physics.radar_worlds import OPTICS, RADAR, ball, cross_section_db, wave, world
-from twin.radar.propagation.finding import trace
+from twin.radar.propagation.solvers import trace
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 small = trace(world(ball("b", (5.0, 0, 0), level=6)), RADAR, fidelity=OPTICS)
 scene = world(ball("b", (5.0, 0, 0), level=8))

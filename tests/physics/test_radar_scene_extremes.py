@@ -20,7 +20,7 @@ from tests.physics.radar_worlds import (
 )
 from twin.fidelity import Fidelity
 from twin.radar import radar_capture
-from twin.radar.propagation.finding import trace
+from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, Scene
 
 

@@ -26,9 +26,9 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.fidelity import PRESETS, Fidelity
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.knife_edge import over_edge, over_two_edges
-from twin.radar.propagation.paths import contributions_of_paths
+from twin.radar.propagation.diffraction.knife_edge import over_edge, over_two_edges
+from twin.radar.propagation.result import contributions_of_paths
+from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, SceneObject, Target
 
 DEEP = OPTICS.with_(radar_shadow_db=60.0)

@@ -32,9 +32,9 @@ from twin.radar.cross_section import Quality, physical_optics
 from twin.radar.cross_section import table as tables
 from twin.radar.cross_section.bistatic import scattering_dyadics
 from twin.radar.cross_section.table import QUALITY, Table, table_of
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.roles import Role, assign_roles
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
+from twin.radar.propagation.solvers import trace
 from twin.radar.propagation.tabulated import leg
 from twin.radar.scattering import PEC, Radar, Surface, Target
 from twin.radar.scattering.reference import mie_coefficients
@@ -249,24 +249,24 @@ def test_what_was_asked_before_does_not_matter() -> None:
 def test_who_answers_from_a_table_is_a_rule_that_a_scene_can_override() -> None:
     small = trihedral("small", (30, 0, 0))
 
-    def role(item: SceneObject, rung="paths", **more) -> tuple[Role, bool]:
-        found = assign_roles(world(item, **more), WAVELENGTH_M, rung)[0]
+    def role(item: SceneObject, rung="paths", **more) -> tuple[ScatteringModel, bool]:
+        found = assign_scattering_models(world(item, **more), WAVELENGTH_M, rung)[0]
         return found.role, found.declared
 
-    assert role(small) == (Role.TABLE, False)
-    assert role(small, "optics") == (Role.OPTICS, False)
-    assert role(tabled(small), "optics") == (Role.OPTICS, False)
+    assert role(small) == (ScatteringModel.TABLE, False)
+    assert role(small, "optics") == (ScatteringModel.OPTICS, False)
+    assert role(tabled(small), "optics") == (ScatteringModel.OPTICS, False)
     near = trihedral("near", (8, 0, 0))  # its far field begins at 11.8 m
-    assert role(near) == (Role.OBSTACLE, False)
-    assert role(tabled(near)) == (Role.TABLE, True)
-    assert role(plate("large", (5000, 0, 0), 0.2)) == (Role.OBSTACLE, False)
-    assert role(plate("tiny", (30, 0, 0), 0.005)) == (Role.OBSTACLE, False)
+    assert role(near) == (ScatteringModel.OBSTACLE, False)
+    assert role(tabled(near)) == (ScatteringModel.TABLE, True)
+    assert role(plate("large", (5000, 0, 0), 0.2)) == (ScatteringModel.OBSTACLE, False)
+    assert role(plate("tiny", (30, 0, 0), 0.005)) == (ScatteringModel.OBSTACLE, False)
     declared = Declared("small", (30.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, "here", "small")
-    assert role(small, targets=(declared,)) == (Role.TARGET, False)
-    assert role(tabled(small), targets=(declared,)) == (Role.TABLE, True)
+    assert role(small, targets=(declared,)) == (ScatteringModel.TARGET, False)
+    assert role(tabled(small), targets=(declared,)) == (ScatteringModel.TABLE, True)
     part = replace(plate("part", (30, 0, 0), 0.03), name="part")
-    roles = assign_roles(world(small, part, targets=(declared,)), WAVELENGTH_M)
-    assert [a.role for a in roles] == [Role.TARGET, Role.OBSTACLE]
+    roles = assign_scattering_models(world(small, part, targets=(declared,)), WAVELENGTH_M)
+    assert [a.role for a in roles] == [ScatteringModel.TARGET, ScatteringModel.OBSTACLE]
 
 
 def test_legs_are_sionnas() -> None:
@@ -283,7 +283,7 @@ def test_legs_are_sionnas() -> None:
         rig=LIFTED,
         targets=(Declared("t", tuple(where), (0.0, 0.0, 0.0), 1.0, "here"),),
     )
-    from twin.radar.propagation.materials import surface_of
+    from twin.radar.propagation.scene.materials import surface_of
 
     planes = {
         "ground": (np.array([0, 0, -1.0]), np.array([0, 0, 1.0])),

@@ -9,7 +9,7 @@ import pytest
 from scipy.constants import speed_of_light
 
 from tests.physics.radar_worlds import GAIN, OPTICS, RADAR, WAVELENGTH_M, ball, thing, wave, world
-from twin.radar.propagation.finding import trace
+from twin.radar.propagation.solvers import trace
 from twin.scene import Scene, SceneObject
 
 K = 2 * np.pi / WAVELENGTH_M

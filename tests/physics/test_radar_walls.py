@@ -18,9 +18,9 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.radar import RadarDesign, load_radar
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.materials import radio_properties, surface_of
-from twin.radar.propagation.rays import Rays, Ring, ringing
+from twin.radar.propagation.one_way.rays import InternalReflections, Rays, with_internal_reflections
+from twin.radar.propagation.scene.materials import radio_properties, surface_of
+from twin.radar.propagation.solvers import trace
 from twin.scene import Scene, SceneObject, Target
 
 C = constants.c
@@ -114,9 +114,10 @@ def test_ringing_over_two_different_ways() -> None:
     one = Rays(*(np.ones(shape) for shape in (1, 1, 1, 1, (1, 3), (1, 3), 1, 1, 1)))
     first, second = 0.3 * np.exp(1j), 0.2 + 0j
     rings = [
-        Ring(np.array([rho]), np.array([lag])) for rho, lag in ((first, 0.011), (second, 0.007))
+        InternalReflections(np.array([rho]), np.array([lag]))
+        for rho, lag in ((first, 0.011), (second, 0.007))
     ]
-    found = ringing(one, *rings, np.array([False]))
+    found = with_internal_reflections(one, *rings, np.array([False]))
     for k in (100.0, 1000.0):
         total = np.sum(found.amplitude * np.exp(-1j * k * (found.length_m - 1)))
         series = [1 / (1 - r.rho[0] * np.exp(-1j * k * r.lag_m[0])) for r in rings]

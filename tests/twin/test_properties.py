@@ -26,8 +26,8 @@ from twin.optics.paths import Quality
 from twin.optics.problem import LightProblem
 from twin.radar import load_radar
 from twin.radar.acquisition import channel as received
-from twin.radar.propagation.atmosphere import Air
 from twin.radar.propagation.free_space import straight_paths
+from twin.radar.propagation.scene.atmosphere import Air
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system

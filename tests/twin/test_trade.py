@@ -28,7 +28,7 @@ from twin import cli
 from twin.detector import FrontEnd
 from twin.fidelity import PRESETS, Fidelity
 from twin.radar import load_radar
-from twin.radar.propagation.finding import trace as find_echoes
+from twin.radar.propagation.solvers import trace as find_echoes
 from twin.scene import Pose, Rig, Scene, Sun, Target, load_scene
 from twin.system import load_system
 from twin.trade import Cost, Measurement, Trade, cheapest, choose_fidelity, front, meter, run_trade

@@ -49,7 +49,7 @@ def run(
 ) -> None:
     """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
     from twin.job import run as run_job
-    from twin.radar.propagation.roles import Role
+    from twin.radar.propagation.scene.scattering_models import ScatteringModel
     from twin.scene import parse_pose, parse_track
 
     result = run_job(
@@ -76,7 +76,11 @@ def run(
     if result.radar:
         for warning in result.radar.capture.warnings:
             print(f"warning: {result.radar.radar.name}: {warning}", file=sys.stderr)
-        tables = [a.name for a in result.radar.capture.propagation.roles if a.role is Role.TABLE]
+        tables = [
+            a.name
+            for a in result.radar.capture.propagation.roles
+            if a.role is ScatteringModel.TABLE
+        ]
         if tables:
             print(f"{result.radar.radar.name}: tables stand for {', '.join(tables)}")
         print(result.radar)

@@ -1,9 +1,8 @@
 """Bursts of the radar, from scene and design to IQ counts."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,13 @@ from hardware.waveform import C_M_PER_S
 from twin import __version__
 from twin.fidelity import Fidelity
 from twin.files import InputError
+from twin.progress import OpenStage
 from twin.radar.device.burst import burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.paths import Propagation, contributions_of_paths
+from twin.radar.propagation.result import Propagation, contributions_of_paths
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.solvers import trace
 from twin.radar.remarks import assumptions, warnings
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
@@ -32,7 +32,6 @@ _MOST_CELLS = 2**28  # of one record: a gigabyte
 _SEEDLESS = ("targets", "optics")  # rungs whose echoes no seed changes
 #: Stages of `radar_capture`.
 STAGES = ("radar paths", "radar signal")
-Stage = Callable[[str], AbstractContextManager[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +123,7 @@ def radar_echo(
     weather: Weather | None = None,
     poses: Sequence[Pose] | None = None,
     interval_s: float | None = None,
-    stage: Stage = lambda name: nullcontext(),
+    stage: OpenStage = lambda name: nullcontext(),
 ) -> RadarEcho:
     """The bursts that `radar_capture` records; same parameters, same errors."""
     worlds = _worlds(scene, radar, poses, interval_s)
@@ -148,7 +147,7 @@ def radar_capture(
     weather: Weather | None = None,
     poses: Sequence[Pose] | None = None,
     interval_s: float | None = None,
-    stage: Stage = lambda name: nullcontext(),
+    stage: OpenStage = lambda name: nullcontext(),
 ) -> RadarCapture:
     """Acquire one burst, or one at each stop of a track.
 

@@ -16,7 +16,7 @@ from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
 from twin.radar.device.design import RadarDesign
 from twin.radar.picture import TrackPicture, track_picture
-from twin.radar.propagation.paths import Path as RadioPath
+from twin.radar.propagation.result import Path as RadioPath
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene
 

@@ -10,12 +10,12 @@ from twin.fidelity import RadarRung
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
 from twin.radar.device.oscillator import residual_rad
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.convergence import BodyEcho, unconverged
-from twin.radar.propagation.paths import Propagation
-from twin.radar.propagation.rays import lengthening
-from twin.radar.propagation.roles import Role
-from twin.radar.propagation.shape import shapes_of
+from twin.radar.propagation.facets.convergence import BodyEcho, unconverged
+from twin.radar.propagation.meshes.shape import shapes_of
+from twin.radar.propagation.one_way.rays import lengthening
+from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import encloses
@@ -103,7 +103,7 @@ def warnings(
     hidden = [t.name for t in truth if not t.visible]
     if hidden:
         found.append(CaptureWarning("hidden", f"no direct path to {', '.join(hidden)}"))
-    surfaces = {a.name for a in bursts[0].roles if a.role is Role.SURFACE}
+    surfaces = {a.name for a in bursts[0].roles if a.role is ScatteringModel.SURFACE}
     coarse = []
     if rung == "paths":  # our own images are found in float64
         coarse = [o.name for o in scene.objects if o.name in surfaces and _too_large(o, place)]
@@ -253,7 +253,7 @@ def _bend(target: Target, place: Array, radar: RadarDesign) -> CaptureWarning | 
 
 def _coarse(scene: Scene, radar: RadarDesign, found: Propagation) -> list[CaptureWarning]:
     """Warning of meshes too coarse for the wavelength, with the error of the worst one's echo."""
-    scattering = {a.name for a in found.roles if a.role is Role.OPTICS}
+    scattering = {a.name for a in found.roles if a.role is ScatteringModel.OPTICS}
     items = [item for item in scene.objects if item.name in scattering]
     wave_number = 2 * np.pi / radar.ofdm.wavelength_m
     shares = [2 * wave_number * shape.depth_m for shape in shapes_of(items)]

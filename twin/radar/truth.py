@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.paths import Propagation
-from twin.radar.propagation.rays import lengthening
+from twin.radar.propagation.one_way.rays import lengthening
+from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.atmosphere import Air
 from twin.scene import Scene, Target
 
 Array = NDArray[np.float64]

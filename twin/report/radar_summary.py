@@ -7,7 +7,7 @@ from scipy import constants
 
 from hardware.radar import Detection
 from twin.radar.evaluation import RadarEvaluation
-from twin.radar.propagation.convergence import percent
+from twin.radar.propagation.facets.convergence import percent
 from twin.report.style import si
 
 _CFAR = {"ca": "cell-averaging", "go": "greatest-of", "os": "ordered-statistic"}

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign
-from twin.radar.propagation.convergence import band_of, summed_by
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.grouping import bodies_of
-from twin.radar.propagation.paths import Propagation
-from twin.radar.propagation.roles import Role
-from twin.radar.propagation.stage import set_stage
+from twin.radar.propagation.facets.convergence import band_of, summed_by
+from twin.radar.propagation.meshes.grouping import bodies_of
+from twin.radar.propagation.prepared_scene import prepare_scene
+from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.scattering_models import ScatteringModel
+from twin.radar.propagation.solvers import trace
 from twin.scene import Scene
 from twin.trade.measurement import BodyError
 from twin.trade.sampled import direct_echo, points_of
@@ -59,7 +59,7 @@ def reference_bodies(
     frequencies = band_of(radar.ofdm)
     echo = echoes_by_body(finest, names, radar, frequencies)
     level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
-    stage = set_stage(scene, radar, finest.roles, 0)
+    stage = prepare_scene(scene, radar, finest.roles, 0)
     sampled = np.zeros(len(names), dtype=bool)
     numbers = {item.name: i for i, item in enumerate(stage.items)}
     if stage.station.walls is None:  # brute force knows no panes
@@ -120,7 +120,7 @@ def echoes_by_body(
 
 def _names(scene: Scene, found: Propagation) -> tuple[tuple[str, ...], ...]:
     """Objects that scatter, by the body that they are part of."""
-    scattering = {a.name for a in found.roles if a.role is Role.OPTICS}
+    scattering = {a.name for a in found.roles if a.role is ScatteringModel.OPTICS}
     items = [item for item in scene.objects if item.name in scattering]
     if not items:
         return ()

@@ -15,9 +15,9 @@ from twin.fidelity import PRESETS, Fidelity
 from twin.progress import OpenStage
 from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
-from twin.radar.propagation.atmosphere import Air
-from twin.radar.propagation.finding import trace
-from twin.radar.propagation.paths import Propagation
+from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
 from twin.trade.bodies import Bodies, errors_of, reference_bodies

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.radar import RadarDesign
-from twin.radar.propagation.materials import surface_of
-from twin.radar.propagation.shape import shape_of
-from twin.radar.propagation.stage import Stage
+from twin.radar.propagation.meshes.shape import shape_of
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.scene.materials import surface_of
 from twin.scene import Scene
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ _AT_ONCE = 500_000  # points
 _OFF_SURFACE = 2e-6  # of the distance from the anchor: some steps of float32
 
 
-def points_of(stage: Stage, objects: Sequence[int]) -> int:
+def points_of(stage: PreparedScene, objects: Sequence[int]) -> int:
     """Number of points on the facets of some objects."""
     corners, _ = _facets(stage, objects)
     along, across = _pieces(corners, stage.wavelength_m)
@@ -35,7 +35,11 @@ def points_of(stage: Stage, objects: Sequence[int]) -> int:
 
 
 def direct_echo(
-    scene: Scene, stage: Stage, radar: RadarDesign, objects: Sequence[int], frequencies_hz: Array
+    scene: Scene,
+    stage: PreparedScene,
+    radar: RadarDesign,
+    objects: Sequence[int],
+    frequencies_hz: Array,
 ) -> Complex:
     """Received over sent wave by the straight way, (n_frequencies,), equally spaced ones.
 
@@ -73,7 +77,7 @@ def _summed(wave: Complex, distance: Array, frequencies_hz: Array) -> Complex:
     return found
 
 
-def _across_share(stage: Stage, away: Array, normal: Array) -> Array:
+def _across_share(stage: PreparedScene, away: Array, normal: Array) -> Array:
     """Power share of the sent field across the plane of incidence, by Ludwig's third definition."""
     forward, up = stage.axes[0], stage.axes[2]
     field = up - ((away @ up) / np.maximum(1 + away @ forward, 1e-9))[:, None] * (away + forward)
@@ -83,7 +87,7 @@ def _across_share(stage: Stage, away: Array, normal: Array) -> Array:
     return np.where(square < 1e-24, 0.5, share)
 
 
-def _seen(stage: Stage, point: Array, normal: Array, away: Array, distance: Array) -> Array:
+def _seen(stage: PreparedScene, point: Array, normal: Array, away: Array, distance: Array) -> Array:
     """1 where a ray from a point reaches the radar, else 0."""
     mi = stage.station.mi
     towards = np.sign(-np.sum(normal * away, axis=1))[:, None] * normal
@@ -95,7 +99,7 @@ def _seen(stage: Stage, point: Array, normal: Array, away: Array, distance: Arra
     return 1.0 - np.array(stage.world.scene.ray_test(ray)).astype(np.float64)
 
 
-def _facets(stage: Stage, objects: Sequence[int]) -> tuple[Array, Array]:
+def _facets(stage: PreparedScene, objects: Sequence[int]) -> tuple[Array, Array]:
     """Corners (n, 3, 3) with the shortest edge last, and normals (n, 3), of facets that may be lit:
     doubles once, and of what is closed not the far side.
     """

@@ -17,14 +17,14 @@ from scipy.constants import speed_of_light
 from twin.engine import mitsuba
 from twin.radar.cross_section.subject import Subject, are_within, bare, subject_of
 from twin.radar.cross_section.ways import Ways
-from twin.radar.propagation.beams import AntennaGain
-from twin.radar.propagation.currents import amplitude_of, echoes_of
-from twin.radar.propagation.facets import Budget, Leaves, settled
-from twin.radar.propagation.facing import lit_facets
-from twin.radar.propagation.legs import Station
-from twin.radar.propagation.scatterers import Scatterers
-from twin.radar.propagation.shadows import sampled
-from twin.radar.propagation.triangles import Triangles, incident_on
+from twin.radar.propagation.facets.currents import amplitude_of, echoes_of
+from twin.radar.propagation.facets.division import Budget, Leaves, settled
+from twin.radar.propagation.facets.facing import lit_facets
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.shadows import sampled
+from twin.radar.propagation.facets.triangles import Triangles, incident_on
+from twin.radar.propagation.one_way.beams import AntennaGain
+from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.scattering.kernel import turned
 from twin.radar.scattering.surface import table
 from twin.radar.scattering.target import Target
@@ -59,7 +59,7 @@ class _Isotropic(AntennaGain):
 
 
 @dataclass(frozen=True, eq=False)
-class _Radars(Station):
+class _Radars(TracingContext):
     """Three places to receive at for each way, and its transmitter: each an image of its own.
 
     ``antennas`` (9 n): unit vector from the mesh, and the polarisation, Re and Im.
@@ -191,7 +191,7 @@ def direct(
 
 
 def _answers(
-    s: Station,
+    s: TracingContext,
     scatterers: Scatterers,
     leaves: Leaves,
     wave_number: float,
@@ -223,7 +223,7 @@ def _answers(
 
 
 def _leaves(
-    s: Station,
+    s: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
     is_open: NDArray[np.bool_],
@@ -285,7 +285,7 @@ def _facing(
     return way, face, side[way, face]
 
 
-def _scatterers(s: Station, subject: Subject) -> Scatterers:
+def _scatterers(s: TracingContext, subject: Subject) -> Scatterers:
     count, kinds = len(subject.world.faces), len(subject.surface)
     zero, one = s.mi.Vector3d(0), s.mi.Float64(1)
     return Scatterers(

@@ -40,7 +40,7 @@ class Quality:
     max_bounces
         What is reflected more often is lost.
     max_rays
-        Bounds time. Where it bites, tubes are wider than asked for and `Echo.thinned` says so.
+        Bounds time. Where it bites, tubes are wider than asked for: `Echo.undersampling`.
     """
 
     tolerance: float = 0.005
@@ -69,14 +69,14 @@ class Echo:
     ``amplitude`` (n, 2) is S in metres for reception in both polarisations, of a wave of amplitude
     1 at the mesh's origin: cross-section 4 pi |S|^2. Of the lit wavefront ``grazing`` (n,) is the
     share that meets its facet within 15 deg of grazing, ``unfinished`` (n,) what is still under way
-    after the last bounce. ``thinned`` (n,) is the factor by which rays are wider apart than asked
-    for, ``rays`` (n,) their number, 0 where no facet lights another.
+    after the last bounce. ``undersampling`` (n,) is the factor by which rays are wider apart than
+    asked for, ``rays`` (n,) their number, 0 where no facet lights another.
     """
 
     amplitude: Complex
     grazing: Array
     unfinished: Array
-    thinned: Array
+    undersampling: Array
     rays: NDArray[np.int64]
 
 
@@ -135,7 +135,7 @@ def dyadic(target: Target, ways: Ways, frequency_hz: Array, quality: Quality | N
         np.concatenate([np.zeros((0, count, sent, 2), np.complex128), *amplitude]),
         np.concatenate([np.zeros(0), *grazing]),
         np.concatenate([np.zeros(0), *(part.unfinished for part in further)]),
-        np.concatenate([np.ones(0), *(part.thinned for part in further)]),
+        np.concatenate([np.ones(0), *(part.undersampling for part in further)]),
         np.concatenate([np.zeros(0, np.int64), *(part.rays for part in further)]),
     )
 
@@ -163,4 +163,6 @@ def thinning(target: Target, frequency_hz: float, quality: Quality) -> float:
         return 1.0
     sides = Ways.back_to([Radar(side) for side in np.eye(3)], "V")
     wavelength = speed_of_light / frequency_hz
-    return max(spread(target, sides, way, wavelength, quality.density).thinned for way in range(3))
+    return max(
+        spread(target, sides, way, wavelength, quality.density).undersampling for way in range(3)
+    )

@@ -77,13 +77,14 @@ class Later:
 
     ``lit_m2`` (n,) is the area of the wavefront that hits, on a sphere through the origin: a
     silhouette; ``unfinished`` (n,) its share that is still under way after the last bounce;
-    ``thinned`` (n,) the factor by which tubes are wider than asked for; ``rays`` (n,) how many.
+    ``undersampling`` (n,) the factor by which tubes are wider than asked for; ``rays`` (n,) how
+    many.
     """
 
     amplitude: Complex
     lit_m2: Array
     unfinished: Array
-    thinned: Array
+    undersampling: Array
     rays: NDArray[np.int64]
 
     @staticmethod
@@ -104,7 +105,7 @@ def later_bounces(
 ) -> Later:
     """Scattered amplitudes of what facets of a mesh light of each other."""
     n, m = ways.sent.shape[:2]
-    sums, thinned, rays = np.zeros((n, m, 6)), np.ones(n), np.zeros(n, dtype=np.int64)
+    sums, undersampling, rays = np.zeros((n, m, 6)), np.ones(n), np.zeros(n, dtype=np.int64)
     coefficients = table(target.surfaces, material_hz).ravel()
 
     def shoot(grids: list[_Grid]) -> None:
@@ -114,7 +115,7 @@ def later_bounces(
     waiting: list[_Grid] = []
     for way in range(n):
         over = spread(target, ways, way, wavelength_m, density)
-        thinned[way] = over.thinned
+        undersampling[way] = over.undersampling
         for patch in over.patches:
             for grid in _grids(patch, over.spacing_m, ways, way):
                 rays[way] += grid.size
@@ -126,7 +127,7 @@ def later_bounces(
         shoot(waiting)
     amplitude = (sums[:, :, 0:4:2] + 1j * sums[:, :, 1:4:2]) * -1j / (2 * wavelength_m)
     lit, left = sums[:, 0, 4], sums[:, 0, 5]
-    return Later(amplitude, lit, left / np.maximum(lit, 1e-300), thinned, rays)
+    return Later(amplitude, lit, left / np.maximum(lit, 1e-300), undersampling, rays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ class Spread:
 
     patches: list[Patch]
     spacing_m: float
-    thinned: float
+    undersampling: float
 
 
 @dataclass(frozen=True, eq=False)

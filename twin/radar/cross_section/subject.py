@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.cross_section.ways import Ways
-from twin.radar.propagation.shape import Shape, shape_of
-from twin.radar.propagation.world import Mesher
+from twin.radar.propagation.meshes.shape import Shape, shape_of
+from twin.radar.propagation.scene.mesh_scene import MeshScene
 from twin.radar.scattering.target import Target
 from twin.scene import SceneObject
 
@@ -27,7 +27,7 @@ class Subject:
     of the mesh stands before a facet, on the side of its normal and on the other.
     """
 
-    world: Mesher
+    world: MeshScene
     anchor_m: Array
     shape: Shape
     surface: NDArray[np.uint32]
@@ -52,7 +52,7 @@ def subject_of(target: Target) -> Subject:
     used = np.unique(kinds)
     faces = target.faces.astype(np.int32)
     items = [_item(target.vertices_m, faces[kinds == number]) for number in used]
-    world = Mesher(items)
+    world = MeshScene(items)
     world.place(items, anchor)
     whole = _item(target.vertices_m, np.concatenate([item.faces for item in items]))
     shape = shape_of(whole)
@@ -65,7 +65,7 @@ def _item(vertices: Array, faces: NDArray[np.int32]) -> SceneObject:
     return SceneObject("target", vertices, faces, None, "", 0.0)
 
 
-def _open(world: Mesher, shape: Shape, rounded_m: float) -> NDArray[np.bool_]:
+def _open(world: MeshScene, shape: Shape, rounded_m: float) -> NDArray[np.bool_]:
     if shape.is_convex:
         return np.stack([shape.outward > 0, shape.outward < 0])
     point, normal = world.plane_table[:, :3], world.plane_table[:, 3:]

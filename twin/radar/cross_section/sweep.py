@@ -128,8 +128,8 @@ def _on_target(target: Target, edges: Edges, wavelength: float, diffraction: boo
             f"facets lie up to {edges.sagitta_m / wavelength:.2g} wavelengths off a smooth surface:"
             " each reflects for itself; a finer mesh is needed"
         )
-    if diffraction and edges.crowded:
-        remarks.append(f"{edges.crowded} edges of more than two faces diffract nothing")
+    if diffraction and edges.non_manifold:
+        remarks.append(f"{edges.non_manifold} edges of more than two faces diffract nothing")
     if diffraction and any(surface != PEC for surface in target.surfaces):
         remarks.append("edges diffract as if they were conducting")
     return remarks
@@ -147,9 +147,9 @@ def _on_aspects(
 ) -> list[str]:
     if not parts:
         return []
-    grazing, left, thinned = (
+    grazing, left, undersampling = (
         np.concatenate([getattr(part, name) for part in parts])
-        for name in ("grazing", "unfinished", "thinned")
+        for name in ("grazing", "unfinished", "undersampling")
     )
     remarks = []
     grazed, unfinished = (grazing > _GRAZED) & (not diffracting), left > _UNFINISHED
@@ -163,10 +163,10 @@ def _on_aspects(
             f"{_where(azimuths, unfinished)}: up to {100 * left.max():.0f} % of the rays go on "
             f"after {quality.max_bounces} bounces"
         )
-    if thinned.max() > 1:
+    if undersampling.max() > 1:
         remarks.append(
-            f"rays within the target up to {thinned.max():.2g} times wider apart than asked for: "
-            f"{quality.max_rays} at most"
+            f"rays within the target up to {undersampling.max():.2g} times wider apart than asked "
+            f"for: {quality.max_rays} at most"
         )
     return remarks
 

@@ -101,7 +101,7 @@ class Table:
         )
         self.far_m = 2 * self.extent_m**2 / wavelength
         self.quality = quality
-        self.thinned = thinning(self._target, carrier_hz, quality)
+        self.undersampling = thinning(self._target, carrier_hz, quality)
         self._shift_hz = _SHIFT * speed_of_light / self.extent_m
         self._frequencies = np.array([carrier_hz, carrier_hz + self._shift_hz])
         step = wavelength / (2 * self.extent_m * nodes)

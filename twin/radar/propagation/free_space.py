@@ -4,8 +4,8 @@ import numpy as np
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.paths import Path, Propagation
-from twin.radar.propagation.rays import lengthening, turning
+from twin.radar.propagation.one_way.rays import lengthening, turning
+from twin.radar.propagation.result import Path, Propagation
 from twin.scene import Scene
 
 

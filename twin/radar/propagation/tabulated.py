@@ -22,7 +22,7 @@ from scipy.constants import speed_of_light
 from twin.files import InputError
 from twin.radar.cross_section.table import Table, table_of
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.materials import surface_of
+from twin.radar.propagation.scene.materials import surface_of
 from twin.radar.scattering.surface import Surface
 from twin.radar.scattering.target import Target as Body
 from twin.scene import Scene, SceneObject, Target
@@ -146,10 +146,10 @@ def assumptions(thing: Tabulated, material: str, radar: RadarDesign) -> list[str
     found = [f"{name} answers from a table of physical optics, alone and from one point"]
     if table.extent_m > _range_cell(radar):
         found[0] += f": it measures {table.extent_m / _range_cell(radar):.3g} range cells"
-    if table.thinned > 1:
+    if table.undersampling > 1:
         found.append(
-            f"rays of the table of {name} {table.thinned:.2g} times wider apart than asked for: "
-            "what its parts light of each other fades"
+            f"rays of the table of {name} {table.undersampling:.2g} times wider apart than asked "
+            "for: what its parts light of each other fades"
         )
     if thing.assumed:
         found.append(f"radio properties of {material}: {thing.assumed}")

@@ -23,7 +23,7 @@ class Edges:
     around the edge over pi: 2 for an open edge, 1.5 for a box. ``inwards`` and ``upwards`` (n, 2,
     3): on each face, across the edge into the face, and off the face away from the wedge. ``patch``
     (n, 2) is the smooth surface that the face belongs to, ``face`` (n,) one of the faces as the
-    mesh numbers them. ``crowded`` counts edges of more than two faces, which are left out;
+    mesh numbers them. ``non_manifold`` counts edges of more than two faces, which are left out;
     ``sagitta_m`` is the farthest that facets lie off the smooth surface that they stand for.
     """
 
@@ -36,7 +36,7 @@ class Edges:
     patch: Indices
     face: Indices
     patches: "Patches"
-    crowded: int
+    non_manifold: int
     sagitta_m: float
 
 
@@ -80,7 +80,7 @@ def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
     Orientation of the faces doesn't matter; faces that lie twice at the same place count once.
     """
     corners, faces, normals, kept = _welded(target)
-    ends, pairs, crowded = _adjacency(faces)
+    ends, pairs, non_manifold = _adjacency(faces)
     is_open = pairs[:, 0] == pairs[:, 1]
     along = corners[ends[:, 1]] - corners[ends[:, 0]]
     length = np.linalg.norm(along, axis=1)
@@ -103,7 +103,7 @@ def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
         patch=patch[pairs[sharp]],
         face=kept[pairs[sharp, 0]],
         patches=_patches(corners, faces, normals, patch, patch[pairs[sharp]], ends),
-        crowded=crowded,
+        non_manifold=non_manifold,
         sagitta_m=float(bend.max()) if len(bend) else 0.0,
     )
 
@@ -138,9 +138,9 @@ def _adjacency(faces: Indices) -> tuple[Indices, Indices, int]:
     keys = ends[:, 0] * (int(faces.max()) + 1) + ends[:, 1]
     order = np.argsort(keys, kind="stable")
     _, start, count = np.unique(keys[order], return_index=True, return_counts=True)
-    start, count, crowded = start[count <= 2], count[count <= 2], int(np.sum(count > 2))
+    start, count, non_manifold = start[count <= 2], count[count <= 2], int(np.sum(count > 2))
     first, second = order[start], order[start + count - 1]
-    return ends[first], np.stack([first, second], axis=1) // 3, crowded
+    return ends[first], np.stack([first, second], axis=1) // 3, non_manifold
 
 
 def _into(

@@ -1,0 +1,1 @@
+"""Diffraction: ways round obstacles, and fringe currents of sharp edges."""

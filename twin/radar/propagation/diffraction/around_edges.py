@@ -1,0 +1,346 @@
+"""Ways round obstacles: what reaches a point beside or behind an edge on its leg.
+
+Along a leg the wave of geometrical optics is there or not; to it every edge of an obstacle's
+outline adds what Kirchhoff's integral has of it (`knife_edge`): in the shadow all there is, on the
+lit side a ripple, at the border what makes both meet. Each has the length of its own way, over the
+edge or over an end of it, and is followed by rays that may meet nothing else. Where a way goes on
+into the obstacle itself it takes two edges, that seen from the radar and that seen from the point.
+A leg over mirrors is obstructed before each of them and behind the last.
+
+Obstacles are opaque and black, as for Kirchhoff. Left out are: what their material and the angle
+between their faces change, a third edge on the same way, and what creeps round curved surfaces.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.rims import (
+    Ways,
+    bundled,
+    farthest,
+    near_edges,
+    over_edges,
+    over_rim,
+    over_two,
+    successive,
+)
+from twin.radar.propagation.meshes.shape import boxes_of
+from twin.radar.propagation.meshes.silhouettes import Outline, outline
+from twin.radar.propagation.one_way.path import OFF_SURFACE, TracingContext
+from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.scene.images import Image, mirrored
+from twin.radar.propagation.scene.mesh_scene import Flat
+from twin.scene import SceneObject
+from twin.transfer import aligned, vector
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_PAIRS = 2**20  # of points and edges, at once
+_NEXT_TO = 1e-5  # of a segment, that rays leave out where it ends
+#: 1 less the square of the correlation of two edges, below which they count as one: 0.4 dB.
+_ONE_EDGE = 0.02
+_UNSURE_M = 3e-4  # float32 rays may err so far from an edge, and as much more for every 10 m
+
+
+@dataclass(frozen=True, eq=False)
+class Screens:
+    """Obstacles of a stage, (n, ...), and the spheres that hold them, relative to its anchor.
+
+    ``body`` (n,) numbers bodies of several objects that touch, -1 for no such body; ``faintest`` is
+    what is still told of a way, in amplitude over the straight one.
+    """
+
+    stage: PreparedScene
+    items: tuple[SceneObject, ...]
+    body: NDArray[np.int32]
+    centers: Array
+    radii: Array
+    faintest: float
+
+    @property
+    def wavenumber(self) -> float:
+        """At the carrier, rad/m."""
+        return 2 * np.pi / self.stage.wavelength_m
+
+    def outline(self, item: int, place: Array) -> Outline:
+        """That of an obstacle from a place relative to the anchor."""
+        return outline(self.items[item], place + self.stage.anchor_m)
+
+
+def screens(
+    stage: PreparedScene, shadow_db: float, body: NDArray[np.int32] | None = None
+) -> Screens | None:
+    """Everything opaque on a stage, for shadows down to a depth in dB; None where it is 0.
+
+    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none.
+    """
+    items = stage.originals[: len(stage.world.face_ranges)]
+    if shadow_db <= 0 or not items:
+        return None
+    boxes = boxes_of(items) - stage.anchor_m
+    return Screens(
+        stage=stage,
+        items=items,
+        body=np.full(len(items), -1, dtype=np.int32) if body is None else body[: len(items)],
+        centers=boxes.mean(axis=1),
+        radii=np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2,
+        faintest=float(10 ** (-shadow_db / 20)),
+    )
+
+
+def legs_to(
+    s: TracingContext,
+    obstacles: Screens | None,
+    source: int,
+    places: Array,
+    off: Array,
+    own: Indices | None = None,
+) -> tuple[PointPaths, Indices]:
+    """Every leg from an image to points (n, 3), straight ones and those over edges of obstacles,
+    and which point each leads to.
+
+    Rays start at a distance ``off`` (n, 3) from the points; ``own`` (n,) is the number of the body
+    that each belongs to, whose outline is none of its obstacles, or -1.
+    """
+    straight = paths_to_points(s, source, places, off)
+    if obstacles is None:
+        seen = np.flatnonzero(straight.clear)
+        return straight.chosen(seen), seen
+    through = paths_to_points(s, source, places, off, unshadowed=True)
+    alone = np.full(len(places), -1) if own is None else own
+    image = obstacles.stage.images[source]
+    clear, found, numbers = straight.clear.copy(), [], []
+    for level in range(len(image.patches) + 1):
+        segment = Segment(obstacles, image, level, places, off)
+        open_ways = list(segment.ways(through.clear, alone))
+        if open_ways:
+            ways = Ways.joined(open_ways)
+            _settle(clear, ways)
+            ways = bundled(ways, obstacles.wavenumber)
+            ways = ways.chosen(np.abs(ways.amplitude) >= obstacles.faintest)
+            found.append(_legs(obstacles, through.chosen(ways.point), ways, segment))
+            numbers.append(ways.point)
+    at = np.flatnonzero(clear)
+    return PointPaths.joined([through.chosen(at), *found]), np.concatenate([at, *numbers])
+
+
+class Segment:
+    """The stretch of legs after so many of an image's mirrors: there the points (n, 3), seen in the
+    mirrors that follow, are lit from the radar's image in those before.
+    """
+
+    def __init__(
+        self, obstacles: Screens, image: Image, level: int, places: Array, off: Array
+    ) -> None:
+        self.obstacles, self.image, self.level = obstacles, image, level
+        self.places, self.off = places, off
+        self.source = image.places[level]
+        self.seen = places
+        for number in reversed(image.patches[level:]):
+            self.seen = mirrored(self.seen, obstacles.stage.flats[number])
+
+    def ways(self, active: NDArray[np.bool_], own: Indices) -> Iterator[Ways]:
+        """Open ways round every obstacle to active points, which are none of their own body."""
+        for item in self.near_any(active):
+            strange = (own < 0) | (own != self.obstacles.body[item])
+            rows = np.flatnonzero(active & strange & self.beside(item))
+            for group in _groups(rows, own):
+                rim = self.rim(item, group)
+                step = max(1, _PAIRS // max(len(rim.ends), 1))
+                if len(rim.ends):
+                    for part in np.split(group, range(step, len(group), step)):
+                        yield from self._round(item, rim, part)
+
+    def rim(self, item: int, rows: Indices, around_m: float = 0.0) -> Outline:
+        """The outline of an obstacle, what of it may count for points, or so far around them; none
+        where it makes the image.
+        """
+        o = self.obstacles
+        rim = o.outline(item, self.source)
+        if item in {o.stage.flats[number].object for number in self.image.patches}:
+            return rim.chosen(np.zeros(0, dtype=np.intp))
+        middle = self.seen[rows].mean(axis=0)
+        reach = np.linalg.norm(self.seen[rows] - middle, axis=1).max() + around_m
+        return rim.chosen(near_edges(rim, middle - self.source, reach, o.wavenumber, o.faintest))
+
+    def turns(self, ways: Ways, edges: Array) -> Array:
+        """Where ways turn, from the points to the radar, (m, n, 3); edges are at (n, 2, 3)."""
+        stage = self.obstacles.stage
+        return _folded(stage, self.image, self.level, self.places[ways.point], edges)
+
+    def near_any(self, active: NDArray[np.bool_], around_m: float = 0.0) -> list[int]:
+        """Obstacles that may reach into the ellipsoid of any way to an active point, or to what is
+        so far around it: of thousands most stand elsewhere.
+        """
+        o, ends = self.obstacles, np.vstack([self.source[None], self.seen[active]])
+        longest = 2 * float(np.linalg.norm(ends - self.source, axis=1).max())
+        reach = 0.5 * np.sqrt(self._more_m * (longest + self._more_m)) + around_m
+        box = np.array([ends.min(axis=0), ends.max(axis=0)])
+        off = np.maximum(np.maximum(box[0] - o.centers, o.centers - box[1]), 0)
+        near: list[int] = np.flatnonzero(np.linalg.norm(off, axis=1) <= o.radii + reach).tolist()
+        return near
+
+    @property
+    def _more_m(self) -> float:
+        """How much longer a way is by the farthest edge that counts."""
+        return float(farthest(self.obstacles.faintest)) / self.obstacles.wavenumber
+
+    def beside(self, item: int, around_m: float = 0.0) -> NDArray[np.bool_]:
+        """Whether an obstacle reaches into the ellipsoid around straight ways to points, or to what
+        is so far around them, in which edges count: its half minor axis is
+        sqrt((R + d)^2 - R^2) / 2.
+        """
+        o, way = self.obstacles, self.seen - self.source
+        length = np.linalg.norm(way, axis=1)
+        more = self._more_m
+        towards = o.centers[item] - self.source
+        along = np.clip(way @ towards / np.maximum(length**2, 1e-300), 0, 1)
+        gap = np.linalg.norm(towards - along[:, None] * way, axis=1) - o.radii[item]
+        widest = 0.5 * np.sqrt(more * (2 * length + more))
+        beside: NDArray[np.bool_] = gap <= widest + around_m
+        return beside
+
+    def _round(self, item: int, rim: Outline, rows: Indices) -> Iterator[Ways]:
+        ways = self._over(item, rim, rows)
+        is_open = self._is_open(ways)
+        two, alone, is_open = self._twice(item, rows, ways, is_open)
+        yield ways.chosen(is_open)
+        for more in (two, alone):
+            yield more.chosen(self._is_open(more))
+
+    def _over(
+        self, item: int, rim: Outline, rows: Indices, along: Callable[..., Ways] = over_rim
+    ) -> Ways:
+        o = self.obstacles
+        ways = along(rim, self.source, self.seen[rows], o.wavenumber, o.faintest)
+        return replace(ways, point=rows[ways.point], item=np.full(len(ways.point), item))
+
+    def _twice(
+        self, item: int, rows: Indices, ways: Ways, is_open: NDArray[np.bool_]
+    ) -> tuple[Ways, Ways, NDArray[np.bool_]]:
+        """Where an obstacle's edges seen from the points are others: ways over two of them, those
+        over one of the others alone, and which of the ways are open, some then being replaced.
+        """
+        o, middle = self.obstacles, self.seen[rows].mean(axis=0)
+        rim = o.outline(item, middle).from_elsewhere(self.source - middle)
+        far = self._over(item, rim, rows, over_edges)
+        edges = np.flatnonzero(np.isfinite(ways.lit_m))
+        i, j = successive(ways.chosen(edges), far)
+        i = edges[i]
+        one, other = ways.chosen(i), far.chosen(j)
+        two, apart, alone = over_two(self.source, self.seen[one.point], one, other, o.wavenumber)
+        matters = (apart > _ONE_EDGE) | (~is_open[i] & (one.lit_m <= 0))
+        is_open = is_open.copy()
+        is_open[i[matters & ~alone[:, 0]]] = False
+        return two.chosen(matters), other.chosen(matters & alone[:, 1]), is_open
+
+    def _is_open(self, ways: Ways) -> NDArray[np.bool_]:
+        turns = self.turns(ways, ways.stops + ways.aside)
+        return _is_open(self.obstacles.stage, turns, self.off[ways.point])
+
+
+def _groups(rows: Indices, own: Indices) -> list[Indices]:
+    """Points by the object that they belong to, each that belongs to none by itself."""
+    lone = rows[own[rows] < 0]
+    bodies = [rows[own[rows] == body] for body in np.unique(own[rows]) if body >= 0]
+    return [*bodies, *np.split(lone, np.arange(1, len(lone)))] if len(lone) else bodies
+
+
+def _folded(stage: PreparedScene, image: Image, level: int, places: Array, stops: Array) -> Array:
+    """Stops (m, n, 3) of ways from points to the radar: mirrors, edges (n, 2, 3), mirrors, the
+    radar; NaN where a mirror is not between its neighbours.
+    """
+    patches = [stage.flats[number] for number in image.patches]
+    aims = [stops[:, 1]]
+    for flat in patches[level:]:
+        aims.append(mirrored(aims[-1], flat))
+    chain = [places]
+    for flat, aim in zip(patches[level:][::-1], aims[:0:-1], strict=True):
+        chain.append(_mirror(chain[-1], aim, flat))
+    chain += [stops[:, 1], stops[:, 0]]
+    for flat, image_place in zip(patches[:level][::-1], image.places[level:0:-1], strict=True):
+        chain.append(_mirror(chain[-1], image_place, flat))
+    return np.stack([*chain, np.broadcast_to(image.places[0], places.shape)])
+
+
+def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
+    """Where ways (n, 3) meet a plane, a little before it; NaN where they don't."""
+    height, beyond = ((x - flat.point) @ flat.normal for x in (begin, aim))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = height / (height - beyond)
+    share = np.where((share > 0) & (share < 1), share, np.nan)[:, None]
+    place = begin + share * (aim - begin)
+    off = 2 * OFF_SURFACE * (np.linalg.norm(place, axis=1) + 1e-3) * np.sign(height)
+    met: Array = place + off[:, None] * flat.normal
+    return met
+
+
+def _is_open(stage: PreparedScene, chain: Array, off: Array) -> NDArray[np.bool_]:
+    """Whether nothing stands between any two stops."""
+    mi, scene = stage.station.mi, stage.world.scene
+    is_open = np.asarray(np.isfinite(chain).all(axis=(0, 2)))
+    for k in range(len(chain) - 1):
+        rows = np.flatnonzero(is_open)
+        if not len(rows):
+            break
+        begin, end = chain[k, rows] + (off[rows] if k == 0 else 0), chain[k + 1, rows]
+        length = np.linalg.norm(end - begin, axis=1, keepdims=True)
+        way = (end - begin) / np.maximum(length, 1e-300)
+        reach = (length[:, 0] * (1 - _NEXT_TO)).astype(np.float32)
+        ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, way, "Vector3f"))
+        ray = mi.Ray3f(ray.o, ray.d, mi.Float(aligned(reach)), 0.0, [])
+        is_open[rows] = ~np.array(scene.ray_test(ray, active=mi.Bool(aligned(reach > 0))))
+    return is_open
+
+
+def _settle(clear: NDArray[np.bool_], ways: Ways) -> None:
+    """Straight ways closer to an edge than rays can tell are clear as the edge has it."""
+    unsure = _UNSURE_M * (1 + 0.1 * np.linalg.norm(ways.stops[:, 0], axis=1))
+    close = np.abs(ways.lit_m) <= unsure
+    clear[ways.point[close]] = True
+    clear[ways.point[close & (ways.lit_m <= 0)]] = False
+
+
+def _legs(obstacles: Screens, through: PointPaths, ways: Ways, segment: "Segment") -> PointPaths:
+    """Ways as legs: ``through`` are the straight ones, as if nothing stood in between."""
+    chain = segment.turns(ways, ways.stops)
+    last = len(chain) - 2 - segment.level
+    # Edges move with their obstacle: the way gets shorter as both stops approach their neighbours.
+    ends = (chain[1] - chain[0], chain[-2] - chain[-1])
+    pulls = (chain[last - 1] - chain[last - 2], chain[last] - chain[last + 1])
+    back, departure, one, other = (_unit(v) for v in (*ends, *pulls))
+    velocity = np.array([item.velocity_m_per_s for item in obstacles.items])[ways.item]
+    return replace(
+        through,
+        back=back,
+        departure=departure,
+        extra=through.extra + ways.longer_m,
+        field=through.field * ways.amplitude[:, None],
+        rate=np.sum(velocity * (one + other), axis=1),
+        clear=np.ones(len(ways.point), dtype=bool),
+        over=ways.item,
+    )
+
+
+def _unit(way: Array) -> Array:
+    unit: Array = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+    return unit
+
+
+def is_near_edges(
+    obstacles: Screens, image: Image, place: Array, radius_m: float, own: int
+) -> bool:
+    """Whether edges of an obstacle count for anything of a body within a sphere."""
+    one, first = np.ones(1, dtype=bool), np.zeros(1, dtype=np.int64)
+    for level in range(len(image.patches) + 1):
+        segment = Segment(obstacles, image, level, place[None], np.zeros((1, 3)))
+        for item in segment.near_any(one, radius_m):
+            is_beside = obstacles.body[item] != own and segment.beside(item, radius_m).any()
+            if is_beside and len(segment.rim(item, first, radius_m).ends):
+                return True
+    return False

@@ -1,0 +1,181 @@
+"""Echoes of bodies by ways round obstacles: a pedestrian behind a parked car.
+
+What is seen straight from the radar is found elsewhere
+(`twin.radar.propagation.physical_optics`); here facets of a body beside or in a shadow answer to
+what comes to them, or goes back from them, over the edges of obstacles: currents of physical
+optics, once reflected, on triangles small against the changes of that wave. By mirrors shadows on
+bodies stay silent. Each triangle has one delay: from one met so obliquely that it is 2 cm deep,
+what is left is off by 0.8 rad at the ends of a band of 4 GHz. Where the border of a shadow crosses
+a triangle its middle decides.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.around_edges import Screens, is_near_edges, legs_to
+from twin.radar.propagation.diffraction.rims import loud, meeting
+from twin.radar.propagation.one_way.path import OFF_SURFACE
+from twin.radar.propagation.one_way.points import PointPaths, between
+from twin.radar.propagation.one_way.rays import Rays
+from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
+from twin.transfer import aligned, host, vector
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Indices = NDArray[np.int64]
+
+_FINE_M = 0.02  # edges of triangles, at most
+_FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
+
+
+@dataclass(frozen=True, eq=False)
+class _Facets:
+    """Triangles (n, 3, 3) of a body relative to the anchor and their objects' numbers (n,)."""
+
+    corners: Array
+    object: Indices
+
+    @property
+    def middle(self) -> Array:
+        """Centroids (n, 3)."""
+        middle: Array = self.corners.mean(axis=1)
+        return middle
+
+    @property
+    def across(self) -> Array:
+        """Normals (n, 3) as long as the area."""
+        a, b, c = self.corners.swapaxes(0, 1)
+        across: Array = np.cross(b - a, c - a) / 2
+        return across
+
+    def phase(self, slope: Array) -> Array:
+        """At the corners (n, 3), less that of the middle, of a wave of phase (n, 3) rad/m."""
+        phase: Array = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
+        return phase
+
+    def chosen(self, which: Any) -> "_Facets":
+        """Only some of them, by index."""
+        return _Facets(self.corners[which], self.object[which])
+
+
+def echoes_behind(obstacles: Screens, surface_of_object: NDArray[np.uint32], most: int) -> Rays:
+    """Contributions of bodies, without gains, of ``most`` facets in all, those that are brightest
+    where nothing stands in the way; ways that are straight out and back are left to others.
+    """
+    image, bodies = obstacles.stage.images[0], []
+    for body in np.unique(obstacles.body[obstacles.body >= 0]):
+        members = np.flatnonzero(obstacles.body == body)
+        corners = [obstacles.items[i].vertices_m[obstacles.items[i].faces] for i in members]
+        low, high = (
+            side([side(c, axis=(0, 1)) for c in corners], axis=0) for side in (np.min, np.max)
+        )
+        place, radius = (low + high) / 2 - obstacles.stage.anchor_m, np.linalg.norm(high - low) / 2
+        if is_near_edges(obstacles, image, place, float(radius), int(body)):
+            bodies.append((int(body), members))
+    found = []
+    for body, members in bodies:
+        facets = _facets(obstacles, members)
+        bright = np.argsort(-_brightness(obstacles, facets), kind="stable")
+        some = np.sort(bright[: max(most // len(bodies), 1)])
+        found.append(_answers(obstacles, facets.chosen(some), body, surface_of_object))
+    return Rays.joined(found)
+
+
+def _brightness(obstacles: Screens, facets: _Facets) -> Array:
+    """Of facets (n,) seen from the radar straight on, as a conductor's."""
+    way = obstacles.stage.images[0].place - facets.middle
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    slope = 4 * np.pi / obstacles.stage.wavelength_m * way / length
+    echo = np.sum(facets.across * slope, axis=1) / length[:, 0] ** 2
+    bright: Array = np.abs(echo * _mean(facets.phase(slope)))
+    return bright
+
+
+def _facets(obstacles: Screens, members: Indices) -> _Facets:
+    """All triangles of a body, divided until they are fine."""
+    from trimesh.remesh import subdivide_to_size
+
+    corners, number = [], []
+    for i in members:
+        item = obstacles.items[i]
+        vertices, faces = subdivide_to_size(item.vertices_m, item.faces, _FINE_M, max_iter=16)
+        corners.append(vertices[faces] - obstacles.stage.anchor_m)
+        number.append(np.full(len(faces), i))
+    facets = _Facets(np.concatenate(corners), np.concatenate(number))
+    return facets.chosen(np.flatnonzero((facets.across != 0).any(axis=1)))
+
+
+def _answers(
+    obstacles: Screens, facets: _Facets, body: int, surface_of_object: NDArray[np.uint32]
+) -> Rays:
+    """From the radar and back, straight at most on one of both ways."""
+    middle, across = facets.middle, facets.across
+    side = np.sign(np.sum((obstacles.stage.images[0].place - middle) * across, axis=1))
+    normal = side[:, None] * across / np.linalg.norm(across, axis=1, keepdims=True)
+    off = OFF_SURFACE * (np.linalg.norm(middle, axis=1, keepdims=True) + 1e-3) * normal
+    own = np.full(len(middle), body)
+    legs, at = legs_to(obstacles.stage.station, obstacles, 0, middle, off, own)
+    faces = np.sum(legs.back * normal[at], axis=1) > 0
+    legs, at = legs.chosen(faces), at[faces]
+    there, back = meeting(at, at)
+    # All of a body's facets against the brightest one.
+    heard = loud(legs.level[there] * legs.level[back], 0 * there, obstacles.faintest)
+    heard &= (legs.over[there] >= 0) | (legs.over[back] >= 0)
+    out, home, rows = legs.chosen(there[heard]), legs.chosen(back[heard]), at[there[heard]]
+    if not len(rows):
+        return Rays.joined([])
+    velocity = np.array([item.velocity_m_per_s for item in obstacles.items])
+    objects = facets.object[rows]
+    amplitude = _radiated(obstacles, facets.chosen(rows), out, home, surface_of_object)
+    return between(out, home, amplitude, velocity[objects], objects)
+
+
+def _radiated(
+    obstacles: Screens,
+    facets: _Facets,
+    out: PointPaths,
+    home: PointPaths,
+    surface_of_object: NDArray[np.uint32],
+) -> Complex:
+    """Amplitude of each facet but for the spreading: its currents, and their phases' mean."""
+    s, n = obstacles.stage.station, len(facets.object)
+    mi = s.mi
+    across = facets.across
+    area = np.linalg.norm(across, axis=1)
+    facing = np.sign(np.sum(across * out.back, axis=1, keepdims=True)) * across / area[:, None]
+    travel, normal, back = (vector(mi, v, "Vector3d") for v in (-out.back, facing, home.back))
+    cosine = -(travel.x * normal.x + travel.y * normal.y + travel.z * normal.z)
+    surface = mi.UInt32(aligned(surface_of_object[facets.object].astype(np.uint32)))
+    row = coefficients_at(mi, s.table, surface, cosine, mi.Bool(True))
+    re, im = (
+        vector(mi, np.ascontiguousarray(v), "Vector3d") for v in (out.field.real, out.field.imag)
+    )
+    off = travel + 2 * cosine * normal
+    off_re, off_im = reflected(re, im, travel, normal, row)
+    current_re, current_im = host(
+        [
+            radiating(re, off_re, travel, off, normal, back),
+            radiating(im, off_im, travel, off, normal, back),
+        ],
+        n,
+    )
+    received = np.sum(home.field * (current_re + 1j * current_im), axis=1)
+    slope = 2 * np.pi / obstacles.stage.wavelength_m * (out.back + home.back)
+    amplitude: Complex = -1j / (8 * np.pi) * area * received * _mean(facets.phase(slope))
+    return amplitude
+
+
+def _mean(phase: Array) -> Complex:
+    """Mean of exp(j phase) over triangles, the phase linear and at the corners (n, 3) of sum 0."""
+    a, b, c = np.sort(phase, axis=1).T
+
+    def along(x: Array, y: Array) -> Complex:
+        value: Complex = np.exp(0.5j * (x + y)) * np.sinc((y - x) / (2 * np.pi))
+        return value
+
+    span = np.where(c - a > _FLAT_RAD, c - a, 1.0)
+    mean: Complex = 2 * (along(b, c) - along(a, b)) / (1j * span)
+    return np.where(c - a > _FLAT_RAD, mean, 1 - np.sum(phase**2, axis=1) / 24)

@@ -1,0 +1,131 @@
+"""Sharp edges in the scene: fringe currents of `twin.radar.scattering.diffraction`, over its legs.
+
+Short pieces of every edge, each a contribution with its own delay, out and back directly or by an
+image. What `twin rcs` leaves out is left out here: corners, waves diffracted twice, and what
+bounces before or after it meets an edge. Of every piece level and truncation at the face's end are
+those of the carrier: 2 GHz off it at 79 GHz the edges' echo of a box of 12 cm is off by 8 %.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.meshes.kept import Kept
+from twin.radar.propagation.one_way.path import OFF_SURFACE, TracingContext
+from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
+from twin.radar.propagation.one_way.rays import Rays, and_reversed
+from twin.radar.scattering.diffraction import EdgeQuality, Pieces, fringe_moment, outside, pieces
+from twin.radar.scattering.edges import Edges, sharp_edges
+from twin.radar.scattering.target import Target
+from twin.scene import SceneObject
+from twin.scene.meshes import Mesh, validate
+
+Array = NDArray[np.float64]
+
+_QUALITY = EdgeQuality()
+_AT_ONCE = 2**16  # pieces, 100 MB while they are under way
+
+
+@dataclass(frozen=True, eq=False)
+class Sharp:
+    """The sharp edges of one rigid body, relative to the anchor.
+
+    Per edge (n,): ``object``, the number of the one that it belongs to; ``reflection``, what its
+    surface reflects of what a conductor would. ``velocity`` (3,).
+    """
+
+    edges: Edges
+    object: NDArray[np.uint32]
+    reflection: NDArray[np.complex128]
+    velocity: Array
+
+
+_known: "Kept[tuple[Edges, NDArray[np.intp]]]" = Kept()
+
+
+def edges_of(
+    items: tuple[SceneObject, ...], anchor_m: tuple[float, float, float]
+) -> tuple[Edges, NDArray[np.intp]]:
+    """Sharp edges of objects that touch, as one mesh around the anchor, and whose each one is."""
+    held = _known.get(items, anchor_m)
+    return held or _known.put(_edges_of(items, anchor_m), items, anchor_m)
+
+
+def _edges_of(
+    items: tuple[SceneObject, ...], anchor_m: tuple[float, float, float]
+) -> tuple[Edges, NDArray[np.intp]]:
+    vertices, faces, owner, count = [], [], [], 0
+    for number, item in enumerate(items):
+        solid = validate(Mesh(item.vertices_m, item.faces), item.name)
+        vertices.append(item.vertices_m - anchor_m)
+        faces.append(solid.faces + count)
+        owner.append(np.full(len(solid.faces), number))
+        count += len(item.vertices_m)
+    target = Target(np.vstack(vertices), np.vstack(faces))
+    edges = sharp_edges(target, _QUALITY.sharp_angle_deg)
+    return edges, np.concatenate(owner)[edges.face]
+
+
+def edge_echoes(
+    s: TracingContext, bodies: Sequence[Sharp], wavelength_m: float, most: int
+) -> tuple[Rays, float]:
+    """Contributions of all edges, without gains, and how many times longer than asked for pieces
+    are: with every image, about ``most`` at most.
+    """
+    asked = wavelength_m / _QUALITY.pieces_per_wavelength
+    total = sum(float(body.edges.length_m.sum()) for body in bodies)
+    longest = max(asked, s.n_sources * total / most)
+    found = []
+    for body in bodies:
+        cut = pieces(body.edges, longest)
+        for first in range(0, len(cut.edge), _AT_ONCE):
+            part = cut.chosen(slice(first, first + _AT_ONCE))
+            found += _diffracted(s, body, part, wavelength_m)
+    return Rays.joined(found), longest / asked
+
+
+def _diffracted(s: TracingContext, body: Sharp, cut: Pieces, wavelength_m: float) -> list[Rays]:
+    """From image i to image j with i before j, and the same ways reversed, as rays do."""
+    places = np.array(s.positions).reshape(-1, 3)
+    legs = [
+        paths_to_points(s, i, cut.middle_m, _off(body.edges, cut, place))
+        for i, place in enumerate(places)
+    ]
+    found = []
+    for i, out in enumerate(legs):
+        for home in legs[i:]:
+            # A piece nearer than it is long is no point; one at the radar itself, nothing.
+            apart = np.minimum(out.length, home.length) > cut.length_m
+            at = np.flatnonzero(out.clear & home.clear & apart)
+            ways = out.chosen(at), home.chosen(at)
+            amplitude = _amplitude(body, cut.chosen(at), *ways, wavelength_m)
+            echo = between(*ways, amplitude, body.velocity, body.object[cut.edge[at]])
+            found.append(and_reversed(echo.chosen(echo.amplitude != 0)))
+    return found
+
+
+def _off(edges: Edges, cut: Pieces, place: Array) -> Array:
+    """Where rays towards a place start: beyond the edge, and above the faces seen from there."""
+    towards = place - cut.middle_m
+    off = outside(edges)[cut.edge]
+    for side in (0, 1):
+        up = edges.upwards[cut.edge, side]
+        off += np.where(np.sum(towards * up, axis=1, keepdims=True) > 0, up, 0)
+    off /= np.maximum(np.linalg.norm(off, axis=1, keepdims=True), 1e-300)
+    away = np.linalg.norm(cut.middle_m, axis=1, keepdims=True) + 1e-3
+    return 2 * OFF_SURFACE * away * off
+
+
+def _amplitude(
+    body: Sharp, cut: Pieces, out: PointPaths, home: PointPaths, wavelength_m: float
+) -> NDArray[np.complex128]:
+    k = 2 * np.pi / wavelength_m
+    radiating = fringe_moment(body.edges, cut, -out.back, out.field, home.back, k)
+    # Out and back along a piece: the sinc of its linear phase.
+    slope = np.sum((out.back + home.back) * body.edges.along[cut.edge], axis=1)
+    length = cut.length_m * np.sinc(cut.length_m * slope / wavelength_m)
+    received = np.sum(home.field * radiating, axis=1) * body.reflection[cut.edge]
+    amplitude: NDArray[np.complex128] = -1j / (8 * np.pi) * length * received
+    return amplitude

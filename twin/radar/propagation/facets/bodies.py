@@ -1,0 +1,222 @@
+"""Echoes of all bodies by physical optics: facets lit by the radar, then by each other.
+
+A first, coarse pass tells how strong every body answers; the second is as fine as this asks for,
+and is repeated where a body turns out to be far fainter.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.currents import Echoes, echoes_of
+from twin.radar.propagation.facets.division import Budget, Leaves, settled
+from twin.radar.propagation.facets.escapes import meeting
+from twin.radar.propagation.facets.facing import Facing, facing, largest, lit_by, portions
+from twin.radar.propagation.facets.parts import parted, spacing_of
+from twin.radar.propagation.facets.pieces import rays_of
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.triangles import Triangles, quartered
+from twin.radar.propagation.facets.tubes import Tubes, heard, reflected_on
+from twin.radar.propagation.one_way.path import TracingContext
+from twin.radar.propagation.one_way.rays import Rays
+from twin.radar.propagation.scene.images import Image
+
+Array = NDArray[np.float64]
+
+_DEEPEST = 12, 3  # divisions of facets by four, and of roots of tubes by sixteen
+_COARSE_DEPTH = 0, 0
+_MOST_PASSES = 3  # further ones, where bodies seemed louder than they are
+#: Roots of one size, the most uncertain ones: what their tubes light takes some 2 GB. The rest is
+#: divided no further, and its error counts as it is.
+MOST_ROOTS = 2**16
+_COARSE = 0.5  # tolerance of the first pass, at least
+
+
+def scattered_by(
+    s: TracingContext,
+    scatterers: Scatterers,
+    images: Sequence[Image],
+    wave_numbers: Array,
+    tolerance: float,
+    bounces: int,
+    floor: float = 0.0,
+) -> tuple[Rays, Array]:
+    """Contributions of every body, and the errors that their sums may have, (n_bodies,), with the
+    antenna's gain.
+
+    Parameters
+    ----------
+    wave_numbers
+        Equally spaced over the band, at which bodies' echoes are summed, in rad/m.
+    tolerance
+        Error of every body's echo over the band, relative to its root mean square.
+    bounces
+        Between bodies, and within one: what is reflected more often is lost.
+    floor
+        Amplitude below which no error counts.
+    """
+    count = int(scatterers.body.max()) + 1
+    facets = facing(s, scatterers, images)
+    if not len(facets):
+        return Rays.joined([]), np.zeros(count)
+    whole = facets, facets.echoes()
+    search = _Search(s, scatterers, images, bounces)
+    tubes = search.begun(lit_by(s, scatterers, images)) if bounces > 1 else None
+    coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
+    search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
+    budget = Budget(count, tolerance, wave_numbers, floor, coarse)
+    found = search.leaves(whole, tubes, budget, _DEEPEST)
+    for _ in range(_MOST_PASSES):
+        if (again := budget.renewed()) is None:
+            break
+        budget = again
+        found = search.leaves(whole, tubes, budget, _DEEPEST)
+    leaves = [_worth_it(part, budget) for part in found]
+    rays = Rays.joined(
+        [
+            rays_of(s, scatterers, part.chosen(rows))
+            for part in leaves
+            for rows in portions(np.arange(len(part.weight)))
+        ]
+    )
+    return rays, budget.accepted
+
+
+def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
+    echo, known = leaves.weight * leaves.echoes.total, leaves.echoes
+    faint = budget.negligible(leaves.body, echo, known.strength, known.length_m)
+    return leaves.chosen(np.flatnonzero(~faint))
+
+
+@dataclass(frozen=True, eq=False)
+class _Landed:
+    """What tubes light, by receiver: the ``root`` of each, (n,), whether it ``is_lit``, and the
+    ``error`` that its echo may have.
+    """
+
+    lit: Triangles
+    echoes: Echoes
+    root: NDArray[np.integer]
+    is_lit: NDArray[np.bool_]
+    error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """Roots of tubes that land anywhere, and where, portion by portion."""
+
+    roots: Triangles
+    landed: list[_Landed]
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """For echoes of bodies, by up to some ``bounces``."""
+
+    s: TracingContext
+    scatterers: Scatterers
+    images: Sequence[Image]
+    bounces: int
+
+    def leaves(
+        self,
+        whole: tuple[Facing, Echoes],
+        tubes: "_Begun | None",
+        budget: Budget,
+        deepest: tuple[int, int],
+    ) -> list[Leaves]:
+        """Those lit directly, and those lit by ``tubes``."""
+        found = [settled(self.s, self.scatterers, *whole, budget, deepest[0])]
+        budget.end_direct()
+        if tubes is not None:
+            lit = self._lit_by_tubes(tubes, budget, deepest[1])
+            if lit is not None:
+                found.append(settled(self.s, self.scatterers, *lit, budget, deepest[0]))
+        return [Leaves.joined(parts) for parts in found if parts]
+
+    def begun(self, facets: Facing) -> "_Begun | None":
+        """Tubes of facets by which others may be seen, divided until what they may show lies
+        between their rays.
+        """
+        spacing_m = spacing_of(self.s, facets.sizes())
+        rows = meeting(self.s, self.scatterers, facets, spacing_m)
+        wholes = (facets.taken(some) for some in portions(rows))
+        return self._begun(parted(self.s, whole, spacing_m)[0] for whole in wholes)
+
+    def _begun(self, parts: Iterable[Triangles]) -> "_Begun | None":
+        """Of all roots those whose tubes land anywhere, and where."""
+        roots: list[Triangles] = []
+        landed: list[_Landed] = []
+        count = 0
+        for part in parts:
+            for rows in portions(np.arange(len(part)), 4):  # which tubes may go on in
+                some = part if len(rows) == len(part) else part.taken(rows)
+                found = self.landed(some)
+                if found is None:
+                    continue
+                used, number = np.unique(found.root, return_inverse=True)
+                roots.append(some.taken(used))
+                landed.append(replace(found, root=count + number.reshape(-1)))
+                count += len(used)
+        return _Begun(Triangles.joined(roots), landed) if roots else None
+
+    def landed(self, roots: Triangles) -> "_Landed | None":
+        """Where the tubes of roots land, after every number of bounces; None where none does."""
+        found = [Tubes.begin(roots)]
+        for _ in range(1, self.bounces):
+            further = reflected_on(self.s, self.scatterers, found[-1])
+            if further is None:
+                break
+            found.append(further)
+        if len(found) == 1:
+            return None
+        tubes = Tubes.joined(found[1:])
+        lit, row = heard(self.s, self.scatterers, tubes.triangles, self.images)
+        if not len(row):
+            return None
+        parts = (lit.taken(rows) for rows in portions(np.arange(len(lit))))
+        echoes = Echoes.joined([echoes_of(self.s, self.scatterers, part) for part in parts])
+        # What a ray stands for may lie on other planes than the one that it meets.
+        most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
+        error = most * tubes.doubt[row]
+        return _Landed(lit, echoes, tubes.root[row], tubes.is_lit[row], error)
+
+    def _lit_by_tubes(
+        self, tubes: "_Begun", budget: Budget, deepest: int
+    ) -> tuple[Triangles, Echoes] | None:
+        """What bodies light of each other, by every receiver.
+
+        Roots are divided while what their tubes may return after all their bounces is too
+        uncertain.
+        """
+        lit: list[tuple[Triangles, Echoes]] = []
+        begun: _Begun | None = tubes
+        for depth in range(deepest + 1):
+            if begun is None:
+                break
+            roots, square = begun.roots, np.zeros(len(begun.roots))
+            for landed in begun.landed:
+                share = landed.error / budget.allowed(landed.lit.body)
+                square += np.bincount(landed.root, share**2, len(roots))
+            error = np.sqrt(square) * budget.allowed(roots.body)
+            done = budget.affordable(roots.body, error)
+            if depth == deepest:
+                done[:] = True
+            done |= ~largest(np.where(done, 0.0, square), MOST_ROOTS // 16)
+            for landed in begun.landed:
+                ends = done[landed.root]
+                budget.accept(landed.lit.body, landed.error, ends)
+                some = np.flatnonzero(ends & landed.is_lit)
+                if len(some):
+                    lit.append((landed.lit.taken(some), landed.echoes.chosen(some)))
+            rest = np.flatnonzero(~done)
+            if not len(rest):
+                break
+            divided = (roots.taken(rows) for rows in portions(rest, 16))
+            begun = self._begun(quartered(self.s, quartered(self.s, some)) for some in divided)
+        if not lit:
+            return None
+        triangles, echoes = zip(*lit, strict=True)
+        return Triangles.joined(triangles), Echoes.joined(echoes)

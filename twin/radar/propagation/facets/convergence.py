@@ -1,0 +1,142 @@
+"""How well the echo of every body is known, by the solver's own estimate.
+
+It begins with the root of the sum of squares of all errors that the solver accepts: of triangles
+that are divided no further, within the tolerance or because the deepest division is reached, of
+tubes, and of faint triangles that are left out; both directions of ways out by one image and home
+by another, and what runs to and fro within walls, count. The median error is three quarters of
+that. Errors of neighbouring tubes and shadows are alike, though, and what rays between their
+samples miss no sum knows: so what is told is three times as much, within which 95 % of bodies'
+errors are. `python -m benchmarks radar_estimates` measures that on random scenes.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.waveform import OfdmWaveform
+from twin.radar.propagation.facets.division import WEAKEST
+from twin.radar.synthesis import Contributions
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_FREQUENCIES = 17  # over the band
+_NAMED = 6  # bodies in a remark
+_SURE = 6.0  # estimates over the tolerance from which on the error itself most likely exceeds it
+_WITHIN = 3.0  # of the errors that are accepted, as independent: 95 % of bodies are off by less
+_LEAST = 5e-4  # of any echo, by float32 rays and by what contributions are off over the band
+
+
+@dataclass(frozen=True)
+class BodyEcho:
+    """Echo of one body, objects that touch and move alike, and the error estimated of it.
+
+    ``objects`` by name; ``level_db``: root mean square over the band, over that of the strongest
+    body; ``estimated_error``: within which the error most likely is (95 % of bodies), relative to
+    that root mean square, or to the least level that ``fidelity.radar_tolerance`` is relative to;
+    ``tolerance``: what was asked for.
+    """
+
+    objects: tuple[str, ...]
+    level_db: float
+    estimated_error: float
+    tolerance: float
+
+    @property
+    def name(self) -> str:
+        """That of its first object."""
+        first, *others = self.objects
+        return f"{first} (of {len(self.objects)} objects)" if others else first
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether the estimate is within six times the tolerance: the median error is a quarter."""
+        return self.estimated_error <= _SURE * self.tolerance
+
+
+def percent(share: float) -> str:
+    """To two digits, without the sign."""
+    return f"{100 * share:.2g}" if share < 1 else f"{100 * share:.0f}"
+
+
+def unconverged(bodies: Iterable[BodyEcho]) -> list[str]:
+    """A remark on the bodies that have not converged, if there are any."""
+    found = sorted(
+        (body for body in bodies if not body.is_converged), key=lambda body: -body.estimated_error
+    )
+    if not found:
+        return []
+    named = ", ".join(body.name for body in found[:_NAMED])
+    errors = ", ".join(percent(body.estimated_error) for body in found[:_NAMED])
+    others = f" (and {len(found) - _NAMED} more, by less)" if len(found) > _NAMED else ""
+    return [
+        f"{'echo' if len(found) == 1 else 'echoes'} of {named} converged to {errors} % only "
+        f"(in 95 of 100 cases){others}, asked for {percent(found[0].tolerance)} % "
+        "(fidelity.radar_tolerance)"
+    ]
+
+
+def body_echoes(
+    objects: Sequence[tuple[str, ...]],
+    echo: Complex,
+    error: Array,
+    tolerance: float,
+    floor: float,
+) -> tuple[BodyEcho, ...]:
+    """Bodies that answer, the strongest first.
+
+    Parameters
+    ----------
+    objects
+        Names of what every body consists of.
+    echo
+        Over the band, (n_bodies, n_frequencies).
+    error
+        That is accepted of each echo, (n_bodies,).
+    tolerance, floor
+        Error that was asked for, relative to a body's echo, and amplitude below which none counts.
+    """
+    level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
+    strongest = level.max(initial=0.0)
+    least = max(WEAKEST * strongest, floor / tolerance)
+    return tuple(
+        BodyEcho(
+            objects=objects[i],
+            level_db=float(20 * np.log10(level[i] / strongest)),
+            estimated_error=_LEAST + _WITHIN * float(error[i] / max(level[i], least)),
+            tolerance=tolerance,
+        )
+        for i in np.argsort(-level, kind="stable")
+        if level[i] > 0
+    )
+
+
+def band_of(wave: OfdmWaveform) -> Array:
+    """Equally spaced frequencies at which the echoes of bodies are summed."""
+    half = wave.bandwidth_hz / 2
+    return wave.carrier_hz + np.linspace(-half, half, _FREQUENCIES)
+
+
+def summed_by(
+    owner: NDArray[np.integer],
+    count: int,
+    echoes: Contributions,
+    carrier_hz: float,
+    frequencies_hz: Array,
+) -> Complex:
+    """Echoes at rest summed by owner, -1 of what counts for none, (count, n_frequencies);
+    frequencies equally spaced.
+    """
+    total = np.zeros((count, len(frequencies_hz)), dtype=np.complex128)
+    for power in np.unique(echoes.falloff):
+        some = np.flatnonzero((echoes.falloff == power) & (owner >= 0))
+        delay, whose = echoes.delay_s[some], owner[some]
+        wave = echoes.amplitude[some] * np.exp(-2j * np.pi * (frequencies_hz[0] * delay % 1.0))
+        step = np.exp(-2j * np.pi * ((frequencies_hz[1] - frequencies_hz[0]) * delay % 1.0))
+        for k, frequency in enumerate(frequencies_hz):
+            sums = np.bincount(whose, wave.real, count) + 1j * np.bincount(whose, wave.imag, count)
+            total[:, k] += (carrier_hz / frequency) ** power * sums
+            wave *= step
+    return total

@@ -1,0 +1,278 @@
+"""What a lit triangle sends back: the currents of physical optics, integrated exactly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.triangles import (
+    Incident,
+    Triangles,
+    incident_on,
+)
+from twin.radar.propagation.one_way.path import (
+    Leg,
+    TracingContext,
+    along,
+    leg,
+    mirrored_axes,
+    turning,
+)
+from twin.radar.propagation.one_way.rays import NEAREST_M
+from twin.radar.propagation.scene.slabs import SlabTransmission
+from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
+from twin.radar.scattering.triangle import bend, largest, mean_over, node, span
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_BENT = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
+_OBLIQUE = 8.0  # rad across a triangle from which its corners answer one by one
+_TURNED = 0.7  # of the phase by which a slope grows until the end of a burst
+_NARROW = 0.15  # size over distance up to which a triangle's edges tell the most that it gets
+_NEAREST = 0.05  # of the distance of the centroid
+_MOST_AGAIN = 0.9  # of a wave within a wall from one round trip to the next
+#: Corners of the four equal parts of a triangle, by its corners 0 to 2 and the middles 3 to 5 of
+#: its edges.
+_QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
+
+
+@dataclass(frozen=True, eq=False)
+class Echoes:
+    """Echoes of triangles at the carrier, on the host, each (n,).
+
+    ``amplitude``: of all currents in phase and as strong as at the centroid, without the antenna's
+    gain; ``mean``: of the gain and of exp(j phase) over the triangle, the phase counted from
+    ``length_m``, the path by the centroid, where ``gain`` is the antenna's, out and back, in
+    amplitude. With the gain: ``strength``, a bound of what it or any part of it returns, and
+    ``curved``, what the curvature of phase and amplitude may still change.
+    Both directions of a way that goes out by one image and home by another count as one echo.
+    """
+
+    amplitude: Complex
+    mean: Complex
+    length_m: Array
+    gain: Array
+    strength: Array
+    curved: Array
+
+    @property
+    def total(self) -> Complex:
+        """With the antenna's gain, less the phase of the path."""
+        return self.amplitude * self.mean
+
+    def chosen(self, which: Any) -> "Echoes":
+        """Only some of them, by index or mask."""
+        return Echoes(*(getattr(self, f.name)[which] for f in fields(Echoes)))
+
+    @staticmethod
+    def joined(parts: Sequence["Echoes"]) -> "Echoes":
+        """One after the other."""
+        names = [f.name for f in fields(Echoes)]
+        return Echoes(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+def plane_of(s: TracingContext, face: Any) -> tuple[Any, Any]:
+    """A point of a facet's plane, and its normal."""
+    point, normal = (
+        s.mi.Vector3d(
+            *(dr.gather(s.mi.Float64, s.world.planes, 6 * face + k + i) for i in range(3))
+        )
+        for k in (0, 3)
+    )
+    return point, normal
+
+
+def normal_of(s: TracingContext, face: Any, place: Any, towards: Any) -> Any:
+    """A facet's normal on the side of a point."""
+    _, normal = plane_of(s, face)
+    return normal * dr.select(dr.dot(normal, towards - place) < 0, -1.0, 1.0)
+
+
+def reflection(
+    s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
+) -> tuple[Any, Any, Any, Any, Any]:
+    """At the centroid: direction of the wave, the normal against it, direction and field (Re, Im)
+    of the reflected wave.
+    """
+    direction = dr.normalize(lit.center - wave.origin)
+    normal = normal_of(s, lit.face, lit.center, wave.origin)
+    field = wave.field, wave.field_im
+    away, out, out_im = _mirrored(s, scatterers, lit, direction, normal, field)
+    return direction, normal, away, out, out_im
+
+
+def _mirrored(
+    s: TracingContext,
+    scatterers: Scatterers,
+    lit: Triangles,
+    direction: Any,
+    normal: Any,
+    field: tuple[Any, Any],
+) -> tuple[Any, Any, Any]:
+    """Direction and field (Re, Im) of what facets reflect of a wave."""
+    cosine = -dr.dot(normal, direction)
+    number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
+    surface = dr.gather(s.mi.UInt32, scatterers.surface, number)
+    row = coefficients_at(s.mi, s.table, surface, cosine, s.mi.Bool(True))
+    out, out_im = reflected(*field, direction, normal, row)
+    return direction + 2 * cosine * normal, out, out_im
+
+
+def amplitude_of(
+    s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
+) -> tuple[Any, Any, Leg]:
+    """Echo of all currents in phase (Re, Im), without the antenna's gain, and the leg home.
+
+    Of triangles lit directly that answer to another image than they are lit from, both directions
+    of the way together. Currents of physical optics are not reciprocal: each direction has its own.
+    """
+    place = lit.center
+    normal = normal_of(s, lit.face, place, wave.origin)
+    home = leg(s, lit.receiver, place, normal * 0, s.mi.Bool(True), tested=False)
+    there = dr.normalize(place - wave.origin), (wave.field, wave.field_im)
+    back = -home.back, (home.field, home.field_im)
+    re, im = _induced(s, scatterers, lit, normal, there, back)
+    if lit.waves is None:
+        more = _induced(s, scatterers, lit, normal, back, there)
+        both = s.both_ways(lit.source, lit.receiver)
+        re, im = (a + dr.select(both, b, 0) for a, b in zip((re, im), more, strict=True))
+    a, b, c = lit.corners
+    area = dr.norm(dr.cross(b - a, c - a)) / 2
+    # a = -j / (8 pi) times the sum.
+    scale = area / (8 * dr.pi * dr.norm(place - wave.origin) * home.length)
+    return scale * im, -scale * re, home
+
+
+def _induced(
+    s: TracingContext,
+    scatterers: Scatterers,
+    lit: Triangles,
+    normal: Any,
+    wave: tuple[Any, tuple[Any, Any]],
+    heard: tuple[Any, tuple[Any, Any]],
+) -> tuple[Any, Any]:
+    """What one wave's currents at centroids are worth to another one's source (Re, Im); each by its
+    direction and field.
+    """
+    direction, field = wave
+    towards, kept = heard
+    away, out, out_im = _mirrored(s, scatterers, lit, direction, normal, field)
+    current = radiating(field[0], out, direction, away, normal, -towards)
+    current_im = radiating(field[1], out_im, direction, away, normal, -towards)
+    return (
+        dr.dot(kept[0], current) - dr.dot(kept[1], current_im),
+        dr.dot(kept[0], current_im) + dr.dot(kept[1], current),
+    )
+
+
+def level_at(
+    scatterers: Scatterers, wave: Incident, point: Any, receiver: Any, axes: tuple[Any, Any, Any]
+) -> tuple[Any, Any, Any]:
+    """At points of triangles: logarithms of the antenna's gain out and back, and of what spreading
+    and obliqueness make of a wave, and the length of the way, walls apart.
+
+    A plane's cosines are its distance over the lengths of the legs: all of it goes with their -3/2
+    power.
+    """
+    out, home = point - wave.origin, point - receiver
+    there, again = (dr.maximum(dr.norm(way), NEAREST_M) for way in (out, home))
+    gain = scatterers.antenna.log(along(out / there, wave.axes))
+    gain += scatterers.antenna.log(along(home / again, axes))
+    return gain, -1.5 * dr.log(there * again), there + again
+
+
+def echoes_of(s: TracingContext, scatterers: Scatterers, lit: Triangles) -> Echoes:
+    """What each triangle returns if all of it is seen."""
+    wave = incident_on(s, lit)
+    re, im, home = amplitude_of(s, scatterers, lit, wave)
+    a, b, c = lit.corners
+    receiver = lit.center + home.back * home.length
+    axes = mirrored_axes(s, lit.receiver)
+    k = 2 * dr.pi / s.wavelength
+    gain, spread, length = level_at(scatterers, wave, lit.center, receiver, axes)
+    nodes = []
+    for point in (a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2):
+        more, less, path = level_at(scatterers, wave, point, receiver, axes)
+        nodes.append(node(k * (length - path), more + less - spread))
+    linear = mean_over(nodes[:3])
+    parts = [mean_over([nodes[i] for i in q]) for q in _QUARTERS]
+    finer = [sum(part[i] for part in parts) / 4 for i in (0, 1)]
+    corners = [value.phase for value in nodes[:3]]
+    # Halved edges leave a quarter of the error; of corners' echoes, which go with slopes, half.
+    gain_of_halves = dr.select(span(corners) < _OBLIQUE, 3.0, 1.0)
+    change = [(fine - coarse) / gain_of_halves for fine, coarse in zip(finer, linear, strict=True)]
+    level = dr.sqrt(dr.square(re) + dr.square(im))
+    bent = bend([value.phase for value in nodes])
+    most = level * _most(scatterers, lit, wave, receiver, axes, [value.log for value in nodes])
+    strength = most * largest(corners, bent)
+    curved = level * dr.sqrt(dr.square(change[0]) + dr.square(change[1]))
+    bent = dr.maximum(bent, bend([value.log for value in nodes]))
+    curved = dr.select(bent < _BENT, curved, strength)  # else two sizes of parts tell nothing
+    if scatterers.half_time_s:
+        turned = scatterers.half_time_s * k * _turning(s, scatterers, lit, wave, home)
+        curved += strength * dr.minimum(_TURNED * turned * strength / most, 1)
+    if s.walls is not None:  # what runs to and fro within walls comes again
+        again = 1 + _again(wave.passage) + _again(home.passage)
+        strength, curved = strength * again, curved * again
+    mean = [fine + more for fine, more in zip(finer, change, strict=True)]
+    values = (re, im, *mean, length, dr.exp(gain), strength, curved)
+    dr.eval(values)
+    re, im, mean_re, mean_im, *rest = (
+        np.broadcast_to(np.array(value), len(lit)) for value in values
+    )
+    return Echoes(re + 1j * im, mean_re + 1j * mean_im, *rest)
+
+
+def _again(passage: SlabTransmission) -> Any:
+    """All round trips within a wall over the first way through, in amplitude, in phase."""
+    share = dr.sqrt(dr.square(passage.rho_re) + dr.square(passage.rho_im))
+    return dr.minimum(share, _MOST_AGAIN) / (1 - dr.minimum(share, _MOST_AGAIN))
+
+
+def _turning(
+    s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident, home: Leg
+) -> Any:
+    """How fast the difference of the ways by two corners grows, at most, in m/s."""
+    number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
+    own = s.mi.Vector3d(
+        *(dr.gather(s.mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
+    )
+    way = lit.center - wave.origin
+    length = dr.norm(way)
+    a, b, c = lit.corners
+    size = dr.maximum(
+        dr.squared_norm(b - a), dr.maximum(dr.squared_norm(c - b), dr.squared_norm(a - c))
+    )
+    rate = dr.norm(turning(own - wave.velocity, way / length, length))
+    return dr.sqrt(size) * (rate + dr.norm(turning(own - home.velocity, -home.back, home.length)))
+
+
+def _most(
+    scatterers: Scatterers,
+    lit: Triangles,
+    wave: Incident,
+    receiver: Any,
+    axes: Any,
+    logs: Sequence[Any],
+) -> Any:
+    """Bound of the antenna's gain and of spreading over triangles, over the latter at centroids."""
+    place = lit.center
+    a, b, c = (dr.squared_norm(point - place) for point in lit.corners)
+    size = dr.sqrt(dr.maximum(a, dr.maximum(b, c)))
+    most, widest = 1, 0
+    for begin, shown in ((wave.origin, wave.axes), (receiver, axes)):
+        way = place - begin
+        length = dr.norm(way)
+        ratio = size / length
+        cone = dr.select(ratio < 1, dr.safe_asin(ratio), dr.pi)
+        most *= scatterers.antenna.most(along(way / length, shown), cone)
+        most *= (1 / dr.maximum(1 - ratio, _NEAREST)) ** 1.5
+        widest = dr.maximum(widest, ratio)
+    highest = dr.maximum(dr.maximum(logs[0], logs[1]), dr.maximum(logs[2], logs[3]))
+    highest = dr.maximum(highest, dr.maximum(logs[4], logs[5]))
+    return dr.select(widest < _NARROW, dr.exp(highest), most)

@@ -1,0 +1,430 @@
+"""Echoes of facets: which triangles are looked at, and how finely, for an error of every body.
+
+Every facet that faces the source and the receiver is a triangle with an exact integral. It is
+divided where the curvature of the phase across it, or the border of a shadow on it, may change the
+echo of its body by more than its share of the tolerance. Of a body the estimated errors of all
+triangles, taken as independent, add up to the tolerance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.currents import Echoes, echoes_of
+from twin.radar.propagation.facets.facing import Facing, largest, portions
+from twin.radar.propagation.facets.hidden import wholly_hidden
+from twin.radar.propagation.facets.parts import parted, sizes, spacing_of
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.shadows import cut, sampled
+from twin.radar.propagation.facets.triangles import Triangles, quartered
+from twin.radar.propagation.one_way.path import TracingContext
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_DEEPEST = 8  # divisions by four
+_FEW = 500  # triangles that are divided by sixteen: launching kernels costs more than these
+#: Of the strongest body, 40 dB: weaker ones are known as well as one of this level.
+WEAKEST = 0.01
+_PER_LEVEL = 0.25  # of the squared tolerance
+_LEFT_OUT = 0.1  # of tolerance and body: what together comes to less is left out
+_OCTAVES = 40  # of strength that are told apart
+_SAMPLED = 0.02  # of tolerance and body: triangles that may return less get a single ray
+_CUT = 0.02
+_UNSEEN_M = 0.1  # size of triangles on which a shadow may pass between four rays
+_UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return more are divided
+_FINEST_M = 0.01
+#: Triangles of one size, the strongest ones over what is allowed: some 2 GB. The others are divided
+#: no further, and their errors and doubts count as they are.
+MOST_TRIANGLES = 2**21
+_MIXED = 0.25  # of its strength: error of a triangle that is partly seen
+_BENT = 1.0  # of what a bent border changes: what is left then
+_FALLEN = 2.0  # level of a body and errors that it may have: from which another pass is needed
+_AT_ONCE = 8192  # echoes that are summed together, which the processor's cache holds
+
+
+@dataclass(frozen=True, eq=False)
+class Leaves:
+    """Triangles that are not divided further, and their echoes; ``weight`` (n,): 1 of those that
+    are seen, -1 of dark parts of these.
+    """
+
+    triangles: Triangles
+    echoes: Echoes
+    weight: Array
+
+    @property
+    def body(self) -> NDArray[np.intp]:
+        """Of each, (n,)."""
+        return self.triangles.body
+
+    @staticmethod
+    def joined(parts: "Sequence[Leaves]") -> "Leaves":
+        """One after the other; of equal bounces."""
+        return Leaves(
+            Triangles.joined([part.triangles for part in parts]),
+            Echoes.joined([part.echoes for part in parts]),
+            np.concatenate([part.weight for part in parts]),
+        )
+
+    def chosen(self, which: NDArray[np.integer]) -> "Leaves":
+        """Only some of them, by index."""
+        return Leaves(self.triangles.taken(which), self.echoes.chosen(which), self.weight[which])
+
+
+class Budget:
+    """What is known of the echoes of bodies over the band, and the errors that they may have.
+
+    ``level`` (n_bodies,): root mean square over the band, at least that of the noise floor or of
+    an echo 40 dB below the strongest.
+    """
+
+    def __init__(
+        self,
+        n_bodies: int,
+        tolerance: float,
+        wave_numbers: Array,
+        floor: float | Array,
+        coarse: "Budget | None" = None,
+        weakest: float = WEAKEST,
+    ) -> None:
+        self.tolerance = tolerance
+        self._weakest = weakest
+        self._wave_numbers = wave_numbers
+        self._floor = floor
+        self._settled = np.zeros((n_bodies, len(wave_numbers)), dtype=np.complex128)
+        self._accepted = np.zeros(n_bodies)  # errors squared
+        self.level = np.zeros(n_bodies)
+        self.direct = np.zeros_like(self._settled)
+        #: Echoes still to come: of further bounces, as the coarse pass found them.
+        self.pending = np.zeros_like(self._settled)
+        if coarse is not None:
+            self.level = coarse.level
+            self.pending = coarse._settled - coarse.direct
+        self._highest = np.zeros(n_bodies)  # level that errors were accepted for
+        self._most: Array | float = np.inf  # level, as a pass as fine as this one found it
+
+    def renewed(self) -> "Budget | None":
+        """For another pass, where this one accepted too much since bodies seemed louder than they
+        are; None where it did not.
+        """
+        fallen = self._highest > _FALLEN * self.level
+        if not (fallen & (self.accepted > _FALLEN * self.tolerance * self.level)).any():
+            return None
+        again = Budget(
+            len(self.level), self.tolerance, self._wave_numbers, self._floor, self, self._weakest
+        )
+        again._most = self.level
+        return again
+
+    def expect(self, body: NDArray[np.intp], strength: Array) -> None:
+        """A first guess: all echoes out of phase."""
+        if not self.level.any():
+            self._rank(np.sqrt(np.bincount(body, strength**2, len(self.level))))
+
+    def summed(
+        self, body: NDArray[np.intp], echo: Complex, length_m: Array, count: int | None = None
+    ) -> Complex:
+        """Sum of echoes, the phase of whose path they lack, (count, n_frequencies)."""
+        count = len(self.level) if count is None else count
+        n = len(self._wave_numbers)
+        found = np.zeros((count, n), dtype=np.complex128)
+        lowest = self._wave_numbers[0]
+        step = self._wave_numbers[min(1, n - 1)] - lowest
+        # Frequency a + p b by a product of matrices: turned by a steps, times turned by p b steps.
+        p = int(np.ceil(np.sqrt(n)))
+        q = -(-n // p)
+        order = np.argsort(body.astype(np.uint16) if count < 2**16 else body, kind="stable")
+        for begin in range(0, len(order), _AT_ONCE):
+            some = order[begin : begin + _AT_ONCE]
+            turn, whose = _waves(step * length_m[some]), body[some]
+            fine = np.empty((p, len(some)), dtype=np.complex128)
+            fine[0] = echo[some] * _waves(lowest * length_m[some])
+            far = turn.copy()
+            for i in range(1, p):
+                np.multiply(fine[i - 1], turn, out=fine[i])
+                far *= turn
+            wide = np.ones((q, len(some)), dtype=np.complex128)
+            for i in range(1, q):
+                np.multiply(wide[i - 1], far, out=wide[i])
+            ends = [0, *(np.flatnonzero(np.diff(whose)) + 1).tolist(), len(some)]
+            for first, last in pairwise(ends):
+                sums = wide[:, first:last] @ fine[:, first:last].T
+                found[whose[first]] += sums.ravel()[:n]
+        return found
+
+    def consider(self, parts: "Sequence[Leaves]") -> None:
+        """Take what is settled and what is not for the echo of each body."""
+        total = self._settled + self.pending
+        for part in parts:
+            echo = part.weight * part.echoes.total
+            total += self.summed(part.body, echo, part.echoes.length_m)
+        self._rank(np.sqrt(np.mean(np.abs(total) ** 2, axis=1)))
+
+    def end_direct(self) -> None:
+        """Go on from the first bounce to further ones."""
+        self.direct = self._settled.copy()
+        self.pending[:] = 0
+
+    def settle(self, leaves: Leaves) -> None:
+        """Count what is not divided further."""
+        self._settled += self.summed(
+            leaves.body, leaves.weight * leaves.echoes.total, leaves.echoes.length_m
+        )
+
+    def accept(self, body: NDArray[np.intp], error: Array, which: NDArray[np.bool_]) -> None:
+        """Count errors that some triangles leave, affordable or not."""
+        self._highest = np.maximum(self._highest, self.level)
+        self._accepted += np.bincount(body[which], error[which] ** 2, len(self._accepted))
+
+    @property
+    def accepted(self) -> Array:
+        """Error of each body's echo, all that was accepted as independent, (n_bodies,)."""
+        return np.sqrt(self._accepted)
+
+    def _rank(self, level: Array) -> None:
+        strongest = float(level.max(initial=0.0))
+        least = np.maximum(self._weakest * strongest, self._floor / self.tolerance)
+        self.level = np.minimum(np.maximum(level, np.maximum(least, 1e-300)), self._most)
+
+    def allowed(self, body: NDArray[np.intp]) -> Array:
+        """Error that the body of each may have in all, (n,)."""
+        return self.tolerance * self.level[body]
+
+    def negligible(
+        self, body: NDArray[np.intp], echo: Complex, strength: Array, length_m: Array
+    ) -> NDArray[np.bool_]:
+        """The weakest of every body, as many as together, in phase or not, add little: their sum
+        counts as an error that is accepted.
+        """
+        limit = _LEFT_OUT * self.tolerance * self.level
+        ratio = limit[body] / np.maximum(strength, 1e-300)
+        octave = np.clip(np.floor(np.log2(ratio)) + 1, 0, _OCTAVES - 1).astype(np.intp)
+        count = len(self.level)
+        sums = self.summed(body * _OCTAVES + octave, echo, length_m, count * _OCTAVES)
+        # From the faintest on: what is left out if an octave and all below are.
+        left = np.cumsum(sums.reshape(count, _OCTAVES, -1)[:, ::-1], axis=1)[:, ::-1]
+        lost = np.mean(np.abs(left) ** 2, axis=2)
+        small = np.sqrt(lost) <= limit[:, None]
+        small[:, 0] = False  # nothing that alone is more than that
+        run = np.cumprod(small[:, ::-1], axis=1).sum(axis=1)  # unbroken from the faintest on
+        kept = _OCTAVES - run
+        some = np.flatnonzero(run)
+        self._accepted[some] += lost[some, kept[some]]
+        found: NDArray[np.bool_] = octave >= kept[body]
+        return found
+
+    def affordable(self, body: NDArray[np.intp], error: Array) -> NDArray[np.bool_]:
+        """The smallest errors of every body that together stay within a level's share."""
+        return self._within(body, error, _PER_LEVEL)
+
+    def _within(self, body: NDArray[np.intp], error: Array, share: float) -> NDArray[np.bool_]:
+        order = np.lexsort((error, body))
+        total = np.cumsum(error[order] ** 2)
+        first = np.searchsorted(body[order], np.arange(len(self.level)))
+        before = np.concatenate([[0.0], total])[first]
+        most = share * (self.tolerance * self.level) ** 2
+        found = np.empty(len(body), dtype=bool)
+        found[order] = total - before[body[order]] <= most[body[order]]
+        return found
+
+
+def _waves(phase_rad: Array) -> Complex:
+    """exp(-j phase)."""
+    cycles = phase_rad / (2 * np.pi)
+    cycles -= np.floor(cycles)
+    cycles *= -2 * np.pi
+    found = np.empty(len(cycles), dtype=np.complex128)
+    np.cos(cycles, out=found.real)
+    np.sin(cycles, out=found.imag)
+    return found
+
+
+def settled(
+    s: TracingContext,
+    scatterers: Scatterers,
+    lit: Triangles | Facing,
+    echoes: Echoes,
+    budget: Budget,
+    deepest: int = _DEEPEST,
+    is_open: bool = False,
+) -> list[Leaves]:
+    """Divide triangles until the errors of all bodies are within the tolerance, ``deepest`` times
+    by four at most. ``is_open``: nothing stands before them, and no rays are sent.
+    """
+    budget.expect(lit.body, np.abs(echoes.total))
+    faint = budget.negligible(lit.body, echoes.total, echoes.strength, echoes.length_m)
+    bright = np.flatnonzero(~faint)
+    found: list[Leaves] = []
+    if not len(bright):
+        return found
+    partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
+    if deepest and lit.waves is None and not is_open:
+        partly, spacing_m = _partly_hidden(s, lit, bright)
+
+    def looked_at(some: Triangles, known: Echoes, is_partly: NDArray[np.bool_]) -> _Seen:
+        if is_open:
+            return _open(some, known)
+        return _looked_at(s, scatterers, some, known, budget, is_partly, spacing_m).answering()
+
+    def further(some: Triangles, is_partly: NDArray[np.bool_], times: int) -> _Seen:
+        for _ in range(times):
+            some, is_partly = quartered(s, some), np.repeat(is_partly, 4)
+        return looked_at(some, echoes_of(s, scatterers, some), is_partly)
+
+    seen = _Seen.joined(
+        [
+            looked_at(lit.taken(bright[rows]), echoes.chosen(bright[rows]), partly[rows])
+            for rows in portions(np.arange(len(bright)))
+        ]
+    )
+    depth = 0
+    while True:
+        budget.consider([seen.leaves, seen.cut])
+        done = budget.affordable(seen.leaves.body, seen.error) & ~seen.is_doubtful
+        done &= ~seen.is_wide
+        if depth == deepest:
+            done[:] = True
+        known = seen.leaves
+        share = known.echoes.strength / budget.allowed(known.body)
+        done |= ~largest(np.where(done, 0.0, share), MOST_TRIANGLES // 4)
+        doubt = np.where(seen.is_doubtful, _MIXED * known.echoes.strength, 0.0)
+        budget.accept(known.body, seen.error + doubt, done)
+        for part, kept in ((seen.leaves, done), (seen.cut, done[seen.row])):
+            left = np.flatnonzero(kept & (part.weight != 0))
+            if len(left):
+                found.append(part.chosen(left))
+                budget.settle(found[-1])
+        rest = np.flatnonzero(~done)
+        if not len(rest):
+            break
+        some, is_partly = seen.leaves.triangles.taken(rest), seen.is_partly[rest]
+        times = min(2 if len(rest) < _FEW else 1, deepest - depth)
+        parts = portions(np.arange(len(rest)), 4**times)
+        seen = _Seen.joined([further(some.taken(rows), is_partly[rows], times) for rows in parts])
+        depth += times
+    return found
+
+
+def _partly_hidden(
+    s: TracingContext, lit: Triangles | Facing, rows: NDArray[np.intp]
+) -> tuple[NDArray[np.bool_], float]:
+    """Which of some triangles have parts that are seen and others that are not, and how large parts
+    are, in m.
+    """
+    size = lit.chosen(rows).sizes() if isinstance(lit, Facing) else sizes(lit.taken(rows))
+    spacing_m, found = spacing_of(s, size), np.zeros(len(rows), dtype=bool)
+    for some in portions(np.flatnonzero(size > spacing_m), 4):
+        parts, row = parted(s, lit.taken(rows[some]), spacing_m)
+        clear = sampled(s, parts, np.zeros(len(parts), dtype=bool))[3]
+        seen = np.bincount(row, clear, len(some))
+        found[some] = (seen > 0) & (seen < np.bincount(row, minlength=len(some)))
+    return found, spacing_m
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Triangles with what is seen of them: ``leaves``, one for each, and ``cut``, parts that
+    borders of shadows cut off, with the ``row`` of the triangle that they belong to; of each the
+    ``error`` that it may have, whether shadows may pass between the rays, whether it ``is_partly``
+    hidden, as rays at parts of the whole facet tell, and ``is_wide``: larger than these parts.
+    """
+
+    leaves: Leaves
+    cut: Leaves
+    row: NDArray[np.intp]
+    error: Array
+    is_doubtful: NDArray[np.bool_]
+    is_partly: NDArray[np.bool_]
+    is_wide: NDArray[np.bool_]
+
+    def answering(self) -> "_Seen":
+        """Without those that are surely dark."""
+        is_dark = (self.leaves.weight == 0) & (self.error == 0) & ~self.is_doubtful & ~self.is_wide
+        is_dark[self.row] = False
+        if not is_dark.any():
+            return self
+        kept = np.flatnonzero(~is_dark)
+        return _Seen(
+            self.leaves.chosen(kept),
+            self.cut,
+            (np.cumsum(~is_dark) - 1)[self.row],
+            self.error[kept],
+            self.is_doubtful[kept],
+            self.is_partly[kept],
+            self.is_wide[kept],
+        )
+
+    @staticmethod
+    def joined(parts: "Sequence[_Seen]") -> "_Seen":
+        """One after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        first = np.cumsum([0, *(len(part.error) for part in parts)])
+        return _Seen(
+            Leaves.joined([part.leaves for part in parts]),
+            Leaves.joined([part.cut for part in parts]),
+            np.concatenate([part.row + n for part, n in zip(parts, first, strict=False)]),
+            np.concatenate([part.error for part in parts]),
+            np.concatenate([part.is_doubtful for part in parts]),
+            np.concatenate([part.is_partly for part in parts]),
+            np.concatenate([part.is_wide for part in parts]),
+        )
+
+
+def _open(lit: Triangles, echoes: Echoes) -> _Seen:
+    none, leaves = np.zeros(0, dtype=np.intp), Leaves(lit, echoes, np.ones(len(lit)))
+    no = np.zeros(len(lit), dtype=bool)
+    return _Seen(leaves, leaves.chosen(none), none, echoes.curved, no, no, no)
+
+
+def _looked_at(
+    s: TracingContext,
+    scatterers: Scatterers,
+    lit: Triangles,
+    echoes: Echoes,
+    budget: Budget,
+    partly: NDArray[np.bool_],
+    spacing_m: float,
+) -> _Seen:
+    """``partly``: known to be hidden in part, as parts of this size tell."""
+    allowed = budget.allowed(lit.body)
+    clear = sampled(s, lit, partly | (echoes.strength > _SAMPLED * allowed))
+    corners = clear[:3].sum(axis=0)
+    agree = (clear == clear[3]).all(axis=0)
+    weight = np.where(corners >= 2, 1.0, 0.0)
+    error = np.where(weight > 0, echoes.curved, 0.0)
+    odd = (corners == 1) | (corners == 2)
+    error += np.where(agree, 0.0, _MIXED * echoes.strength)
+    row = np.flatnonzero(odd & (partly | (_MIXED * echoes.strength > _CUT * allowed)))
+    size = sizes(lit)
+    doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
+    is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
+    hidden = np.flatnonzero(is_doubtful & (corners == 0))
+    is_doubtful[hidden] = ~wholly_hidden(s, scatterers.parts, lit.taken(hidden))
+    leaves = Leaves(lit, echoes, weight)
+    known = is_doubtful, partly, partly & (size > spacing_m)
+    if not len(row):
+        return _Seen(leaves, leaves.chosen(row), row, error, *known)
+    off = cut(s, lit.taken(row), clear[:3, row])
+    both = echoes_of(s, scatterers, Triangles.joined([off.parts, off.whole]))
+    parts = both.chosen(slice(2 * len(row)))
+    # Against the triangle's own path.
+    wave = _turned(both, s).reshape(3, -1)
+    bent = np.abs(wave[0] + wave[1] - wave[2])
+    error[row] += _BENT * bent - _MIXED * echoes.strength[row]
+    error[row] += parts.curved[: len(row)] + parts.curved[len(row) :]
+    sign: Array = off.is_seen - weight[row]
+    twice = np.concatenate([row, row])
+    return _Seen(
+        leaves, Leaves(off.parts, parts, np.concatenate([sign, sign])), twice, error, *known
+    )
+
+
+def _turned(echoes: Echoes, s: TracingContext) -> Complex:
+    wave_number = 2 * np.pi / float(s.wavelength[0])
+    found: Complex = echoes.total * np.exp(-1j * (wave_number * echoes.length_m % (2 * np.pi)))
+    return found

@@ -1,0 +1,166 @@
+"""Whole facets that images of the radar face, by their numbers: triangles are made of portions.
+
+What is computed of a triangle takes some kilobytes for a while. So facets are only numbered, and
+looked at in portions.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.currents import Echoes, echoes_of
+from twin.radar.propagation.facets.parts import longest_edges
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.triangles import Triangles
+from twin.radar.propagation.one_way.path import TracingContext
+from twin.radar.propagation.scene.images import Image
+from twin.transfer import aligned, vector
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.integer]
+
+#: Triangles that are looked at together: some 0.5 GB for a while.
+AT_ONCE = 2**18
+
+
+def portions(rows: Rows, parts: int = 1) -> Iterator[Rows]:
+    """Rows in portions, of which each becomes some ``parts``; few ones all at once."""
+    size = max(AT_ONCE // parts, 1)
+    for first in range(0, len(rows), size):
+        yield rows[first : first + size]
+
+
+def largest(values: Array, count: int) -> NDArray[np.bool_]:
+    """Which of some values, (n,), are the largest ones, as many as asked for, and not 0."""
+    found = values > 0
+    if np.count_nonzero(found) > count:
+        found[:] = False
+        found[np.argsort(-values, kind="stable")[:count]] = True
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Facing:
+    """Whole facets of the world, each lit directly from an image and heard at one, (n,)."""
+
+    s: TracingContext
+    scatterers: Scatterers
+    face: NDArray[np.uint32]
+    source: NDArray[np.uint32]
+    receiver: NDArray[np.uint32]
+
+    waves = None
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+    @property
+    def body(self) -> NDArray[np.intp]:
+        """Of each, (n,)."""
+        return self.scatterers.body[self.face]
+
+    @property
+    def all(self) -> NDArray[np.intp]:
+        """Their rows."""
+        return np.arange(len(self))
+
+    def chosen(self, rows: Rows) -> "Facing":
+        """Only some of them."""
+        some = self.face[rows], self.source[rows], self.receiver[rows]
+        return Facing(self.s, self.scatterers, *some)
+
+    def taken(self, rows: Rows) -> Triangles:
+        """Some of them as triangles, with the wave that lights them."""
+        some = self.chosen(rows)
+        return lit_facets(self.s, self.scatterers, some.face, some.source, some.receiver)
+
+    def echoes(self) -> Echoes:
+        """What each returns if all of it is seen."""
+        return Echoes.joined(
+            [echoes_of(self.s, self.scatterers, self.taken(rows)) for rows in portions(self.all)]
+        )
+
+    def sizes(self) -> Array:
+        """Longest edges in m, (n,)."""
+        world, found = self.s.world, np.empty(len(self))
+        for rows in portions(self.all):
+            at = world.vertices[world.faces[self.face[rows]]]
+            found[rows] = longest_edges(at[:, 0], at[:, 1], at[:, 2])
+        return found
+
+    @staticmethod
+    def joined(parts: "Sequence[Facing]") -> "Facing":
+        """One after the other."""
+        columns = zip(*((p.face, p.source, p.receiver) for p in parts), strict=True)
+        return Facing(
+            parts[0].s, parts[0].scatterers, *(np.concatenate(column) for column in columns)
+        )
+
+
+def facing(s: TracingContext, scatterers: Scatterers, images: Sequence[Image]) -> Facing:
+    """All facets that both a source and a receiver see the same side of, whatever stands in
+    between, closed meshes from outside.
+    """
+    b = scatterers
+    rows = np.flatnonzero(b.counts)
+    sides = sides_of(s, images, rows)
+    found = []
+    for i, side in enumerate(sides):
+        lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
+        for j in range(i, len(images)):
+            both = rows[lit & (sides[j] == side) & b.heard[j, rows]]
+            found.append(_numbered(s, b, both, i, j))
+    return Facing.joined(found)
+
+
+def lit_by(s: TracingContext, scatterers: Scatterers, images: Sequence[Image]) -> Facing:
+    """All facets that a source faces, as their own receivers."""
+    rows = np.flatnonzero(scatterers.counts)
+    found = []
+    for i, side in enumerate(sides_of(s, images, rows)):
+        lit = (side != 0) & (scatterers.outward[i, rows] * side >= 0)
+        found.append(_numbered(s, scatterers, rows[lit & scatterers.heard[i, rows]], i, i))
+    return Facing.joined(found)
+
+
+def _numbered(
+    s: TracingContext, scatterers: Scatterers, face: NDArray[np.intp], source: int, receiver: int
+) -> Facing:
+    ends = (np.full(len(face), number, dtype=np.uint32) for number in (source, receiver))
+    return Facing(s, scatterers, face.astype(np.uint32), *ends)
+
+
+def sides_of(
+    s: TracingContext, images: Sequence[Image], rows: NDArray[np.intp]
+) -> list[NDArray[np.int8]]:
+    """On which side of some facets each image stands: 1 where their normal points to."""
+    found = [np.empty(len(rows), dtype=np.int8) for _ in images]
+    for some in portions(np.arange(len(rows))):
+        plane = s.world.plane_table[rows[some]]
+        for side, image in zip(found, images, strict=True):
+            side[some] = np.sign(np.sum((image.place - plane[:, :3]) * plane[:, 3:], axis=1))
+    return found
+
+
+def lit_facets(
+    s: TracingContext,
+    scatterers: Scatterers,
+    face: Rows,
+    source: Rows,
+    receiver: Rows,
+) -> Triangles:
+    """Whole facets, each lit directly from one image and heard at another."""
+    mi, world = s.mi, s.world
+    at = world.vertices[world.faces[face]]
+    return Triangles(
+        corners=tuple(vector(mi, at[:, k], "Vector3d") for k in range(3)),
+        face=mi.UInt32(aligned(face.astype(np.uint32))),
+        source=mi.UInt32(aligned(source.astype(np.uint32))),
+        receiver=mi.UInt32(aligned(receiver.astype(np.uint32))),
+        wave=None,
+        waves=None,
+        body=scatterers.body[face],
+        is_ray=np.zeros(len(face), dtype=bool),
+    )

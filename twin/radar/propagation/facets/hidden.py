@@ -1,0 +1,172 @@
+"""Triangles that stand wholly in shadow, known by rays from their corners alone.
+
+What is convex hides from a point a convex part of every plane: where one convex part of a mesh
+hides all three corners of a triangle, it hides the whole. Where it hides one corner and another
+part both others, they hide the whole if on both edges from that corner one begins where the other
+ends. Seen over mirrors the same holds of what stands beyond or beside these. Without this, walls
+behind other walls would be divided as finely as the gap that there might be between these.
+"""
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.borders import odd_one
+from twin.radar.propagation.facets.currents import normal_of
+from twin.radar.propagation.facets.triangles import Triangles, origin_of
+from twin.radar.propagation.one_way.path import LEVEL, WINDOW, TracingContext, offset
+from twin.radar.propagation.one_way.rays import NEAREST_M
+from twin.transfer import aligned
+
+_BEFORE = 1e-4  # of a way: what is met so near its end may be what it leads to
+_BESIDE = 1e-6  # of the distance from the anchor, likewise
+_INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
+_HALVINGS = 14  # of an edge until another part begins: gaps of 6e-5 of it are not found
+_NEAR_M = 1e3  # from the anchor: radars of cross-sections stand farther away
+#: What hides a place: numbers of what is not a part of a mesh come first.
+_BEYOND, _AT_SIDES, _PARTS = 1, 2, 6
+
+
+def wholly_hidden(s: TracingContext, parts: Any, lit: Triangles) -> NDArray[np.bool_]:
+    """Triangles that their receiver, or the source that lights them directly, surely sees nothing
+    of, (n,); by the convex ``parts`` of the world, on the device.
+    """
+    found = np.zeros(len(lit), dtype=bool)
+    for end in ("receiver", "source") if lit.waves is None else ("receiver",):
+        rest = np.flatnonzero(~found)
+        if len(rest):
+            found[rest] = _hidden_from(s, parts, lit.taken(rest), end)
+    return found
+
+
+def _hidden_from(s: TracingContext, parts: Any, lit: Triangles, end: str) -> NDArray[np.bool_]:
+    mi, n = s.mi, len(lit)
+    many = lit.repeated(3)
+    number = dr.arange(mi.UInt32, 3 * n) % 3
+    place = dr.select(number == 0, many.corners[0], many.corners[1])
+    place = dr.select(number == 2, many.corners[2], place)
+    by = np.array(_hidden_by(s, parts, many, end, place + _INSET * (many.center - place)))
+    by = by.reshape(n, 3).T
+    is_known = (by != 0).all(axis=0)
+    alike = by == by[[1, 2, 0]]
+    found: NDArray[np.bool_] = is_known & alike.all(axis=0)
+    is_odd, odd = odd_one(alike)
+    row = np.flatnonzero(is_known & is_odd)
+    if len(row):
+        found[row] = _are_joined(s, parts, lit.taken(row), end, by[:, row], odd[row])
+    return found
+
+
+def _are_joined(
+    s: TracingContext,
+    parts: Any,
+    lit: Triangles,
+    end: str,
+    by: NDArray[np.uint32],
+    odd: NDArray[np.uint32],
+) -> NDArray[np.bool_]:
+    """Whether on both edges from the corner that is hidden by something else than both others, one
+    begins where the other ends.
+    """
+    mi, n, column = s.mi, len(lit), np.arange(len(lit))
+    many = lit.repeated(2)
+    corners = [p + _INSET * (many.center - p) for p in many.corners]
+
+    def corner(which: NDArray[np.uint32]) -> Any:
+        index = mi.UInt32(aligned(which))
+        return dr.select(index == 0, corners[0], dr.select(index == 1, corners[1], corners[2]))
+
+    ends = np.stack([(odd + 1) % 3, (odd + 2) % 3], axis=1).ravel()
+    tip, other = corner(np.repeat(odd, 2)), corner(ends)
+    own = mi.UInt32(aligned(np.repeat(by[odd, column], 2)))
+    dr.eval(tip, other)
+
+    def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+        middle = (low + high) / 2
+        same = _hidden_by(s, parts, many, end, tip + middle * (other - tip)) == own
+        return step + 1, dr.select(same, middle, low), dr.select(same, high, middle)
+
+    begin = dr.zeros(mi.UInt32, 2 * n), dr.zeros(mi.Float64, 2 * n), dr.ones(mi.Float64, 2 * n)
+    _, _, high = dr.while_loop(
+        begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
+    )
+    dr.eval(high)
+    beyond = np.array(_hidden_by(s, parts, many, end, tip + high * (other - tip)))
+    wanted = np.repeat(by[(odd + 1) % 3, column], 2)
+    joined: NDArray[np.bool_] = (beyond == wanted).reshape(n, 2).all(axis=1)
+    return joined
+
+
+def _hidden_by(s: TracingContext, parts: Any, lit: Triangles, end: str, place: Any) -> Any:
+    """What hides points of triangles: a number, or 0 where that is nothing convex, or nothing.
+
+    Everything that the number stands for hides a convex part of a plane.
+    """
+    mi, scene, source = s.mi, s.world.scene, getattr(lit, end)
+    off = normal_of(s, lit.face, place, origin_of(s, lit)) * (offset(place) + lit.lift)
+    order = dr.gather(mi.UInt32, s.orders, source)
+    at, aim, start = place, _gathered(mi, s.positions, 3 * source), place + off
+    found, exists = dr.zeros(mi.UInt32, dr.width(place)), mi.Bool(True)
+
+    def note(kind: Any, where: Any, level: int) -> None:
+        nonlocal found
+        number = kind * (s.order + 1) + level
+        found = dr.select((found == 0) & where & (kind > 0), number, found)
+
+    def met(begin: Any, direction: Any, reach: Any, where: Any, mirror: Any = None) -> Any:
+        """Number of the part that a ray meets; 0 of none, or of a mirror."""
+        ray = mi.Ray3f(mi.Point3f(begin), mi.Vector3f(direction), mi.Float(reach), 0.0, [])
+        hit = scene.ray_intersect_preliminary(ray, active=where)
+        is_met = where & hit.is_valid()
+        number = dr.gather(mi.UInt32, parts, hit.prim_index, is_met) + _PARTS
+        if mirror is not None:
+            is_met &= dr.gather(mi.UInt32, s.patch_of_face, hit.prim_index, is_met) != mirror
+        return dr.select(is_met, number, 0)
+
+    for level in reversed(range(s.order)):
+        has = exists & (order > level)
+        row = source * s.order + level
+        before, point, normal = (_gathered(mi, s.levels, LEVEL * row + 3 * i) for i in range(3))
+        way = aim - at
+        distance = dr.norm(way)
+        direction = way / dr.maximum(distance, NEAREST_M)
+        slope = dr.dot(normal, direction)
+        t = dr.dot(normal, point - at) / dr.select(slope != 0, slope, 1.0)
+        mirror = at + t * direction
+        is_beyond = has & ((t <= 0) | (t >= distance))
+        note(mi.UInt32(_BEYOND), is_beyond, level)
+        exists &= ~is_beyond
+        has &= exists
+        note(_side(s, row, mirror), has, level)
+        patch = dr.gather(mi.UInt32, s.marks, 3 * row, has)
+        rays = start, direction, t * (1 - _BEFORE), has & (found == 0)
+        note(met(*rays, patch), has, level)
+        facing = normal * dr.select(slope < 0, 1.0, -1.0)
+        at, aim = dr.select(has, mirror, at), dr.select(has, before, aim)
+        start = dr.select(has, mirror + facing * offset(mirror), start)
+    # From the radar on, as what stands near it hides the most, if float32 tells where it stands.
+    is_near = dr.norm(aim) < _NEAR_M
+    begin, back = dr.select(is_near, aim, start), dr.select(is_near, start, aim)
+    way = back - begin
+    last = met(begin, dr.normalize(way), dr.norm(way) * (1 - _BEFORE), exists & (found == 0))
+    note(last, mi.Bool(True), s.order)
+    return found
+
+
+def _side(s: TracingContext, row: Any, place: Any) -> Any:
+    """Beyond which side of a mirror's window a place in its plane lies; 0 of none."""
+    mi = s.mi
+    slack, found = _BESIDE * dr.norm(place), mi.UInt32(0)
+    for k in range(2):
+        axis = _gathered(mi, s.windows, WINDOW * row + 5 * k)
+        low, high = (dr.gather(mi.Float64, s.windows, WINDOW * row + 5 * k + i) for i in (3, 4))
+        along = dr.dot(axis, place)
+        found = dr.select(along < low - slack, mi.UInt32(_AT_SIDES + 2 * k), found)
+        found = dr.select(along > high + slack, mi.UInt32(_AT_SIDES + 2 * k + 1), found)
+    return found
+
+
+def _gathered(mi: Any, values: Any, index: Any) -> Any:
+    return mi.Vector3d(*(dr.gather(mi.Float64, values, index + i) for i in range(3)))

@@ -1,0 +1,121 @@
+"""What rays that facets reflect meet: at the corners of tubes and inside, or at a point alone."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.currents import normal_of, plane_of
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.triangles import Triangles, origin_of
+from twin.radar.propagation.one_way.path import TracingContext, leg, offset
+from twin.transfer import aligned
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.integer]
+
+_INSET = 1e-3  # of the way to the centroid
+#: Near the centroid, which in what is symmetric meets a crease: shares of the corners.
+INSIDE = (0.38, 0.335, 0.285)
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """What reflected rays meet, (samples, n): whether they meet anything and the source sees where
+    they begin, the facet, and how far along the ray its plane is from that of the last sample's.
+    """
+
+    is_valid: NDArray[np.bool_]
+    face: Indices
+    gap_m: Array
+
+    def chosen(self, row: Indices) -> "Met":
+        """Of some tubes only."""
+        return Met(self.is_valid[:, row], self.face[:, row], self.gap_m[:, row])
+
+
+def met_by(s: TracingContext, scatterers: Scatterers, tubes: Triangles, samples: int) -> Met:
+    """By rays at corners and at a point inside, or at the spot alone."""
+    mi, n = s.mi, len(tubes)
+    many = tubes.repeated(samples) if samples > 1 else tubes
+    index = dr.arange(mi.UInt32, samples * n)
+    place = samples_of(many, index & 3) if samples > 1 else many.spot
+    active, face, direction = reflected_from(s, scatterers, many, place)
+    dr.eval(active, face)
+    gap = mi.Float64(0)
+    if samples > 1:
+        own = along(s, face, place, direction)
+        last = along(s, dr.gather(mi.UInt32, face, index | 3), place, direction)
+        both = active & dr.gather(mi.Bool, active, index | 3)
+        gap = dr.select(both, dr.abs(own - last), np.inf)
+    shape = (n, samples)
+    return Met(
+        np.array(active).reshape(shape).T,
+        np.array(face).reshape(shape).T,
+        np.broadcast_to(np.array(gap), n * samples).reshape(shape).T,
+    )
+
+
+def apart(s: TracingContext, tubes: Triangles, met: Met) -> Array:
+    """Distance along the rays of all samples between the planes that they meet and the plane that
+    one of them meets, (4 planes, 4 samples, n); infinite where either meets none.
+    """
+    mi, n = s.mi, len(tubes)
+    many = tubes.repeated(4)
+    index = dr.arange(mi.UInt32, 4 * n)
+    place = samples_of(many, index & 3)
+    direction, _ = _mirrored(s, many, place)
+    faces = mi.UInt32(aligned(met.face.T.ravel().astype(np.uint32)))
+    own = along(s, faces, place, direction)
+    found = np.empty((4, 4, n))
+    for k in range(4):
+        gap = along(s, dr.gather(mi.UInt32, faces, 4 * (index // 4) + k), place, direction) - own
+        valid = met.is_valid & met.is_valid[k]
+        found[k] = np.where(valid, np.abs(np.array(gap).reshape(n, 4).T), np.inf)
+    return found
+
+
+def _mirrored(s: TracingContext, tubes: Triangles, place: Any) -> tuple[Any, Any]:
+    """Direction of rays after their reflection at a place of a tube, and the normal there."""
+    origin = origin_of(s, tubes)
+    normal = normal_of(s, tubes.face, tubes.center, origin)
+    direction = dr.normalize(place - origin)
+    return direction - 2 * dr.dot(direction, normal) * normal, normal
+
+
+def reflected_from(
+    s: TracingContext, scatterers: Scatterers, tubes: Triangles, place: Any
+) -> tuple[Any, Any, Any]:
+    """Whether rays from there meet what scatters, on which facet (else 0), and their direction."""
+    mi = s.mi
+    direction, normal = _mirrored(s, tubes, place)
+    off = normal * (offset(place) + tubes.lift)
+    active = mi.Bool(True)
+    if tubes.waves is None:  # what lies in shadow reflects nothing
+        active = leg(s, tubes.source, place, off, active).clear
+    ray = mi.Ray3f(mi.Point3f(place + off), mi.Vector3f(direction))
+    hit = s.world.scene.ray_intersect_preliminary(ray, active=active)
+    active &= hit.is_valid()
+    number = dr.gather(mi.UInt32, s.world.object_index, hit.prim_index, active)
+    active &= dr.gather(mi.Bool, scatterers.answers, number, active)
+    if s.walls is not None:  # between bodies no wall lets through
+        ray.maxt = hit.t
+        active &= ~s.walls.mesh.scene.ray_test(ray, active=active)
+    return active, dr.select(active, hit.prim_index, 0), direction
+
+
+def along(s: TracingContext, face: Any, place: Any, direction: Any) -> Any:
+    """Distance from places to the planes of facets along directions."""
+    point, normal = plane_of(s, face)
+    slope = dr.dot(normal, direction)
+    return dr.dot(normal, point - place) / dr.select(slope != 0, slope, 1.0)
+
+
+def samples_of(tubes: Triangles, which: Any) -> Any:
+    """Points of tubes: near a corner, 0 to 2, or inside, 3."""
+    place = sum(share * point for share, point in zip(INSIDE, tubes.corners, strict=True))
+    for number, point in enumerate(tubes.corners):
+        place = dr.select(which == number, point + _INSET * (tubes.center - point), place)
+    return place

@@ -1,0 +1,56 @@
+"""Parts of large facets, so that what is small before or beside them lies between few rays."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.triangles import Triangles, quartered
+from twin.radar.propagation.one_way.path import TracingContext
+from twin.transfer import host
+
+Array = NDArray[np.float64]
+
+_CLOSEST = 0.5  # wavelengths between rays
+_MORE = 80_000  # parts of facets, which keep rays wider apart
+_STEPS = 64  # of sizes, in an octave
+
+
+def parted(
+    s: TracingContext, lit: Triangles, spacing_m: float
+) -> tuple[Triangles, NDArray[np.intp]]:
+    """Triangles in parts of at most this size, and the row that each is of."""
+    found, rows, row = [], [], np.arange(len(lit))
+    while (is_wide := sizes(lit) > spacing_m).any():
+        found.append(lit.taken(np.flatnonzero(~is_wide)))
+        rows.append(row[~is_wide])
+        lit, row = quartered(s, lit.taken(np.flatnonzero(is_wide))), np.repeat(row[is_wide], 4)
+    return Triangles.joined([*found, lit]), np.concatenate([*rows, row])
+
+
+def sizes(lit: Triangles) -> Array:
+    """Longest edges, (n,)."""
+    return longest_edges(*host(lit.corners, len(lit)))
+
+
+def longest_edges(a: Array, b: Array, c: Array) -> Array:
+    """Of triangles by their corners (n, 3), in m, (n,)."""
+    return np.sqrt(
+        np.max([((q - p) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    )
+
+
+def spacing_of(s: TracingContext, size_m: Array) -> float:
+    """The most of the sizes of parts in m, of triangles of sizes (n,): half a wavelength, or what
+    some eighty thousand more of them allow. What is larger by any share becomes four.
+    """
+    closest_m = _CLOSEST * float(s.wavelength[0])
+    wide = size_m[size_m > closest_m]
+    if not len(wide):
+        return closest_m
+    step = np.ceil(_STEPS * np.log2(wide / closest_m)).astype(np.intp)
+    count = np.bincount(step)
+    step = np.arange(len(count))
+    for spacing in step:
+        halvings = np.ceil(np.maximum(step - spacing, 0) / _STEPS)
+        if np.sum(count * (4.0**halvings - 1)) <= _MORE:
+            break
+    return float(closest_m * 2 ** (spacing / _STEPS))

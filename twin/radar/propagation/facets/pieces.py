@@ -1,0 +1,211 @@
+"""Echoes of triangles over the whole band: contributions with one delay each.
+
+A triangle that the wave meets obliquely has no single delay. With the phases of its corners sorted,
+a <= b <= c, the mean of exp(j phase) is 2 (e[b, c] - e[a, b]) / (j (c - a)), where e is the mean
+along an edge, itself (exp(j y) - exp(j x)) / (j (y - x)). What lies within `_CLOSE_RAD` has one
+delay, and the differences in the denominators grow with frequency: so there are contributions whose
+amplitude falls as f^0 (a triangle), f^-1 (an edge) and f^-2 (a corner), each as strong and in the
+direction of where it comes from. On triangles with path spreads of 1 um to 0.5 m the worst error
+over 77 to 81 GHz is 0.37 %.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.currents import level_at
+from twin.radar.propagation.facets.division import Leaves
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.triangles import Triangles, incident_on
+from twin.radar.propagation.one_way.path import (
+    TracingContext,
+    along,
+    leg,
+    lengthening,
+    mirrored_axes,
+    turning,
+)
+from twin.radar.propagation.one_way.rays import (
+    InternalReflections,
+    Rays,
+    and_reversed,
+    with_internal_reflections,
+)
+from twin.transfer import aligned, host
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_CLOSE_RAD = 1.0
+
+
+def rays_of(s: TracingContext, scatterers: Scatterers, leaves: Leaves) -> Rays:
+    """Contributions of triangles; of those lit directly that have another receiver than source one
+    for each direction, alike by reciprocity, which physical optics keeps in their mean only.
+    """
+    mi, lit, n = s.mi, leaves.triangles, len(leaves.weight)
+    home = leg(s, lit.receiver, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False)
+    receiver, axes = lit.center + home.back * home.length, mirrored_axes(s, lit.receiver)
+    wave = incident_on(s, lit)
+    _, least, _ = level_at(scatterers, wave, lit.center, receiver, axes)
+    values = []
+    for corner in lit.corners:
+        gain, spread, length = level_at(scatterers, wave, corner, receiver, axes)
+        values += [length, gain, spread - least]
+    found, wave_number = host(values, n), 2 * np.pi / float(s.wavelength[0])
+    whole = leaves.weight * leaves.echoes.amplitude
+    pieces = split(
+        np.stack(found[::3], axis=1),
+        np.stack(found[1::3], axis=1),
+        np.stack(found[2::3], axis=1),
+        leaves.echoes.mean * np.exp(-1j * (wave_number * leaves.echoes.length_m % (2 * np.pi))),
+        wave_number,
+    )
+    return _rays(s, scatterers, lit.taken(pieces.row), pieces, whole[pieces.row])
+
+
+def _rays(
+    s: TracingContext, scatterers: Scatterers, lit: Triangles, pieces: "Pieces", whole: Complex
+) -> Rays:
+    """By the triangle of every contribution."""
+    mi, n, wave = s.mi, len(whole), incident_on(s, lit)
+    shares = (mi.Float64(aligned(np.ascontiguousarray(column))) for column in pieces.place.T)
+    place = sum(share * corner for share, corner in zip(shares, lit.corners, strict=True))
+    home = leg(s, lit.receiver, place, mi.Vector3d(0), mi.Bool(True), tested=False)
+    number = dr.gather(mi.UInt32, s.world.object_index, lit.face)
+    own = mi.Vector3d(
+        *(dr.gather(mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
+    )
+    towards = place - wave.origin
+    out_length = dr.norm(towards)
+    moved = (
+        (own - wave.velocity, towards / out_length, out_length),
+        (own - home.velocity, -home.back, home.length),
+    )
+    there, again = (lengthening(*way) for way in moved)
+    shown = wave.axes, mirrored_axes(s, lit.receiver)
+    turns = [along(turning(*way), axes) for way, axes in zip(moved, shown, strict=True)]
+    departure = along(towards / out_length, wave.axes)
+    values = [wave.passage.extra + home.passage.extra]
+    values += [there[0] + again[0], there[1] + again[1], departure, home.departure]
+    values += [*turns, number, lit.source, lit.receiver]
+    for p in (wave.passage, home.passage):
+        values += [p.rho_re, p.rho_im, p.lag]
+    extra, rate, acceleration, departure, arrival, *found = host(values, n)
+    one = Rays(
+        amplitude=pieces.amplitude * whole,
+        length_m=pieces.length_m + extra,
+        rate_m_per_s=rate,
+        acceleration_m_per_s2=acceleration,
+        departure=departure,
+        arrival=arrival,
+        object=found[2],
+        source=found[3],
+        receiver=found[4],
+        departure_per_s=found[0],
+        arrival_per_s=found[1],
+        falloff=pieces.falloff,
+    )
+    if s.walls is not None:
+        alike = (one.source == one.receiver) & (lit.waves is None)
+        one = with_internal_reflections(
+            one, InternalReflections.of(*found[5:8]), InternalReflections.of(*found[8:]), alike
+        )
+    if lit.waves is not None:
+        return one
+    halves = np.where(one.source == one.receiver, 1.0, 0.5)
+    return and_reversed(replace(one, amplitude=one.amplitude * halves))
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Contributions of triangles: ``row`` of the triangle, ``amplitude`` without the antenna's
+    gain, ``length_m`` of the path, power of 1 / f in ``falloff``, each (n,), and ``place`` (n, 3),
+    the corners' shares of where it comes from.
+    """
+
+    row: NDArray[np.intp]
+    amplitude: Complex
+    length_m: Array
+    falloff: Array
+    place: Array
+
+
+def split(paths_m: Array, gain: Array, spread: Array, mean: Complex, wave_number: float) -> Pieces:
+    """Contributions of triangles whose currents are 1 in all.
+
+    Parameters
+    ----------
+    paths_m
+        By way of the corners, (n, 3).
+    gain, spread
+        Logarithms of the antenna's gain and of how much stronger than at the centroid the rest of
+        the wave is there, (n, 3).
+    mean
+        Of the wave over the triangle with the phase of its path, (n,): what contributions differ
+        from it together goes to each in proportion to its power, with which it also falls out of
+        step with the others over the band.
+    """
+    order = np.argsort(paths_m, axis=1)
+    first, second, third = np.take_along_axis(paths_m, order, axis=1).T
+    level = np.exp(np.take_along_axis(spread, order, axis=1)).T
+    gains = np.take_along_axis(gain, order, axis=1).T
+    span = wave_number * (third - first)
+    is_point = span < _CLOSE_RAD
+    parts: list[tuple[Any, ...]] = []
+
+    def add(
+        which: NDArray[np.bool_], value: Complex, length: Array, falloff: int, ends: list[int]
+    ) -> None:
+        row = np.flatnonzero(which)
+        share = np.zeros((len(row), 3))
+        for end in ends:
+            share[np.arange(len(row)), order[row, end]] = 1 / len(ends)
+        strong = np.mean([level[end][row] for end in ends], axis=0)
+        known = np.mean([gains[end][row] for end in ends], axis=0)
+        parts.append(
+            (row, value[row] * strong, length[row], np.full(len(row), float(falloff)), share, known)
+        )
+
+    middle = (first + second + third) / 3
+    phases = first - middle, second - middle, third - middle
+    add(is_point, _of_points(*phases, wave_number), middle, 0, [0, 1, 2])
+    # exp(-j k length): the conjugate of the formula above, with lengths in place of phases.
+    whole = 2j / np.where(is_point, 1.0, span)
+    gaps = wave_number * (second - first), wave_number * (third - second)
+    is_edge = [~is_point & (gap < _CLOSE_RAD) for gap in gaps]
+    ends = [
+        np.where(~is_point & ~edge, whole * 1j / np.where(edge | is_point, 1.0, gap), 0)
+        for edge, gap in zip(is_edge, gaps, strict=True)
+    ]
+    add(is_edge[1], whole * np.sinc(gaps[1] / (2 * np.pi)), (second + third) / 2, 1, [1, 2])
+    add(is_edge[0], -whole * np.sinc(gaps[0] / (2 * np.pi)), (first + second) / 2, 1, [0, 1])
+    add(ends[1] != 0, ends[1], third, 2, [2])
+    add((ends[0] != 0) | (ends[1] != 0), -ends[0] - ends[1], second, 2, [1])
+    add(ends[0] != 0, ends[0], first, 2, [0])
+    row, amplitude, length, falloff, place, known = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
+    turn, strength = np.exp(-1j * (wave_number * length % (2 * np.pi))), np.exp(known)
+    power = np.abs(amplitude * strength) ** 2
+
+    def of_each(values: Array) -> Array:
+        total: Array = np.bincount(row, values, len(mean)).astype(np.float64)
+        return total
+
+    wave = amplitude * strength * turn
+    missing = mean - of_each(wave.real) - 1j * of_each(wave.imag)
+    share = power / np.maximum(of_each(power), 1e-300)[row]
+    amplitude = amplitude + missing[row] * share / (turn * np.maximum(strength, 1e-300))
+    return Pieces(row, amplitude, length, falloff, place)
+
+
+def _of_points(x: Array, y: Array, z: Array, wave_number: float) -> Complex:
+    """Mean of exp(-j k length) over triangles by moments of the corners' paths about their mean."""
+    second = wave_number**2 * (x * x + y * y + z * z) / 12
+    third = wave_number**3 * x * y * z
+    found: Complex = 1 - second / 2 + second**2 * (36 / 15 / 24) + 1j * third / 60
+    return found

@@ -1,0 +1,96 @@
+"""Bodies that scatter by physical optics, as their facets are asked for it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.device.antenna import Antenna
+from twin.radar.propagation.facets.convexity import convex_parts
+from twin.radar.propagation.meshes.shape import shape_of
+from twin.radar.propagation.one_way.beams import AntennaGain, antenna_gain
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.transfer import aligned
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Scatterers:
+    """Per facet of the world on the host: ``body``, -1 where nothing scatters; ``counts``: it
+    scatters, has an area, and lies upon no other; ``outward`` (n_images, n_facets), 1 or -1 where
+    its normal looks out of a closed mesh or into it and the image stands outside, else 0; ``heard``
+    (n_images, n_facets), whether the way by an image is worth tracing and some of the facet may get
+    anything by it. On the device: the ``antenna``, per object ``answers``, whether it scatters, its
+    ``surface`` and ``velocity``, and per facet in ``parts`` the number of its
+    `convexity.convex_parts`; ``half_time_s``: how long before and after its middle the burst lasts,
+    0 where nothing moves.
+    """
+
+    body: NDArray[np.intp]
+    counts: NDArray[np.bool_]
+    outward: NDArray[np.int8]
+    heard: NDArray[np.bool_]
+    antenna: AntennaGain
+    answers: Any
+    surface: Any
+    velocity: Any
+    parts: Any
+    half_time_s: float = 0.0
+
+
+def scatterers(
+    stage: PreparedScene, antenna: Antenna, body: NDArray[np.int32], half_time_s: float = 0.0
+) -> Scatterers:
+    """By the body of every object, -1 where it does not scatter."""
+    world, mi = stage.world, stage.station.mi
+    count = len(world.faces)
+    outward = np.zeros(count, dtype=np.int8)
+    counts = world.plane_table[:, 3:].any(axis=1) & (body[world.object_of_face] >= 0)
+    for number in np.flatnonzero(body[: len(world.face_ranges)] >= 0).tolist():
+        item, rows = world.items[number], world.face_ranges[number]
+        assert item is not None
+        shape = shape_of(item)
+        counts[rows] &= ~shape.is_double
+        outward[rows] = shape.outward
+    velocities = np.array([item.velocity_m_per_s for item in stage.items], dtype=np.float64)
+    return Scatterers(
+        body=body[world.object_of_face].astype(np.intp),
+        counts=counts,
+        outward=np.where(_within(stage)[:, world.object_of_face], np.int8(0), outward),
+        heard=_heard(stage, antenna),
+        antenna=antenna_gain(mi, antenna, stage.axes),
+        answers=mi.Bool(aligned(body >= 0)),
+        surface=mi.UInt32(stage.surface_of_object),
+        velocity=mi.Float64(velocities.ravel()),
+        parts=mi.UInt32(aligned(convex_parts(world))),
+        half_time_s=half_time_s if velocities.any() else 0.0,
+    )
+
+
+def _within(stage: PreparedScene) -> NDArray[np.bool_]:
+    """Whether images stand in the boxes around objects, (n_images, n_objects)."""
+    world = stage.world
+    first = [rows.start for rows in world.vertex_ranges]
+    low, high = (end.reduceat(world.vertices, first) for end in (np.minimum, np.maximum))
+    places = np.array([image.place for image in stage.images])[:, None]
+    return np.asarray(((low <= places) & (places <= high)).all(axis=2))
+
+
+def _heard(stage: PreparedScene, antenna: Antenna) -> NDArray[np.bool_]:
+    worth: NDArray[np.bool_] = stage.worth[:, stage.world.object_of_face]
+    return worth if antenna.gain_dbi is None else worth & _before(stage)
+
+
+def _before(stage: PreparedScene) -> NDArray[np.bool_]:
+    """Facets with a corner ahead of the antenna, by way of every image, (n_images, n_facets)."""
+    world = stage.world
+    found = []
+    for image in stage.images:
+        axis = stage.axes[0]
+        for patch in image.patches:
+            normal = stage.flats.normal[patch]
+            axis = axis - 2 * (axis @ normal) * normal
+        found.append((((world.vertices - image.place) @ axis) > 0)[world.faces].any(axis=1))
+    return np.array(found)

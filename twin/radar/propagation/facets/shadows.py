@@ -1,0 +1,129 @@
+"""What of a triangle is seen: rays to its receiver, and to a source that lights it directly.
+
+Rays start at the corners and the centroid. Where a border of a shadow cuts off one corner, it is
+searched for on three lines from that corner, and the part cut off becomes two triangles.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.currents import normal_of
+from twin.radar.propagation.facets.triangles import Triangles, origin_of
+from twin.radar.propagation.one_way.path import TracingContext, leg, offset
+from twin.transfer import aligned
+
+_INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
+_DRAWN_IN = 3 * _INSET  # lines on which borders are searched for, likewise
+_HALVINGS = 12  # of a line until a border is found on it: 2.4e-4 of its length
+
+
+def seen(s: TracingContext, lit: Triangles, place: Any) -> Any:
+    """Whether points of triangles are seen by source and receiver."""
+    mi = s.mi
+    normal = normal_of(s, lit.face, place, origin_of(s, lit))
+    off = normal * (offset(place) + lit.lift)
+    clear = leg(s, lit.receiver, place, off, mi.Bool(True)).clear
+    if lit.waves is None:
+        apart = clear & (lit.source != lit.receiver)
+        clear &= leg(s, lit.source, place, off, apart).clear | ~apart
+    return clear
+
+
+def sampled(s: TracingContext, lit: Triangles, thoroughly: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether corners and a point inside are seen, (4, n); where not ``thoroughly`` the latter
+    stands for all.
+    """
+    n, often = len(lit), np.flatnonzero(thoroughly & ~lit.is_ray)
+    index = np.concatenate([np.arange(n), np.tile(often, 3)])
+    corner = np.concatenate([np.full(n, 3), np.repeat(np.arange(3), len(often))])
+    some = lit.gathered(index)
+    which = s.mi.UInt32(aligned(corner.astype(np.uint32)))
+    place = some.spot
+    for number, point in enumerate(some.corners):
+        place = dr.select(which == number, point + _INSET * (some.center - point), place)
+    clear = np.array(seen(s, some, place))
+    found = np.tile(clear[:n], (4, 1))
+    found[:3, often] = clear[n:].reshape(3, -1)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Triangles cut by a shadow's border: the parts at the corner that differs from the others,
+    bordered by two straight lines (``parts``, 2 n) and by one (``whole``, n); whether that corner
+    ``is_seen``.
+    """
+
+    parts: Triangles
+    whole: Triangles
+    is_seen: NDArray[np.bool_]
+
+
+def cut(s: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
+    """Cut triangles one corner of which differs from both others in what is seen, (3, n)."""
+    odd = np.where(corners[0] == corners[1], 2, np.where(corners[0] == corners[2], 1, 0))
+    is_seen = corners[odd, np.arange(len(lit))]
+    number, wanted = s.mi.UInt32(aligned(odd.astype(np.uint32))), s.mi.Bool(aligned(is_seen))
+
+    def ordered(points: Any) -> Any:
+        """The odd corner first, the sense of rotation kept."""
+        return [
+            dr.select(number == 0, points[i], dr.select(number == 1, points[i - 2], points[i - 1]))
+            for i in range(3)
+        ]
+
+    inset = [point + _DRAWN_IN * (lit.center - point) for point in lit.corners]
+    tip, left, right = ordered(inset)
+
+    def found(end: Any) -> Any:
+        """Share of the way from the odd corner at which the border lies."""
+
+        def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+            middle = (low + high) / 2
+            same = seen(s, lit, tip + middle * (end - tip)) == wanted
+            return step + 1, dr.select(same, middle, low), dr.select(same, high, middle)
+
+        begin = (
+            dr.zeros(s.mi.UInt32, len(lit)),
+            dr.zeros(s.mi.Float64, len(lit)),
+            dr.ones(s.mi.Float64, len(lit)),
+        )
+        _, low, high = dr.while_loop(
+            begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
+        )
+        return (low + high) / 2
+
+    share_left, share_right = found(left), found(right)
+    across = 2 / dr.maximum(share_left + share_right, 1e-9)
+
+    def through(begin: Any, one: Any, other: Any) -> Any:
+        """End on the far side of the line through the middle of the border."""
+        middle = (share_left * (one - begin) + share_right * (other - begin)) / 2
+        return begin + across * middle
+
+    inner = through(tip, left, right)
+    share = found(inner)
+    bend = tip + share * (inner - tip)
+    # From the lines searched, which run a little inside, on to the triangle's own edges.
+    near = _DRAWN_IN / 3
+    left_at, right_at = tip + share_left * (left - tip), tip + share_right * (right - tip)
+    bent_left, bent_right = (share * across * half / 2 for half in (share_left, share_right))
+    left_at += (left_at - bend) * _onwards(near, (1 - 3 * near) * bent_right)
+    right_at += (right_at - bend) * _onwards(near, (1 - 3 * near) * bent_left)
+    tip = ordered(lit.corners)[0]
+    parts = Triangles.joined(
+        [replace(lit, corners=(tip, left_at, bend)), replace(lit, corners=(tip, bend, right_at))]
+    )
+    whole = replace(lit, corners=(tip, left_at, right_at))
+    return Cut(parts.evaluated(), whole.evaluated(), is_seen)
+
+
+def _onwards(margin: float, away: Any) -> Any:
+    """How far a border has to go on, over its length, to pass a margin beside an edge, where its
+    other end is ``away`` from the margin.
+    """
+    return dr.minimum(margin / dr.maximum(away, 1e-9), 1)

@@ -1,0 +1,233 @@
+"""Lit triangles of the scene's facets, which are divided until their echo is known well enough.
+
+A triangle is lit from a point, its origin: the radar, an image of it in a large surface, or, after
+bounces between bodies, the image of that in the facets on the way. It answers to one image of the
+radar.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.one_way.path import TracingContext, image_place, leg, mirrored_axes
+from twin.radar.propagation.scene.slabs import SlabTransmission
+from twin.transfer import aligned, concatenated
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.integer]
+
+
+@dataclass(frozen=True, eq=False)
+class Incident:
+    """Waves at points that they light, on the device; see `legs.Leg`.
+
+    ``origin`` is the point from which each spreads, ``velocity`` that of this point, ``axes`` the
+    world's as mirrors and facets show them.
+    """
+
+    origin: Any
+    velocity: Any
+    axes: tuple[Any, Any, Any]
+    field: Any
+    field_im: Any
+    departure: Any
+    passage: SlabTransmission
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """Waves that tubes bring, each at the centroid of what it lights: ``spot``, a point that is
+    lit, and ``lift``, how far from their plane surfaces may be that a tube stands for, in m.
+    """
+
+    incident: Incident
+    spot: Any
+    lift: Any
+
+    def columns(self) -> list[Any]:
+        """All numbers, in order."""
+        w = self.incident
+        vectors = (w.origin, w.velocity, *w.axes, w.field, w.field_im, w.departure, self.spot)
+        return [*(axis for v in vectors for axis in v), *vars(w.passage).values(), self.lift]
+
+    @staticmethod
+    def of(columns: Sequence[Any], vector: Any) -> "Waves":
+        """From the same numbers."""
+        origin, velocity, x, y, z, field, field_im, departure, spot = (
+            vector(*columns[i : i + 3]) for i in range(0, 27, 3)
+        )
+        passage = SlabTransmission(*columns[27:31])
+        incident = Incident(origin, velocity, (x, y, z), field, field_im, departure, passage)
+        return Waves(incident, spot, columns[31])
+
+    def at(self, index: Any) -> "Waves":
+        """Those of some triangles, by number."""
+        columns = [dr.gather(type(value), value, index) for value in self.columns()]
+        return Waves.of(columns, type(self.spot))
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """Triangles on the device, one element each, relative to the anchor.
+
+    ``corners``: three vectors; ``face``: the facet on which they lie; ``source`` and ``receiver``:
+    images of the radar; ``wave``: which of the ``waves`` lights each; without these the source
+    lights them directly. On the host (n,): ``body``, and ``is_ray``: its corners may not be lit,
+    and the spot of the wave stands for all of it.
+    """
+
+    corners: tuple[Any, Any, Any]
+    face: Any
+    source: Any
+    receiver: Any
+    wave: Any
+    waves: Waves | None
+    body: NDArray[np.intp]
+    is_ray: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.body)
+
+    @property
+    def center(self) -> Any:
+        """Centroids."""
+        a, b, c = self.corners
+        return (a + b + c) / 3
+
+    @property
+    def lift(self) -> Any:
+        """How far from their plane surfaces may be that they stand for, in m."""
+        return 0.0 if self.waves is None else dr.gather(_number(self), self.waves.lift, self.wave)
+
+    @property
+    def spot(self) -> Any:
+        """A point of each that is lit if any is."""
+        if self.waves is None:
+            return self.center
+        is_ray = dr.mask_t(self.face)(aligned(self.is_ray))
+        own = dr.gather(type(self.corners[0]), self.waves.spot, self.wave)
+        return dr.select(is_ray, own, self.center)
+
+    def gathered(self, which: Indices) -> "Triangles":
+        """Only some of them, by index, to be computed where they are used."""
+        index = type(self.face)(aligned(which.astype(np.uint32)))
+        columns = [dr.gather(type(value), value, index) for value in self._columns()]
+        return replace(self._of(columns), body=self.body[which], is_ray=self.is_ray[which])
+
+    def taken(self, which: Indices) -> "Triangles":
+        """Only some of them, by index."""
+        return self.gathered(which).evaluated()
+
+    def repeated(self, times: int) -> "Triangles":
+        """Each of them several times in a row."""
+        index = dr.arange(type(self.face), times * len(self)) // times
+        columns = [dr.gather(type(value), value, index) for value in self._columns()]
+        body, is_ray = np.repeat(self.body, times), np.repeat(self.is_ray, times)
+        return replace(self._of(columns), body=body, is_ray=is_ray)
+
+    def evaluated(self) -> "Triangles":
+        """The same, computed."""
+        dr.eval(self._columns())
+        return self
+
+    @staticmethod
+    def joined(parts: Sequence["Triangles"]) -> "Triangles":
+        """One after the other; all lit directly, or none."""
+        parts = [part for part in parts if len(part)] or list(parts[:1])
+        if len(parts) == 1:
+            return parts[0]
+        first, waves = parts[0], parts[0].waves
+        others = {id(part.waves): part.waves for part in parts}
+        if len(others) > 1 and waves is not None:
+            waves, begin = _all_waves(list(others.values()))
+            number = dict(zip(others, begin, strict=True))
+            parts = [replace(p, wave=p.wave + number[id(p.waves)]) for p in parts]
+        columns = list(zip(*(part._columns() for part in parts), strict=True))
+        found = first._of(concatenated(columns, [len(part) for part in parts]))
+        body = np.concatenate([part.body for part in parts])
+        is_ray = np.concatenate([part.is_ray for part in parts])
+        return replace(found, waves=waves, body=body, is_ray=is_ray)
+
+    def _columns(self) -> list[Any]:
+        """All numbers, in order."""
+        corners = [axis for corner in self.corners for axis in corner]
+        wave = [] if self.waves is None else [self.wave]
+        return [*corners, self.face, self.source, self.receiver, *wave]
+
+    def _of(self, columns: Sequence[Any]) -> "Triangles":
+        """The same with other numbers."""
+        vector = type(self.corners[0])
+        a, b, c = (vector(*columns[i : i + 3]) for i in (0, 3, 6))
+        face, source, receiver, *wave = columns[9:]
+        wave = wave[0] if wave else self.wave
+        return replace(
+            self, corners=(a, b, c), face=face, source=source, receiver=receiver, wave=wave
+        )
+
+
+def _number(lit: Triangles) -> Any:
+    return dr.value_t(lit.corners[0])
+
+
+def _all_waves(waves: Sequence[Any]) -> tuple[Waves, list[Any]]:
+    """Of several tables one, and where each of them begins in it."""
+    columns = list(zip(*(part.columns() for part in waves), strict=True))
+    sizes = [dr.width(part.lift) for part in waves]
+    index = dr.uint32_array_t(type(waves[0].lift))
+    begin = [dr.opaque(index, int(n)) for n in np.cumsum([0, *sizes[:-1]])]
+    return Waves.of(concatenated(columns, sizes), type(waves[0].spot)), begin
+
+
+def origin_of(s: TracingContext, lit: Triangles) -> Any:
+    """The point from which the wave spreads that lights each."""
+    if lit.waves is None:
+        return image_place(s, lit.source)
+    return dr.gather(s.mi.Vector3d, lit.waves.incident.origin, lit.wave)
+
+
+def axes_of(s: TracingContext, lit: Triangles) -> tuple[Any, Any, Any]:
+    """The world's axes as mirrors and facets show them to the wave that lights each."""
+    if lit.waves is None:
+        return mirrored_axes(s, lit.source)
+    x, y, z = (dr.gather(s.mi.Vector3d, axis, lit.wave) for axis in lit.waves.incident.axes)
+    return x, y, z
+
+
+def incident_on(s: TracingContext, lit: Triangles) -> Incident:
+    """The wave that lights each triangle, at its centroid; of what lights it directly it is not
+    looked at what stands in between.
+    """
+    if lit.waves is not None:
+        return lit.waves.at(lit.wave).incident
+    mi = s.mi
+    way = leg(s, lit.source, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False)
+    return Incident(
+        origin=image_place(s, lit.source),
+        velocity=way.velocity,
+        axes=mirrored_axes(s, lit.source),
+        field=way.field,
+        field_im=way.field_im,
+        departure=way.departure,
+        passage=way.passage,
+    )
+
+
+def quartered(s: TracingContext, triangles: Triangles) -> Triangles:
+    """Each in four, by two cuts across the longest edge."""
+    corners = triangles.corners
+    four = triangles.repeated(4)
+    number = dr.arange(s.mi.UInt32, len(four))
+    for cut in (2, 1):
+        a, b, c = four.corners if cut == 2 else corners
+        ab, bc, ca = (dr.squared_norm(q - p) for p, q in ((a, b), (b, c), (c, a)))
+        first, second = (ab >= bc) & (ab >= ca), bc >= ca
+        p = dr.select(first, a, dr.select(second, b, c))
+        q = dr.select(first, b, dr.select(second, c, a))
+        r = dr.select(first, c, dr.select(second, a, b))
+        is_later, middle = (number & cut) > 0, (p + q) / 2
+        corners = (dr.select(is_later, middle, p), dr.select(is_later, q, middle), r)
+    return replace(four, corners=corners).evaluated()

@@ -1,0 +1,355 @@
+"""From facet to facet: triangular tubes of rays that bodies reflect at each other.
+
+A flat facet reflects the light of a point as if it came from the point's mirror image: so a tube is
+an origin and a triangle, and where all of it meets one plane it lights a triangle there, with exact
+phases. Where its corners and its centroid meet different planes it is divided.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.facets.borders import border, odd_one
+from twin.radar.propagation.facets.currents import plane_of, reflection
+from twin.radar.propagation.facets.meetings import (
+    INSIDE,
+    Met,
+    along,
+    apart,
+    met_by,
+    reflected_from,
+    samples_of,
+)
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.triangles import (
+    Incident,
+    Triangles,
+    Waves,
+    incident_on,
+    origin_of,
+)
+from twin.radar.propagation.one_way.path import TracingContext
+from twin.radar.propagation.scene.images import Image
+from twin.radar.propagation.scene.slabs import SlabTransmission
+from twin.transfer import aligned, host
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.integer]
+
+_SMOOTH_RAD = 0.7  # by which facets that a tube meets may lie off one plane, as mean over the tube
+_STEP_RAD = 3.0  # from which on they are not one curved surface, likewise
+_DOUBT = 1.0  # of what a ray that hits stands for: others of its tube miss
+_BENT = 1.0  # of how far a border is from straight, which is followed in its middle
+_MOST_BENT = 0.4
+_ALIKE = 0.9  # cosine between facets of one curved surface
+_LEAST_SLOPE = 0.05  # sine of the angle at which planes are met: a ray's triangle stays finite
+
+
+@dataclass(frozen=True, eq=False)
+class Tubes:
+    """Triangles that tubes light, with the ``root`` of each, the number of the facet's part that it
+    began at, its ``doubt``: share of what it may return that it may be off by, and whether it
+    ``is_lit``, or only near something that is.
+
+    The triangles are of no receiver.
+    """
+
+    triangles: Triangles
+    root: Indices
+    doubt: Array
+    is_lit: NDArray[np.bool_]
+
+    def chosen(self, which: NDArray[Any]) -> "Tubes":
+        """Only some of them, by index or mask."""
+        if which.dtype == bool and which.all():
+            return self
+        index = np.flatnonzero(which) if which.dtype == bool else which
+        return Tubes(
+            self.triangles.taken(index), self.root[index], self.doubt[index], self.is_lit[index]
+        )
+
+    @staticmethod
+    def joined(parts: "Sequence[Tubes]") -> "Tubes":
+        """One after the other."""
+        return Tubes(
+            Triangles.joined([part.triangles for part in parts]),
+            np.concatenate([part.root for part in parts]),
+            np.concatenate([part.doubt for part in parts]),
+            np.concatenate([part.is_lit for part in parts]),
+        )
+
+    @staticmethod
+    def begin(triangles: Triangles) -> "Tubes":
+        """Each a root."""
+        count = len(triangles)
+        return Tubes(triangles, np.arange(count), np.zeros(count), np.ones(count, dtype=bool))
+
+
+@dataclass(frozen=True, eq=False)
+class _Meeting:
+    """Tubes that meet facets: the ``face`` of each, by how much what it meets differs from the
+    plane of that, ``lift_m``, and whether it ``goes_on_as_ray``.
+    """
+
+    tubes: Tubes
+    face: Indices
+    lift_m: Array
+    goes_on_as_ray: NDArray[np.bool_]
+
+    @staticmethod
+    def of_rays(tubes: Tubes, face: Indices) -> "_Meeting":
+        """By a ray each."""
+        return _Meeting(tubes, face, np.zeros(len(face)), np.ones(len(face), dtype=bool))
+
+
+def reflected_on(s: TracingContext, scatterers: Scatterers, tubes: Tubes) -> Tubes | None:
+    """Tubes where they land after the next reflection; None where they meet nothing.
+
+    A tube whose rays meet facets so nearly in one plane that phases hardly differ stays whole. One
+    that a border cuts in two goes on in parts, and of others each quarter as a mere ray.
+    """
+    tubes = tubes.chosen(tubes.is_lit)
+    wide, rays = tubes.chosen(~tubes.triangles.is_ray), tubes.chosen(tubes.triangles.is_ray)
+    found = _onto_planes(s, scatterers, wide)
+    if len(rays.root):
+        met = met_by(s, scatterers, rays.triangles, 1)
+        hit = met.is_valid[0]
+        further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT)).chosen(hit)
+        found.append(_Meeting.of_rays(further, met.face[0, hit]))
+    found = [part for part in found if len(part.face)]
+    return _landed(s, scatterers, found) if found else None
+
+
+def _onto_planes(
+    s: TracingContext, scatterers: Scatterers, tubes: Tubes, may_cut: bool = True
+) -> list[_Meeting]:
+    """Which facets tubes meet, in parts."""
+    if not len(tubes.root):
+        return []
+    met = met_by(s, scatterers, tubes.triangles, 4)
+    gap_m = met.gap_m[:3].max(axis=0)
+    off = _phase_rad(s, gap_m)
+    is_whole = off < _SMOOTH_RAD
+    whole = tubes.chosen(is_whole)
+    whole = replace(whole, doubt=whole.doubt + off[is_whole])
+    no_ray = np.zeros(len(whole.root), dtype=bool)
+    found = [_Meeting(whole, met.face[3, is_whole], gap_m[is_whole], no_ray)]
+    rest = np.flatnonzero(~is_whole & met.is_valid.any(axis=0))
+    if may_cut and len(rest):
+        parts, is_cut = _cut(s, scatterers, tubes.chosen(rest), met.chosen(rest))
+        if parts is not None:
+            found += _onto_planes(s, scatterers, parts, may_cut=False)
+        rest = rest[~is_cut]
+    if len(rest):
+        # A quarter as large, curved surfaces part a fourth as much.
+        doubt = np.minimum(off[rest] / 4, _DOUBT)
+        found += _by_quarters(s, scatterers, tubes.chosen(rest), met.chosen(rest), doubt)
+    return found
+
+
+def _phase_rad(s: TracingContext, gap_m: Array) -> Array:
+    """By which planes that far apart change an echo: both ways, and a third of what corners are
+    off by is the mean.
+    """
+    return 2 / 3 * 2 * np.pi / float(s.wavelength[0]) * gap_m
+
+
+def _cut(
+    s: TracingContext, scatterers: Scatterers, tubes: Tubes, met: Met
+) -> tuple[Tubes | None, NDArray[np.bool_]]:
+    """Parts of tubes that one border cuts, and which tubes these are: one corner meets something
+    else than both others, the border is nearly straight, and the sample inside is on the right side
+    of it.
+    """
+    off, nothing = _phase_rad(s, apart(s, tubes.triangles, met)), ~met.is_valid
+    off = np.maximum(off, off.swapaxes(0, 1))
+    alike = (off < _SMOOTH_RAD) | nothing[:, None] & nothing
+    is_cut, odd = odd_one(np.stack([alike[0, 1], alike[1, 2], alike[2, 0]]))
+    rows = np.arange(len(odd))
+    one, two = (odd + 1) % 3, (odd + 2) % 3
+    is_cut &= alike[3, odd, rows] | alike[3, one, rows]
+    is_cut &= np.minimum(off[odd, one, rows], off[odd, two, rows]) > _STEP_RAD
+    rows = np.flatnonzero(is_cut)
+    if not len(rows):
+        return None, is_cut
+    odd, one = odd[rows], one[rows]
+    wanted = met.is_valid[odd, rows]
+    faces = np.where(wanted, met.face[odd, rows], met.face[one, rows])
+    some = tubes.chosen(rows)
+    at = border(
+        s.mi,
+        some.triangles.corners,
+        s.mi.UInt32(aligned(odd)),
+        _like(s, scatterers, some.triangles, faces, wanted),
+    )
+    bent = np.array(at.bent)
+    inner = sum(INSIDE[1] / np.maximum(np.array(share), 1e-9) for share in at.shares)
+    is_clear = (bent < _MOST_BENT) & ((inner < 1) == alike[3, odd, rows])
+    is_cut[rows] = is_clear
+    some = replace(some, doubt=some.doubt + _BENT * bent)
+    row = np.flatnonzero(is_clear)
+    if not len(row):
+        return None, is_cut
+    # What meets nothing as well: there may be more than that border.
+    parts = [_part(s, some, corners, row) for corners in (*at.near, *at.far)]
+    return Tubes.joined(parts), is_cut
+
+
+def _like(
+    s: TracingContext,
+    scatterers: Scatterers,
+    tubes: Triangles,
+    face: Indices,
+    wanted: NDArray[np.bool_],
+) -> Callable[[Any], Any]:
+    """Test of places on tubes: whether the ray from there meets about the plane of a facet, or,
+    where that is not wanted, does not.
+    """
+    known, asked = s.mi.UInt32(aligned(face.astype(np.uint32))), s.mi.Bool(aligned(wanted))
+    limit = _SMOOTH_RAD / float(_phase_rad(s, np.ones(1))[0])
+
+    def same(place: Any) -> Any:
+        active, met, direction = reflected_from(s, scatterers, tubes, place)
+        gap = along(s, met, place, direction) - along(s, known, place, direction)
+        return (active & (dr.abs(gap) < limit)) == asked
+
+    return same
+
+
+def _part(s: TracingContext, tubes: Tubes, corners: tuple[Any, Any, Any], row: Indices) -> Tubes:
+    """Parts of some of the tubes."""
+    some, index = tubes.chosen(row), s.mi.UInt32(aligned(row.astype(np.uint32)))
+    a, b, c = (dr.gather(s.mi.Vector3d, corner, index) for corner in corners)
+    return replace(some, triangles=replace(some.triangles, corners=(a, b, c)).evaluated())
+
+
+def _by_quarters(
+    s: TracingContext, scatterers: Scatterers, tubes: Tubes, met: Met, doubt: Array
+) -> list[_Meeting]:
+    """Quarters of tubes as rays at their own centroids. Where that meets nothing but the tube's
+    corner there does, or something that faces elsewhere, what the corner meets is not lit.
+    """
+    pieces = _quarters(s, tubes.triangles)
+    own = met_by(s, scatterers, pieces, 1)
+    is_lit, face = own.is_valid[0], own.face[0]
+    at_corner, known = met.face.T.ravel(), met.is_valid.T.ravel()
+    normal = s.world.plane_table[:, 3:]
+    is_other = np.abs(np.sum(normal[face] * normal[at_corner], axis=1)) < _ALIKE
+    also = known & (~is_lit | is_other)
+    found = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
+    near = replace(found, is_lit=np.zeros_like(is_lit))
+    return [
+        _Meeting.of_rays(part.chosen(which), on[which])
+        for part, which, on in ((found, is_lit, face), (near, also, at_corner))
+    ]
+
+
+def _quarters(s: TracingContext, tubes: Triangles) -> Triangles:
+    """At the three corners and in the middle, as rays."""
+    four = tubes.repeated(4)
+    number = dr.arange(s.mi.UInt32, len(four)) & 3
+    a, b, c = four.corners
+    middles = (b + c) / 2, (c + a) / 2, (a + b) / 2
+    # Of the quarter at a corner the other two corners are the middles of the edges there.
+    corners = tuple(
+        dr.select(number == i, corner, dr.select(number == 3, middles[i], other))
+        for i, corner, other in (
+            (0, a, dr.select(number == 1, middles[2], middles[1])),
+            (1, b, dr.select(number == 2, middles[0], middles[2])),
+            (2, c, dr.select(number == 0, middles[1], middles[0])),
+        )
+    )
+    return replace(four, corners=corners).evaluated()
+
+
+def _landed(s: TracingContext, scatterers: Scatterers, found: Sequence[_Meeting]) -> Tubes:
+    """Tubes on the planes of the facets that they meet."""
+    tubes = Tubes.joined([part.tubes for part in found])
+    face, lift_m, is_ray = (
+        np.concatenate(column)
+        for column in zip(*((p.face, p.lift_m, p.goes_on_as_ray) for p in found), strict=True)
+    )
+    return replace(tubes, triangles=_lit_on(s, scatterers, tubes.triangles, face, lift_m, is_ray))
+
+
+def _lit_on(
+    s: TracingContext,
+    scatterers: Scatterers,
+    some: Triangles,
+    face: Indices,
+    lift_m: Array,
+    becomes_ray: NDArray[np.bool_],
+) -> Triangles:
+    """The triangles that tubes light on the planes of facets."""
+    mi, wide = s.mi, dr.zeros(s.mi.Float64, len(face))
+    wave = incident_on(s, some)
+    _, normal, _, out, out_im = reflection(s, scatterers, some, wave)
+    number = dr.gather(mi.UInt32, s.world.object_index, some.face)
+    own = mi.Vector3d(
+        *(dr.gather(mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
+    )
+    origin = wave.origin - 2 * dr.dot(wave.origin - some.center, normal) * normal
+    velocity = wave.velocity - 2 * dr.dot(wave.velocity - own, normal) * normal
+    new = mi.UInt32(aligned(face.astype(np.uint32)))
+    point, across = plane_of(s, new)
+
+    def onto(place: Any) -> Any:
+        way = place - origin
+        slope = dr.dot(across, way)
+        return origin + way * (dr.dot(across, point - origin) / dr.select(slope != 0, slope, 1.0))
+
+    is_ray, begin = mi.Bool(aligned(becomes_ray)), some.spot
+    spot = onto(dr.select(is_ray, begin, samples_of(some, mi.UInt32(3))))
+    direction, wider = dr.normalize(spot - origin), dr.norm(spot - origin)
+    wider /= dr.norm(begin - origin)
+    slope = dr.dot(across, direction)
+    slope = dr.select(slope < 0, -1.0, 1.0) * dr.maximum(dr.abs(slope), _LEAST_SLOPE)
+
+    def around(place: Any) -> Any:
+        """As if all rays were parallel: others of the tube may pass by the plane."""
+        aside = (place - begin) * wider
+        aside -= direction * (dr.dot(across, aside) / slope)
+        return spot + aside - across * dr.dot(across, aside)
+
+    axes = tuple(axis - 2 * dr.dot(axis, normal) * normal for axis in wave.axes)
+    passage = SlabTransmission(*(value + wide for value in vars(wave.passage).values()))
+    incident = Incident(origin, velocity, axes, out, out_im + wide, wave.departure, passage)
+    waves = Waves(incident, spot, mi.Float64(aligned(lift_m)))
+    found = replace(
+        some,
+        corners=tuple(dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners),
+        face=new,
+        wave=dr.arange(mi.UInt32, len(face)),
+        waves=waves,
+        body=scatterers.body[face],
+        is_ray=becomes_ray,
+    )
+    dr.eval(waves.columns(), *found.corners, found.wave)
+    return found
+
+
+def heard(
+    s: TracingContext, scatterers: Scatterers, landed: Triangles, images: Sequence[Image]
+) -> tuple[Triangles, NDArray[np.intp]]:
+    """Lit triangles with every image that sees their side as receiver, and the row of each.
+
+    What goes out by one image and home by another is a way of its own in each direction, met on
+    other facets last.
+    """
+    face = np.array(landed.face).astype(np.intp)
+    (origin,) = host([origin_of(s, landed)], len(landed))
+    point, normal = s.world.plane_table[face, :3], s.world.plane_table[face, 3:]
+    side = np.sum((origin - point) * normal, axis=1)
+    rows, receivers = [], []
+    for number, image in enumerate(images):
+        same = np.sum((image.place - point) * normal, axis=1) * side > 0
+        some = np.flatnonzero(same & scatterers.heard[number, face])
+        rows.append(some)
+        receivers.append(np.full(len(some), number))
+    row, receiver = np.concatenate(rows), np.concatenate(receivers)
+    lit = landed.taken(row)
+    return replace(lit, receiver=s.mi.UInt32(aligned(receiver.astype(np.uint32)))), row

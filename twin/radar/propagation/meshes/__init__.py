@@ -1,0 +1,1 @@
+"""What meshes are by themselves, wherever they stand: flat patches, outlines, bodies."""

@@ -1,0 +1,74 @@
+"""Which objects are one body: those that touch, by their boxes, and move alike.
+
+Boxes of like size are looked up in one tree of their middles, so what is compared grows with the
+number of neighbours, not with that of all pairs.
+"""
+
+from collections.abc import Sequence
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from twin.radar.propagation.meshes.shape import boxes_of
+from twin.scene import SceneObject
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_NEAR = 0.02  # of the larger one's size: objects closer than this are one body
+
+
+def bodies_of(items: Sequence[SceneObject]) -> Indices:
+    """Number of the body that each object belongs to, in the order of their first objects."""
+    pairs = touching(items)
+    links = coo_array(
+        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(items), len(items))
+    )
+    labels = connected_components(links, directed=False)[1]
+    _, first, body = np.unique(labels, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    numbers: Indices = rank[body]
+    return numbers
+
+
+def touching(items: Sequence[SceneObject]) -> Indices:
+    """Pairs of objects, the lower number first, that touch and move alike, (n, 2)."""
+    boxes = boxes_of(items)
+    velocity = np.array([item.velocity_m_per_s for item in items]).reshape(-1, 3)
+    pairs = near_pairs(boxes)[0]
+    first, second = pairs.T
+    alike = (velocity[first] == velocity[second]).all(axis=1)
+    return pairs[alike]
+
+
+def near_pairs(boxes: Array) -> tuple[Indices, int]:
+    """Pairs of boxes (n, 2, 3) closer along every axis than a share of the larger one's size, the
+    lower number first; and how many pairs were compared to find them.
+    """
+    low, high = boxes[:, 0], boxes[:, 1]
+    middle, size = (low + high) / 2, (high - low).max(axis=1)
+    reach = size * (0.5 + _NEAR)
+    # Boxes within a factor of two of each other share a tree: none is searched far beyond its own.
+    octave = np.frexp(size)[1]
+    found, compared = [np.zeros((0, 2), dtype=np.int64)], 0
+    for level in np.unique(octave):
+        there, asking = np.flatnonzero(octave == level), np.flatnonzero(octave <= level)
+        tree = cKDTree(middle[there])
+        lists = tree.query_ball_point(
+            middle[asking], reach[asking] + reach[there].max(), p=np.inf, return_sorted=False
+        )
+        counts = np.fromiter(map(len, lists), dtype=np.int64, count=len(lists))
+        compared += int(counts.sum())
+        a = np.repeat(asking, counts)
+        b = there[np.fromiter(chain.from_iterable(lists), dtype=np.int64, count=int(counts.sum()))]
+        once = (octave[a] < level) | (a < b)  # within a level both ask
+        a, b = a[once], b[once]
+        gap = np.maximum(low[a] - high[b], low[b] - high[a]).max(axis=1)
+        near = gap <= _NEAR * np.maximum(size[a], size[b])
+        found.append(np.sort(np.stack([a[near], b[near]], axis=1), axis=1))
+    return np.concatenate(found), compared

@@ -1,0 +1,1 @@
+"""One-way paths between the radar and a point, straight or over large flat surfaces."""

@@ -1,0 +1,350 @@
+"""The way between the radar and a point, straight or over large flat surfaces: one kernel for both
+directions, since the way out is the way back.
+
+Everything is an array on the device, one element per ray; ``source`` numbers the images of
+`twin.radar.propagation.scene.images`. Re and Im are apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.one_way.rays import NEAREST_M
+from twin.radar.propagation.scene.images import Image, in_plane
+from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene
+from twin.radar.propagation.scene.slabs import SlabTransmission, Walls, cross, no_slab
+from twin.radar.scattering.kernel import coefficients_at, reflected, turned
+from twin.transfer import aligned
+
+Array = NDArray[np.float64]
+
+#: Rays start this far off a surface, over the distance from the anchor: 16 steps of float32. Twice
+#: as much loses 0.4 dB of a corner reflector of 8 cm at 1 km.
+OFF_SURFACE = 1e-6
+#: Numbers per reflection in `TracingContext.levels`: image before it, a point of the plane, its
+#: normal.
+LEVEL = 9
+#: Numbers per reflection in `TracingContext.windows`: twice a direction in its plane, and between
+#: which coordinates along it the patch lies.
+WINDOW = 10
+#: Of the way to a mirror, from which on nothing is taken to stand before it.
+_JUST_BEFORE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class TracingContext:
+    """What all legs share: the world, the antenna, the images, the coefficients of reflection.
+
+    ``order`` is the largest number of reflections; ``table`` that of `scattering.surface`;
+    ``positions`` and ``velocities`` (3 n) are those of the images, ``axes`` (9 n) the world's
+    axes as they show them.
+    """
+
+    mi: Any
+    world: MeshScene
+    order: int
+    n_sources: int
+    place: Any
+    boresight: Any
+    vertical: Any
+    patch_of_face: Any
+    table: Any
+    orders: Any
+    positions: Any
+    velocities: Any
+    axes: Any
+    levels: Any
+    marks: Any
+    windows: Any
+    wavelength: Any
+    walls: Walls | None
+
+    def sent(self, source: Any, departure: Any) -> tuple[Any, Any]:
+        """The antenna's field of amplitude 1 (Re, Im) in a direction, by way of images."""
+        return turned(self.vertical, -self.boresight, departure), self.mi.Vector3d(0)
+
+    def both_ways(self, source: Any, receiver: Any) -> Any:
+        """Whether the same antenna also hears what takes a way in the other direction."""
+        return source != receiver
+
+
+def station(
+    mi: Any,
+    world: MeshScene,
+    place: Array,
+    boresight: Array,
+    vertical: Array,
+    wavelength_m: float,
+    patch_of_face: Any,
+    table: Any,
+    walls: Walls | None,
+) -> TracingContext:
+    """Put all of it on the device; the radar alone, without images."""
+    return TracingContext(
+        mi=mi,
+        world=world,
+        order=0,
+        n_sources=1,
+        place=_vector(mi, place),
+        boresight=_vector(mi, boresight),
+        vertical=_vector(mi, vertical),
+        patch_of_face=patch_of_face,
+        table=table,
+        orders=mi.UInt32(0),
+        positions=mi.Float64(aligned(place)),
+        velocities=mi.Float64(aligned(np.zeros(3))),
+        axes=mi.Float64(aligned(np.eye(3).ravel())),
+        levels=mi.Float64(0),
+        marks=mi.UInt32(0),
+        windows=mi.Float64(0),
+        wavelength=dr.opaque(mi.Float64, wavelength_m),
+        walls=walls,
+    )
+
+
+def with_images(
+    s: TracingContext,
+    images: Sequence[Image],
+    flats: Flats,
+    velocities: Array,
+    surface_of_object: NDArray[np.uint32],
+    order: int,
+) -> TracingContext:
+    """The radar and its images of up to ``order`` reflections, in patches of objects with
+    velocities (n, 3) and surfaces (n,).
+    """
+    mi = s.mi
+    levels = np.zeros((len(images), order, LEVEL))
+    levels[:, :, 6:9] = np.array(s.boresight).T  # any unit vector where there is no plane
+    marks = np.zeros((len(images), order, 3), dtype=np.uint32)
+    windows = np.zeros((len(images), order, WINDOW))
+    at = [(row, k) for row, image in enumerate(images) for k in range(len(image.patches))]
+    if at:
+        patches = np.array([images[row].patches[k] for row, k in at])
+        windows[tuple(np.array(at).T)] = _windows(flats, patches)
+    for row, image in enumerate(images):
+        for level, number in enumerate(image.patches):
+            owner = flats.object[number]
+            levels[row, level, 0:3] = image.places[level]
+            levels[row, level, 3:6] = flats.point[number]
+            levels[row, level, 6:9] = flats.normal[number]
+            marks[row, level] = number, surface_of_object[owner], flats.is_wall[number]
+    return replace(
+        s,
+        order=order,
+        n_sources=len(images),
+        orders=mi.UInt32(aligned(np.array([len(i.patches) for i in images], dtype=np.uint32))),
+        positions=mi.Float64(aligned(np.concatenate([i.place for i in images]))),
+        velocities=mi.Float64(aligned(_velocities(images, flats, velocities).ravel())),
+        axes=mi.Float64(aligned(_axes(images, flats).ravel())),
+        levels=mi.Float64(aligned(levels if levels.size else np.zeros(1))),
+        marks=mi.UInt32(aligned(marks if marks.size else np.zeros(1, dtype=np.uint32))),
+        windows=mi.Float64(aligned(windows if windows.size else np.zeros(1))),
+    )
+
+
+def _windows(flats: Flats, patches: NDArray[np.int64]) -> Array:
+    """Of patches two directions in their planes, and their extents along these, (n, 10)."""
+    columns = []
+    for axis in in_plane(flats.normal[patches]):
+        columns += [axis, flats.extent(patches, axis)]
+    return np.hstack(columns)
+
+
+def _velocities(images: Sequence[Image], flats: Flats, velocities: Array) -> Array:
+    """Of the images (n, 3), by those of the objects, whose patches keep their normals."""
+    found = np.zeros((len(images), 3))
+    for velocity, image in zip(found, images, strict=True):
+        for number in image.patches:
+            moving, normal = velocities[flats.object[number]], flats.normal[number]
+            velocity -= 2 * ((velocity - moving) @ normal) * normal
+    return found
+
+
+def _axes(images: Sequence[Image], flats: Flats) -> Array:
+    """The world's axes as images show them, (n, 3 axes, 3)."""
+    found = np.tile(np.eye(3), (len(images), 1, 1))
+    for axes, image in zip(found, images, strict=True):
+        for flat in (flats[number] for number in image.patches):
+            axes -= 2 * np.outer(axes @ flat.normal, flat.normal)
+    return found
+
+
+def _vector(mi: Any, value: Array) -> Any:
+    return mi.Vector3d(*(dr.opaque(mi.Float64, float(v)) for v in value))
+
+
+@dataclass(eq=False)
+class Leg:
+    """A way from the radar to points, seen from them.
+
+    ``back`` and ``length``: unit vector and distance to the image; ``departure``: unit vector from
+    the radar; ``field`` and ``field_im``: what a wave of amplitude 1 has become, apart from its
+    spreading and phase; ``velocity``: that of the image, which moving mirrors move; ``clear``; and
+    what the walls that it crosses do.
+    """
+
+    back: Any
+    length: Any
+    departure: Any
+    field: Any
+    field_im: Any
+    velocity: Any
+    clear: Any
+    passage: SlabTransmission
+
+
+def leg(
+    at_station: TracingContext,
+    source: Any,
+    place: Any,
+    off: Any,
+    active: Any,
+    unshadowed: bool = False,
+    tested: bool = True,
+) -> Leg:
+    """The leg to a point from which rays start at a distance ``off`` (vector) from the surface.
+
+    ``unshadowed``: what stands between is ignored, and mirrors only have to be there;
+    ``tested``: whether any rays are sent at all.
+    """
+    s, mi = at_station, at_station.mi
+    order = dr.gather(mi.UInt32, s.orders, source, active)
+    image = _gathered(mi, s.positions, 3 * source, active)
+    towards = image - place
+    length = dr.norm(towards)
+    back = towards / dr.maximum(length, NEAREST_M)
+    clear = mi.Bool(active)
+
+    at, aim, start = place, image, place + off
+    inwards, normals, surfaces, segments = [], [], [], []
+    for level in reversed(range(s.order)):
+        has = active & (order > level)
+        row = source * s.order + level
+        before, point, normal = (
+            _gathered(mi, s.levels, LEVEL * row + 3 * i, has) for i in range(3)
+        )
+        way = aim - at
+        distance = dr.norm(way)
+        direction = way / dr.maximum(distance, NEAREST_M)
+        slope = dr.dot(normal, direction)
+        t = dr.dot(normal, point - at) / dr.select(slope != 0, slope, 1.0)
+        mirror = at + t * direction
+        number, surface, of_wall = (
+            dr.gather(mi.UInt32, s.marks, 3 * row + i, has) for i in range(3)
+        )
+        clear &= ~has | ((t > 0) & (t < distance))
+        begin, way_to = start, t
+        if unshadowed:
+            near = _JUST_BEFORE * t
+            begin, way_to = at + (t - near) * direction, near
+        if tested:
+            met = _first_meets(s, begin, direction, way_to, number, of_wall > 0, has & clear)
+            clear &= ~has | met
+        segments.append((has, mirror, -direction, t))
+        facing = normal * dr.select(slope < 0, 1.0, -1.0)
+        at = dr.select(has, mirror, at)
+        aim = dr.select(has, before, aim)
+        start = dr.select(has, mirror + facing * offset(mirror), start)
+        inwards.append((has, direction))
+        normals.append(facing)
+        surfaces.append(surface)
+
+    way = aim - at
+    distance = dr.norm(way)
+    home = way / dr.maximum(distance, NEAREST_M)
+    reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
+    shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(home), reach, 0.0, [])
+    if tested and not unshadowed:
+        clear &= ~s.world.scene.ray_test(shadow, active=mi.Bool(clear))
+
+    departure = -home
+    field, field_im = s.sent(source, departure)
+    travel = departure
+    passage = no_slab(mi)
+
+    def cross_walls(begin: Any, along: Any, segment: Any, where: Any) -> None:
+        nonlocal field, field_im
+        if s.walls is not None:
+            both = (field, field_im)
+            way = (begin, along, segment, length, s.wavelength, where)
+            field, field_im = cross(mi, s.walls, passage, both, *way)
+
+    cross_walls(aim + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
+    for (has, direction), normal, surface, segment in zip(
+        inwards[::-1], normals[::-1], surfaces[::-1], segments[::-1], strict=True
+    ):
+        cosine = -dr.dot(normal, travel)
+        row = coefficients_at(mi, s.table, surface, cosine, has)
+        out, out_im = reflected(field, field_im, travel, normal, row)
+        field, field_im = dr.select(has, out, field), dr.select(has, out_im, field_im)
+        travel = dr.select(has, -direction, travel)
+        _, mirror, along, way_on = segment
+        cross_walls(mirror, along, way_on, has & clear)
+    velocity = _gathered(mi, s.velocities, 3 * source, active)
+    return Leg(back, length, departure, field, field_im, velocity, clear, passage)
+
+
+def lengthening(velocity: Any, direction: Any, length: Any) -> tuple[Any, Any]:
+    """As `rays.lengthening`, on the device."""
+    rate = dr.dot(velocity, direction)
+    across = velocity - rate * direction
+    return rate, dr.squared_norm(across) / dr.maximum(length, NEAREST_M)
+
+
+def turning(velocity: Any, direction: Any, length: Any) -> Any:
+    """As `rays.turning`, on the device."""
+    across = velocity - dr.dot(velocity, direction) * direction
+    return across / dr.maximum(length, NEAREST_M)
+
+
+def image_place(s: TracingContext, source: Any) -> Any:
+    """Where images stand."""
+    return _gathered(s.mi, s.positions, 3 * source, True)
+
+
+def mirrored_axes(s: TracingContext, source: Any) -> tuple[Any, Any, Any]:
+    """The world's axes as an image shows them."""
+    x, y, z = (_gathered(s.mi, s.axes, 9 * source + 3 * i, True) for i in range(3))
+    return x, y, z
+
+
+def along(vector: Any, axes: tuple[Any, Any, Any]) -> Any:
+    """What a vector before mirrors, that show these axes, is at the radar."""
+    return type(vector)(*(dr.dot(vector, axis) for axis in axes))
+
+
+def _first_meets(
+    s: TracingContext,
+    start: Any,
+    direction: Any,
+    distance: Any,
+    number: Any,
+    of_wall: Any,
+    active: Any,
+) -> Any:
+    """Whether rays first meet the patch asked for: of something solid, or of a wall."""
+    mi = s.mi
+    ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
+    hit = s.world.scene.ray_intersect_preliminary(ray, active=active)
+    met = dr.gather(mi.UInt32, s.patch_of_face, hit.prim_index, active & hit.is_valid())
+    solid = hit.is_valid() & (met == number)
+    if s.walls is None:
+        return solid
+    free = ~hit.is_valid() | (mi.Float64(hit.t) > distance * (1 - 1e-5))
+    hit = s.walls.mesh.scene.ray_intersect_preliminary(ray, active=active & of_wall)
+    met = dr.gather(mi.UInt32, s.walls.patch_of_face, hit.prim_index, active & hit.is_valid())
+    return dr.select(of_wall, free & hit.is_valid() & (met == number), solid)
+
+
+def offset(place: Any) -> Any:
+    """How far off a surface rays start there."""
+    return OFF_SURFACE * (dr.norm(place) + 1e-3)
+
+
+def _gathered(mi: Any, values: Any, index: Any, active: Any) -> Any:
+    return mi.Vector3d(*(dr.gather(mi.Float64, values, index + i, active) for i in range(3)))

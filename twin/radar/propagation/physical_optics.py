@@ -1,0 +1,193 @@
+"""Echoes of a scene by physical optics: surfaces, their sharp edges, and rough ground."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from twin.fidelity import Fidelity
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.diffraction.around_edges import screens
+from twin.radar.propagation.diffraction.behind_obstacles import echoes_behind
+from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
+from twin.radar.propagation.facets.bodies import scattered_by
+from twin.radar.propagation.facets.scatterers import scatterers
+from twin.radar.propagation.meshes.grouping import bodies_of
+from twin.radar.propagation.meshes.shape import boxes_of, distances_m
+from twin.radar.propagation.one_way.rays import Rays
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
+from twin.radar.propagation.scene.scattering_models import ScatteringModel
+from twin.radar.propagation.surface_clutter import SurfaceClutter, clutter_echoes
+from twin.radar.scattering.surface import TABLE_STEPS
+from twin.radar.synthesis import Contributions
+from twin.scene import Scene
+
+Array = NDArray[np.float64]
+
+#: Of shadows on bodies: a way round an obstacle 30 dB below the straight one is -60 dB in an echo.
+_DEEPEST_DB = 30.0
+_FREQUENCIES = 5, 64  # over the band, at which a body's echo is summed, at least and at most
+
+
+def scattered(
+    stage: PreparedScene, radar: RadarDesign, fidelity: Fidelity
+) -> tuple[Rays, NDArray[np.int32], Array]:
+    """Contributions of every object that scatters, to ``fidelity.radar_tolerance``; the body of
+    every object, -1 of others, and the error estimated of every body's echo, without losses.
+    """
+    body = _bodies(stage)
+    if not (stage.worth & (body >= 0)).any():
+        return Rays.joined([]), body, np.zeros(body.max(initial=-1) + 1)
+    rays, error = scattered_by(
+        stage.station,
+        scatterers(stage, radar.antenna, body, radar.burst_s / 2),
+        stage.images,
+        wave_numbers(radar, _extent_m(stage, body)),
+        fidelity.radar_tolerance,
+        fidelity.radar_bounces,
+        OF_NOISE * noise_amplitude(radar) / loss_of(radar),
+    )
+    return rays, body, error
+
+
+def loss_of(radar: RadarDesign) -> float:
+    """Of the front end, in amplitude, out and back together."""
+    return float(10 ** (-radar.front_end.losses_db.value / 20))
+
+
+def wave_numbers(radar: RadarDesign, extent_m: float) -> Array:
+    """Some over the band, at which the echoes of bodies are summed, in rad/m: as close as bodies of
+    that extent in range ask for, c / 2 over the spacing of frequencies, or as a bound allows.
+    """
+    wave, (least, most) = radar.ofdm, _FREQUENCIES
+    count = np.ceil(2 * wave.bandwidth_hz * extent_m / speed_of_light) + 1
+    offsets = np.linspace(-0.5, 0.5, int(np.clip(count, least, most))) * wave.bandwidth_hz
+    numbers: Array = 2 * np.pi / speed_of_light * (wave.carrier_hz + offsets)
+    return numbers
+
+
+def _extent_m(stage: PreparedScene, body: NDArray[np.int32]) -> float:
+    """The most that a body reaches from its nearest point to its farthest, as boxes tell."""
+    box = boxes_of([stage.originals[i] for i in np.flatnonzero(body >= 0)])
+    whose = body[body >= 0]
+    middle, half = box.mean(axis=1) - stage.anchor_m - stage.place, np.diff(box, axis=1)[:, 0] / 2
+    nearest = distances_m(box, stage.anchor_m + stage.place)
+    farthest = np.linalg.norm(np.abs(middle) + half, axis=1)
+    low, high = np.full(whose.max() + 1, np.inf), np.zeros(whose.max() + 1)
+    np.minimum.at(low, whose, nearest)
+    np.maximum.at(high, whose, farthest)
+    return float((high - low).max())
+
+
+def diffracted(stage: PreparedScene, fidelity: Fidelity) -> tuple[Rays, list[str]]:
+    """Contributions of the sharp edges of every such object; what about them is assumed or lost."""
+    if not fidelity.radar_edges or ScatteringModel.OPTICS not in stage.roles:
+        return Rays.joined([]), []
+    body = _bodies(stage)
+    sharp = _sharp(stage, body)
+    rays, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
+    return rays, _on_edges(stage, sharp, longer)
+
+
+def behind(stage: PreparedScene, fidelity: Fidelity) -> Rays:
+    """Contributions of such objects by ways round others."""
+    if not fidelity.radar_shadowed or ScatteringModel.OPTICS not in stage.roles:
+        return Rays.joined([])
+    depth = min(fidelity.radar_shadow_db, _DEEPEST_DB)
+    obstacles = screens(stage, depth, _bodies(stage))
+    if obstacles is None:
+        return Rays.joined([])
+    return echoes_behind(obstacles, stage.surface_of_object, fidelity.radar_shadowed)
+
+
+def _sharp(stage: PreparedScene, body: NDArray[np.int32]) -> list[Sharp]:
+    """The sharp edges of every body."""
+    rows = np.array(stage.station.table).reshape(-1, TABLE_STEPS + 1, 4)
+    # At normal incidence; a conductor's TE is -1.
+    reflection = -(rows[:, -1, 0] + 1j * rows[:, -1, 1])[stage.surface_of_object]
+    found = []
+    for number in range(body.max() + 1):
+        members = np.flatnonzero(body == number)
+        items = tuple(stage.originals[i] for i in members)
+        edges, owner = edges_of(items, tuple(stage.anchor_m.tolist()))
+        whose: NDArray[np.uint32] = members[owner].astype(np.uint32)
+        velocity = np.array(items[0].velocity_m_per_s)
+        found.append(Sharp(edges, whose, reflection[whose], velocity))
+    return found
+
+
+def _on_edges(stage: PreparedScene, sharp: Sequence[Sharp], longer: float) -> list[str]:
+    remarks = []
+    if longer > 1:
+        remarks.append(
+            f"pieces of sharp edges {longer:.2g} times longer than an eighth of a wavelength: "
+            "right in phase at the carrier only, truncated at their middle (fidelity.radar_edges)"
+        )
+    partly = {
+        stage.items[i].material
+        for body in sharp
+        for i in np.unique(body.object[np.abs(body.reflection - 1) > 1e-6])
+    }
+    if partly:
+        remarks.append(
+            f"edges of {', '.join(sorted(partly))} diffract as a conductor's, times what the "
+            "surface reflects at normal incidence"
+        )
+    non_manifold = sum(body.edges.non_manifold for body in sharp)
+    if non_manifold:
+        remarks.append(f"{non_manifold} edges of more than two faces diffract nothing")
+    return remarks
+
+
+def surface_clutter(
+    scene: Scene, stage: PreparedScene, fidelity: Fidelity, seed: int
+) -> tuple[Rays, list[str]]:
+    """Contributions of rough surfaces, and which ones have no gamma or one that is assumed."""
+    found, remarks = [], []
+    for number, (item, role) in enumerate(zip(stage.items, stage.roles, strict=True)):
+        if role is not ScatteringModel.SURFACE:
+            continue
+        relief = scene.materials[item.material].surface
+        gamma = relief.backscatter_gamma if relief else None
+        if gamma is None:
+            remarks.append(f"{item.name}: {item.material} has no gamma, it does not scatter")
+        elif gamma.value:
+            is_slab = number >= len(stage.world.items) and item.thickness_m is None
+            sources = tuple(np.flatnonzero(stage.worth[:, number]).tolist())
+            found.append(SurfaceClutter(item, number, gamma.value, is_slab, sources))
+            if gamma.assumed:
+                remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
+    if not found:
+        return Rays.joined([]), remarks
+    rays = clutter_echoes(stage.station, stage.anchor_m, found, fidelity.radar_scatterers, seed)
+    return rays, list(dict.fromkeys(remarks))
+
+
+def contributions_of(rays: Rays, stage: PreparedScene, radar: RadarDesign) -> Contributions:
+    """Rays with the antenna's gains and the front end's losses, as the synthesis takes them."""
+    departure, arrival = rays.departure @ stage.axes.T, rays.arrival @ stage.axes.T
+    gain = np.sqrt(radar.antenna.gain(departure) * radar.antenna.gain(arrival))
+    return Contributions(
+        amplitude=rays.amplitude * gain * loss_of(radar),
+        delay_s=rays.length_m / speed_of_light,
+        delay_rate=rays.rate_m_per_s / speed_of_light,
+        delay_acceleration_per_s=rays.acceleration_m_per_s2 / speed_of_light,
+        departure=departure,
+        arrival=arrival,
+        departure_per_s=rays.departure_per_s @ stage.axes.T,
+        arrival_per_s=rays.arrival_per_s @ stage.axes.T,
+        falloff=rays.falloff,
+    )
+
+
+def _bodies(stage: PreparedScene) -> NDArray[np.int32]:
+    """Body of every object, -1 for what does not scatter.
+
+    Objects that touch and move alike are one.
+    """
+    scattering = [i for i, role in enumerate(stage.roles) if role is ScatteringModel.OPTICS]
+    body = np.full(len(stage.items), -1, dtype=np.int32)
+    body[scattering] = bodies_of([stage.items[i] for i in scattering])
+    return body

@@ -1,0 +1,276 @@
+"""The scene set up for one pose of the radar: who is met and mirrors, and what all legs share.
+
+What depends on the meshes alone is kept between calls.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from twin.engine import mitsuba
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.meshes.shape import boxes_of, distances_m, shapes_of
+from twin.radar.propagation.one_way.path import TracingContext, station, with_images
+from twin.radar.propagation.scene.culling import (
+    OF_NOISE,
+    Beam,
+    beam_of,
+    noise_amplitude,
+    shares,
+    ways_of,
+    worth_tracing,
+)
+from twin.radar.propagation.scene.image_search import Sight, closed, images
+from twin.radar.propagation.scene.images import Image
+from twin.radar.propagation.scene.materials import surface_of
+from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene, anchor_of, flats, mesher
+from twin.radar.propagation.scene.scattering_models import (
+    LARGE_BESIDE_OPTICS,
+    Assignment,
+    ScatteringModel,
+    declared_alone,
+)
+from twin.radar.propagation.scene.slabs import lets_through, walls
+from twin.radar.propagation.surface_clutter import coherent
+from twin.radar.scattering.surface import PEC, TABLE_STEPS, Surface, table
+from twin.scene import Scene, SceneObject, Target
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedScene:
+    """The scene set up for one pose: objects the rays meet, mirrors, and what all legs share.
+
+    Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
+    the objects as the scene has them, their large triangles undivided. ``images`` are those of
+    ``all_images`` over which something is heard; ``worth`` (n_images, n_objects), from which of
+    them an object that scatters is to be traced.
+    """
+
+    anchor_m: Array
+    axes: Array
+    place: Array
+    wavelength_m: float
+    items: tuple[SceneObject, ...]
+    originals: tuple[SceneObject, ...]
+    roles: tuple[ScatteringModel, ...]
+    world: MeshScene
+    flats: Flats
+    all_images: tuple[Image, ...]
+    images: tuple[Image, ...]
+    worth: NDArray[np.bool_]
+    station: TracingContext
+    surface_of_object: NDArray[np.uint32]
+    assumptions: tuple[str, ...]
+
+    def seen_by_itself(self) -> "PreparedScene":
+        """The same with the images in which the radar may see itself."""
+        return self.with_images(closed(self.all_images, self.flats))
+
+    def with_images(self, images: Sequence[Image]) -> "PreparedScene":
+        """The same with other images."""
+        velocities = np.array([item.velocity_m_per_s for item in self.items]).reshape(-1, 3)
+        order = max(len(image.patches) for image in images)
+        seen = with_images(
+            self.station, images, self.flats, velocities, self.surface_of_object, order
+        )
+        return replace(self, images=tuple(images), station=seen)
+
+    def via(self, image: int) -> tuple[str, ...]:
+        """Names of the objects that make an image."""
+        patches = self.images[image].patches
+        return tuple(self.items[self.flats.object[p]].name for p in patches)
+
+
+def prepare_scene(
+    scene: Scene,
+    radar: RadarDesign,
+    roles: Sequence[Assignment],
+    order: int,
+    *,
+    is_rough: bool = False,
+) -> PreparedScene:
+    """Set a scene up for a radar at its pose.
+
+    ``order``: reflections at large surfaces on a leg, at most; ``is_rough``: they lose what
+    roughness scatters, and scatter. Raises InputError where a material has no data at the carrier.
+    """
+    place_m = scene.rig.position_m + scene.rig.device("radar")[0]
+    axes, anchor = scene.rig.device("radar")[1], anchor_of(place_m)
+    role_of = {a.name: a.role for a in roles}
+    kept = [item for item in scene.objects if role_of[item.name] is not ScatteringModel.TARGET]
+    carrier = radar.ofdm.carrier_hz
+    slabs = _slabs(scene, kept, role_of, radar)
+    solid = [item for item in kept if item.name not in slabs]
+    clear = [item for item in kept if item.name in slabs]
+    surfaces, surface_of_object, assumed = _surfaces(
+        scene, [*solid, *clear], role_of, carrier, is_rough
+    )
+    mi, world, place = mitsuba(), mesher(solid, anchor), place_m - anchor
+    wavelength = radar.ofdm.wavelength_m
+    mirrors, patch_of_face = flats(world, _zones(solid, role_of, place_m, wavelength))
+    items, through = [item for item in world.items if item], None
+    if clear:
+        mesh = mesher(clear, anchor)
+        more, labels = flats(mesh, _zones(clear, role_of, place_m, wavelength))
+        values = [slabs[item.name] for item in clear]
+        through = walls(mi, mesh, values, labels + np.uint32(len(mirrors)), carrier)
+        mirrors = mirrors.and_walls(more, len(solid))
+        items += [item for item in mesh.items if item]
+    sight = Sight(mi, world, mi.UInt32(patch_of_face), through)
+    limit, beam = _limit(radar), beam_of(radar.antenna)
+    # Half of what may be left out are images, half ways to objects.
+    found, faint = images(sight, mirrors, place, axes[0], beam, order, limit / 2)
+    stage = PreparedScene(
+        anchor_m=anchor,
+        axes=axes,
+        place=place,
+        wavelength_m=wavelength,
+        items=tuple(items),
+        originals=(*solid, *clear),
+        roles=tuple(role_of[item.name] for item in items),
+        world=world,
+        flats=mirrors,
+        all_images=tuple(found),
+        images=(),
+        worth=np.zeros((0, len(items)), dtype=bool),
+        station=station(
+            mi,
+            world,
+            place,
+            axes[0],
+            axes[2],
+            wavelength,
+            sight.patch_of_face,
+            mi.Float64(_table(surfaces, carrier)),
+            through,
+        ),
+        surface_of_object=surface_of_object,
+        assumptions=assumed,
+    )
+    return _culled(stage, declared_alone(scene, roles), beam, is_rough, faint, limit)
+
+
+def _limit(radar: RadarDesign) -> float:
+    """Amplitude that all echoes left out before tracing may have together, before losses."""
+    loss = 10 ** (-radar.front_end.losses_db.value / 20)
+    return OF_NOISE * noise_amplitude(radar) / loss
+
+
+def _culled(
+    stage: PreparedScene,
+    points: Sequence[Target],
+    beam: Beam,
+    is_rough: bool,
+    faint: float,
+    limit: float,
+) -> PreparedScene:
+    """The stage with the images and the ways that are worth tracing."""
+    echoing = (
+        (ScatteringModel.OPTICS, ScatteringModel.SURFACE) if is_rough else (ScatteringModel.OPTICS,)
+    )
+    numbers = np.flatnonzero([role in echoing for role in stage.roles])
+    ways = ways_of(stage.all_images, stage.flats, stage.axes[0], beam)
+    boxes = boxes_of([stage.items[i] for i in numbers]) - stage.anchor_m
+    share = shares(ways, boxes, stage.flats, beam)
+    traced = worth_tracing(share, limit / 2)
+    # Points cost next to nothing: only where there is no way to them they are not heard.
+    places = np.array([t.position_m for t in points]).reshape(-1, 1, 3) - stage.anchor_m
+    to_points = shares(ways, np.repeat(places, 2, axis=1), stage.flats, beam, np.ones(len(points)))
+    heard = np.asarray(np.hstack([traced.ways, to_points > 0]).any(axis=1))
+    heard[0] = True  # the radar itself
+    worth = np.zeros((int(heard.sum()), len(stage.items)), dtype=bool)
+    worth[:, numbers] = traced.ways[heard]
+    assumed = stage.assumptions
+    if (left_out := faint + traced.left_out) > 0:
+        level = 20 * np.log10(OF_NOISE * left_out / limit)
+        assumed += (
+            f"too faint to be traced: {np.count_nonzero(~traced.ways & (share > 0))} of "
+            f"{np.count_nonzero(share)} ways to objects, and mirrors; all their echoes together "
+            f"at most {level:.0f} dB of a cell's noise",
+        )
+    found = [image for image, is_heard in zip(stage.all_images, heard, strict=True) if is_heard]
+    return replace(stage.with_images(found), worth=worth, assumptions=assumed)
+
+
+def _surfaces(
+    scene: Scene,
+    items: Sequence[SceneObject],
+    role_of: dict[str, ScatteringModel],
+    carrier_hz: float,
+    is_rough: bool,
+) -> tuple[tuple[tuple[Surface, float], ...], NDArray[np.uint32], tuple[str, ...]]:
+    """Different surfaces with their roughness, which one each object has, and what is assumed."""
+    known: dict[tuple[Surface, float], int] = {(PEC, 0.0): 0}
+    assumed: dict[str, None] = {}
+    numbers = np.zeros(len(items), dtype=np.uint32)
+    for i, item in enumerate(items):
+        if role_of[item.name] is ScatteringModel.OBSTACLE:
+            continue
+        surface, why = surface_of(item, scene, carrier_hz)
+        relief = scene.materials[item.material].surface
+        height = 0.0
+        if is_rough and relief is not None and role_of[item.name] is ScatteringModel.SURFACE:
+            height = relief.rms_height_m.value
+        numbers[i] = known.setdefault((surface, height), len(known))
+        if why:
+            assumed[f"radio properties of {item.material}: {why}"] = None
+    return tuple(known), numbers, tuple(assumed)
+
+
+@lru_cache(maxsize=64)
+def _rows(surface: Surface, rms_height_m: float, carrier_hz: float) -> Array:
+    """Coefficients of reflection, less what a rough surface scatters elsewhere."""
+    cosine = np.linspace(0, 1, TABLE_STEPS + 1)
+    left = coherent(rms_height_m, cosine, speed_of_light / carrier_hz)
+    rows: Array = (table((surface,), carrier_hz)[0] * left[:, None]).ravel()
+    return rows
+
+
+def _table(surfaces: Sequence[tuple[Surface, float]], carrier_hz: float) -> Array:
+    return np.concatenate([_rows(surface, rms, carrier_hz) for surface, rms in surfaces])
+
+
+def _slabs(
+    scene: Scene,
+    items: Sequence[SceneObject],
+    role_of: dict[str, ScatteringModel],
+    radar: RadarDesign,
+) -> dict[str, tuple[complex, float]]:
+    """Large surfaces that the radar sees through: permittivity, and thickness where the mesh is
+    open (0 where it shows it itself).
+    """
+    found = {}
+    permittivity: dict[str, complex | None] = {}
+    large = [item for item in items if role_of[item.name] is ScatteringModel.SURFACE]
+    for item, shape in zip(large, shapes_of(large), strict=True):
+        if item.material not in permittivity:
+            surface = surface_of(replace(item, thickness_m=None), scene, radar.ofdm.carrier_hz)[0]
+            permittivity[item.material] = surface.backing
+        epsilon = permittivity[item.material]
+        depth = shape.thickness_m if item.thickness_m is None else item.thickness_m
+        if depth is None or epsilon is None:
+            continue
+        if lets_through(epsilon, depth, radar.ofdm.wavelength_m):
+            found[item.name] = (epsilon, item.thickness_m or 0.0)
+    return found
+
+
+def _zones(
+    items: Sequence[SceneObject],
+    role_of: dict[str, ScatteringModel],
+    place_m: Array,
+    wavelength_m: float,
+) -> Array:
+    """Of every surface, the side from which a flat patch of it mirrors; infinite for others."""
+    near = np.maximum(distances_m(boxes_of(items), place_m), 1e-3)
+    sides: Array = LARGE_BESIDE_OPTICS * np.sqrt(wavelength_m * near)
+    is_surface = np.array(
+        [role_of[item.name] is ScatteringModel.SURFACE for item in items], dtype=bool
+    )
+    return np.where(is_surface, sides, np.inf)

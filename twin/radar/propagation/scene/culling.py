@@ -1,0 +1,204 @@
+"""What need not be traced: ways that do not exist, and those that carry too little power.
+
+A way leads from the radar, directly or by its image in large surfaces, to a box around an object.
+Two things are known before any ray is sent:
+
+- Over an image there is a way only to what stands beyond the last mirror, as seen from the image,
+  and within the window that the mirror's patch is.
+- A box that is seen under a solid angle Omega, where the antenna's gain is at most G, meets the
+  share G Omega / (4 pi) of the sent power. What it scatters is no stronger. By reciprocity the
+  share of the same box says how well the radar hears it, so an echo that goes out by a way of share
+  p and comes home by one of share q has at most the amplitude sqrt(p q) relative to the sent wave,
+  whatever happens in between (Cauchy and Schwarz; the scene is passive). All ways together share
+  at most the whole power. So all echoes that begin or end with ways of shares p_1, p_2 ... come to
+  at most 2 sqrt(p_1 + p_2 + ...), and ways are left out while that stays below a limit.
+
+The bound holds for any number of bounces, any shape and any phase; it knows nothing of what hides
+in shadow, nor of where a surface reflects to. Echoes from beyond the unambiguous range are not left
+out for that: a strong one is received, at a wrong range.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.device.antenna import Antenna
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.meshes.shape import distances_m
+from twin.radar.propagation.scene.images import Image, in_plane
+from twin.radar.propagation.scene.mesh_scene import Flats
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: All that is left out together, over the noise of a cell of the processed burst, as amplitudes.
+OF_NOISE = 0.1
+_ROUNDED = 1e-9  # of the coordinates: nothing is left out for less
+#: Which end of a box each of its corners has along x, y, z.
+_CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
+_STEP_DEG = 0.25  # of the antenna's pattern, off its axis; around it four times as far
+_AT_ONCE = 2**17  # ways whose corners are looked at together, 60 MB
+
+
+@dataclass(frozen=True, eq=False)
+class Beam:
+    """An antenna's largest gain at some angle off its axis and beyond, (n,) over equal steps."""
+
+    gain: Array
+
+    def most(self, off_rad: Array) -> Array:
+        """Bound of the gain at angles off the axis and all larger ones."""
+        step = np.floor(np.degrees(off_rad) / _STEP_DEG).astype(np.int64)
+        bound: Array = self.gain[np.clip(step, 0, len(self.gain) - 1)]
+        return bound
+
+
+def beam_of(antenna: Antenna) -> Beam:
+    """The bound of an antenna's gain. Of a pattern from a file, between its points no higher than
+    a look at every quarter of a degree tells.
+    """
+    off = np.radians(np.arange(0, 180 + _STEP_DEG / 2, _STEP_DEG))[:, None]
+    around = np.radians(np.arange(0, 360, 4 * _STEP_DEG))
+    x = np.cos(off) + 0 * around
+    directions = np.stack([x, np.sin(off) * np.cos(around), np.sin(off) * np.sin(around)], axis=-1)
+    highest = antenna.gain(directions).max(axis=1)
+    return Beam(np.maximum.accumulate(highest[::-1])[::-1])
+
+
+def noise_amplitude(radar: RadarDesign) -> float:
+    """Rms noise of a cell of the processed burst, relative to the sent wave as echoes are."""
+    burst = radar.burst
+    samples = burst.waveform.n_subcarriers * burst.waveform.n_slots
+    samples *= len(burst.carriers_hz) * len(burst.receivers_m)
+    sent = radar.front_end.transmit_power_w.value
+    return float(np.sqrt(radar.sample_noise_w / samples / sent))
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Where ways begin: the radar and its images, one row each.
+
+    ``place`` (n, 3); ``axis`` (n, 3) of the antenna as it is mirrored; ``gain`` (n,), its bound
+    towards the first patch; ``last`` (n,), the number of the patch that is the window, -1 for none.
+    """
+
+    place: Array
+    axis: Array
+    gain: Array
+    last: NDArray[np.int64]
+
+
+def ways_of(images: Sequence[Image], flats: Flats, axis: Array, beam: Beam) -> Ways:
+    """Ways from the radar, whose antenna looks along ``axis``, and from its images."""
+    mirrored = np.tile(axis, (len(images), 1))
+    gain = np.full(len(images), beam.gain[0])
+    last = np.array([i.patches[-1] if i.patches else -1 for i in images], dtype=np.int64)
+    for row, image in enumerate(images):
+        for patch in image.patches:
+            normal = flats.normal[patch]
+            mirrored[row] -= 2 * (mirrored[row] @ normal) * normal
+        if image.patches:
+            box = flats.box[image.patches[0]][None]
+            gain[row] = _most_gain(beam, image.places[:1], axis[None], box)[0, 0]
+    return Ways(np.array([image.place for image in images]), mirrored, gain, last)
+
+
+def shares(
+    ways: Ways, boxes: Array, flats: Flats, beam: Beam, area_m2: Array | None = None
+) -> Array:
+    """Bound of the share of the sent power that meets boxes (m, 2, 3) by every way, (n, m).
+
+    ``area_m2`` (m,): how much of the wave each takes up at most, if not what its box shades.
+    """
+    size = boxes[:, 1] - boxes[:, 0]
+    if area_m2 is None:
+        sides = size[:, [0, 1, 2]] * size[:, [1, 2, 0]]
+        area_m2 = np.linalg.norm(sides, axis=1)  # of a box's shadow: nothing casts a larger one
+    found = np.zeros((len(ways.place), len(boxes)))
+    rows = max(_AT_ONCE // max(len(boxes), 1), 1)
+    for first in range(0, len(found), rows):
+        part = slice(first, first + rows)
+        some = Ways(ways.place[part], ways.axis[part], ways.gain[part], ways.last[part])
+        gain = np.minimum(_most_gain(beam, some.place, some.axis, boxes), some.gain[:, None])
+        distance = np.stack([distances_m(boxes, place) for place in some.place])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            angle = np.where(distance > 0, area_m2 / distance**2, 4 * np.pi)
+        found[part] = gain * np.minimum(angle, 4 * np.pi) / (4 * np.pi)
+        found[part] *= _in_sight(some, boxes, flats)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """Which ways to boxes are worth it, (n, m), and the bound of what the others come to: their
+    echoes' amplitude relative to the sent wave, before losses.
+    """
+
+    ways: Mask
+    left_out: float
+
+
+def worth_tracing(share: Array, limit: float) -> Worth:
+    """Ways that stay when the faintest are left out, whose echoes together stay below a limit.
+
+    Parameters
+    ----------
+    share : (n, m)
+        Of the sent power, as `shares` has it.
+    limit
+        Of the amplitude of all echoes that are left out, before losses.
+    """
+    order = np.argsort(share, axis=None)
+    below = np.cumsum(share.ravel()[order])
+    whole = min(1.0, float(below[-1])) if len(below) else 0.0
+    lost = 2 * np.sqrt(whole * below)
+    count = int(np.searchsorted(lost, limit, side="right"))
+    # What carries nothing goes whatever the limit.
+    count = max(count, int(np.count_nonzero(share == 0)))
+    worth = np.ones(share.size, dtype=bool)
+    worth[order[:count]] = False
+    return Worth(worth.reshape(share.shape), float(lost[count - 1]) if count else 0.0)
+
+
+def _most_gain(beam: Beam, places: Array, axes: Array, boxes: Array) -> Array:
+    """Bound of the gain from each place, with the antenna along its axis, towards each box."""
+    middle = boxes.mean(axis=1)
+    radius = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2
+    way = middle - places[:, None]
+    distance = np.maximum(np.linalg.norm(way, axis=2), 1e-300)
+    cosine = np.einsum("nmi,ni->nm", way, axes) / distance
+    half = np.where(distance > radius, np.arcsin(np.minimum(radius / distance, 1.0)), np.pi)
+    return beam.most(np.maximum(np.arccos(np.clip(cosine, -1, 1)) - half, 0.0))
+
+
+def _in_sight(ways: Ways, boxes: Array, flats: Flats) -> Mask:
+    """Whether a part of each box stands beyond the last mirror and is seen through its patch."""
+    seen = np.ones((len(ways.place), len(boxes)), dtype=bool)
+    over = np.flatnonzero(ways.last >= 0)
+    if not len(over) or not len(boxes):
+        return seen
+    patch = ways.last[over]
+    away, point = flats.normal[patch], flats.point[patch]
+    height = np.einsum("ni,ni->n", point - ways.place[over], away)
+    away, height = away * np.where(height < 0, -1, 1)[:, None], np.abs(height)
+    corners = boxes[:, _CORNERS, np.arange(3)]
+    # Of every corner how far beyond the mirror's plane it stands, (n, m, 8).
+    beyond = np.einsum("mci,ni->nmc", corners - boxes[:1, :1], away)
+    beyond -= np.einsum("ni,ni->n", point - boxes[0, 0], away)[:, None, None]
+    scale = _ROUNDED * (np.abs(corners).max() + np.abs(ways.place).max())
+    seen[over] = (beyond > scale).any(axis=2)
+    straddles = (beyond < 0).any(axis=2)
+    shrink = height[:, None, None] / np.maximum(height[:, None, None] + beyond, 1e-300)
+    for axis in in_plane(away):
+        here = np.einsum("ni,ni->n", ways.place[over], axis)[:, None, None]
+        there = np.einsum("mci,ni->nmc", corners, axis)
+        # A corner beyond the mirror is seen through its plane at this coordinate; where the plane
+        # cuts a box, the cut is no wider than the box.
+        at = np.where(beyond >= 0, here + (there - here) * shrink, there)
+        low = np.where(straddles, np.minimum(at, there).min(axis=2), at.min(axis=2))
+        high = np.where(straddles, np.maximum(at, there).max(axis=2), at.max(axis=2))
+        window = flats.extent(patch, axis)
+        seen[over] &= (high >= window[:, :1] - scale) & (low <= window[:, 1:] + scale)
+    return seen

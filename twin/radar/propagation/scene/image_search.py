@@ -1,0 +1,217 @@
+"""Which images of the radar there are: in all sequences of patches that some ray from it meets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.scene.culling import Beam, shares, ways_of, worth_tracing
+from twin.radar.propagation.scene.images import Image, in_planes
+from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene
+from twin.radar.propagation.scene.slabs import Walls
+from twin.transfer import vector
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_SAMPLES = 256  # points of a patch that rays are sent to
+_FIRST = 16  # every so many of them first: most patches that are seen at all are seen there
+_RAYS_AT_ONCE = 2**18  # some 100 MB
+_ASIDE = 1e-3  # of the way: how far beside a mirror the way back to the radar may pass it
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What rays from patch to patch meet: solid things with the patch of every face, and walls."""
+
+    mi: Any
+    world: MeshScene
+    patch_of_face: Any
+    walls: Walls | None
+
+    def sees(
+        self, begin: Array, end: Array, patch: Indices, of_wall: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Whether rays from points (n, 3) towards others first meet the patch (n,) there.
+
+        A wall stands in the way of no patch but another wall's.
+        """
+        mi, way = self.mi, end - begin
+        length = np.linalg.norm(way, axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            direction = np.nan_to_num(way / length[:, None])
+        start = begin + direction * 4e-6 * (np.abs(begin).max(axis=1, keepdims=True) + 1)
+        ray = mi.Ray3f(vector(mi, start, "Point3f"), vector(mi, direction, "Vector3f"))
+        met, distance = _first_hits(mi, self.world, self.patch_of_face, ray)
+        clear = distance >= (length * (1 - 1e-4)).astype(np.float32)
+        if of_wall.any():
+            assert self.walls is not None
+            behind = _first_hits(mi, self.walls.mesh, self.walls.patch_of_face, ray)[0]
+            met = np.where(of_wall, behind, met)
+        seen: NDArray[np.bool_] = clear & (met == patch)
+        return seen
+
+
+def _first_hits(
+    mi: Any, mesh: MeshScene, labels: Any, ray: Any
+) -> tuple[Indices, NDArray[np.float32]]:
+    """Patch that each ray first meets, -1 for none, and the distance there, else infinite."""
+    hit = mesh.scene.ray_intersect_preliminary(ray)
+    is_hit = hit.is_valid()
+    met = mi.Int32(dr.gather(mi.UInt32, labels, hit.prim_index, is_hit))
+    met = dr.select(is_hit, met, -1)
+    distance = dr.select(is_hit, hit.t, dr.inf)
+    dr.eval(met, distance)
+    return np.array(met).astype(np.int64), np.array(distance)
+
+
+def images(
+    sight: Sight, flats: Flats, radar: Array, axis: Array, beam: Beam, order: int, limit: float
+) -> tuple[list[Image], float]:
+    """The radar, and its images in all sequences of up to ``order`` patches that some ray meets.
+
+    Of patches that get little power the faintest are left out while all echoes over them stay
+    below ``limit``, as amplitudes relative to the sent wave before losses. The second value is the
+    bound of those.
+    """
+    found = [Image((), radar[None])]
+    newest, left_out = found, 0.0
+    for _ in range(order):
+        if not newest or not len(flats):
+            break
+        share = shares(ways_of(newest, flats, axis, beam), flats.box, flats, beam)
+        places = np.array([image.place for image in newest])
+        off = np.einsum("ni,pi->np", places, flats.normal)
+        off -= np.einsum("pi,pi->p", flats.point, flats.normal)
+        share[np.abs(off) < 1e-6] = 0  # in the patch's plane, as after a reflection there and back
+        for row, image in enumerate(newest):
+            share[row, image.patches[-1:]] = 0
+        worth = worth_tracing(share, limit / order)
+        left_out += worth.left_out
+        rows, numbers = np.nonzero(worth.ways)
+        reached = _reached(sight, flats, newest, rows, numbers)
+        newest = [
+            _reflected(newest[row], number, flats)
+            for row, number in zip(rows[reached].tolist(), numbers[reached].tolist(), strict=True)
+        ]
+        found = found + newest
+    return found, left_out
+
+
+def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
+    """The radar, and its images of twice the order in which it may see itself.
+
+    Such a way meets its patches from either end as the ways of two images do, so only sequences
+    of one image and another one reversed are tried. Of each the way back is straight in the
+    mirrored world: it must pass through every patch's window, or close beside it.
+    """
+    found = list(images[:1])
+    for longer, shorter in _halves(images):
+        first = np.array([image.patches for image in longer], dtype=np.int64)
+        last = np.array([image.patches[::-1] for image in shorter], dtype=np.int64)
+        last = last.reshape(len(shorter), -1)
+        for patches in first:
+            sequences = np.hstack([np.tile(patches, (len(last), 1)), last])
+            places, passes = _places(sequences, images[0].place, flats)
+            found += [
+                Image(tuple(sequences[k].tolist()), places[k]) for k in np.flatnonzero(passes)
+            ]
+    return found
+
+
+def _halves(images: Sequence[Image]) -> list[tuple[list[Image], list[Image]]]:
+    """Images of each order with those of the order before and with themselves."""
+    by_order: list[list[Image]] = [
+        [image for image in images if len(image.patches) == order]
+        for order in range(max(len(image.patches) for image in images) + 1)
+    ]
+    return [
+        (longer, by_order[n])
+        for order, longer in enumerate(by_order)
+        for n in (order - 1, order)
+        if n >= 0 and order and longer and by_order[n]
+    ]
+
+
+def _places(sequences: Indices, radar: Array, flats: Flats) -> tuple[Array, NDArray[np.bool_]]:
+    """Images after each reflection, (n, m + 1, 3), and whether a way from the last one to the radar
+    passes through all patches.
+    """
+    places = [np.tile(radar, (len(sequences), 1))]
+    twice = np.zeros(len(sequences), dtype=bool)
+    for level, number in enumerate(sequences.T):
+        places.append(in_planes(places[-1], flats.point[number], flats.normal[number]))
+        twice |= (number == sequences[:, level - 1]) & (level > 0)
+    passes = ~twice
+    at, whole = places[0], np.linalg.norm(places[-1] - places[0], axis=1)
+    passes &= whole > 0
+    for level in range(sequences.shape[1], 0, -1):
+        number, towards = sequences[:, level - 1], places[level] - at
+        normal, point = flats.normal[number], flats.point[number]
+        slope = np.sum(towards * normal, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = np.sum((point - at) * normal, axis=1) / slope
+        passes &= (t > -_ASIDE) & (t < 1 + _ASIDE)
+        at = at + np.where(passes, t, 0.0)[:, None] * towards
+        margin = (_ASIDE * whole)[:, None]
+        box = flats.box[number]
+        passes &= ((at >= box[:, 0] - margin) & (at <= box[:, 1] + margin)).all(axis=1)
+    return np.stack(places, axis=1), passes
+
+
+def _reflected(image: Image, number: int, flats: Flats) -> Image:
+    place = in_planes(image.place, flats.point[number], flats.normal[number])
+    return Image((*image.patches, number), np.vstack([image.places, place]))
+
+
+def _reached(
+    sight: Sight, flats: Flats, images: Sequence[Image], rows: Indices, numbers: Indices
+) -> NDArray[np.bool_]:
+    """Whether any ray by way of an image's patches comes to some point of another patch, (n,)."""
+    places = np.array([image.places for image in images])
+    patches = np.array([image.patches for image in images], dtype=np.int64)
+    reached = np.zeros(len(rows), dtype=bool)
+    is_first = np.arange(_SAMPLES) % _FIRST == _FIRST // 2
+    for samples in (np.flatnonzero(is_first), np.flatnonzero(~is_first)):
+        left = np.flatnonzero(~reached)
+        step = _RAYS_AT_ONCE // _SAMPLES
+        for first in range(0, len(left), step):
+            some = left[first : first + step]
+            at = flats.samples(numbers[some], samples, _SAMPLES)
+            way = (places[rows[some]], patches[rows[some]], numbers[some])
+            reached[some] = _arrive(sight, flats, *way, at)
+    return reached
+
+
+def _arrive(
+    sight: Sight, flats: Flats, places: Array, patches: Indices, wanted: Indices, points: Array
+) -> NDArray[np.bool_]:
+    """Whether a ray comes to any of the points (n, s, 3) of patches (n,): from the radar, by way
+    of patches (n, m), with the images (n, m + 1, 3).
+    """
+    way: Indices = np.repeat(np.arange(len(points)), points.shape[1])
+    at: Array = points.reshape(-1, 3)
+    wanted = wanted[way]
+    # From the far end: each leg aims at the image before, and must meet the patch in between.
+    for level in range(patches.shape[1], -1, -1):
+        begin: Array = places[way, level]
+        before = wanted
+        if level:
+            before = patches[way, level - 1]
+            normal, towards = flats.normal[before], begin - at
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = np.sum((flats.point[before] - at) * normal, axis=1)
+                t /= np.sum(towards * normal, axis=1)
+            begin = at + np.where((t > 0) & (t < 1), t, np.nan)[:, None] * towards
+        alive = np.flatnonzero(~np.isnan(begin).any(axis=1))
+        if not len(alive):
+            return np.zeros(len(points), dtype=bool)
+        begin, wanted = begin[alive], wanted[alive]
+        seen = sight.sees(begin, at[alive], wanted, flats.is_wall[wanted])
+        way, at, wanted = way[alive][seen], begin[seen], before[alive][seen]
+    found = np.zeros(len(points), dtype=bool)
+    found[way] = True
+    return found

@@ -1,0 +1,182 @@
+"""Walls that the radar sees through: what a slab does to a leg that crosses it.
+
+Rays go straight on; phase, level and spreading are those of the refracted way between the same two
+points, by stationary phase (exact to second order in the sideways shift). The two interfaces let
+1 - r^2 through (Born and Wolf, Principles of Optics, section 1.6), r Fresnel's coefficient; each
+further round trip within the slab is an echo of its own, r^2 weaker and 2 d q later, so that all of
+it holds over the whole band, with the carrier's conductivity. q = sqrt(eps - sin^2) is the normal
+component of the wave number in the slab over that in air.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.scene.mesh_scene import MeshScene
+from twin.radar.scattering.kernel import coefficients_at, plane
+from twin.radar.scattering.surface import TABLE_STEPS, Surface
+
+Array = NDArray[np.float64]
+
+#: One way, at normal incidence: what is lost beyond is far below any other way round the wall.
+OPAQUE_DB = 40.0
+_CROSSINGS = 4  # faces on a segment: two closed walls
+_COLUMNS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """All of them as one mesh, and per wall its thickness (0: as the mesh has it) and table."""
+
+    mesh: MeshScene
+    thickness: Any
+    table: Any
+    patch_of_face: Any
+
+
+@dataclass(eq=False)
+class SlabTransmission:
+    """What walls did to a leg.
+
+    ``extra``: path longer than in air, in m; ``rho`` (Re, Im) and ``lag``: the strongest internal
+    echo over the one before, and how much longer its path is, 0 where no wall was crossed.
+    """
+
+    extra: Any
+    rho_re: Any
+    rho_im: Any
+    lag: Any
+
+
+def lets_through(permittivity: complex, thickness_m: float, wavelength_m: float) -> bool:
+    """Whether a wall is worth following rays through it."""
+    loss = -2 * np.pi / wavelength_m * thickness_m * float(np.sqrt(permittivity).imag)
+    return bool(20 / np.log(10) * loss < OPAQUE_DB)
+
+
+@lru_cache(maxsize=64)
+def wall_table(permittivity: complex, carrier_hz: float) -> Array:
+    """1 - r^2 (TE and TM), q, and the mean r^2, Re and Im each, over the cosine of incidence."""
+    cosine = np.linspace(0, 1, TABLE_STEPS + 1)
+    te, tm = Surface(backing=permittivity).reflection(cosine, carrier_hz)
+    q = np.sqrt(permittivity - (1 - cosine**2) + 0j)
+    q = np.where(q.imag > 0, -q, q)
+    columns = (1 - te**2, 1 - tm**2, q, (te**2 + tm**2) / 2)
+    return np.stack([part for c in columns for part in (c.real, c.imag)], axis=1)
+
+
+def walls(
+    mi: Any,
+    mesh: MeshScene,
+    slabs: Sequence[tuple[complex, float]],
+    patch_of_face: NDArray[np.uint32],
+    carrier_hz: float,
+) -> Walls:
+    """Put on the device: of every wall its permittivity and thickness (see `Walls`)."""
+    rows = [wall_table(permittivity, carrier_hz).ravel() for permittivity, _ in slabs]
+    return Walls(
+        mesh,
+        mi.Float64(np.array([thickness for _, thickness in slabs])),
+        mi.Float64(np.concatenate(rows)),
+        mi.UInt32(patch_of_face),
+    )
+
+
+def no_slab(mi: Any) -> SlabTransmission:
+    """A leg in air."""
+    return SlabTransmission(mi.Float64(0), mi.Float64(0), mi.Float64(0), mi.Float64(0))
+
+
+def cross(
+    mi: Any,
+    through: Walls,
+    passage: SlabTransmission,
+    field: tuple[Any, Any],
+    begin: Any,
+    direction: Any,
+    segment: Any,
+    length: Any,
+    wavelength: Any,
+    active: Any,
+) -> tuple[Any, Any]:
+    """Take a field along a straight segment of a leg of some length; the passage grows by it."""
+    k = 2 * dr.pi / wavelength
+    at, rest = mi.Vector3d(begin), mi.Float64(segment)
+    entry, entry_cosine, inside = mi.Float64(0), mi.Float64(1), mi.Bool(False)
+    travelled = mi.Float64(0)
+    real, imaginary = field
+    active = mi.Bool(active)
+    for _ in range(_CROSSINGS):
+        step = 4e-6 * (dr.norm(at) + 1e-3)
+        start = at + direction * step
+        ray = mi.Ray3f(
+            mi.Point3f(start), mi.Vector3f(direction), mi.Float(rest - 2 * step), 0.0, []
+        )
+        hit = through.mesh.scene.ray_intersect_preliminary(ray, active=active)
+        active &= hit.is_valid()
+        normal, distance = plane(mi, through.mesh, hit.prim_index, at, direction, active)
+        at = dr.select(active, at + distance * direction, at)
+        travelled = dr.select(active, travelled + distance, travelled)
+        rest = dr.select(active, rest - distance, rest)
+        number = dr.gather(mi.UInt32, through.mesh.object_index, hit.prim_index, active)
+        sheet = dr.gather(mi.Float64, through.thickness, number, active)
+        cosine = dr.select(inside, entry_cosine, -dr.dot(normal, direction))
+        done = active & (inside | (sheet > 0))
+        depth = dr.select(sheet > 0, sheet, (travelled - entry) * cosine)
+        row = coefficients_at(mi, through.table, number, cosine, done, _COLUMNS)
+        real, imaginary = _through_slab(
+            mi, passage, (real, imaginary), direction, normal, cosine, depth, row, length, k, done
+        )
+        enters = active & ~done
+        entry = dr.select(enters, travelled, entry)
+        entry_cosine = dr.select(enters, cosine, entry_cosine)
+        inside = enters
+    return real, imaginary
+
+
+def _through_slab(
+    mi: Any,
+    passage: SlabTransmission,
+    field: tuple[Any, Any],
+    direction: Any,
+    normal: Any,
+    cosine: Any,
+    depth: Any,
+    row: list[Any],
+    length: Any,
+    k: Any,
+    done: Any,
+) -> tuple[Any, Any]:
+    te_re, te_im, tm_re, tm_im, q_re, q_im, r2_re, r2_im = row
+    cosine = dr.maximum(cosine, 1e-3)
+    sine2 = dr.maximum(1 - cosine * cosine, 0)
+    # Spreading in the plane of incidence and across it, as distances.
+    q_re = dr.maximum(q_re, 1e-6)
+    within = length - depth / cosine + depth * cosine**2 * (q_re**2 + sine2) / q_re**3
+    across = length - depth / cosine + depth / q_re
+    shift = depth * dr.sqrt(sine2) * (1 - cosine / q_re)
+    extra = depth * (q_re - cosine) + shift**2 / (2 * within)
+    fade = dr.exp(k * depth * q_im)
+    weight = fade * length / dr.sqrt(within * across)
+    side = dr.cross(direction, normal)
+    norm = dr.maximum(dr.squared_norm(side), 1e-30)
+    parts = [side * (dr.dot(side, f) / norm) for f in field]
+    more_re, more_im = te_re - tm_re, te_im - tm_im
+    real = weight * (tm_re * field[0] - tm_im * field[1] + more_re * parts[0] - more_im * parts[1])
+    imaginary = weight * (
+        tm_im * field[0] + tm_re * field[1] + more_im * parts[0] + more_re * parts[1]
+    )
+    passage.extra += dr.select(done, extra, 0)
+    rho_re, rho_im = r2_re * fade * fade, r2_im * fade * fade
+    strongest = done & (
+        rho_re**2 + rho_im**2 > dr.square(passage.rho_re) + dr.square(passage.rho_im)
+    )
+    passage.rho_re = dr.select(strongest, rho_re, passage.rho_re)
+    passage.rho_im = dr.select(strongest, rho_im, passage.rho_im)
+    passage.lag = dr.select(strongest, 2 * depth * q_re, passage.lag)
+    return dr.select(done, real, field[0]), dr.select(done, imaginary, field[1])

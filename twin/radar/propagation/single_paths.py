@@ -1,0 +1,105 @@
+"""Single paths in the scene of physical optics: mirror images of the radar, and declared points.
+
+The same legs as every other echo's, in float64; Sionna RT's image method is what they are tested
+against.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.around_edges import Screens, legs_to
+from twin.radar.propagation.diffraction.rims import loud, meeting
+from twin.radar.propagation.one_way.path import TracingContext
+from twin.radar.propagation.one_way.points import between, paths_to_points
+from twin.radar.propagation.one_way.rays import Rays, lengthening, turning
+from twin.radar.scattering.kernel import turned
+from twin.scene import Target
+from twin.transfer import host, vector
+
+Array = NDArray[np.float64]
+
+_ASIDE = 1e-4  # of an image's distance: far beyond float32's step, far below a Fresnel zone
+_OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
+
+
+def mirror_echoes(s: TracingContext) -> Rays:
+    """Images in which the radar sees itself: amplitude per wavelength, no object.
+
+    Over the images of even and odd order alike: wall, wall and ground, and so on. The image in a
+    right-angled corner stands exactly behind the corner, where one order of its mirrors takes over
+    from the other: each counts half, as does what stands at any border of sight.
+    """
+    count = s.n_sources - 1
+    if count == 0:
+        return Rays.joined([])
+    here, source = np.array(s.place).ravel(), 1 + np.arange(count)
+    way = here - np.array(s.positions).reshape(-1, 3)[source]
+    aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(way, _OBLIQUE)).reshape(-1, 3)
+    legs = paths_to_points(s, np.tile(source, 3), here + aside, np.zeros_like(aside))
+    clear = legs.clear.reshape(3, count)
+    share = clear[1:].mean(axis=0)
+    # Where the middle is hidden its field is not followed through walls: one beside it is.
+    exact, nearest = legs.chosen(source - 1), legs.chosen(clear.argmax(axis=0) * count + source - 1)
+    (heard,) = host([turned(s.vertical, -s.boresight, vector(s.mi, exact.back, "Vector3d"))], count)
+    amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * heard, axis=1)
+    none = np.zeros(count, dtype=np.uint32)
+    motion = -exact.velocity, -exact.back, exact.length
+    rate, acceleration = lengthening(*motion)
+    aside = turning(*motion)
+    return Rays(
+        amplitude=amplitude,
+        length_m=exact.length + nearest.extra,
+        rate_m_per_s=rate,
+        acceleration_m_per_s2=acceleration,
+        departure=exact.departure,
+        arrival=exact.back,
+        object=none,
+        source=exact.source,
+        receiver=none,
+        departure_per_s=np.einsum("nij,nj->ni", exact.axes, aside),
+        arrival_per_s=-aside,
+    ).chosen(np.flatnonzero(share))
+
+
+@dataclass(frozen=True)
+class Way:
+    """To a declared point and back: its number, and of both legs the obstacle whose edge they pass,
+    -1 for none.
+    """
+
+    target: int
+    out_over: int
+    home_over: int
+
+
+def point_echoes(
+    s: TracingContext, targets: Sequence[Target], anchor_m: Array, obstacles: Screens | None = None
+) -> tuple[Rays, list[Way]]:
+    """Declared points over every pair of images, and over edges of obstacles: amplitude per
+    wavelength; ``object`` counts the ways that are told beside them.
+    """
+    places = np.array([t.position_m for t in targets]).reshape(-1, 3) - anchor_m
+    velocity = np.array([t.velocity_m_per_s for t in targets]).reshape(-1, 3)
+    strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
+    legs = [legs_to(s, obstacles, i, places, np.zeros_like(places)) for i in range(s.n_sources)]
+    legs = [(way, at) for way, at in legs if len(at)]  # most images see none of them
+    found: list[Rays] = []
+    ways: list[Way] = []
+    for out, out_at in legs:
+        for home, home_at in legs:
+            there, back = meeting(out_at, home_at)
+            if obstacles is not None:
+                level = out.level[there] * home.level[back]
+                heard = loud(level, out_at[there], obstacles.faintest)
+                there, back = there[heard], back[heard]
+            if not len(there):
+                continue
+            one, other, at = out.chosen(there), home.chosen(back), out_at[there]
+            amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
+            number = len(ways) + np.arange(len(at))
+            ways += [Way(*way) for way in zip(at, one.over, other.over, strict=True)]
+            found.append(between(one, other, amplitude, velocity[at], number))
+    return Rays.joined(found), ways

@@ -1,0 +1,1 @@
+"""Paths traced by Sionna RT."""

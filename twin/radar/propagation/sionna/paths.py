@@ -1,0 +1,392 @@
+"""Paths between the radar and the scene, traced by Sionna RT and refined in float64.
+
+`PathSolver` finds mirror images in large surfaces, `RCSSolver` the ways to every target and back.
+Sionna computes in float32, where 80 GHz times the delay of 150 m is off by 1.4 degrees per last
+digit: so from its paths only the sequence of surfaces and the amplitude are taken, and lengths are
+measured anew on the scene's own planes in float64.
+
+Higher rungs leave Sionna aside: `twin.radar.propagation.by_optics`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.waveform import C_M_PER_S
+from twin.engine import sionna
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.one_way.rays import lengthening, turning
+from twin.radar.propagation.result import Heard, Path, Propagation, contributions_of_paths
+from twin.radar.propagation.scene.materials import radio_properties, surface_of
+from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
+from twin.radar.propagation.sionna.raw import TARGET, RawPath
+from twin.radar.propagation.tabulated import (
+    Leg,
+    Tabulated,
+    answers,
+    assumptions,
+    leg,
+    tabulated,
+    warning,
+)
+from twin.scene import Scene, SceneObject, Target
+
+Array = NDArray[np.float64]
+
+_AIR = "opaque air"
+_SAMPLES = 100_000  # rays that look for surfaces; the image method then is exact
+_BUFFER = 10_000
+#: A half space: deep enough that nothing comes back from the far side of a lossy wall.
+_THICKNESS_M = 10.0
+
+
+def sionna_paths(
+    scene: Scene, radar: RadarDesign, *, max_depth: int = 3, table_nodes: int = 4, seed: int = 0
+) -> Propagation:
+    """Images in surfaces, and ways to declared targets and to those of tables.
+
+    Parameters
+    ----------
+    scene, radar
+        What is looked at, and with what.
+    max_depth
+        Interactions of one path at most, the target's included.
+    table_nodes
+        As in `Fidelity.radar_table_nodes`.
+    seed
+        Of the rays that look for surfaces.
+
+    Raises InputError where a reflecting surface's material has no data at the carrier.
+    """
+    world = _RadioWorld(scene, radar, table_nodes)
+    mirrors = world.environment(max_depth, seed)
+    points, dense = world.targets(max_depth, seed)
+    loss = 10 ** (-radar.front_end.losses_db.value / 20)
+    paths, dense = (
+        [replace(p, amplitude=p.amplitude * loss) for p in found if p.amplitude]
+        for found in ([*mirrors, *points], dense)
+    )
+    return Propagation(
+        paths=tuple(sorted(paths, key=lambda p: p.delay_s)),
+        roles=tuple(world.roles),
+        assumptions=tuple(dict.fromkeys(world.assumptions)),
+        surfaces=contributions_of_paths(dense),
+        heard=_heard(dense, radar.ofdm.carrier_hz),
+        warnings=tuple(world.warnings),
+    )
+
+
+def _heard(dense: Sequence[Path], carrier_hz: float) -> tuple[Heard, ...]:
+    """Echoes summed up per object that answers from a table."""
+    waves: dict[str, list[complex]] = {}
+    for path in dense:
+        turn = np.exp(-2j * np.pi * (carrier_hz * path.delay_s % 1.0))
+        waves.setdefault(str(path.target), []).append(path.amplitude * turn)
+    return tuple(Heard(name, len(w), float(abs(sum(w)) ** 2)) for name, w in waves.items())
+
+
+# Solvers keep no state, and making one decorates functions anew: once per process.
+
+
+@lru_cache(maxsize=1)
+def _path_solver() -> Any:
+    return sionna().PathSolver(deterministic=True)
+
+
+@lru_cache(maxsize=1)
+def _target_solver() -> Any:
+    sionna()
+    from sionna.rt.rcs import RCSSolver
+
+    return RCSSolver(deterministic=True)
+
+
+class _RadioWorld:
+    """Sionna's scene with the radar at its origin, and our own geometry beside it."""
+
+    def __init__(self, scene: Scene, radar: RadarDesign, table_nodes: int) -> None:
+        self.radar = radar
+        self.offset, self.axes = scene.rig.device("radar")
+        self.origin = scene.rig.position_m + self.offset
+        self.roles = assign_scattering_models(scene, radar.ofdm.wavelength_m)
+        self.surfaces = {a.name for a in self.roles if a.role is ScatteringModel.SURFACE}
+        self.assumptions: list[str] = []
+        self.warnings: list[str] = []
+        self.objects = {item.name: item for item in scene.objects}
+        self.tables = self._tables(scene, table_nodes)
+        replaced = {thing.point.name for thing in self.tables}
+        declared = [t for t in scene.targets if t.object not in replaced]
+        # Sionna's paths count them in this order.
+        self.targets_met = [*declared, *(thing.point for thing in self.tables)]
+        self.n_declared = len(declared)
+        self.scene = scene
+        rt = sionna()
+        self.world = rt.load_scene()
+        self.world.frequency = radar.ofdm.carrier_hz
+        array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
+        self.world.tx_array = self.world.rx_array = array
+        self.world.add(rt.Transmitter("transmitter", [0.0, 0.0, 0.0]))
+        self.world.add(rt.Receiver("receiver", [0.0, 0.0, 0.0]))
+        meshes = self._add_meshes(scene)
+        self._add_targets()
+        self.meshes_met = {int(mesh.object_id): self.objects[name] for name, mesh in meshes.items()}
+
+    def _tables(self, scene: Scene, nodes: int) -> list[Tabulated]:
+        found = [
+            tabulated(scene, self.objects[a.name], self.radar, nodes)
+            for a in self.roles
+            if a.role is ScatteringModel.TABLE
+        ]
+        for thing in found:
+            item = self.objects[thing.point.name]
+            distance = float(np.linalg.norm(np.asarray(thing.point.position_m) - self.origin))
+            self.warnings += filter(None, [warning(thing, distance)])
+            self.assumptions += assumptions(thing, item.material, self.radar)
+        return found
+
+    def _add_meshes(self, scene: Scene) -> dict[str, Any]:
+        """Surfaces with their material; obstacles as air that is opaque and reflects nothing."""
+        rt = sionna()
+        made: dict[str, Any] = {}
+        meshes: dict[str, Any] = {}
+        for assigned in self.roles:
+            if assigned.role in (ScatteringModel.TARGET, ScatteringModel.TABLE):
+                continue
+            item = self.objects[assigned.name]
+            key = item.material if assigned.role is ScatteringModel.SURFACE else _AIR
+            if key not in made:
+                made[key] = rt.RadioMaterial(f"material-{len(made)}", **self._material(key, scene))
+            mesh = rt.SceneObject(
+                mi_mesh=_mesh(item, self.origin),
+                name=f"object-{len(meshes)}",  # Sionna edits names of its own accord
+                radio_material=made[key],
+            )
+            meshes[item.name] = mesh
+        if meshes:
+            self.world.edit(add=list(meshes.values()))
+        return meshes
+
+    def _material(self, name: str, scene: Scene) -> dict[str, float]:
+        if name == _AIR:
+            return {"relative_permittivity": 1.0, "conductivity": 0.0}
+        carrier = self.radar.ofdm.carrier_hz
+        permittivity, conductivity, assumed = radio_properties(name, scene.materials[name], carrier)
+        if assumed:
+            self.assumptions.append(f"radio properties of {name}: {assumed}")
+        return {
+            "relative_permittivity": permittivity,
+            "conductivity": conductivity,
+            "thickness": _THICKNESS_M,
+        }
+
+    def _add_targets(self) -> None:
+        """Declared targets and those of tables, in their order."""
+        from sionna.rt.rcs import (
+            ConstantCPM,
+            ConstantRCS,
+            ConstantRCSSensingTarget,
+            ScatteringModel,
+            SensingTarget,
+        )
+
+        for number, target in enumerate(self.targets_met):
+            name = f"target-{number}"
+            place = np.asarray(target.position_m) - self.origin
+            if target.object is None:
+                size = dict.fromkeys(("length", "width", "height"), 0.05)
+                thing = ConstantRCSSensingTarget(
+                    name, sigma=target.rcs_m2, position=place.tolist(), **size
+                )
+            else:
+                item = self.objects[target.object]
+                # A scattering point is given relative to the middle of its mesh's box.
+                middle = (item.vertices_m.min(axis=0) + item.vertices_m.max(axis=0)) / 2
+                model = ScatteringModel(
+                    (place - middle + self.origin).tolist(),
+                    rcs=ConstantRCS(target.rcs_m2),
+                    cpm=ConstantCPM(),
+                )
+                mesh = _mesh(item, self.origin)
+                thing = SensingTarget(name=name, scattering_model=model, mi_mesh=mesh)
+            self.world.add(thing)
+
+    def environment(self, max_depth: int, seed: int) -> list[Path]:
+        """Mirror images of the radar in large surfaces."""
+        if not self.surfaces:
+            return []
+        solved = _path_solver()(
+            self.world,
+            max_depth=max_depth,
+            max_num_paths_per_src=_BUFFER,
+            samples_per_src=_SAMPLES,
+            los=False,
+            specular_reflection=True,
+            diffuse_reflection=False,
+            refraction=False,
+            seed=seed,
+        )
+        return [path for raw in RawPath.unpack(solved) if (path := self._refined(raw))]
+
+    def targets(self, max_depth: int, seed: int) -> tuple[list[Path], list[Path]]:
+        """Ways to every target and back, directly and over surfaces: to declared ones, and to
+        those that answer from tables.
+        """
+        if not self.targets_met:
+            return [], []
+        solved = _target_solver()(
+            self.world,
+            max_depth=max_depth,
+            samples_per_sp=_SAMPLES,
+            buffer_size_per_sp=_BUFFER,
+            refraction=False,
+            seed=seed,
+        )
+        points: list[Path] = []
+        ways: list[list[tuple[RawPath, Path]]] = [[] for _ in self.tables]
+        for raw in RawPath.unpack(solved):
+            path = self._refined(raw)
+            if path is None:
+                continue
+            number = raw.objects[raw.kinds.index(TARGET)] - self.n_declared
+            if number < 0:
+                points.append(path)
+            else:
+                ways[number].append((raw, path))
+        pairs = zip(self.tables, ways, strict=True)
+        return points, [
+            echo for thing, found in pairs if found for echo in self._told(thing, found)
+        ]
+
+    def _told(self, thing: Tabulated, ways: list[tuple[RawPath, Path]]) -> list[Path]:
+        """Ways to one target with what its table answers, in place of the 1 m^2 it stood for."""
+        legs = []
+        for raw, _ in ways:
+            at = raw.kinds.index(TARGET)
+            there = zip(raw.objects[:at], raw.primitives[:at], strict=True)
+            back = zip(raw.objects[:at:-1], raw.primitives[:at:-1], strict=True)
+            legs.append((self._leg(thing, list(there)), self._leg(thing, list(back))))
+        wavelength = self.radar.ofdm.wavelength_m
+        amplitude, delay = answers(thing, legs, wavelength)
+        return [
+            replace(
+                path,
+                amplitude=complex(amplitude[i] * self._gain(path.departure, path.arrival)),
+                delay_s=path.delay_s + float(delay[i]),
+            )
+            for i, (_, path) in enumerate(ways)
+        ]
+
+    def _leg(self, thing: Tabulated, met: list[tuple[int, int]]) -> Leg:
+        """The leg from the radar to a target over triangles of surfaces, by object and number."""
+        carrier = self.radar.ofdm.carrier_hz
+        items = [self.meshes_met[number] for number, _ in met]
+        planes = [self._plane(item, n) for item, (_, n) in zip(items, met, strict=True)]
+        # Nothing goes through surfaces on this rung: they have no thickness.
+        surfaces = [
+            surface_of(replace(item, thickness_m=None), self.scene, carrier)[0] for item in items
+        ]
+        point = np.asarray(thing.point.position_m) - self.origin
+        return leg(point, planes, surfaces, self.axes, carrier)
+
+    def _gain(self, *directions: tuple[float, float, float]) -> float:
+        """Of the antenna's amplitude, there and back."""
+        return float(np.sqrt(np.prod(self.radar.antenna.gain(np.array(directions)))))
+
+    def _refined(self, raw: RawPath) -> Path | None:
+        """The same path with its length in float64; None for one over an obstacle."""
+        # Sionna counts sensing targets by themselves. Both kinds have a name and a velocity.
+        met: list[SceneObject | Target] = [
+            self.targets_met[i] if kind == TARGET else self.meshes_met[i]
+            for i, kind in zip(raw.objects, raw.kinds, strict=True)
+        ]
+        if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in met):
+            return None
+        planes = [
+            (*self._plane(m, primitive), np.array(m.velocity_m_per_s))
+            if isinstance(m, SceneObject)
+            else None
+            for m, primitive in zip(met, raw.primitives, strict=True)
+        ]
+        vertices = raw.vertices.copy()
+        at = next((i for i, m in enumerate(met) if isinstance(m, Target)), None)
+        if at is None:
+            place, velocity = np.zeros(3), np.zeros(3)
+            legs = [planes]
+        else:
+            place = np.asarray(self.targets_met[raw.objects[at]].position_m) - self.origin
+            velocity = np.array(met[at].velocity_m_per_s)
+            vertices[at] = place
+            legs = [planes[:at], planes[:at:-1]]
+        ways = [_leg_motion(place, velocity, p) for p in legs]
+        # Length with its first and second derivative, of both legs together.
+        length, rate, acceleration = np.sum([way for way, _ in ways], axis=0)
+        turns = [_mirrored_back(turn, p) for (_, turn), p in zip(ways, legs, strict=True)]
+        # The radar's own image is where the last way comes from.
+        turns = [*turns, -ways[0][1]][:2]
+        departure, arrival = self._direction(vertices[0]), self._direction(vertices[-1])
+        return Path(
+            via=tuple(m.name for m in met),
+            target=None if at is None else met[at].name,
+            amplitude=complex(raw.amplitude * self._gain(departure, arrival)),
+            delay_s=float(length) / C_M_PER_S,
+            delay_rate=float(rate) / C_M_PER_S,
+            delay_acceleration_per_s=float(acceleration) / C_M_PER_S,
+            departure=departure,
+            arrival=arrival,
+            departure_per_s=self._in_antenna(turns[0]),
+            arrival_per_s=self._in_antenna(turns[1]),
+        )
+
+    def _direction(self, towards: Array) -> tuple[float, float, float]:
+        """Unit vector in the antenna's frame."""
+        return self._in_antenna(towards / np.linalg.norm(towards))
+
+    def _in_antenna(self, vector: Array) -> tuple[float, float, float]:
+        x, y, z = self.axes @ vector
+        return float(x), float(y), float(z)
+
+    def _plane(self, item: SceneObject, primitive: int) -> tuple[Array, Array]:
+        """A point and the unit normal of a triangle, relative to the radar, in float64."""
+        a, b, c = item.vertices_m[item.faces[primitive]] - self.origin
+        normal = np.cross(b - a, c - a)
+        return a, normal / np.linalg.norm(normal)
+
+
+def _leg_motion(
+    place: Array, velocity: Array, planes: "list[Any]"
+) -> tuple[tuple[float, float, float], Array]:
+    """Of the way from the radar, where coordinates begin, over planes that move (a point, the unit
+    normal and the velocity each), the first one first, to a point that moves: its length with the
+    first and second derivative in time, and the derivative of its direction at the point.
+    """
+    image, drift = np.zeros(3), np.zeros(3)
+    for start, normal, moving in planes:
+        image = image - 2 * ((image - start) @ normal) * normal
+        drift = drift - 2 * ((drift - moving) @ normal) * normal
+    length = float(np.linalg.norm(place - image))
+    motion = velocity - drift, (place - image) / length, length
+    rate, acceleration = lengthening(*motion)
+    return (length, float(rate), float(acceleration)), turning(*motion)
+
+
+def _mirrored_back(direction: Array, planes: "list[Any]") -> Array:
+    """A direction at the end of a way over planes, as it is at the radar."""
+    for _, normal, _ in reversed(planes):
+        direction = direction - 2 * (direction @ normal) * normal
+    return direction
+
+
+def _mesh(item: SceneObject, origin: Array) -> Any:
+    """Sionna's copy of a mesh, relative to the radar."""
+    import mitsuba as mi
+
+    mesh = mi.Mesh(item.name, len(item.vertices_m), len(item.faces))
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = (item.vertices_m - origin).astype(np.float32).ravel()
+    parameters["faces"] = item.faces.astype(np.uint32).ravel()
+    parameters.update()
+    return mesh

@@ -1,0 +1,231 @@
+"""Rough surfaces: scatterers that belong to the surface, whatever the radar does.
+
+Each stands for an area A of its face and answers with gamma cos(theta) A (the constant-gamma model:
+Long, Radar Reflectivity of Land and Sea, 3rd edition, section 2.5), at a random phase of its own.
+They are many; near the radar all count, farther off each is kept by a number of its own with a
+probability p, and stands for A / p: so a moving radar hears the same points again.
+
+Points ahead of the radar are heard over its images, too; those behind it, which a mirror may show,
+are left out. Out one way and home another, cos(theta) is the geometric mean of both: an assumption.
+"""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.meshes.kept import Kept
+from twin.radar.propagation.one_way.path import LEVEL, OFF_SURFACE, TracingContext
+from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
+from twin.radar.propagation.one_way.rays import Rays, and_reversed
+from twin.scene import SceneObject
+
+Array = NDArray[np.float64]
+
+_MOST_POINTS = 2**20  # of all surfaces together, 70 MB
+_PER_SCATTERER = 16.0  # points to choose from for each that is kept
+_AT_ONCE = 2**17  # points, 100 MB while they are under way
+_BEYOND = 12.0  # steps: a ray through walls ends up to 8 before its end
+_known: "Kept[tuple[int, Field]]" = Kept()
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceClutter:
+    """A rough surface: the object with its number in the world, gamma, whether it is a closed wall
+    that the radar sees through, and the images from which it is worth tracing.
+    """
+
+    item: SceneObject
+    number: int
+    gamma: float
+    is_slab: bool
+    sources: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Points of one object, in its faces' own coordinates, so that they move with it.
+
+    ``face`` (n,), ``weights`` (n, 3) of its corners, ``phase`` (n,) in rad, ``chance`` (n,) in 0 to
+    1; ``area_m2`` that each stands for.
+    """
+
+    face: NDArray[np.int64]
+    weights: Array
+    phase: Array
+    chance: Array
+    area_m2: float
+
+
+def field_of(item: SceneObject, count: int, seed: int) -> Field:
+    """The points of an object: the same for the same faces, count and seed."""
+    name = crc32(item.name.encode())
+    held = _known.get([item.faces], seed, name)
+    if held is not None and held[0] == count:
+        return held[1]
+    rng = np.random.default_rng([seed, name])
+    area = _areas(item)
+    # Stratified over the faces' areas: no face has more or less than its share.
+    at = (np.arange(count) + rng.random(count)) / count
+    face = np.minimum(np.searchsorted(np.cumsum(area) / area.sum(), at), len(area) - 1)
+    u, v = rng.random((2, count))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    found = Field(
+        face=face,
+        weights=np.stack([1 - u - v, u, v], axis=1),
+        phase=rng.uniform(0, 2 * np.pi, count),
+        chance=rng.random(count),
+        area_m2=float(area.sum()) / count,
+    )
+    return _known.put((count, found), [item.faces], seed, name)[1]
+
+
+def _areas(item: SceneObject) -> Array:
+    a, b, c = (item.vertices_m[item.faces[:, i]] for i in range(3))
+    areas: Array = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return areas
+
+
+def clutter_echoes(
+    s: TracingContext,
+    anchor_m: Array,
+    surfaces: list[SurfaceClutter],
+    wanted: int,
+    seed: int,
+) -> Rays:
+    """Contributions of all rough surfaces, without gains; what lies behind the radar is silent.
+
+    Parameters
+    ----------
+    wanted
+        Scatterers that are kept, about, all surfaces together.
+    seed
+        Of places and phases.
+    """
+    areas = [float(_areas(r.item).sum()) for r in surfaces]
+    whole = sum(areas)
+    place, boresight = (np.array(vector).ravel() for vector in (s.place, s.boresight))
+    parts = []
+    points = min(_MOST_POINTS, int(_PER_SCATTERER * wanted))
+    for rough, area in zip(surfaces, areas, strict=True):
+        if not rough.sources:
+            continue
+        count = max(int(points * area / whole), 1)
+        field = field_of(rough.item, count, seed)
+        seen = _ahead(rough.item, field, anchor_m, place, boresight)
+        share = max(wanted * area / whole, 1.0)
+        kept = _kept(field, seen, share)
+        for first in range(0, len(kept.index), _AT_ONCE):
+            parts += _echoes(s, rough, kept.chosen(slice(first, first + _AT_ONCE)))
+    return Rays.joined(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points ahead of the radar: their number in the field, place and normal (n, 3), distance,
+    phase, and the area that each stands for.
+    """
+
+    index: NDArray[np.intp]
+    place: Array
+    normal: Array
+    distance: Array
+    phase: Array
+    area: Array
+
+    def chosen(self, which: Any) -> "_Points":
+        """Only some of them, by index or mask."""
+        return _Points(*(getattr(self, f.name)[which] for f in fields(_Points)))
+
+
+def _ahead(
+    item: SceneObject, field: Field, anchor: Array, place: Array, boresight: Array
+) -> _Points:
+    corners = item.vertices_m - anchor
+    a, b, c = (corners[item.faces[:, i]] for i in range(3))
+    across = np.cross(b - a, c - a)
+    unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    w, face = field.weights, field.face
+    at = w[:, :1] * a[face] + w[:, 1:2] * b[face] + w[:, 2:] * c[face]
+    way = at - place
+    index = np.flatnonzero(way @ boresight > 0)
+    return _Points(
+        index=index,
+        place=at[index],
+        normal=unit[face[index]],
+        distance=np.linalg.norm(way[index], axis=1),
+        phase=field.phase[index],
+        area=np.full(len(index), field.area_m2),
+    )
+
+
+def _kept(field: Field, seen: _Points, share: float) -> _Points:
+    """Those that are kept at their distance, each for as many as are not."""
+    keep = np.minimum(_reach2(seen.distance, share) / seen.distance**2, 1.0)
+    weighted = replace(seen, area=seen.area / keep)
+    return weighted.chosen(np.flatnonzero(field.chance[seen.index] < keep))
+
+
+def _echoes(s: TracingContext, rough: SurfaceClutter, points: _Points) -> list[Rays]:
+    """From image i to image j with i before j, and the same ways reversed, as rays do."""
+    ways = [_ways(s, rough, points, source) for source in rough.sources]
+    scale = float(s.wavelength[0]) / (4 * np.pi) ** 1.5
+    velocity = np.asarray(rough.item.velocity_m_per_s)
+    found = []
+    for i, (out, falling) in enumerate(ways):
+        for home, rising in ways[i:]:
+            # Both on one side of the surface; of two different angles the geometric mean.
+            at = np.flatnonzero(out.clear & home.clear & (falling * rising > 0))
+            if not len(at):
+                continue
+            sigma = rough.gamma * np.sqrt(falling[at] * rising[at]) * points.area[at]
+            amplitude = scale * np.sqrt(sigma) * np.exp(1j * points.phase[at])
+            one, other = out.chosen(at), home.chosen(at)
+            amplitude *= np.sum(one.field * other.field, axis=1)
+            number = np.full(len(at), rough.number)
+            found.append(and_reversed(between(one, other, amplitude, velocity, number)))
+    return found
+
+
+def _ways(
+    s: TracingContext, rough: SurfaceClutter, points: _Points, source: int
+) -> tuple[PointPaths, Array]:
+    """Legs to points from an image, and the cosines of incidence, negative from behind."""
+    towards = np.array(s.positions).reshape(-1, 3)[source] - points.place
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine = np.sum(towards * points.normal, axis=1)
+    step = OFF_SURFACE * (np.linalg.norm(points.place, axis=1, keepdims=True) + 1e-3)
+    if order := int(np.array(s.orders)[source]):
+        mirror = np.array(s.levels).reshape(s.n_sources, s.order, LEVEL)[source, order - 1]
+        height = np.abs((points.place - mirror[3:6]) @ mirror[6:9])
+        cosine[height < 2 * _BEYOND * step[:, 0]] = 0  # the mirror's own points: no way over it
+    off = 2 * step * points.normal * np.sign(cosine)[:, None]
+    # The way to the far face of a slab ends beyond it, else it would end within.
+    at = points.place - (_BEYOND * step * towards if rough.is_slab else 0)
+    return paths_to_points(s, source, at, off), cosine
+
+
+def _reach2(distance: Array, share: float) -> float:
+    """Square of the distance up to which all are kept, so that about ``share`` are in all."""
+    if len(distance) <= share:
+        return np.inf
+    # sum min(x / d^2, 1) = share: with the d^2 in order, the first that fit count 1 each.
+    square = np.sort(distance**2)
+    rest = np.cumsum((1 / square)[::-1])[::-1]
+    full = np.arange(len(square))
+    total = full + square * rest
+    k = int(np.searchsorted(total, share))
+    k = min(k, len(square) - 1)
+    return float((share - k) / rest[k]) if share > k else float(square[k])
+
+
+def coherent(sigma_h_m: float, cosine: Array, wavelength_m: float) -> Array:
+    """What roughness leaves of a mirror image's amplitude: exp(-2 (k sigma_h cos theta)^2).
+
+    Ament, Proc. IRE 41, 1953.
+    """
+    k = 2 * np.pi / wavelength_m
+    left: Array = np.exp(-2 * (k * sigma_h_m * np.asarray(cosine)) ** 2)
+    return left
