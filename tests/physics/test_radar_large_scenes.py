@@ -327,6 +327,7 @@ def hills(side: int) -> SceneObject:
     return thing("hills", np.stack([x, y, z], axis=-1).reshape(-1, 3), faces, radar="optics")
 
 
+@pytest.mark.slow
 def test_portions_change_nothing(monkeypatch) -> None:
     """Hills that shade each other, a corner, and balls before a mirror, in portions of 300: as many
     contributions, and every body's echo over the band, to rounding. Fails where a portion's rows
@@ -349,6 +350,7 @@ def test_portions_change_nothing(monkeypatch) -> None:
         assert abs(one - other) < 1e-9 * abs(one)
 
 
+@pytest.mark.slow
 def test_no_more_triangles_are_looked_at_together_than_a_portion_holds(monkeypatch) -> None:
     """A mesh of 20 000 facets in portions of 1000, at two images of the radar: what is computed of
     facets, of what tubes light, and of contributions. Tubes go on from a portion's quarter in up

@@ -504,7 +504,7 @@ def test_the_command_prints_table_check_and_choice(small, monkeypatch, capsys, t
         (["yard", "--tolerance", "0"], "tolerance: 0: expected a number above 0"),
         (["yard", "--tolerance", "-0.1"], "tolerance: -0.1: expected"),
         (["yard", "--tolerance", "nan"], "'--tolerance': 'nan': expected a number"),
-        (["yard", "--tolerance", "inf"], "tolerance: inf: expected"),
+        (["yard", "--tolerance", "inf"], "'--tolerance': 'inf': expected a number"),
         (["yard", "--tolerance", "much"], "--tolerance"),
         (["yard", "--seed", "-1"], "--seed"),
         (["yard", "--out", ""], "out: is empty"),
