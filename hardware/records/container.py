@@ -114,6 +114,8 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such record")
+    if not h5py.is_hdf5(path):
+        raise InputError(f"{path}: is no HDF5 file, expected a record")
     try:
         with h5py.File(path, "r") as file:
             version = _check(layout, file)
