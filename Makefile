@@ -13,8 +13,9 @@ TOGETHER := -n 2 --dist loadfile
 demo: install
 	$(BIN)/twin run scenes/yard
 
+# What the vehicle's environment has run is not run again.
 test: install lint test-vehicle
-	$(BIN)/pytest $(TOGETHER)
+	$(BIN)/pytest $(TOGETHER) -m 'not slow and not peers and not vehicle'
 
 # The vehicle's part, as a package, where the simulator is not installed.
 test-vehicle: $(VEHICLE)/.installed

@@ -11,20 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zmq
 from ugv_command import SETTINGS, started
 
-zmq = pytest.importorskip("zmq")
-
-from hardware.capture import capture  # noqa: E402
-from hardware.drivers import DeviceError, Patience, SpiCamera  # noqa: E402
-from hardware.drivers.messages import State  # noqa: E402
-from hardware.drivers.radio import RadioError, Schedule  # noqa: E402
-from hardware.drivers.radio.setup import read_setup, write_setup  # noqa: E402
-from hardware.drivers.settings import read_settings  # noqa: E402
-from hardware.radar import OfdmWaveform  # noqa: E402
-from hardware.recording import Log, read_records  # noqa: E402
-from hardware.recording.reading import Ending  # noqa: E402
-from hardware.records import RadarFrontEnd  # noqa: E402
+from hardware.capture import capture
+from hardware.drivers import DeviceError, Patience, SpiCamera
+from hardware.drivers.messages import State
+from hardware.drivers.radio import RadioError, Schedule
+from hardware.drivers.radio.setup import read_setup, write_setup
+from hardware.drivers.settings import read_settings
+from hardware.radar import OfdmWaveform
+from hardware.recording import Log, read_records
+from hardware.recording.reading import Ending
+from hardware.records import RadarFrontEnd
 
 SCHEDULE = Schedule(OfdmWaveform(2.5e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6), (2.5e9,), 2e-3)
 #: The silent radio asks for this much patience; nothing below may take a third of it.

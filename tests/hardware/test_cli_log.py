@@ -212,8 +212,8 @@ def test_each_burst_becomes_a_cloud_of_its_own_time(tmp_path: Path) -> None:
     assert [one.publish_time for one in clouds] == begun.tolist()
 
 
+@pytest.mark.library("sigmf")
 def test_export_writes_one_capture_a_step(tmp_path: Path) -> None:
-    pytest.importorskip("sigmf")
     import importlib.util
 
     spec = importlib.util.spec_from_file_location(

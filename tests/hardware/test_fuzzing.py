@@ -6,13 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import fuzz_firmware
 import pytest
 
 import hardware
 
-pytest.importorskip("atheris")
-
-import fuzz_firmware
+pytestmark = pytest.mark.library("atheris")
 
 _HERE = Path(__file__).parent
 _LIMITS = ("-max_total_time=60", "-timeout=10", "-rss_limit_mb=2048", "-max_len=8192", "-seed=1")

@@ -26,11 +26,9 @@ from hardware.reconstruction.pursuit import batch_omp
 from hardware.records import Flag, QuaternionPose
 
 
-@pytest.fixture(params=["compiled", "NumPy"])
+@pytest.fixture(params=[pytest.param("compiled", marks=pytest.mark.library("numba")), "NumPy"])
 def path(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both paths of everything that has a compiled one."""
-    if request.param == "compiled" and not compiled.available():
-        pytest.skip("numba is not installed")
     if request.param == "NumPy":
         monkeypatch.setattr(compiled, "available", lambda: False)
 
@@ -244,8 +242,10 @@ def test_pursuit_is_its_definition(path: None, seed: int) -> None:
     np.testing.assert_allclose(x, coefficients, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.library("sklearn")
 def test_pursuit_equals_scikit_learn(path: None) -> None:
-    linear_model = pytest.importorskip("sklearn.linear_model")
+    from sklearn import linear_model
+
     rng = np.random.default_rng(9)
     atoms = rng.normal(size=(64, 300))
     gram, correlations = atoms.T @ atoms, atoms.T @ rng.normal(size=64)

@@ -188,11 +188,11 @@ def test_rows_are_orthogonal() -> None:
     np.testing.assert_array_equal(fwht(np.eye(256)), h)
 
 
+@pytest.mark.library("numba")
 @pytest.mark.parametrize("n", [1, 2, 8, 64, 512, 4096, 2**15])
 @pytest.mark.parametrize("inner", [1, 3])
 def test_compiled_and_array_transform_are_equal(n: int, inner: int, monkeypatch) -> None:
     """Whole numbers to the last bit; others within roundoff; in place."""
-    pytest.importorskip("numba")
     rng = np.random.default_rng(n)
     whole = rng.integers(-(2**20), 2**20, size=(n, inner)).astype(float)
     other = rng.normal(size=(n, inner))

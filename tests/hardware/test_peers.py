@@ -94,9 +94,11 @@ def test_orders_are_deepinvs(order: Any, mask: str, count: int) -> None:
         np.testing.assert_array_equal(expected, np.sort((ours_down + 1) * (ours_along + 1)))
 
 
+@pytest.mark.library("pylops")
 def test_fista_is_that_of_pylops() -> None:
     """The same minimum: pylops' plain l1 problem in coefficients over their prior deviation."""
-    pylops = pytest.importorskip("pylops")
+    import pylops
+
     rng = np.random.default_rng(2)
     sensing, noise = Sensing(PatternSet(8, 8, 30)), 400.0
     y = sensing.forward(np.cumsum(rng.normal(size=64)) * 300) + noise * rng.normal(size=30)

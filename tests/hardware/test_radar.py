@@ -284,8 +284,10 @@ def test_a_radar_record_is_no_optical_one(tmp_path: Path) -> None:
         read_record(tmp_path / "r.h5")
 
 
+@pytest.mark.library("sigmf")
 def test_sigmf_is_read_back_by_its_own_library(tmp_path: Path) -> None:
-    sigmf = pytest.importorskip("sigmf")
+    import sigmf
+
     from hardware.records.sigmf import export_sigmf
 
     record = record_of(echo(SMALL, 3.0, 1.0, 1e-9), SMALL, 1e-9)
@@ -298,10 +300,10 @@ def test_sigmf_is_read_back_by_its_own_library(tmp_path: Path) -> None:
     assert file.get_captures()[0]["core:frequency"] == 79e9
 
 
+@pytest.mark.library("sigmf")
 @pytest.mark.parametrize("kind", ["data", "meta"])
 def test_a_sigmf_recording_is_never_written_over(tmp_path: Path, kind: str) -> None:
     """Whichever half is there already: nothing changes, and no half of another pair joins it."""
-    pytest.importorskip("sigmf")
     from hardware.records.sigmf import export_sigmf
 
     there = tmp_path / f"radar.sigmf-{kind}"
@@ -312,11 +314,13 @@ def test_a_sigmf_recording_is_never_written_over(tmp_path: Path, kind: str) -> N
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
 
 
+@pytest.mark.library("sigmf")
 def test_half_a_sigmf_recording_is_never_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The metadata cannot be written: the data goes too."""
-    sigmf = pytest.importorskip("sigmf")
+    import sigmf
+
     from hardware.records.sigmf import export_sigmf
 
     def full(*_: object, **__: object) -> None:

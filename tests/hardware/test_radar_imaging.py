@@ -165,8 +165,10 @@ def test_ugv_detect_writes_what_it_finds(tmp_path) -> None:
     assert float(row["range_rate_m_per_s"]) == pytest.approx(2.0, abs=0.05)
 
 
+@pytest.mark.library("PIL")
 def test_ugv_image_writes_csv_and_png(tmp_path) -> None:
-    pil = pytest.importorskip("PIL.Image")
+    from PIL import Image
+
     record = cube(BAND, [Echo((0.9, 0.2, 0))], pose=track(17, 0.96))
     write_radar_record(record, tmp_path / "r.h5")
     png = tmp_path / "i.png"
@@ -178,7 +180,7 @@ def test_ugv_image_writes_csv_and_png(tmp_path) -> None:
     assert "peak" in done.stdout
     table = np.genfromtxt(tmp_path / "r-image.csv", delimiter=",", skip_header=1)[:, 1:]
     assert np.unravel_index(table.argmax(), table.shape) == (20, 35)
-    grey = np.asarray(pil.open(png))
+    grey = np.asarray(Image.open(png))
     assert np.unravel_index(grey.argmax(), grey.shape) == (30, 15)  # far on top, left on the left
 
 

@@ -117,12 +117,12 @@ def test_a_turn_is_followed_at_a_high_frame_rate() -> None:
     assert 2.4 < np.mean(values) < HIGH
 
 
+@pytest.mark.library("stonesoup")
 def test_the_filter_is_stone_soups_iterated_one() -> None:
     """From the same first estimate through 20 frames of a turn: states within 1e-4 standard
     deviations of `IteratedKalmanUpdater`'s, which stops at changes of 1e-6 m, covariances within
     1e-3 of a unit correlation.
     """
-    pytest.importorskip("stonesoup")
     from datetime import datetime, timedelta
 
     from stonesoup.models.measurement.nonlinear import CartesianToBearingRangeRate2D

@@ -8,20 +8,19 @@ from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
+import zmq
 
-zmq = pytest.importorskip("zmq")
-
-from hardware.drivers.radio import (  # noqa: E402
+from hardware.drivers.radio import (
     Fault,
     RadioError,
     Schedule,
     acquire,
     open_radio,
 )
-from hardware.drivers.radio.stream import StreamRadio, requested  # noqa: E402
-from hardware.drivers.radio.zeromq import ZeroMqRadio  # noqa: E402
-from hardware.radar import OfdmWaveform  # noqa: E402
-from hardware.records import RadarFrontEnd  # noqa: E402
+from hardware.drivers.radio.stream import StreamRadio, requested
+from hardware.drivers.radio.zeromq import ZeroMqRadio
+from hardware.radar import OfdmWaveform
+from hardware.records import RadarFrontEnd
 
 WAVE = OfdmWaveform(2.5e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6)
 N = 16 * 72

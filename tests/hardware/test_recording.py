@@ -123,9 +123,11 @@ def written(path: Path) -> Path:
     return path
 
 
+@pytest.mark.library("mcap_ros2")
 def test_ros_tools_read_every_message(tmp_path: Path) -> None:
     """`mcap` with its ROS 2 decoder, which parses the definitions in the file."""
-    decoder = pytest.importorskip("mcap_ros2.decoder")
+    from mcap_ros2 import decoder
+
     path = written(tmp_path / "run.mcap")
     with path.open("rb") as file:
         reader = SeekingReader(file, decoder_factories=[decoder.DecoderFactory()])
@@ -154,9 +156,11 @@ def test_ros_tools_read_every_message(tmp_path: Path) -> None:
     assert (moved.transform.translation.x, moved.transform.rotation.w) == (pose.x_m, pose.qw)
 
 
+@pytest.mark.library("mcap_ros2")
 def test_sensors_stand_on_the_rig_where_their_place_is_known(tmp_path: Path) -> None:
     """Every frame has one parent: world -> rig from the camera's records, rig -> sensors fixed."""
-    decoder = pytest.importorskip("mcap_ros2.decoder")
+    from mcap_ros2 import decoder
+
     extrinsics = {"spi": (0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0), "radar": (0, 0, 0, 0, 0, 0, 1)}
     path = tmp_path / "run.mcap"
     with Log(path, extrinsics=extrinsics) as log:
@@ -194,8 +198,8 @@ def check_by_rosbags(path: Path) -> int:
     return n
 
 
+@pytest.mark.library("rosbags")
 def test_rosbags_reads_every_message(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
     assert check_by_rosbags(written(tmp_path / "run.mcap")) == 7
 
 
@@ -444,10 +448,10 @@ def kill_once(folder: Path, wait_s: float) -> None:
     path.unlink()
 
 
+@pytest.mark.library("rosbags")
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX")
 @pytest.mark.parametrize("times", [5, pytest.param(200, marks=pytest.mark.slow)])
 def test_a_kill_takes_no_more_than_a_second(tmp_path: Path, times: int) -> None:
-    pytest.importorskip("rosbags")
     rng = np.random.default_rng(0)
     for _ in range(times):
         kill_once(tmp_path, float(rng.uniform(0, 2.5)))
