@@ -3,7 +3,9 @@ from hardware.errors import HardwareError as HardwareError
 from hardware.errors import InputError as InputError
 from hardware.errors import LinkError as LinkError
 from hardware.own_functions import OwnFunctionError as OwnFunctionError
+from hardware.patterns import OwnPatterns as OwnPatterns
 from hardware.patterns import PatternSet as PatternSet
+from hardware.patterns import own_patterns as own_patterns
 from hardware.radar.cfar_rule import Cfar as Cfar
 from hardware.radar.detection import Detection as Detection
 from hardware.radar.detection import detect as detect

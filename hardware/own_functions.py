@@ -101,6 +101,15 @@ def digest_of(function: Callable[..., Any]) -> str:
     return found.hexdigest()
 
 
+def digest_of_given(given: str | Callable[..., Any]) -> str:
+    """`digest_of` a callable, or the digest of the source that ``file.py:function`` names."""
+    if callable(given):
+        return digest_of(given)
+    if is_file_function(given):
+        return _from_file(given, Path()).digest
+    return sha256(given.encode()).hexdigest()
+
+
 def _pieces(value: Any, seen: set[int]) -> Iterator[bytes]:
     if id(value) in seen:
         return

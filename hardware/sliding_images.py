@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.patterns import PatternSet
 from hardware.reconstruction import measurements
 from hardware.reconstruction.stream import SlidingWindow
 from hardware.records import SpiRecord
@@ -35,9 +36,15 @@ class SlidingImages:
         every so many patterns that arrived, and after the last.
 
         The windows begin anew with other patterns, and where the sensor's clock runs back. The
-        level of the image is 0 until the pattern that lights all cells has come.
+        level of the image is 0 until the pattern that lights all cells has come. Raises InputError
+        for patterns of a user's own, which this cannot do.
         """
         received, patterns = record.received, record.patterns
+        if not (isinstance(patterns, PatternSet) and isinstance(received.patterns, PatternSet)):
+            raise InputError(
+                "patterns: images between whole sets need rows of the Hadamard matrix, these are a "
+                "user's own"
+            )
         measured = measurements(received)
         times_ns = _ends_ns(received)
         last_ns, windows = self._cameras.get(sensor, (times_ns[0], []))

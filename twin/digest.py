@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hardware.files import read_regular
+from hardware.own_functions import digest_of_given
 
 #: Words about values, not values: a better citation computes nothing new.
 _WORDS = {"description", "source", "assumed", "origin", "assumptions", "warnings", "path"}
@@ -27,6 +28,17 @@ def digest(*content: Any) -> str:
     found = hashlib.sha256()
     for piece in _pieces(content):
         found.update(piece)
+    return found.hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, or of the files in a folder with their names."""
+    if not path.is_dir():
+        return hashlib.sha256(read_regular(path)).hexdigest()
+    found = hashlib.sha256()
+    for item in sorted(path.iterdir()):
+        if item.is_file():
+            found.update(item.name.encode() + hashlib.sha256(read_regular(item)).digest())
     return found.hexdigest()
 
 
@@ -80,5 +92,11 @@ def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
         yield f"{name}=".encode()
         if name.endswith(("_csv", "_file")):
             yield hashlib.sha256(read_regular(value.value)).digest()
+        elif name == "patterns" and isinstance(getattr(value, "value", None), str):
+            yield file_digest(Path(value.value)).encode()
+        elif name == "patterns" and hasattr(value, "value"):
+            yield value.value.digest.encode()
+        elif name == "function" and hasattr(value, "value"):
+            yield digest_of_given(value.value).encode()
         else:
             yield from _pieces(value)

@@ -18,6 +18,7 @@ from pydantic import (
 
 from hardware.errors import InputError as VehicleInputError
 from hardware.files import read_toml as read_checked
+from hardware.own_functions import is_file_function
 from hardware.units import quantity, unit_of
 from twin.files import InputError
 
@@ -52,7 +53,7 @@ class Strict(BaseModel):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by content: classes like ``Sourced[float]`` cannot be found by their name."""
-        return type(self).model_validate, (self.model_dump(),)
+        return type(self).model_validate, (plain(self),)
 
     @field_validator("*", mode="before")
     @classmethod
@@ -96,6 +97,18 @@ class Strict(BaseModel):
             return type(self).model_validate(content)
         except ValidationError as error:
             raise InputError(f"{type(self).__name__.lower()}: {describe(error)}") from error
+
+
+def plain(value: Any) -> Any:
+    """Sections as dictionaries of their fields; all else, a user's own objects too, as it is."""
+    if isinstance(value, BaseModel):
+        fields = type(value).model_fields
+        return {n: plain(getattr(value, n)) for n, field in fields.items() if not field.exclude}
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
+        return type(value)(plain(item) for item in value)
+    return value
 
 
 def holds_numbers(annotation: Any) -> bool:
@@ -310,7 +323,7 @@ def load_entry(
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
     for field, value in entry.values():
-        if field.endswith(("_csv", "_file")) and not Path(value.value).is_file():
+        if is_data_file(field) and not Path(value.value).is_file():
             raise InputError(f"{path}: {field} = {value.value!r}: expected a file, there is none")
     return entry
 
@@ -391,12 +404,36 @@ def _place_files(section: Any, folder: Path) -> None:
         if isinstance(part, str) and (folder / part).is_file():
             section["part"] = str((folder / part).resolve())
         for key, entry in section.items():
-            if not key.endswith(("_csv", "_file")):
+            if not names_file(key):
                 continue
             if isinstance(entry, str):  # given without a source
-                section[key] = str((folder / entry).resolve())
+                section[key] = placed(key, entry, folder)
             elif isinstance(entry, dict) and "value" in entry:
-                entry["value"] = str((folder / str(entry["value"])).resolve())
+                entry["value"] = placed(key, str(entry["value"]), folder)
+
+
+def is_data_file(field: str) -> bool:
+    """Whether a field names a file of data, by the end of its name."""
+    return field.endswith(("_csv", "_file"))
+
+
+def names_file(field: str) -> bool:
+    """Whether a field names a file: of data, of a user's own patterns, or, ``file.py:function``, of
+    code.
+    """
+    return is_data_file(field) or field.rpartition(".")[2] in ("patterns", "function")
+
+
+def placed(field: str, text: str, folder: Path) -> str:
+    """A name of a file, relative to a folder, as an absolute one; an installed function's name, and
+    that of what is not there, as it is.
+    """
+    if field.rpartition(".")[2] != "function":
+        return str((folder / text).resolve())
+    if not is_file_function(text):
+        return text
+    path, _, name = text.rpartition(":")
+    return f"{(folder / path).resolve()}:{name}"
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 from hardware.drivers.messages import MAX_SHUTTERS
 from hardware.errors import InputError
 from hardware.files import read_toml
-from hardware.patterns import PatternSet
+from hardware.patterns import OwnPatterns, Patterns, PatternSet, own_patterns
 from hardware.records.state import ALWAYS_OPEN, AT_ORIGIN, QuaternionPose, Shutter
 from hardware.units import quantity, unit_of
 
@@ -20,7 +20,8 @@ class SpiSettings:
     Parameters
     ----------
     patterns
-        Shown over and over. By name where the device knows the order, else sent bit by bit.
+        Shown over and over. By name where the device knows the order, else sent bit by bit; a
+        user's own must be binary for that.
     integration_time_s, pattern_period_s
         Of one exposure, and from one to the next; period 0: the shortest.
     gain
@@ -37,7 +38,7 @@ class SpiSettings:
         Send the patterns even where the device knows their order.
     """
 
-    patterns: PatternSet
+    patterns: Patterns
     integration_time_s: float
     pattern_period_s: float = 0.0
     gain: int = 0
@@ -48,6 +49,8 @@ class SpiSettings:
     upload: bool = False
 
     def __post_init__(self) -> None:
+        if isinstance(self.patterns, OwnPatterns):
+            self.patterns.check_binary("a camera takes one bit per cell")
         if not 0 < self.integration_time_s < math.inf:
             raise InputError(f"integration_time_s: {self.integration_time_s} is not positive")
         if not 0 <= self.pattern_period_s < math.inf:
@@ -72,8 +75,9 @@ class SpiSettings:
 
 
 def read_settings(path: str | Path) -> SpiSettings:
-    """Read a file: the fields of `SpiSettings`, and those of `PatternSet` in a table ``patterns``.
-    Times may say their unit: ``integration_time_s = "315 us"``.
+    """Read a file: the fields of `SpiSettings`, and those of `PatternSet` in a table ``patterns``;
+    or of a user's own patterns ``file``, beside it, and ``mode``. Times may say their unit:
+    ``integration_time_s = "315 us"``.
 
     Raises FileNotFoundError; InputError naming the file and the field.
     """
@@ -84,10 +88,18 @@ def read_settings(path: str | Path) -> SpiSettings:
             f"{path}: patterns = {table!r:.60}: expected a table of rows, columns, count"
         )
     try:
-        patterns = PatternSet(**_tuples(table))
+        patterns = _patterns(_tuples(table), Path(path).parent)
         return SpiSettings(patterns, **_state({n: _in_unit(n, v) for n, v in fields.items()}))
     except (TypeError, ValueError) as error:
         raise InputError(f"{path}: {str(error).replace('__init__()', 'it')}") from error
+
+
+def _patterns(table: dict[str, Any], folder: Path) -> Patterns:
+    if "file" not in table:
+        return PatternSet(**table)
+    if unknown := sorted(set(table) - {"file", "mode"}):
+        raise InputError(f"patterns.{unknown[0]}: patterns of a file have `file` and `mode` alone")
+    return own_patterns(folder / table["file"], table.get("mode", "differential"))
 
 
 def _state(fields: dict[str, Any]) -> dict[str, Any]:

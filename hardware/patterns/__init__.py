@@ -1,5 +1,7 @@
 """Hadamard pattern sets: which patterns are shown, in which order, and their fast transform.
 
+A user's own sets stand beside them (`hardware.patterns.own`).
+
 A virtual image of ``rows x columns`` cells (both powers of two) is flattened row by row. Its
 patterns are rows of the Sylvester matrix H = H_rows (x) H_columns, entries +1 and -1, which a
 projector shows as 1 (lit) and 0 (dark).
@@ -14,18 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.patterns.interface import MOST_CELLS, Mode, Patterns
 from hardware.patterns.orders import ORDERS, ordered_indices
+from hardware.patterns.own import OwnPatterns, own_patterns
 from hardware.patterns.transform import fwht, fwht_in_place, hadamard_rows
 
 __all__ = [
     "ORDERS",
     "Mode",
     "Order",
+    "OwnPatterns",
     "PatternSet",
+    "Patterns",
     "fwht",
     "fwht_in_place",
     "hadamard_rows",
     "ordered_indices",
+    "own_patterns",
 ]
 
 Order = Literal[
@@ -40,15 +47,10 @@ Order = Literal[
     "prior-variance",
     "custom",
 ]
-Mode = Literal["differential", "plain", "reference", "s-matrix", "complementary"]
-
-
-#: Of a virtual image: a file or a device that claims more is not believed.
-MOST_CELLS = 2**26
 
 
 @dataclass(frozen=True)
-class PatternSet:
+class PatternSet(Patterns):
     """A set of Hadamard patterns, by name and parameters.
 
     Parameters
@@ -129,6 +131,11 @@ class PatternSet:
         subset = tuple(int(row) for row in rows_shown)
         return cls(rows, columns, len(subset), "custom", mode, subset)
 
+    @property
+    def digest(self) -> str:
+        """Of what the parameters do not say: nothing."""
+        return ""
+
     def __hash__(self) -> int:
         return self._hash
 
@@ -138,23 +145,6 @@ class PatternSet:
         fields = (self.rows, self.columns, self.count, self.order, self.mode, self.subset)
         return hash(fields)
 
-    @property
-    def n_cells(self) -> int:
-        """Cells of the virtual image."""
-        return self.rows * self.columns
-
-    @property
-    def n_exposures(self) -> int:
-        """Patterns shown one after another: two per Hadamard row when differential."""
-        if self.mode == "differential":
-            return 2 * self.count
-        return self.count + (2 if self.mode == "reference" else 0)
-
-    @property
-    def n_arms(self) -> int:
-        """Detectors that see one image at the same time: two when complementary."""
-        return 2 if self.mode == "complementary" else 1
-
     @cached_property
     def indices(self) -> NDArray[np.intp]:
         """Rows of the natural-order Hadamard matrix that are shown, shape ``(count,)``."""
@@ -163,6 +153,10 @@ class PatternSet:
             index.flags.writeable = False
             return index
         return ordered_indices(self.rows, self.columns, self.order)[: self.count]
+
+    def take(self, places: NDArray[np.bool_]) -> "PatternSet":
+        """The patterns at these places, ``(count,)``, in the order shown."""
+        return PatternSet.of(self.rows, self.columns, self.indices[places].tolist(), self.mode)
 
     @cached_property
     def common_cells(self) -> NDArray[np.bool_]:

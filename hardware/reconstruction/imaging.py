@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import PatternSet
+from hardware.patterns import Patterns, PatternSet
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
@@ -17,15 +17,20 @@ LEVEL_UNKNOWN = (
     "the level of the image is unknown, its mean is set to 0: the pattern that lights all cells "
     "is not among those received"
 )
+LEVEL_UNMEASURED = (
+    "the level of the image is unknown, its mean is set to 0: no pattern tells light of all cells"
+)
 #: Standard errors of the plain inverse by which smoothing moves a cell of noise in one image of
 #: 100 000 with 4096 cells.
 _MOVED = 6.0
 
 
-def fits_in_memory(name: str, patterns: PatternSet) -> bool:
+def fits_in_memory(name: str, patterns: Patterns) -> bool:
     """Whether a method's matrices for a set of patterns fit into memory."""
     from hardware.reconstruction.walsh_blocks import MOST_BYTES, bytes_needed
 
+    if not isinstance(patterns, PatternSet):  # the matrix, its eigenvectors, both in cells
+        return 8 * patterns.count * (3 * patterns.n_cells + 2 * patterns.count) <= MOST_BYTES
     subset = patterns.count < patterns.n_cells
     shape = (patterns.rows, patterns.columns)
     return name != "lmmse" or not subset or bytes_needed(shape, patterns.indices) <= MOST_BYTES
@@ -154,9 +159,14 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
 
 def _unmeasured(sensing: Sensing) -> Iterator[str]:
     if not sensing.measures_level:
-        yield LEVEL_UNKNOWN
+        hadamard = isinstance(sensing.patterns, PatternSet)
+        yield LEVEL_UNKNOWN if hadamard else LEVEL_UNMEASURED
     if unknown := int(np.count_nonzero(~sensing.measured)):
-        lit = "every pattern lights" if sensing.patterns.mode == "plain" else "no pattern lights"
+        lit = "no pattern lights"
+        if sensing.patterns.mode == "plain":
+            lit = "every pattern lights"
+        if not isinstance(sensing.patterns, PatternSet):
+            lit = "all patterns light alike"
         yield f"{unknown} of {sensing.n_cells} cells have no value: what {lit} is not measured"
 
 
@@ -179,7 +189,7 @@ def _smoothed(cells: Array, measured: Measurements, sensing: Sensing) -> Iterato
     """Where smoothing a full set that shows nothing twice took more than noise does."""
     patterns = sensing.patterns
     paired = patterns.mode in ("differential", "complementary")
-    if paired or sensing.mixing or not measured.noise_told.any():
+    if paired or sensing.is_dense or not measured.noise_told.any():
         return
     plain = sensing.adjoint(measured.values) / sensing.n_cells
     noise = np.sqrt(measured.noise_variance / sensing.n_cells)

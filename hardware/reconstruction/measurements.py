@@ -1,4 +1,4 @@
-"""Hadamard measurements and their noise, from raw counts alone."""
+"""Measurements by patterns and their noise, from raw counts alone."""
 
 from dataclasses import dataclass, replace
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns import PatternSet
+from hardware.patterns import Patterns, PatternSet
 from hardware.reconstruction.noise import finest_patterns, noise_beside_detail, noise_of_sums
 from hardware.records import SpiRecord
 
@@ -23,8 +23,9 @@ MOST_OVER_PHOTONS = 4.0
 class Measurements:
     """What a set of patterns measured.
 
-    ``values`` is H x in electrons, shape ``(count, n_images)``. All others are ``(n_images,)``:
-    ``noise_variance`` the variance of one value, with which an image is smoothed;
+    ``values`` is H x, or W x of a user's own patterns, in electrons, shape ``(count, n_images)``.
+    All others are ``(n_images,)``: ``noise_variance`` the variance of one value, with which an
+    image is smoothed;
     ``most_noise_variance`` the largest that the record allows, at least that of rounding to counts,
     NaN where no two exposures differ by noise or detail alone; ``noise_told`` whether the record
     tells noise from detail; ``most_level`` the most that the mean of the cells can be, that of all
@@ -45,6 +46,8 @@ def with_level(record: SpiRecord) -> SpiRecord:
     asked for, that exposure stands for it, 2 (all lit) - (all lit) - (all dark).
     """
     patterns = record.patterns
+    if not isinstance(patterns, PatternSet):
+        return record
     if patterns.mode != "reference" or (patterns.indices == 0).any():
         return record
     n = len(record.shutters)
@@ -63,7 +66,7 @@ def with_level(record: SpiRecord) -> SpiRecord:
 
 
 def measurements(record: SpiRecord) -> Measurements:
-    """Hadamard measurements of a record.
+    """Measurements of a record.
 
     Differential, complementary: pattern minus complement. Their *sum* is the same for every pair
     (all cells lit once, plus background), so its scatter is the noise of the difference: no model,
@@ -87,9 +90,13 @@ def measurements(record: SpiRecord) -> Measurements:
     cell, a checkerboard. So a full set is smoothed only by noise that its photons explain
     (`MOST_OVER_PHOTONS`); what is more stays in the image. The finest patterns of a subset hold
     detail whose amount is unknown: its noise is never told.
+
+    A user's own plain set: twice (lit) less the mean of all, which takes the background out. Own
+    patterns that are shown once do not tell noise from detail: they are smoothed by the photons'
+    own noise, and all their scatter is the most that noise can be.
     """
     electrons, patterns = record.electrons, record.patterns
-    values = hadamard_values(electrons, patterns)
+    values = measured_values(electrons, patterns)
     if patterns.mode in ("differential", "complementary"):
         lit, complement = _pairs(electrons, patterns)
         noise = noise_of_sums(lit + complement, in_turn=patterns.mode == "differential")
@@ -97,9 +104,16 @@ def measurements(record: SpiRecord) -> Measurements:
         most = np.maximum(noise, rounding) if len(lit) > 1 else np.full_like(noise, np.nan)
         level = np.abs((lit + complement).mean(axis=0)) / patterns.n_cells
         return Measurements(values, noise, most, np.isfinite(most), level)
+    rounding = (2 * record.electrons_per_count) ** 2 / 12
+    if not isinstance(patterns, PatternSet):
+        scatter = values.var(axis=0)
+        most = np.maximum(scatter, rounding) if len(values) > 1 else np.full_like(scatter, np.nan)
+        photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
+        noise = np.minimum(np.maximum(photons, rounding), scatter)
+        level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
+        return Measurements(values, noise, most, np.zeros(len(noise), np.bool_), level)
     finest = finest_patterns(patterns)
     scatter = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
-    rounding = (2 * record.electrons_per_count) ** 2 / 12
     most = np.maximum(scatter, rounding) if finest.size > 1 else np.full_like(scatter, np.nan)
     noise = noise_beside_detail(values, patterns)
     if full := patterns.count == patterns.n_cells:
@@ -111,8 +125,8 @@ def measurements(record: SpiRecord) -> Measurements:
     return Measurements(values, noise, most, told, level)
 
 
-def hadamard_values(electrons: Array, patterns: PatternSet) -> Array:
-    """Hadamard measurements (count, n_images) of exposures (n_exposures, n_detectors), as
+def measured_values(electrons: Array, patterns: Patterns) -> Array:
+    """Measurements (count, n_images) of exposures (n_exposures, n_detectors), as
     `measurements` explains them; linear in the exposures.
     """
     if patterns.mode in ("differential", "complementary"):
@@ -120,10 +134,12 @@ def hadamard_values(electrons: Array, patterns: PatternSet) -> Array:
         return lit - complement
     if patterns.mode == "reference":
         return np.asarray(2 * electrons[2:] - electrons[0] - electrons[1])
+    if not isinstance(patterns, PatternSet):
+        return np.asarray(2 * (electrons - electrons.mean(axis=0)))
     return _without_constant(electrons, patterns, finest_patterns(patterns))
 
 
-def _pairs(electrons: Array, patterns: PatternSet) -> tuple[Array, Array]:
+def _pairs(electrons: Array, patterns: Patterns) -> tuple[Array, Array]:
     """Exposures to the patterns, and those to their complements."""
     if patterns.mode == "differential":
         return electrons[0::2], electrons[1::2]

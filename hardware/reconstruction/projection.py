@@ -2,7 +2,8 @@
 
 |A x - y| at most a radius: every method that claims to agree with the data ends there, and so
 inverts a full set without noise. Hadamard rows are orthogonal, so the projection is exact: one
-transform there, one back. With a calibrated mixing it takes the singular vectors of A.
+transform there, one back. With a calibrated mixing, or a user's own patterns, it takes the singular
+vectors of A.
 """
 
 from collections.abc import Callable
@@ -32,7 +33,7 @@ def allowed(cells: Array, values: Array, noise_variance: float, sensing: Sensing
 
 def projection(values: Array, radius: Array, sensing: Sensing) -> Callable[[Array], Array]:
     """Onto the images (n_cells, n_detectors) whose misfit is at most ``radius`` (n_detectors,)."""
-    if sensing.mixing:
+    if sensing.is_dense:
         return _MixedProjection(values, radius, sensing)
     if values.shape[1] == 1 and max(sensing.shape) <= _LARGEST_PRODUCT and not compiled.available():
         return _ProductProjection(values, radius, sensing)
@@ -56,7 +57,7 @@ class _ProductProjection:
     """The same of one small image by matrix products, with the Walsh functions that take part."""
 
     def __init__(self, values: Array, radius: Array, sensing: Sensing) -> None:
-        down, along = divmod(sensing.patterns.indices, sensing.shape[1])
+        down, along = divmod(sensing.indices, sensing.shape[1])
         rows, row = np.unique(down, return_inverse=True)
         columns, column = np.unique(along, return_inverse=True)
         self.down = small_matrix(sensing.shape[0])[rows]

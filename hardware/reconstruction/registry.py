@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns import PatternSet
+from hardware.patterns import Patterns
 from hardware.reconstruction.sensing import Sensing
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class Method:
     ``solve`` takes measurements (count,), the noise variance of one and the `Sensing`, and gives
     cells (n_cells,) with their standard error (n_cells,) or None, in electrons. A ``joint`` method
     takes all detectors at once: (count, n_detectors), (n_detectors,); gives (n_cells,
-    n_detectors). A method that needs a clean grid of cells says ``grid_only``; one
+    n_detectors). A method that needs Hadamard rows on a clean grid of cells says ``grid_only``; one
     that takes longer than a frame, ``slow``. ``errors_in_95`` is how many of its standard errors
     hold 95 % of all cells: 1.96 of normal errors.
     """
@@ -53,16 +53,21 @@ class Method:
         self,
         values: Array,
         noise_variance: float | Array,
-        sensing: Sensing | PatternSet,
+        sensing: Sensing | Patterns,
     ) -> tuple[Array, Array | None]:
         """Solve. Raises InputError for values that do not fit, or are not numbers."""
-        problem = Sensing(sensing) if isinstance(sensing, PatternSet) else sensing
+        problem = Sensing(sensing) if isinstance(sensing, Patterns) else sensing
         if len(values) != problem.count:
             raise InputError(f"values: {len(values)}, the pattern set has {problem.count}")
         if not (np.isfinite(values).all() and np.isfinite(noise_variance).all()):
             raise InputError("values: hold what is not a number")
         if self.grid_only and problem.mixing:
             raise InputError(f"method: {self.name!r} needs a clean grid of cells, without mixing")
+        if self.grid_only and problem.is_dense:
+            raise InputError(
+                f"method: {self.name!r} needs rows of the Hadamard matrix, these patterns are a "
+                "user's own; 'least-squares' inverts any"
+            )
         if not (self.joint and values.ndim == 1):
             return self.solve(values, noise_variance, problem)  # type: ignore[arg-type]
         cells, error = self.solve(values[:, None], np.atleast_1d(noise_variance), problem)  # type: ignore[arg-type]

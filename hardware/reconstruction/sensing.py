@@ -1,4 +1,6 @@
-"""The linear map from an image to its measurements: H x, or H M x with a calibrated mixing M."""
+"""The linear map from an image to its measurements: H x of Hadamard rows, W x of a user's own
+patterns, or H M x and W M x with a calibrated mixing M.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -7,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns import PatternSet, fwht_in_place, hadamard_rows
+from hardware.patterns import OwnPatterns, Patterns, PatternSet, fwht_in_place, hadamard_rows
 
 Array = NDArray[np.float64]
 
@@ -44,10 +46,11 @@ class Mixing:
 class Sensing:
     """Which combinations of an image's cells are measured.
 
-    Applies to arrays ``(n_cells, ...)`` without forming a matrix, unless there is a mixing.
+    Applies to arrays ``(n_cells, ...)`` without forming a matrix, unless there is a mixing or the
+    patterns are a user's own.
     """
 
-    patterns: PatternSet
+    patterns: Patterns
     mixing: Mixing | None = None
 
     def __post_init__(self) -> None:
@@ -73,19 +76,33 @@ class Sensing:
         """Measurements."""
         return self.patterns.count
 
+    @property
+    def is_dense(self) -> bool:
+        """Whether it is a matrix, and no rows of the Hadamard matrix."""
+        return self.mixing is not None or not isinstance(self.patterns, PatternSet)
+
+    @property
+    def indices(self) -> NDArray[np.intp]:
+        """Rows of the natural-order Hadamard matrix that are shown, ``(count,)``. Raises InputError
+        for a user's own patterns.
+        """
+        if isinstance(self.patterns, PatternSet):
+            return self.patterns.indices
+        raise InputError("patterns: are a user's own, expected rows of the Hadamard matrix")
+
     def forward(self, cells: Array) -> Array:
         """Noise-free measurements ``(count, ...)`` of cells ``(n_cells, ...)``."""
-        if self.mixing:
-            return np.asarray(np.tensordot(self._mixed, cells, 1))
+        if self.is_dense:
+            return np.asarray(np.tensordot(self._dense, cells, 1))
         x = np.array(cells, dtype=np.float64, order="C")
-        return np.asarray(fwht_in_place(x)[self.patterns.indices])
+        return np.asarray(fwht_in_place(x)[self.indices])
 
     def adjoint(self, values: Array) -> Array:
         """Transpose of `forward`: ``(count, ...)`` to ``(n_cells, ...)``."""
-        if self.mixing:
-            return np.asarray(np.tensordot(self._mixed.T, values, 1))
+        if self.is_dense:
+            return np.asarray(np.tensordot(self._dense.T, values, 1))
         coefficients = np.zeros((self.n_cells, *values.shape[1:]))
-        coefficients[self.patterns.indices] = values
+        coefficients[self.indices] = values
         return fwht_in_place(coefficients)
 
     @property
@@ -103,23 +120,31 @@ class Sensing:
     @property
     def matrix(self) -> Array:
         """The dense matrix ``(count, n_cells)``."""
-        if self.mixing:
-            return self._mixed
-        return hadamard_rows(self.patterns.indices, self.n_cells).astype(np.float64)
+        if self.is_dense:
+            return self._dense
+        return hadamard_rows(self.indices, self.n_cells).astype(np.float64)
+
+    @property
+    def pseudo_inverse(self) -> Array:
+        """The least-squares inverse of least norm, ``(n_cells, count)``: of rows of the Hadamard
+        matrix their transpose over n. Singular values below 1e-9 of the largest count as none.
+        """
+        return _pseudo_inverse(self)
 
     @cached_property
     def largest_squared(self) -> float:
         """Largest eigenvalue of A^T A: n for Hadamard rows."""
-        if self.mixing is None:
+        if not self.is_dense:
             return float(self.n_cells)
-        return float(np.linalg.norm(self._mixed, 2) ** 2)
+        return float(np.linalg.norm(self._dense, 2) ** 2)
 
     @cached_property
-    def _mixed(self) -> Array:
+    def _dense(self) -> Array:
+        if isinstance(self.patterns, OwnPatterns):
+            own = self.patterns.matrix
+            return own @ self.mixing.matrix if self.mixing else own
         assert self.mixing is not None
-        return fwht_in_place(np.array(self.mixing.matrix, np.float64, order="C"))[
-            self.patterns.indices
-        ]
+        return fwht_in_place(np.array(self.mixing.matrix, np.float64, order="C"))[self.indices]
 
 
 @lru_cache(maxsize=16)
@@ -133,7 +158,13 @@ def _measured(sensing: Sensing) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=16)
 def _measures_level(sensing: Sensing) -> bool:
-    if sensing.mixing is None:
-        return bool((sensing.patterns.indices == 0).any())
+    if not sensing.is_dense:
+        return bool((sensing.indices == 0).any())
     flat = sensing.forward(np.ones(sensing.n_cells))
-    return bool(np.abs(flat).max() > 1e-9 * np.abs(sensing.mixing.matrix).sum())
+    lit = sensing.mixing.matrix if sensing.mixing else sensing.matrix
+    return bool(np.abs(flat).max() > 1e-9 * np.abs(lit).sum())
+
+
+@lru_cache(maxsize=4)
+def _pseudo_inverse(sensing: Sensing) -> Array:
+    return np.asarray(np.linalg.pinv(sensing.matrix, rcond=1e-9))

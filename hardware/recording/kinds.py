@@ -23,7 +23,7 @@ _SCALARS = {float: "float64", int: "int64", str: "string", bool: "bool"}
 
 @dataclass(frozen=True)
 class Kind:
-    """A type of record: its layout, its class, and the class of its group of parameters.
+    """A type of record: its layout, its class, and the class that types its group of parameters.
 
     ``pose_of`` names the frame whose pose it holds: the rig's, or None: the sensor's own.
     """
@@ -42,7 +42,7 @@ class Kind:
             own |= get_type_hints(kind)
         found = {name: _SCALARS.get(own[name], "string") for name in layout.settings}
         for name in layout.parameters:
-            hint = grouped[name]
+            hint = grouped.get(name, str)
             found[f"{layout.group}_{name}"] = (
                 "string" if get_origin(hint) else _SCALARS.get(hint, "string")
             )
@@ -65,6 +65,9 @@ class Kind:
         lines += [f"{kind} {name}" for name, kind in self.scalars.items()]
         for name in layout.optional:
             lines += [f"bool has_{layout.group}_{name}", f"int64[] {layout.group}_{name}"]
+        for name, dtype in layout.group_arrays.items():
+            lines += [f"uint32[] {layout.group}_{name}_shape"]
+            lines += [f"{np.dtype(dtype)}[] {layout.group}_{name}"]
         for name, (dtype, meaning) in layout.arrays.items():
             lines += [f"# {meaning}", f"uint32[] {name}_shape", f"{np.dtype(dtype)}[] {name}"]
         return Definition(f"ugv_msgs/msg/{self.name}", "\n".join(lines) + f"\n{HEADER_PARTS}")
@@ -80,15 +83,19 @@ class Kind:
         writer.number("int64", clock.offset_ns)
         writer.number("float64", clock.drift)
         writer.number("float64", clock.error_ns)
-        group = getattr(record, layout.group)
         values = [layout.value(record, name) for name in layout.settings]
-        values += [getattr(group, name) for name in layout.parameters]
+        values += [layout.parameter(record, name) for name in layout.parameters]
         for kind, value in zip(self.scalars.values(), values, strict=True):
             writer.text(value) if kind == "string" else writer.number(kind, value)
         for name in layout.optional:
-            value = getattr(group, name)
+            value = layout.parameter(record, name)
             writer.number("bool", value is not None)
             writer.array(np.asarray(value or (), np.int64))
+        for name, dtype in layout.group_arrays.items():
+            value = layout.parameter(record, name)
+            array = np.asarray(() if value is None else value, dtype)
+            writer.array(np.asarray(() if value is None else array.shape, np.uint32))
+            writer.array(array)
         for name, (dtype, _) in layout.arrays.items():
             array = np.asarray(layout.value(record, name), dtype)
             writer.array(np.asarray(array.shape, np.uint32))
@@ -118,21 +125,30 @@ class Kind:
         values = {
             name: reader.text() if kind == "string" else reader.number(kind)
             for name, kind in self.scalars.items()
-            if layout.has(name, version)
+            if layout.has(name.removeprefix(f"{layout.group}_"), version)
         }
         fields: dict[str, Any] = {n: values[n] for n in layout.settings if n in values}
         group: dict[str, Any] = {
-            name: values[f"{layout.group}_{name}"] for name in layout.parameters
+            name: values[f"{layout.group}_{name}"]
+            for name in layout.parameters
+            if layout.has(name, version)
         }
         for name in layout.optional:
             here, found = reader.number("bool"), reader.array("int64")
             group[name] = tuple(found.tolist()) if here else None
+        for name, dtype in layout.group_arrays.items():
+            if not layout.has(name, version):
+                continue
+            shape = reader.array("uint32").tolist()
+            array = reader.array(str(np.dtype(dtype)))
+            group[name] = array.reshape(shape) if shape else None
         for name, (dtype, _) in layout.arrays.items():
             if not layout.has(name, version):
                 continue
             shape = reader.array("uint32").tolist()
             fields[name] = reader.array(str(np.dtype(dtype))).reshape(shape)
-        record = self.record(**{layout.group: self.group(**group)}, **layout.arguments(fields))
+        made = {layout.group: layout.make_group(**group)}
+        record = self.record(**made, **layout.arguments(fields))
         return record, None if math.isnan(clock.error_ns) else clock
 
 

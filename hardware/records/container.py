@@ -36,7 +36,9 @@ class Layout:
     which an array or a setting is there; older files are read without it. ``optional`` parameters
     are lists of integers that stand in the file only where they are set. ``parts`` maps a field of
     the record to its class, whose own fields stand in the file beside those of the record;
-    ``objects`` maps a field to what makes it of its array.
+    ``objects`` maps a field to what makes it of its array. ``group_arrays`` maps an array of the
+    group that stands in the file only where it is set to its type; ``make_group`` makes the group
+    of its parameters and arrays.
     """
 
     format: str
@@ -47,6 +49,8 @@ class Layout:
     parameters: tuple[str, ...]
     added: Mapping[str, int] = field(default_factory=dict)
     optional: tuple[str, ...] = ()
+    group_arrays: Mapping[str, DTypeLike] = field(default_factory=dict)
+    make_group: Callable[..., Any] = dict
     parts: Mapping[str, type[Any]] = field(default_factory=dict)
     objects: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
 
@@ -56,6 +60,10 @@ class Layout:
             if name in {own.name for own in fields(kind)}:
                 return getattr(getattr(record, part), name)
         return getattr(record, name)
+
+    def parameter(self, record: Any, name: str) -> Any:
+        """A parameter or an array of the group; None: it has none of that name."""
+        return getattr(getattr(record, self.group), name, None)
 
     def arguments(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the record's class, of settings and arrays by their names in the file."""
@@ -91,10 +99,14 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
             file.attrs[name] = layout.value(record, name)
         group = file.create_group(layout.group)
         for name in layout.parameters:
-            group.attrs[name] = getattr(getattr(record, layout.group), name)
+            group.attrs[name] = layout.parameter(record, name)
         for name in layout.optional:
-            if (value := getattr(getattr(record, layout.group), name)) is not None:
+            if (value := layout.parameter(record, name)) is not None:
                 group.create_dataset(name, data=np.asarray(value, dtype=np.int64))
+        for name, dtype in layout.group_arrays.items():
+            if (value := layout.parameter(record, name)) is not None:
+                data = np.asarray(value, dtype=dtype)
+                group.create_dataset(name, data=data, compression="gzip", shuffle=True)
         for name, (dtype, meaning) in layout.arrays.items():
             data = np.asarray(layout.value(record, name), dtype=dtype)
             file.create_dataset(name, data=data).attrs["meaning"] = meaning
@@ -127,10 +139,14 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
             group = _inside(file, layout.group)
             if not isinstance(group, h5py.Group):
                 raise InputError(f"{layout.group}: expected a group")
-            parameters = {name: _value(group, name) for name in layout.parameters}
+            here = [n for n in layout.parameters if layout.has(n, version)]
+            parameters = {name: _value(group, name) for name in here}
             for name in layout.optional:
                 if name in group:
                     parameters[name] = tuple(_array(group, name, np.dtype(np.int64)).tolist())
+            for name, dtype in layout.group_arrays.items():
+                if name in group:
+                    parameters[name] = _array(group, name, np.dtype(dtype))
             return values, parameters
     except (KeyError, OSError, RuntimeError, TypeError, ValueError) as error:  # HDF5 has them all
         text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)

@@ -140,6 +140,7 @@ LAYOUT = container.Layout(
         "prefix_s",
         "symbols",
     ),
+    make_group=OfdmWaveform,
 )
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns import PatternSet
+from hardware.patterns import Patterns
+from hardware.patterns.named import patterns_of
 from hardware.records import container
 from hardware.records.container import Flag
 from hardware.records.state import ALWAYS_OPEN, QuaternionPose, Shutter
@@ -30,7 +31,7 @@ class SpiRecord:
     flags : (n_exposures,) uint8
         Bits of `Flag`.
     patterns
-        What was shown.
+        What was shown: Hadamard rows by name, a user's own patterns whole.
     integration_time_s
         Length of each exposure.
     electrons_per_count, offset_counts
@@ -51,7 +52,7 @@ class SpiRecord:
     device_time_ns: NDArray[np.int64]
     sequence: NDArray[np.uint32]
     flags: NDArray[np.uint8]
-    patterns: PatternSet
+    patterns: Patterns
     integration_time_s: float
     electrons_per_count: float
     offset_counts: float
@@ -113,9 +114,7 @@ class SpiRecord:
         rows = np.repeat(exposures, n_shutters)
         return replace(
             self,
-            patterns=PatternSet.of(
-                patterns.rows, patterns.columns, patterns.indices[kept], patterns.mode
-            ),
+            patterns=patterns.take(kept),
             **{name: getattr(self, name)[rows] for name in _BY_EXPOSURE},
         )
 
@@ -165,7 +164,7 @@ def _shutters(rows: NDArray[np.float64]) -> tuple[Shutter, ...]:
 
 LAYOUT = container.Layout(
     format="ugv-spi-record",
-    version=3,
+    version=4,
     settings=(
         "integration_time_s",
         "electrons_per_count",
@@ -182,11 +181,13 @@ LAYOUT = container.Layout(
         "pose": (np.float64, "rig in the world: x y z (m), quaternion w x y z"),
         "shutters": (np.float64, "per shutter: modulation Hz, phase rad, gate delay s, width s"),
     },
-    added={"shutters": 2, "pulse_width_s": 3},
+    added={"shutters": 2, "pulse_width_s": 3, "digest": 4, "packed": 4, "grey_levels": 4},
     objects={"pose": QuaternionPose.from_numbers, "shutters": _shutters},
     group="patterns",
-    parameters=("rows", "columns", "count", "order", "mode"),
+    parameters=("rows", "columns", "count", "order", "mode", "digest"),
     optional=("subset",),
+    group_arrays={"packed": np.uint8, "grey_levels": np.uint16},
+    make_group=patterns_of,
 )
 
 
@@ -206,6 +207,6 @@ def read_record(path: str | Path) -> SpiRecord:
     """
     fields, patterns = container.read(LAYOUT, path)
     try:
-        return SpiRecord(patterns=PatternSet(**patterns), **LAYOUT.arguments(fields))
+        return SpiRecord(patterns=patterns_of(**patterns), **LAYOUT.arguments(fields))
     except (TypeError, ValueError) as error:
         raise InputError(f"{path}: {error}") from error

@@ -141,7 +141,7 @@ def test_ros_tools_read_every_message(tmp_path: Path) -> None:
     assert camera.device_time_ns == RECORDS[0].device_time_ns.tolist()
     assert camera.integration_time_s == RECORDS[0].integration_time_s
     assert (camera.patterns_rows, camera.patterns_order) == (8, "sequency")
-    assert (camera.device, camera.schema_version) == ("täst", 3)
+    assert (camera.device, camera.schema_version) == ("täst", 4)
     assert found["/radar/record"].iq == RECORDS[3].iq.ravel().tolist()
     image = found["/spi/image"]
     assert (image.height, image.width, image.encoding, image.step) == (3, 4, "32FC1", 16)
@@ -208,7 +208,7 @@ def test_schema_versions_stand_in_the_file(tmp_path: Path) -> None:
     kind = KINDS[0]
     message = bytearray(kind.pack(RECORDS[0], 0, "spi", None))
     at = message.index(b"ugv-spi-record\0") + 16
-    assert message[at] == 3
+    assert message[at] == 4
     message[at] = 99
     with pytest.raises(ValueError, match="ugv-spi-record of schema version 99"):
         kind.unpack(bytes(message))
@@ -217,13 +217,20 @@ def test_schema_versions_stand_in_the_file(tmp_path: Path) -> None:
 
 
 def test_messages_of_an_older_schema_are_read() -> None:
-    """Version 2 had no pulse width: a message packed without it comes back whole."""
+    """Version 3 had no patterns of a user's own, version 2 no pulse width: a message packed without
+    them comes back whole.
+    """
     kind = KINDS[0]
     record = replace(RECORDS[0], pulse_width_s=2e-8)
+    named = tuple(name for name in kind.layout.parameters if name != "digest")
+    third = replace(kind.layout, version=3, parameters=named, group_arrays={})
+    back, _ = kind.unpack(replace(kind, layout=third).pack(record, 0, "spi", None))
+    assert back.pulse_width_s == 2e-8
     before = tuple(name for name in kind.layout.settings if name != "pulse_width_s")
-    old = replace(kind, layout=replace(kind.layout, version=2, settings=before))
+    old = replace(kind, layout=replace(third, version=2, settings=before))
     back, _ = kind.unpack(old.pack(record, 0, "spi", None))
     assert back.pulse_width_s == 0.0
+    assert back.patterns == record.patterns
     assert back.device == record.device
     np.testing.assert_array_equal(back.counts, record.counts)
     np.testing.assert_array_equal(back.shutters, record.shutters)

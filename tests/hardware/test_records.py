@@ -55,11 +55,12 @@ def test_format_and_schema_version_are_fixed(tmp_path: Path) -> None:
     write_record(make_record(), tmp_path / "r.h5")
     with h5py.File(tmp_path / "r.h5") as file:
         assert file.attrs["format"] == "ugv-spi-record"
-        assert file.attrs["schema_version"] == 3
+        assert file.attrs["schema_version"] == 4
         assert file.attrs["pulse_width_s"] == 0.0
         members = {"counts", "device_time_ns", "sequence", "flags", "pose", "shutters"}
         assert set(file) == members | {"patterns"}
-        assert set(file["patterns"].attrs) == {"rows", "columns", "count", "order", "mode"}
+        parameters = {"rows", "columns", "count", "order", "mode", "digest"}
+        assert set(file["patterns"].attrs) == parameters
 
 
 def test_records_of_version_1_are_read_without_shutters(tmp_path: Path) -> None:
@@ -71,6 +72,15 @@ def test_records_of_version_1_are_read_without_shutters(tmp_path: Path) -> None:
     old = read_record(path)
     assert old.shutters == (Shutter(),)
     np.testing.assert_array_equal(old.electrons, make_record().electrons)
+
+
+def test_records_of_version_3_name_their_patterns_alone(tmp_path: Path) -> None:
+    path = tmp_path / "old.h5"
+    write_record(make_record(), path)
+    with h5py.File(path, "a") as file:
+        file.attrs["schema_version"] = 3
+        del file["patterns"].attrs["digest"]
+    assert read_record(path).patterns == make_record().patterns
 
 
 def test_records_of_version_2_do_not_state_their_pulse(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from rfc2217_port import behind_rfc2217
 from virtual_camera import PATIENCE, QUICK, SEED, SETTINGS, direct, served
 
-from hardware import PatternSet
+from hardware import PatternSet, own_patterns
 from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSettings
 from hardware.drivers.framing import Deframer, Frame, encode
 from hardware.drivers.messages import (
@@ -32,6 +32,7 @@ from hardware.drivers.messages import (
     from_frame,
     to_frame,
 )
+from hardware.patterns import hadamard_rows
 from hardware.recording import Log
 from hardware.records import Flag, Shutter
 from hardware.sources import open_source
@@ -124,7 +125,6 @@ def test_what_the_host_asks_for(world, patterns: PatternSet, integration_s: floa
         ({"integration_time_s": 1e-8}, "integration_time_s: outside"),
         ({"pattern_period_s": 81e-6}, "pattern_period_s: shorter"),
         ({"shutters": (Shutter(1e7),)}, "shutters: this camera has"),
-        ({"patterns": PatternSet.of(16, 16, [7, 200, 9])}, "the table of no order that I know"),
     ],
 )
 def test_what_the_camera_cannot_do_is_refused(world, change, says: str) -> None:
@@ -134,6 +134,21 @@ def test_what_the_camera_cannot_do_is_refused(world, change, says: str) -> None:
         pytest.raises(DeviceError, match=says),
     ):
         camera.acquire()
+
+
+@pytest.mark.parametrize("mode", ["differential", "plain", "reference"])
+def test_any_table_that_is_uploaded_is_shown(world, mode: str) -> None:
+    """A user's own binary patterns, and any rows of the Hadamard matrix as such."""
+    own = own_patterns(np.random.default_rng(0).integers(0, 2, (24, 16, 16)), mode)
+    rows = PatternSet.of(16, 16, [7, 0, 200, 9], mode)
+    as_own = own_patterns(hadamard_rows(rows.indices, 256), mode, shape=(16, 16))
+    for asked, shown in ((own, own), (rows, as_own)):
+        wanted = replace(SETTINGS, patterns=asked)
+        with served(world) as server, SpiCamera(server.line.url, wanted) as camera:
+            record = camera.acquire()
+        (expected,) = direct(world, replace(SETTINGS, patterns=shown), 1)
+        assert np.array_equal(record.counts, expected.counts)
+        assert record.patterns == asked
 
 
 def test_an_uploaded_table_is_shown_and_outlives_a_restart(world) -> None:

@@ -95,14 +95,14 @@ def test_noise_of_references_adds_up_in_cells_that_patterns_agree_on(count: int)
     """Exposures of white noise alone, 4000 draws, through the inverse transform: the standard
     deviation of each of 64 cells is known to 1.1 %, held to 5 of that.
     """
-    from hardware.reconstruction.measurements import hadamard_values
+    from hardware.reconstruction.measurements import measured_values
     from twin.detector import NoiseBudget
 
     patterns = PatternSet(8, 8, count, mode="reference")
     budget = NoiseBudget(0.0, 0.0, 0.0, {"read noise": 3.0})
     electrons = np.random.default_rng(0).normal(0, 3.0, (patterns.n_exposures, 4000))
     coefficients = np.zeros((64, 4000))
-    coefficients[patterns.indices] = hadamard_values(electrons, patterns)
+    coefficients[patterns.indices] = measured_values(electrons, patterns)
     found = (fwht(coefficients) / 64).std(axis=1)
     expected = budget.cells_noise_e(patterns)
     np.testing.assert_allclose(found, expected, rtol=0.055)

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import PatternSet
+from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
 from twin.camera.illumination import amplifier_residue, shown, steady
@@ -70,7 +70,7 @@ class Chain:
         )
 
     @cached_property
-    def patterns(self) -> PatternSet:
+    def patterns(self) -> Patterns:
         """The pattern set that is shown."""
         return self.system.patterns
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import PatternSet, fwht_in_place
-from hardware.reconstruction.measurements import hadamard_values
+from hardware.patterns import Patterns, PatternSet, fwht_in_place
+from hardware.reconstruction.measurements import measured_values
+from hardware.reconstruction.sensing import Sensing
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import prompt
 
@@ -50,7 +51,8 @@ class Distortions:
 
 def distortions(chain: Chain, power: Powers) -> Distortions:
     """Of the mean counts of a camera against one that switches and settles at once and whose
-    converter has no rails; images by inverse transform.
+    converter has no rails; images by inverse transform, of own
+    patterns by least squares.
     """
     patterns, detector, n_shutters = chain.patterns, chain.front_end, len(chain.shutters)
 
@@ -70,10 +72,13 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
     )
 
 
-def _image(electrons: Array, patterns: PatternSet) -> Array:
+def _image(electrons: Array, patterns: Patterns) -> Array:
     """Measured cells (n_cells, n_detectors) of exposures (n_exposures, n_detectors)."""
+    values = measured_values(electrons, patterns)
+    if not isinstance(patterns, PatternSet):
+        return (Sensing(patterns).pseudo_inverse @ values)[~patterns.unmeasured_cells]
     coefficients = np.zeros((patterns.n_cells, electrons.shape[-1]))
-    coefficients[patterns.indices] = hadamard_values(electrons, patterns)
+    coefficients[patterns.indices] = values
     return fwht_in_place(coefficients)[~patterns.unmeasured_cells] / patterns.n_cells
 
 

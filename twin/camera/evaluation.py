@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.patterns import PatternSet
 from hardware.reconstruction import (
     METHODS,
     Method,
@@ -26,6 +27,8 @@ from twin.system import System
 
 #: Methods of every evaluation: the plain inverse and the vehicle's default.
 SHOWN = ("zero-fill", "lmmse")
+#: Of a user's own patterns, which zero-fill cannot invert.
+SHOWN_OF_OWN = ("least-squares", "lmmse")
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,8 @@ def evaluate(
     Raises ValueError for a reconstruction on another grid than the capture's.
     """
     record = capture.record
-    shown = [METHODS[name] for name in SHOWN if fits_in_memory(name, record.patterns)]
+    bundled = SHOWN if isinstance(record.patterns, PatternSet) else SHOWN_OF_OWN
+    shown = [METHODS[name] for name in bundled if fits_in_memory(name, record.patterns)]
     if method is not None and (own := method_of(method)) not in shown:
         shown.append(own)
     images = reconstructions or [reconstruct(record, solve) for solve in shown]

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import PatternSet, fwht_in_place
+from hardware.patterns import Patterns, PatternSet, fwht_in_place
+from hardware.reconstruction.sensing import Sensing
 
 if TYPE_CHECKING:
     from twin.detector.front_end import FrontEnd
@@ -28,15 +29,18 @@ class NoiseBudget:
         """All contributions together."""
         return float(np.sqrt(sum(value**2 for value in self.noise_e.values())))
 
-    def pixel_noise_e(self, patterns: PatternSet) -> float:
-        """Noise of one pixel after the inverse transform of the patterns shown.
+    def pixel_noise_e(self, patterns: Patterns) -> float:
+        """Noise of one pixel after the inverse transform of the patterns shown; of a user's own
+        patterns after least squares, root mean square of all cells.
 
         One measurement is the difference of two exposures, or twice one exposure less a constant.
         """
         per_value = np.sqrt(2.0) if patterns.mode == "differential" else 2.0
+        if not isinstance(patterns, PatternSet):
+            return float(np.sqrt(np.mean(self._least_squares_noise_e(patterns) ** 2)))
         return float(per_value * self.total_noise_e * np.sqrt(patterns.count) / patterns.n_cells)
 
-    def cells_noise_e(self, patterns: PatternSet) -> Array:
+    def cells_noise_e(self, patterns: Patterns) -> Array:
         """The same of every cell, (n_cells,).
 
         The two reference exposures are in every measurement alike, each once beside twice an
@@ -44,11 +48,22 @@ class NoiseBudget:
         variances in place of 4 count.
         """
         pixel = self.pixel_noise_e(patterns)
+        if not isinstance(patterns, PatternSet):
+            return self._least_squares_noise_e(patterns)
         added = np.zeros(patterns.n_cells)
         if patterns.mode == "reference":
             added[patterns.indices] = 1.0
             added = fwht_in_place(added)
         return np.asarray(pixel * np.sqrt(1 + added**2 / (2 * patterns.count)))
+
+    def _least_squares_noise_e(self, patterns: Patterns) -> Array:
+        """Noise of every cell by least squares, of the references as well."""
+        inverse = Sensing(patterns).pseudo_inverse
+        per_value = 2.0 if patterns.mode == "differential" else 4.0
+        gain = per_value * np.sum(inverse**2, axis=1)
+        if patterns.mode == "reference":
+            gain += 2 * inverse.sum(axis=1) ** 2
+        return np.asarray(self.total_noise_e * np.sqrt(gain))
 
 
 #: 2 x 4 x the integral of sin(u)^2 / u from 0 to pi/2: what the difference of two exposures in turn

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware import PatternSet, SpiRecord, reconstruct
+from hardware import SpiRecord, reconstruct
+from hardware.patterns import Patterns
 from hardware.radar import Detection
 from hardware.radar.process import process
 from hardware.reconstruction import METHODS
@@ -82,7 +83,7 @@ def records(
         yield chain.record(scene.rig.pose, counts, flags)
 
 
-def _mirror(power: Powers, patterns: PatternSet) -> Powers:
+def _mirror(power: Powers, patterns: Patterns) -> Powers:
     """Left and right exchanged, of cells and of the detectors side by side."""
 
     def flipped(cells: Array) -> Array:

@@ -9,6 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hardware.patterns import OwnPatterns
 from twin.camera.evaluation import Evaluation
 from twin.camera.verdict import Verdict
 from twin.camera.view import View
@@ -92,13 +93,15 @@ def signal(evaluation: Evaluation) -> Figure:
     figure = new_figure((10.2, 3.3))
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1))
     counts = record.counts[:, record.counts.shape[1] // 2]
-    if record.patterns.mode == "differential":
+    patterns = record.patterns
+    own = isinstance(patterns, OwnPatterns)
+    if patterns.mode == "differential":
         left.plot(counts[0::2], ".", ms=1.6, color=BLUE, label="pattern")
         left.plot(counts[1::2], ".", ms=1.6, color=ORANGE, label="complement")
         left.legend(markerscale=5, frameon=False, loc="upper right")
     else:
         left.plot(counts, ".", ms=1.6, color=BLUE)
-    left.set_xlabel(f"Hadamard pattern ({record.patterns.order} order)")
+    left.set_xlabel(f"{'own' if own else 'Hadamard'} pattern ({patterns.order} order)")
     left.set_ylabel("ADC counts")
     used = np.ptp(counts) / 2**record.adc_bits
     left.set_title(f"the patterns move {used:.2%} of the converter's range")

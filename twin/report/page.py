@@ -120,7 +120,8 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     return {
         "system": system.name,
         "what it is": system.description,
-        "patterns": f"{patterns.count} of {patterns.columns} x {patterns.rows}, {patterns.mode}",
+        "patterns": f"{patterns.count} of {patterns.columns} x {patterns.rows}, {patterns.mode}"
+        + (f", own ({patterns.digest[:8]})" if patterns.digest else ""),
         "frame time": f"{si(system.frame_time_s, 's')} ({1 / system.frame_time_s:.3g} frames/s)",
         "sun in the band": f"{taken.sun_irradiance_w_per_m2:.4g} W/m² "
         f"at {taken.illuminance_lx:g} lx",

@@ -2,8 +2,10 @@
 
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
+import numpy as np
 from pydantic import ValidationError
 
 from hardware.drivers.framing import Deframer, Frame, encode
@@ -33,9 +35,9 @@ from hardware.drivers.messages import (
     to_frame,
 )
 from hardware.drivers.settings import SpiSettings
-from hardware.drivers.table import table_bytes
+from hardware.drivers.table import patterns_in, table_bytes
 from hardware.errors import InputError as VehicleInputError
-from hardware.patterns import Order, PatternSet
+from hardware.patterns import OwnPatterns, Patterns, PatternSet
 from hardware.records import Flag, SpiRecord
 from twin import __version__
 from twin.camera.chain import Chain
@@ -250,8 +252,8 @@ class VirtualCamera:
         )
         return self._made
 
-    def _built(self, request: Configure) -> System:
-        """The system that does what is asked for."""
+    def _built(self, request: Configure, uploaded: OwnPatterns | None = None) -> System:
+        """The system that does what is asked for, with an ``uploaded`` table's own patterns."""
 
         def refuse(why: str) -> None:
             raise _RefusedError(Refusal.UNSUPPORTED, why)
@@ -263,11 +265,21 @@ class VirtualCamera:
             refuse("order: this camera does not know it")
         if request.mode >= len(MODE_CODES) or not _MODES >> request.mode & 1:
             refuse("mode: this camera does not know it")
-        order: Order = "natural" if request.order == UPLOADED else ORDER_CODES[request.order]
+        if not 1 <= request.count <= own.n_cells:
+            refuse(f"count: {request.count} is not between 1 and {own.n_cells}")
+        mode = MODE_CODES[request.mode]
         try:
-            patterns = PatternSet(
-                own.rows, own.columns, request.count, order, MODE_CODES[request.mode]
-            )
+            patterns: Patterns
+            if request.order != UPLOADED:
+                order = ORDER_CODES[request.order]
+                patterns = PatternSet(own.rows, own.columns, request.count, order, mode)
+            elif uploaded is not None:
+                patterns = uploaded
+            elif mode == "s-matrix":
+                patterns = PatternSet(own.rows, own.columns, request.count, "natural", mode)
+            else:  # of the size of what is to come
+                dark = np.zeros((request.count, own.rows, own.columns), np.uint16)
+                patterns = OwnPatterns(dark, mode)
             settings = SpiSettings(
                 patterns,
                 request.integration_time_s,
@@ -301,15 +313,20 @@ class VirtualCamera:
         return self._status()
 
     def _recognized(self, table: bytes) -> System:
-        """The system that shows an uploaded table: the twin shows the orders that it can name."""
-        patterns = self._configured.patterns
-        for code, name in enumerate(ORDER_CODES):
-            first = replace(patterns, order=name, count=min(patterns.count, _ENOUGH))
-            if not table.startswith(table_bytes(first)):
-                continue
-            if table == table_bytes(replace(patterns, order=name)):
-                return self._built(replace(self._request, order=code))
-        raise _RefusedError(Refusal.TABLE, "Arm: this is the table of no order that I know")
+        """The system that shows an uploaded table: by name where it is that of a named order."""
+        asked = self._request
+        mode = MODE_CODES[asked.mode]
+        with suppress(VehicleInputError):  # cells that are no power of two have no named order
+            for code, name in enumerate(ORDER_CODES):
+                patterns = PatternSet(asked.rows, asked.columns, asked.count, name, mode)
+                first = replace(patterns, count=min(asked.count, _ENOUGH))
+                if table.startswith(table_bytes(first)) and table == table_bytes(patterns):
+                    return self._built(replace(asked, order=code))
+        try:
+            own = patterns_in(table, asked.rows, asked.columns, mode)
+        except VehicleInputError as error:
+            raise _RefusedError(Refusal.TABLE, f"Arm: {error}"[:150]) from error
+        return self._built(asked, own)
 
     def _held(self) -> tuple[int, int]:
         """Bytes of the table that are here, and their CRC-32."""

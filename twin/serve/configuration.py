@@ -3,9 +3,11 @@
 import numpy as np
 
 from hardware.drivers.settings import SpiSettings
+from hardware.patterns import PatternSet
 from twin.camera.shutters import shutters
 from twin.errors import InputError
 from twin.system import System
+from twin.toml import plain
 
 #: Limits of the integration time, s.
 INTEGRATION_S = (1e-7, 1.0)
@@ -36,13 +38,20 @@ def configured(system: System, settings: SpiSettings) -> System:
     period = settings.pattern_period_s or integration + readout
     if not integration + readout * (1 - 1e-9) <= period <= 1e3:
         raise InputError("pattern_period_s: shorter than integration and read-out, or no number")
-    content = system.model_dump()
-    for name, value in {
+    content = plain(system)
+    given: dict[str, object] = {
         "n_patterns": asked.count,
         "order": asked.order,
         "mode": asked.mode,
+        "patterns": asked,
         "integration_time_s": integration,
         "pattern_period_s": period,
-    }.items():
+    }
+    if isinstance(asked, PatternSet):
+        content["acquisition"]["patterns"] = None
+        del given["patterns"]
+    else:
+        given["order"] = "natural"  # which does not count
+    for name, value in given.items():
         content["acquisition"][name] = {"value": value, "assumed": "as the host asked"}
     return System.model_validate(content)

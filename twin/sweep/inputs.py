@@ -8,13 +8,13 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
 
 import hardware
 import twin
-from twin.digest import digest, source_digest
+from hardware.own_functions import digest_of_given
+from twin.digest import digest, file_digest, source_digest
 from twin.files import InputError
 from twin.radar.device.design import load_radar
 from twin.scene import load_scene
@@ -24,6 +24,7 @@ from twin.sweep.names import is_own, needs_radar
 from twin.sweep.objects import object_digest
 from twin.sweep.study import Study
 from twin.system import load_part, load_system
+from twin.toml import placed
 
 T = TypeVar("T")
 
@@ -146,7 +147,7 @@ def _named(study: Study) -> Iterator[tuple[str, str]]:
         for name in dict.fromkeys([base, *study.values_of(root)]):
             yield root, str(name)
     for parameter in study.parameters:
-        for kind, end in (("part", ".part"), ("file", "_csv"), ("file", "_file")):
+        for kind, end in _OF_END:
             if parameter.endswith(end):
                 for name in dict.fromkeys(study.values_of(parameter)):
                     yield kind, str(name)
@@ -157,6 +158,16 @@ def _named(study: Study) -> Iterator[tuple[str, str]]:
             yield "detection", str(own)
         for name in filter(is_own, study.metrics):
             yield "metric", name
+
+
+#: Kind of input that a parameter names, by its end.
+_OF_END = (
+    ("part", ".part"),
+    ("file", "_csv"),
+    ("file", "_file"),
+    ("file", ".patterns"),
+    ("function", ".function"),
+)
 
 
 def beside(name: str, folder: Path) -> str | Path:
@@ -179,8 +190,14 @@ def _load(kind: str, name: str, folder: Path) -> tuple[str, Any]:
     return found, content
 
 
+def _function(name: str, folder: Path) -> tuple[str, str]:
+    """Digest and place of code that a system names."""
+    place = placed("function", name, folder)
+    return digest_of_given(place), place
+
+
 #: Kinds that are read with their digest.
-_FUNCTIONS = ("metric", "method", "detection")
+_FUNCTIONS = ("metric", "method", "detection", "function")
 _READERS: dict[str, Callable[[str, Path], Any]] = {
     "scene": lambda name, folder: load_scene(beside(name, folder)),
     "system": lambda name, folder: load_system(beside(name, folder)),
@@ -190,6 +207,7 @@ _READERS: dict[str, Callable[[str, Path], Any]] = {
     "metric": own_metric,
     "method": own_method,
     "detection": own_detection,
+    "function": _function,
 }
 
 
@@ -198,7 +216,7 @@ def _digest(content: Any) -> str:
     if isinstance(content, InputError):
         return digest(str(content))
     if isinstance(content, Path):
-        return sha256(content.read_bytes()).hexdigest()
+        return file_digest(content)
     return digest(content)
 
 

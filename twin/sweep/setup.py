@@ -10,11 +10,11 @@ from twin.fidelity import Fidelity, preset
 from twin.files import InputError
 from twin.radar.device.design import RadarDesign
 from twin.scene import Scene
-from twin.sweep.inputs import Held, Inputs, beside
+from twin.sweep.inputs import Held, Inputs
 from twin.sweep.names import needs_radar
 from twin.sweep.study import Study, Value
 from twin.system import System
-from twin.toml import Entry
+from twin.toml import Entry, names_file, placed
 
 E = TypeVar("E", bound=Entry)
 Values = dict[str, Value]
@@ -131,8 +131,8 @@ def changed(entry: E, values: tuple[tuple[str, Value], ...], inputs: Inputs) -> 
                 raise InputError(f"{section}.part = {value!r}: this part has no {section}")
             changes[section] = part
         elif field:
-            if field.endswith(("_csv", "_file")):
-                value = str(beside(str(value), inputs.folder))
+            if names_file(field) and isinstance(value, str):
+                value = placed(field, value, inputs.folder)
             changes[name] = {"value": value, "assumed": "swept"}
     return entry.with_({"name": entry.name, **changes}) if changes else entry
 

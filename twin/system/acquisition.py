@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hardware.patterns import Order
+from twin.system.own_patterns import OwnPatternSource
 from twin.toml import Count, Fraction, NonNegative, Positive, Sourced, Strict
 
 #: Of `hardware.patterns.Mode` what one detector can measure: complementary takes two.
@@ -18,6 +19,9 @@ class Acquisition(Strict):
     """Which patterns are shown, and for how long.
 
     ``columns``: of a line sensor, whose pixels are binned to them; default one per pixel.
+    ``patterns``: a user's own in place of Hadamard rows, the first ``n_patterns`` of a file (in
+    Python of an array) of as many rows and columns as the emitter, see `hardware.own_patterns`;
+    ``order`` does not count then.
     """
 
     integration_time_s: Sourced[Duration]
@@ -26,6 +30,7 @@ class Acquisition(Strict):
     order: Sourced[Order]
     mode: Sourced[Mode]
     columns: Sourced[Count] | None = None
+    patterns: Sourced[OwnPatternSource] | None = None
 
     @model_validator(mode="after")
     def _fits(self) -> "Acquisition":

@@ -7,7 +7,7 @@ from typing import Any, Self
 from pydantic import model_validator
 
 from hardware.errors import InputError as VehicleInputError
-from hardware.patterns import PatternSet
+from hardware.patterns import Patterns, PatternSet
 from twin.files import InputError, catalog_folder
 from twin.system.acquisition import Acquisition, TimeOfFlight
 from twin.system.curves import check_curves
@@ -15,6 +15,7 @@ from twin.system.detector import Detector, Readout
 from twin.system.emitter import Emitter
 from twin.system.environment import Sky, Weather
 from twin.system.optics import Filter, Optics
+from twin.system.own_patterns import read_own_patterns
 from twin.system.part import PARTS, Part, load_part
 from twin.toml import Entry, bundled, load_entry
 
@@ -42,7 +43,9 @@ class System(Entry):
     def _patterns_exist(self) -> "System":
         try:
             _ = self.patterns
-        except VehicleInputError as error:
+        except (VehicleInputError, FileNotFoundError) as error:
+            if self.acquisition.patterns is not None:
+                raise ValueError(f"acquisition.patterns: {error}") from None
             field, rest = str(error).split(":", 1)
             places = {"count": "n_patterns", "subset": "order", "mode": "mode"}
             place = f"acquisition.{places[field]}" if field in places else f"emitter.{field}"
@@ -90,8 +93,15 @@ class System(Entry):
         return found
 
     @property
-    def patterns(self) -> PatternSet:
+    def patterns(self) -> Patterns:
         """The pattern set that is shown."""
+        if self.acquisition.patterns is not None:
+            return read_own_patterns(
+                self.acquisition.patterns.value,
+                count=self.acquisition.n_patterns.value,
+                shape=(self.emitter.rows.value, self.emitter.columns.value),
+                mode=self.acquisition.mode.value,
+            )
         return PatternSet(
             rows=self.emitter.rows.value,
             columns=self.emitter.columns.value,

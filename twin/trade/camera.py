@@ -9,7 +9,8 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import PatternSet, fwht
+from hardware.patterns import Patterns, PatternSet, fwht
+from hardware.reconstruction.sensing import Sensing
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import dark_share
 from twin.camera.light import Rendered, render_light
@@ -259,8 +260,11 @@ def distributions(
     return {kind: (drawn(kind), drawn(kind)) for kind in rungs}
 
 
-def told_apart(cells: Array, patterns: PatternSet) -> Array:
+def told_apart(cells: Array, patterns: Patterns) -> Array:
     """Part of images (n, n_cells) that the patterns shown can tell; the rest is never measured."""
+    if not isinstance(patterns, PatternSet):
+        own = Sensing(patterns)
+        return (own.pseudo_inverse @ own.forward(cells.T)).T
     if patterns.count == patterns.n_cells:
         return cells
     spectrum = fwht(cells.T)

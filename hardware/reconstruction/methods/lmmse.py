@@ -65,7 +65,7 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
 @lru_cache(maxsize=16)
 def lmmse_plan(sensing: Sensing) -> "MixedPlan | SubsetPlan | FullPlan":
     """What depends on the patterns alone. ``ratio`` is noise variance over the prior's scale."""
-    if sensing.mixing:
+    if sensing.is_dense:
         return mixed_plan(sensing)
     if sensing.count == sensing.n_cells:
         return FullPlan(sensing, prior_spectrum(*sensing.shape))
@@ -75,7 +75,7 @@ def lmmse_plan(sensing: Sensing) -> "MixedPlan | SubsetPlan | FullPlan":
 @lru_cache(maxsize=16)
 def lmmse_blocks(sensing: Sensing) -> WalshBlocks:
     """The covariance between the Hadamard rows shown, as blocks."""
-    return WalshBlocks.of(sensing.shape, sensing.patterns.indices)
+    return WalshBlocks.of(sensing.shape, sensing.indices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class SubsetPlan:
 
     def structure(self, values: Array) -> tuple[Array, Array]:
         """Measurements without the mean, and their variances for a prior of scale 1."""
-        return values, walsh_variance(*self.sensing.shape)[self.sensing.patterns.indices]
+        return values, walsh_variance(*self.sensing.shape)[self.sensing.indices]
 
     def flat(self, values: Array) -> Array:
         """The image when there is no structure: its mean."""
@@ -155,7 +155,7 @@ class FullPlan:
 
     def scale(self, values: Array, noise_variance: float) -> float:
         """Scale of the prior, from all but the mean."""
-        structure = np.where(self.sensing.patterns.indices == 0, 0.0, values)
+        structure = np.where(self.sensing.indices == 0, 0.0, values)
         expected = self.sensing.n_cells * float(self.spectrum.sum())
         energy = float(structure @ structure)
         return prior_scale(energy, len(values), noise_variance, expected)
@@ -174,12 +174,12 @@ class FullPlan:
 
     def structure(self, values: Array) -> tuple[Array, Array]:
         """Measurements without the mean, and their variances for a prior of scale 1."""
-        return values, walsh_variance(*self.sensing.shape)[self.sensing.patterns.indices]
+        return values, walsh_variance(*self.sensing.shape)[self.sensing.indices]
 
     def flat(self, values: Array) -> Array:
         """The image when there is no structure: its mean."""
         n = self.sensing.n_cells
-        return np.full(n, values[self.sensing.patterns.indices == 0].sum() / n)
+        return np.full(n, values[self.sensing.indices == 0].sum() / n)
 
     def _weight(self, ratio: float) -> Array:
         noise = ratio / self.sensing.n_cells + np.finfo(float).tiny
@@ -188,7 +188,7 @@ class FullPlan:
 
 @dataclass(frozen=True, eq=False)
 class MixedPlan:
-    """With a mixing: eigenvectors U, eigenvalues of A C A^T, C A^T U, the flat image as seen."""
+    """Of any matrix: eigenvectors U, eigenvalues of A C A^T, C A^T U, the flat image as seen."""
 
     eigenvectors: Array
     eigenvalues: Array

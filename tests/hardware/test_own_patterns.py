@@ -1,0 +1,239 @@
+"""Patterns of a user's own: read, shown, recorded, logged, sent and inverted as they are."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from hardware import (
+    InputError,
+    Log,
+    OwnPatterns,
+    own_patterns,
+    read_record,
+    read_records,
+    reconstruct,
+    write_record,
+)
+from hardware.drivers.settings import SpiSettings, read_settings
+from hardware.drivers.table import patterns_in, table_bytes
+from hardware.patterns import PatternSet, hadamard_rows
+from hardware.reconstruction import METHODS
+from hardware.reconstruction.sensing import Mixing, Sensing
+from hardware.records import SpiRecord
+from hardware.records.state import AT_ORIGIN
+from hardware.sliding_images import SlidingImages
+
+RNG = np.random.default_rng(0)
+BITS = RNG.integers(0, 2, (96, 6, 10))
+GREY = RNG.random((96, 6, 10))
+MODES = ("differential", "plain", "reference")
+
+
+def record_of(patterns, cells, background=1000.0, noise=0.0, seed=0):
+    """What a camera of 1 electron a count sends of an image, in the same background throughout."""
+    light = patterns.signal(np.asarray(cells, float).ravel()) + background
+    light = light.reshape(patterns.n_exposures, -1)
+    drawn = light + noise * np.random.default_rng(seed).standard_normal(light.shape)
+    n = patterns.n_exposures
+    return SpiRecord(
+        counts=np.rint(drawn).astype(np.int32),
+        device_time_ns=np.arange(n, dtype=np.int64) * 1000,
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=np.zeros(n, np.uint8),
+        patterns=patterns,
+        integration_time_s=1e-4,
+        electrons_per_count=1.0,
+        offset_counts=0.0,
+        adc_bits=24,
+        device="test",
+        pose=AT_ORIGIN,
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (BITS, BITS),
+        (BITS.astype(bool), BITS),
+        (2 * BITS - 1, BITS),
+        ((255 * BITS).astype(np.uint8), BITS),
+        (GREY, GREY),
+        (2 * GREY - 1, GREY),
+        (np.rint(65535 * GREY).astype(np.uint16), GREY),
+    ],
+)
+def test_values_say_what_they_are(given: np.ndarray, expected: np.ndarray) -> None:
+    lit = own_patterns(given).lit.reshape(expected.shape)
+    np.testing.assert_allclose(lit, expected, atol=0.5 / 65535 + 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (np.full((2, 4, 4), 7), "int64 from 7 to 7, expected 0 and 1"),
+        (np.full((2, 4, 4), np.nan), "NaN"),
+        (np.zeros((2, 4)), r"shape \(2, 4\), expected \(count, rows, columns\)"),
+        (np.full((1, 2, 2), "a"), "expected numbers"),
+        (np.zeros((0, 4, 4)), "expected numbers"),
+    ],
+)
+def test_what_is_no_pattern_is_told(given: np.ndarray, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        own_patterns(given)
+    with pytest.raises(InputError, match="own patterns are shown differential"):
+        own_patterns(BITS, "s-matrix")
+
+
+def test_files_hold_the_same(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    np.save(tmp_path / "a.npy", BITS)
+    np.savez(tmp_path / "a.npz", patterns=BITS, other=np.zeros(3))
+    frames = [image.fromarray((255 * one).astype(np.uint8)) for one in BITS]
+    frames[0].save(tmp_path / "a.tiff", save_all=True, append_images=frames[1:])
+    (tmp_path / "folder").mkdir()
+    for n, frame in enumerate(frames):
+        frame.save(tmp_path / "folder" / f"{n:03}.png")
+    known = own_patterns(BITS)
+    for name in ("a.npy", "a.npz", "a.tiff", "folder"):
+        assert own_patterns(tmp_path / name) == known
+    np.savez(tmp_path / "two.npz", a=BITS, b=BITS)
+    (tmp_path / "text.npy").write_text("none")
+    (tmp_path / "empty").mkdir()
+    for name, told in (
+        ("two.npz", "arrays a, b, expected one"),
+        ("text.npy", "can't be read as an array"),
+        ("empty", "no images"),
+    ):
+        with pytest.raises(InputError, match=f"{name}: {told}"):
+            own_patterns(tmp_path / name)
+    with pytest.raises(FileNotFoundError, match=r"none\.npy"):
+        own_patterns(tmp_path / "none.npy")
+
+
+def test_hadamard_rows_given_as_an_array_are_what_their_name_says() -> None:
+    """The same light in each exposure, the same measurements, the same image by least squares."""
+    named = PatternSet(8, 8, 64, "natural")
+    own = own_patterns(hadamard_rows(np.arange(64), 64), shape=(8, 8))
+    cells = RNG.random(64)
+    np.testing.assert_allclose(own.signal(cells), named.signal(cells), atol=1e-12)
+    np.testing.assert_array_equal(own.masks(), named.masks())
+    assert table_bytes(own) == table_bytes(named)
+    values = Sensing(named).forward(cells)
+    np.testing.assert_allclose(Sensing(own).forward(cells), values, atol=1e-12)
+    for of in (named, own):
+        found, error = METHODS["least-squares"](values, 4.0, of)
+        np.testing.assert_allclose(found, cells, atol=1e-12)
+        np.testing.assert_allclose(error, 2 / 8)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("stack", [BITS, GREY], ids=["binary", "grey"])
+def test_enough_patterns_give_the_image_back(mode: str, stack: np.ndarray) -> None:
+    """96 patterns of 60 cells: least squares is within its standard errors of the truth, whatever
+    the background; of 60 normal errors the root mean square is 1 to four of its own deviations.
+    """
+    cells = 1e4 * RNG.random(60)
+    record = record_of(own_patterns(stack, mode), cells, noise=20.0)
+    patterns = record.patterns
+    assert patterns.n_exposures == {"differential": 192, "plain": 96, "reference": 98}[mode]
+    found = reconstruct(record, "least-squares").image[0].ravel()
+    per_value = np.sqrt(2) if mode == "differential" else 2.0
+    inverse = Sensing(patterns).pseudo_inverse
+    error = per_value * 20.0 * np.sqrt(np.sum(inverse**2, axis=1))
+    if mode == "reference":
+        error = np.hypot(error, np.sqrt(2) * 20 * np.abs(inverse.sum(axis=1)))
+    assert np.sqrt(np.mean(((found - cells) / error) ** 2)) == pytest.approx(1, abs=4 / 120**0.5)
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - {"zero-fill", "least-squares"}))
+def test_methods_with_a_prior_take_any_patterns(method: str) -> None:
+    rows, columns = np.mgrid[:8, :8]
+    cells = 1e4 * np.exp(-((rows - 4) ** 2 + (columns - 3) ** 2) / 8)
+    record = record_of(own_patterns(RNG.integers(0, 2, (48, 8, 8))), cells, noise=5.0)
+    image = reconstruct(record, method).image[0]
+    assert np.corrcoef(image.ravel(), cells.ravel())[0, 1] > 0.9
+
+
+def test_those_that_need_hadamard_rows_say_so() -> None:
+    record = record_of(own_patterns(BITS), np.ones(60))
+    with pytest.raises(InputError, match=r"'zero-fill' needs rows .* 'least-squares' inverts any"):
+        reconstruct(record, "zero-fill")
+    with pytest.raises(InputError, match="between whole sets need rows of the Hadamard matrix"):
+        next(SlidingImages(4).update("camera", record))
+
+
+def test_with_a_mixing_both_are_inverted() -> None:
+    mixing = Mixing(np.eye(60) + 0.1 * RNG.random((60, 60)), 6, 10)
+    cells = 1e4 * RNG.random(60)
+    record = record_of(own_patterns(BITS), mixing.matrix @ cells)
+    found = reconstruct(record, "least-squares", mixing=mixing).image[0].ravel()
+    np.testing.assert_allclose(found, cells, atol=20)
+
+
+def test_lost_patterns_are_left_out_and_unlit_cells_named() -> None:
+    from dataclasses import replace
+
+    bits = BITS.copy()
+    bits[:, 0, 0] = 1
+    patterns, cells = own_patterns(bits, "plain"), 1e4 * RNG.random(60)
+    record = record_of(patterns, cells)
+    lost = record.flags.copy()
+    lost[5] = 8
+    found = reconstruct(replace(record, flags=lost), "least-squares")
+    assert np.isnan(found.image[0, 0, 0])
+    np.testing.assert_allclose(found.image[0].ravel()[1:], cells[1:], atol=20)
+    assert any("all patterns light alike" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("stack", [BITS, GREY], ids=["binary", "grey"])
+def test_a_record_holds_them_whole(tmp_path: Path, mode: str, stack: np.ndarray) -> None:
+    """In a file and in a log, bit for bit, with a digest that tells what was changed."""
+    record = record_of(own_patterns(stack, mode), RNG.random(60))
+    path = tmp_path / "record.h5"
+    write_record(record, path)
+    again = read_record(path)
+    assert again.patterns == record.patterns
+    assert isinstance(again.patterns, OwnPatterns)
+    np.testing.assert_array_equal(again.patterns.levels, record.patterns.levels)
+    with Log(tmp_path / "log.mcap") as log:
+        log.record("/spi/record", record)
+        log.record("/spi/record", record)
+    for received in read_records(tmp_path / "log.mcap"):
+        assert received.record.patterns == record.patterns
+        np.testing.assert_array_equal(received.record.counts, record.counts)
+    name = "packed" if stack is BITS else "grey_levels"
+    with h5py.File(path, "r+") as file:
+        file["patterns"][name][0, 0] ^= 1
+    with pytest.raises(InputError, match=r"record\.h5: patterns: their SHA-256 is"):
+        read_record(path)
+
+
+def test_binary_ones_take_one_bit_a_cell(tmp_path: Path) -> None:
+    record = record_of(own_patterns(RNG.integers(0, 2, (512, 64, 64))), np.ones(4096))
+    write_record(record, tmp_path / "record.h5")
+    assert (tmp_path / "record.h5").stat().st_size < 1.3 * 512 * 4096 / 8
+
+
+def test_a_device_is_sent_bits(tmp_path: Path) -> None:
+    """Tables say what they are, and grey levels that no device takes are told where they stand."""
+    for mode in MODES:
+        patterns = own_patterns(BITS, mode)
+        assert patterns_in(table_bytes(patterns), 6, 10, mode) == patterns
+    table = bytearray(table_bytes(own_patterns(BITS, "differential")))
+    table[0] ^= 0x80
+    with pytest.raises(InputError, match="not one of mode 'differential'"):
+        patterns_in(bytes(table), 6, 10, "differential")
+    with pytest.raises(InputError, match="one bit per cell, but pattern 0 has the grey level"):
+        SpiSettings(own_patterns(GREY), 1e-4)
+    np.save(tmp_path / "mine.npy", BITS)
+    settings = tmp_path / "camera.toml"
+    settings.write_text(
+        'integration_time_s = "315 us"\n[patterns]\nfile = "mine.npy"\nmode = "plain"\n'
+    )
+    assert read_settings(settings).patterns == own_patterns(BITS, "plain")
+    settings.write_text('integration_time_s = 1e-4\n[patterns]\nfile = "mine.npy"\nrows = 6\n')
+    with pytest.raises(InputError, match=r"camera\.toml: patterns\.rows"):
+        read_settings(settings)
