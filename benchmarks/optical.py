@@ -24,7 +24,7 @@ from twin.camera.mounting import light_problem
 from twin.camera.stream import frames
 from twin.fidelity import Fidelity
 from twin.optics.matrix import Start, transport_matrix
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.radiometry import collection, wall_power_w
 from twin.optics.reference import PatternRenderer
 from twin.optics.spectra import sun_band_irradiance
@@ -55,7 +55,7 @@ def _accuracy() -> Iterator[Figure]:
         scene = wall_at(distance)
         problem = light_problem(scene, system)
         problem = replace(problem, detector=problem.emitter)
-        cells = transport(problem, (64, 64), quality=Quality(16, 1), seed=1)
+        cells = transport(problem, (64, 64), quality=TracingQuality(16, 1), seed=1)
         ratio = watt * cells.total.sum() / wall_power_w(system, 0.5, distance)
         yield f"wall at {distance:g} m: watts over closed form, less 1", 100 * (ratio - 1), "%"
 
@@ -79,7 +79,7 @@ def _transport() -> Iterator[Figure]:
     noise = capture(scene, system).noise.pixel_noise_e(system.patterns)
     best = capture(scene, system, fidelity=Fidelity(4096, 6), seed=99).cells_e
     for samples, depth in ((1, 1), (4, 2), (16, 2), (64, 4), (256, 6)):
-        quality = Quality(samples, depth)
+        quality = TracingQuality(samples, depth)
         name = f"transport, {samples} samples, depth {depth}"
         yield (
             name,
@@ -113,12 +113,12 @@ def _speed_up() -> Iterator[Figure]:
         brute = one.scaled(renders / len(masks), f"{len(masks)} renders timed, scaled")
         name = f"{side} x {side} cells, depth {depth}"
         yield f"{name}: brute force, {renders} renders of {samples * 64**2} rays", brute, ""
-        best = transport(problem, shape, quality=Quality(4096, depth), seed=9)
+        best = transport(problem, shape, quality=TracingQuality(4096, depth), seed=9)
         for rays in (1, 4, 16, 64, 256):
-            quality = Quality(rays, depth)
+            quality = TracingQuality(rays, depth)
 
             def once(
-                seed: int = 1, quality: Quality = quality, shape: tuple[int, int] = shape
+                seed: int = 1, quality: TracingQuality = quality, shape: tuple[int, int] = shape
             ) -> NDArray[np.float64]:
                 return transport(problem, shape, quality=quality, seed=seed).total
 
@@ -148,7 +148,7 @@ def _moving() -> Iterator[Figure]:
     def render() -> None:
         shift = np.array([0, 1e-3 * next(steps), 0])
         moved = problem.moved(np.eye(3), shift)
-        transport(moved, (64, 64), quality=Quality(16, 1), seed=next(steps))
+        transport(moved, (64, 64), quality=TracingQuality(16, 1), seed=next(steps))
 
     name = f"moving rig, {scene.triangles} triangles, 64 x 64"
     yield f"{name}: render, 16 paths a cell, direct", timed(render, runs=25), ""
@@ -169,15 +169,15 @@ def _line_sensor() -> Iterator[Figure]:
     scene, system = load_scene("yard"), load_system("line-256x16")
     problem, rows, columns = light_problem(scene, system), (16, 1), (1, 256)
     best = transport_matrix(
-        problem, rows, columns, quality=Quality(400**2, 1), seed=9, role="scatter"
+        problem, rows, columns, quality=TracingQuality(400**2, 1), seed=9, start="scatter"
     )
-    for role, side in (("scatter", 20), ("scatter", 56), ("dual", 320)):
+    for start, side in (("scatter", 20), ("scatter", 56), ("dual", 320)):
 
-        def work(role: Start = role, side: int = side) -> NDArray[np.float64]:
-            quality = Quality(side**2, 1)
-            return transport_matrix(problem, rows, columns, quality=quality, seed=1, role=role)
+        def work(start: Start = start, side: int = side) -> NDArray[np.float64]:
+            quality = TracingQuality(side**2, 1)
+            return transport_matrix(problem, rows, columns, quality=quality, seed=1, start=start)
 
-        name = f"T, 16 rows x 256 columns, direct, {role}, {side}^2 paths"
+        name = f"T, 16 rows x 256 columns, direct, {start}, {side}^2 paths"
         yield name, timed(work), ""
         error = np.sqrt(np.mean((work() - best) ** 2)) / np.sqrt(np.mean(best**2))
         yield f"{name}: rms error over rms", 100 * float(error), "%"

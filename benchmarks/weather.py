@@ -10,7 +10,7 @@ from benchmarks.optical import wall_at
 from benchmarks.timing import Figure, timed
 from twin.optics.backscatter import backscatter, cell_rays
 from twin.optics.devices import Device
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.reference import PatternRenderer
 from twin.optics.transport import transport
@@ -81,6 +81,6 @@ def _errors(
 def _wall_light() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Direct light of the wall without air, and the mean path there and back, by cell."""
     grid = (_SIZE, _SIZE)
-    cells = transport(_before_wall(), grid, quality=Quality(1024, 1), seed=1)
+    cells = transport(_before_wall(), grid, quality=TracingQuality(1024, 1), seed=1)
     _, cosine = cell_rays(_EMITTER, grid, 8)
     return cells.total, 2 * (_DISTANCE_M / cosine).mean(axis=(2, 3))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeVar, get_args
 
 from twin.errors import InputError
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 
 Noise = Literal["none", "gaussian", "full"]
 Start = Literal["auto", "dual", "scatter"]
@@ -175,9 +175,9 @@ class LightFidelity(Knobs):
         return replace(self, indirect_samples=self.quality.further_samples)
 
     @property
-    def quality(self) -> Quality:
+    def quality(self) -> TracingQuality:
         """Knobs of the path tracer."""
-        return Quality(self.samples, self.max_depth, self.indirect_samples, self.air_orders)
+        return TracingQuality(self.samples, self.max_depth, self.indirect_samples, self.air_orders)
 
 
 @dataclass(frozen=True)

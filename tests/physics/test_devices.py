@@ -18,7 +18,7 @@ from twin.optics.emission import (
     lobe_exponent,
 )
 from twin.optics.matrix import transport_matrix
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.transport import sunlight, transport
 from twin.scene.meshes import Mesh
@@ -27,7 +27,7 @@ from twin.system import Emitter, System, load_part, load_system
 
 TAN = math.tan(math.radians(10))
 HERE = Device(np.zeros(3), np.eye(3), TAN)
-ALL = Quality(64, 1)
+ALL = TracingQuality(64, 1)
 
 
 def wall(distance_m: float, left=(-50.0, 50.0), up=(-50.0, 50.0)):
@@ -47,7 +47,7 @@ def test_blur_softens_an_edge_as_the_error_function() -> None:
     """The wall ends on the axis; a cell at x sees the blurred share of it, box (x) Gauss."""
     sigma = 0.03 * TAN
     world = wall(5.0, left=(0.0, 50.0))
-    quality = Quality(1024, 1)
+    quality = TracingQuality(1024, 1)
     sharp = cells(HERE, world=wall(5.0), quality=quality)
     soft = cells(replace(HERE, blur_tan=sigma), replace(HERE, tan_half_field=3 * TAN), world=world)
     wide = cells(replace(HERE, blur_tan=0.0), replace(HERE, tan_half_field=3 * TAN))
@@ -69,15 +69,15 @@ def test_blur_and_fill_look_alike_from_both_sides() -> None:
     detector = replace(HERE, blur_tan=0.02 * TAN, edge_illumination=0.5)
     problem = LightProblem(wall(5.0, left=(0.1, 50.0)), emitter, detector)
     both = {
-        role: np.array(
+        start: np.array(
             [
                 transport_matrix(
-                    problem, (4, 4), (2, 4), quality=Quality(1024, 1), seed=s, role=role
+                    problem, (4, 4), (2, 4), quality=TracingQuality(1024, 1), seed=s, start=start
                 )
                 for s in range(12)
             ]
         )
-        for role in ("dual", "scatter")
+        for start in ("dual", "scatter")
     }
     lit = both["dual"].mean(axis=0) > 1e-3 * both["dual"].max()
     _, p = stats.ttest_ind(both["dual"][:, lit], both["scatter"][:, lit], equal_var=False)
@@ -115,7 +115,7 @@ def test_bare_leds_light_a_wall_as_their_lobes_say() -> None:
     m, pitch, z = lobe_exponent(20.0), 0.05, 2.0
     array = replace(HERE, pitch_m=pitch, lobe_exponent=m)
     detector = replace(HERE, origin_m=np.array([0, -0.1, 0]))
-    found = cells(array, detector, (2, 4), wall(z), Quality(128**2, 1))
+    found = cells(array, detector, (2, 4), wall(z), TracingQuality(128**2, 1))
     node, weight = np.polynomial.legendre.leggauss(200)
     y, x = np.meshgrid(z * TAN * node, z * TAN * node)  # field of the detector on the wall
     area = np.outer(weight, weight) * (z * TAN) ** 2
@@ -139,7 +139,9 @@ def test_a_large_pupil_close_by_is_no_point() -> None:
     wide = replace(HERE, tan_half_field=2.0)
     z, a = 1.0, 0.5
     ratio = (
-        cells(spot, replace(wide, pupil_radius_m=a), world=wall(z), quality=Quality(1024, 1)).sum()
+        cells(
+            spot, replace(wide, pupil_radius_m=a), world=wall(z), quality=TracingQuality(1024, 1)
+        ).sum()
         / cells(spot, wide, world=wall(z)).sum()
     )
     assert ratio == pytest.approx(z**2 / (z**2 + a**2), rel=5e-3)
@@ -155,8 +157,8 @@ def test_a_point_out_of_focus_is_seen_by_part_of_the_pupil(focus_m: float) -> No
     aside = z * TAN + a / 2
     spot = replace(HERE, tan_half_field=1e-5, origin_m=np.array([0, aside, 0]))
     everything = replace(detector, tan_half_field=1.0)
-    seen = cells(spot, detector, world=wall(z), quality=Quality(1024, 1)).sum()
-    whole = cells(spot, everything, world=wall(z), quality=Quality(1024, 1)).sum()
+    seen = cells(spot, detector, world=wall(z), quality=TracingQuality(1024, 1)).sum()
+    whole = cells(spot, everything, world=wall(z), quality=TracingQuality(1024, 1)).sum()
     segment = math.acos(0.5) / math.pi - math.sqrt(3) / (4 * math.pi)
     assert seen / whole == pytest.approx(segment if focus_m == math.inf else 0, abs=2e-3)
 
@@ -220,8 +222,8 @@ def test_a_blurred_emitter_sends_what_its_matrix_says() -> None:
     blurred = replace(HERE, blur_tan=math.tan(math.radians(0.5)))
     world = wall(5.0, left=(0.0, 50.0))
     wide = replace(HERE, tan_half_field=3 * TAN)
-    sharp = cells(HERE, wide, world=world, quality=Quality(256, 1))
-    soft = cells(blurred, wide, world=world, quality=Quality(128**2, 1))
+    sharp = cells(HERE, wide, world=world, quality=TracingQuality(256, 1))
+    soft = cells(blurred, wide, world=world, quality=TracingQuality(128**2, 1))
     expected = (emission_matrix(emitter, 5.0) @ sharp.ravel()).reshape(16, 16)
     inner = slice(2, 14), slice(2, 14)
     np.testing.assert_allclose(soft[inner], expected[inner], atol=0.015 * sharp.max())
@@ -270,7 +272,7 @@ def test_a_closed_white_box_loses_no_light() -> None:
         paths = trace_paths(
             LightProblem(_assemble([(mesh, reflectance)]), wide, wide),
             (2, 2),
-            quality=Quality(224**2, 12),
+            quality=TracingQuality(224**2, 12),
             seed=4,
         )
         value = paths.value.reshape(4, 12, -1).sum(axis=0)  # by bounce

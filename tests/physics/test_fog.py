@@ -17,7 +17,7 @@ from twin.fidelity import Fidelity
 from twin.optics.by_object import gather_by_object
 from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import trace_paths
 from twin.optics.transport import sunlight, transport
@@ -120,45 +120,49 @@ def test_stripes_in_fog_have_the_contrast_of_a_random_walk(
 def test_delta_scaling_is_what_is_left_without_orders() -> None:
     """Zero orders: contrast stays that of clear air, light falls with the scaled extinction."""
     clear, scaled = (
-        transport(problem, (N, N), quality=Quality(4, 1, None, 0), seed=1)
+        transport(problem, (N, N), quality=TracingQuality(4, 1, None, 0), seed=1)
         for problem in (before_stripes(2), before_stripes(2, FOG))
     )
     a, b = (tones(g.total, 2) for g in (clear, scaled))
     np.testing.assert_allclose(b / a, math.exp(-2 * FOG.surface_extinction_per_m * 10), rtol=0.02)
 
 
-@pytest.mark.parametrize("role", ["dual", "scatter"])
-def test_every_tracer_finds_the_same_light_in_fog(role) -> None:
+@pytest.mark.parametrize("start", ["dual", "scatter"])
+def test_every_tracer_finds_the_same_light_in_fog(start) -> None:
     """Optical depth 0.78, light and its further bounces: sums over pixels, over paths with their
     lengths and over a scene's objects against `transport`. Started at the detector, the way to the
     wall is walked from the other side: 1 % for what that way leaves out. Else Student's t over 8
     seeds each, false-alarm rate 1e-4.
     """
     problem, seeds, shape = before_stripes(8, FOG), range(8), (4, 8)
-    quality = Quality(1024, 1)
+    quality = TracingQuality(1024, 1)
     plain = np.array(
         [transport(problem, shape, quality=quality, seed=s).total.sum() for s in seeds]
     )
     others = [
         [
-            transport_matrix(problem, shape, (4, 4), quality=quality, seed=100 + s, role=role).sum()
+            transport_matrix(
+                problem, shape, (4, 4), quality=quality, seed=100 + s, start=start
+            ).sum()
             for s in seeds
         ]
     ]
-    if role == "dual":
+    if start == "dual":
         others.append(
             [
                 trace_paths(problem, shape, quality=quality, seed=200 + s).light().sum()
                 for s in seeds
             ]
         )
-        once = gather_by_object(problem.from_emitter(shape, quality, 3)).gathered(np.ones(1))
+        once = gather_by_object(problem.from_emitter(shape, quality, 3)).with_reflectance(
+            np.ones(1)
+        )
         same = transport(problem, shape, quality=quality, seed=3)
         np.testing.assert_allclose(once.total, same.total, rtol=1e-6)
         np.testing.assert_allclose(once.standard_error, same.standard_error, rtol=1e-4)
     for other in np.array(others):
         off = abs(other.mean() - plain.mean())
-        off -= 0.01 * plain.mean() if role == "scatter" else 0
+        off -= 0.01 * plain.mean() if start == "scatter" else 0
         error = math.hypot(other.std(ddof=1), plain.std(ddof=1)) / math.sqrt(len(seeds))
         assert off < stats.t.isf(1e-4 / 4, df=len(seeds) - 1) * error
         assert error < 5e-3 * plain.mean()
@@ -168,10 +172,10 @@ def test_columns_of_a_line_sensor_blur_into_each_other() -> None:
     """What comes back is smeared over the columns as it is over the cells on its way out: either
     start gives the same matrix, and neighbours of the straight column get light.
     """
-    fog, quality = replace(before_stripes(8, FOG), detector=HERE), Quality(128**2, 1)
+    fog, quality = replace(before_stripes(8, FOG), detector=HERE), TracingQuality(128**2, 1)
     dual, scatter = (
-        transport_matrix(fog, (1, 8), (1, 8), quality=quality, seed=1, role=role)
-        for role in ("dual", "scatter")
+        transport_matrix(fog, (1, 8), (1, 8), quality=quality, seed=1, start=start)
+        for start in ("dual", "scatter")
     )
     clear = transport_matrix(replace(fog, air=None), (1, 8), (1, 8), quality=quality, seed=1)
     assert clear[3, 4] < 1e-6 * clear[3, 3]
@@ -185,7 +189,7 @@ def test_the_background_of_the_sun_is_conserved_by_forward_scattering() -> None:
     """
     sun = np.array([-1.0, 0.0, 0.0])
     clear, thick = (
-        sunlight(problem, (16, 16), quality=Quality(16, 1), seed=1)
+        sunlight(problem, (16, 16), quality=TracingQuality(16, 1), seed=1)
         for problem in (
             replace(before_stripes(8, air), detector=HERE, sun_direction=sun)
             for air in (None, Air(0.1, 0.1, 0.999))
@@ -196,7 +200,7 @@ def test_the_background_of_the_sun_is_conserved_by_forward_scattering() -> None:
 
 def test_thin_air_is_not_followed() -> None:
     """Below an optical depth of 0.005 the cost and the noise are those of clear air."""
-    depth, quality = np.array([[3.0, np.inf]]), Quality(16, 1)
+    depth, quality = np.array([[3.0, np.inf]]), TracingQuality(16, 1)
     assert where_air_scatters(replace(FOG, extinction_per_m=0.1), depth, quality) is quality
     thin = Air(1e-3, 1e-3, 0.85)
     assert where_air_scatters(thin, depth, quality) == replace(quality, air_orders=0)

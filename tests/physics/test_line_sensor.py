@@ -11,7 +11,7 @@ from twin.camera import capture
 from twin.camera.light import emitter_light, sun_light
 from twin.fidelity import Fidelity
 from twin.optics.devices import Device
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
@@ -47,7 +47,7 @@ def test_all_columns_together_are_the_closed_form() -> None:
     scene = wall(5.0)
     here = Device(np.zeros(3), np.eye(3), lens.tan_half_field)
     problem = LightProblem(mitsuba_scene(scene), here, here)
-    light = emitter_light(problem, (16, 1), 256, quality=Quality(64, 1), seed=1)
+    light = emitter_light(problem, (16, 1), 256, quality=TracingQuality(64, 1), seed=1)
     intensity = LINE.emitter.radiant_intensity_w_per_sr.value
     watts = intensity * lens.transmission * lens.pupil_area_m2 * light.cells.sum()
     assert watts == pytest.approx(wall_power_w(LINE, 0.5, 5.0), rel=3e-3)
@@ -61,7 +61,7 @@ def test_the_sun_falls_on_every_column() -> None:
     lens = collection(LINE)
     here = Device(np.zeros(3), np.eye(3), lens.tan_half_field)
     problem = LightProblem(mitsuba_scene(wall(5.0)), here, here, np.array([-1.0, 0, 0]))
-    parts = sun_light(problem, 256, quality=Quality(16, 1), seed=1)
+    parts = sun_light(problem, 256, quality=TracingQuality(16, 1), seed=1)
     expected = 0.5 / np.pi * mean_cos_power(4, lens.tan_half_field, "square") * lens.field_area
     assert parts.sum() == pytest.approx(expected, rel=1e-3)
     assert parts.shape == (32, 256)

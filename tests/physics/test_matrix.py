@@ -10,7 +10,7 @@ from scipy import stats
 from hardware import PatternSet
 from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.reference import PatternRenderer
 from twin.optics.transport import transport
@@ -30,19 +30,19 @@ def wall(distance_m: float):
     return mitsuba_scene(Scene("wall", None, "", (item,), rig, Sun(0.0, 0.0, 0.0)))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("role", ["dual", "scatter"])
-def test_without_a_baseline_each_cell_meets_its_own_pixel(role) -> None:
+@pytest.mark.parametrize("start", ["dual", "scatter"])
+def test_without_a_baseline_each_cell_meets_its_own_pixel(start) -> None:
     """Emitter and detector at one point: the matrix is diagonal, and its sum the closed form."""
-    problem, shape, quality = LightProblem(wall(5.0), HERE, HERE), (8, 8), Quality(256, 1)
-    matrix = transport_matrix(problem, shape, shape, quality=quality, seed=1, role=role)
+    problem, shape, quality = LightProblem(wall(5.0), HERE, HERE), (8, 8), TracingQuality(256, 1)
+    matrix = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)
     off = matrix - np.diag(np.diag(matrix))
     assert np.abs(off).sum() < 1e-5 * matrix.sum()
     expected = transport(problem, shape, quality=quality, seed=2).total
     np.testing.assert_allclose(np.diag(matrix), expected.ravel(), rtol=1e-3)
 
 
-@pytest.mark.parametrize("role", ["dual", "scatter"])
-def test_a_baseline_moves_pixels_the_way_geometry_says(role) -> None:
+@pytest.mark.parametrize("start", ["dual", "scatter"])
+def test_a_baseline_moves_pixels_the_way_geometry_says(start) -> None:
     """Detector to the left by one column's width on the wall: it sees everything one to the right.
 
     Tells rows from columns, left from right, and the emitter's axis from the detector's.
@@ -51,7 +51,7 @@ def test_a_baseline_moves_pixels_the_way_geometry_says(role) -> None:
     left = Device(np.array([0, z * 2 * TAN / n, 0]), AHEAD, TAN)
     problem = LightProblem(wall(z), HERE, left)
     matrix = transport_matrix(
-        problem, (4, n), (4, n), quality=Quality(64, 1), seed=1, role=role
+        problem, (4, n), (4, n), quality=TracingQuality(64, 1), seed=1, start=start
     ).reshape(4, n, 4, n)
     for row in range(4):
         for column in range(n):
@@ -88,11 +88,16 @@ def test_line_sensor_is_what_mitsuba_renders_pattern_by_pattern(depth: int) -> N
             for i, p in enumerate(patterns)
         ]
     )
-    for role, samples in (("dual", 64**2), ("scatter", 48**2)):
+    for start, samples in (("dual", 64**2), ("scatter", 48**2)):
         ours = np.array(
             [
                 transport_matrix(
-                    problem, (16, 1), (1, 16), quality=Quality(samples, depth), seed=s, role=role
+                    problem,
+                    (16, 1),
+                    (1, 16),
+                    quality=TracingQuality(samples, depth),
+                    seed=s,
+                    start=start,
                 )
                 @ patterns.reshape(4, 16).T
                 for s in range(renders)
@@ -122,22 +127,27 @@ def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
     detector = Device(*scene.rig.device("detector"), TAN)
     problem = LightProblem(mitsuba_scene(scene), emitter, detector)
     draws = {
-        role: np.stack(
+        start: np.stack(
             [
                 transport_matrix(
-                    problem, (16, 1), (1, 32), quality=Quality(samples, 2), seed=s, role=role
+                    problem,
+                    (16, 1),
+                    (1, 32),
+                    quality=TracingQuality(samples, 2),
+                    seed=s,
+                    start=start,
                 )
                 for s in range(24)
             ]
         )
-        for role, samples in (("dual", 4096), ("scatter", 2025))
+        for start, samples in (("dual", 4096), ("scatter", 2025))
     }
-    mean = {role: d.mean(axis=0) for role, d in draws.items()}
-    error = {role: d.std(axis=0, ddof=1) / math.sqrt(24) for role, d in draws.items()}
+    mean = {start: d.mean(axis=0) for start, d in draws.items()}
+    error = {start: d.std(axis=0, ddof=1) / math.sqrt(24) for start, d in draws.items()}
     lit = mean["dual"] > 0.01 * mean["dual"].max()
     t = (mean["dual"] - mean["scatter"])[lit] / np.hypot(error["dual"], error["scatter"])[lit]
     assert np.abs(t).max() < stats.t.isf(1e-4 / lit.sum() / 2, df=23)
-    plain = transport(problem, (16, 1), quality=Quality(65536, 2), seed=5)
+    plain = transport(problem, (16, 1), quality=TracingQuality(65536, 2), seed=5)
     for d in draws.values():
         rows = d.sum(axis=1)
         off = rows.mean(axis=0) - plain.total.ravel()
@@ -178,40 +188,40 @@ def test_all_pixels_together_are_the_plain_transport(
     these standard deviations; masked by the start's field, 0.6 to 66 % were lost.
     """
     problem = LightProblem(wall(5.0), emitter, detector)
-    plain = transport(problem, shape, quality=Quality(4096, 1), seed=2).total
-    for role in roles:
-        ends = math.prod(shape if role == "dual" else columns)
-        quality = Quality(math.isqrt(4096 * math.prod(shape) // ends) ** 2, 1)
-        matrix = transport_matrix(problem, shape, columns, quality=quality, seed=3, role=role)
+    plain = transport(problem, shape, quality=TracingQuality(4096, 1), seed=2).total
+    for start in roles:
+        ends = math.prod(shape if start == "dual" else columns)
+        quality = TracingQuality(math.isqrt(4096 * math.prod(shape) // ends) ** 2, 1)
+        matrix = transport_matrix(problem, shape, columns, quality=quality, seed=3, start=start)
         summed = matrix.sum(axis=0)
         assert summed.sum() == pytest.approx(plain.sum(), rel=3e-3)
         np.testing.assert_allclose(summed, plain.ravel(), atol=0.08 * plain.max())
 
 
 def test_same_seed_same_bits_and_roles_by_name() -> None:
-    problem, shape, quality = LightProblem(wall(3.0), HERE, HERE), (4, 4), Quality(16, 2)
+    problem, shape, quality = LightProblem(wall(3.0), HERE, HERE), (4, 4), TracingQuality(16, 2)
     a, b = (transport_matrix(problem, shape, shape, quality=quality, seed=7) for _ in range(2))
     np.testing.assert_array_equal(a, b)
-    with pytest.raises(ValueError, match="role: 'both' is none of dual, scatter"):
-        transport_matrix(problem, shape, shape, quality=quality, seed=1, role="both")
+    with pytest.raises(ValueError, match="start: 'both' is none of dual, scatter"):
+        transport_matrix(problem, shape, shape, quality=quality, seed=1, start="both")
 
 
 def test_an_empty_view_gives_zeros() -> None:
     backwards = Device(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
     problem = LightProblem(wall(3.0), backwards, backwards)
-    matrix = transport_matrix(problem, (4, 4), (4, 4), quality=Quality(4, 3), seed=1)
+    matrix = transport_matrix(problem, (4, 4), (4, 4), quality=TracingQuality(4, 3), seed=1)
     assert matrix.shape == (16, 16)
     assert not matrix.any()
 
 
-@pytest.mark.parametrize("role", ["dual", "scatter"])
-def test_blocks_of_rows_land_where_they_belong(role, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("start", ["dual", "scatter"])
+def test_blocks_of_rows_land_where_they_belong(start, monkeypatch: pytest.MonkeyPatch) -> None:
     """Traced two rows at a time, the diagonal of a wall is the same but for noise."""
     import twin.optics.tracer as module
 
-    problem, shape, quality = LightProblem(wall(5.0), HERE, HERE), (8, 8), Quality(256, 1)
-    whole = transport_matrix(problem, shape, shape, quality=quality, seed=1, role=role)
+    problem, shape, quality = LightProblem(wall(5.0), HERE, HERE), (8, 8), TracingQuality(256, 1)
+    whole = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)
     monkeypatch.setattr(module, "RAYS_AT_ONCE", 2 * 8 * 256)
-    parts = transport_matrix(problem, shape, shape, quality=quality, seed=1, role=role)
+    parts = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)
     np.testing.assert_allclose(np.diag(parts), np.diag(whole), rtol=1e-3)
     assert np.abs(parts - np.diag(np.diag(parts))).sum() < 1e-5 * parts.sum()

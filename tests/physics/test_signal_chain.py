@@ -13,7 +13,7 @@ from scipy import integrate
 
 from hardware import reconstruct
 from twin.camera import capture
-from twin.camera.illumination import dark_share, residual_share, shown
+from twin.camera.illumination import dark_share, frame_signal, residual_share
 from twin.detector import FrontEnd, expose, noise_budget
 from twin.fidelity import Fidelity
 from twin.optics.passband import passband
@@ -34,8 +34,8 @@ def test_dark_cells_leak_the_same_light_into_every_pattern(system) -> None:
     """Contrast 100: pattern = lit + (1/100) dark; the difference of a pair loses 1 %."""
     leaky = system("[emitter]\ncontrast_ratio = 100.0\n")
     cells = lit_cells(leaky)
-    ideal = shown(system(""), cells, rng=RNG(0))[:, 0, 0]
-    real = shown(leaky, cells, rng=RNG(0))[:, 0, 0]
+    ideal = frame_signal(system(""), cells, rng=RNG(0))[:, 0, 0]
+    real = frame_signal(leaky, cells, rng=RNG(0))[:, 0, 0]
     total = cells.sum()
     np.testing.assert_allclose(real, ideal + (total - ideal) / 100, rtol=1e-12)
     assert real[1] == pytest.approx(total / 100)  # the complement of all lit is never dark
@@ -59,8 +59,8 @@ def test_the_pattern_before_glows_into_the_next_exposure(system) -> None:
     assert residual_share(slow) == pytest.approx(expected, rel=1e-9)
     assert math.exp(-30e-6 / tau) == pytest.approx(1 / 9)  # from 90 to 10 %
     cells = lit_cells(slow)
-    ideal = shown(system(""), cells, rng=RNG(0))[:, 0, 0]
-    real = shown(slow, cells, rng=RNG(0))[:, 0, 0]
+    ideal = frame_signal(system(""), cells, rng=RNG(0))[:, 0, 0]
+    real = frame_signal(slow, cells, rng=RNG(0))[:, 0, 0]
     np.testing.assert_allclose(
         real[1:], (1 - expected) * ideal[1:] + expected * ideal[:-1], rtol=1e-12
     )
@@ -73,8 +73,8 @@ def test_slow_switching_alone_explains_the_ghost_in_the_image(system) -> None:
     """
     slow = system("[emitter]\nswitching_time_s = 60e-6\n")
     cells = lit_cells(slow)
-    ideal = shown(system(""), cells, rng=RNG(0))[:, 0, 0]
-    real = shown(slow, cells, rng=RNG(0))[:, 0, 0]
+    ideal = frame_signal(system(""), cells, rng=RNG(0))[:, 0, 0]
+    real = frame_signal(slow, cells, rng=RNG(0))[:, 0, 0]
     share = residual_share(slow)
     assert 0.1 < share < 0.5
     assert np.abs(real - ideal).max() <= share * np.ptp(np.append(ideal, 0)) * (1 + 1e-12)
@@ -83,8 +83,8 @@ def test_slow_switching_alone_explains_the_ghost_in_the_image(system) -> None:
 def test_the_emitter_fluctuates_as_a_whole(system) -> None:
     noisy = system("[emitter]\nintensity_noise = 0.01\n")
     cells = lit_cells(noisy)
-    ideal = shown(system(""), cells, rng=RNG(0))[:, 0, 0]
-    real = shown(noisy, cells, rng=RNG(1))[:, 0, 0]
+    ideal = frame_signal(system(""), cells, rng=RNG(0))[:, 0, 0]
+    real = frame_signal(noisy, cells, rng=RNG(1))[:, 0, 0]
     lit = ideal > 0.1 * ideal.max()
     relative = real[lit] / ideal[lit] - 1
     n = lit.sum()

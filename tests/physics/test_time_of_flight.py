@@ -13,7 +13,7 @@ from twin.camera.light import render
 from twin.camera.shutters import shutters
 from twin.fidelity import Fidelity
 from twin.optics.devices import Device
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import Paths, gate, phase_shutter, trace_paths
 from twin.optics.transport import transport
@@ -39,7 +39,7 @@ def paths_to_wall(distance_m: float, samples: int = 16) -> Paths:
     # A wider field than what is lit: no cell is cut by its edge.
     detector = Device(np.array([0, -BASELINE, 0]), np.eye(3), 2 * TAN)
     problem = LightProblem(mitsuba_scene(wall(distance_m)), emitter, detector)
-    return trace_paths(problem, (16, 16), quality=Quality(samples, 1), seed=1)
+    return trace_paths(problem, (16, 16), quality=TracingQuality(samples, 1), seed=1)
 
 
 def middle_lengths(distance_m: float, n: int = 16) -> np.ndarray:
@@ -88,7 +88,7 @@ def test_lengths_cost_no_light_on_the_yard() -> None:
     emitter = Device(*scene.rig.device("emitter"), tan_half_field=TAN)
     detector = Device(*scene.rig.device("detector"), tan_half_field=TAN)
     problem = LightProblem(mitsuba_scene(scene), emitter, detector)
-    shape, quality = (8, 8), Quality(256, 4)
+    shape, quality = (8, 8), TracingQuality(256, 4)
     both = [
         [
             trace_paths(problem, shape, quality=quality, seed=s).light(),
@@ -113,7 +113,7 @@ def test_lengths_grow_with_every_bounce() -> None:
     scene = Scene("ball", Path(), "", (item,), Rig(Pose((0.0, 0.0, 0.0))), Sun(180.0, 0.0, 1e5))
     here = Device(np.zeros(3), np.eye(3), 3.0)
     problem = LightProblem(mitsuba_scene(scene), here, here)
-    paths = trace_paths(problem, (2, 2), quality=Quality(1024, 3), seed=1)
+    paths = trace_paths(problem, (2, 2), quality=TracingQuality(1024, 3), seed=1)
     value, length = (x.reshape(4, 3, -1) for x in (paths.value, paths.length_m))
     for bounces in range(3):
         seen = length[:, bounces][value[:, bounces] > 0]
@@ -256,7 +256,7 @@ def test_air_takes_its_share_of_every_path() -> None:
         transport(
             LightProblem(world, emitter, emitter, air=air),
             (16, 16),
-            quality=Quality(16, 1),
+            quality=TracingQuality(16, 1),
             seed=1,
         ).total
         for air in (None, Air(extinction_per_m=0.02, scattering_per_m=0.0, asymmetry=0.0))

@@ -9,7 +9,7 @@ from scipy import stats
 
 from hardware import PatternSet
 from twin.optics.devices import Device
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
 from twin.optics.reference import PatternRenderer
@@ -39,7 +39,7 @@ def wall_scene(distance_m: float, half_size_m: float = 50.0, origin=(0.0, 0.0, 0
     return Scene("wall", None, "", (wall,), rig, Sun(180.0, 30.0, 1e5))  # type: ignore[arg-type]
 
 
-def on_wall(distance_m: float, baseline_m: float, quality: Quality, **scene) -> np.ndarray:
+def on_wall(distance_m: float, baseline_m: float, quality: TracingQuality, **scene) -> np.ndarray:
     world = mitsuba_scene(wall_scene(distance_m, **scene))
     emitter = Device(np.zeros(3), AHEAD, TAN)
     detector = Device(np.array([0, baseline_m, 0]), AHEAD, TAN)
@@ -52,7 +52,7 @@ def test_watts_from_a_wall_are_the_closed_form(distance_m: float) -> None:
     """Within 0.3 %: rho I tau A / ((4 N^2 + 1) z^2) x <cos^7> = 0.93191 over the square field."""
     system = load_system("paper")
     lens = collection(system)
-    cells = on_wall(distance_m, 0.0, Quality(16, 1))
+    cells = on_wall(distance_m, 0.0, TracingQuality(16, 1))
     intensity = system.emitter.radiant_intensity_w_per_sr.value
     watts = intensity * lens.transmission * lens.pupil_area_m2 * cells.sum()
     assert watts == pytest.approx(wall_power_w(system, 0.5, distance_m), rel=3e-3)
@@ -64,9 +64,9 @@ def test_watts_from_a_wall_are_the_closed_form(distance_m: float) -> None:
 def test_a_baseline_loses_the_field_that_geometry_says(distance_m: float) -> None:
     """10 cm to the left; the lost strip is on the right of the emitter's image."""
     system = load_system("paper")
-    cells = on_wall(distance_m, 0.1, Quality(64, 1))
+    cells = on_wall(distance_m, 0.1, TracingQuality(64, 1))
     expected = wall_power_w(system, 0.5, distance_m, 0.1) / wall_power_w(system, 0.5, distance_m)
-    assert cells.sum() / on_wall(distance_m, 0.0, Quality(64, 1)).sum() == pytest.approx(
+    assert cells.sum() / on_wall(distance_m, 0.0, TracingQuality(64, 1)).sum() == pytest.approx(
         expected, rel=3e-3
     )
     lost = 0.1 / (2 * distance_m * TAN) * 32
@@ -78,15 +78,15 @@ def test_a_baseline_loses_the_field_that_geometry_says(distance_m: float) -> Non
     ("distance_m", "half_size_m"), [(0.01, 1.0), (1.0, 50.0), (150.0, 1e4), (1e4, 1e5)]
 )
 def test_inverse_square_holds_from_a_centimetre_to_ten_kilometres(distance_m, half_size_m) -> None:
-    near = on_wall(1.0, 0.0, Quality(16, 1)).sum()
-    here = on_wall(distance_m, 0.0, Quality(16, 1), half_size_m=half_size_m).sum()
+    near = on_wall(1.0, 0.0, TracingQuality(16, 1)).sum()
+    here = on_wall(distance_m, 0.0, TracingQuality(16, 1), half_size_m=half_size_m).sum()
     assert here * distance_m**2 == pytest.approx(near, rel=4e-3)
 
 
 def test_a_scene_in_map_coordinates_gives_the_same_light() -> None:
     """1e6 m from the origin float32 has 6 cm steps; recentring in float64 keeps the geometry."""
-    here = on_wall(5.0371, 0.1, Quality(16, 1))
-    there = on_wall(5.0371, 0.1, Quality(16, 1), origin=(1e6 + 0.3, -2e6 + 0.7, 300.1))
+    here = on_wall(5.0371, 0.1, TracingQuality(16, 1))
+    there = on_wall(5.0371, 0.1, TracingQuality(16, 1), origin=(1e6 + 0.3, -2e6 + 0.7, 300.1))
     np.testing.assert_allclose(there, here, rtol=1e-4, atol=1e-9)
 
 
@@ -94,7 +94,7 @@ def test_nothing_in_the_field_is_dark() -> None:
     world = mitsuba_scene(wall_scene(5.0))
     backwards = Device(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
     problem = LightProblem(world, backwards, backwards)
-    cells = transport(problem, (8, 8), quality=Quality(4, 2), seed=1)
+    cells = transport(problem, (8, 8), quality=TracingQuality(4, 2), seed=1)
     assert not cells.total.any()
 
 
@@ -105,7 +105,7 @@ def test_a_disc_shaped_field_sees_its_share_of_the_square() -> None:
     disc = replace(camera, outline="disc")
     seen, whole = (
         transport(
-            LightProblem(world, camera, detector), (64, 64), quality=Quality(64, 1), seed=1
+            LightProblem(world, camera, detector), (64, 64), quality=TracingQuality(64, 1), seed=1
         ).total.sum()
         for detector in (disc, camera)
     )
@@ -119,7 +119,7 @@ def test_sun_on_a_wall_is_the_closed_form() -> None:
     world = mitsuba_scene(scene)
     camera = Device(np.zeros(3), AHEAD, TAN)
     problem = LightProblem(world, camera, camera, scene.sun.direction)
-    seen = sunlight(problem, quality=Quality(16, 2), seed=1).total.sum()
+    seen = sunlight(problem, quality=TracingQuality(16, 2), seed=1).total.sum()
     facing = math.cos(math.radians(30))
     expected = 0.5 / math.pi * facing * mean_cos_power(4, TAN, "square") * 4 * TAN**2
     assert seen == pytest.approx(expected, rel=1e-3)
@@ -131,9 +131,9 @@ def test_sun_casts_shadows_and_does_not_shine_through() -> None:
     camera = Device(np.zeros(3), AHEAD, TAN)
     behind = np.array([1.0, 0.0, 0.0])
     problem = LightProblem(world, camera, camera, behind)
-    assert not sunlight(problem, quality=Quality(4, 2), seed=1).total.any()
+    assert not sunlight(problem, quality=TracingQuality(4, 2), seed=1).total.any()
     with pytest.raises(ValueError, match="sun_direction"):
-        sunlight(replace(problem, sun_direction=None), quality=Quality(4, 2), seed=1)
+        sunlight(replace(problem, sun_direction=None), quality=TracingQuality(4, 2), seed=1)
 
 
 def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
@@ -153,7 +153,7 @@ def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
     world = _assemble([(Mesh(np.array(ball.vertices), np.array(ball.faces)), r)])
     camera = Device(np.zeros(3), AHEAD, TAN)
     problem = LightProblem(world, camera, camera)
-    light = transport(problem, (8, 8), quality=Quality(1024, 8), seed=3)
+    light = transport(problem, (8, 8), quality=TracingQuality(1024, 8), seed=3)
     solid = 4 * math.asin(math.sin(math.radians(10)) ** 2)
     # A diffuse bounce inside a sphere lands uniformly on it: the share that lands where the
     # pupil's field sees it is the integral of cos over the field / (4 pi).
@@ -169,7 +169,7 @@ def test_same_seed_same_bits() -> None:
     camera = Device(np.zeros(3), AHEAD, TAN)
     problem = LightProblem(world, camera, camera)
     a, b, other = (
-        transport(problem, (16, 16), quality=Quality(16, 3), seed=s).total for s in (1, 1, 2)
+        transport(problem, (16, 16), quality=TracingQuality(16, 3), seed=s).total for s in (1, 1, 2)
     )
     np.testing.assert_array_equal(a, b)
     assert (a != other).any()
@@ -182,9 +182,9 @@ def test_blocks_of_rows_do_not_change_the_image(monkeypatch: pytest.MonkeyPatch)
     world = mitsuba_scene(load_scene("yard"))
     camera = Device(np.zeros(3), AHEAD, TAN)
     problem = LightProblem(world, camera, camera)
-    whole = transport(problem, (16, 16), quality=Quality(64, 2), seed=1)
+    whole = transport(problem, (16, 16), quality=TracingQuality(64, 2), seed=1)
     monkeypatch.setattr(module, "RAYS_AT_ONCE", 16 * 64 * 3)
-    parts = transport(problem, (16, 16), quality=Quality(64, 2), seed=1)
+    parts = transport(problem, (16, 16), quality=TracingQuality(64, 2), seed=1)
     z = (parts.total - whole.total) / np.maximum(
         np.hypot(parts.standard_error, whole.standard_error), 1e-12
     )
@@ -203,7 +203,7 @@ def test_every_kind_of_light_is_that_of_its_rows(kind: str) -> None:
     problem = LightProblem(
         mitsuba_scene(load_scene("yard")), camera, camera, air=Air(0.08, 0.078, 0.85)
     )
-    tracer = problem.from_emitter((16, 16), Quality(256, 2, 256), 1)
+    tracer = problem.from_emitter((16, 16), TracingQuality(256, 2, 256), 1)
 
     def rows(first: int, last: int) -> np.ndarray:
         light = getattr(tracer, kind)((first, last))
@@ -215,9 +215,9 @@ def test_every_kind_of_light_is_that_of_its_rows(kind: str) -> None:
 
 def test_quality_names_its_fault() -> None:
     with pytest.raises(ValueError, match="samples: 5"):
-        Quality(samples=5)
+        TracingQuality(samples=5)
     with pytest.raises(ValueError, match="max_depth: 0"):
-        Quality(max_depth=0)
+        TracingQuality(max_depth=0)
 
 
 def test_ten_patterns_agree_with_mitsubas_projector() -> None:
@@ -232,7 +232,7 @@ def test_ten_patterns_agree_with_mitsubas_projector() -> None:
     size, renders = 16, 32
     emitter = Device(*scene.rig.device("emitter"), TAN)
     detector = Device(*scene.rig.device("detector"), TAN)
-    quality = Quality(1024, 4)
+    quality = TracingQuality(1024, 4)
     problem = LightProblem(mitsuba_scene(scene), emitter, detector)
     cells = transport(problem, (size, size), quality=quality, seed=11)
     reference = PatternRenderer(problem, max_depth=quality.max_depth)

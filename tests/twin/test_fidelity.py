@@ -7,7 +7,7 @@ import pytest
 
 from twin.camera import capture
 from twin.fidelity import PRESETS, Fidelity, LightFidelity, RadarFidelity, preset
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.radar import load_radar, radar_capture
 from twin.scene import load_scene
 from twin.system import load_system
@@ -26,7 +26,7 @@ def test_presets_are_ordered_by_strictness() -> None:
     draft, standard, reference = (PRESETS[n] for n in ("draft", "standard", "reference"))
     for rough, fine in ((draft, standard), (standard, reference)):
         both = (rough | fine).quality
-        assert both == Quality(fine.samples, fine.max_depth, fine.quality.further_samples)
+        assert both == TracingQuality(fine.samples, fine.max_depth, fine.quality.further_samples)
         assert (rough | fine).radar_tolerance == fine.radar_tolerance < rough.radar_tolerance
     assert preset("draft") == draft
     assert preset(draft) is draft

@@ -138,7 +138,9 @@ def test_air_wants_the_detector_beside_the_beam(
     if fits:
         check_rig(scene, foggy)
         return
-    expected = rf"scene.toml: rig\.detector\.offset_m = \[{float(offset[0])}, .* expected a place"
+    expected = (
+        rf"scene.toml: rig\.detector\.offset_m = \[{float(offset[0])}, .* expected a position"
+    )
     for refused in (
         lambda: capture(scene, foggy),
         lambda: next(frames(scene, foggy, [scene.rig.pose])),

@@ -18,11 +18,11 @@ from hypothesis import strategies as st
 
 from twin.camera import Capture
 from twin.camera.acquisition import measure
-from twin.camera.light import Rendered, render
+from twin.camera.light import RenderedLight, render
 from twin.fidelity import Fidelity
 from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.radar import load_radar
 from twin.radar.acquisition import channel as received
@@ -72,17 +72,17 @@ def camera(**changes: float) -> System:
     return System.model_validate(content)
 
 
-def rendered(scene: Scene, system: System, fidelity: Fidelity = ONCE) -> Rendered:
+def rendered(scene: Scene, system: System, fidelity: Fidelity = ONCE) -> RenderedLight:
     return render(scene, system, fidelity=fidelity, seed=np.random.SeedSequence(1))
 
 
-def taken(scene: Scene, system: System, light: Rendered | None = None) -> Capture:
+def taken(scene: Scene, system: System, light: RenderedLight | None = None) -> Capture:
     light = light or rendered(scene, system)
     return measure(scene, system, light, rng=np.random.default_rng(1), noise="none")
 
 
 @lru_cache(maxsize=1)
-def before_a_wall() -> tuple[Scene, Rendered]:
+def before_a_wall() -> tuple[Scene, RenderedLight]:
     scene = world(wall("wall", 5.0, 0.5))
     return scene, rendered(scene, camera())
 
@@ -325,11 +325,11 @@ def test_light_takes_the_same_way_back(
     detector = Device(np.array([0.0, baseline_m, 0.0]), turned, tan)
     problem = LightProblem(scene, emitter, detector)
 
-    def totals(role: str) -> np.ndarray:
+    def totals(start: str) -> np.ndarray:
         return np.array(
             [
                 transport_matrix(
-                    problem, (4, 4), (4, 4), quality=Quality(256, depth), seed=s, role=role
+                    problem, (4, 4), (4, 4), quality=TracingQuality(256, depth), seed=s, start=start
                 ).sum()
                 for s in range(16)
             ]

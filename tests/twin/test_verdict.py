@@ -13,7 +13,7 @@ from hardware.records import Flag
 from twin.camera.acquisition import Capture, capture
 from twin.camera.evaluation import evaluate, score
 from twin.camera.mounting import field_points
-from twin.camera.verdict import recorded
+from twin.camera.verdict import warnings_of_record
 from twin.fidelity import Fidelity
 from twin.scene import Scene, load_scene, parse_pose
 from twin.system import System, load_system
@@ -245,12 +245,12 @@ def test_flags_of_a_device_are_told_by_kind() -> None:
     )
     flags = good.record.flags.copy()
     flags[:3], flags[5], flags[7:9] = Flag.LOST, Flag.OVERRUN, Flag.RESET
-    told = {w.kind: w for w in recorded(replace(good.record, flags=flags))}
+    told = {w.kind: w for w in warnings_of_record(replace(good.record, flags=flags))}
     assert set(told) == {"lost", "overrun", "reset"}
     assert told["lost"] == "3 of 512 exposures are marked lost"
     assert not any(w.void for w in told.values())
     every = replace(good.record, flags=np.full_like(flags, Flag.LOST))
-    assert next(iter(recorded(every))).void
+    assert next(iter(warnings_of_record(every))).void
 
 
 def test_one_column_of_a_line_sensor_does_not_void_the_others() -> None:
@@ -260,11 +260,11 @@ def test_one_column_of_a_line_sensor_does_not_void_the_others() -> None:
     counts = found.record.counts.copy()
     counts[:, 3] = 2**found.record.adc_bits - 1
     record = replace(found.record, counts=counts)
-    (told,) = [w for w in recorded(record) if w.kind == "saturated"]
+    (told,) = [w for w in warnings_of_record(record) if w.kind == "saturated"]
     assert not told.void
-    from twin.camera.verdict import blind
+    from twin.camera.verdict import saturated_detectors
 
-    assert np.flatnonzero(blind(record)).tolist() == [3]
+    assert np.flatnonzero(saturated_detectors(record)).tolist() == [3]
 
 
 def test_warnings_are_sentences_with_a_kind_of_a_closed_list() -> None:
@@ -409,7 +409,7 @@ def test_fog_makes_no_image_better(tmp_path: Path) -> None:
     ("place", "text"),
     [
         ('<translate x="10" y="-50"/>', "nothing in the field of view"),
-        ('<scale value="100"/><translate x="150"/>', "the air lets none through"),
+        ('<scale value="100"/><translate x="150"/>', "the air transmits none"),
     ],
     ids=["nothing", "far"],
 )

@@ -12,16 +12,16 @@ from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_r
 from twin.camera.chain import Chain
 from twin.camera.distortion import distortions
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
-from twin.camera.light import Rendered, render
+from twin.camera.light import RenderedLight, render
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
-    Verdict,
-    blind,
-    coarse,
-    hidden_by_both,
+    ImageVerdict,
+    combined_warnings,
     judge,
-    lagging,
-    recorded,
+    lag_warnings,
+    quantisation_warnings,
+    saturated_detectors,
+    warnings_of_record,
 )
 from twin.detector import Detector, NoiseBudget
 from twin.fidelity import Fidelity, Noise
@@ -36,20 +36,20 @@ from twin.warned import CaptureWarning, is_void
 
 Array = NDArray[np.float64]
 
-#: Optical depth one way from which air's own light scattered more than once is above 1 % in fog.
+#: One-way optical depth above which multiply scattered light of the air exceeds 1 % in fog.
 _THICK = 0.25
 
-#: Radius of the Airy disc over half the field from which it is warned of.
-_SMEARED = 0.05
+#: Radius of the Airy disc over half the field above which a warning is given.
+_LARGE_AIRY_DISC = 0.05
 
-#: Of a cell's light: what sums in float64 may be off.
+#: Rounding error of sums in float64, relative to a cell's light.
 _ROUNDING = 1e-13
 
 #: Holds for every capture through air.
 AIR_ASSUMPTION = (
-    "air: alike everywhere, with two lobes after Henyey and Greenstein; light to a surface is "
-    "followed through every scattering, light back from it, along the straight way, through those "
-    "by less than 90 deg; the air's own light, of emitter and sun, is scattered once"
+    "air: homogeneous, with a phase function of two Henyey-Greenstein lobes; all scatterings are "
+    "traced on the way to a surface, those by less than 90 deg on the straight way back; "
+    "backscatter and airlight are scattered once"
 )
 
 #: Holds for every capture; printed with it.
@@ -63,16 +63,16 @@ MODEL_ASSUMPTIONS = (
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """A record with everything the twin knows about it. Only ``record`` exists on the vehicle.
+    """A record with the truth behind it. Only ``record`` exists on the vehicle.
 
-    ``cells_e`` (rows, columns) are the electrons that each cell, lit alone for one exposure, gives
-    in the mean (a line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo
-    standard error; ``backscatter_e`` the part of them that the air sent back. ``snr`` is what an
-    image keeps of ``scene_e``, what the scene sent back and reconstructions are compared with, over
-    noise and distortion of a reconstructed pixel (inverse transform of the patterns shown): what
-    exposures leave in the next ones and what rails cut off (`Distortion`); 0 where the detector
-    stands at a rail. ``range_error``: what backscatter does to distances by time of flight, None
-    where there is none of it. ``background_w`` is the sun's power on one detector, their mean.
+    ``cells_e`` (rows, columns) are the mean electrons of each cell, lit alone for one exposure (a
+    line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo standard error;
+    ``backscatter_e`` the part that the air scattered back, ``scene_e`` the rest, with which
+    reconstructions are compared. ``snr`` is the signal of ``scene_e`` in a reconstructed pixel
+    (inverse transform of the patterns shown) over its noise and distortion, which are the lag
+    between exposures and clipping (`Distortion`); 0 where the detector is saturated.
+    ``range_error``: error of time-of-flight distances due to backscatter, None where there is none.
+    ``background_w`` is the sun's power on one detector, mean over the detectors.
     """
 
     record: SpiRecord
@@ -93,8 +93,8 @@ class Capture:
     range_error: BackscatterRangeError | None = None
 
     @property
-    def verdict(self) -> Verdict:
-        """What an image made of the record can show."""
+    def verdict(self) -> ImageVerdict:
+        """Quality of an image of this record."""
         return judge(self.scene_e, self.snr, self.warnings, self.range_error)
 
     @property
@@ -113,7 +113,7 @@ class Capture:
 
     @property
     def void(self) -> bool:
-        """Whether the record holds nothing that an image could be made of."""
+        """Whether no image can be reconstructed from the record."""
         return is_void(self.warnings)
 
 
@@ -137,25 +137,26 @@ def capture(
     Parameters
     ----------
     scene, system
-        What is looked at, and with what.
+        Scene and design of the camera.
     seed
-        Of every random draw: same seed, same counts, bit for bit.
+        Of all random numbers: same seed, same counts, bit for bit.
     fidelity
-        Knobs, each with the error it bounds.
+        Accuracy settings, each with the error it bounds.
     mesh_scene
-        `mitsuba_scene(scene)`, when it is at hand already.
+        `mitsuba_scene(scene)`, if already built.
     stage
         Called with each stage's name, for progress and timing.
     detector
-        A user's own, a `Detector`, in place of the system's detector and readout, whose area, pole
-        and integration time still count; it must be of the same integration time.
+        A user's own `Detector`, in place of the system's detector and readout. Detector area,
+        amplifier bandwidth and integration time of the system still apply; the integration time of
+        both must be the same.
 
     >>> from twin.fidelity import PRESETS
     >>> from twin.scene import load_scene
     >>> from twin.system import load_system
     >>> system = load_system("workable")
-    >>> taken = capture(load_scene("table1"), system, seed=1, fidelity=PRESETS["draft"])
-    >>> taken.record.counts.shape == (system.n_exposures, system.n_detectors)
+    >>> result = capture(load_scene("table1"), system, seed=1, fidelity=PRESETS["draft"])
+    >>> result.record.counts.shape == (system.n_exposures, system.n_detectors)
     True
     """
     light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
@@ -171,7 +172,7 @@ def capture(
 def measure(
     scene: Scene,
     system: System,
-    rendered: Rendered,
+    rendered: RenderedLight,
     *,
     rng: np.random.Generator,
     noise: Noise = "full",
@@ -180,33 +181,34 @@ def measure(
     """Light to counts: filter, lens, detector, amplifier and converter of a system."""
     chain = Chain.of(system, scene.sun, detector)
     power = chain.powers(rendered)
-    signal_w, counts, flags = chain.take(power, rng=rng, noise=noise)
+    signal_w, counts, flags = chain.measure_frame(power, rng=rng, noise=noise)
     sun_w = float(chain.open_share.mean()) * power.sun_w
     budgets = chain.noise_by_detector(signal_w, power.sun_w)
     noise_e = np.array([budget.cells_noise_e(system.patterns) for budget in budgets])
-    # An image is the sum over all shutters; a dark cell's light is in every exposure alike.
+    # An image is the sum over all shutters; the light of dark cells is the same in every exposure.
     to_e = (1 - dark_share(system)) * chain.front_end.electrons_per_watt
     cells_e = to_e * power.cells_w.sum(axis=0)
-    of_cells = np.sqrt(len(chain.shutters)) * noise_e
-    of_image = np.median(of_cells, axis=1)
+    cells_noise_e = np.sqrt(len(chain.shutters)) * noise_e
+    image_noise_e = np.median(cells_noise_e, axis=1)
     sky, depth_m = chain.sky, rendered.truth.depth_m
     record = chain.record(scene.rig.pose, counts, flags)
-    # At a rail the response's slope is zero, and so is what can be told of the light; as it is of
-    # cells that the patterns do not measure.
-    found = distortions(chain, power)
-    gone = blind(record) | found.total.hides(of_image)
-    kept = np.maximum(found.total.kept, 0)[:, None]
-    off = np.hypot(of_cells, found.total.error_e[:, None])
+    # At a rail the slope of the response is zero, and so is the SNR; as it is in cells that the
+    # patterns do not measure.
+    distortion = distortions(chain, power)
+    hidden = saturated_detectors(record) | distortion.total.hides(image_noise_e)
+    signal_factor = np.maximum(distortion.total.signal_factor, 0)[:, None]
+    noise_and_error_e = np.hypot(cells_noise_e, distortion.total.error_e[:, None])
     backscatter_e = to_e * power.backscatter_w.sum(axis=0)
     scene_e = _without(cells_e, backscatter_e)
-    snr = np.where(gone[:, None] | record.patterns.unmeasured_cells, 0.0, kept * scene_e / off)
+    unknown = hidden[:, None] | record.patterns.unmeasured_cells
+    snr = np.where(unknown, 0.0, signal_factor * scene_e / noise_and_error_e)
     range_error = backscatter_range_error(
         record, to_e * power.cells_w, to_e * power.backscatter_w, noise_e
     )
     budget = chain.noise(signal_w, sun_w)
-    spoilt = (
-        *recorded(record, found.clipping, of_image),
-        *lagging(found.lag, of_image, _left_over(system)),
+    record_warnings = (
+        *warnings_of_record(record, distortion.clipping, image_noise_e),
+        *lag_warnings(distortion.lag, image_noise_e, _lag_shares(system)),
     )
     return Capture(
         record=record,
@@ -224,8 +226,8 @@ def measure(
         illuminance_lx=sky.illuminance_lx,
         assumptions=(*_assumptions(scene, system), *_own(detector)),
         warnings=(
-            *spoilt,
-            *hidden_by_both(found, of_image, gone, spoilt),
+            *record_warnings,
+            *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
             *_warnings(system, budget, float(sky.emitter.max()), scene_e, depth_m),
             *_diffraction(system, chain.lens),
             *(range_error.warnings if range_error else ()),
@@ -242,7 +244,7 @@ def _own(detector: Detector | None) -> tuple[str, ...]:
 
 
 def _without(cells_e: Array, backscatter_e: Array) -> Array:
-    """Light of the scene; what is left of it by rounding alone is none."""
+    """Light of the scene; a difference within rounding counts as 0."""
     rest = cells_e - backscatter_e
     return np.where(rest > _ROUNDING * cells_e, rest, 0.0)
 
@@ -259,7 +261,7 @@ def _assumptions(scene: Scene, system: System) -> tuple[str, ...]:
 
 
 def _idealised(system: System) -> tuple[str, ...]:
-    """What the system's file leaves out, and what that is taken to be."""
+    """Idealisations of whatever the system's file leaves out."""
     emitter, optics = system.emitter, system.optics
     left_out = {
         "the emitter's field is flat": emitter.viewing_angle_deg,
@@ -278,15 +280,15 @@ def _idealised(system: System) -> tuple[str, ...]:
         "it settles within each exposure": system.readout.bandwidth_hz,
         "there is no air": system.weather,
     }
-    taken = [what for what, given in left_out.items() if given is None]
-    return ("not in the system's file: " + "; ".join(taken),) if taken else ()
+    ideal = [assumption for assumption, given in left_out.items() if given is None]
+    return ("not in the system's file: " + "; ".join(ideal),) if ideal else ()
 
 
 def _diffraction(system: System, lens: Collection) -> list[CaptureWarning]:
-    """A pupil so small that its own Airy disc smears the field."""
+    """Warning of a pupil so small that its Airy disc blurs the edge of the field."""
     airy = 1.22 * system.emitter.peak_wavelength_m.value / lens.pupil_diameter_m
     share = airy / lens.tan_half_field
-    if share < _SMEARED:
+    if share < _LARGE_AIRY_DISC:
         return []
     return [
         CaptureWarning(
@@ -308,10 +310,10 @@ def _thick_air(system: System, depth_m: Array) -> list[CaptureWarning]:
     return [
         CaptureWarning(
             "model",
-            f"half of the surfaces stand behind an optical depth of {depth:.2g} or more: light "
-            "that meets no surface and is scattered by the air more than once is left out; it lies "
-            "evenly over the image, in fog some 3 % of all light at 0.5, 6 % at 1 and 10 % at 2; "
-            "the real image is hazier",
+            f"half of the surfaces are behind an optical depth of {depth:.2g} or more: light that "
+            "hits no surface and is scattered by the air more than once is left out; it is spread "
+            "evenly over the image, in fog about 3 % of all light at 0.5, 6 % at 1 and 10 % at 2; "
+            "the real image has less contrast",
         )
     ]
 
@@ -332,7 +334,7 @@ def _warnings(
     depth_m: Array,
 ) -> tuple[CaptureWarning, ...]:
     return (
-        *coarse(noise),
+        *quantisation_warnings(noise),
         *_no_light(system, in_band, scene_e, depth_m),
         *_narrow_filter(system, in_band),
         *_thick_air(system, depth_m),
@@ -340,8 +342,8 @@ def _warnings(
     )
 
 
-def _left_over(system: System) -> dict[str, float]:
-    """Share of the exposure before in each one, by the field that it comes from."""
+def _lag_shares(system: System) -> dict[str, float]:
+    """Share of the preceding exposure in each exposure, by the field that causes it."""
     shares = {
         "emitter.switching_time_s": residual_share(system),
         "readout.bandwidth_hz": amplifier_residue(system),
@@ -355,7 +357,7 @@ def _no_light(
     if in_band == 0 or system.emitter.radiant_intensity_w_per_sr.value == 0:
         text = "no light of the emitter passes the filter, or it emits none"
     elif not scene_e.any() and system.weather and np.isfinite(depth_m).any():
-        text = "no light of the emitter comes back: the air lets none through"
+        text = "no light of the emitter comes back: the air transmits none"
     elif not scene_e.any():
         text = "no light of the emitter comes back: nothing in the field of view"
     else:
@@ -378,14 +380,14 @@ def _narrow_filter(system: System, in_band: float) -> list[CaptureWarning]:
 
 
 def _crosstalk(system: System, distance_m: float) -> list[CaptureWarning]:
-    """Bare LEDs each light the whole field."""
+    """Warning of bare LEDs, each of which lights the whole field."""
     if system.emitter.has_lens or not np.isfinite(distance_m):
         return []
-    told_apart = independent_patterns(emission_matrix(system.emitter, distance_m))
+    n_images = independent_patterns(emission_matrix(system.emitter, distance_m))
     return [
         CaptureWarning(
             "design",
-            f"bare LEDs: at {distance_m:.3g} m only {told_apart} of {system.patterns.n_cells} "
-            "images differ by more than 1 % of the signal; a projection lens would tell all apart",
+            f"bare LEDs: at {distance_m:.3g} m only {n_images} of {system.patterns.n_cells} images "
+            "differ by more than 1 % of the signal; with a projection lens all would",
         )
     ]

@@ -1,4 +1,4 @@
-"""What the air of a system's weather adds: the emitter's light that it sends back, and airlight."""
+"""Light that the air of a system's weather adds: backscatter of the emitter, and airlight."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +9,7 @@ from twin.camera.mounting import field_points
 from twin.camera.truth import depths
 from twin.optics.backscatter import airlight, backscatter
 from twin.optics.emission import emission_matrix, field_lobe
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import Paths
 from twin.optics.weather import Air
@@ -18,14 +18,14 @@ from twin.system import System
 Array = NDArray[np.float64]
 
 
-#: Optical depth of scattering below which none is followed: no more light than that is then left
-#: in the wrong cell.
+#: Optical depth of scattering below which scattering is not traced: at most this share of the light
+#: then stays in the wrong cell.
 _THIN = 0.005
 
 
-def where_air_scatters(air: Air | None, depth_m: Array, quality: Quality) -> Quality:
-    """The same knobs, without scatterings where the air before all surfaces is too thin to matter;
-    ``depth_m`` of the image, infinite where nothing is.
+def where_air_scatters(air: Air | None, depth_m: Array, quality: TracingQuality) -> TracingQuality:
+    """``quality``, without scattering where the air in front of all surfaces is too thin to matter;
+    ``depth_m`` of the image, infinite where there is no surface.
     """
     farthest_m = float(depth_m[np.isfinite(depth_m)].max(initial=0.0))
     if air is None or air.scattering_per_m * farthest_m >= _THIN:
@@ -35,16 +35,16 @@ def where_air_scatters(air: Air | None, depth_m: Array, quality: Quality) -> Qua
 
 @dataclass(frozen=True, eq=False)
 class CellBackscatter:
-    """The emitter's light that the air sends straight back, by detector and cell as in `Light`.
+    """The emitter's light that the air scatters back, by detector and cell as in `DetectorLight`.
 
-    ``paths``: the same with its ways, of one detector, with time of flight only.
+    ``paths``: the same with its path lengths; for one detector with time of flight only.
     """
 
     light: Array
     paths: Paths | None = None
 
     def added_to(self, paths: Paths) -> Paths:
-        """Paths to surfaces, and those to the air."""
+        """Paths to surfaces together with those to the air."""
         assert self.paths is not None  # rendered for a system with time of flight
         value = np.hstack([paths.value, self.paths.value])
         return Paths(value, np.hstack([paths.length_m, self.paths.length_m]), paths.shape)
@@ -68,7 +68,9 @@ def backscatter_of(system: System, problem: LightProblem, depth_m: Array) -> Cel
 
 
 def _shared(system: System, cells: Array) -> Array:
-    """From ideal cells to the emitter's own: bare LEDs light the whole field, lobes fall."""
+    """Light of the emitter's real cells, from that of ideal ones: with lobes, and without a lens
+    over the whole field.
+    """
     emitter = system.emitter
     if emitter.has_lens:
         return cells * field_lobe(emitter)
@@ -77,7 +79,7 @@ def _shared(system: System, cells: Array) -> Array:
 
 
 def airlight_of(problem: LightProblem, shape: tuple[int, int]) -> Array:
-    """Sunlight scattered by the air before the surfaces, as `sun_light` gives that of surfaces."""
+    """Sunlight scattered by the air in front of the surfaces, in the unit of `sun_light`."""
     detector = problem.detector
     left, up = field_points(shape, detector.tan_half_field)
     depth = depths(problem.scene, replace(detector, outline="square"), shape)

@@ -1,4 +1,4 @@
-"""What backscatter of the air does to distances by time of flight."""
+"""Error of time-of-flight distances due to backscatter of the air."""
 
 from dataclasses import dataclass
 
@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BackscatterRangeError:
-    """Backscatter's part of the light by shutter, from the least to the most, and what it does to
-    the distance of cells with light of the scene: median error, m, beside the median of what noise
-    alone makes the vehicle claim, and the largest.
+    """Least and largest share of backscatter in the light of a shutter, and the resulting error of
+    the distance of cells with light of the scene: median error, m; median standard error that the
+    vehicle reports from noise alone; largest error.
     """
 
     least_share: float
@@ -28,16 +28,16 @@ class BackscatterRangeError:
 
     @property
     def matters(self) -> bool:
-        """Whether half of the distances are farther off than claimed."""
+        """Whether the median error exceeds the standard error that the vehicle reports."""
         return self.error_m > self.claimed_m
 
     def __str__(self) -> str:
-        """The finding in a few words."""
+        """The result in a few words."""
         return f"distances {self.error_m:.2g} m off because of backscatter (median)"
 
     @property
     def warnings(self) -> tuple[CaptureWarning, ...]:
-        """In words, where it matters."""
+        """A warning where the error matters."""
         if not self.matters:
             return ()
         return (
@@ -45,8 +45,8 @@ class BackscatterRangeError:
                 "design",
                 f"backscatter is {self.least_share:.0%} to {self.most_share:.0%} of the light "
                 f"by phase or gate: distances are {self.error_m:.2g} m off (median; up to "
-                f"{self.largest_m:.2g} m), where noise alone makes {self.claimed_m:.2g} m; "
-                "one modulation frequency cannot tell the two apart, gates that open later can: "
+                f"{self.largest_m:.2g} m), compared with {self.claimed_m:.2g} m by noise alone; "
+                "one modulation frequency cannot separate the two, gates that open later can: "
                 "time_of_flight",
             ),
         )
@@ -55,7 +55,7 @@ class BackscatterRangeError:
 def backscatter_range_error(
     record: SpiRecord, cells_e: Array, backscatter_e: Array, noise_e: Array
 ) -> BackscatterRangeError | None:
-    """The vehicle's own distances of noise-free images with and without backscatter.
+    """Difference of the vehicle's distances from noise-free images with and without backscatter.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From light to counts: everything of a camera that no scene and no pose changes, ready to use."""
+"""From light to counts: the part of a camera that depends on neither scene nor pose."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
-from twin.camera.illumination import amplifier_residue, shown, steady
-from twin.camera.light import Rendered
+from twin.camera.illumination import amplifier_residue, frame_signal, mean_signal
+from twin.camera.light import RenderedLight
 from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import Detector, FrontEnd, NoiseBudget
-from twin.detector.interface import check_detector, exposed
+from twin.detector.interface import check_detector, checked_exposure
 from twin.fidelity import Noise
 from twin.optics.emission import cell_gains
 from twin.optics.passband import Passband, passband
@@ -29,9 +29,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Powers:
-    """On the detectors, W: from each cell lit alone, (n_shutters, n_detectors, n_cells), with its
-    Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,). ``backscatter_w``:
-    what of ``cells_w`` the air sent back, which shows nothing of the scene.
+    """Power on the detectors, W: from each cell lit alone, (n_shutters, n_detectors, n_cells), with
+    its Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,).
+    ``backscatter_w``: the part of ``cells_w`` that the air scattered back.
     """
 
     cells_w: Array
@@ -54,7 +54,7 @@ class Chain:
     @classmethod
     def of(cls, system: System, sun: Sun, detector: Detector | None = None) -> "Chain":
         """Chain of a system, under its own sky or else the scene's sun; ``detector``: in place of
-        the system's own with its readout. Raises InputError for one that lacks something.
+        the system's detector and readout. Raises InputError for an incomplete one.
         """
         own = Sky(illuminance_lx=Sourced(value=sun.illuminance_lx, source="scene.toml"))
         responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
@@ -71,7 +71,7 @@ class Chain:
 
     @cached_property
     def patterns(self) -> Patterns:
-        """The pattern set that is shown."""
+        """The pattern set of the emitter."""
         return self.system.patterns
 
     @property
@@ -79,8 +79,8 @@ class Chain:
         """Share of the time that the detector is open, by shutter."""
         return np.array([shutter.open_share for shutter in self.shutters])
 
-    def powers(self, rendered: Rendered) -> Powers:
-        """What rendered light is on the detectors."""
+    def powers(self, rendered: RenderedLight) -> Powers:
+        """Power of the rendered light on the detectors."""
         system = self.system
         collected = self.lens.transmission * self.lens.pupil_area_m2
         cell_angle, sun_angle = rendered.angles_deg()
@@ -101,38 +101,38 @@ class Chain:
         )
 
     def _through_shutters(self, cells: Array, paths: Paths | None) -> Array:
-        """Light (n_shutters, n_detectors, n_cells) that each shutter lets in."""
+        """Light (n_shutters, n_detectors, n_cells) behind each shutter."""
         return np.stack([_through(shutter, cells, paths) for shutter in self.shutters])
 
-    def steady(self, power: Powers) -> Array:
-        """Signal before anything fluctuates, (n_exposures, n_shutters, n_detectors) in W."""
-        return steady(self.system, power.cells_w)
+    def mean_signal(self, power: Powers) -> Array:
+        """Mean signal, (n_exposures, n_shutters, n_detectors) in W."""
+        return mean_signal(self.system, power.cells_w)
 
-    def take(
+    def measure_frame(
         self,
         power: Powers,
         *,
         rng: np.random.Generator,
         noise: Noise = "full",
-        steady_w: Array | None = None,
+        mean_w: Array | None = None,
     ) -> tuple[Array, NDArray[np.int32], NDArray[np.uint8]]:
         """One frame: signal (n_exposures, n_shutters, n_detectors) in W; counts and flags.
 
-        ``steady_w``: what `steady` gives of these powers, when it is at hand already.
+        ``mean_w``: `mean_signal` of these powers, if already computed.
         """
         fluctuating = None if noise == "none" else rng
-        signal_w = shown(self.system, power.cells_w, rng=fluctuating, steady_w=steady_w)
-        settled_w = self.settled(self.exposed(signal_w, power.sun_w), power.sun_w)
-        counts, flags = exposed(self.front_end, settled_w, rng, noise)
+        signal_w = frame_signal(self.system, power.cells_w, rng=fluctuating, mean_w=mean_w)
+        settled_w = self.amplifier_output(self.exposure_power(signal_w, power.sun_w), power.sun_w)
+        counts, flags = checked_exposure(self.front_end, settled_w, rng, noise)
         return signal_w, counts, flags
 
-    def exposed(self, signal_w: Array, sun_w: Array) -> Array:
+    def exposure_power(self, signal_w: Array, sun_w: Array) -> Array:
         """Signal and sun of every exposure in turn, (n_exposures x n_shutters, n_detectors), W."""
         power_w = signal_w + self.open_share[:, None] * sun_w
         return np.asarray(power_w.reshape(-1, power_w.shape[-1]))
 
-    def settled(self, exposed_w: Array, sun_w: Array) -> Array:
-        """What of these the amplifier shows: its pole carries a share of each into the next one."""
+    def amplifier_output(self, exposed_w: Array, sun_w: Array) -> Array:
+        """These powers behind the amplifier, whose pole carries a share of each into the next."""
         left_over = amplifier_residue(self.system)
         if not left_over:
             return exposed_w
@@ -149,7 +149,7 @@ class Chain:
     def noise_by_detector(self, signal_w: Array, sun_w: Array) -> list[NoiseBudget]:
         """Budget of each detector, in one exposure.
 
-        ``signal_w`` (n_exposures, n_shutters, n_detectors) as `take` gives it; ``sun_w``
+        ``signal_w`` (n_exposures, n_shutters, n_detectors) as `measure_frame` gives it; ``sun_w``
         (n_detectors,) while the detector is open.
         """
         sun_w = float(self.open_share.mean()) * sun_w
@@ -161,7 +161,7 @@ class Chain:
     def record(
         self, pose: Pose, counts: NDArray[np.int32], flags: NDArray[np.uint8], number: int = 0
     ) -> SpiRecord:
-        """What the vehicle gets of it: record ``number`` of those that follow without a pause."""
+        """Record for the vehicle, number ``number`` of a series without pauses."""
         n, system = len(counts), self.system
         period_ns = system.acquisition.pattern_period_s.value * 1e9
         exposures = np.arange(number * n, (number + 1) * n)
@@ -183,7 +183,7 @@ class Chain:
 
 
 def _through(shutter: ShutterResponse, cells: Array, paths: Paths | None) -> Array:
-    """Light (n_detectors, n_cells) that a shutter lets in."""
+    """Light (n_detectors, n_cells) behind one shutter."""
     if shutter.response is None:
         return cells
     assert paths is not None  # rendered for a system with time of flight

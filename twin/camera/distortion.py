@@ -1,4 +1,4 @@
-"""What of an image is neither scene nor noise: light of exposures before, and what is cut off."""
+"""Systematic distortion of an image: lag between exposures, and clipping."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from hardware.patterns import Patterns, PatternSet, fwht_in_place
 from hardware.reconstruction.measurements import measured_values
 from hardware.reconstruction.sensing import Sensing
 from twin.camera.chain import Chain, Powers
-from twin.camera.illumination import prompt
+from twin.camera.illumination import ideal_signal
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -17,23 +17,23 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """An image's error in the mean, noise aside, in electrons of the cells.
+    """Error of the mean image, in electrons of the cells.
 
-    ``kept`` (n_detectors,): factor between the image and the true one, by least squares.
-    ``error_e`` (n_detectors,): root mean square of what no factor explains. ``contrast_e``:
-    standard deviation of the true image of all detectors.
+    ``signal_factor`` (n_detectors,): least-squares factor between the image and the true one.
+    ``error_e`` (n_detectors,): root mean square of the residual. ``contrast_e``: standard deviation
+    of the true image of all detectors.
     """
 
-    kept: Array
+    signal_factor: Array
     error_e: Array
     contrast_e: float
 
     def hides(self, noise_e: Array) -> Bools:
-        """Detectors whose image is gone: what is left of its contrast is no more than the error,
-        which noise (n_detectors,) does not cover.
+        """Detectors whose image is lost: the error is at least the remaining contrast, and larger
+        than the noise (n_detectors,).
         """
-        kept = np.maximum(self.kept, 0)
-        return np.asarray((self.error_e > noise_e) & (self.error_e >= kept * self.contrast_e))
+        contrast_e = np.maximum(self.signal_factor, 0) * self.contrast_e
+        return np.asarray((self.error_e > noise_e) & (self.error_e >= contrast_e))
 
     def over(self, noise_e: Array) -> float:
         """Error over noise, both as root mean square over the detectors."""
@@ -42,7 +42,7 @@ class Distortion:
 
 @dataclass(frozen=True, eq=False)
 class Distortions:
-    """By what is left of the exposure before, by what rails and well cut off, and by both."""
+    """Distortion by lag between exposures, by clipping at rails and full well, and by both."""
 
     lag: Distortion
     clipping: Distortion
@@ -50,9 +50,8 @@ class Distortions:
 
 
 def distortions(chain: Chain, power: Powers) -> Distortions:
-    """Of the mean counts of a camera against one that switches and settles at once and whose
-    converter has no rails; images by inverse transform, of own
-    patterns by least squares.
+    """Mean image of a camera compared with that of one that switches and settles at once and whose
+    converter has no rails; images by inverse transform, of own patterns by least squares.
     """
     patterns, detector, n_shutters = chain.patterns, chain.front_end, len(chain.shutters)
 
@@ -62,8 +61,10 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
         summed = electrons.reshape(-1, n_shutters, electrons.shape[-1]).sum(axis=1)
         return _image(summed, patterns)
 
-    ideal_w = chain.exposed(prompt(chain.system, power.cells_w), power.sun_w)
-    slow_w = chain.settled(chain.exposed(chain.steady(power), power.sun_w), power.sun_w)
+    ideal_w = chain.exposure_power(ideal_signal(chain.system, power.cells_w), power.sun_w)
+    slow_w = chain.amplifier_output(
+        chain.exposure_power(chain.mean_signal(power), power.sun_w), power.sun_w
+    )
     true = image(ideal_w, cut=False)
     return Distortions(
         lag=_against(true, image(slow_w, cut=False)),

@@ -1,9 +1,9 @@
-"""How good an image is: reconstructions of one capture against its noise-free truth.
+"""Image quality: scores of reconstructions of one capture against its noise-free truth.
 
-The truth is the light of the scene. Fog adds backscatter to an image, which is neither that nor
-noise: its expectation, which the twin knows, is taken from the image before it is scored. So a
-score falls with the light that fog leaves of the scene and with the noise of backscatter, and gains
-nothing from its brightness.
+The truth is the light of the scene. Backscatter in fog is neither truth nor noise: its expectation,
+which the twin knows, is subtracted from the image before scoring. A score thus falls with the
+attenuation by the fog and with the noise of its backscatter, but does not depend on the mean
+backscatter itself.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from hardware.reconstruction import (
 )
 from hardware.reconstruction.registry import Solve
 from twin.camera.acquisition import Capture
-from twin.camera.verdict import Verdict
+from twin.camera.verdict import ImageVerdict
 from twin.system import System
 
 #: Methods of every evaluation: the plain inverse and the vehicle's default.
@@ -39,9 +39,9 @@ class Score:
     ssim: float
 
     def __str__(self) -> str:
-        """In words, where either has no value too."""
+        """In words, also where one of them has no value."""
         if self.psnr_db == -np.inf:
-            return "nothing lit to compare with"
+            return "no lit cell to compare with"
         psnr = f"PSNR {self.psnr_db:.1f} dB" if np.isfinite(self.psnr_db) else "no error"
         return psnr if np.isnan(self.ssim) else f"{psnr}, SSIM {self.ssim:.2f}"
 
@@ -56,8 +56,8 @@ class Evaluation:
     scores: tuple[Score, ...]
 
     @property
-    def verdict(self) -> Verdict:
-        """What the record is worth."""
+    def verdict(self) -> ImageVerdict:
+        """Quality of an image of the record."""
         return self.capture.verdict
 
     @property
@@ -68,7 +68,7 @@ class Evaluation:
         return f"{self.reconstructions[0].method}: {self.scores[0]}"
 
     def __str__(self) -> str:
-        """The finding in one line, as the command prints it."""
+        """The result in one line, as the command prints it."""
         return f"{self.system.name}: {self.verdict}; {self.best}"
 
 
@@ -104,7 +104,7 @@ def score_of(capture: Capture, image: NDArray[np.float64]) -> Score:
 def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:
     """PSNR and SSIM (Wang 2004, 7 x 7 windows) of an image in the unit of its truth.
 
-    Cells whose truth is NaN are left out: they are not measured, whatever the image says of them.
+    Cells whose truth is NaN are not measured and are left out.
     """
     from skimage.metrics import structural_similarity
 

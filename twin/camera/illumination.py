@@ -1,4 +1,4 @@
-"""What an emitter really shows for each pattern: finite contrast, slow switching, fluctuation."""
+"""Signal of a real emitter for each pattern: finite contrast, slow switching, fluctuation."""
 
 import math
 
@@ -10,7 +10,7 @@ from twin.system import System
 Array = NDArray[np.float64]
 
 
-def prompt(system: System, cells_w: Array) -> Array:
+def ideal_signal(system: System, cells_w: Array) -> Array:
     """Signal power of every exposure, (n_exposures, n_shutters, n_detectors), W, of an emitter that
     switches at once and does not fluctuate.
 
@@ -21,30 +21,30 @@ def prompt(system: System, cells_w: Array) -> Array:
     return np.asarray((1 - dark) * ideal + dark * cells_w.sum(axis=-1) if dark else ideal)
 
 
-def steady(system: System, cells_w: Array) -> Array:
-    """The same of an emitter that switches as fast as it does."""
-    signal = prompt(system, cells_w)
+def mean_signal(system: System, cells_w: Array) -> Array:
+    """The same with the emitter's switching time."""
+    signal = ideal_signal(system, cells_w)
     left_over = residual_share(system)
     if left_over:
-        # The pattern before still glows; it does so while its successor's first shutter is open.
+        # The preceding pattern decays while the first shutter of the next one is open.
         before = np.concatenate([np.zeros_like(signal[:1]), signal[:-1]])[:, 0]
         signal = signal.copy()
         signal[:, 0] += left_over * (before - signal[:, 0])
     return signal
 
 
-def shown(
+def frame_signal(
     system: System,
     cells_w: Array,
     *,
     rng: np.random.Generator | None,
-    steady_w: Array | None = None,
+    mean_w: Array | None = None,
 ) -> Array:
-    """The same of one frame, which fluctuates; not without ``rng``.
+    """The same of one frame, with the emitter's fluctuation; without ``rng`` there is none.
 
-    ``steady_w``: what `steady` gives, when it is at hand already.
+    ``mean_w``: the result of `mean_signal`, if already computed.
     """
-    signal = steady(system, cells_w) if steady_w is None else steady_w
+    signal = mean_signal(system, cells_w) if mean_w is None else mean_w
     noise = system.emitter.intensity_noise
     if rng is not None and noise is not None and noise.value:
         signal = signal * (1 + rng.normal(0, noise.value, (*signal.shape[:2], 1)))
@@ -58,7 +58,7 @@ def dark_share(system: System) -> float:
 
 
 def residual_share(system: System) -> float:
-    """Share of an exposure's light that is still the pattern before's.
+    """Share of an exposure's light that belongs to the preceding pattern.
 
     After a switch the light decays with exp(-t / tau), tau = t_10-90 / ln 9.
     """
@@ -69,8 +69,8 @@ def residual_share(system: System) -> float:
 
 
 def amplifier_residue(system: System) -> float:
-    """Share of an exposure's charge that is still the exposure before's: the amplifier's one pole
-    decays with tau = 1 / (2 pi bandwidth).
+    """Share of an exposure's charge that belongs to the preceding exposure: the amplifier's single
+    pole decays with tau = 1 / (2 pi bandwidth).
     """
     bandwidth = system.readout.bandwidth_hz
     if bandwidth is None:

@@ -1,7 +1,7 @@
-"""What is rendered once per scene and geometry: light from every cell and from the sun, and truth.
+"""Light of every emitter cell and of the sun, and truth, rendered once per scene and geometry.
 
-Nothing here knows watts, electrons or seconds: detector, filter, sky and integration time may
-change without rendering again.
+All quantities are relative, so detector, filter, sky and integration time may change without a new
+render.
 """
 
 import math
@@ -13,13 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
-from twin.camera.limits import cut_off, grazing, unsampled, unspread
 from twin.camera.mounting import check_rig, field_points, light_problem
+from twin.camera.render_warnings import (
+    forward_scattering_warnings,
+    grazing_warnings,
+    truncation_warnings,
+    undersampling_warnings,
+)
 from twin.camera.truth import Truth, incidence_cosines, render_truth
 from twin.fidelity import Fidelity, Start
 from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import Paths, trace_paths
 from twin.optics.transport import sunlight, transport
@@ -34,10 +39,10 @@ SUN_PARTS = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class DetectorLight:
     """Per detector and cell, (n_detectors, n_cells): irradiance on the pupil per radiant intensity,
-    1/m^2, with its Monte-Carlo standard error; and the share of it that bounced more than once,
-    where that is known (not for line sensors).
+    1/m^2, with its Monte-Carlo standard error; and the share of light of more than one bounce,
+    where known (not for line sensors).
     """
 
     cells: Array
@@ -46,17 +51,17 @@ class Light:
 
 
 @dataclass(frozen=True, eq=False)
-class Rendered:
-    """Everything that light transport says about a scene seen by a system's geometry.
+class RenderedLight:
+    """All results of light transport for a scene and the geometry of a system.
 
     ``sun``: irradiance on the pupil per irradiance of the sun, by part of the detector's field,
-    (rows, columns); each detector of a line sensor is a column. ``truth`` lies on the grid of the
-    virtual image. ``paths``: with their lengths, for time of flight. ``backscatter``: the share of
-    light and paths that the air sent back. ``emitter``, ``detector``: what was rendered from, and
-    to. ``warnings``: what rendering leaves uncertain, with the error.
+    (rows, columns); each detector of a line sensor is a column. ``truth`` is on the grid of the
+    virtual image. ``paths``: with their lengths, for time of flight. ``backscatter``: the part of
+    light and paths that the air scattered back. ``emitter``, ``detector``: the devices rendered.
+    ``warnings``: uncertainties of the render, with their errors.
     """
 
-    light: Light
+    light: DetectorLight
     sun: Array
     truth: Truth
     emitter: Device
@@ -66,8 +71,8 @@ class Rendered:
     warnings: tuple[CaptureWarning, ...] = ()
 
     def angles_deg(self) -> tuple[Array, Array]:
-        """Angle to the detector's axis under which light arrives: from each cell of the virtual
-        image (rows, columns), seen at its true depth, and from each part of the detector's field.
+        """Angle of incidence at the detector, to its axis: of each cell of the virtual image (rows,
+        columns) at its true depth, and of each part of the detector's field.
         """
         left, up = field_points(self.truth.depth_m.shape, self.emitter.tan_half_field)
         along, depth = np.stack([np.ones_like(left), left, up], axis=-1), self.truth.depth_m
@@ -93,8 +98,8 @@ def render(
     seed: np.random.SeedSequence,
     mesh_scene: Any = None,
     stage: OpenStage = silently,
-) -> Rendered:
-    """Render a scene for a system; ``mesh_scene`` is `mitsuba_scene(scene)`, when it is at hand."""
+) -> RenderedLight:
+    """Render a scene for a system; ``mesh_scene`` is `mitsuba_scene(scene)`, if already built."""
     check_rig(scene, system)
     with stage("scene"):
         problem = light_problem(scene, system, mesh_scene)
@@ -105,17 +110,17 @@ def render(
 
 
 def _uncertain(
-    scene: Scene, problem: LightProblem, rendered: Rendered, fidelity: Fidelity
+    scene: Scene, problem: LightProblem, rendered: RenderedLight, fidelity: Fidelity
 ) -> tuple[CaptureWarning, ...]:
     light, truth, emitter = rendered.light, rendered.truth, rendered.emitter
     shape = truth.albedo.shape
-    # Of a line sensor's pixel and cell only the image's cell is lit: side by side, they are it.
+    # Cells of a line sensor's detectors, side by side, are the cells of the image.
     image = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
     return (
-        *unsampled(scene, emitter, image.size * fidelity.samples),
-        *grazing(image, incidence_cosines(problem.scene, emitter, shape)),
-        *cut_off(light.indirect_share, truth.albedo, fidelity.max_depth),
-        *unspread(problem.air, float(truth.depth_m.min()), fidelity.air_orders),
+        *undersampling_warnings(scene, emitter, image.size * fidelity.samples),
+        *grazing_warnings(image, incidence_cosines(problem.scene, emitter, shape)),
+        *truncation_warnings(light.indirect_share, truth.albedo, fidelity.max_depth),
+        *forward_scattering_warnings(problem.air, float(truth.depth_m.min()), fidelity.air_orders),
     )
 
 
@@ -126,12 +131,12 @@ def render_light(
     fidelity: Fidelity,
     seeds: Sequence[np.random.SeedSequence],
     *,
-    sun_quality: Quality | None = None,
+    sun_quality: TracingQuality | None = None,
     stage: OpenStage = silently,
-) -> Rendered:
+) -> RenderedLight:
     """Light of emitter and sun, drawn from two seeds; air needs the truth's depth.
 
-    ``sun_quality``: knobs of the path tracer for the sun; default: those of ``fidelity``.
+    ``sun_quality``: settings of the path tracer for the sun; default: those of ``fidelity``.
     """
     n = system.n_detectors
     quality, sun_quality = (
@@ -153,7 +158,7 @@ def render_light(
             light = replace(light, cells=light.cells + backscatter.light)
             paths = paths and backscatter.added_to(paths)
             sun = sun + airlight_of(problem, sun.shape)
-    return Rendered(light, sun, truth, problem.emitter, problem.detector, paths, backscatter)
+    return RenderedLight(light, sun, truth, problem.emitter, problem.detector, paths, backscatter)
 
 
 def emitter_light(
@@ -161,34 +166,36 @@ def emitter_light(
     shape: tuple[int, int],
     n_detectors: int,
     *,
-    quality: Quality,
+    quality: TracingQuality,
     seed: int,
     start: Start = "auto",
-) -> Light:
+) -> DetectorLight:
     """Transport from ``shape`` cells to one bucket, or to the columns of a line sensor."""
     if n_detectors == 1:
         gathered = transport(problem, shape, quality=quality, seed=seed)
         total = gathered.total
         share = float(gathered.indirect.sum() / total.sum()) if total.any() else 0.0
-        return Light(total.reshape(1, -1), gathered.standard_error.reshape(1, -1), share)
+        return DetectorLight(total.reshape(1, -1), gathered.standard_error.reshape(1, -1), share)
     n_cells = shape[0] * shape[1]
     if start == "auto":
         start = "scatter" if n_detectors > n_cells else "dual"
     ends = n_cells if start == "scatter" else n_detectors
-    # As many paths per pair of cell and column as a bucket's cell would have, in two halves that
-    # tell the error.
+    # As many paths per pair of cell and column as per cell of a bucket detector, in two halves
+    # whose difference gives the error.
     side = math.ceil(math.sqrt(quality.samples * ends / 2))
     quality = replace(quality, samples=side * side)
     halves = [
         transport_matrix(
-            problem, shape, (1, n_detectors), quality=quality, seed=seed + half, role=start
+            problem, shape, (1, n_detectors), quality=quality, seed=seed + half, start=start
         )
         for half in range(2)
     ]
-    return Light((halves[0] + halves[1]) / 2, np.abs(halves[0] - halves[1]) / 2)
+    return DetectorLight((halves[0] + halves[1]) / 2, np.abs(halves[0] - halves[1]) / 2)
 
 
-def sun_light(problem: LightProblem, n_detectors: int, *, quality: Quality, seed: int) -> Array:
+def sun_light(
+    problem: LightProblem, n_detectors: int, *, quality: TracingQuality, seed: int
+) -> Array:
     """Irradiance on the pupil per irradiance of the sun, by part of the field, (rows, columns); the
     columns are those of a line sensor.
     """

@@ -1,4 +1,4 @@
-"""Emitter and detector of a system where a scene's rig holds them, and what they see and light."""
+"""Emitter and detector of a system, mounted on the rig of a scene."""
 
 import math
 from pathlib import Path
@@ -20,12 +20,12 @@ from twin.system import System
 
 Array = NDArray[np.float64]
 
-#: Devices nearer than this are at one place.
+#: Devices closer together than this count as being at the same position.
 _APART_M = 1e-9
 
 
 def devices(scene: Scene, system: System) -> tuple[Device, Device, Collection]:
-    """Emitter and detector where the rig holds them, and the detector's lens."""
+    """Emitter and detector mounted on the rig, and the detector's lens."""
     lens = collection(system)
     made, optics = system.emitter, system.optics
     emitter = Device(
@@ -51,8 +51,8 @@ def devices(scene: Scene, system: System) -> tuple[Device, Device, Collection]:
 
 
 def light_problem(scene: Scene, system: System, mesh_scene: Any = None) -> LightProblem:
-    """What a system lights and sees of a scene, under the scene's sun and through the system's air;
-    ``mesh_scene`` is `mitsuba_scene(scene)`, when it is at hand.
+    """Light transport problem of a system in a scene, under the scene's sun, in the system's air;
+    ``mesh_scene`` is `mitsuba_scene(scene)`, if already built.
     """
     emitter, detector, _ = devices(scene, system)
     if mesh_scene is None:
@@ -61,9 +61,9 @@ def light_problem(scene: Scene, system: System, mesh_scene: Any = None) -> Light
 
 
 def check_rig(scene: Scene, system: System) -> None:
-    """Raise InputError where light of a rig is no number: its emitter or detector stand in a
-    surface, to which the way is zero long; or, in air that scatters, the detector stands in the
-    emitter's own beam, whose backscatter is infinite there.
+    """Raise InputError where the light of a rig is undefined: emitter or detector lie in a surface,
+    at distance zero; or, in scattering air, the detector lies in the emitter's beam, where the
+    backscatter is infinite.
     """
     check_clear(scene)
     if (air := air_of_system(system)) is None or not air.scattering_per_m:
@@ -76,21 +76,21 @@ def check_rig(scene: Scene, system: System) -> None:
     path = Path(scene.path).with_name("scene.toml")
     there, here = (scene.rig.device(name)[0].tolist() for name in ("detector", "emitter"))
     raise InputError(
-        f"{path}: rig.detector.offset_m = {there}: the detector stands in the emitter's beam "
-        f"(rig.emitter.offset_m = {here}), where the light that air scatters back is infinite: "
-        f"with the weather of system {system.name!r}, expected a place beside it"
+        f"{path}: rig.detector.offset_m = {there}: the detector is in the emitter's beam "
+        f"(rig.emitter.offset_m = {here}), where the backscatter of the air is infinite: with the "
+        f"weather of system {system.name!r}, expected a position outside the beam"
     )
 
 
 def check_clear(scene: Scene) -> None:
-    """Raise InputError where emitter or detector stand in a surface: the way to it is zero long,
-    and its light no number.
+    """Raise InputError where emitter or detector lie in a surface: its distance is zero, and its
+    light undefined.
     """
     for name in ("emitter", "detector"):
         place = scene.rig.position_m + scene.rig.device(name)[0]
         if blocked := next((item.name for item in scene.objects if touches(item, place)), None):
             raise InputError(
-                f"{scene.path}: rig: its {name}, at {place.round(6).tolist()} m, stands in the "
+                f"{scene.path}: rig: its {name}, at {place.round(6).tolist()} m, lies in the "
                 f"surface of {blocked!r}: move the rig"
             )
 

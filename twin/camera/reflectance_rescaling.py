@@ -1,6 +1,6 @@
-"""One render for every reflectance: light split by object, each part times its own.
+"""One render for every reflectance: light by object, each part times the object's reflectance.
 
-Holds while light bounces once and one bucket collects it; textured objects keep their texture.
+Valid for direct light on a single detector; textured objects keep their texture.
 """
 
 from dataclasses import dataclass, replace
@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
-from twin.camera.light import SUN_PARTS, Light, Rendered
-from twin.camera.limits import grazing, unsampled
+from twin.camera.light import SUN_PARTS, DetectorLight, RenderedLight
 from twin.camera.mounting import check_rig, light_problem
+from twin.camera.render_warnings import grazing_warnings, undersampling_warnings
 from twin.camera.truth import Truth, depths, incidence_cosines, object_shares
 from twin.fidelity import Fidelity
-from twin.optics.by_object import ByObject, gather_by_object
+from twin.optics.by_object import LightByObject, gather_by_object
 from twin.optics.devices import Device
 from twin.scene import Scene
 from twin.system import System
@@ -30,15 +30,15 @@ def can_rescale(system: System, fidelity: Fidelity) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class UnitReflectanceLight:
-    """Light of emitter and sun by object, per unit of reflectance; and what does not depend on it.
+    """Light of emitter and sun by object, per unit of reflectance; and the parts independent of it.
 
-    ``shares``: mean over each cell of an object's presence (its texture, if it has one),
+    ``shares``: share of each cell that an object covers (times its texture, if it has one),
     (n_objects, rows, columns). ``cosines`` (rows, columns) of incidence in the middle of each cell;
-    ``warnings``: what rays leave uncertain whatever the reflectance.
+    ``warnings``: uncertainties of the render that do not depend on reflectance.
     """
 
-    emitter_parts: ByObject
-    sun_parts: ByObject
+    emitter_parts: LightByObject
+    sun_parts: LightByObject
     shares: Array
     depth_m: Array
     emitter: Device
@@ -48,16 +48,16 @@ class UnitReflectanceLight:
     cosines: Array
     warnings: tuple[CaptureWarning, ...]
 
-    def rescaled(self, scene: Scene) -> Rendered:
-        """As `render` gives it, with the reflectances of a scene of the same objects."""
+    def rescaled(self, scene: Scene) -> RenderedLight:
+        """The result of `render` for the reflectances of a scene of the same objects."""
         reflectance = np.array(
             [o.reflectance if isinstance(o.reflectance, float) else 1.0 for o in scene.objects]
         )
-        light = self.emitter_parts.gathered(reflectance)
-        sun = self.sun_parts.gathered(reflectance).total
+        light = self.emitter_parts.with_reflectance(reflectance)
+        sun = self.sun_parts.with_reflectance(reflectance).total
         cells = light.total.reshape(1, -1)
-        return Rendered(
-            light=Light(
+        return RenderedLight(
+            light=DetectorLight(
                 cells + self.backscatter.light if self.backscatter else cells,
                 light.standard_error.reshape(1, -1),
             ),
@@ -68,7 +68,7 @@ class UnitReflectanceLight:
             backscatter=self.backscatter,
             warnings=(
                 *self.warnings,
-                *grazing(light.total.reshape(self.cosines.shape), self.cosines),
+                *grazing_warnings(light.total.reshape(self.cosines.shape), self.cosines),
             ),
         )
 
@@ -76,9 +76,9 @@ class UnitReflectanceLight:
 def render_unit_reflectance(
     scene: Scene, system: System, *, fidelity: Fidelity, seed: np.random.SeedSequence
 ) -> UnitReflectanceLight:
-    """Render a scene for a system and every reflectance; draws what `render` draws.
+    """Render a scene for a system and every reflectance, with the random numbers of `render`.
 
-    Raises ValueError where one render does not serve every reflectance.
+    Raises ValueError unless `can_rescale`.
     """
     if not can_rescale(system, fidelity):
         raise ValueError("fidelity: only direct light on one bucket scales with the reflectances")
@@ -98,12 +98,14 @@ def render_unit_reflectance(
         backscatter=backscatter_of(system, problem, depth) if problem.air else None,
         airlight=airlight_of(problem, sun_parts) if problem.air else None,
         cosines=incidence_cosines(mesh_scene, emitter, shape),
-        warnings=tuple(unsampled(scene, emitter, shape[0] * shape[1] * fidelity.samples)),
+        warnings=tuple(
+            undersampling_warnings(scene, emitter, shape[0] * shape[1] * fidelity.samples)
+        ),
     )
 
 
 def _with_unit_reflectance(scene: Scene) -> Scene:
-    """The scene with every plain object's reflectance 1."""
+    """The scene with reflectance 1 on every object without a texture."""
     objects = [
         replace(item, reflectance=1.0) if isinstance(item.reflectance, float) else item
         for item in scene.objects

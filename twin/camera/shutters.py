@@ -1,4 +1,4 @@
-"""The shutters of one pattern: always open, the phases of a lock-in measurement, or gates."""
+"""The shutters of each pattern: always open, the phases of a lock-in measurement, or gates."""
 
 import math
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ShutterResponse:
-    """What one exposure makes of light by the length of its path.
+    """Response of one exposure to light by the length of its path.
 
-    ``response``: share of the emitter's light that counts, None for all of it; ``light_share`` the
-    share of the time that the emitter shines, ``open_share`` that the detector is open. A record
-    holds the rest: ``recorded``, and the length of the pulse that it belongs to.
+    ``response``: share of the emitter's light that is collected, None for all of it;
+    ``light_share``: share of the time that the emitter is on; ``open_share``: share that the
+    detector is open. ``recorded`` and ``pulse_width_s``: the shutter as written to a record.
     """
 
     response: Response | None = None
@@ -31,7 +31,7 @@ class ShutterResponse:
 
 
 def shutters(system: System) -> tuple[ShutterResponse, ...]:
-    """Shutters of a system, in the order in which each pattern is shown with them."""
+    """Shutters of a system, in the order of their exposures of each pattern."""
     if system.time_of_flight is None:
         return (ShutterResponse(),)
     tof = system.time_of_flight

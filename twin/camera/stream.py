@@ -1,4 +1,4 @@
-"""Frame after frame from a moving rig: the scene is built once, only the sensors move.
+"""Series of frames from a moving or resting rig in a scene that is built once.
 
 Moving the rig costs nothing; moving geometry would rebuild the renderer's acceleration structure.
 """
@@ -11,17 +11,17 @@ import numpy as np
 
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain
-from twin.camera.light import Rendered, render, render_light
+from twin.camera.light import RenderedLight, render, render_light
 from twin.camera.mounting import check_rig, light_problem
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Fidelity
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.scene import Pose, Scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
 
 _FRAME = Fidelity(samples=16, max_depth=1)
-_SUN = Quality(samples=1, max_depth=1)  # of 32 x 32 parts, which are summed
+_SUN = TracingQuality(samples=1, max_depth=1)  # of 32 x 32 parts, which are summed
 
 
 def frames(
@@ -30,7 +30,7 @@ def frames(
     poses: Iterable[Pose],
     *,
     fidelity: Fidelity = _FRAME,
-    sun_quality: Quality = _SUN,
+    sun_quality: TracingQuality = _SUN,
     seed: int = 0,
 ) -> Iterator[SpiRecord]:
     """Records of a rig that stands still at each pose for one frame.
@@ -38,17 +38,16 @@ def frames(
     Parameters
     ----------
     scene, system
-        What is looked at, and with what. Geometry is relative to the scene's own pose: poses should
-        stay within a kilometre of it.
+        Scene and design of the camera. Coordinates are relative to the scene's own pose: poses
+        should stay within a kilometre of it.
     poses
         In the world, one for each frame.
     fidelity
-        By default 16 paths per cell, direct light: against the noise of a frame more is rarely
-        visible.
+        By default 16 paths per cell, direct light: the noise of a frame usually hides the error.
     sun_quality
-        Knobs of the path tracer for the sun, whose parts are summed.
+        Settings of the path tracer for the sun, whose parts are summed.
     seed
-        Frame i is drawn from (seed, i): the same whatever came before.
+        Frame i is drawn from (seed, i), independent of the preceding frames.
     """
     check_rig(scene, system)
     chain, unturned = Chain.of(system, scene.sun), scene.at(Pose((0.0, 0.0, 0.0)))
@@ -58,13 +57,15 @@ def frames(
         *seeds, noise_seed = np.random.SeedSequence([seed, index]).spawn(3)
         shift = np.asarray(pose.position_m) - scene.rig.position_m
         problem = mounted.moved(pose.rotation.as_matrix(), shift)
-        truth = unknown  # a cell's angle to the detector is then that of its direction
+        truth = unknown  # infinite depth: the angle to the detector is that of the cell's direction
         if system.weather:
             depth = depths(problem.scene, problem.emitter, system.image_shape)
             truth = replace(unknown, depth_m=depth)
         rendered = render_light(problem, system, truth, fidelity, seeds, sun_quality=sun_quality)
         rng = np.random.default_rng(noise_seed)
-        _, counts, flags = chain.take(chain.powers(rendered), rng=rng, noise=fidelity.noise)
+        _, counts, flags = chain.measure_frame(
+            chain.powers(rendered), rng=rng, noise=fidelity.noise
+        )
         yield chain.record(pose, counts, flags, index)
 
 
@@ -74,32 +75,32 @@ def stills(
     *,
     seed: int = 0,
     fidelity: Fidelity | None = None,
-    rendered: Rendered | None = None,
+    rendered: RenderedLight | None = None,
 ) -> Iterator[SpiRecord]:
-    """Records of a rig that stands still, without end: light is rendered once, noise drawn anew.
+    """Endless records of a resting rig: light is rendered once, noise is drawn for each record.
 
     Parameters
     ----------
     scene, system, fidelity
         As `twin.camera.acquisition.capture` takes them.
     seed
-        The first record is the one that `capture` makes of it.
+        The first record is that of `capture` with the same seed.
     rendered
-        `still_light` of the same scene and seed, when it is at hand already.
+        `still_light` of the same scene and seed, if already computed.
     """
     fidelity = fidelity or Fidelity()
     _, noise_seed = np.random.SeedSequence(seed).spawn(2)
     chain, rng = Chain.of(system, scene.sun), np.random.default_rng(noise_seed)
     power = chain.powers(rendered or still_light(scene, system, seed=seed, fidelity=fidelity))
-    steady_w = chain.steady(power)
+    mean_w = chain.mean_signal(power)
     for number in itertools.count():
-        _, counts, flags = chain.take(power, rng=rng, noise=fidelity.noise, steady_w=steady_w)
+        _, counts, flags = chain.measure_frame(power, rng=rng, noise=fidelity.noise, mean_w=mean_w)
         yield chain.record(scene.rig.pose, counts, flags, number)
 
 
 def still_light(
     scene: Scene, system: System, *, seed: int = 0, fidelity: Fidelity | None = None
-) -> Rendered:
+) -> RenderedLight:
     """Light of `stills`: that of every system with the same emitter, optics and detector."""
     light_seed, _ = np.random.SeedSequence(seed).spawn(2)
     return render(scene, system, fidelity=fidelity or Fidelity(), seed=light_seed)

@@ -1,4 +1,4 @@
-"""What is really there: albedo and depth on the grid of the virtual image."""
+"""Ground truth: albedo and depth on the grid of the virtual image."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import Device, Grid, primary_rays
+from twin.optics.devices import CellGrid, Device, primary_rays
 from twin.optics.paths import albedo as reflectance
 
 _ALBEDO_SAMPLES = 64
@@ -28,19 +28,19 @@ class Truth:
 
 
 def render_truth(scene: Any, camera: Device, shape: tuple[int, int]) -> Truth:
-    """Look through a camera, no light needed."""
-    albedo, _ = _look(scene, camera, shape, _ALBEDO_SAMPLES)
+    """Albedo and depth in the field of a camera."""
+    albedo, _ = _albedo_and_depth(scene, camera, shape, _ALBEDO_SAMPLES)
     return Truth(albedo, depths(scene, camera, shape))
 
 
 def depths(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Depth in the middle of each cell of a camera, m, infinite where there is nothing."""
-    return _look(scene, camera, shape, 1)[1]
+    return _albedo_and_depth(scene, camera, shape, 1)[1]
 
 
 def object_shares(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Mean albedo of each cell by object, (n_objects, rows, columns): their sum is the albedo."""
-    ray, _ = primary_rays(Grid(camera, *shape), (0, shape[0]), _ALBEDO_SAMPLES)
+    ray, _ = primary_rays(CellGrid(camera, *shape), (0, shape[0]), _ALBEDO_SAMPLES)
     hit = scene.ray_intersect(ray)
     albedo = np.where(np.array(hit.is_valid()), np.array(reflectance(hit), dtype=np.float64), 0.0)
     shares = [
@@ -53,15 +53,15 @@ def object_shares(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray
 
 
 def incidence_cosines(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Cosine of the angle at which the middle of each cell meets its surface, 0 for nothing."""
-    ray, _ = primary_rays(Grid(camera, *shape), (0, shape[0]), 1)
+    """Cosine of the angle of incidence in the middle of each cell, 0 where there is no surface."""
+    ray, _ = primary_rays(CellGrid(camera, *shape), (0, shape[0]), 1)
     hit = scene.ray_intersect(ray)
     cosine = np.abs(np.array(dr.dot(ray.d, hit.n), dtype=np.float64))
     return np.where(np.array(hit.is_valid()), cosine, 0.0).reshape(shape)
 
 
 def write_truth(truth: Truth, path: Path) -> None:
-    """OpenEXR with the channels ``albedo`` and ``depth`` (metres), float32."""
+    """Write OpenEXR with the channels ``albedo`` and ``depth`` (metres), float32."""
     mi = mitsuba()
     rows, columns = truth.albedo.shape
     bitmap = mi.Bitmap(
@@ -75,17 +75,17 @@ def write_truth(truth: Truth, path: Path) -> None:
     bitmap.write(str(path))
 
 
-def _look(
+def _albedo_and_depth(
     scene: Any, camera: Device, shape: tuple[int, int], samples: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean albedo and depth over the samples of each cell."""
-    ray, cos = primary_rays(Grid(camera, *shape), (0, shape[0]), samples)
+    ray, cos = primary_rays(CellGrid(camera, *shape), (0, shape[0]), samples)
     hit = scene.ray_intersect(ray)
-    found = np.array(hit.is_valid())
+    is_hit = np.array(hit.is_valid())
     albedo = np.array(reflectance(hit), dtype=np.float64)
     depth = np.array(hit.t, dtype=np.float64) * np.array(cos, dtype=np.float64)
     cells = (*shape, samples)
     return (
-        np.where(found, albedo, 0.0).reshape(cells).mean(axis=-1),
-        np.where(found, depth, np.inf).reshape(cells).mean(axis=-1),
+        np.where(is_hit, albedo, 0.0).reshape(cells).mean(axis=-1),
+        np.where(is_hit, depth, np.inf).reshape(cells).mean(axis=-1),
     )

@@ -1,4 +1,4 @@
-"""What a record is worth: judged by its counts and flags, in the words that every page uses."""
+"""Quality of an image of a record, judged by the record's counts and flags, and its warnings."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,31 +15,31 @@ from twin.warned import CaptureWarning, Kind, is_void
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: Share of the exposures at a rail from which an image is void: from the median on the response
-#: has no slope. What fewer of them cost is told by `Distortion`.
+#: Share of saturated exposures above which an image is void: the median response then has no slope.
+#: `Distortion` covers smaller shares.
 VOID_SHARE = 0.5
 
-#: A cell receives light above this share of the brightest one's: blur and the renderer's stray
-#: paths leave less than that in an empty background.
+#: A cell counts as lit above this share of the brightest one: blur and stray paths of the renderer
+#: leave less than that in an empty background.
 LIT = 1e-6
 
-#: Steps of the converter over all other noise from which rounding no longer acts as noise: a
-#: normal distribution of half a step leaves 1 % of a sawtooth.
+#: Step of the converter over all other noise above which rounding no longer acts as noise: with
+#: noise of half a step, 1 % of the sawtooth of rounding errors remains.
 _COARSE = 2.0
 
-#: Error over noise per pixel up to which noise hides it (it adds half a percent to it), and share
-#: of the signal that may be lost without a word.
+#: Error over noise per pixel that is negligible (it adds half a percent), and loss of signal below
+#: which no warning is given.
 _HIDDEN, _LOST = 0.1, 0.01
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What an image made of a record can show.
+class ImageVerdict:
+    """Quality of an image of a record.
 
-    ``snr_median``, ``snr_best``: signal over noise and distortion per pixel, over the cells that
-    receive light; nan where the record is void. ``lit_share``: of all cells, these.
-    ``above_noise_share``: of these, the ones whose signal exceeds their noise. ``void_because``:
-    the warnings that leave nothing to see. ``range_error``: what backscatter does to distances.
+    ``snr_median``, ``snr_best``: signal over noise and distortion per pixel, over the lit cells;
+    nan where the record is void. ``lit_share``: share of lit cells. ``above_noise_share``: share
+    of the lit cells whose signal exceeds their noise. ``void_because``: the warnings that make the
+    record void. ``range_error``: error of distances due to backscatter.
     """
 
     snr_median: float
@@ -51,18 +51,18 @@ class Verdict:
 
     @property
     def void(self) -> bool:
-        """Whether no image can be made of the record."""
+        """Whether no image can be reconstructed from the record."""
         return bool(self.void_because)
 
     @property
     def short(self) -> str:
-        """The finding in a few words, for titles."""
+        """The result in a few words, for titles."""
         if self.void:
             return f"void ({self.void_because[0].kind})"
         return f"median SNR {_two_digits(self.snr_median)}"
 
     def __str__(self) -> str:
-        """The finding in one sentence."""
+        """The result in one sentence."""
         if self.void:
             return "void: " + "; ".join(self.void_because)
         ranging = f"; {self.range_error}" if self.range_error and self.range_error.matters else ""
@@ -74,7 +74,7 @@ class Verdict:
 
 
 def lit_cells(cells_e: Array) -> Bools:
-    """Cells that receive light, of those that each gives alone, alike shaped."""
+    """Whether each cell is lit, in the shape of ``cells_e``."""
     return cells_e > LIT * cells_e.max(initial=0.0)
 
 
@@ -83,15 +83,15 @@ def judge(
     snr: Array,
     warnings: Sequence[CaptureWarning],
     range_error: BackscatterRangeError | None = None,
-) -> Verdict:
-    """Verdict on an image of cells, their SNR, and what the record says against itself."""
+) -> ImageVerdict:
+    """Verdict on an image from its cells, their SNR, and the warnings of its record."""
     lit = lit_cells(cells_e)
     void = tuple(w for w in warnings if w.void)
     share = float(lit.mean())
     if is_void(warnings) or not lit.any():
-        return Verdict(np.nan, np.nan, share, 0.0, void)
+        return ImageVerdict(np.nan, np.nan, share, 0.0, void)
     seen = snr[lit]
-    return Verdict(
+    return ImageVerdict(
         snr_median=float(np.median(seen)),
         snr_best=float(seen.max()),
         lit_share=share,
@@ -100,36 +100,34 @@ def judge(
     )
 
 
-def recorded(
+def warnings_of_record(
     record: SpiRecord, clipping: Distortion | None = None, noise_e: Array | None = None
 ) -> Iterator[CaptureWarning]:
-    """What the counts and flags of a record say against it.
+    """Warnings from the counts and flags of a record.
 
-    ``clipping``, ``noise_e`` (n_detectors,): what being cut off costs the image, and its noise per
-    pixel, where the twin knows them.
+    ``clipping``, ``noise_e`` (n_detectors,): distortion of the image by clipping, and its noise per
+    pixel, where known.
     """
     n, rails = len(record.counts), _Rails(record)
     blinded = bool((rails.blind_high | rails.blind_low).all())
-    gone, cost = np.zeros(record.counts.shape[1], np.bool_), ""
+    hidden, cost = np.zeros(record.counts.shape[1], np.bool_), ""
     if clipping is not None and noise_e is not None:
-        gone = clipping.hides(noise_e)
+        hidden = clipping.hides(noise_e)
         if _matters(clipping, noise_e) and not rails.blind_high.all():
             cost = f"; {_cost(clipping, noise_e)}"
-    high = rails.blind_high | gone
+    high = rails.blind_high | hidden
     too_high = f"saturate the ADC: readout: its gain is too high{cost}"
     too_low = "read 0: readout: adc_offset_v is too low, or the converter's step too coarse"
     full = f"fill the well: readout.full_well_e{cost}"
-    found: tuple[tuple[Kind, Bools, Bools, str], ...] = (
+    causes: tuple[tuple[Kind, Bools, Bools, str], ...] = (
         ("saturated", rails.high, high, too_high),
         ("saturated", rails.full, high, full),
         ("black", rails.low, rails.blind_low, too_low),
     )
-    for kind, at_rail, blind, text in found:
+    for kind, at_rail, lost, text in causes:
         if hits := int(at_rail.any(axis=1).sum()):
             of = _on_detectors(at_rail)
-            yield CaptureWarning(
-                kind, f"{hits} of {n} exposures{of} {text}", void=bool(blind.all())
-            )
+            yield CaptureWarning(kind, f"{hits} of {n} exposures{of} {text}", void=bool(lost.all()))
     if n > 1 and not blinded and np.ptp(record.counts, axis=0).max() <= 1:
         text = "the counts of all exposures differ by one step at most: too little light, or gain"
         yield CaptureWarning("underexposed", text, void=True)
@@ -139,60 +137,60 @@ def recorded(
             yield CaptureWarning(kind, f"{bad} of {n} exposures are marked {kind}", void=bad == n)
 
 
-def lagging(
-    lag: Distortion, noise_e: Array, left_over: dict[str, float]
+def lag_warnings(
+    lag: Distortion, noise_e: Array, lag_shares: dict[str, float]
 ) -> Iterator[CaptureWarning]:
-    """What the exposures before leave, where it is not hidden by noise per pixel (n_detectors,).
+    """Warning of lag between exposures above the noise per pixel (n_detectors,).
 
-    ``left_over``: share of the exposure before in each one, by the field that says how fast.
+    ``lag_shares``: share of the preceding exposure in each exposure, by the field that causes it.
     """
-    gone = bool(lag.hides(noise_e).all())
-    if not gone and not _matters(lag, noise_e):
+    hidden = bool(lag.hides(noise_e).all())
+    if not hidden and not _matters(lag, noise_e):
         return
-    shares = " and ".join(f"{100 * share:.3g} % ({field})" for field, share in left_over.items())
-    text = f"of the exposure before {shares} is left in each one; {_cost(lag, noise_e)}"
-    yield CaptureWarning("lag", text, void=gone)
+    shares = " and ".join(f"{100 * share:.3g} % ({field})" for field, share in lag_shares.items())
+    text = f"of the preceding exposure {shares} is left in each one; {_cost(lag, noise_e)}"
+    yield CaptureWarning("lag", text, void=hidden)
 
 
-def hidden_by_both(
-    found: Distortions, noise_e: Array, gone: Bools, warnings: Sequence[CaptureWarning]
+def combined_warnings(
+    distortion: Distortions, noise_e: Array, hidden: Bools, warnings: Sequence[CaptureWarning]
 ) -> Iterator[CaptureWarning]:
-    """Where all detectors (n_detectors,) are gone though no warning of one cause says so: what
-    exposures leave in the next ones and what rails cut off hide the image between them.
+    """Warning where lag and clipping hide the images of all detectors (n_detectors,) together,
+    though neither does alone.
     """
-    if gone.all() and not is_void(warnings):
-        text = f"lag and rails together hide the image: {_cost(found.total, noise_e)}"
+    if hidden.all() and not is_void(warnings):
+        text = f"lag and rails together hide the image: {_cost(distortion.total, noise_e)}"
         yield CaptureWarning("lag", text, void=True)
 
 
-def blind(record: SpiRecord) -> Bools:
-    """Detectors (n_detectors,) that stand at a rail so often that they tell nothing."""
+def saturated_detectors(record: SpiRecord) -> Bools:
+    """Detectors (n_detectors,) saturated in so many exposures that they carry no information."""
     rails = _Rails(record)
     return np.asarray(rails.blind_high | rails.blind_low)
 
 
-def coarse(noise: NoiseBudget) -> Iterator[CaptureWarning]:
-    """A converter whose step is larger than the noise: what is smaller than a step may be lost."""
+def quantisation_warnings(noise: NoiseBudget) -> Iterator[CaptureWarning]:
+    """Warning of a converter whose step is larger than the noise: smaller signals may be lost."""
     quantisation = noise.noise_e["quantisation"]
     step = quantisation * np.sqrt(12.0)
     rest = np.sqrt(noise.total_noise_e**2 - quantisation**2)
     if step > _COARSE * rest:
         text = (
             f"the converter's step, {step:.3g} e-, is larger than all noise, {rest:.3g} e-: "
-            "rounding hides what is smaller: readout.adc_bits, adc_full_scale_v or gain"
+            "rounding hides smaller signals: readout.adc_bits, adc_full_scale_v or gain"
         )
         yield CaptureWarning("quantisation", text)
 
 
 def _matters(distortion: Distortion, noise_e: Array) -> bool:
-    lost = bool((np.abs(distortion.kept - 1) > _LOST).any())
+    lost = bool((np.abs(distortion.signal_factor - 1) > _LOST).any())
     return lost or distortion.over(noise_e) > _HIDDEN
 
 
 def _cost(distortion: Distortion, noise_e: Array) -> str:
-    kept = max(float(distortion.kept.mean()), 0)
+    signal = max(float(distortion.signal_factor.mean()), 0)
     return (
-        f"the image keeps {100 * kept:.3g} % of its signal, and false signal is "
+        f"the image keeps {100 * signal:.3g} % of its signal, and false signal is "
         f"{distortion.over(noise_e):.2g} times its noise"
     )
 
@@ -208,7 +206,7 @@ def _two_digits(value: float) -> str:
 
 class _Rails:
     """Exposures (n_exposures, n_detectors) at the converter's rails or with a full well, and the
-    detectors (n_detectors,) that are blind by it.
+    detectors (n_detectors,) whose images are void because of them.
     """
 
     def __init__(self, record: SpiRecord) -> None:
@@ -216,7 +214,7 @@ class _Rails:
         self.high = counts == 2**record.adc_bits - 1
         self.low = counts == 0
         flagged = (record.flags & Flag.SATURATED) != 0
-        # A full well stands below the converter's rail; the flag does not say whose it is.
+        # A full well is below the converter's rail; the flag does not say which detector's it is.
         alone = flagged & ~(self.high | self.low).any(axis=1)
         self.full = np.repeat(alone[:, None], counts.shape[1], axis=1)
         self.blind_high = (self.high | self.full).sum(axis=0) > VOID_SHARE * len(counts)

@@ -1,12 +1,12 @@
-"""The scene at 1550 nm as a camera beside the emitter would see it."""
+"""Image of the scene at 1550 nm from the position of the emitter."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.devices import Grid
-from twin.optics.paths import DeviceLight, Light, Quality
+from twin.optics.devices import CellGrid
+from twin.optics.paths import DeviceLight, Light, TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.tracer import Tracer
 from twin.optics.transport import gather
@@ -36,15 +36,18 @@ def render_view(
     samples: int = 16,
     seed: int = 0,
 ) -> View:
-    """Image of the lit field from the emitter's place, without air; sun and emitter (all cells on)
-    rendered apart.
+    """Image of the lit field from the emitter's position, without air; sun and emitter (all cells
+    on) are rendered separately.
     """
-    quality, camera = Quality(samples=samples, max_depth=3), Grid(problem.emitter, pixels, pixels)
+    quality, camera = (
+        TracingQuality(samples=samples, max_depth=3),
+        CellGrid(problem.emitter, pixels, pixels),
+    )
 
-    def seen(light: Light) -> Array:
+    def radiance(light: Light) -> Array:
         return gather(Tracer(problem.scene, camera, "image", light, None, quality, seed)).total
 
     return View(
-        sun=sun_irradiance_w_per_m2 * seen(problem.sun),
-        emitter=radiant_intensity_w_per_sr * seen(DeviceLight(problem.emitter, "emitter")),
+        sun=sun_irradiance_w_per_m2 * radiance(problem.sun),
+        emitter=radiant_intensity_w_per_sr * radiance(DeviceLight(problem.emitter, "emitter")),
     )

@@ -94,7 +94,7 @@ class FrontEnd:
         return expose(power_w, self, rng=rng, noise=noise)
 
     def mean_e(self, power_w: Array) -> Array:
-        """Mean electrons that the counts tell of a power, W: up to the rail and the well."""
+        """Mean electrons, as read from the counts, at a power, W: up to the rail and the well."""
         top = (2**self.adc_bits - 1 - self.offset_counts) * self.electrons_per_count
         linear = power_w * self.electrons_per_watt + self.dark_e
         return np.minimum(linear, min(top, self.full_well_e))
@@ -156,8 +156,8 @@ def expose(
     exact = electrons / front_end.electrons_per_count + front_end.offset_counts
     top = 2**front_end.adc_bits - 1
     counts = np.clip(np.rint(exact), 0, top).astype(np.int32)
-    railed = ((counts == 0) | (counts == top) | full).any(axis=1)
-    return counts, np.where(railed, np.uint8(Flag.SATURATED), np.uint8(0))
+    saturated = ((counts == 0) | (counts == top) | full).any(axis=1)
+    return counts, np.where(saturated, np.uint8(Flag.SATURATED), np.uint8(0))
 
 
 def _collect(
@@ -174,20 +174,22 @@ def _collect(
     gain, excess = front_end.gain, front_end.excess_noise - 1
     if noise == "gaussian":
         return rng.normal(mean_e, np.sqrt(front_end.shot_variance * mean_e))
-    freed = _shot(mean_e / gain, rng)
+    photoelectrons = _shot(mean_e / gain, rng)
     if excess == 0:
-        return gain * freed
-    many = freed > _NORMAL_FROM
-    drawn = rng.gamma(np.minimum(freed, _NORMAL_FROM) / excess, gain * excess)
+        return gain * photoelectrons
+    many = photoelectrons > _NORMAL_FROM
+    charge_e = rng.gamma(np.minimum(photoelectrons, _NORMAL_FROM) / excess, gain * excess)
     if many.any():
-        drawn[many] = gain * (freed[many] + rng.normal(0, np.sqrt(excess * freed[many])))
-    return drawn
+        charge_e[many] = gain * (
+            photoelectrons[many] + rng.normal(0, np.sqrt(excess * photoelectrons[many]))
+        )
+    return charge_e
 
 
 def _flicker(shape: tuple[int, ...], front_end: FrontEnd, rng: np.random.Generator) -> Array:
     """1/f noise of a series of exposures: the white noise's density times corner over frequency.
 
-    What is slower than the series is left out: it is an offset.
+    Frequencies below one cycle per series are left out: they are an offset.
     """
     white = np.fft.rfft(rng.normal(0.0, front_end.amplifier_e, shape), axis=0)
     frequency = np.fft.rfftfreq(shape[0])  # in cycles per exposure
@@ -196,11 +198,11 @@ def _flicker(shape: tuple[int, ...], front_end: FrontEnd, rng: np.random.Generat
 
 
 def _shot(mean: Array, rng: np.random.Generator, *, gaussian: bool = False) -> Array:
-    """Poisson numbers as float64, any mean from 0 up; or normal ones of the same variance."""
+    """Poisson numbers as float64 for any mean from 0 up; or normal ones of the same variance."""
     if gaussian:
         return rng.normal(mean, np.sqrt(mean))
-    few = rng.poisson(np.minimum(mean, _NORMAL_FROM)).astype(np.float64)
+    counts = rng.poisson(np.minimum(mean, _NORMAL_FROM)).astype(np.float64)
     many = mean > _NORMAL_FROM
     if many.any():
-        few[many] = rng.normal(mean[many], np.sqrt(mean[many]))
-    return few
+        counts[many] = rng.normal(mean[many], np.sqrt(mean[many]))
+    return counts

@@ -1,4 +1,4 @@
-"""What a detector with its electronics must tell: the bundled photodiode does, and so may a user's.
+"""Protocol of a detector with its electronics, for the bundled photodiode and a user's own.
 
 class Spad:  # and whatever else counts photons
 electrons_per_watt, dark_e, electrons_per_count, offset_counts, adc_bits = ...
@@ -26,8 +26,8 @@ Noise: TypeAlias = Literal["none", "gaussian", "full"]
 class Detector(Protocol):
     """A detector, its amplifier and its converter, over one integration time.
 
-    ``electrons_per_watt`` and ``dark_e`` are the response to little light; a count stands for
-    ``electrons_per_count`` electrons over ``offset_counts``, and there are 2^``adc_bits`` of them.
+    ``electrons_per_watt`` and ``dark_e`` are the response to weak light. Each count above
+    ``offset_counts`` is ``electrons_per_count`` electrons; the highest is 2^``adc_bits`` - 1.
     """
 
     @property
@@ -58,8 +58,8 @@ class Detector(Protocol):
         """
 
     def mean_e(self, power_w: Array) -> Array:
-        """Mean electrons that the counts tell of a power, W, with dark ones: all that is not
-        linear, such as rails and dead time, included.
+        """Mean electrons, as read from the counts, at a power, W, with dark electrons: includes all
+        nonlinearity, such as rails and dead time.
         """
 
     def noise_budget(
@@ -70,10 +70,10 @@ class Detector(Protocol):
         """
 
 
-def exposed(
+def checked_exposure(
     detector: Detector, power_w: Array, rng: np.random.Generator, noise: Noise
 ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-    """What a detector gives of a power. Raises InputError for what are no counts or no flags."""
+    """Counts and flags of a detector at a power. Raises InputError for invalid ones."""
     counts, flags = (np.asarray(part) for part in detector.expose(power_w, rng=rng, noise=noise))
     name, top = type(detector).__name__, 2**detector.adc_bits - 1
     if counts.shape != power_w.shape or counts.dtype.kind not in "iu":
@@ -94,7 +94,7 @@ def exposed(
 
 
 def check_detector(detector: object) -> Detector:
-    """The detector. Raises InputError, with what is missing, for what is none."""
+    """The detector. Raises InputError, with the missing attributes, for an object that is none."""
     if isinstance(detector, Detector):
         return detector
     names = (name for name in vars(Detector) if not name.startswith("_"))

@@ -1,4 +1,4 @@
-"""The noise budget of one exposure, and what it leaves of each pixel."""
+"""The noise budget of one exposure, and the noise of each pixel of the image."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

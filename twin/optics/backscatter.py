@@ -1,8 +1,8 @@
-"""Light that the air sends back: the emitter's own (single backscatter), and the sun's (airlight).
+"""Light scattered back by the air: the emitter's (backscatter) and the sun's (airlight).
 
-Single scattering only: light that meets no surface and is scattered more than once is not in it;
-what meets one is `twin.optics.transport`'s. `twin.optics.reference` has all of it, at the price of
-a path tracer.
+Single scattering only. Light that hits no surface and is scattered more than once is left out;
+light that hits a surface belongs to `twin.optics.transport`. `twin.optics.reference` contains both,
+at the cost of a path tracer.
 """
 
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Backscatter:
-    """What each cell's light brings back from the air, by the nodes of the quadrature.
+    """Backscatter of each cell's light, by the nodes of the quadrature.
 
-    ``value`` in 1/m^2 and ``length_m`` of the way there and back, (rows, columns, n) each.
+    ``value`` in 1/m^2 and ``length_m`` of the two-way path, (rows, columns, n) each.
     """
 
     value: Array
@@ -30,7 +30,7 @@ class Backscatter:
 
     @property
     def light(self) -> Array:
-        """Of each cell, (rows, columns): as `transport` gives it for surfaces; the two add up."""
+        """Sum of each cell, (rows, columns), in the unit of `transport`: the two add up."""
         return self.value.sum(axis=-1)
 
 
@@ -45,9 +45,9 @@ def backscatter(
 ) -> Backscatter:
     """Irradiance on the detector's pupil per radiant intensity of each of the emitter's cells.
 
-    A line integral along each ray to the first surface, of what the air scatters there towards the
-    detector, with two-way extinction, the pupil's cosine and the detector's field. The scene's own
-    surfaces are not asked: ``distance_m`` says where they are.
+    A line integral along each ray to the first surface, of the light that the air scatters towards
+    the detector, with two-way extinction, the pupil's cosine and the detector's field.
+    ``distance_m`` stands for the surfaces of the scene.
 
     Parameters
     ----------
@@ -98,10 +98,9 @@ def airlight(
     """Irradiance on the pupil per irradiance of the sun, by part of the detector's field; (rows,
     columns).
 
-    As `sunlight` gives it for surfaces. The scattered share of what the ray loses on its way:
-    albedo p(angle) (1 - exp(-extinction x distance)). The sun's irradiance is that at the sensor,
-    everywhere: shadows of objects in the air, and its own extinction between there and here, are
-    left out. Raises ValueError without air or sun.
+    In the unit of `sunlight`. Of each ray: albedo p(angle) (1 - exp(-extinction x distance)). The
+    sun's irradiance is that at the sensor, everywhere: shadows of objects in the air, and the
+    extinction of sunlight on its way, are left out. Raises ValueError without air or sun.
     """
     camera, air, direction = problem.detector, _air(problem), problem.sun.direction
     directions, cosine = cell_rays(camera, shape, rays)
@@ -143,17 +142,19 @@ def cell_rays(device: Device, shape: tuple[int, int], rays: int) -> tuple[Array,
 def _in_field(
     origin: Array, directions: Array, detector: Device, strip: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """Where along each ray the detector's field begins and ends; begin >= end: not seen at all."""
+    """Distances along each ray at which the detector's field begins and ends; begin >= end: the ray
+    is outside the field.
+    """
     offset = detector.axes @ (origin - detector.origin_m)
-    moves = directions @ detector.axes.T
+    slopes = directions @ detector.axes.T
     t = detector.tan_half_field
     if detector.outline == "disc":
-        return _in_cone(offset, moves, t)
-    low, high = np.zeros(moves.shape[:-1]), np.full(moves.shape[:-1], np.inf)
+        return _in_cone(offset, slopes, t)
+    low, high = np.zeros(slopes.shape[:-1]), np.full(slopes.shape[:-1], np.inf)
     # From left (+1) to right (-1), as images run.
     left, right = -t * strip[0], t * strip[1]
     for side in ((right, 1, 0), (left, -1, 0), (t, 0, 1), (t, 0, -1)):
-        here, step = offset @ np.array(side), moves @ np.array(side)
+        here, step = offset @ np.array(side), slopes @ np.array(side)
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = -here / step
         low = np.where(step > 0, np.maximum(low, crossing), low)
@@ -162,20 +163,20 @@ def _in_field(
     return low, high
 
 
-def _in_cone(offset: Array, moves: Array, tan: float) -> tuple[Array, Array]:
+def _in_cone(offset: Array, slopes: Array, tan: float) -> tuple[Array, Array]:
     """The same for a disc: inside where q(s) = (t forward)^2 - left^2 - up^2 >= 0, ahead."""
     metric = np.array([tan**2, -1.0, -1.0])
-    a, b, c = (moves**2) @ metric, (moves * offset) @ metric, offset**2 @ metric
+    a, b, c = (slopes**2) @ metric, (slopes * offset) @ metric, offset**2 @ metric
     root = np.sqrt(np.maximum(b * b - a * c, 0))
     with np.errstate(divide="ignore", invalid="ignore"):
         one, two = (-b - root) / a, (-b + root) / a
     first, last = np.minimum(one, two), np.maximum(one, two)
     # A ray steeper than the cone crosses it once or twice; the cone behind is no field.
-    inward = (a > 0) & (moves[..., 0] > 0)
+    inward = (a > 0) & (slopes[..., 0] > 0)
     low = np.maximum(np.where(inward, last, first), 0)
     high = np.where(inward, np.inf, last)
     middle = np.where(np.isfinite(high), (low + np.minimum(high, 1e300)) / 2, 2 * low + 1)
-    ahead = offset[0] + middle * moves[..., 0] > 0
+    ahead = offset[0] + middle * slopes[..., 0] > 0
     seen = ahead & (b * b - a * c >= 0) & ((a < 0) | inward)
     return low, np.where(seen, high, -np.inf)
 
@@ -190,7 +191,7 @@ def _along(
     nodes: int,
 ) -> tuple[Array, Array]:
     """The integral along each ray, 1/m^2 per steradian of the emitter, by nodes; and the length of
-    the way over each, m: (n, nodes).
+    the path over each, m: (n, nodes).
 
     With h the ray's distance from the detector and s = nearest + h sinh(u), ds / r^2 is
     du / (h cosh u): the peak at the detector and the tail behind it are both smooth in u.

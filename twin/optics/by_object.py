@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 
 from twin.engine import mitsuba
 from twin.optics.tracer import Block, Bounce, Tracer
-from twin.optics.transport import Gathered, path_moments
+from twin.optics.transport import CellLight, path_moments
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class ByObject:
-    """Mean and mean square of what each cell gathers from each object, (n_passes, n_objects, rows,
-    columns): straight, and where there is air scattered on its way to the surface.
+class LightByObject:
+    """Mean and mean square of each cell's direct light by object, (n_passes, n_objects, rows,
+    columns). First pass: unscattered light; second pass, in air only: light scattered on its way to
+    the surface.
 
     Of a scene whose reflectances are 1; ``samples`` paths per cell and pass.
     """
@@ -30,22 +31,22 @@ class ByObject:
     square: Array
     samples: int
 
-    def gathered(self, reflectance: Array) -> Gathered:
-        """What the cells gather with these reflectances, (n_objects,)."""
+    def with_reflectance(self, reflectance: Array) -> CellLight:
+        """Light of the cells for these reflectances, (n_objects,)."""
         total = np.tensordot(self.mean, reflectance, axes=([1], [0]))
-        # A path meets one object: squares add up as well.
+        # A path hits one object only, so squares add up as well.
         square = np.tensordot(self.square, reflectance**2, axes=([1], [0]))
         variance = np.maximum(square - total**2, 0) / self.samples
         value = total.sum(axis=0)
-        return Gathered(value, np.zeros_like(value), np.sqrt(variance.sum(axis=0)))
+        return CellLight(value, np.zeros_like(value), np.sqrt(variance.sum(axis=0)))
 
 
-def gather_by_object(tracer: Tracer) -> ByObject:
-    """Direct light of a scene's shapes, in their order; of the paths that `gather` draws."""
+def gather_by_object(tracer: Tracer) -> LightByObject:
+    """Direct light of a scene's shapes, in their order; draws the same paths as `gather`."""
     passes = [tracer.direct, tracer.scattered] if tracer.scatters else [tracer.direct]
     moments = [_of_shapes(tracer, trace) for trace in passes]
     mean, square = np.moveaxis(np.array(moments), 2, 0)
-    return ByObject(mean, square, tracer.quality.samples)
+    return LightByObject(mean, square, tracer.quality.samples)
 
 
 def _of_shapes(tracer: Tracer, trace: Callable[[Block], Bounce]) -> Array:

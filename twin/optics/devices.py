@@ -1,4 +1,4 @@
-"""Emitter and detector as light transport sees them: where they stand, which rays they start.
+"""Geometry of emitter and detector for light transport: position, axes, field, and their rays.
 
 A device has a square or round field on the plane at distance 1, divided into cells; row 0 is the
 top, column 0 left. Coordinates run from -1 to 1 across a field, left and up positive.
@@ -15,7 +15,7 @@ from twin.engine import mitsuba
 from twin.optics.radiometry import Outline
 
 Array = NDArray[np.float64]
-Role = Literal["image", "emitter", "pupil"]
+RayWeighting = Literal["image", "emitter", "pupil"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +37,12 @@ class Device:
     lobe_exponent
         Radiant intensity falls as cos^m off the axis; 0 is a flat field.
     edge_illumination
-        Vignetting beyond the cosines: what is left at the middle of the field's edge.
+        Vignetting beyond the cosines: relative illumination at the middle of the field's edge.
     fill_factor
         Share of a cell's area that is lit, a square in its middle, with the whole cell's light.
     pitch_m
-        None: a lens images the cells. Else there is no lens: bare elements at this pitch, each with
-        its lobe around the axis.
+        None: a lens images the cells. Otherwise elements without a lens at this pitch, each with
+        its own lobe around the axis.
     pupil_radius_m, focus_m
         A pupil of finite size, focused at a distance; with radius 0 a pinhole.
     """
@@ -60,14 +60,14 @@ class Device:
     focus_m: float = float("inf")
 
     def moved(self, rotation: Array, shift_m: Array) -> "Device":
-        """The same device after a rigid motion: turned about the rig's position, then shifted."""
+        """The device after a rigid motion: rotated about the rig's position, then translated."""
         return replace(
             self, origin_m=rotation @ self.origin_m + shift_m, axes=self.axes @ rotation.T
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class CellGrid:
     """A device whose field is divided into rows x columns of equal cells."""
 
     device: Device
@@ -80,43 +80,44 @@ class Grid:
         return self.rows * self.columns
 
 
-def started_rays(
-    grid: Grid, block: tuple[int, int], samples: int, rng: Any, role: Role
+def sample_rays(
+    grid: CellGrid, block: tuple[int, int], samples: int, rng: Any, weighting: RayWeighting
 ) -> tuple[Any, Any, Any]:
-    """Rays from the cells of rows ``block``, ``samples`` of each, their weights, and whether they
-    belong to the device at all: cells in the corners around a round field do not. A lens's blur
-    sends rays of the field beyond its edge, and they count.
+    """Rays from the cells of rows ``block``, ``samples`` per cell; their weights; and whether they
+    lie in the device's field, which cells in the corners around a round field do not. Rays that a
+    lens's blur moves beyond the field's edge count as inside.
 
-    The mean of weight times what a ray finds is, per cell: for an ``image`` the mean over it; for
-    an ``emitter`` the integral over its solid angle per radiant intensity (of the whole device on
-    its axis, where bare elements share it); for a ``pupil`` the integral over its projected solid
-    angle.
+    Per cell, the mean of weight times radiance is: for an ``image`` the mean over the cell; for an
+    ``emitter`` the integral over its solid angle per radiant intensity (without a lens: that of the
+    whole device on its axis); for a ``pupil`` the integral over its projected solid angle.
     """
     mi, device = mitsuba(), grid.device
     within = dr.full(mi.Bool, True, (block[1] - block[0]) * grid.columns * samples)
-    if device.pitch_m is not None and role == "emitter":
-        return *_bare_rays(grid, block, samples, rng, device.pitch_m), within
+    if device.pitch_m is not None and weighting == "emitter":
+        return *_lensless_rays(grid, block, samples, rng, device.pitch_m), within
     left, up = _field_points(grid, block, samples, rng)
     if device.outline == "disc":
-        within &= inside(device, left, up)
+        within &= is_in_field(device, left, up)
     ray, cos = _through_lens(device, left, up, rng)
-    if role == "image":
+    if weighting == "image":
         return ray, mi.Float(1), within
     area = (2 * device.tan_half_field) ** 2 / grid.size
     weight = cos * cos * cos * dr.opaque(mi.Float, area)
-    if role == "pupil":
+    if weighting == "pupil":
         weight *= cos
-    return ray, weight * relative(device, *field_coordinates(device, ray.d), cos), within
+    return ray, weight * relative_intensity(device, *field_coordinates(device, ray.d), cos), within
 
 
-def primary_rays(grid: Grid, block: tuple[int, int], samples: int) -> tuple[Any, Any]:
-    """Rays through the middles of the strata of cells of rows ``block``, and their cosine to the
-    axis; the lens is sharp.
+def primary_rays(grid: CellGrid, block: tuple[int, int], samples: int) -> tuple[Any, Any]:
+    """Rays through the middles of the strata of cells of rows ``block``, without the lens's blur,
+    and their cosine to the axis.
     """
     return _directed(grid.device, *_field_points(grid, block, samples, None))
 
 
-def _field_points(grid: Grid, block: tuple[int, int], samples: int, rng: Any) -> tuple[Any, Any]:
+def _field_points(
+    grid: CellGrid, block: tuple[int, int], samples: int, rng: Any
+) -> tuple[Any, Any]:
     """Stratified points of the cells of rows ``block`` in the field."""
     mi = mitsuba()
     row, column, x, y = _strata_points(grid, block, samples, rng)
@@ -129,8 +130,8 @@ def _field_points(grid: Grid, block: tuple[int, int], samples: int, rng: Any) ->
 
 
 def _through_lens(device: Device, left: Any, up: Any, rng: Any) -> tuple[Any, Any]:
-    """Rays that the lens images to points of the field, through its blur and its whole pupil."""
-    left, up = blurred(device, left, up, rng)
+    """Rays to points of the field through random points of the pupil, with the lens's blur."""
+    left, up = apply_blur(device, left, up, rng)
     if not device.pupil_radius_m:
         return _directed(device, left, up)
     shift, defocus = pupil_point(device, rng)
@@ -141,7 +142,7 @@ def _through_lens(device: Device, left: Any, up: Any, rng: Any) -> tuple[Any, An
 
 
 def _directed(device: Device, left: Any, up: Any) -> tuple[Any, Any]:
-    """Rays from the middle of the pupil to places in the field, and their cosine to the axis."""
+    """Rays from the middle of the pupil to points of the field, and their cosine to the axis."""
     mi = mitsuba()
     tangent = dr.opaque(mi.Float, device.tan_half_field)
     left, up = left * tangent, up * tangent
@@ -152,8 +153,8 @@ def _directed(device: Device, left: Any, up: Any) -> tuple[Any, Any]:
 
 
 def pupil_point(device: Device, rng: Any) -> tuple[Any, Any]:
-    """A point of the pupil at random, m left and up of its middle; and by how much of the field
-    an image moves per metre of it, being sharp in the plane in focus.
+    """A random point of the pupil, m left and up of its middle; and the shift of the image in field
+    coordinates per metre of it, which is zero in the plane in focus.
     """
     mi = mitsuba()
     sample = mi.Point2f(rng.next_float32(), rng.next_float32())
@@ -162,10 +163,12 @@ def pupil_point(device: Device, rng: Any) -> tuple[Any, Any]:
     return shift, dr.opaque(mi.Float, 1 / (device.focus_m * device.tan_half_field))
 
 
-def _bare_rays(
-    grid: Grid, block: tuple[int, int], samples: int, rng: Any, pitch_m: float
+def _lensless_rays(
+    grid: CellGrid, block: tuple[int, int], samples: int, rng: Any, pitch_m: float
 ) -> tuple[Any, Any]:
-    """Rays of elements without a lens, drawn from their lobes: cos^m has 2 pi / (m + 1) of it."""
+    """Rays of elements without a lens, drawn from their lobes; cos^m integrates to
+    2 pi / (m + 1).
+    """
     mi = mitsuba()
     device = grid.device
     row, column, x, y = _strata_points(grid, block, samples, rng)
@@ -185,7 +188,7 @@ def _bare_rays(
 
 
 def _strata_points(
-    grid: Grid, block: tuple[int, int], samples: int, rng: Any
+    grid: CellGrid, block: tuple[int, int], samples: int, rng: Any
 ) -> tuple[Any, Any, Any, Any]:
     """Row and column of each ray's cell, and its point in the cell, each from 0 to 1."""
     mi = mitsuba()
@@ -202,16 +205,16 @@ def _strata_points(
 
 
 def strata(samples: int, aspect: float) -> tuple[int, int]:
-    """Strata across and up in a cell of ``aspect`` width over height: factors of ``samples`` whose
-    strata come nearest to squares.
+    """Number of strata across and up in a cell of ``aspect`` width over height: the factors of
+    ``samples`` that make the strata most nearly square.
     """
     factors = [n for n in range(1, samples + 1) if samples % n == 0]
     across = min(factors, key=lambda n: abs(np.log(n * n / samples / aspect)))
     return across, samples // across
 
 
-def relative(device: Device, left: Any, up: Any, cos: Any) -> Any:
-    """Lobe and vignetting at a place in the field."""
+def relative_intensity(device: Device, left: Any, up: Any, cos: Any) -> Any:
+    """Radiant intensity over that on the axis: lobe and vignetting at a point of the field."""
     mi = mitsuba()
     value = mi.Float(1)
     if device.lobe_exponent:
@@ -221,8 +224,8 @@ def relative(device: Device, left: Any, up: Any, cos: Any) -> Any:
     return value
 
 
-def blurred(device: Device, left: Any, up: Any, rng: Any) -> tuple[Any, Any]:
-    """A place in the field moved at random by the lens's blur."""
+def apply_blur(device: Device, left: Any, up: Any, rng: Any) -> tuple[Any, Any]:
+    """A point of the field, displaced at random by the lens's blur."""
     if not device.blur_tan:
         return left, up
     mi = mitsuba()
@@ -231,15 +234,15 @@ def blurred(device: Device, left: Any, up: Any, rng: Any) -> tuple[Any, Any]:
     return left + sigma * shift.x, up + sigma * shift.y
 
 
-def inside(device: Device, left: Any, up: Any) -> Any:
-    """Whether a place is in the field."""
+def is_in_field(device: Device, left: Any, up: Any) -> Any:
+    """Whether a point is in the field."""
     if device.outline == "square":
         return (dr.abs(left) <= 1) & (dr.abs(up) <= 1)
     return left * left + up * up <= 1
 
 
 def field_coordinates(device: Device, direction: Any) -> tuple[Any, Any]:
-    """Where a direction meets the field; meaningless for directions backwards."""
+    """Field coordinates of a direction; meaningless for backward directions."""
     mi = mitsuba()
     forward, left, up = (dr.dot(direction, axis) for axis in vectors(device.axes))
     scale = dr.rcp(dr.opaque(mi.Float, device.tan_half_field) * forward)
@@ -247,12 +250,12 @@ def field_coordinates(device: Device, direction: Any) -> tuple[Any, Any]:
 
 
 def point(values: Array) -> Any:
-    """A position whose value never recompiles a kernel."""
+    """A position as an opaque value, so that a new one does not recompile the kernel."""
     mi = mitsuba()
     return mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in values))
 
 
 def vectors(rows: Array) -> list[Any]:
-    """Directions whose values never recompile a kernel."""
+    """Directions as opaque values, so that new ones do not recompile the kernel."""
     mi = mitsuba()
     return [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in row)) for row in rows]

@@ -1,8 +1,8 @@
-"""How the cells of a real emitter share their light over the field: lobes, blur, unequal cells.
+"""Emission matrix of a real emitter: lobes, blur and unequal cells.
 
-Row i of the emission matrix is what cell i, lit alone, sends into each cell of the field, per
-radiant intensity of the ideal cell. Behind a perfect lens it is the identity; with y = P M x it
-says what patterns P can tell about a scene x.
+Row i is the light that cell i, lit alone, sends into each cell of the field, per radiant intensity
+of the ideal cell. Behind a perfect lens the matrix M is the identity. Measurements of a scene x
+with patterns P are y = P M x.
 """
 
 import math
@@ -37,16 +37,16 @@ def cell_gains(emitter: Emitter) -> Array:
 def emission_matrix(emitter: Emitter, distance_m: float) -> Array:
     """M (n_cells, n_cells) of the emitter on a plane at ``distance_m``, which only bare LEDs need.
 
-    The lobe's own fall across the field is in it; the ideal cell has none.
+    It includes the fall of the lobe across the field, which the ideal cell does not have.
     """
     gains = cell_gains(emitter)[:, None]
     if not emitter.has_lens:
-        return gains * _bare(emitter, distance_m)
+        return gains * _bare_led_lobes(emitter, distance_m)
     tan = math.tan(math.radians(emitter.field_of_view_deg.value) / 2)
     sigma = 0.0
     if emitter.blur_rms_deg is not None:
         sigma = math.tan(math.radians(emitter.blur_rms_deg.value)) / tan
-    up, across = (_smeared(n.value, sigma) for n in (emitter.rows, emitter.columns))
+    up, across = (_blur_matrix(n.value, sigma) for n in (emitter.rows, emitter.columns))
     return gains * np.kron(up, across) * field_lobe(emitter)
 
 
@@ -57,14 +57,14 @@ def field_lobe(emitter: Emitter) -> Array:
 
 
 def independent_patterns(matrix: Array, floor: float = 1e-2) -> int:
-    """How many singular values stand above ``floor`` times the largest: images that a signal of
-    SNR 1/floor can tell apart.
+    """Number of singular values above ``floor`` times the largest: the images that a measurement of
+    SNR 1/floor can distinguish.
     """
     values = np.linalg.svd(matrix, compute_uv=False)
     return int(np.count_nonzero(values > floor * values[0]))
 
 
-def _smeared(n: int, sigma: float) -> Array:
+def _blur_matrix(n: int, sigma: float) -> Array:
     """Share of cell i's light in cell j of a row of ``n`` cells, blurred by sigma half-fields."""
     if sigma == 0:
         return np.eye(n)
@@ -92,8 +92,8 @@ def _lobe(emitter: Emitter, left: Array, up: Array) -> Array:
     return np.asarray((1 + left**2 + up**2) ** (-m / 2))
 
 
-def _bare(emitter: Emitter, distance_m: float) -> Array:
-    """Lobes of LEDs side by side, each with its share: they differ by the pitch alone."""
+def _bare_led_lobes(emitter: Emitter, distance_m: float) -> Array:
+    """Lobes of LEDs side by side, each with an equal share; they differ by the pitch alone."""
     assert emitter.pitch_m is not None  # an Emitter without a lens has one
     rows, columns = emitter.rows.value, emitter.columns.value
     tan = math.tan(math.radians(emitter.field_of_view_deg.value) / 2)

@@ -1,12 +1,12 @@
 """Exposure limits of the eye, 700-1800 nm: IEC 60825-1:2014 for lasers, IEC 62471:2006 for LEDs.
 
 Checked against what is public: Annex II of Directive 2006/25/EC below 10 s (1400-1800 nm the same;
-ns pulses on the retina 2.5 times looser there, as the 2014 edition lowered them), an open
-implementation of the 2014 tables for 700-1050 nm, and a maker's application note for LEDs. Not
-found elsewhere, so from literature as remembered: class 1 limits of 1400-1800 nm (they equal the
-exposure limits through the aperture within 5 %), retinal limits of pulses at 1050-1400 nm, and all
-numbers of tables and clauses. The standards' own text was not at hand: nothing here is a
-conformity assessment. Skin is left out: its limits lie at or above those of the eye.
+ns pulses on the retina 2.5 times higher there, since the 2014 edition lowered them), an open
+implementation of the 2014 tables for 700-1050 nm, and a manufacturer's application note for LEDs.
+Not checked against a public source: class 1 limits of 1400-1800 nm (they equal the exposure limits
+through the aperture within 5 %), retinal limits of pulses at 1050-1400 nm, and all numbers of
+tables and clauses. The text of the standards was not available: nothing here is a conformity
+assessment. Skin is left out: its limits are at or above those of the eye.
 """
 
 import math
@@ -60,7 +60,7 @@ def t2_s(subtense_rad: float) -> float:
 
 
 def is_retinal(wavelength_m: float) -> bool:
-    """Whether light of 700-1400 nm, which reaches the retina. InputError outside 700-1800 nm."""
+    """Whether light reaches the retina: 700-1400 nm. InputError outside 700-1800 nm."""
     nm = wavelength_m * 1e9
     if not 700 <= nm < 1800:
         raise InputError(f"wavelength_m: {wavelength_m:g} is not between 700e-9 and 1800e-9")
@@ -111,8 +111,8 @@ def aperture_m(wavelength_m: float, time_s: Any) -> Array:
 def c5(wavelength_m: float, pulse_s: float, pulses: float, subtense_rad: float = 0.0) -> float:
     """Correction factor C5 (clause 4.3 f) 3) of many equal pulses within T2; 1 above 1400 nm.
 
-    Pulses closer together than T_i (5 us; 13 us from 1050 nm on) are one pulse: that is the
-    caller's to do. Sources above 100 mrad are treated as those just below it, on the safe side.
+    The caller must merge pulses closer together than T_i (5 us; 13 us from 1050 nm on) into one.
+    Sources above 100 mrad are treated as those just below it, on the safe side.
     """
     if not is_retinal(wavelength_m) or pulse_s > 0.25:
         return 1.0

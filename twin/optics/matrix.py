@@ -1,9 +1,9 @@
-"""Transport between every emitter cell and every detector pixel, from one pass of paths.
+"""Transport matrix between every emitter cell and every detector pixel, from one set of paths.
 
-Paths start in the cells of one device and connect, at every bounce, to the other; the place in the
-other's field tells which of its cells the connection belongs to. *Dual*: paths start at the
-emitter. *Scatter*: paths start at the detector's pixels. Both give the same matrix; which one is
-less noisy depends on whose cells are finer: start from the side with more cells.
+Paths start in the cells of one device and connect to the other device at every bounce. The point
+of the connection in the other device's field determines its cell. *Dual*: paths start at the
+emitter. *Scatter*: paths start at the detector's pixels. Both give the same matrix; the noise is
+lower when paths start at the device with more cells.
 """
 
 from typing import Any, Literal, get_args
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import Grid
-from twin.optics.paths import Quality
+from twin.optics.devices import CellGrid
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.tracer import Block, Tracer
 
@@ -27,9 +27,9 @@ def transport_matrix(
     cells: tuple[int, int],
     pixels: tuple[int, int],
     *,
-    quality: Quality,
+    quality: TracingQuality,
     seed: int,
-    role: Start = "dual",
+    start: Start = "dual",
 ) -> Array:
     """T[pixel, cell] between ``cells`` of the emitter and ``pixels`` of the detector, (rows,
     columns) each, in 1/m^2: shape (n_pixels, n_cells).
@@ -37,59 +37,59 @@ def transport_matrix(
     The power that cell i puts on pixel j is I tau A_pupil T[j, i]; summed over the pixels it is
     `transport`. Contributions are added in float64 in a fixed order: same seed, same bits.
 
-    Raises ValueError for a role that is none, and for *scatter* towards elements without a lens.
+    Raises ValueError for an unknown ``start``, and for *scatter* towards elements without a lens.
     """
-    if role not in get_args(Start):
-        raise ValueError(f"role: {role!r} is none of dual, scatter")
-    if role == "dual":
+    if start not in get_args(Start):
+        raise ValueError(f"start: {start!r} is none of dual, scatter")
+    if start == "dual":
         tracer = problem.from_emitter(cells, quality, seed)
-        return _matrix(tracer, Grid(problem.detector, *pixels)).T
+        return _matrix(tracer, CellGrid(problem.detector, *pixels)).T
     if problem.emitter.pitch_m is not None:
-        raise ValueError("role: scatter needs an emitter behind a lens; take dual")
+        raise ValueError("start: scatter needs an emitter behind a lens; use dual")
     tracer = problem.from_detector(pixels, quality, seed)
-    return _matrix(tracer, Grid(problem.emitter, *cells))
+    return _matrix(tracer, CellGrid(problem.emitter, *cells))
 
 
-def _matrix(tracer: Tracer, other: Grid) -> Array:
+def _matrix(tracer: Tracer, other: CellGrid) -> Array:
     """From every cell that paths start in (rows) to every cell of the device they connect to."""
     blocks = tracer.blocks(tracer.quality.samples)
     return np.concatenate([_rows(tracer, other, block) for block in blocks])
 
 
-def _rows(tracer: Tracer, other: Grid, block: Block) -> Array:
-    """Of the cells in some rows."""
+def _rows(tracer: Tracer, other: CellGrid, block: Block) -> Array:
+    """Rows of the matrix for the cells of one block."""
     mi, samples = mitsuba(), tracer.quality.samples
     n_cells = (block[1] - block[0]) * tracer.start.columns
     from_cell = dr.arange(mi.UInt32, n_cells * samples) // dr.opaque(mi.UInt32, samples)
     sums = np.zeros(n_cells * other.size)
     for bounce in tracer.bounces(block):
-        arrived = [_cell(other, left, up) for _, left, up in bounce.places]
+        cells = [_cell(other, left, up) for _, left, up in bounce.places]
         parts = [
             (bounce.value * fill if share is None else bounce.value * share * fill, cell)
-            for (share, _, _), (cell, fill) in zip(bounce.places, arrived, strict=True)
+            for (share, _, _), (cell, fill) in zip(bounce.places, cells, strict=True)
         ]
         dr.eval(parts)
         for part, cell in parts:
-            sums += _sums(part, from_cell * other.size + cell, sums.size)
+            sums += _summed_by_cell(part, from_cell * other.size + cell, sums.size)
     return sums.reshape(n_cells, other.size) / samples
 
 
-def _sums(value: Any, where: Any, size: int) -> Array:
-    """Values added up by place. In fixed point the order in which threads add does not matter;
-    one step is 2^-40 of the largest value, and 2^22 of them fit.
+def _summed_by_cell(value: Any, where: Any, size: int) -> Array:
+    """Values added up by index. In fixed point the sum does not depend on the order of the threads;
+    one step is 2^-40 of the largest value, and 2^22 of such values fit.
     """
     mi = mitsuba()
     largest = dr.max(value)
     if largest[0] == 0:
         return np.zeros(size)
     scale = mi.Float64(2.0**40) / mi.Float64(largest)
-    target = dr.zeros(mi.UInt64, size)
-    dr.scatter_reduce(dr.ReduceOp.Add, target, mi.UInt64(mi.Float64(value) * scale), where)
-    return np.asarray(np.array(target, dtype=np.float64) / scale[0])
+    total = dr.zeros(mi.UInt64, size)
+    dr.scatter_reduce(dr.ReduceOp.Add, total, mi.UInt64(mi.Float64(value) * scale), where)
+    return np.asarray(np.array(total, dtype=np.float64) / scale[0])
 
 
-def _cell(grid: Grid, left: Any, up: Any) -> tuple[Any, Any]:
-    """Cell of a place in the field, and the light there over the cell's mean (its fill factor)."""
+def _cell(grid: CellGrid, left: Any, up: Any) -> tuple[Any, Any]:
+    """Cell of a point in the field, and the light there over the cell's mean (its fill factor)."""
     mi = mitsuba()
     x, y = (1 - left) / 2 * grid.columns, (1 - up) / 2 * grid.rows
     column = dr.clip(mi.Int32(dr.floor(x)), 0, grid.columns - 1)

@@ -1,4 +1,4 @@
-"""What the filter passes at each angle of the field: the emitter's line, and the sun."""
+"""Emitter's line and sunlight behind the filter at each angle of the field."""
 
 import math
 from dataclasses import dataclass
@@ -41,19 +41,19 @@ class Passband:
 def passband(system: System, sky: Sky) -> Passband:
     """Integrate a system's spectra over its filter.
 
-    Before the lens light meets the filter at the angle of the field. Behind it every point of the
-    field sends a cone, the same for all: its mean over the solid angle, up to sin = 1 / (2 N), as
-    for a lens without coma.
+    In front of the lens the angle of incidence on the filter is that of the field. Behind the lens
+    every point of the field illuminates the filter with the same cone, up to sin = 1 / (2 N) as for
+    a lens without coma; the mean over its solid angle is taken.
     """
     optics = system.optics
     half_field_deg = optics.field_of_view_deg.value / 2
     content = curves(system.emitter.spectrum_csv, system.filter.transmission_csv)
     f_number = optics.f_number.value
-    return _integrated(system.emitter, system.filter, sky, f_number, half_field_deg, content)
+    return _passband_of(system.emitter, system.filter, sky, f_number, half_field_deg, content)
 
 
 @lru_cache(maxsize=256)
-def _integrated(
+def _passband_of(
     emitter: Emitter,
     band: Filter,
     sky: Sky,
@@ -61,7 +61,7 @@ def _integrated(
     half_field_deg: float,
     content: tuple[bytes, ...],
 ) -> Passband:
-    """``content`` of the curves is in the key alone: their names stay when they change."""
+    """``content`` of the curves serves the cache's key only: a file may change under its name."""
     normal = sun_in_band(sky, band)
     if band.effective_index is None:
         share = in_band_fraction(emitter, band)

@@ -1,4 +1,4 @@
-"""What a light path does at a surface: connect to a light, bounce; and how finely paths are drawn.
+"""Light paths at a surface: connection to a light, reflection; and the sampling of paths.
 
 Surfaces are Lambertian and two-sided, with one reflectance at each point.
 """
@@ -13,36 +13,37 @@ from numpy.typing import NDArray
 from twin.engine import mitsuba
 from twin.optics.devices import (
     Device,
-    blurred,
+    apply_blur,
     field_coordinates,
-    inside,
+    is_in_field,
     point,
     pupil_point,
-    relative,
+    relative_intensity,
     vectors,
 )
-from twin.optics.scattering import Medium, displaced
+from twin.optics.scattering import Medium, scattering_offset
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Quality:
+class TracingQuality:
     """Knobs of the path tracer, each with the error it bounds.
 
     samples
         Paths per cell, a square number, stratified: noise of a cell's direct light, which falls as
-        samples^-0.75. How much a sensor's own noise hides, `twin trade` measures.
+        samples^-0.75. `twin trade` compares it with the sensor's own noise.
     max_depth
         Bounces: 1 is direct light; each further one adds light of up to the reflectance's next
-        power. What is cut off is lost.
+        power. Light of more bounces is lost.
     indirect_samples
         Paths per cell for the light of further bounces, a square number: its noise falls as
         samples^-0.5, but there is less of it. Default: a quarter of ``samples``.
     air_orders
-        Scatterings that are followed in the air on the way to a surface, and as many back; light of
-        more is lost, 1e-10 of it at an optical depth of 1 and 2e-5 at 3. 0: none are followed, and
-        what is scattered forward stays in its cell: contrast is too high by the optical depth.
+        Largest order of scattering in the air on the way to a surface, and on the way back. Light
+        of higher orders is lost: 1e-10 of it at an optical depth of 1 and 2e-5 at 3. 0: no
+        scattering is traced, and forward scattered light stays in its cell, so that contrast is too
+        high by the optical depth.
     """
 
     samples: int = 64
@@ -70,7 +71,7 @@ class Quality:
 
 @dataclass(frozen=True, eq=False)
 class SunLight:
-    """Directional light; radiances come out per unit irradiance on the plane normal to it."""
+    """Directional light; radiances are per unit irradiance on the plane normal to it."""
 
     direction: Array
 
@@ -88,13 +89,13 @@ class DeviceLight:
 Light = SunLight | DeviceLight
 
 
-#: Share of a connection's light (None: all), and where in the light's field it seems to come from.
+#: Share of a connection's light (None: all), and the field coordinates from which it seems to come.
 Place = tuple[Any, Any, Any]
 
 
 class Connection(NamedTuple):
-    """From a surface to a light: direction, the ray that must be free, irradiance per light on a
-    surface facing it, and length of the way. ``places``: parts of it; of a sun none.
+    """From a surface to a light: direction, shadow ray, irradiance per unit of the light on a
+    surface facing it, and length. ``places``: parts by apparent origin; empty for the sun.
     """
 
     direction: Any
@@ -133,13 +134,13 @@ class _DeviceConnector:
         left, up = field_coordinates(self.device, -direction)
         if shift is not None:
             left, up = left + shift.x * defocus, up + shift.y * defocus
-        weight = dr.rcp(distance2) * relative(self.device, left, up, cos)
+        weight = dr.rcp(distance2) * relative_intensity(self.device, left, up, cos)
         if self.is_pupil:
             weight *= cos
-        left, up = blurred(self.device, left, up, rng)
+        left, up = apply_blur(self.device, left, up, rng)
         distance, ray = dr.sqrt(distance2), hit.spawn_ray_to(origin)
         if self.medium is None or not self.medium.scatters:
-            weight = dr.select((cos > 0) & inside(self.device, left, up), weight, 0)
+            weight = dr.select((cos > 0) & is_in_field(self.device, left, up), weight, 0)
             return Connection(direction, ray, weight, distance, ((None, left, up),))
         seen, places = self._through_air(self.medium, distance, left, up, rng)
         weight = dr.select(cos > 0, weight * seen, 0)
@@ -148,26 +149,26 @@ class _DeviceConnector:
     def _through_air(
         self, medium: Medium, distance: Any, left: Any, up: Any, rng: Any
     ) -> tuple[Any, tuple[Place, ...]]:
-        """Share of the light that arrives inside the field, and what is straight and what is
-        scattered of that.
+        """Share of the light that arrives inside the field, and its unscattered and scattered
+        parts.
         """
         mi, device = mitsuba(), self.device
-        off_left, off_up, arrives = displaced(mi, medium, distance, rng)
+        off_left, off_up, arrives = scattering_offset(mi, medium, distance, rng)
         per_tangent = dr.rcp(dr.opaque(mi.Float, device.tan_half_field))
         to_left, to_up = left + off_left * per_tangent, up + off_up * per_tangent
         straight = medium.unscattered(distance)
-        first = dr.select(inside(device, left, up), straight, 0)
-        other = dr.select(arrives & inside(device, to_left, to_up), 1 - straight, 0)
-        seen = first + other
-        part = first / dr.select(seen > 0, seen, 1)
-        return seen, ((part, left, up), (1 - part, to_left, to_up))
+        unscattered = dr.select(is_in_field(device, left, up), straight, 0)
+        scattered = dr.select(arrives & is_in_field(device, to_left, to_up), 1 - straight, 0)
+        seen = unscattered + scattered
+        straight_share = unscattered / dr.select(seen > 0, seen, 1)
+        return seen, ((straight_share, left, up), (1 - straight_share, to_left, to_up))
 
 
 def connector(light: Light, medium: Medium | None = None) -> Any:
-    """What a path asks at each vertex: ``connector(light)(hit, rng)`` is a `Connection`.
+    """Connection of a path's vertices to a light: ``connector(light)(hit, rng)`` is a `Connection`.
 
-    The sun's light is that at the sensor, whatever the air; a device's is scattered on the way, but
-    not absorbed: the caller knows the whole length.
+    The sun's light is that at the sensor, without the air between. A device's light is scattered on
+    the way; absorption is applied by the caller, which knows the length of the whole path.
     """
     if isinstance(light, SunLight):
         return _SunConnector(light)
@@ -175,7 +176,7 @@ def connector(light: Light, medium: Medium | None = None) -> Any:
 
 
 def bounce(hit: Any, ray: Any, rng: Any) -> Any:
-    """The next ray, drawn from the cosine lobe on the side the last one came from."""
+    """The reflected ray, drawn from the cosine lobe on the side of the incident ray."""
     mi = mitsuba()
     local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
     local.z = dr.copysign(local.z, -dr.dot(ray.d, hit.n))

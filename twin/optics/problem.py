@@ -1,4 +1,4 @@
-"""What light transport is asked: a scene, who lights it and who looks, the sun, and the air."""
+"""Definition of a light transport problem: scene, emitter, detector, sun and air."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.devices import Device, Grid
-from twin.optics.paths import DeviceLight, Quality, SunLight
+from twin.optics.devices import CellGrid, Device
+from twin.optics.paths import DeviceLight, SunLight, TracingQuality
 from twin.optics.tracer import Tracer
 from twin.optics.weather import Air
 
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LightProblem:
-    """Everything that light depends on, for every tracer and every closed form of it.
+    """Everything that light depends on, shared by all tracers and closed forms.
 
     Parameters
     ----------
     scene
         Mitsuba scene of Lambertian surfaces, as `twin.scene.mitsuba.mitsuba_scene` makes it.
     emitter, detector
-        Where they stand and how they radiate and see.
+        Position, axes and field of each.
     sun_direction : (3,) array, optional
         Unit vector towards the sun.
     air
@@ -37,23 +37,23 @@ class LightProblem:
     air: Air | None = None
 
     def moved(self, rotation: Array, shift_m: Array) -> "LightProblem":
-        """Both devices after a rigid motion, as `Device.moved`; scene and sun stay."""
+        """The problem with both devices after a rigid motion, as `Device.moved`."""
         emitter, detector = (d.moved(rotation, shift_m) for d in (self.emitter, self.detector))
         return replace(self, emitter=emitter, detector=detector)
 
-    def from_emitter(self, shape: tuple[int, int], quality: Quality, seed: int) -> Tracer:
+    def from_emitter(self, shape: tuple[int, int], quality: TracingQuality, seed: int) -> Tracer:
         """Paths from the cells of the emitter, (rows, columns), to the detector's pupil."""
-        cells, pupil = Grid(self.emitter, *shape), DeviceLight(self.detector, "pupil")
+        cells, pupil = CellGrid(self.emitter, *shape), DeviceLight(self.detector, "pupil")
         return Tracer(self.scene, cells, "emitter", pupil, self.air, quality, seed)
 
-    def from_detector(self, shape: tuple[int, int], quality: Quality, seed: int) -> Tracer:
+    def from_detector(self, shape: tuple[int, int], quality: TracingQuality, seed: int) -> Tracer:
         """Paths from the pixels of the detector, (rows, columns), to the emitter."""
-        pixels, light = Grid(self.detector, *shape), DeviceLight(self.emitter, "emitter")
+        pixels, light = CellGrid(self.detector, *shape), DeviceLight(self.emitter, "emitter")
         return Tracer(self.scene, pixels, "pupil", light, self.air, quality, seed)
 
-    def from_sun(self, shape: tuple[int, int], quality: Quality, seed: int) -> Tracer:
+    def from_sun(self, shape: tuple[int, int], quality: TracingQuality, seed: int) -> Tracer:
         """Paths from parts of the detector's field, (rows, columns), to the sun."""
-        parts = Grid(self.detector, *shape)
+        parts = CellGrid(self.detector, *shape)
         return Tracer(self.scene, parts, "pupil", self.sun, self.air, quality, seed)
 
     @property

@@ -20,7 +20,7 @@ def cell_centres(n: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Collection:
-    """Field, focal length, f-number and pupil of the detector's lens: one choice, four names.
+    """Field, focal length, f-number and pupil of the detector's lens, which determine each other.
 
     ``tan_half_field`` is that of the square's half width or the disc's radius. ``pupil_area_m2``
     is the effective entrance pupil: on axis, a field of radiance L fills the detector with

@@ -1,7 +1,7 @@
-"""The slow way, as reference: Mitsuba's own projector, camera and path tracer, pattern by pattern.
+"""Independent reference: Mitsuba's own projector, camera and path tracer, pattern by pattern.
 
-It shares nothing with `transport` but the triangles: another emitter, another integrator, light
-followed in the other direction. With air it follows the light through every scattering (`volpath`).
+It shares only the triangles with `transport`: emitter and integrator are others, and light is
+traced in the opposite direction. With air it traces every scattering (`volpath`).
 """
 
 from typing import Any
@@ -25,7 +25,7 @@ class PatternRenderer:
     Parameters
     ----------
     problem
-        What is lit and seen, both fields square, and through which air. The sun does not shine.
+        Scene, devices with square fields, and air. The sun is left out.
     max_depth
         Bounces, as in `Quality`; with air its scatterings count too: 1 is direct light and single
         backscatter.
@@ -48,7 +48,7 @@ class PatternRenderer:
             },
             "sensor": {
                 "type": "perspective",
-                **_placed(detector),
+                **_pose_entries(detector),
                 "near_clip": 1e-5,  # rays begin here: light up to it would go through no air
                 **({"medium": _medium(air)} if air else {}),
                 "film": {
@@ -89,7 +89,7 @@ class PatternRenderer:
         """Scene and its parameters for textures of this size; patterns are updated in place."""
         projector = {
             "type": "projector",
-            **_placed(self._emitter),
+            **_pose_entries(self._emitter),
             "irradiance": {"type": "bitmap", "bitmap": self._mi.Bitmap(texture), "raw": True}
             | {"filter_type": "nearest"},
         }
@@ -121,7 +121,7 @@ def _medium(air: Air) -> dict[str, Any]:
     }
 
 
-def _placed(device: Device) -> dict[str, Any]:
+def _pose_entries(device: Device) -> dict[str, Any]:
     forward, _, up = device.axes
     look_at = mitsuba().ScalarTransform4f().look_at
     return {

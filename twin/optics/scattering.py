@@ -1,17 +1,17 @@
-"""Scattering by the air on the way to a surface and back: where light that leaves its ray arrives.
+"""Scattering by the air on the way to a surface and back.
 
-Each leg is taken order by order. From a device to the first surface the path is followed through
-all its scatterings (`twin.optics.travel`). From a surface to the other device the whole way is
-known beforehand: a scattering by the angle a at the share x of it, counted from the surface, lets
-the light arrive from a direction that is off by x tan(a), and several add up. That is exact for one
-scattering by a small angle; in fog, with a field of 20 degrees, all that arrives from a wall that
-is faced is within 0.5 % of a random walk up to an optical depth of 0.8. Levels along a wall slanted
-by 60 degrees, and the contrast of single bright cells, are within 3 % there; a wall seen between
-nearer posts, at a depth of 1.2, is 5 % too bright. Light turned by more than 90 degrees on its way
-back is lost.
+On the forward path, from a device to the first surface, light is traced through all its scatterings
+by a random walk (`twin.optics.steps`). On the return path, from a surface to the other device,
+both ends are known. There a scattering by the angle a at the fraction x of the path, counted from
+the surface, shifts the apparent direction by x tan(a), and the shifts of several scatterings add
+up. This is exact for one scattering by a small angle. In fog, with a field of 20 degrees, the total
+from a wall facing the device agrees with a full random walk within 0.5 % up to an optical depth of
+0.8. Levels along a wall slanted by 60 degrees, and the contrast of single bright cells, agree
+within 3 % there; a wall seen between nearer posts, at an optical depth of 1.2, is 5 % too bright.
+Light deflected by more than 90 degrees on the return path is lost.
 
-Light that comes straight through is never drawn at random where a single value is wanted: it has
-the weight exp(-depth), light that is scattered once or more the rest.
+Unscattered light is not drawn at random where it can be weighted: its weight is exp(-optical
+depth), and light scattered once or more has the rest.
 """
 
 from typing import Any
@@ -23,10 +23,11 @@ from twin.optics.weather import BACKWARD_ASYMMETRY, Air
 
 
 class Medium:
-    """Air as kernels see it: its values never recompile one.
+    """Air as opaque values for kernels, so that other air does not recompile them.
 
-    ``orders``: scatterings that are followed on one leg; light of more is lost. With 0 none is
-    followed: the forward peak goes straight on (`Air.surface_extinction_per_m`), the rest is lost.
+    ``orders``: largest order of scattering on a one-way path; light of higher orders is lost. With
+    0, scattering is not traced: the forward peak is treated as unscattered
+    (`Air.surface_extinction_per_m`), the rest is lost.
     """
 
     def __init__(self, air: Air, orders: int) -> None:
@@ -46,11 +47,11 @@ class Medium:
         self.orders = dr.opaque(mi.UInt32, orders)
 
     def unabsorbed(self, length: Any) -> Any:
-        """What absorption leaves of the light on a way of this length."""
+        """Transmission of a path of this length, of absorption alone."""
         return dr.exp(-self.absorption * length)
 
     def unscattered(self, length: Any) -> Any:
-        """Share that is not scattered on a way of this length."""
+        """Unscattered share over a path of this length."""
         return dr.exp(-self.scattering * length)
 
     def free_path(self, rng: Any) -> Any:
@@ -58,7 +59,7 @@ class Medium:
         return -dr.log(1 - rng.next_float32()) / self.scattering
 
     def free_path_within(self, length: Any, rng: Any) -> Any:
-        """The same, where it is less than ``length``."""
+        """The same, given that it is less than ``length``."""
         return -dr.log(1 - rng.next_float32() * (1 - self.unscattered(length))) / self.scattering
 
     def cosine(self, rng: Any) -> Any:
@@ -71,9 +72,9 @@ class Medium:
 
 
 @dr.syntax
-def displaced(mi: Any, medium: Any, length: Any, rng: Any) -> tuple[Any, Any, Any]:
-    """By how much the place from which light seems to come is off after a way of ``length`` on
-    which it is scattered once or more, on the plane at distance 1; and whether it arrives.
+def scattering_offset(mi: Any, medium: Any, length: Any, rng: Any) -> tuple[Any, Any, Any]:
+    """Shift of the apparent origin of light, on the plane at distance 1, after a path of ``length``
+    on which it is scattered once or more; and whether it arrives.
     """
     shift, arrives, order = mi.Vector2f(0), mi.Bool(True), mi.UInt32(0)
     t = medium.free_path_within(length, rng)

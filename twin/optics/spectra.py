@@ -38,17 +38,19 @@ class SunInBand:
 
 
 def sun_in_band(sky: Sky, band: Filter, angle_deg: float = 0.0) -> SunInBand:
-    """Illuminance and band irradiance of a sky, on the plane normal to the sun; light meets the
-    filter at ``angle_deg``. Illuminance and flat band may hold arrays that broadcast.
+    """Illuminance and band irradiance of a sky, on the plane normal to the sun, for an angle of
+    incidence on the filter. Illuminance and flat band may hold arrays that broadcast.
     """
     if sky.sun_elevation_deg is not None:
         nm, spectrum = clear_sun(sky.sun_elevation_deg.value)
-        return SunInBand(_illuminance(nm, spectrum), _through(nm, spectrum, band, angle_deg))
+        return SunInBand(
+            _illuminance(nm, spectrum), _filtered_integral(nm, spectrum, band, angle_deg)
+        )
     assert sky.illuminance_lx is not None  # a Sky has one of the two
     lux = sky.illuminance_lx.value
     nm, spectrum = _direct()
-    through = _through(nm, spectrum, band, angle_deg)
-    return SunInBand(lux, through * lux / _illuminance(nm, spectrum))
+    irradiance = _filtered_integral(nm, spectrum, band, angle_deg)
+    return SunInBand(lux, irradiance * lux / _illuminance(nm, spectrum))
 
 
 def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width_m: float) -> float:
@@ -72,15 +74,15 @@ def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width
 def clear_sun(elevation_deg: float) -> tuple[Array, Array]:
     """Direct spectrum of the sun in a clear sky: wavelength in nm, W/m^2/nm on the normal plane.
 
-    ASTM G-173 holds the spectrum above the atmosphere and behind 1.5 air masses; what one air mass
-    lets through is the 1.5th root of their ratio, and Beer's law carries it to the air mass of the
-    elevation (Kasten and Young, Applied Optics 28, 1989). Zero below the horizon.
+    ASTM G-173 tabulates the spectrum above the atmosphere and behind 1.5 air masses; the
+    transmission of one air mass is the 1.5th root of their ratio, and Beer's law scales it to the
+    air mass of the elevation (Kasten and Young, Applied Optics 28, 1989). Zero below the horizon.
     """
     nm, outside, direct, _ = _tables()
     if elevation_deg <= 0:
         return nm, np.zeros_like(nm)
-    through = np.divide(direct, outside, out=np.zeros_like(direct), where=outside > 0)
-    return nm, outside * through ** (air_mass(elevation_deg) / 1.5)
+    transmission = np.divide(direct, outside, out=np.zeros_like(direct), where=outside > 0)
+    return nm, outside * transmission ** (air_mass(elevation_deg) / 1.5)
 
 
 def air_mass(elevation_deg: float) -> float:
@@ -90,7 +92,7 @@ def air_mass(elevation_deg: float) -> float:
 
 
 def in_band_fraction(emitter: Emitter, band: Filter, angle_deg: float = 0.0) -> float:
-    """Share of the emitter's line that the filter's shape lets through at an angle.
+    """Share of the emitter's line that the filter transmits at an angle.
 
     A Gaussian line of 100 nm full width at half maximum through 1550 +/- 6 nm: 0.112. Line and flat
     band may hold arrays that broadcast.
@@ -104,7 +106,7 @@ def in_band_fraction(emitter: Emitter, band: Filter, angle_deg: float = 0.0) -> 
         share: float = (erf(edges[1]) - erf(edges[0])) / 2
         return share
     nm, line = emitter_line(emitter)
-    fine, through = _passed(nm, line, band, angle_deg)
+    fine, through = _filtered_line(nm, line, band, angle_deg)
     return float(np.trapezoid(through, fine) / np.trapezoid(line, nm))
 
 
@@ -133,12 +135,12 @@ def responsivity_a_per_w(detector: Detector, emitter: Emitter, band: Filter) -> 
     """Responsivity over the part of the emitter's line that the filter passes."""
     if detector.responsivity_csv is None:
         return detector.responsivity_a_per_w.value
-    nm, passed = _passed(*emitter_line(emitter), band)
-    power = np.trapezoid(passed, nm)
+    nm, filtered = _filtered_line(*emitter_line(emitter), band)
+    power = np.trapezoid(filtered, nm)
     if power == 0:
         return detector.responsivity_a_per_w.value
     curve_nm, curve = read_responsivity(detector)
-    current = np.trapezoid(passed * np.interp(nm, curve_nm, curve, left=0.0, right=0.0), nm)
+    current = np.trapezoid(filtered * np.interp(nm, curve_nm, curve, left=0.0, right=0.0), nm)
     return float(current / power)
 
 
@@ -153,8 +155,10 @@ def emitter_line(emitter: Emitter) -> tuple[Array, Array]:
     return fine, np.exp(-4 * math.log(2) * ((fine - peak) / fwhm) ** 2)
 
 
-def _passed(nm: Array, line: Array, band: Filter, angle_deg: float = 0.0) -> tuple[Array, Array]:
-    """A line behind the filter's shape, on a grid that knows the shape's edges."""
+def _filtered_line(
+    nm: Array, line: Array, band: Filter, angle_deg: float = 0.0
+) -> tuple[Array, Array]:
+    """A line behind the filter, on a grid that contains the edges of the passband."""
     shift = angle_shift(band, angle_deg)
     if band.transmission_csv is not None:
         edges = read_transmission(Path(band.transmission_csv.value))[0] * shift
@@ -166,7 +170,7 @@ def _passed(nm: Array, line: Array, band: Filter, angle_deg: float = 0.0) -> tup
     return fine, np.interp(fine, nm, line) * passband(band, fine, angle_deg)
 
 
-def _through(nm: Array, spectrum: Array, band: Filter, angle_deg: float) -> float:
+def _filtered_integral(nm: Array, spectrum: Array, band: Filter, angle_deg: float) -> float:
     """Integral of a spectrum over the filter's shape."""
     shift = angle_shift(band, angle_deg)
     if band.transmission_csv is None:
@@ -175,8 +179,8 @@ def _through(nm: Array, spectrum: Array, band: Filter, angle_deg: float) -> floa
     curve_nm, values = read_transmission(Path(band.transmission_csv.value))
     curve_nm = curve_nm * shift
     fine = np.union1d(nm[(nm > curve_nm[0]) & (nm < curve_nm[-1])], curve_nm)
-    passed = np.interp(fine, nm, spectrum) * np.interp(fine, curve_nm, values)
-    return float(np.trapezoid(passed, fine))
+    filtered = np.interp(fine, nm, spectrum) * np.interp(fine, curve_nm, values)
+    return float(np.trapezoid(filtered, fine))
 
 
 def _integral(nm: Array, spectrum: Array, low: Any, high: Any) -> Any:

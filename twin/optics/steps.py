@@ -1,5 +1,5 @@
-"""The steps of a light path: on to the next surface, straight or scattered by the air on the way;
-and from there to the light.
+"""Steps of a light path: to the next surface, unscattered or scattered by the air on the way, and
+from there to the light.
 """
 
 from typing import Any, NamedTuple
@@ -12,8 +12,8 @@ from twin.optics.scattering import Medium
 
 
 class Arrival(NamedTuple):
-    """Where light that started along a ray meets a surface: the hit, the last ray, whether there is
-    one, and the length of the whole way, m.
+    """First surface that light along a ray reaches: the hit, the last ray, whether there is a
+    surface, and the length of the whole path, m.
     """
 
     hit: Any
@@ -25,7 +25,7 @@ class Arrival(NamedTuple):
 class PathSteps:
     """Steps among the surfaces of a scene, through a medium, to a light.
 
-    No dataclass: Dr.Jit would take one apart at every loop.
+    Not a dataclass: Dr.Jit would traverse its fields at every loop.
     """
 
     def __init__(self, scene: Any, light: Light, medium: Medium | None) -> None:
@@ -34,11 +34,11 @@ class PathSteps:
         self._connect = connector(light, medium)
 
     def meet(self, ray: Any, coherent: bool, active: Any = True) -> Any:
-        """The surface that a ray meets, at a point of the ray itself.
+        """Intersection of a ray with the scene, at a point on the ray itself.
 
-        Mitsuba puts the point between the triangle's corners; at grazing incidence on a large
-        triangle that is off sideways by the corners' float32 step over the cosine, 8 mm at 89.9 deg
-        on 200 m. ``coherent`` says that neighbouring rays are alike: tracing them is cheaper.
+        Mitsuba interpolates the point between the triangle's corners. At grazing incidence on a
+        large triangle that point is displaced by the corners' float32 step over the cosine, 8 mm at
+        89.9 deg on 200 m. ``coherent``: neighbouring rays are similar, which makes tracing cheaper.
         """
         mi = mitsuba()
         hit = self.scene.ray_intersect(ray, mi.RayFlags.All, mi.Bool(coherent), active)
@@ -46,20 +46,20 @@ class PathSteps:
         return hit
 
     def next_surface_straight(self, ray: Any, active: Any, *, first: bool = True) -> Arrival:
-        """On along the ray, whatever the air."""
+        """The next surface along the ray, without scattering by the air."""
         hit = self.meet(ray, first, active)
         active = active & hit.is_valid()
         return Arrival(hit, ray, active, dr.select(active, hit.t, 0))
 
     def next_surface(self, ray: Any, rng: Any, active: Any, *, first: bool) -> Arrival:
-        """On to the next surface; the air scatters the light as often as it happens to."""
+        """The next surface, with random scattering by the air on the way."""
         if self.medium is None or not self.scatters:
             return self.next_surface_straight(ray, active, first=first)
         hit = self.meet(ray, first, active)
         return Arrival(*_random_walk(self, ray, hit, self.medium.free_path(rng), rng, active))
 
     def next_surface_scattered(self, ray: Any, rng: Any, active: Any) -> tuple[Arrival, Any]:
-        """The same for light that is scattered at all; and the share of light that is."""
+        """The same for light scattered at least once; and the share of light that is scattered."""
         assert self.medium is not None
         hit = self.meet(ray, True, active)
         straight = dr.select(hit.is_valid(), hit.t, dr.inf)
@@ -70,8 +70,8 @@ class PathSteps:
     def light_at(
         self, hit: Any, ray: Any, rng: Any, active: Any, *, coherent: bool
     ) -> tuple[Any, Connection]:
-        """What a surface has straight from the light and sends back along the ray, before anything
-        that the air absorbs is taken off; and the connection.
+        """Light reflected back along the ray from direct illumination by the light, without
+        absorption by the air; and the connection.
         """
         mi = mitsuba()
         link = self._connect(hit, rng)
@@ -83,11 +83,11 @@ class PathSteps:
         return dr.select(lit, value, 0), link
 
     def unabsorbed(self, length: Any) -> Any:
-        """What absorption leaves of the light on a way of this length."""
+        """Transmission of a path of this length, of absorption alone."""
         return self.medium.unabsorbed(length) if self.medium else 1.0
 
     def unscattered(self, length: Any) -> Any:
-        """Share that is not scattered on a way of this length, where scatterings are followed."""
+        """Unscattered share over a path of this length; 1 where scattering is not traced."""
         return self.medium.unscattered(length) if self.medium and self.scatters else 1.0
 
 
@@ -95,7 +95,7 @@ class PathSteps:
 def _random_walk(
     steps: PathSteps, ray: Any, hit: Any, t: Any, rng: Any, active: Any
 ) -> tuple[Any, Any, Any, Any]:
-    """Scatter after ``t``, and on until a surface is nearer than the next scattering."""
+    """Scatter after ``t`` and again, until a surface is nearer than the next scattering."""
     mi, medium = mitsuba(), steps.medium
     assert medium is not None
     length, order = mi.Float(0), mi.UInt32(0)

@@ -1,7 +1,7 @@
-"""Transport with the length of every path kept: phase, time histogram and gates from one render.
+"""Transport with the length of every path: phase, time histogram and gates from one render.
 
-What a modulated emitter and a gated detector make of a path depends on its length alone. So the
-paths are traced once, and any shutter is a sum over them, in float64.
+The response of a modulated emitter and a gated detector to a path depends on its length alone. So
+the paths are traced once, and each shutter is a sum over them, in float64.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 
 Array = NDArray[np.float64]
@@ -51,24 +51,24 @@ class Paths:
     def histogram(self, edges_s: Array) -> Array:
         """Light of each cell by its time of flight, (rows, columns, n_bins).
 
-        ``edges_s`` (n_bins + 1,) ascending and equally spaced; what arrives outside is left out.
+        ``edges_s`` (n_bins + 1,) ascending and equally spaced; light outside them is left out.
         """
         n_bins = len(edges_s) - 1
         width = (edges_s[-1] - edges_s[0]) / n_bins
-        place = np.floor((self.length_m.astype(np.float64) / constants.c - edges_s[0]) / width)
+        bin_number = np.floor((self.length_m.astype(np.float64) / constants.c - edges_s[0]) / width)
         cell = np.arange(len(self.value))[:, None]
-        kept = (place >= 0) & (place < n_bins) & (self.value > 0)
-        where = (cell * n_bins + place.clip(0, n_bins - 1)).astype(np.int64)
+        inside = (bin_number >= 0) & (bin_number < n_bins) & (self.value > 0)
+        index = (cell * n_bins + bin_number.clip(0, n_bins - 1)).astype(np.int64)
         sums = np.bincount(
-            where[kept], weights=self.value[kept], minlength=len(self.value) * n_bins
+            index[inside], weights=self.value[inside], minlength=len(self.value) * n_bins
         )
         return sums.astype(np.float64).reshape(*self.shape, n_bins)
 
 
 def trace_paths(
-    problem: LightProblem, shape: tuple[int, int], *, quality: Quality, seed: int
+    problem: LightProblem, shape: tuple[int, int], *, quality: TracingQuality, seed: int
 ) -> Paths:
-    """Trace the paths of every cell to the detector, direct and indirect, and keep their lengths.
+    """Trace the direct and indirect paths of every cell to the detector, with their lengths.
 
     Memory: 8 bytes for each of cells x samples x bounces.
     """
@@ -82,23 +82,23 @@ def trace_paths(
 
 
 def phase_shutter(modulation_hz: float, phase_rad: float, contrast: float = 1.0) -> Response:
-    """Detector that is sensitive half of the time, in step with the modulation: one phase
-    of a lock-in measurement, (1 + contrast cos(2 pi f L / c - phase)) / 2.
+    """One phase of a lock-in measurement: a detector sensitive half of the time, synchronous with
+    the modulation, (1 + contrast cos(2 pi f L / c - phase)) / 2.
     """
     k = 2 * np.pi * modulation_hz / constants.c
     return lambda length_m: (1 + contrast * np.cos(k * length_m - phase_rad)) / 2
 
 
 def gate(pulse_width_s: float, delay_s: float, width_s: float) -> Response:
-    """Share of a rectangular pulse that comes back while a gate is open.
+    """Share of a rectangular pulse that returns while a gate is open.
 
     The pulse leaves from 0 to ``pulse_width_s``; the gate is open from ``delay_s`` for ``width_s``.
     """
 
     def response(length_m: Array) -> Array:
-        arrives = length_m / constants.c
-        first = np.maximum(arrives, delay_s)
-        last = np.minimum(arrives + pulse_width_s, delay_s + width_s)
+        delay = length_m / constants.c
+        first = np.maximum(delay, delay_s)
+        last = np.minimum(delay + pulse_width_s, delay_s + width_s)
         return np.maximum(last - first, 0) / pulse_width_s
 
     return response

@@ -1,8 +1,8 @@
 """Light transport from emitter to detector, rendered once for all patterns.
 
 *Dual* form (Helmholtz reciprocity): paths start at the emitter, one stratum of one cell each, and
-every vertex connects to the detector's pupil. What a cell sends to the pupil per radiant intensity
-is one pixel; a pattern's signal is then the sum of its lit pixels, exact in float64.
+every vertex connects to the detector's pupil. One pixel is the irradiance of the pupil per radiant
+intensity of one cell; a pattern's signal is the sum of its lit pixels, exact in float64.
 
 The same paths, started at the detector and connected to the sun, give the background; and started
 at a camera, the image. Contributions are added up per cell in float64, in a fixed order: the same
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.tracer import Block, Tracer
 
@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
-    """What a grid of cells gathers, (rows, columns), with standard error."""
+class CellLight:
+    """Light of each cell of a grid, (rows, columns), with its standard error."""
 
     direct: Array
     indirect: Array
@@ -40,22 +40,22 @@ class Gathered:
 
 
 def transport(
-    problem: LightProblem, shape: tuple[int, int], *, quality: Quality, seed: int
-) -> Gathered:
+    problem: LightProblem, shape: tuple[int, int], *, quality: TracingQuality, seed: int
+) -> CellLight:
     """Irradiance on the detector's pupil per radiant intensity of each cell, in 1/m^2.
 
     The power that cell i puts on the detector is I tau A_pupil times the value of its pixel, with
     the radiant intensity I that the cell has inside its solid angle. Cosines of surface and pupil,
     shadowing and the outline of the detector's field are in it. Row 0 is the top, column 0 left.
-    Air dims and spreads it (`twin.optics.scattering`); what the air itself sends back is not in it
-    (`twin.optics.backscatter`).
+    Extinction and scattering by the air are included (`twin.optics.scattering`); the air's own
+    backscatter is not (`twin.optics.backscatter`).
     """
     return gather(problem.from_emitter(shape, quality, seed))
 
 
 def sunlight(
-    problem: LightProblem, shape: tuple[int, int] = (32, 32), *, quality: Quality, seed: int
-) -> Gathered:
+    problem: LightProblem, shape: tuple[int, int] = (32, 32), *, quality: TracingQuality, seed: int
+) -> CellLight:
     """Irradiance on the detector's pupil per irradiance of the sun, by part of its field.
 
     The sum of the parts is the background; times E_sun tau A_pupil it is a power.
@@ -63,11 +63,11 @@ def sunlight(
     return gather(problem.from_sun(shape, quality, seed))
 
 
-def gather(tracer: Tracer) -> Gathered:
-    """Light that each cell receives, weighted as the tracer's role says.
+def gather(tracer: Tracer) -> CellLight:
+    """Light that each cell receives, with the weights of the tracer's rays.
 
-    Direct and indirect light are rendered apart, each with its own number of paths; so is direct
-    light that the air scatters on its way to the surface.
+    Direct light, indirect light, and direct light that the air scatters on its way to the surface
+    are rendered separately, each with its own number of paths.
     """
     quality = tracer.quality
     direct, error = _mean(tracer, quality.samples, lambda block: tracer.direct(block).value)
@@ -77,9 +77,9 @@ def gather(tracer: Tracer) -> Gathered:
         )
         direct, error = direct + scattered, np.hypot(error, further)
     if quality.max_depth == 1:
-        return Gathered(direct, np.zeros_like(direct), error)
+        return CellLight(direct, np.zeros_like(direct), error)
     indirect, further = _mean(tracer, quality.further_samples, tracer.indirect)
-    return Gathered(direct, indirect, np.hypot(error, further))
+    return CellLight(direct, indirect, np.hypot(error, further))
 
 
 def _mean(tracer: Tracer, samples: int, trace: Callable[[Block], Any]) -> tuple[Array, Array]:

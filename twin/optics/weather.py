@@ -1,7 +1,7 @@
 """Extinction and scattering of light by fog, rain, snow, smoke and clear air.
 
-Empirical laws, good within a factor: fogs of one visibility differ by 2 and more. Air is the same
-everywhere, its particles scatter independently of each other.
+Empirical laws, accurate to a factor only: fogs of one visibility differ by 2 and more. The air is
+homogeneous, and its particles scatter independently of each other.
 """
 
 import math
@@ -31,9 +31,9 @@ class Air:
 
     ``extinction_per_m``, of which ``scattering_per_m`` is scattering, the rest absorption.
     ``asymmetry``: mean cosine of the scattering angle. ``backward_share``: part of the scattered
-    light in a lobe towards the light (`BACKWARD_ASYMMETRY`); the rest follows Henyey and
-    Greenstein (1941) with what keeps the mean cosine.
-    Raises ValueError on values no air has.
+    light in a lobe towards the source (`BACKWARD_ASYMMETRY`); the rest follows Henyey and
+    Greenstein (1941) with the asymmetry that preserves the mean cosine.
+    Raises ValueError for impossible values.
     """
 
     extinction_per_m: float
@@ -55,19 +55,19 @@ class Air:
 
     @property
     def forward_asymmetry(self) -> float:
-        """Mean cosine of what is not in the backward lobe."""
+        """Mean cosine of the light outside the backward lobe."""
         lobe = self.backward_share * BACKWARD_ASYMMETRY
         return (self.asymmetry - lobe) / (1 - self.backward_share)
 
     @property
     def surface_extinction_per_m(self) -> float:
-        """What light to and from surfaces loses where its scatterings are not followed: extinction
-        less the forward peak, scattering x g^2, whose light goes on as if nothing had been in its
-        way (delta scaling; Joseph, Wiscombe and Weinman, J. Atmos. Sci. 33, 1976).
+        """Extinction of light to and from surfaces where scattering is not traced: the extinction
+        less the forward peak, scattering x g^2, which is treated as unscattered (delta scaling;
+        Joseph, Wiscombe and Weinman, J. Atmos. Sci. 33, 1976).
 
-        That keeps a picture's mean level, and not its contrast: light scattered forward stays in
-        its own cell. Error of the contrast of fine stripes, in fog at 10 m over a field of 20
-        degrees: 1.16 times too high at an optical depth of 0.20, 1.8 times at 0.78.
+        This preserves the mean level of an image, but not its contrast: forward scattered light
+        stays in its own cell. The contrast of fine stripes, in fog at 10 m over a field of 20
+        degrees, is 1.16 times too high at an optical depth of 0.20, 1.8 times at 0.78.
         """
         return self.extinction_per_m - self.scattering_per_m * self.asymmetry**2
 
@@ -83,7 +83,7 @@ class Air:
         return self.scattering_per_m * float(self.phase(-1.0))
 
     def transmission(self, length_m: Any) -> Array:
-        """Beer-Lambert: what is left after a path of this length, in all."""
+        """Beer-Lambert transmission of a path of this length."""
         return np.exp(-self.extinction_per_m * np.asarray(length_m, dtype=np.float64))
 
 
@@ -109,7 +109,7 @@ def air_of_system(system: System) -> Air | None:
 
 
 def extinction_per_m(weather: Weather, wavelength_m: float) -> float:
-    """Extinction coefficient, 1/m: the sum of everything that the weather names."""
+    """Extinction coefficient, 1/m: the sum over all particles of the weather."""
     total = 0.0
     if weather.visibility_m is not None:
         model = weather.visibility_model.value if weather.visibility_model else "kim"
@@ -176,19 +176,19 @@ def henyey_greenstein(asymmetry: float, cosine: Any) -> Array:
     return (1 - g * g) / (4 * math.pi * base**1.5)
 
 
-def _backward_share(wanted: float, asymmetry: float, ratio: float) -> float:
-    """Share of the backward lobe that gives this phase function straight back, 1/sr."""
+def _backward_share(backscatter: float, asymmetry: float, ratio: float) -> float:
+    """Share of the backward lobe for this value of the phase function at 180 degrees, 1/sr."""
 
-    def missing(share: float) -> float:
-        return float(Air(1.0, 1.0, asymmetry, share).phase(-1.0)) - wanted
+    def excess(share: float) -> float:
+        return float(Air(1.0, 1.0, asymmetry, share).phase(-1.0)) - backscatter
 
     # Beyond this share nothing is left to keep the mean cosine.
     most = (1 - asymmetry) / (1 - BACKWARD_ASYMMETRY) * (1 - 1e-9)
-    if missing(0.0) > 0 or missing(most) < 0:
-        low, high = (1 / (wanted + missing(share)) for share in (most, 0.0))
-        factor = ratio * wanted
+    if excess(0.0) > 0 or excess(most) < 0:
+        low, high = (1 / (backscatter + excess(share)) for share in (most, 0.0))
+        factor = ratio * backscatter
         raise InputError(
             f"weather.lidar_ratio_sr = {ratio:g}: expected {low * factor:.3g} to "
             f"{high * factor:.3g} with this asymmetry and single_scattering_albedo"
         )
-    return float(brentq(missing, 0.0, most, xtol=1e-15))
+    return float(brentq(excess, 0.0, most, xtol=1e-15))

@@ -16,7 +16,7 @@ from hardware.reconstruction import METHODS
 from hardware.records import RadarRecord
 from twin.camera.acquisition import measure
 from twin.camera.chain import Chain, Powers
-from twin.camera.light import Rendered
+from twin.camera.light import RenderedLight
 from twin.fidelity import Noise
 from twin.files import InputError
 from twin.radar import RadarCapture, RadarDesign
@@ -64,7 +64,7 @@ def image_method(method: Method) -> Callable[[SpiRecord], Any]:
 def records(
     scene: Scene,
     system: System,
-    light: Rendered,
+    light: RenderedLight,
     seeds: Sequence[int],
     noise: Noise = "full",
     *,
@@ -79,7 +79,7 @@ def records(
     powers = [power, _mirror(power, chain.patterns) if mirrored else power]
     for seed in seeds:
         rng = np.random.default_rng(seed)
-        _, counts, flags = chain.take(powers[seed % 2], rng=rng, noise=noise)
+        _, counts, flags = chain.measure_frame(powers[seed % 2], rng=rng, noise=noise)
         yield chain.record(scene.rig.pose, counts, flags)
 
 
@@ -99,7 +99,7 @@ def _mirror(power: Powers, patterns: Patterns) -> Powers:
 
 
 def true_cells(
-    scene: Scene, system: System, light: Rendered, *, mirrored: bool = False
+    scene: Scene, system: System, light: RenderedLight, *, mirrored: bool = False
 ) -> tuple[Array, Array]:
     """Electrons of every cell from the scene, what images are compared with, NaN in cells not
     measured; and from the air, which is taken from an image before.
@@ -114,7 +114,7 @@ def true_cells(
 def run_camera(
     scene: Scene,
     system: System,
-    light: Rendered,
+    light: RenderedLight,
     method: Method,
     seeds: Sequence[int],
     metrics: Sequence[Metric],

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.camera.light import Rendered, render
+from twin.camera.light import RenderedLight, render
 from twin.digest import digest, versions
 from twin.fidelity import Fidelity
 from twin.radar import RadarCapture, RadarDesign, radar_capture
@@ -20,7 +20,9 @@ class Truths:
     def __init__(self, store: Store) -> None:
         self._store = store
 
-    def light(self, scene: Scene, system: System, fidelity: Fidelity | None = None) -> Rendered:
+    def light(
+        self, scene: Scene, system: System, fidelity: Fidelity | None = None
+    ) -> RenderedLight:
         """Light of a scene for a system, as `measure` takes it."""
         fidelity = fidelity or Fidelity()
         return self._store.get(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hardware.patterns import OwnPatterns
 from twin.camera.evaluation import Evaluation
-from twin.camera.verdict import Verdict
+from twin.camera.verdict import ImageVerdict
 from twin.camera.view import View
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
 
@@ -143,7 +143,7 @@ def _aspect(image: Array) -> float:
     return image.shape[1] / image.shape[0]
 
 
-def _above(verdict: Verdict) -> str:
+def _above(verdict: ImageVerdict) -> str:
     if verdict.void:
         return verdict.short
     return f"{verdict.above_noise_share:.0%} of lit pixels above noise"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.radar.process import Processing
 from twin.camera.acquisition import Capture, measure
-from twin.camera.light import Rendered, render
+from twin.camera.light import RenderedLight, render
 from twin.camera.mounting import devices
 from twin.camera.reflectance_rescaling import can_rescale, render_unit_reflectance
 from twin.fidelity import RadarFidelity
@@ -169,7 +169,7 @@ def _seeds(made: Setup) -> list[np.random.SeedSequence]:
     return np.random.SeedSequence(made.seed).spawn(2)
 
 
-def _rendered(made: Setup, inputs: Inputs) -> Rendered:
+def _rendered(made: Setup, inputs: Inputs) -> RenderedLight:
     """Light of a point; points that differ only later on, or in reflectance, share one render."""
     emitter, detector, _ = devices(made.scene, made.system)
     rescalable = can_rescale(made.system, made.fidelity)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from twin.camera.light import render_light
 from twin.optics.devices import Device
-from twin.optics.paths import Quality
+from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.reference import PatternRenderer
 from twin.trade.camera import CameraCase, Reference, reference_rung
@@ -121,7 +121,12 @@ def _transport(case: CameraCase) -> Array:
     for run in range(_TRANSPORT_RUNS):
         seeds = np.random.SeedSequence([case.seed, 5, run]).spawn(2)
         rendered = render_light(
-            _ideal_problem(case), case.system, case.truth, rung, seeds, sun_quality=Quality(1, 1)
+            _ideal_problem(case),
+            case.system,
+            case.truth,
+            rung,
+            seeds,
+            sun_quality=TracingQuality(1, 1),
         )
         light.append(rendered.light.cells.sum(axis=0))
     return np.array(light)

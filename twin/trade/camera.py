@@ -13,7 +13,7 @@ from hardware.patterns import Patterns, PatternSet, fwht
 from hardware.reconstruction.sensing import Sensing
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import dark_share
-from twin.camera.light import Rendered, render_light
+from twin.camera.light import RenderedLight, render_light
 from twin.camera.mounting import light_problem
 from twin.camera.truth import Truth, render_truth
 from twin.detector import Detector
@@ -52,7 +52,7 @@ class CameraCase:
         truth = render_truth(problem.scene, problem.emitter, system.image_shape)
         return cls(scene, system, problem, truth, Chain.of(system, scene.sun), seed)
 
-    def light(self, fidelity: Fidelity, *key: int) -> Rendered:
+    def light(self, fidelity: Fidelity, *key: int) -> RenderedLight:
         """Light of emitter and sun; another key draws other paths."""
         seeds = np.random.SeedSequence([self.seed, *key]).spawn(2)
         return render_light(self.problem, self.system, self.truth, fidelity, seeds)
@@ -73,7 +73,7 @@ class CellSignals:
     sun_w: float
 
     @classmethod
-    def of(cls, case: CameraCase, rendered: Rendered) -> "CellSignals":
+    def of(cls, case: CameraCase, rendered: RenderedLight) -> "CellSignals":
         """Through lens, filter and shutters."""
         power = case.chain.powers(rendered)
         cells = case.electrons_per_watt * power.cells_w.sum(axis=0)
@@ -86,7 +86,7 @@ class Reference:
 
     signals: CellSignals
     noise_e: Array
-    rendered: Rendered
+    rendered: RenderedLight
 
 
 def reference_rung(system: System) -> Fidelity:
@@ -170,11 +170,11 @@ def _compared(
     )
 
 
-def _pixel_noise(case: CameraCase, rendered: Rendered) -> Array:
+def _pixel_noise(case: CameraCase, rendered: RenderedLight) -> Array:
     """Noise of a pixel of the image, by detector, electrons."""
     chain = case.chain
     power = chain.powers(rendered)
-    signal_w, _, _ = chain.take(power, rng=np.random.default_rng(0), noise="none")
+    signal_w, _, _ = chain.measure_frame(power, rng=np.random.default_rng(0), noise="none")
     budgets = chain.noise_by_detector(signal_w, power.sun_w)
     pixel_e = np.array([budget.pixel_noise_e(case.system.patterns) for budget in budgets])
     return np.sqrt(len(chain.shutters)) * pixel_e
@@ -231,7 +231,7 @@ def measure_noise(case: CameraCase, reference: Reference, stage: OpenStage) -> l
 
 
 def _one_frame(case: CameraCase, power: Powers, kind: Noise, seed: int) -> None:
-    case.chain.take(power, rng=np.random.default_rng([case.seed, seed]), noise=kind)
+    case.chain.measure_frame(power, rng=np.random.default_rng([case.seed, seed]), noise=kind)
 
 
 def _samples(
@@ -239,7 +239,7 @@ def _samples(
 ) -> dict[Noise, tuple[Array, Array]]:
     """Of exposures spread over the range of signals."""
     rng = np.random.default_rng([case.seed, 2])
-    signal_w, _, _ = case.chain.take(power, rng=rng, noise="none")
+    signal_w, _, _ = case.chain.measure_frame(power, rng=rng, noise="none")
     light = signal_w + case.chain.open_share[:, None] * power.sun_w
     levels = np.quantile(light, np.linspace(0, 1, _EXPOSURES))
     return distributions(levels, case.chain.front_end, rungs, rng)
