@@ -16,6 +16,8 @@ from twin.fidelity import LightFidelity as LightFidelity
 from twin.fidelity import RadarFidelity as RadarFidelity
 from twin.job import Result as Result
 from twin.job import run as run
+from twin.optics.weather import Air as Air
+from twin.optics.weather import OwnWeather as OwnWeather
 from twin.radar import RadarCapture as RadarCapture
 from twin.radar import RadarDesign as RadarDesign
 from twin.radar import load_radar as load_radar

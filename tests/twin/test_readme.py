@@ -33,7 +33,7 @@ def test_python_examples_run(
 
 
 def test_the_system_file_loads(tmp_path: Path) -> None:
-    _, text, _ = blocks("toml")
+    _, text, *_ = blocks("toml")
     assert tomllib.loads(text)["base"] == "paper"
     (tmp_path / "mine.toml").write_text(text)
     (tmp_path / "filter.csv").write_text("nm,T\n1530,0\n1550,0.5\n1570,0\n")
@@ -41,14 +41,15 @@ def test_the_system_file_loads(tmp_path: Path) -> None:
 
 
 def test_a_system_of_own_parts_loads(tmp_path: Path) -> None:
-    *_, text = blocks("toml")
+    text = "".join(blocks("toml")[2:])
     (tmp_path / "mine.toml").write_text(f'base = "workable"\n{text}')
     np.save(tmp_path / "masks.npy", np.zeros((512, 64, 64), np.uint8))
     assert load_system(tmp_path / "mine.toml").patterns.count == 512
+    assert load_system(tmp_path / "mine.toml").weather is not None
 
 
 def test_the_study_runs(tmp_path: Path) -> None:
-    text, _, _ = blocks("toml")
+    text, *_ = blocks("toml")
     (tmp_path / "study.toml").write_text(text)
     study = load_study(tmp_path / "study.toml")
     chunk = evaluate_chunk(study, 0, 2)

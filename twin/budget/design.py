@@ -26,6 +26,7 @@ from twin.optics.radiometry import (
 )
 from twin.optics.spectra import responsivity_a_per_w
 from twin.system import Sky, System
+from twin.system.detector import check_has_closed_form
 from twin.toml import Sourced
 
 Array = NDArray[np.float64]
@@ -111,6 +112,7 @@ class _Design:
 
     @classmethod
     def of(cls, system: System) -> "_Design":
+        check_has_closed_form(system.detector)
         lens = collection(system)
         dark = Sky(illuminance_lx=Sourced(value=0.0, source="no sky section"))
         sky = passband(system, system.sky or dark)

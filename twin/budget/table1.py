@@ -16,6 +16,7 @@ from twin.files import InputError
 from twin.optics.radiometry import cell_centres
 from twin.optics.spectra import in_band_fraction, responsivity_a_per_w, sun_in_band
 from twin.system import Detector, Part, System
+from twin.system.detector import check_has_closed_form
 
 #: Reflectance; then distance in m and integration time in s, as printed, per sensor.
 REFLECTANCES = (0.2, 0.5, 0.8)
@@ -104,6 +105,7 @@ def detector_of(part: Part) -> Detector:
     """The detector of a part. Raises InputError where it is none."""
     if part.detector is None:
         raise InputError(f"part {part.name}: is a {part.kind}, expected a detector")
+    check_has_closed_form(part.detector)
     return part.detector
 
 

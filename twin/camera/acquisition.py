@@ -23,7 +23,7 @@ from twin.camera.verdict import (
     saturated_detectors,
     warnings_of_record,
 )
-from twin.detector import Detector, NoiseBudget
+from twin.detector import Detector, FrontEnd, NoiseBudget
 from twin.fidelity import Fidelity, Noise
 from twin.optics.emission import emission_matrix, independent_patterns
 from twin.optics.radiometry import Collection
@@ -224,7 +224,7 @@ def measure(
         sun_irradiance_w_per_m2=float(sky.sun_w_per_m2[0]),
         in_band_fraction=float(sky.emitter[0]),
         illuminance_lx=sky.illuminance_lx,
-        assumptions=(*_assumptions(scene, system), *_own(detector)),
+        assumptions=(*_assumptions(scene, system), *_own(chain.front_end)),
         warnings=(
             *record_warnings,
             *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
@@ -237,8 +237,8 @@ def measure(
     )
 
 
-def _own(detector: Detector | None) -> tuple[str, ...]:
-    if detector is None:
+def _own(detector: Detector) -> tuple[str, ...]:
+    if type(detector) is FrontEnd:
         return ()
     return (f"detector: {type(detector).__name__} in place of the system's detector and readout",)
 

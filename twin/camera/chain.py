@@ -20,6 +20,7 @@ from twin.optics.passband import Passband, passband
 from twin.optics.radiometry import Collection, collection
 from twin.optics.spectra import responsivity_a_per_w
 from twin.optics.time_of_flight import Paths
+from twin.own_parts import made_by
 from twin.scene import Pose, Sun
 from twin.system import Sky, System
 from twin.toml import Sourced
@@ -54,8 +55,11 @@ class Chain:
     @classmethod
     def of(cls, system: System, sun: Sun, detector: Detector | None = None) -> "Chain":
         """Chain of a system, under its own sky or else the scene's sun; ``detector``: in place of
-        the system's detector and readout. Raises InputError for an incomplete one.
+        the system's detector and readout, `detector.function` among them. Raises InputError for an
+        incomplete one.
         """
+        if detector is None and (given := system.detector.function) is not None:
+            detector = made_by("detector.function", given.value, system, Detector)
         own = Sky(illuminance_lx=Sourced(value=sun.illuminance_lx, source="scene.toml"))
         responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
         return cls(

@@ -6,13 +6,14 @@ homogeneous, and its particles scatter independently of each other.
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from twin.files import InputError
+from twin.own_parts import made_by
 from twin.system import System, Weather
 
 Array = NDArray[np.float64]
@@ -87,11 +88,60 @@ class Air:
         return np.exp(-self.extinction_per_m * np.asarray(length_m, dtype=np.float64))
 
 
+@runtime_checkable
+class OwnWeather(Protocol):
+    """A user's own weather: what the air does to light, and to the radar's wave.
+
+    >>> class Dust:
+    ...     "Desert dust of so many grams a cubic metre."
+    ...
+    ...     def __init__(self, weather):
+    ...         self.g_per_m3 = 0.1
+    ...
+    ...     def air(self, wavelength_m):
+    ...         extinction = 0.3 * self.g_per_m3
+    ...         return Air(extinction, 0.9 * extinction, asymmetry=0.7)
+    ...
+    ...     def db_per_m(self, carrier_hz):
+    ...         return 1e-5 * self.g_per_m3 * (carrier_hz / 79e9)
+    >>> from twin.system import load_system
+    >>> dusty = load_system("workable").with_({"weather": {"function": Dust}})
+    >>> f"{air_of_system(dusty).transmission(10.0):.2f}"
+    '0.74'
+    """
+
+    def air(self, wavelength_m: float) -> Air:
+        """Extinction, scattering and phase function of light."""
+
+    def db_per_m(self, carrier_hz: float) -> float:
+        """Attenuation of the radar's power per metre of way, one way, dB/m."""
+
+
+def own_weather(weather: Weather) -> OwnWeather | None:
+    """What a weather's ``function`` makes of it; None without one. Raises InputError."""
+    if weather.function is None:
+        return None
+    own: OwnWeather = made_by("weather.function", weather.function.value, weather, OwnWeather)
+    return own
+
+
+def _own_air(own: OwnWeather, wavelength_m: float) -> Air:
+    found = own.air(wavelength_m)
+    if isinstance(found, Air):
+        return found
+    raise InputError(
+        f"weather.function: {type(own).__name__}.air gave a {type(found).__name__}, expected a "
+        "twin.Air"
+    )
+
+
 def air_of(weather: Weather, wavelength_m: float) -> Air:
-    """Air of a weather at a wavelength.
+    """Air of a weather at a wavelength; with a ``function``, what that says.
 
     Raises InputError where lidar ratio, albedo and asymmetry contradict each other.
     """
+    if (own := own_weather(weather)) is not None:
+        return _own_air(own, wavelength_m)
     extinction = extinction_per_m(weather, wavelength_m)
     albedo, asymmetry = weather.single_scattering_albedo.value, weather.asymmetry.value
     ratio = weather.lidar_ratio_sr

@@ -10,6 +10,7 @@ from hardware.reconstruction import Reconstruction, reconstruct
 from twin.camera.acquisition import Capture
 from twin.camera.evaluation import Score, score_of
 from twin.camera.verdict import lit_cells
+from twin.errors import InputError
 from twin.radar.evaluation import RadarEvaluation
 from twin.sweep.inputs import Inputs
 from twin.sweep.setup import Setup
@@ -56,6 +57,11 @@ def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
     time = system.acquisition.integration_time_s.value
     noise = taken.noise.noise_e
     shot = ("shot noise of the signal", "shot noise of the sun", "shot noise of the dark current")
+    if system.detector.function is not None:
+        raise InputError(
+            "metrics: minimum_time_s and maximum_distance_m know how the noise of the bundled "
+            "photodiode grows with time, and not that of a detector.function"
+        )
     factor = taken.noise.pixel_noise_e(system.patterns) / taken.noise.total_noise_e
     has_tia = system.readout.transimpedance_ohm is not None
     growing = [noise["fluctuation of the emitter"]]

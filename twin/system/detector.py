@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from scipy import constants
 
 from twin.errors import InputError
+from twin.own_parts import OwnCode
 from twin.toml import Count, Finite, NonNegative, Positive, Sourced, Strict
 
 
@@ -23,6 +24,11 @@ class Detector(Strict):
     which F = k M + (1 - k) (2 - 1 / M) (McIntyre, IEEE Trans. Electron Devices 13, 1966, p. 164).
     Responsivity and dark current are then those at the terminals, gain included; all of the dark
     current is taken to be multiplied.
+
+    ``function``: a user's own detector with its readout, a class or function that makes a
+    `twin.Detector` of the `System`: ``file.py:name``, the name of an entry point of the group
+    ``twin.detector``, or in Python itself. Shape and width are still those of the area; what it
+    makes of responsivity and dark current is its own.
     """
 
     alternatives: ClassVar = (("excess_noise_factor",), ("ionisation_ratio",))
@@ -38,6 +44,7 @@ class Detector(Strict):
     excess_noise_factor: Sourced[Annotated[Finite, Field(ge=1, le=1e8)]] | None = None
     ionisation_ratio: Sourced[Annotated[NonNegative, Field(le=1)]] | None = None
     line_rate_hz: Sourced[Positive] | None = None
+    function: Sourced[OwnCode] | None = None
 
     @model_validator(mode="after")
     def _has_its_sides(self) -> "Detector":
@@ -98,6 +105,14 @@ class Detector(Strict):
         height = self.height_m.value if self.height_m else self.width_m.value
         area = self.width_m.value * height
         return area * math.pi / 4 if self.shape.value == "disc" else area
+
+
+def check_has_closed_form(detector: Detector) -> None:
+    """Raise InputError for a user's own detector, of which closed formulas know nothing."""
+    if detector.function is not None:
+        raise InputError(
+            "detector.function: closed formulas know the bundled photodiode, expected none"
+        )
 
 
 def quantum_limit_a_per_w(wavelength_m: float) -> float:

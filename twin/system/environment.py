@@ -1,10 +1,11 @@
 """Sun and air."""
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from twin.own_parts import OwnCode
 from twin.toml import Finite, NonNegative, Positive, Sourced, Strict
 
 #: Above the atmosphere the sun gives some 1.3e5 lx.
@@ -46,6 +47,10 @@ class Weather(Strict):
     ``single_scattering_albedo``, ``asymmetry`` (mean cosine) and ``lidar_ratio_sr`` (extinction
     over backscatter) belong to the particles together; without a lidar ratio the phase function
     is that of Henyey and Greenstein. Temperature, pressure and water vapour are the radar's.
+
+    ``function``: a user's own air in place of all these laws, a class or function that makes a
+    `twin.OwnWeather` of this section, whose numbers it may read: ``file.py:name``, the name of an
+    entry point of the group ``twin.weather``, or in Python itself.
     """
 
     visibility_m: Sourced[Annotated[Positive, Field(ge=1)]] | None = None
@@ -60,6 +65,15 @@ class Weather(Strict):
     temperature_k: Sourced[Annotated[Positive, Field(ge=150, le=350)]] | None = None
     pressure_pa: Sourced[Annotated[Positive, Field(ge=1e3, le=2e5)]] | None = None
     water_vapour_kg_per_m3: Sourced[Annotated[NonNegative, Field(le=0.1)]] | None = None
+    function: Sourced[OwnCode] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _leaves_particles_to_its_function(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or data.get("function") is None:
+            return data
+        unused = {"value": 0.0, "source": "not used: function says how air scatters"}
+        return {"single_scattering_albedo": unused, "asymmetry": unused, **data}
 
     @model_validator(mode="after")
     def _says_what_is_needed(self) -> "Weather":

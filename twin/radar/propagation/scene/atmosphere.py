@@ -1,12 +1,14 @@
 """Attenuation of the radar's wave by rain (ITU-R P.838) and gases (ITU-R P.676)."""
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import InputError
+from twin.optics.weather import own_weather
 from twin.system import Weather
 
 Polarization = Literal["horizontal", "vertical"]
@@ -35,6 +37,8 @@ class Air:
         """
         if self.weather is None:
             return 0.0
+        if (own := own_weather(self.weather)) is not None:
+            return _checked(own.db_per_m(carrier_hz))
         if not 1e9 <= carrier_hz <= 350e9:
             raise InputError(
                 f"carrier_hz: {carrier_hz:g} is not between 1e9 and 350e9, where the attenuation "
@@ -51,12 +55,23 @@ class Air:
         """What the air does, in words."""
         if self.weather is None:
             return "air is clear and does not attenuate"
+        if (own := own_weather(self.weather)) is not None:
+            decibel = 1e3 * _checked(own.db_per_m(carrier_hz))
+            return f"{type(own).__name__} attenuates by {decibel:.3g} dB/km one way"
         rate = self.weather.rain_mm_per_h
         rain = f"rain of {rate.value:g} mm/h (ITU-R P.838) and " if rate and rate.value else ""
         return (
             f"{rain}gases (ITU-R P.676) attenuate by {1e3 * self.db_per_m(carrier_hz):.3g} dB/km "
             "one way; fog, snow and the rain's own echo are left out"
         )
+
+
+def _checked(db_per_m: object) -> float:
+    if isinstance(db_per_m, Real) and 0 <= (value := float(db_per_m)) < np.inf:
+        return value
+    raise InputError(
+        f"weather.function: db_per_m gave {db_per_m!r:.60}, expected a number from 0 on"
+    )
 
 
 def rain_db_per_km(weather: Weather, carrier_hz: float, polarization: Polarization) -> float:

@@ -1,0 +1,151 @@
+"""A user's own detector and weather, named in a system's file: through runs and studies."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hardware import Flag, read_record
+from twin import (
+    Fidelity,
+    InputError,
+    capture,
+    load_radar,
+    load_scene,
+    load_system,
+    radar_capture,
+    run,
+)
+from twin.budget.design import wall_rows
+from twin.sweep import load_study, open_sweep, run_sweep
+
+QUICK = Fidelity(samples=4, max_depth=1, noise="gaussian", radar="targets")
+CODE = '''
+from dataclasses import dataclass, replace
+import numpy as np
+from twin import Air, FrontEnd
+
+SHARE = 1.0
+
+def brighter(system):
+    """The bundled photodiode, of so many times the response."""
+    known = FrontEnd.of(system)
+    return replace(known, electrons_per_watt=SHARE * known.electrons_per_watt)
+
+def blinded(system):
+    """One whose counts are all at the rail."""
+    class Blinded(FrontEnd):
+        def expose(self, power_w, *, rng, noise="full"):
+            top = 2**self.adc_bits - 1
+            return np.full(power_w.shape, top, np.int32), np.ones(len(power_w), np.uint8)
+    return Blinded(**vars(FrontEnd.of(system)))
+
+class Dust:
+    """Extinction by grams per cubic metre, told in the section's smoke."""
+    def __init__(self, weather):
+        self.g_per_m3 = 1e3 * weather.smoke_kg_per_m3.value
+    def air(self, wavelength_m):
+        extinction = 0.05 * self.g_per_m3
+        return Air(extinction, 0.0, 0.0)
+    def db_per_m(self, carrier_hz):
+        return 0.02 * self.g_per_m3
+
+def nothing(section):
+    return section
+'''
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "mine.py").write_text(CODE)
+    return tmp_path
+
+
+def system_of(folder: Path, text: str):
+    (folder / "system.toml").write_text(f'base = "workable"\n{text}')
+    return load_system(folder / "system.toml")
+
+
+def test_a_detector_in_a_systems_file_is_taken(folder: Path) -> None:
+    """The bundled one made by a user's function gives the bundled one's bits."""
+    scene = load_scene("table1")
+    system = system_of(folder, '[detector]\nfunction = "mine.py:brighter"\n')
+    flat = load_system("workable").with_({"detector.responsivity_csv": None})
+    taken = [capture(scene, one, seed=1, fidelity=QUICK) for one in (flat, system)]
+    assert taken[0].record.electrons_per_count == taken[1].record.electrons_per_count
+    (folder / "mine.py").write_text(CODE.replace("SHARE = 1.0", "SHARE = 2.0"))
+    double = capture(scene, system, seed=1, fidelity=QUICK)
+    assert double.noise.signal_e == pytest.approx(2 * taken[1].noise.signal_e)
+
+
+def test_saturation_of_an_own_detector_makes_a_run_void(folder: Path) -> None:
+    """Its flags and counts reach record, verdict and report."""
+    system_of(folder, '[detector]\nfunction = "mine.py:blinded"\n')
+    result = run(
+        "table1",
+        folder / "system.toml",
+        compare=None,
+        radar=None,
+        fidelity=QUICK,
+        out=folder / "out",
+    )
+    assert (read_record(result.out / "record.h5").flags == Flag.SATURATED).all()
+    assert result.evaluations[0].verdict.void
+    page = (result.out / "report.html").read_text()
+    assert "Blinded in place of the system" in page
+    assert "saturat" in page
+
+
+def test_studies_take_detectors_and_know_their_versions(folder: Path) -> None:
+    (folder / "other.py").write_text(CODE.replace("SHARE = 1.0", "SHARE = 2.0"))
+    (folder / "study.toml").write_text(
+        'scene = "table1"\nmetrics = ["signal_e"]\n[set]\n"fidelity.preset" = "draft"\n[grid]\n'
+        '"system.detector.function" = ["mine.py:brighter", "other.py:brighter"]\n'
+    )
+    done = run_sweep(load_study(folder / "study.toml"), out=folder / "out", workers=0)
+    assert done.n_failed == 0, done.reasons
+    one, two = open_sweep(done.out).signal_e.values
+    assert two == pytest.approx(2 * one)
+    (folder / "other.py").write_text(CODE)
+    with pytest.raises(InputError, match=r"other content of.* function other\.py:brighter"):
+        run_sweep(load_study(folder / "study.toml"), out=folder / "out", workers=0)
+
+
+def test_weather_of_a_function_acts_on_light_and_waves(folder: Path) -> None:
+    """Transmission of both to closed form: light by Beer and Lambert over twice the distance, the
+    radar by dB/m over the way there and back.
+    """
+    text = '[weather]\nfunction = "mine.py:Dust"\nsmoke_kg_per_m3 = 2e-3\n'
+    dusty = system_of(folder, text)
+    scene = load_scene("table1")
+    clear, seen = (
+        capture(scene, one, seed=1, fidelity=QUICK) for one in (load_system("workable"), dusty)
+    )
+    wall = np.isfinite(clear.truth.depth_m) & (clear.cells_e > 0)
+    lost = np.log(clear.cells_e[wall] / seen.cells_e[wall])
+    assert np.median(lost) == pytest.approx(2 * 0.1 * np.median(clear.truth.depth_m[wall]), rel=0.1)
+    radar, yard = load_radar("hybrid-79"), load_scene("yard")
+    air = radar_capture(yard, radar, seed=1, fidelity=QUICK, weather=dusty.weather).air
+    assert air.db_per_m(79e9) == 0.04
+    assert "Dust attenuates by 40 dB/km" in air.describe(79e9)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[detector]\nfunction = 'mine.py:nothing'\n", "detector.function: nothing gave a System,"),
+        ("[detector]\nfunction = 'mine.py:absent'\n", "detector.function: .*no function 'absent'"),
+        ("[detector]\nfunction = 'none.py:f'\n", "detector.function: .*does not exist"),
+        ("[detector]\nfunction = 'spad'\n", "detector.function: 'spad': is unknown"),
+        ("[weather]\nfunction = 'mine.py:nothing'\n", "weather.function: nothing gave a Weather"),
+    ],
+)
+def test_what_is_no_part_is_told(folder: Path, text: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        capture(load_scene("table1"), system_of(folder, text), fidelity=QUICK)
+
+
+def test_closed_formulas_refuse_what_they_do_not_know(folder: Path) -> None:
+    system = system_of(folder, '[detector]\nfunction = "mine.py:brighter"\n')
+    with pytest.raises(InputError, match="closed formulas know the bundled photodiode"):
+        wall_rows(system, [10.0], [0.5])
