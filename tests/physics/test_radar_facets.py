@@ -311,16 +311,19 @@ def test_a_plate_beside_the_radar_that_seems_louder_at_first(tolerance: float) -
     assert relative(found, summed([corners])) < 3 * tolerance
 
 
-@pytest.mark.parametrize("tolerance", TOLERANCES)
+@pytest.mark.parametrize("tolerance", [0.1, 0.03])
 def test_a_chip_before_a_needle(tolerance: float) -> None:
-    """2 mm before 40 mm, which answers 20 dB louder for its shadow."""
+    """2 mm before 40 mm, which answers 20 dB louder for its shadow.
+
+    30 points along an edge at least: 100 change the sum by 1e-7.
+    """
     tip = [[0.3, -0.013, 0.0228], [0.3404, -0.0295, 0.047], [0.3038, -0.0154, 0.0255]]
     edge = [[0.3, -0.014, 0.0243], [0.3013, -0.0127, 0.0268], [0.2995, -0.0151, 0.0235]]
     items = [
         thing(name, np.array(corners), [[0, 1, 2]], radar="optics")
         for name, corners in (("needle", tip), ("chip", edge))
     ]
-    truth = mirrored_currents.echoes(items, RADAR, BAND_HZ, 1, WAVELENGTH_M / 30, least=100)
+    truth = mirrored_currents.echoes(items, RADAR, BAND_HZ, 1, WAVELENGTH_M / 30, least=30)
     found = over_the_band(world(*items), tolerance)
     assert relative(found, truth.sum(axis=0)) < tolerance
 

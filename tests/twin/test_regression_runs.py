@@ -98,7 +98,7 @@ def test_what_a_detector_loses_or_shifts_fails_the_test(twin_truth, tmp_path: Pa
 
     def radar(detector, reason: str | None = None) -> None:
         fixture = Regression(twin_truth, tmp_path, tmp_path, "test", "test", reason, [])
-        fixture.radar("yard", RADAR, detector=detector, seeds=4)
+        fixture.radar("yard", RADAR, detector=detector, seeds=4, fidelity=PRESETS["draft"])
 
     def without_the_nearest(found):
         return sorted(found, key=lambda d: d.range_m)[3:]

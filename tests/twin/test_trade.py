@@ -90,6 +90,16 @@ def once(work: Callable[[int], T]) -> tuple[Cost, list[T]]:
     return Cost(seconds, seconds, seconds, 1, 0.0), [found]
 
 
+def without_car_and_person() -> Scene:
+    """The yard with the bodies of fewest triangles."""
+    yard, gone = load_scene("yard"), ("car", "person")
+    return replace(
+        yard,
+        objects=tuple(item for item in yard.objects if not item.name.startswith(gone)),
+        targets=tuple(target for target in yard.targets if target.name not in gone),
+    )
+
+
 @pytest.fixture(scope="module")
 def walked(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
     out = tmp_path_factory.mktemp("trade") / "yard"
@@ -98,8 +108,11 @@ def walked(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
         no_longer_than_needed(patch)
         patch.setattr("twin.trade.radar._FINEST", Fidelity(radar_tolerance=0.02))
         patch.setattr("twin.trade.radar._RUNGS", radar_rungs._RUNGS[:-1])  # the finest is slow
+        patch.setattr("twin.trade.radar._MOST_TERMS", 4e7)
         patch.setattr("twin.trade.bodies._MOST_POINTS", 3_000_000)
-        found, folder = run_trade("yard", small[0], radar=small[1], out=out, seed=3)
+        found, folder = run_trade(
+            without_car_and_person(), small[0], radar=small[1], out=out, seed=3
+        )
     assert folder == out
     return found, out
 
@@ -170,7 +183,7 @@ def test_no_cheaper_rung_would_do_and_none_on_the_front_is_beaten(pairs, toleran
 def test_more_paths_less_error(walked: tuple[Trade, Path]) -> None:
     """64 times the paths: direct light's error falls as n^-0.75, 23 times, all light's as n^-0.5,
     8 times, at least; by 4 anything else is wrong. (Over 20 seeds the least was 7.9, by one step
-    of four 1.6.) Without further bounces a fifteenth of the sun's light is missing.
+    of four 1.6.) Without further bounces a seventeenth of the sun's light is missing.
     """
     rungs = [m for m in walked[0].of("light") if m.fidelity]
     light = {(m.fidelity.samples, m.fidelity.max_depth): m for m in rungs}
@@ -179,7 +192,7 @@ def test_more_paths_less_error(walked: tuple[Trade, Path]) -> None:
         assert errors == sorted(errors, reverse=True)
         assert errors[0] > 4 * errors[-1]
     lost = [light[256, depth].detail["sun_off"] for depth in (1, 2, 4)]
-    assert lost == pytest.approx([-0.068, -0.007, 0.0], abs=5e-3)
+    assert lost == pytest.approx([-0.057, -0.006, 0.0], abs=5e-3)
     reference = light[1024, 8]
     assert reference.error == min(m.error for m in light.values())
 
