@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hardware.files import read_regular
-from hardware.own_functions import digest_of_given
+from hardware.own_functions import digest_of_given, is_file_function
 
 #: Words about values, not values: a better citation computes nothing new.
 _WORDS = {"description", "source", "assumed", "origin", "assumptions", "warnings", "path"}
@@ -76,6 +76,8 @@ def _pieces(value: Any) -> Iterator[bytes]:
     elif hasattr(type(value), "model_fields"):
         names = type(value).model_fields
         yield from _named(type(value).__name__, {name: getattr(value, name) for name in names})
+    elif callable(value):
+        yield digest_of_given(value).encode()
     elif isinstance(value, Sequence) and not isinstance(value, str):
         yield f"sequence{len(value)}".encode()
         for item in value:
@@ -96,6 +98,8 @@ def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
             yield file_digest(Path(value.value)).encode()
         elif name == "patterns" and hasattr(value, "value"):
             yield value.value.digest.encode()
+        elif name == "radar" and isinstance(value, str) and is_file_function(value):
+            yield digest_of_given(value).encode()
         elif name == "function" and hasattr(value, "value"):
             yield digest_of_given(value.value).encode()
         else:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeVar, get_args
 
+from hardware.own_functions import OwnFunction, OwnFunctionError, own_function
 from twin.errors import InputError
 from twin.optics.paths import TracingQuality
 
@@ -77,6 +78,42 @@ def _one_of(kind: Any, stricter: Callable[[Any, Any], Any] | None = None) -> dic
     return {"rule": Rule(check, stricter or later)}
 
 
+#: Arguments of a user's own propagation model, see `twin.PropagationModel`.
+_SOLVED = ("scene", "radar", "fidelity", "seed")
+_OWN_SOLVERS = "twin.propagation"
+
+
+def own_solver(radar: "RadarRung | str | Callable[..., Any]") -> OwnFunction | None:
+    """A user's own propagation model where ``fidelity.radar`` names or holds one; None: a bundled
+    one. Raises OwnFunctionError, an InputError, for one that is not there or takes other arguments.
+    """
+    if isinstance(radar, str) and radar in get_args(RadarRung):
+        return None
+    return own_function(radar, _SOLVED, group=_OWN_SOLVERS)
+
+
+def _solver() -> dict[str, Rule]:
+    """One of the bundled models, the stricter the later; or a user's own, which is before all."""
+    known = get_args(RadarRung)
+
+    def check(value: Any) -> str:
+        if not callable(value) and not isinstance(value, str):
+            return f"is none of {', '.join(known)}"
+        try:
+            own_solver(value)
+        except OwnFunctionError as error:
+            return f"is none of {', '.join(known)}, and no function of a user's own: {error}"
+        return ""
+
+    def stricter(one: Any, other: Any) -> Any:
+        own = [value for value in (one, other) if value not in known]
+        if len(own) == 2 and one != other:
+            raise InputError(f"radar: {one!r:.60} and {other!r:.60}: neither is the stricter")
+        return own[0] if own else max(one, other, key=known.index)
+
+    return {"rule": Rule(check, stricter)}
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
@@ -127,6 +164,13 @@ class Knobs:
             gone = "".join(f"; {old} {REPLACED[old]}" for old in sorted(unknown & REPLACED.keys()))
             raise InputError(f"fidelity: no knob {', '.join(sorted(unknown))}{gone}")
         return replace(self, **new)
+
+    def said(self) -> dict[str, Any]:
+        """Knobs as names and numbers; a user's own model by name and digest."""
+        knobs = {knob.name: getattr(self, knob.name) for knob in fields(self)}
+        if "radar" in knobs and (own := own_solver(knobs["radar"])):
+            knobs["radar"] = own.label
+        return knobs
 
     def part(self, kind: type[K]) -> K:
         """The knobs of light alone, or those of the radar alone: what results depend on.
@@ -189,6 +233,8 @@ class RadarFidelity(Knobs):
         no shadows. ``paths``: traced through the scene, where small far meshes answer from tables.
         ``optics``: meshes scatter by physical optics instead of a declared cross-section, over the
         ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less.
+        Or a model of a user's own (`twin.PropagationModel`): a function, ``file.py:function``, or
+        the name of an entry point of the group ``twin.propagation``.
     nufft_tolerance
         Relative error of the radar's channel against the direct sum.
     radar_tolerance
@@ -234,7 +280,7 @@ class RadarFidelity(Knobs):
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
     """
 
-    radar: RadarRung = field(default="optics", metadata=_one_of(RadarRung))
+    radar: RadarRung | str | Callable[..., Any] = field(default="optics", metadata=_solver())
     nufft_tolerance: float = field(default=1e-6, metadata=_tolerance(1e-14, _BELOW_1))
     radar_tolerance: float = field(default=0.1, metadata=_tolerance(1e-3, 1.0))
     radar_bounces: int = field(default=3, metadata=_whole(1))

@@ -63,7 +63,7 @@ def settings_of(
         "seed": seed,
         "pose": _pose(pose) if pose else None,
         "track": asdict(track) if track else None,
-        "fidelity": asdict(fidelity),
+        "fidelity": fidelity.said(),
         "method": method,
         "detection": detection,
     }

@@ -37,7 +37,10 @@ def run(
     sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
     fidelity: Annotated[str, typer.Option(help="draft, standard or reference.")] = "standard",
     radar_model: Annotated[
-        str | None, typer.Option(help="targets, paths, optics or rough, in place of fidelity's.")
+        str | None,
+        typer.Option(
+            help="targets, paths, optics, rough or file.py:function, in place of fidelity's."
+        ),
     ] = None,
     method: Annotated[
         str | None,

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
-from twin.fidelity import RadarRung
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
 from twin.radar.device.oscillator import residual_rad
@@ -41,7 +40,7 @@ _MESHES = (
     "what is smaller than some wavelengths or met at grazing are off"
 )
 #: What the radar's rungs take for granted.
-_OF_RUNG: dict[RadarRung, tuple[str, ...]] = {
+_OF_RUNG: dict[object, tuple[str, ...]] = {
     "targets": (_POINTS,),
     "paths": (
         _POINTS,
@@ -57,7 +56,7 @@ _OF_RUNG: dict[RadarRung, tuple[str, ...]] = {
 
 
 def assumptions(
-    scene: Scene, radar: RadarDesign, found: Propagation, air: Air, rung: RadarRung
+    scene: Scene, radar: RadarDesign, found: Propagation, air: Air, rung: object
 ) -> tuple[str, ...]:
     """Everything that a capture takes for granted, the design's assumed values included."""
     values = [
@@ -71,7 +70,7 @@ def assumptions(
         if t.origin.startswith("assumed: ")
     ]
     return (
-        *_OF_RUNG[rung],
+        *_OF_RUNG.get(rung, ()),
         *_ALWAYS,
         _antennas(radar),
         *_steps(radar),
@@ -89,7 +88,7 @@ def warnings(
     bursts: Sequence[Propagation],
     truth: tuple[TrueTarget, ...],
     flags: NDArray[np.uint8],
-    rung: RadarRung,
+    rung: object,
 ) -> tuple[CaptureWarning, ...]:
     """What contradicts itself; the scene is that of the first burst."""
     farthest = max((t.range_m for t in truth), default=0.0)

@@ -312,7 +312,7 @@ def _setup(
         "kind": kind,
         "scene": f"{scene.name} {digest(scene)[:12]}",
         "design": f"{design.name} {digest(design)[:12]}",
-        "fidelity": asdict(fidelity),
+        "fidelity": fidelity.said(),
         "seeds": seeds,
         "metrics": [metric.name for metric in metrics],
     }

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import hardware
 import twin
-from hardware.own_functions import digest_of_given
+from hardware.own_functions import digest_of_given, is_file_function
 from twin.digest import digest, file_digest, source_digest
 from twin.files import InputError
 from twin.radar.device.design import load_radar
@@ -150,7 +150,8 @@ def _named(study: Study) -> Iterator[tuple[str, str]]:
         for kind, end in _OF_END:
             if parameter.endswith(end):
                 for name in dict.fromkeys(study.values_of(parameter)):
-                    yield kind, str(name)
+                    if end != "fidelity.radar" or is_file_function(str(name)):
+                        yield kind, str(name)
     if rendered:
         for name in dict.fromkeys(study.values_of("processing.method")):
             yield "method", str(name)
@@ -167,6 +168,7 @@ _OF_END = (
     ("file", "_file"),
     ("file", ".patterns"),
     ("function", ".function"),
+    ("function", "fidelity.radar"),
 )
 
 

@@ -7,7 +7,6 @@ by their content, as files do.
 import inspect
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from hashlib import sha256
 from typing import Any
 
@@ -119,7 +118,7 @@ class _Names:
 def _name(value: Any) -> str:
     """Of a function ``MODULE:NAME``, as a file would say it."""
     if isinstance(value, Fidelity):
-        return "-".join(knob_words(asdict(value))) or "standard"
+        return "-".join(knob_words(value.said())) or "standard"
     if not callable(value):
         return str(value.name)
     name = getattr(value, "__qualname__", type(value).__name__)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from hardware.own_functions import is_file_function
 from hardware.radar.own_detection import Detect, OwnDetection
 from hardware.reconstruction import Method
 from hardware.reconstruction.registry import Solve
@@ -103,7 +104,10 @@ def _seed(value: Value) -> int:
 def _fidelity(values: Values, inputs: Inputs) -> Fidelity:
     name = str(values.get("preset", "standard"))
     base = preset(inputs.objects.get(f"fidelity {name}", name))
-    return base.with_({name: v for name, v in values.items() if name != "preset"})
+    knobs = {name: v for name, v in values.items() if name != "preset"}
+    if is_file_function(str(knobs.get("radar", ""))):
+        knobs["radar"] = placed("function", str(knobs["radar"]), inputs.folder)
+    return base.with_(knobs)
 
 
 _entries, _scenes = Held(256), Held(64)  # most points share theirs

@@ -134,7 +134,7 @@ def _name(rung: Fidelity) -> str:
 
 def _finder(rung: Fidelity) -> str:
     if rung.radar != "optics":
-        return rung.radar
+        return str(rung.radar)
     return f"{rung.radar}, tolerance {rung.radar_tolerance:g}"
 
 

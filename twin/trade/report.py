@@ -192,7 +192,7 @@ def _look(m: Measurement) -> tuple[str, str, str]:
             "paths": ("traced paths", GREY, "o"),
             "optics": ("physical optics", BLUE, "^"),
         }
-        return known[m.fidelity.radar]
+        return known[str(m.fidelity.radar)]
     if m.name.startswith("reference"):
         return "one render of the reference", "black", "D"
     depth = m.fidelity.max_depth
@@ -320,7 +320,7 @@ def _content(found: Trade) -> dict[str, Any]:
         "fft_2_20_s": found.fft_s,
         "pixel_noise_e": found.pixel_noise_e,
         "agreement": {**asdict(agreement), "holds": agreement.holds} if agreement else None,
-        "fidelity": asdict(found.fidelity),
+        "fidelity": found.fidelity.said(),
         "choices": {
             ladder: {"rung": c.taken.name, "within": c.within, "reason": c.reason}
             for ladder, c in found.choices.items()

@@ -17,7 +17,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from twin.fidelity import RadarRung
 from twin.radar.propagation.meshes.grouping import touching
 from twin.radar.propagation.meshes.shape import Shape, boxes_of, distances_m, shapes_of
 from twin.scene import Scene, Target
@@ -68,7 +67,7 @@ class Assignment:
 
 
 def assign_scattering_models(
-    scene: Scene, wavelength_m: float, rung: RadarRung = "paths"
+    scene: Scene, wavelength_m: float, rung: object = "paths"
 ) -> list[Assignment]:
     """Role of every object, as the rule of this module has it."""
     declared = {target.object for target in scene.targets if target.object}
