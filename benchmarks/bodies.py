@@ -14,6 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from benchmarks.timing import Figure
+from twin.geometry import Geometry
 from twin.radar.cross_section import Quality, Ways, scattered
 from twin.radar.scattering import PEC, Radar, Surface, Target
 
@@ -67,7 +68,7 @@ def body(name: str, folder: Path = _BODIES) -> Target:
         faces.append(np.asarray(mesh.faces) + first)
         kinds.append(np.full(len(mesh.faces), surfaces.index(surface), np.uint32))
         first += len(mesh.vertices)
-    return Target(np.vstack(vertices), np.vstack(faces), surfaces, np.concatenate(kinds))
+    return Target(Geometry(np.vstack(vertices), np.vstack(faces)), surfaces, np.concatenate(kinds))
 
 
 def over_aspect(

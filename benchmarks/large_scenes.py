@@ -25,12 +25,13 @@ from benchmarks.timing import Figure, timed
 from hardware.radar.process import process
 from twin.engine import mitsuba, sionna
 from twin.files import scenes_folder
+from twin.geometry import Geometry
 from twin.radar import load_radar, radar_echo
 from twin.radar.propagation.meshes.grouping import bodies_of
-from twin.radar.propagation.meshes.shape import boxes_of
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene.boxes import boxes_of
 from twin.scene.materials import load_materials
 from twin.scene.meshes import read_mesh
 
@@ -91,7 +92,7 @@ def _moved(scene: Scene, name: str | None, metres: float) -> Scene:
     boxes = boxes_of(scene.objects)
     item = scene.objects[int(np.argmin((boxes[:, 1] - boxes[:, 0]).max(axis=1)))]
     item = next((o for o in scene.objects if o.name == name), item)
-    there = replace(item, vertices_m=item.vertices_m + metres)
+    there = item.moved([metres, metres, metres])
     return replace(scene, objects=tuple(there if o is item else o for o in scene.objects))
 
 
@@ -110,7 +111,7 @@ def _scene(objects: list[SceneObject]) -> Scene:
 
 
 def _thing(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> SceneObject:
-    return SceneObject(name, vertices, faces, None, "concrete", 0.5)
+    return SceneObject(name, Geometry(vertices, faces), "concrete", 0.5)
 
 
 def _boxes(count: int) -> Scene:
@@ -136,10 +137,10 @@ def _with_car(scene: Scene) -> Scene:
     """With a car on the ground, 8 m ahead of the radar, which stands 0.9 m above it."""
     mesh = read_mesh(scenes_folder() / "bodies" / "car.ply")
     off, axes = scene.rig.device("radar")
-    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
-    middle[2] = mesh.vertices[:, 2].min() + 0.9
+    middle = (mesh.vertices_m.min(axis=0) + mesh.vertices_m.max(axis=0)) / 2
+    middle[2] = mesh.vertices_m[:, 2].min() + 0.9
     place = scene.rig.position_m + off + 8.0 * axes[0]
-    car = _thing("car", (mesh.vertices - middle) @ axes + place, mesh.faces.astype(np.int32))
+    car = _thing("car", (mesh.vertices_m - middle) @ axes + place, mesh.faces)
     return replace(scene, objects=(*scene.objects, replace(car, material="metal")))
 
 

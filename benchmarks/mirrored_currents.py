@@ -52,8 +52,8 @@ def echoes(
         edge at least. Each part has three points.
     """
     bodies = [*objects, ground] if ground is not None else [*objects]
-    corners = np.concatenate([item.vertices_m[item.faces] for item in bodies])
-    body = np.repeat(np.arange(len(bodies)), [len(item.faces) for item in bodies])
+    corners = np.concatenate([item.vertices_m[item.geometry.faces] for item in bodies])
+    body = np.repeat(np.arange(len(bodies)), [len(item.geometry.faces) for item in bodies])
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     own, of_ground = (

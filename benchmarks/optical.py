@@ -23,6 +23,7 @@ from twin.camera.evaluation import evaluate
 from twin.camera.mounting import light_problem
 from twin.camera.stream import frames
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.optics.matrix import Start, transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.radiometry import collection, wall_power_w
@@ -237,7 +238,7 @@ def _ball() -> Scene:
     """A sphere of 81 920 triangles before a wall."""
     ball = trimesh.creation.icosphere(6, 1.0)
     vertices = np.asarray(ball.vertices, dtype=np.float64) + [5, 0, 0]
-    item = SceneObject("ball", vertices, np.asarray(ball.faces), None, "white", 0.5)
+    item = SceneObject("ball", Geometry(vertices, np.asarray(ball.faces)), "white", 0.5)
     behind = wall_at(7.0)
     return replace(behind, objects=(item, *behind.objects))
 
@@ -247,5 +248,5 @@ def wall_at(distance_m: float) -> Scene:
     h = 50.0
     corners = np.array([[0, -h, -h], [0, h, -h], [0, h, h], [0, -h, h]]) + [distance_m, 0, 0]
     faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
-    wall = SceneObject("wall", corners, faces, None, "white", 0.5)
+    wall = SceneObject("wall", Geometry(corners, faces), "white", 0.5)
     return Scene("wall", Path(), "", (wall,), Rig(Pose((0.0, 0.0, 0.0))), Sun(180.0, 30.0, 1e5))

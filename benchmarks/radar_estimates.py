@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.mirrored_currents import echoes
 from benchmarks.timing import Figure
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.radar import load_radar
 from twin.radar.propagation.facets.convergence import band_of
 from twin.radar.propagation.facets.division import WEAKEST
@@ -119,10 +120,8 @@ def _around(rng: np.random.Generator, distances_m: tuple[float, ...], aside: flo
 
 
 def _thing(name: str, vertices: Array, faces: object) -> SceneObject:
-    corners = np.array(faces, dtype=np.int32)
-    return SceneObject(
-        name, np.asarray(vertices, dtype=float), corners, None, "metal", 0.5, radar="optics"
-    )
+    geometry = Geometry(vertices, np.array(faces, dtype=np.int32))
+    return SceneObject(name, geometry, "metal", 0.5, radar="optics")
 
 
 def _quad(name: str, corners: Array) -> SceneObject:
@@ -207,9 +206,8 @@ def _grounded(rng: np.random.Generator) -> Case:
         square = _square(rng.uniform(0.02, 0.08, 2)) @ _turned(rng, 80).T
         found.append(_quad(f"plate {i}", square + place))
     plane = np.array([[-5, -40, -0.5], [75, -40, -0.5], [75, 40, -0.5], [-5, 40, -0.5]])
-    ground = SceneObject(
-        "ground", plane, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32), None, "metal", 0.5
-    )
+    corners = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    ground = SceneObject("ground", Geometry(plane, corners), "metal", 0.5)
     return Case(tuple(found), ground=ground)
 
 

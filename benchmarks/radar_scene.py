@@ -81,10 +81,7 @@ def _driven(scene: Scene, forward_m: float) -> Scene:
     return replace(
         scene,
         objects=tuple(
-            replace(o, vertices_m=o.vertices_m + [forward_m, 0.0, 0.0])
-            if o.name.startswith("car")
-            else o
-            for o in scene.objects
+            o.moved([forward_m, 0.0, 0.0]) if o.name.startswith("car") else o for o in scene.objects
         ),
     )
 

@@ -8,6 +8,7 @@ from scipy.constants import speed_of_light
 
 from benchmarks.timing import Figure, timed
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.radar import load_radar
 from twin.radar.cross_section.bistatic import scattering_dyadics
 from twin.radar.cross_section.table import QUALITY, Table
@@ -33,7 +34,7 @@ def _interpolation() -> Iterator[Figure]:
     """Of a plate of 10 wavelengths, between 200 ways around its mirror's direction."""
     carrier_hz, half = 79e9, 5 * speed_of_light / 79e9
     corners = half * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1.0]])
-    plate = Target(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    plate = Target(Geometry(corners, np.array([[0, 1, 2], [0, 2, 3]])))
     rng = np.random.default_rng(0)
     ways = np.array([-1.0, 0, 0]) + 0.02 * rng.normal(size=(2, 200, 3))
     source, receiver = ways / np.linalg.norm(ways, axis=2, keepdims=True)
@@ -49,7 +50,7 @@ def _interpolation() -> Iterator[Figure]:
 
 def _of(scene: Scene, name: str) -> Target:
     item = next(o for o in scene.objects if o.name == name)
-    return Target(item.vertices_m, item.faces)
+    return Target(Geometry(item.vertices_m, item.geometry.faces))
 
 
 def _trihedral(leg_m: float) -> Target:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from benchmarks.timing import Figure, Timing, timed
+from twin.geometry import Geometry
 from twin.radar.cross_section import Quality, Ways, physical_optics, scattered
 from twin.radar.scattering import PEC, Layer, Radar, Surface, Target, edge_diffraction, sharp_edges
 from twin.radar.scattering.reference import image_integral, mie_cross_section
@@ -161,11 +162,11 @@ def _target(*polygons: list, surface: Surface = PEC) -> Target:  # type: ignore[
         n = len(vertices)
         vertices += polygon
         faces += [[n, n + i, n + i + 1] for i in range(1, len(polygon) - 1)]
-    return Target(np.array(vertices, dtype=np.float64), np.array(faces), (surface,))
+    return Target(Geometry(np.array(vertices, dtype=np.float64), np.array(faces)), (surface,))
 
 
 def _from(mesh: trimesh.Trimesh, surface: Surface = PEC) -> Target:
-    return Target(np.array(mesh.vertices), np.array(mesh.faces), (surface,))
+    return Target(Geometry(np.array(mesh.vertices), np.array(mesh.faces)), (surface,))
 
 
 def _echo(target: Target, radar: Radar) -> float:

@@ -17,6 +17,7 @@ from scipy.special import erfc
 
 from benchmarks.timing import Figure, timed
 from twin.engine import mitsuba, sionna
+from twin.geometry import Geometry, mitsuba_mesh
 from twin.radar import load_radar
 from twin.radar.propagation.diffraction.around_edges import legs_to, screens
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
@@ -71,11 +72,7 @@ class _Peer:
             scene.add(rt.Receiver(f"point-{number}", end.tolist()))
         made, meshes = rt.RadioMaterial("material", **material), []
         for number, item in enumerate(items):
-            mesh = mi.Mesh(item.name, len(item.vertices_m), len(item.faces))
-            parameters = mi.traverse(mesh)
-            parameters["vertex_positions"] = item.vertices_m.astype(np.float32).ravel()
-            parameters["faces"] = item.faces.astype(np.uint32).ravel()
-            parameters.update()
+            mesh = mitsuba_mesh(mi, item.vertices_m, item.geometry.faces, name=item.name)
             name = f"object-{number}"
             meshes.append(rt.SceneObject(mi_mesh=mesh, name=name, radio_material=made))
         scene.edit(add=meshes)
@@ -132,7 +129,7 @@ def _street() -> Iterator[Figure]:
         parameters = mi.traverse(thing.mi_mesh)
         vertices = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)
         faces = np.array(parameters["faces"], dtype=np.int32).reshape(-1, 3)
-        items.append(SceneObject(name, vertices, faces, None, "concrete", 0.5, radar="surface"))
+        items.append(SceneObject(name, Geometry(vertices, faces), "concrete", 0.5, radar="surface"))
     begin = np.array([-33.0, 4.0, 1.5])
     ends = np.array([[20.0, -3.0, 1.7], [5.0, 1.0, 1.2], [-10.0, -2.0, 1.5]])
     concrete = _MATERIALS["concrete"]
@@ -177,7 +174,7 @@ def _rectangle(name: str, height: float, material: str, **more: Any) -> SceneObj
     """6 m ahead of the origin, up to a height above it."""
     corners = [[6, -50, -50], [6, 50, -50], [6, 50, height], [6, -50, height]]
     vertices, faces = np.array(corners, dtype=float), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    return SceneObject(name, vertices, faces, None, material, 0.5, **more)
+    return SceneObject(name, Geometry(vertices, faces), material, 0.5, **more)
 
 
 def _pane() -> Iterator[Figure]:
@@ -254,7 +251,7 @@ def _thick(sheet: SceneObject) -> SceneObject:
     low, high = sheet.vertices_m.min(axis=0), sheet.vertices_m.max(axis=0)
     mesh = trimesh.creation.box(bounds=[low, high + [_DEPTH_M, 0, 0]])
     faces = mesh.faces.astype(np.int32)
-    return SceneObject("box", mesh.vertices, faces, None, "metal", 0.5, radar="obstacle")
+    return SceneObject("box", Geometry(mesh.vertices, faces), "metal", 0.5, radar="obstacle")
 
 
 def _db(value: complex) -> float:

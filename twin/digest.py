@@ -65,6 +65,8 @@ def _pieces(value: Any) -> Iterator[bytes]:
     if isinstance(value, np.ndarray):
         exact = np.round(np.asarray(value, np.float64), 9) + 0.0  # + 0: no negative zero
         yield f"array{value.shape}".encode() + exact.tobytes()
+    elif hasattr(type(value), "as_matrix"):  # SciPy's rotations and rigid transforms
+        yield from _pieces(value.as_matrix())
     elif isinstance(value, Path):
         yield b"path"
     elif isinstance(value, Mapping):

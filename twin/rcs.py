@@ -132,13 +132,14 @@ def _compute(target: "Target", request: Request, azimuths: Array) -> "Sweep":
 
 def _load(request: Request, surface: "Surface") -> "Target":
     from twin.radar.scattering import Target
-    from twin.scene.meshes import read_mesh, validate
+    from twin.scene.meshes import read_mesh
 
-    mesh = validate(read_mesh(request.mesh), str(request.mesh))
-    scaled = mesh.transformed(np.diag([request.scale] * 3 + [1.0]))
-    kept = validate(scaled, str(request.mesh))
+    place = str(request.mesh)
+    mesh = read_mesh(request.mesh).without_empty_faces(place)
+    scaled = mesh.transformed(np.diag([request.scale] * 3 + [1.0]), place)
+    kept = scaled.without_empty_faces(place)
     try:
-        return Target(kept.vertices, kept.faces, (surface,))
+        return Target(kept, (surface,))
     except InputError as error:
         raise InputError(f"{request.mesh}: {error}; is --scale right?") from error
 

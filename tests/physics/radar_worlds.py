@@ -1,5 +1,6 @@
 """Small scenes for the radar, shared by its tests."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +8,12 @@ import trimesh
 from numpy.typing import NDArray
 
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.radar import load_radar
 from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target
 from twin.scene.materials import load_materials
+from twin.scene.model import IN_PLACE
 
 MATERIALS = load_materials(Path(__file__).parents[2] / "scenes" / "materials.toml")
 AT_ORIGIN = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
@@ -31,7 +34,14 @@ def world(*objects: SceneObject, targets: tuple[Target, ...] = (), rig: Rig = AT
 
 def thing(name: str, vertices, faces, material: str = "metal", **more) -> SceneObject:
     points, corners = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int32)
-    return SceneObject(name, points, corners, None, material, 0.5, **more)
+    return SceneObject(name, Geometry(points, corners), material, 0.5, **more)
+
+
+def reshaped(item: SceneObject, vertices_m=None, faces=None) -> SceneObject:
+    """The same object with other vertices, in the world, or other faces."""
+    vertices = item.vertices_m if vertices_m is None else vertices_m
+    geometry = Geometry(vertices, item.geometry.faces if faces is None else faces)
+    return replace(item, geometry=geometry, pose=IN_PLACE)
 
 
 def ball(name: str, center, radius: float = 0.15, level: int = 6, **more) -> SceneObject:

@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 from scipy.constants import speed_of_light
 
+from twin.geometry import Geometry
 from twin.radar.scattering import PEC, Surface, Target
 
 CARRIER = 79e9
@@ -20,7 +21,7 @@ def dbsm(amplitude) -> np.ndarray:
 
 
 def as_target(mesh: trimesh.Trimesh, surface: Surface = PEC) -> Target:
-    return Target(np.array(mesh.vertices), np.array(mesh.faces), (surface,))
+    return Target(Geometry(np.array(mesh.vertices), np.array(mesh.faces)), (surface,))
 
 
 def polygons(*corners: Sequence[Sequence[float]]) -> trimesh.Trimesh:

@@ -13,6 +13,7 @@ from twin.budget.design import left_out
 from twin.budget.report import write_design
 from twin.camera import capture
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.system import load_system
 
@@ -23,7 +24,7 @@ def wall(distance_m: float, reflectance: float) -> Scene:
     """A facing square as wide as its distance; sensors at one place, the sun behind them."""
     corners = np.array([[1, -0.5, -0.5], [1, 0.5, -0.5], [1, 0.5, 0.5], [1, -0.5, 0.5]])
     faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
-    item = SceneObject("wall", corners * distance_m, faces, None, "stuff", reflectance)
+    item = SceneObject("wall", Geometry(corners * distance_m, faces), "stuff", reflectance)
     here = Pose((0.0, 0.0, 0.0))
     return Scene("wall", Path(), "", (item,), Rig(here, detector=here), Sun(180.0, 0.0, 0.0))
 

@@ -12,6 +12,7 @@ from hardware.records import read_radar_record, write_radar_record
 from hardware.records.state import positions
 from twin.fidelity import Fidelity
 from twin.files import InputError, scenes_folder
+from twin.geometry import Geometry
 from twin.radar import load_radar, radar_capture
 from twin.radar.device.design import RadarDesign
 from twin.radar.evaluation import evaluate_radar
@@ -227,7 +228,7 @@ def test_a_traced_scene_is_measured_and_reported(name: str) -> None:
     table = load_materials(scenes_folder() / "materials.toml")
     scene = replace(
         world(target((12.0, 2.0, 0)), track=Track((0.0, 0.1, 0.0), 3)),
-        objects=(SceneObject("wall", wall, faces, None, "concrete", 0.5),),
+        objects=(SceneObject("wall", Geometry(wall, faces), "concrete", 0.5),),
         materials={"concrete": table["concrete"]},
     )
     radar = load_radar(name)

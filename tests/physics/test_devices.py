@@ -21,7 +21,6 @@ from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.transport import sunlight, transport
-from twin.scene.meshes import Mesh
 from twin.scene.mitsuba import _assemble
 from twin.system import Emitter, System, load_part, load_system
 
@@ -35,7 +34,7 @@ def wall(distance_m: float, left=(-50.0, 50.0), up=(-50.0, 50.0)):
     (y0, y1), (z0, z1) = left, up
     corners = np.array([[0, y0, z0], [0, y1, z0], [0, y1, z1], [0, y0, z1]], dtype=np.float64)
     faces = np.array([[0, 2, 1], [0, 3, 2]])
-    return _assemble([(Mesh(corners + [distance_m, 0, 0], faces), 0.5)])
+    return _assemble([(corners + [distance_m, 0, 0], faces, None, 0.5)])
 
 
 def cells(emitter: Device, detector: Device = HERE, shape=(16, 16), world=None, quality=ALL):
@@ -266,11 +265,11 @@ def test_a_closed_white_box_loses_no_light() -> None:
     from twin.optics.time_of_flight import trace_paths
 
     box = trimesh.creation.box((4.0, 3.0, 2.0))
-    mesh = Mesh(np.array(box.vertices, dtype=np.float64), np.array(box.faces))
+    vertices, faces = np.array(box.vertices, dtype=np.float64), np.array(box.faces)
     wide = replace(HERE, tan_half_field=3.0)
     for reflectance in (1.0, 0.8):
         paths = trace_paths(
-            LightProblem(_assemble([(mesh, reflectance)]), wide, wide),
+            LightProblem(_assemble([(vertices, faces, None, reflectance)]), wide, wide),
             (2, 2),
             quality=TracingQuality(224**2, 12),
             seed=4,

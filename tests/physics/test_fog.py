@@ -14,6 +14,7 @@ from twin.camera import capture
 from twin.camera.air import where_air_scatters
 from twin.camera.light import render
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.optics.by_object import gather_by_object
 from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
@@ -46,7 +47,7 @@ def striped(distance_m: float, width: int) -> Scene:
     uv = np.array([[u - 8 * N / width, 0], [u, 0], [u, 1], [u - 8 * N / width, 1]])
     image = Texture(np.array([[BRIGHT, DARK]], np.float32), "nearest", "repeat")
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    item = SceneObject("wall", corners, faces, uv, "white", image)
+    item = SceneObject("wall", Geometry(corners, faces, uv), "white", image)
     rig = Rig(Pose((0.0, 0.0, 0.0)), detector=Pose((0.0, BASELINE_M, 0.0)))
     return Scene("stripes", Path(), "", (item,), rig, Sun(180.0, 0.0, 0.0))
 

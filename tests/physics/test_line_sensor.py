@@ -10,6 +10,7 @@ from hardware import reconstruct
 from twin.camera import capture
 from twin.camera.light import emitter_light, sun_light
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.optics.devices import Device
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
@@ -34,7 +35,7 @@ def at_dusk(tmp_path: Path) -> System:
 def wall(distance_m: float) -> Scene:
     corners = np.array([[0, -50, -50], [0, 50, -50], [0, 50, 50], [0, -50, 50.0]])
     faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
-    item = SceneObject("wall", corners + [distance_m, 0, 0], faces, None, "white", 0.5)
+    item = SceneObject("wall", Geometry(corners + [distance_m, 0, 0], faces), "white", 0.5)
     rig = Rig(Pose((0.0, 0.0, 0.0)), detector=Pose((0.0, 0.0, 0.0)))
     return Scene("wall", Path(), "", (item,), rig, Sun(180.0, 0.0, 1e5))
 

@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 from hardware import PatternSet
+from twin.geometry import Geometry
 from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
@@ -25,7 +26,7 @@ HERE = Device(np.zeros(3), AHEAD, TAN)
 def wall(distance_m: float):
     corners = np.array([[0, -9, -9], [0, 9, -9], [0, 9, 9], [0, -9, 9.0]]) + [distance_m, 0, 0]
     faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
-    item = SceneObject("wall", corners, faces, None, "white", 0.5)
+    item = SceneObject("wall", Geometry(corners, faces), "white", 0.5)
     rig = Rig(Pose((0.0, 0.0, 0.0)))
     return mitsuba_scene(Scene("wall", None, "", (item,), rig, Sun(0.0, 0.0, 0.0)))  # type: ignore[arg-type]
 

@@ -10,6 +10,7 @@ from scipy import constants
 from hardware.radar import channel, detect, range_doppler
 from twin.fidelity import Fidelity
 from twin.files import InputError
+from twin.geometry import Geometry
 from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import contributions
 from twin.radar.device.design import RadarDesign
@@ -31,7 +32,7 @@ def plate(name: str, distance_m: float, side_m: float, material: str = "concrete
     h = side_m / 2
     corners = np.array([[0, -h, -h], [0, h, -h], [0, h, h], [0, -h, h]]) + [distance_m, 0, 0]
     faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
-    return SceneObject(name, corners, faces, None, material, 0.5)
+    return SceneObject(name, Geometry(corners, faces), material, 0.5)
 
 
 def target(position, velocity=(0.0, 0.0, 0.0), rcs_m2: float = 10.0, name: str = "t") -> Target:
@@ -191,9 +192,9 @@ def test_delays_are_those_of_a_float64_trace_at_150_m() -> None:
     radar = load_radar("hybrid-79")
     wall = SceneObject(
         "wall",
-        np.array([[0, 7.0, -20], [160, 7.0, -20], [160, 7.0, 20], [0, 7.0, 20]], dtype=float),
-        np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
-        None,
+        Geometry(
+            [[0, 7.0, -20], [160, 7.0, -20], [160, 7.0, 20], [0, 7.0, 20]], [[0, 1, 2], [0, 2, 3]]
+        ),
         "concrete",
         0.5,
     )
@@ -236,9 +237,10 @@ def test_multipath_over_the_ground_keeps_the_rates_of_its_legs() -> None:
     radar = load_radar("hybrid-79")
     ground = SceneObject(
         "ground",
-        np.array([[-50, -50, -1.0], [50, -50, -1.0], [50, 50, -1.0], [-50, 50, -1.0]]),
-        np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
-        None,
+        Geometry(
+            [[-50, -50, -1.0], [50, -50, -1.0], [50, 50, -1.0], [-50, 50, -1.0]],
+            [[0, 1, 2], [0, 2, 3]],
+        ),
         "concrete",
         0.5,
     )
@@ -369,7 +371,7 @@ def test_a_radar_inside_a_mesh_is_warned_of() -> None:
     import trimesh
 
     box = trimesh.creation.box((2.0, 2.0, 2.0))
-    item = SceneObject("box", np.array(box.vertices), np.array(box.faces), None, "concrete", 0.5)
+    item = SceneObject("box", Geometry(box.vertices, box.faces), "concrete", 0.5)
     taken = radar_capture(world(item), load_radar("hybrid-79-slow"))
     assert any("the radar stands inside box" in w for w in taken.warnings)
 

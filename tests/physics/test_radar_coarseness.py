@@ -17,7 +17,6 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.radar import radar_capture
-from twin.radar.propagation.meshes.shape import shape_of
 from twin.radar.propagation.solvers import trace
 
 
@@ -49,7 +48,7 @@ def test_the_error_is_as_large_as_said(level: int) -> None:
         * np.pi
         * CARRIER_HZ
         / speed_of_light
-        * shape_of(ball("b", (8, 0, 0), level=level)).depth_m
+        * ball("b", (8, 0, 0), level=level).geometry.shape.depth_m
     )
     frequencies = CARRIER_HZ + np.linspace(-2e9, 2e9, 9)
     for y, z in ((0.0, 0.0), (0.3, 0.1), (-0.2, 0.3), (0.5, -0.4)):
@@ -85,7 +84,7 @@ def test_what_is_meant_flat_is_not_coarse() -> None:
     around = [[0, 1, 2], [0, 2, 3], [0, 5, 4], [0, 4, 1], [3, 2, 4], [3, 4, 5]]
     folded = thing("wedge", wedge, around)
     for item in (trihedral("t", (8.0, 0.0, 0.0)), thing("box", box, sides), folded):
-        assert shape_of(item).depth_m == 0
+        assert item.geometry.shape.depth_m == 0
     angle, radius = np.arange(64) * 2 * np.pi / 64, 0.08
     ring = np.stack([8 + radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     points = np.vstack([np.column_stack([ring, np.full(64, z)]) for z in (0.0, 0.5)])
@@ -94,4 +93,4 @@ def test_what_is_meant_flat_is_not_coarse() -> None:
     faces = np.vstack([np.column_stack([i, j, j + 64]), np.column_stack([i, j + 64, i + 64])])
     width = 2 * radius * np.sin(np.pi / 64)
     depth = width**2 / (2 * radius) * np.sqrt(1 / 80 - 1 / 144)
-    assert depth < shape_of(thing("post", points, faces)).depth_m < 1.5 * depth
+    assert depth < thing("post", points, faces).geometry.shape.depth_m < 1.5 * depth

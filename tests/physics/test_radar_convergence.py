@@ -168,9 +168,9 @@ def test_what_is_small_and_silent_is_named() -> None:
     (text,) = at(0.1, world(flake)).warnings
     assert text.startswith("flake only casts a shadow, smaller than 3 wavelengths (4.5 mm)")
     assert "58 dB over the noise" in text
-    far = thing("flake", flake.vertices_m + [200, 0, 0], flake.faces)
+    far = thing("flake", flake.vertices_m + [200, 0, 0], flake.geometry.faces)
     assert at(0.1, world(far)).warnings == ()
-    told = thing("flake", flake.vertices_m, flake.faces, radar="obstacle")
+    told = thing("flake", flake.vertices_m, flake.geometry.faces, radar="obstacle")
     assert at(0.1, world(told)).warnings == ()
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from tests.physics.radar_worlds import (
     CARRIER_HZ,
@@ -19,6 +19,7 @@ from tests.physics.radar_worlds import (
     ground,
     plate,
     quad,
+    reshaped,
     thing,
     trihedral,
     wave,
@@ -26,6 +27,7 @@ from tests.physics.radar_worlds import (
 )
 from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import PRESETS
+from twin.geometry import Geometry
 from twin.radar.cross_section import Quality, sweep
 from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.physical_optics import diffracted, scattered
@@ -88,7 +90,7 @@ def amplitude_m(rays: Rays, distance_m: float) -> complex:
 def test_edges_alone_are_those_of_rcs(shape: str, distance: float) -> None:
     """Amplitude and phase to 1e-6 of the fringe field of a radar at that distance."""
     mesh = SHAPES[shape]
-    target = Target(np.array(mesh.vertices), np.array(mesh.faces))
+    target = Target(Geometry(np.array(mesh.vertices), np.array(mesh.faces)))
     for aspect in ASPECTS:
         radar = Radar.at(*aspect, distance)
         expected = edge_diffraction(target, sharp_edges(target, 25), radar, CARRIER_HZ)[0]
@@ -100,7 +102,7 @@ def test_edges_alone_are_those_of_rcs(shape: str, distance: float) -> None:
 def test_surfaces_and_edges_together_are_those_of_rcs(shape: str) -> None:
     """Within 0.1 dB at a tolerance of 1 %, 0.09 dB; edges change it by up to 11 dB."""
     distance, mesh = 0.5, SHAPES[shape]
-    target = Target(np.array(mesh.vertices), np.array(mesh.faces))
+    target = Target(Geometry(np.array(mesh.vertices), np.array(mesh.faces)))
     azimuths = np.array([2.0, 16.0, 30.0, 51.0])
     dense = Quality(tolerance=0.001)
     expected, alone = (
@@ -124,7 +126,7 @@ def tilted(name: str = "p", side: float = 0.15) -> SceneObject:
     turn = np.radians(35.0)
     flat = plate(name, (0, 0, 0), side)
     spin = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    return replace(flat, vertices_m=flat.vertices_m @ spin.T + [4.0, 0.1, -0.2])
+    return reshaped(flat, flat.vertices_m @ spin.T + [4.0, 0.1, -0.2])
 
 
 def test_neither_refinement_nor_parts_nor_order_nor_place_matter() -> None:
@@ -132,18 +134,18 @@ def test_neither_refinement_nor_parts_nor_order_nor_place_matter() -> None:
     whole, other = tilted(), trihedral("t", (6, 1, 0))
     expected = total(edges_of(world(whole, other)))
     vertices, faces = trimesh.remesh.subdivide(*trimesh.remesh.subdivide(*mesh_of(whole)))
-    finer = replace(whole, vertices_m=vertices, faces=faces.astype(np.int32))
+    finer = reshaped(whole, vertices, faces)
     a, b, c, d = whole.vertices_m
     halves = (
         quad("left", [a, (a + b) / 2, (c + d) / 2, d]),
         quad("right", [(a + b) / 2, b, c, (c + d) / 2]),
     )
     there = np.array([1e6, -1e6, 500.0])
-    moved = [replace(o, vertices_m=o.vertices_m + there) for o in (whole, other)]
+    moved = [o.moved(there) for o in (whole, other)]
     away = Rig(Pose(tuple(there)), radar=Pose((0.0, 0.0, 0.0)))
     for scene in (
         world(other, whole),
-        world(replace(whole, faces=whole.faces[:, ::-1].copy()), other),
+        world(reshaped(whole, faces=whole.geometry.faces[:, ::-1]), other),
         world(finer, other),
         world(*halves, other),
         world(*moved, rig=away),
@@ -152,7 +154,7 @@ def test_neither_refinement_nor_parts_nor_order_nor_place_matter() -> None:
 
 
 def mesh_of(item: SceneObject) -> tuple:
-    return item.vertices_m, item.faces
+    return item.vertices_m, item.geometry.faces
 
 
 def test_a_body_without_edges_adds_nothing() -> None:
@@ -167,7 +169,7 @@ def test_what_stands_before_an_edge_hides_it() -> None:
     screen = replace(plate("s", (2.0, 0.0, 0.0), 1.0), radar="obstacle")
     alone = edges_of(world(tilted()))
     assert len(edges_of(world(tilted(), screen)).amplitude) == 0
-    half = replace(screen, vertices_m=screen.vertices_m + [0, 0.5 + 0.05, 0])
+    half = screen.moved([0, 0.5 + 0.05, 0])
     seen = edges_of(world(tilted(), half))
     left = alone.departure[:, 1] < 0.05 / 2 * alone.departure[:, 0]
     assert 0.2 < left.mean() < 0.8
@@ -181,7 +183,7 @@ def test_a_plate_almost_edge_on_does_not_hide_its_far_edges() -> None:
     for _ in range(5):
         item = turned(SHAPES["plate"], Radar.at(89.8, 2.0, 1.0), 1.0)
         spin = Rotation.from_euler("zyx", rng.uniform(-20, 20, 3), degrees=True)
-        item = replace(item, vertices_m=spin.apply(item.vertices_m))
+        item = replace(item, pose=RigidTransform.from_rotation(spin))
         assert len(edges_of(world(item)).amplitude) == 140
 
 
@@ -204,7 +206,7 @@ def test_edges_over_the_ground_are_those_of_a_mirrored_world() -> None:
     direct, image = ((over.source == n) & (over.receiver == n) for n in (0, 1))
     assert total(over.chosen(direct)) == pytest.approx(total(edges_of(world(tilted()))), rel=1e-6)
     below = tilted()
-    below = replace(below, vertices_m=below.vertices_m * [1, 1, -1] + [0, 0, 2 * down])
+    below = reshaped(below, below.vertices_m * [1, 1, -1] + [0, 0, 2 * down])
     assert total(over.chosen(image)) == pytest.approx(total(edges_of(world(below))), rel=1e-3)
     out, back = (over.chosen((over.source == n) & (over.receiver == 1 - n)) for n in (0, 1))
     assert total(out) == pytest.approx(total(back), rel=1e-9)
@@ -231,7 +233,7 @@ def test_delays_hold_over_the_band_and_rates_are_their_derivatives() -> None:
     """
     flat = SHAPES["box"].copy()
     flat.apply_scale(8.0)
-    target = Target(np.array(flat.vertices), np.array(flat.faces))
+    target = Target(Geometry(np.array(flat.vertices), np.array(flat.faces)))
     radar = Radar.at(33.0, 5.0, 5.0)
     rays = edges_of(world(turned(flat, radar, 5.0)))
     for frequency in (77e9, 81e9):
@@ -242,7 +244,7 @@ def test_delays_hold_over_the_band_and_rates_are_their_derivatives() -> None:
         assert abs(found - expected) < 0.1 * abs(expected)
     velocity, step = (3.0, 1.0, 0.0), 1e-6
     moving = replace(tilted(), velocity_m_per_s=velocity)
-    later = replace(moving, vertices_m=moving.vertices_m + step * np.array(velocity))
+    later = moving.moved(step * np.array(velocity))
     one, other = (edges_of(world(o)) for o in (moving, later))
     np.testing.assert_allclose(
         (other.length_m - one.length_m) / step, one.rate_m_per_s, rtol=1e-5, atol=1e-6

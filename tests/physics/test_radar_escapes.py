@@ -1,11 +1,9 @@
 """Facets that see nothing by reflection, told by one ray each."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, thing, world
+from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, reshaped, thing, world
 from twin.radar.propagation.facets.escapes import meeting
 from twin.radar.propagation.facets.facing import lit_by
 from twin.radar.propagation.facets.meetings import met_by
@@ -18,8 +16,8 @@ from twin.scene import SceneObject
 
 def loose(item: SceneObject) -> SceneObject:
     """Every face with corners of its own."""
-    points = item.vertices_m[item.faces].reshape(-1, 3)
-    return replace(item, vertices_m=points, faces=np.arange(len(points)).reshape(-1, 3))
+    points = item.vertices_m[item.geometry.faces].reshape(-1, 3)
+    return reshaped(item, points, np.arange(len(points)).reshape(-1, 3))
 
 
 def mirror(count: int = 20, side_m: float = 0.4) -> SceneObject:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.constants import speed_of_light
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks import mirrored_currents
 from tests.physics.plate_sums import BAND_HZ, seen_beside, summed, turned_plate
@@ -25,6 +25,7 @@ from tests.physics.radar_worlds import (
     ground,
     plate,
     quad,
+    reshaped,
     thing,
     trihedral,
     wave,
@@ -284,7 +285,7 @@ def test_a_trihedral_by_its_tubes(distance: float, tolerance: float) -> None:
     leaves single and double bounces out.
     """
     corner = trihedral("t", (0.0, 0.0, 0.0))
-    target, dense = Target(corner.vertices_m, corner.faces), Quality(tolerance=0.001)
+    target, dense = Target(corner.geometry), Quality(tolerance=0.001)
     by_rays = sweep(target, CARRIER_HZ, np.array([180.0]), 0.0, distance_m=distance, quality=dense)
     expected = float(by_rays.cross_section_dbsm[0])
     assert expected == pytest.approx(10.0, abs=0.2)
@@ -330,8 +331,9 @@ def test_a_chip_before_a_needle(tolerance: float) -> None:
 
 def test_faces_twice_and_without_area_change_nothing() -> None:
     clean = ball("b", (10, 0, 0), level=5)
-    extra = np.vstack([clean.faces, clean.faces[::3, ::-1], np.tile(clean.faces[:5, :1], 3)])
-    dirty = replace(clean, faces=extra.astype(np.int32))
+    faces = clean.geometry.faces
+    extra = np.vstack([faces, faces[::3, ::-1], np.tile(faces[:5, :1], 3)])
+    dirty = reshaped(clean, faces=extra)
     one, other = echo(world(clean), 0.03), echo(world(dirty), 0.03)
     assert abs(one - other) < 0.03 * abs(one)
 
@@ -344,7 +346,7 @@ def test_the_band_is_held() -> None:
         [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
     )
     corners = square.vertices_m @ matrix.T + np.array([4.0, 0, 0])
-    scene = world(replace(square, vertices_m=corners))
+    scene = world(reshaped(square, corners))
     found = [echo(scene, 0.03, f) for f in (77e9, 78e9, 79e9, 80e9, 81e9)]
     expected = [_tilted(corners, f) for f in (77e9, 78e9, 79e9, 80e9, 81e9)]
     error = np.linalg.norm(np.subtract(found, expected)) / np.linalg.norm(expected)
@@ -356,15 +358,15 @@ def test_the_steps_of_a_carrier_are_held(turn_deg: float) -> None:
     """A plate 1 m square at 6 m, 2.26 to 2.74 GHz: its parts by their powers of the wavelength."""
     radar = load_radar("prototype")
     turn = Rotation.from_euler("z", turn_deg, degrees=True)
-    square = plate("p", (0.0, 0.0, 0.0), 1.0)
-    corners = turn.apply(square.vertices_m) + [6.0, 0.0, 0.0]
+    pose = RigidTransform.from_components([6.0, 0.0, 0.0], turn)
+    square = replace(plate("p", (0.0, 0.0, 0.0), 1.0), pose=pose)
     fidelity = OPTICS.with_(radar_tolerance=0.03)
-    found = trace(world(replace(square, vertices_m=corners)), radar, fidelity=fidelity)
+    found = trace(world(square), radar, fidelity=fidelity)
     steps = contributions(found, radar, Air(None))
     carriers = radar.burst.carriers_hz
     cycles = carriers[:, None] * steps.delay_s % 1.0
     waves = (steps.amplitude * np.exp(-2j * np.pi * cycles))[:, :-1]  # the last is the leakage
-    expected = [_tilted(corners, f, radar, 200) for f in carriers]
+    expected = [_tilted(square.vertices_m, f, radar, 200) for f in carriers]
     error = np.linalg.norm(waves.sum(axis=1) - expected) / np.linalg.norm(expected)
     assert error < 0.03
 

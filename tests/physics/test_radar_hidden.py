@@ -71,7 +71,8 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
 
 
 def parts_of(item: SceneObject) -> np.ndarray:
-    mesh = SimpleNamespace(items=[item], faces=item.faces, face_ranges=[slice(0, len(item.faces))])
+    faces = item.geometry.faces
+    mesh = SimpleNamespace(items=[item], faces=faces, face_ranges=[slice(0, len(faces))])
     return convex_parts(mesh)
 
 

@@ -4,6 +4,7 @@ import gc
 import importlib.util
 from dataclasses import replace
 from pathlib import Path
+from weakref import ref
 
 import drjit as dr
 import numpy as np
@@ -24,9 +25,10 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
+from twin.geometry import shape
 from twin.radar.propagation import prepared_scene
 from twin.radar.propagation.facets import bodies, division, facing
-from twin.radar.propagation.meshes import grouping, shape
+from twin.radar.propagation.meshes import grouping
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene import culling, image_search
 from twin.radar.propagation.scene.culling import Beam, beam_of, shares, ways_of, worth_tracing
@@ -36,6 +38,7 @@ from twin.radar.propagation.scene.scattering_models import ScatteringModel, assi
 from twin.radar.propagation.single_paths import mirror_echoes
 from twin.radar.propagation.solvers import trace
 from twin.scene import Scene, SceneObject, load_scene
+from twin.scene.boxes import boxes_of
 
 EVERYWHERE = Beam(np.ones(721))
 BOX = trimesh.creation.box(extents=(1, 1, 1))
@@ -104,26 +107,31 @@ def test_one_object_that_moves_is_all_that_is_looked_at_anew(monkeypatch) -> Non
     """More objects than any fixed cache would hold: none is measured twice, and with the scene all
     that was known of it goes.
     """
-    gc.collect()
-    before = len(shape._shapes), len(shape._boxes)
-    measured: list[str] = []
-    measure = shape._measured
-
-    def counting(items):
-        measured.extend(item.name for item in items)
-        return measure(items)
-
-    monkeypatch.setattr(shape, "_measured", counting)
+    measured = counted(monkeypatch)
     items = [block(f"b{i}", (2.0 * i, 0, 0), (1, 1, 1)) for i in range(1500)]
     for step in range(3):
-        moved = replace(items[7], vertices_m=items[7].vertices_m + step)
+        moved = items[7].moved([step, step, step])
         scene = world(*items[:7], moved, *items[8:])
         assign_scattering_models(scene, WAVELENGTH_M, "optics")
         grouping.bodies_of(scene.objects)
-    assert len(measured) == 1500
+    assert len(measured) == len(set(measured)) == 1500
+    known = [ref(item.geometry.shape) for item in items]
     del items, moved, scene
     gc.collect()
-    assert (len(shape._shapes), len(shape._boxes)) == before
+    assert all(shape() is None for shape in known)
+
+
+def counted(monkeypatch) -> list[int]:
+    """Numbers of the meshes that are measured from now on."""
+    measured: list[int] = []
+    measure = shape._measured
+
+    def counting(geometries):
+        measured.extend(id(geometry) for geometry in geometries)
+        return measure(geometries)
+
+    monkeypatch.setattr(shape, "_measured", counting)
+    return measured
 
 
 # Shares of the sent power.
@@ -420,23 +428,16 @@ def test_cities_are_set_up_in_work_that_their_objects_bound(name: str, monkeypat
     frame in which one object moved measures none.
     """
     scene = load_scene(sionna_scene(name))
-    measured: list[str] = []
-    measure = shape._measured
-
-    def counting(items):
-        measured.extend(item.name for item in items)
-        return measure(items)
-
-    monkeypatch.setattr(shape, "_measured", counting)
+    measured = counted(monkeypatch)
     set_up = staged(scene)
     count = len(measured)
     assert count >= len(scene.objects)
     scatterers = sum(role is ScatteringModel.OPTICS for role in set_up.roles)
     assert set_up.worth.sum() < 0.1 * scatterers * len(set_up.all_images)
-    boxes = shape.boxes_of(scene.objects)
+    boxes = boxes_of(scene.objects)
     assert grouping.near_pairs(boxes)[1] < 100 * len(boxes)
     item = scene.objects[int(np.argmin((boxes[:, 1] - boxes[:, 0]).max(axis=1)))]
-    moved = replace(item, vertices_m=item.vertices_m + 0.3)
+    moved = item.moved([0.3, 0.3, 0.3])
     again = replace(scene, objects=tuple(moved if o is item else o for o in scene.objects))
     staged(again)
     assert len(measured) == count

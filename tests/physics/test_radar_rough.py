@@ -14,6 +14,7 @@ from tests.physics.radar_worlds import (
     WAVELENGTH_M,
     ground,
     plate,
+    quad,
     wave,
     world,
 )
@@ -59,9 +60,7 @@ def echoes(s: Scene, count: int = 20_000, seed: int = 0):
 def floor() -> SceneObject:
     """12 x 8 m, 1 m below the radar, from 8 m on."""
     corners = np.array([[8, -4, -1], [20, -4, -1], [20, 4, -1], [8, 4, -1]], float)
-    return replace(
-        plate("floor", (0, 0, 0), material="asphalt"), vertices_m=corners, radar="surface"
-    )
+    return quad("floor", corners, "asphalt", radar="surface")
 
 
 def expected_power(n: int = 2000) -> float:
@@ -122,7 +121,7 @@ def test_scatterers_move_with_their_surface() -> None:
     """Receding at 3 m/s: every rate is that of its delay."""
     velocity, step = (3.0, 0.0, 0.0), 1e-4
     wall = replace(plate("wall", (20.0, 0, 0), 4.0, "asphalt"), velocity_m_per_s=velocity)
-    moved = replace(wall, vertices_m=wall.vertices_m + np.array(velocity) * step)
+    moved = wall.moved(np.array(velocity) * step)
     one, other = (echoes(scene(w), 2000) for w in (wall, moved))
     np.testing.assert_allclose((other.delay_s - one.delay_s) / step, one.delay_rate, rtol=1e-4)
     assert one.delay_rate.mean() == pytest.approx(6.0 / speed_of_light, rel=0.02)

@@ -18,6 +18,7 @@ from tests.physics.radar_worlds import (
     ground,
     plate,
     quad,
+    reshaped,
     thing,
     trihedral,
     wave,
@@ -256,7 +257,7 @@ def test_a_scene_may_stand_a_thousand_kilometres_away() -> None:
     here = world(ball("b", (10, 0.3, 0)), ground(-1.0))
     there = np.array([1e6, -1e6, 500.0])
     moved = world(
-        *(replace(o, vertices_m=o.vertices_m + there) for o in here.objects),
+        *(o.moved(there) for o in here.objects),
         rig=Rig(Pose(tuple(there)), radar=Pose((0.0, 0.0, 0.0))),
     )
     one, other = echo(here), echo(moved)
@@ -267,12 +268,12 @@ def test_neither_order_nor_refinement_nor_winding_matters() -> None:
     things = (ball("b", (10, 0.3, 0)), plate("p", (11, -0.6, 0.2)), ground(-1.0))
     expected = echo(world(*things))
     assert echo(world(*things[::-1])) == pytest.approx(expected, rel=1e-9)
-    inverted = tuple(replace(o, faces=o.faces[:, ::-1].copy()) for o in things)
+    inverted = tuple(reshaped(o, faces=o.geometry.faces[:, ::-1]) for o in things)
     assert abs(echo(world(*inverted)) - expected) < 0.01 * abs(expected)
     import trimesh
 
-    vertices, faces = trimesh.remesh.subdivide(things[1].vertices_m, things[1].faces)
-    finer = replace(things[1], vertices_m=vertices, faces=faces.astype(np.int32))
+    vertices, faces = trimesh.remesh.subdivide(things[1].vertices_m, things[1].geometry.faces)
+    finer = reshaped(things[1], vertices, faces)
     found = echo(world(things[0], finer, things[2]))
     assert abs(found - expected) < 0.02 * abs(expected)
 

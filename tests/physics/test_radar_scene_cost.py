@@ -18,7 +18,7 @@ from twin.scene import Scene
 def shifted(scene: Scene, metres: float) -> Scene:
     """One object moved, by a distance that no earlier frame had."""
     first, *others = scene.objects
-    moved = replace(first, vertices_m=first.vertices_m + [metres, 0.0, 0.0])
+    moved = first.moved([metres, 0.0, 0.0])
     return replace(scene, objects=(moved, *others))
 
 
@@ -54,7 +54,7 @@ small = trace(world(ball("b", (5.0, 0, 0), level=6)), RADAR, fidelity=OPTICS)
 scene = world(ball("b", (5.0, 0, 0), level=8))
 start = peak()
 found = trace(scene, RADAR, fidelity=OPTICS)
-print(len(scene.objects[0].faces), start, peak())
+print(len(scene.objects[0].geometry.faces), start, peak())
 print(*(cross_section_db(wave(f.echoes), 5.0) for f in (small, found)))
 """
 

@@ -13,6 +13,7 @@ from tests.physics.radar_worlds import (
     ground,
     plate,
     quad,
+    reshaped,
     thing,
     trihedral,
     wave,
@@ -79,8 +80,8 @@ def test_a_radar_that_touches_a_mesh_hears_finite_numbers() -> None:
 def test_degenerate_and_duplicate_faces_change_nothing() -> None:
     """Faces twice, in the other order, and faces without area."""
     clean = ball("b", (10, 0, 0), level=5)
-    extra = np.vstack([clean.faces, clean.faces[::3, ::-1], np.tile(clean.faces[:5, :1], 3)])
-    dirty = replace(clean, faces=extra.astype(np.int32))
+    faces = clean.geometry.faces
+    dirty = reshaped(clean, faces=np.vstack([faces, faces[::3, ::-1], np.tile(faces[:5, :1], 3)]))
     one, other = echo(world(clean)), echo(world(dirty))
     assert abs(one - other) < 2e-3 * abs(one)
 
@@ -88,9 +89,9 @@ def test_degenerate_and_duplicate_faces_change_nothing() -> None:
 def test_an_open_mesh_answers_from_either_side() -> None:
     """Half a ball: its bulge as the whole one, its hollow by what it focuses, finite."""
     whole = ball("b", (10, 0, 0), level=5)
-    corners = whole.vertices_m[whole.faces].mean(axis=1)
-    bulge = replace(whole, faces=whole.faces[corners[:, 0] < 10].copy())
-    hollow = replace(whole, faces=whole.faces[corners[:, 0] >= 10].copy())
+    corners = whole.vertices_m[whole.geometry.faces].mean(axis=1)
+    bulge = reshaped(whole, faces=whole.geometry.faces[corners[:, 0] < 10])
+    hollow = reshaped(whole, faces=whole.geometry.faces[corners[:, 0] >= 10])
     full = echo(world(whole))
     assert abs(echo(world(bulge)) - full) < 0.05 * abs(full)
     assert np.isfinite(abs(echo(world(hollow))))
@@ -103,7 +104,7 @@ def test_tilted_facets_do_not_depend_on_the_heading() -> None:
     matrix = np.array(
         [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
     )
-    turned = (replace(o, vertices_m=o.vertices_m @ matrix.T) for o in things)
+    turned = (reshaped(o, o.vertices_m @ matrix.T) for o in things)
     rig = Rig(Pose((0.0, 0.0, 0.0), 37.0), radar=Pose((0.0, 0.0, 0.0)))
     one, other = echo(world(*things)), echo(world(*turned, rig=rig))
     assert abs(one - other) < 0.02 * abs(one)

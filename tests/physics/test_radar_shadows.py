@@ -363,7 +363,7 @@ def sionna(height: float, polarization: str) -> float:
     mesh = mi.Mesh("screen", 4, 2)
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = item.vertices_m.astype(np.float32).ravel()
-    parameters["faces"] = item.faces.astype(np.uint32).ravel()
+    parameters["faces"] = item.geometry.faces.astype(np.uint32).ravel()
     parameters.update()
     scene = rt.load_scene()
     scene.frequency = CARRIER_HZ

@@ -27,6 +27,7 @@ from tests.physics.radar_worlds import (
 )
 from twin.fidelity import Fidelity
 from twin.files import InputError
+from twin.geometry import Geometry
 from twin.radar import load_radar
 from twin.radar.cross_section import Quality, physical_optics
 from twin.radar.cross_section import table as tables
@@ -59,7 +60,7 @@ def around(direction, width_rad: float, n: int, seed: int) -> np.ndarray:
 
 
 def body(item: SceneObject, surface: Surface = PEC) -> Target:
-    return Target(item.vertices_m, item.faces, (surface,))
+    return Target(Geometry(item.vertices_m, item.geometry.faces), (surface,))
 
 
 def tabled(item: SceneObject) -> SceneObject:
@@ -114,8 +115,8 @@ def test_what_stands_before_the_receiver_hides() -> None:
     free, hidden = (
         abs(scattering_dyadics(target, source, receiver, carrier, QUALITY)[0, 0, 2, 2])
         for target in (
-            Target(mirror, faces),
-            Target(np.vstack([mirror, screen]), np.vstack([faces, faces + 4])),
+            Target(Geometry(mirror, faces)),
+            Target(Geometry(np.vstack([mirror, screen]), np.vstack([faces, faces + 4]))),
         )
     )
     area = (2 * HALF_M) ** 2 * cos
@@ -132,7 +133,7 @@ def test_a_sphere_between_two_directions_is_mies(apart_deg: float) -> None:
     radius = 0.06
     mesh = trimesh.creation.icosphere(6, radius=radius)
     source, receiver = towards((0, 0), (apart_deg, 0))[:, None]
-    target = Target(mesh.vertices, mesh.faces)
+    target = Target(Geometry(mesh.vertices, mesh.faces))
     (found,) = contracted(
         scattering_dyadics(target, source, receiver, np.array([CARRIER_HZ]), QUALITY)[:, 0],
         receiver,
@@ -201,7 +202,7 @@ def test_a_sphere_answers_alike_all_over_and_from_its_front() -> None:
     """
     radius = 0.02
     mesh = trimesh.creation.icosphere(4, radius=radius)
-    found = Table(Target(mesh.vertices + [3.0, 1, 0], mesh.faces), CARRIER_HZ, 4)
+    found = Table(Target(Geometry(mesh.vertices + [3.0, 1, 0], mesh.faces)), CARRIER_HZ, 4)
     corners = np.array([[0, 0, 1.0], [0, 0, -1], [1, 1, 0], [1, 1, 1], [-1, 1, -1], [0, -1, 1]])
     direction = np.vstack(
         [corners / np.linalg.norm(corners, axis=1)[:, None], around([1, 0, 0], 1, 4, 3)]

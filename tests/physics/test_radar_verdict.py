@@ -10,6 +10,7 @@ import pytest
 
 from hardware.radar import Detection, OfdmWaveform
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.radar import load_radar, radar_capture
 from twin.radar.evaluation import evaluate_radar, further_echoes, match_detections, write_detections
 from twin.radar.truth import TrueTarget, _nearest
@@ -59,7 +60,7 @@ def test_the_nearest_point_of_triangles() -> None:
 def evaluation():
     """A plate of 1 m at 5 m, declared 2 cm behind its front, and a target of 1e-12 m^2."""
     corners = np.array([[5.0, y, z] for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    plate = SceneObject("plate", corners, np.array([[0, 1, 2], [1, 3, 2]]), None, "metal", 0.5)
+    plate = SceneObject("plate", Geometry(corners, np.array([[0, 1, 2], [1, 3, 2]])), "metal", 0.5)
     rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
     targets = (
         Target("plate", (5.02, 0.0, 0.0), (0.0, 0.0, 0.0), 10.0, "declared", "plate"),

@@ -21,6 +21,7 @@ from tests.physics.rcs_targets import (
     rectangle,
     trihedral,
 )
+from twin.geometry import Geometry
 from twin.radar.cross_section import physical_optics
 from twin.radar.scattering import PEC, Layer, Radar, Surface, Target
 from twin.radar.scattering.reference import image_integral, mie_coefficients, mie_cross_section
@@ -229,9 +230,8 @@ def test_lossy_sphere_is_mies() -> None:
 def test_every_face_has_its_own_surface() -> None:
     """A dihedral of one metal and one dielectric face: |r(45 deg)|^2."""
     mesh, surface = polygons(*dihedral(0.2)), Surface(backing=4.0)
-    target = Target(
-        np.array(mesh.vertices), np.array(mesh.faces), (PEC, surface), np.array([0, 0, 1, 1])
-    )
+    geometry = Geometry(mesh.vertices, mesh.faces)
+    target = Target(geometry, (PEC, surface), np.array([0, 0, 1, 1]))
     te, tm = surface.reflection(np.array([math.sqrt(0.5)]), CARRIER)
     for port, (sent, r) in enumerate((("V", te[0]), ("H", tm[0]))):
         found = physical_optics(target, Radar.at(0), CARRIER, sent).amplitude[port]

@@ -18,6 +18,7 @@ from tests.physics.rcs_targets import (
     polygons,
     rectangle,
 )
+from twin.geometry import Geometry
 from twin.radar.cross_section import Ways, physical_optics, scattered
 from twin.radar.scattering import (
     EdgeQuality,
@@ -219,7 +220,7 @@ def test_edges_of_solids_are_found_whatever_the_winding() -> None:
         faces = np.array(mesh.faces)
         flip = rng.random(len(faces)) < 0.5
         faces[flip] = faces[flip][:, ::-1]
-        edges = sharp_edges(Target(np.array(mesh.vertices), faces), 25)
+        edges = sharp_edges(Target(Geometry(np.array(mesh.vertices), faces)), 25)
         np.testing.assert_allclose(edges.wedge, 1.5)
         assert edges.length_m.sum() == pytest.approx(4 * 0.6)
         assert len(np.unique(edges.patch)) == 6
@@ -236,7 +237,7 @@ def test_ways_along_a_face_end_at_its_rim() -> None:
     outline = [(0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)]
     flat = np.array([(x, y, 0) for x, y in outline], dtype=float)
     turn = trimesh.transformations.euler_matrix(0.4, 1.1, -2.3)[:3, :3]
-    target = Target(flat @ turn.T, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]))
+    target = Target(Geometry(flat @ turn.T, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])))
     edges = sharp_edges(target, 25)
     assert edges.length_m.sum() == pytest.approx(14)
     starts = np.array([(3, 0, 0), (0.5, 0, 0), (0, 1.8, 0), (4, 0.5, 0)], dtype=float)

@@ -21,6 +21,7 @@ from tests.physics.rcs_targets import (
     rectangle,
 )
 from twin.engine import sionna
+from twin.geometry import Geometry
 from twin.radar.cross_section import Quality, Ways, physical_optics, sweep
 from twin.radar.cross_section.rays import Density, later_bounces
 from twin.radar.cross_section.subject import bare, subject_of
@@ -112,13 +113,13 @@ def test_refining_moving_reordering_and_doubling_change_nothing() -> None:
     for target in (
         as_target(turned),
         as_target(refined),
-        Target(vertices, flipped),
-        Target(vertices, doubled),
-        Target(vertices[flipped].reshape(-1, 3), np.arange(flipped.size).reshape(-1, 3)),
+        Target(Geometry(vertices, flipped)),
+        Target(Geometry(vertices, doubled)),
+        Target(Geometry(vertices[flipped].reshape(-1, 3), np.arange(flipped.size).reshape(-1, 3))),
     ):
         np.testing.assert_allclose(with_edges(target, radar), reference, rtol=2e-3, atol=1e-4)
     shift = np.array([40.0, -25.0, 13.0])
-    moved = with_edges(Target(vertices + shift, faces), radar)
+    moved = with_edges(Target(Geometry(vertices + shift, faces)), radar)
     phase = np.exp(4j * np.pi * 20e9 / speed_of_light * (radar.direction @ shift))
     np.testing.assert_allclose(moved, reference * phase, rtol=2e-3, atol=1e-4)
 
@@ -321,7 +322,7 @@ from twin.radar.cross_section import sweep
 from twin.radar.scattering import Target
 ball = trimesh.creation.icosphere(8, radius=0.15)
 start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-target = Target(np.array(ball.vertices), np.array(ball.faces))
+target = Target(Geometry(np.array(ball.vertices), np.array(ball.faces)))
 found = sweep(target, 79e9, [0.0, 90.0], edges=True)
 print(len(ball.faces), start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 print(*found.cross_section_m2 / (np.pi * 0.15**2))
@@ -352,7 +353,7 @@ def test_nothing_comes_back_from_a_plate_edge_on() -> None:
 def test_zero_area_faces_never_get_to_the_rays() -> None:
     vertices = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 2, 0]], dtype=float)
     with pytest.raises(ValueError, match="1 faces have no area"):
-        Target(vertices, np.array([[0, 1, 2], [0, 1, 3]]))
+        Target(Geometry(vertices, np.array([[0, 1, 2], [0, 1, 3]])))
 
 
 # Warnings

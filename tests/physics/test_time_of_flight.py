@@ -12,6 +12,7 @@ from twin.camera.acquisition import measure
 from twin.camera.light import render
 from twin.camera.shutters import shutters
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.optics.devices import Device
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
@@ -29,7 +30,7 @@ BASELINE = 0.05
 def wall(distance_m: float) -> Scene:
     corners = np.array([[0, -50, -50], [0, 50, -50], [0, 50, 50], [0, -50, 50.0]])
     faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
-    item = SceneObject("wall", corners + [distance_m, 0, 0], faces, None, "white", 0.5)
+    item = SceneObject("wall", Geometry(corners + [distance_m, 0, 0], faces), "white", 0.5)
     rig = Rig(Pose((0.0, 0.0, 0.0)), detector=Pose((0.0, -BASELINE, 0.0)))
     return Scene("wall", Path(), "", (item,), rig, Sun(180.0, 0.0, 1e5))
 
@@ -109,7 +110,7 @@ def test_lengths_grow_with_every_bounce() -> None:
     import trimesh
 
     ball = trimesh.creation.icosphere(5, radius=3.0)
-    item = SceneObject("ball", np.array(ball.vertices), np.array(ball.faces), None, "white", 0.5)
+    item = SceneObject("ball", Geometry(ball.vertices, ball.faces), "white", 0.5)
     scene = Scene("ball", Path(), "", (item,), Rig(Pose((0.0, 0.0, 0.0))), Sun(180.0, 0.0, 1e5))
     here = Device(np.zeros(3), np.eye(3), 3.0)
     problem = LightProblem(mitsuba_scene(scene), here, here)

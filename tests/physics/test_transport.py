@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 from hardware import PatternSet
+from twin.geometry import Geometry
 from twin.optics.devices import Device
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
@@ -29,9 +30,9 @@ def wall_scene(distance_m: float, half_size_m: float = 50.0, origin=(0.0, 0.0, 0
     corners = np.array([[0, -h, -h], [0, h, -h], [0, h, h], [0, -h, h]], dtype=np.float64)
     wall = SceneObject(
         name="wall",
-        vertices_m=corners + [distance_m, 0, 0] + np.asarray(origin),
-        faces=np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32),
-        uv=None,
+        geometry=Geometry(
+            corners + [distance_m, 0, 0] + np.asarray(origin), [[0, 2, 1], [0, 3, 2]]
+        ),
         material="white",
         reflectance=0.5,
     )
@@ -145,12 +146,11 @@ def test_interreflection_in_a_corner_grows_with_depth_and_reflectance() -> None:
     """
     import trimesh
 
-    from twin.scene.meshes import Mesh
     from twin.scene.mitsuba import _assemble
 
     ball = trimesh.creation.icosphere(6, radius=3.0)
     r = 0.5
-    world = _assemble([(Mesh(np.array(ball.vertices), np.array(ball.faces)), r)])
+    world = _assemble([(np.array(ball.vertices), np.array(ball.faces), None, r)])
     camera = Device(np.zeros(3), AHEAD, TAN)
     problem = LightProblem(world, camera, camera)
     light = transport(problem, (8, 8), quality=TracingQuality(1024, 8), seed=3)

@@ -14,6 +14,7 @@ from twin.camera.light import render
 from twin.camera.mounting import field_points
 from twin.fidelity import Fidelity
 from twin.files import InputError
+from twin.geometry import Geometry
 from twin.optics.backscatter import _along, _in_field, airlight, backscatter, cell_rays
 from twin.optics.devices import Device
 from twin.optics.problem import LightProblem
@@ -372,7 +373,7 @@ def wall(distance_m: float) -> Scene:
     h = 50.0
     corners = np.array([[0, -h, -h], [0, h, -h], [0, h, h], [0, -h, h]]) + [distance_m, 0, 0]
     faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
-    flat = SceneObject("wall", corners, faces, None, "white", 0.5)
+    flat = SceneObject("wall", Geometry(corners, faces), "white", 0.5)
     return Scene("wall", Path(), "", (flat,), Rig(Pose((0.0, 0.0, 0.0))), Sun(180.0, 30.0, 1e5))
 
 

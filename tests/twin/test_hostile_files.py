@@ -181,7 +181,7 @@ def test_broken_models_are_told_in_one_line(name: str, tmp_path: Path) -> None:
 def test_lines_of_an_obj_may_go_on_in_the_next(tmp_path: Path) -> None:
     (tmp_path / "x.obj").write_bytes(b"v 0 0 0\nv 1 0 \\\n0\nv 0 1 0\nf 1 2 \\\n3\n")
     mesh = read_mesh(tmp_path / "x.obj")
-    np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    np.testing.assert_array_equal(mesh.vertices_m, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2]])
 
 

@@ -33,7 +33,7 @@ def test_formats(robot: trimesh.Scene, tmp_path: Path, suffix: str) -> None:
     loaded = load_scene(tmp_path / "scene")
     vertices = np.vstack([o.vertices_m for o in loaded.objects])
     np.testing.assert_allclose(np.ptp(vertices, axis=0), [0.5, 1.0, 2.2], atol=1e-6)
-    volume = sum(trimesh.Trimesh(o.vertices_m, o.faces).volume for o in loaded.objects)
+    volume = sum(trimesh.Trimesh(o.vertices_m, o.geometry.faces).volume for o in loaded.objects)
     assert volume == pytest.approx(0.1 + 0.24, rel=1e-5)
     assert {o.material for o in loaded.objects} == {"generic"}
 
@@ -107,7 +107,7 @@ def test_map_coordinates_keep_their_millimetres(tmp_path: Path) -> None:
     import_model(tmp_path / "far.obj", tmp_path / "scene")
     (thing,) = load_scene(tmp_path / "scene").objects
     radius = np.linalg.norm(thing.vertices_m - far, axis=1)
-    assert len(thing.faces) == len(ball.faces)
+    assert len(thing.geometry.faces) == len(ball.faces)
     np.testing.assert_allclose(radius, 1.0, atol=1e-6)
 
 
@@ -173,7 +173,7 @@ def test_a_picture_is_kept_and_the_tables_value_holds_unless_asked(tmp_path: Pat
     assert wall.reflectance == pytest.approx(0.36)
     # v runs down the picture, as Mitsuba looks it up.
     up = wall.vertices_m[:, 2] > 0.5
-    np.testing.assert_allclose(wall.uv[:, 1], np.where(up, 0.0, 1.0), atol=1e-6)
+    np.testing.assert_allclose(wall.geometry.uv[:, 1], np.where(up, 0.0, 1.0), atol=1e-6)
 
 
 def test_every_material_and_colour_is_told(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_a_picture_of_an_obj_is_taken(tmp_path: Path) -> None:
     assert "picture of visible light textures/brick.png taken as reflectance" in "\n".join(notes)
     (wall,) = load_scene(tmp_path / "scene").objects
     corner = np.column_stack([wall.vertices_m[:, 0], 1 - wall.vertices_m[:, 2]])
-    np.testing.assert_allclose(wall.uv, corner, atol=1e-6)
+    np.testing.assert_allclose(wall.geometry.uv, corner, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -403,9 +403,9 @@ def test_a_scenes_obj_keeps_its_texture_coordinates(tmp_path: Path) -> None:
         '<boolean name="flip_tex_coords" value="false"/></shape></scene>'
     )
     (wall,) = load_scene(tmp_path / "scene.xml").objects
-    assert wall.uv is not None
-    assert len(wall.faces) == 2
+    assert wall.geometry.uv is not None
+    assert len(wall.geometry.faces) == 2
     expected = {(0, 0): (0.9, 0.7), (1, 0): (0.1, 0.7), (1, 1): (0.1, 0.2), (0, 1): (0.9, 0.2)}
-    for vertex, uv in zip(wall.vertices_m, wall.uv, strict=True):
+    for vertex, uv in zip(wall.vertices_m, wall.geometry.uv, strict=True):
         corner = round(float(vertex[0])), round(float(vertex[2]))
         np.testing.assert_allclose(uv, expected[corner], atol=1e-6)

@@ -20,6 +20,7 @@ from twin.camera import Capture
 from twin.camera.acquisition import measure
 from twin.camera.light import RenderedLight, render
 from twin.fidelity import Fidelity
+from twin.geometry import Geometry
 from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
@@ -52,7 +53,7 @@ def wall(name: str, distance_m: float, reflectance: float, shift: float = 0.0) -
     corners = np.array([[1, -0.5, -0.5], [1, 0.5, -0.5], [1, 0.5, 0.5], [1, -0.5, 0.5]])
     faces = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
     placed = (corners + [0, shift, 0]) * distance_m
-    return SceneObject(name, placed, faces, None, "stuff", reflectance)
+    return SceneObject(name, Geometry(placed, faces), "stuff", reflectance)
 
 
 def world(*objects: SceneObject, sun_lx: float = 1e5, baseline_m: float = 0.0) -> Scene:

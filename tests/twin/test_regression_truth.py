@@ -55,7 +55,7 @@ def test_a_digest_tells_what_is_rendered_from_what_is_said(yard, tmp_path: Path)
     scene, system, _ = yard
     whole = digest(scene, system)
     assert whole == digest(load_scene("yard"), load_system(SYSTEM))
-    item = replace(scene.objects[0], vertices_m=scene.objects[0].vertices_m + 1e-6)
+    item = scene.objects[0].moved([1e-6, 1e-6, 1e-6])
     assert digest(replace(scene, objects=(item, *scene.objects[1:])), system) != whole
     assert digest(replace(scene, description="x", warnings=("y",)), system) == whole
     said = (tmp_path / "said.toml", f'base = "{SYSTEM}"\nname = "{system.name}"\n[optics]\n')

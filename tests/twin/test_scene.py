@@ -157,7 +157,7 @@ def test_primitives_have_mitsubas_area(tmp_path: Path, plugin: str) -> None:
     """Tessellation against the analytic shape of the renderer, within its 0.2 %."""
     loaded = load_scene(scene(tmp_path, plugin=plugin))
     (thing,) = loaded.objects
-    area = trimesh.Trimesh(thing.vertices_m, thing.faces).area
+    area = trimesh.Trimesh(thing.vertices_m, thing.geometry.faces).area
     exact = mitsuba().load_dict({"type": plugin}).surface_area()
     assert area == pytest.approx(float(np.array(exact).ravel()[0]), rel=2e-3)
 
@@ -178,12 +178,12 @@ def test_mirroring_keeps_faces_outward(tmp_path: Path) -> None:
     mirrored = '<transform name="to_world"><scale x="-1"/></transform><ref'
     (folder / "scene.xml").write_text(text.replace("<ref", mirrored))
     (thing,) = load_scene(folder).objects
-    assert trimesh.Trimesh(thing.vertices_m, thing.faces).volume == pytest.approx(8.0)
+    assert trimesh.Trimesh(thing.vertices_m, thing.geometry.faces).volume == pytest.approx(8.0)
 
 
 def test_zero_area_faces_are_dropped(tmp_path: Path) -> None:
     loaded = load_scene(scene(tmp_path, faces=((0, 1, 2), (0, 0, 1))))
-    assert len(loaded.objects[0].faces) == 1
+    assert len(loaded.objects[0].geometry.faces) == 1
 
 
 # Poses.

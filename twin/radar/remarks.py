@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
+from twin.geometry import are_too_large, shapes_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
 from twin.radar.device.oscillator import residual_rad
 from twin.radar.propagation.facets.convergence import BodyEcho, unconverged
-from twin.radar.propagation.meshes.shape import shapes_of
 from twin.radar.propagation.one_way.rays import lengthening
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Air
@@ -18,7 +18,6 @@ from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import encloses
-from twin.scene.meshes import Mesh, divided
 from twin.scene.model import Target
 from twin.warned import CaptureWarning
 
@@ -225,8 +224,7 @@ def _curved(radar: RadarDesign, target: TrueTarget) -> CaptureWarning:
 
 def _too_large(item: SceneObject, place: Array) -> bool:
     """Whether a renderer's rays would need the object divided; the radar's are not."""
-    mesh = Mesh(item.vertices_m - place, item.faces)
-    return len(divided(mesh).faces) > len(mesh.faces)
+    return bool(are_too_large(item.vertices_m - place, item.geometry.faces).any())
 
 
 def _bend(target: Target, place: Array, radar: RadarDesign) -> CaptureWarning | None:
@@ -255,7 +253,8 @@ def _coarse(scene: Scene, radar: RadarDesign, found: Propagation) -> list[Captur
     scattering = {a.name for a in found.roles if a.role is ScatteringModel.OPTICS}
     items = [item for item in scene.objects if item.name in scattering]
     wave_number = 2 * np.pi / radar.ofdm.wavelength_m
-    shares = [2 * wave_number * shape.depth_m for shape in shapes_of(items)]
+    shapes = shapes_of([item.geometry for item in items])
+    shares = [2 * wave_number * shape.depth_m for shape in shapes]
     coarse = sum(share > _COARSE for share in shares)
     if not coarse:
         return []

@@ -100,14 +100,14 @@ def _spans(target: Target, scene: Scene, radar_m: Array, half_s: float) -> tuple
     an interval of twice ``half_s``; of a target without one, infinite and of no extent.
     """
     item = next((item for item in scene.objects if item.name == target.object), None)
-    if item is None or not len(item.faces):
+    if item is None or not len(item.geometry.faces):
         return np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
     way = item.vertices_m - radar_m
     ranges = np.linalg.norm(way, axis=1)
     velocity = np.asarray(item.velocity_m_per_s)
     rates, accelerations = lengthening(velocity, way / ranges[:, None], ranges)
     change = accelerations * half_s
-    nearest = _nearest(way[item.faces])
+    nearest = _nearest(way[item.geometry.faces])
     return (
         np.array([nearest, ranges.max()]),
         np.array([(rates - change).min(), (rates + change).max()]),

@@ -114,7 +114,7 @@ def _shifted(scene: "Scene", name: str, axis: int, by_m: float) -> "Scene":
         return replace(item, position_m=(x, y, z))
 
     def moved(item: "SceneObject") -> "SceneObject":
-        return replace(item, vertices_m=item.vertices_m + shift)
+        return item.moved(shift)
 
     return replace(
         scene,

@@ -27,12 +27,9 @@ def check_scene(scene: Scene) -> list[ObjectReport]:
 
 
 def _report(item: SceneObject, scene: Scene) -> ObjectReport:
-    import trimesh
-
-    mesh = trimesh.Trimesh(item.vertices_m, item.faces, process=False)
-    merged = trimesh.Trimesh(item.vertices_m, item.faces, process=True)
-    size = mesh.extents
-    low, high = mesh.bounds
+    merged = item.geometry.merged
+    low, high = item.box_m
+    size = high - low
     outside = np.maximum(0, np.maximum(low - scene.rig.position_m, scene.rig.position_m - high))
     remarks = []
     if not merged.is_watertight:
@@ -41,14 +38,14 @@ def _report(item: SceneObject, scene: Scene) -> ObjectReport:
         remarks.append("normals point inwards")
     if not merged.is_winding_consistent:
         remarks.append("faces wound both ways")
-    if max(np.abs(mesh.bounds - scene.rig.position_m).max(), 0) > 1e4:
+    if max(np.abs(item.box_m - scene.rig.position_m).max(), 0) > 1e4:
         remarks.append("reaches beyond 10 km: float32 rays lose up to 0.3 % of the light")
     if any(item.velocity_m_per_s):
         remarks.append("moves at {:g}, {:g}, {:g} m/s".format(*item.velocity_m_per_s))
     textured = isinstance(item.reflectance, Texture)
     return ObjectReport(
         name=item.name,
-        triangles=len(item.faces),
+        triangles=len(item.geometry.faces),
         size_m=(float(size[0]), float(size[1]), float(size[2])),
         nearest_m=float(np.linalg.norm(outside)),
         material=item.material,

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from twin.scene.meshes import Mesh
+from twin.geometry import Geometry
 from twin.scene.mitsuba import first_hits
-from twin.scene.model import Array, Pose, Sun
+from twin.scene.model import Array, Pose, SceneObject, Sun
 
 _EYE_M = 1.2  # height of the sensors over the ground
 _NEAREST_M, _FARTHEST_M = 2.0, 30.0  # of what the rig looks at
@@ -26,7 +26,7 @@ def default_sun(pose: Pose) -> Sun:
     )
 
 
-def default_pose(camera: Array | None, meshes: Iterable[Mesh]) -> tuple[Pose, str]:
+def default_pose(camera: Array | None, objects: Iterable[SceneObject]) -> tuple[Pose, str]:
     """A sensible pose and why it was chosen.
 
     The XML's own camera where it has one. Otherwise 1.2 m above the ground nearest to the middle of
@@ -35,16 +35,16 @@ def default_pose(camera: Array | None, meshes: Iterable[Mesh]) -> tuple[Pose, st
     """
     if camera is not None:  # Mitsuba's cameras look along +z, +y is up
         return Pose.from_axes(camera[:3, 3], camera[:3, 2], camera[:3, 1]), "the XML's camera"
-    geometry = list(meshes)
-    return _from_geometry(geometry) if geometry else (Pose((0.0, 0.0, _EYE_M)), "an empty scene")
+    items = list(objects)
+    return _from_geometry(items) if items else (Pose((0.0, 0.0, _EYE_M)), "an empty scene")
 
 
-def _from_geometry(meshes: list[Mesh]) -> tuple[Pose, str]:
-    low = np.min([m.vertices.min(axis=0) for m in meshes], axis=0)
-    high = np.max([m.vertices.max(axis=0) for m in meshes], axis=0)
+def _from_geometry(items: list[SceneObject]) -> tuple[Pose, str]:
+    low = np.min([item.vertices_m.min(axis=0) for item in items], axis=0)
+    high = np.max([item.vertices_m.max(axis=0) for item in items], axis=0)
     middle = (low + high) / 2
     half = (high - low) / 2
-    triangles = [Mesh(m.vertices - middle, m.faces) for m in meshes]
+    triangles = [Geometry(item.vertices_m - middle, item.geometry.faces) for item in items]
     # From above finds streets and yards; from half height the floor of a closed room.
     for start, where in ((half[2] + 1.0, "open ground"), (0.0, "the floor")):
         for eye in _standing_places(triangles, half, start):
@@ -55,7 +55,7 @@ def _from_geometry(meshes: list[Mesh]) -> tuple[Pose, str]:
     return _outside(middle, half), "nothing to stand on: outside, looking at the scene's broad side"
 
 
-def _standing_places(meshes: list[Mesh], half: Array, start_z: float) -> Array:
+def _standing_places(meshes: list[Geometry], half: Array, start_z: float) -> Array:
     """Eye points over a 15 x 15 grid of the lowest surfaces seen from ``start_z``, middle first."""
     x, y = (np.linspace(-half[i], half[i], 17)[1:-1] for i in (0, 1))
     points = np.array([(a, b, start_z) for a in x for b in y])
@@ -68,7 +68,7 @@ def _standing_places(meshes: list[Mesh], half: Array, start_z: float) -> Array:
     return points[usable][np.argsort(off[usable], kind="stable")]
 
 
-def _interesting_yaw(meshes: list[Mesh], eye: Array) -> float | None:
+def _interesting_yaw(meshes: list[Geometry], eye: Array) -> float | None:
     """Where the nearest thing in sight stands; None with nothing in sight or too little room."""
     yaw = np.radians(np.arange(-175, 181, 5.0))
     rays = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))])

@@ -12,7 +12,7 @@ def touches(item: SceneObject, point_m: Array) -> bool:
     """Whether a point lies in one of an object's triangles, to a tenth of a micrometre."""
     from trimesh.triangles import closest_point
 
-    corners = item.vertices_m[item.faces] - point_m
+    corners = item.vertices_m[item.geometry.faces] - point_m
     low, high = corners.min(axis=1), corners.max(axis=1)
     near = corners[((low <= _TOUCH_M) & (high >= -_TOUCH_M)).all(axis=1)]
     if not len(near):
@@ -30,7 +30,7 @@ def encloses(item: SceneObject, point_m: Array) -> bool:
     low, high = item.vertices_m.min(axis=0), item.vertices_m.max(axis=0)
     if not ((low < point_m) & (point_m < high)).all():
         return False
-    a, b, c = (item.vertices_m[item.faces[:, i]] - point_m for i in range(3))
+    a, b, c = (item.vertices_m[item.geometry.faces[:, i]] - point_m for i in range(3))
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
     triple = np.einsum("ij,ij->i", a, np.cross(b, c))
     ab, bc, ca = (np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from twin.files import InputError, whole_folder
+from twin.geometry import Geometry
 from twin.scene.appearance import Surfaces, appearance_of, texture_coordinates
 from twin.scene.beside import missing_files
 from twin.scene.materials import find_materials, load_materials
-from twin.scene.meshes import Mesh, load_quietly, validate
+from twin.scene.meshes import load_quietly
 from twin.scene.model import Array
 
 _LARGEST_M = 1e5  # what a scene may measure, see `load_scene`
@@ -66,8 +67,8 @@ def import_model(
     table = load_materials(find_materials(folder))
     surfaces = Surfaces(table, material, texture_as_reflectance)
     parts, notes = _parts(loaded, model, place, surfaces)
-    low = np.min([part.vertices.min(axis=0) for part, _ in parts.values()], axis=0)
-    high = np.max([part.vertices.max(axis=0) for part, _ in parts.values()], axis=0)
+    low = np.min([part.vertices_m.min(axis=0) for part, _ in parts.values()], axis=0)
+    high = np.max([part.vertices_m.max(axis=0) for part, _ in parts.values()], axis=0)
     if (high - low).max() > _LARGEST_M:
         raise InputError(
             f"{model}: measures {(high - low).max():.3g} m, expected at most {_LARGEST_M:g} m"
@@ -78,7 +79,9 @@ def import_model(
         (partial / "meshes").mkdir()
         for name, (part, _) in parts.items():
             drawn = None if part.uv is None else trimesh.visual.TextureVisuals(uv=part.uv)
-            mesh = trimesh.Trimesh(part.vertices - origin, part.faces, process=False, visual=drawn)
+            mesh = trimesh.Trimesh(
+                part.vertices_m - origin, part.faces, process=False, visual=drawn
+            )
             mesh.export(partial / "meshes" / f"{name}.ply")
         surfaces.write_pictures(partial)
         bsdfs = {name: bsdf for name, (_, bsdf) in parts.items()}
@@ -110,11 +113,11 @@ def _check(model: Path, folder: Path, scale: float, up: str | None, material: st
 
 def _parts(
     loaded: Any, model: Path, place: Array, surfaces: Surfaces
-) -> tuple[dict[str, tuple[Mesh, str]], list[str]]:
+) -> tuple[dict[str, tuple[Geometry, str]], list[str]]:
     """Every mesh of the model in scene coordinates with the id of its BSDF, by a name that is good
     for a file and is no id of a BSDF: ids are unique in a file.
     """
-    parts: dict[str, tuple[Mesh, str]] = {}
+    parts: dict[str, tuple[Geometry, str]] = {}
     skipped = 0
     for node in loaded.graph.nodes_geometry:
         with np.errstate(all="ignore"):  # what comes of it is validated
@@ -130,9 +133,9 @@ def _parts(
         while name in parts or name in surfaces.table:
             name = next(free)
         uv = texture_coordinates(mesh.visual, len(mesh.vertices))
-        raw = Mesh(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64), uv)
         where = f"{model}: part {node!r}"
-        placed = validate(validate(raw, where).transformed(matrix), where)
+        raw = Geometry(mesh.vertices, mesh.faces, uv, where).without_empty_faces(where)
+        placed = raw.transformed(matrix, where).without_empty_faces(where)
         parts[name] = placed, surfaces.bsdf(appearance_of(mesh.visual), name, uv is not None)
     if not parts:
         raise InputError(f"{model}: has no faces")

@@ -1,18 +1,21 @@
 """Read a scene folder or a bare Mitsuba XML file into a validated `Scene`."""
 
 from collections import Counter
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from twin.files import InputError, scenes_folder
+from twin.geometry import Geometry
 from twin.scene import xml
 from twin.scene.defaults import default_pose, default_sun
 from twin.scene.enclosure import encloses
 from twin.scene.materials import find_materials, load_materials, row_of
-from twin.scene.meshes import Mesh, primitive, read_mesh, validate
-from twin.scene.model import Pose, Rig, Scene, SceneObject
+from twin.scene.meshes import primitive, read_mesh
+from twin.scene.model import IN_PLACE, Array, Pose, Rig, Scene, SceneObject
 from twin.scene.settings import SceneSettings, load_settings
 from twin.scene.texture import Reflectance, Texture
 
@@ -60,21 +63,20 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     table_path = find_materials(path.parent)
     materials = _Materials(path, table_path, strict=settings is not None)
 
-    meshes = {shape.name: _mesh(path, shape) for shape in document.shapes}
-    rig, warnings = _rig(settings, document, meshes, pose)
+    meshes = _Meshes(path)
+    objects = tuple(_object(path, shape, meshes, materials, settings) for shape in document.shapes)
+    rig, warnings = _rig(settings, document, objects, pose)
     if not np.abs(rig.position_m).max() <= FARTHEST_ORIGIN_M:
         raise InputError(
             f"{toml if settings and not pose else path}: rig: position_m = "
             f"{rig.position_m.tolist()}, expected at most {FARTHEST_ORIGIN_M:g} m from the origin"
         )
-    warnings += [w for shape in document.shapes if (w := _coarse(shape, meshes[shape.name], rig))]
+    placed = list(zip(document.shapes, objects, strict=True))
+    warnings += [told for shape, item in placed if (told := _coarse(shape, item, rig))]
     if not document.shapes:
         warnings.append("the scene has no shapes")
-    for shape in document.shapes:
-        _check_extent(path, shape, meshes[shape.name], rig)
-    objects = tuple(
-        _object(path, shape, meshes[shape.name], materials, settings) for shape in document.shapes
-    )
+    for shape, item in placed:
+        _check_extent(path, shape, item, rig)
     inside = tuple(item.name for item in objects if encloses(item, rig.position_m))
     if inside:
         warnings.append(f"the rig stands inside {_list(inside)}")
@@ -116,36 +118,68 @@ def _find(scene: str | Path) -> Path:
     raise InputError(f"{scene}: no such scene; bundled ones: {known}")
 
 
-def _mesh(path: Path, shape: xml.Shape) -> Mesh:
-    place = _place(path, shape)
-    if shape.plugin in _MESH_PLUGINS:
-        if "filename" not in shape.properties:
-            raise InputError(f"{place}: {shape.plugin!r} needs a filename")
-        mesh = read_mesh(shape.properties["filename"])
-        if mesh.uv is not None and shape.flips_texture:
-            mesh = Mesh(mesh.vertices, mesh.faces, mesh.uv * [1, -1] + [0, 1])
-    else:
-        try:
-            made = primitive(shape.plugin, shape.properties)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{place}: {shape.plugin!r}: {error}") from error
-        if made is None:
-            raise InputError(
-                f"{place}: {shape.plugin!r} is not supported; "
-                "expected ply, obj, stl, rectangle, cube, sphere, cylinder or disk"
-            )
-        mesh = made
-    if not np.isfinite(shape.to_world).all():
-        raise InputError(f"{place}: to_world is not finite")
-    return validate(validate(mesh, place).transformed(shape.to_world), place)
+class _Meshes:
+    """Geometries of a scene's shapes: those of equal shapes are one, read once."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.held: dict[Hashable, Geometry] = {}
+
+    def placed(self, shape: xml.Shape) -> tuple[Geometry, RigidTransform]:
+        """A shape's geometry, and the pose of its frame in the world.
+
+        What ``to_world`` does beyond turning and moving is done to the vertices.
+        """
+        place = _place(self.path, shape)
+        matrix = shape.to_world
+        if not np.isfinite(matrix).all():
+            raise InputError(f"{place}: to_world is not finite")
+        to_uv = shape.surface.to_uv
+        properties = tuple(sorted((key, str(value)) for key, value in shape.properties.items()))
+        key = (shape.plugin, properties, None if to_uv is None else to_uv.tobytes())
+        if key not in self.held:
+            self.held[key] = self._read(shape, place)
+        geometry = self.held[key]
+        if _is_rigid(matrix):
+            return geometry, RigidTransform.from_matrix(matrix)
+        return geometry.transformed(matrix, place).without_empty_faces(place), IN_PLACE
+
+    def _read(self, shape: xml.Shape, place: str) -> Geometry:
+        if shape.plugin in _MESH_PLUGINS:
+            if "filename" not in shape.properties:
+                raise InputError(f"{place}: {shape.plugin!r} needs a filename")
+            geometry = read_mesh(shape.properties["filename"], place)
+        else:
+            try:
+                made = primitive(shape.plugin, shape.properties)
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{place}: {shape.plugin!r}: {error}") from error
+            if made is None:
+                raise InputError(
+                    f"{place}: {shape.plugin!r} is not supported; "
+                    "expected ply, obj, stl, rectangle, cube, sphere, cylinder or disk"
+                )
+            geometry = made
+        geometry = geometry.without_empty_faces(place)
+        if geometry.uv is None:
+            return geometry
+        flips = shape.plugin in _MESH_PLUGINS and shape.flips_texture
+        uv = geometry.uv * [1, -1] + [0, 1] if flips else geometry.uv
+        return Geometry(geometry.vertices_m, geometry.faces, shape.surface.placed(uv), place)
+
+
+def _is_rigid(matrix: Array) -> bool:
+    """Whether a 4x4 matrix only turns and moves."""
+    turn = matrix[:3, :3]
+    return bool(np.abs(turn @ turn.T - np.eye(3)).max() < 1e-12 and np.linalg.det(turn) > 0)
 
 
 def _place(path: Path, shape: xml.Shape) -> str:
     return f"{shape.properties.get('filename', path)}: shape {shape.name!r}"
 
 
-def _check_extent(path: Path, shape: xml.Shape, mesh: Mesh, rig: Rig) -> None:
-    distance = np.abs(mesh.vertices - rig.position_m).max(axis=1)
+def _check_extent(path: Path, shape: xml.Shape, item: SceneObject, rig: Rig) -> None:
+    distance = np.abs(item.vertices_m - rig.position_m).max(axis=1)
     far = int(distance.argmax())
     if distance[far] > FARTHEST_M:
         raise InputError(
@@ -154,17 +188,17 @@ def _check_extent(path: Path, shape: xml.Shape, mesh: Mesh, rig: Rig) -> None:
         )
 
 
-def _coarse(shape: xml.Shape, mesh: Mesh, rig: Rig) -> str | None:
+def _coarse(shape: xml.Shape, item: SceneObject, rig: Rig) -> str | None:
     """Warning for a mesh file with float32 coordinates far from the origin."""
     if shape.plugin not in _MESH_PLUGINS or not np.array_equal(shape.to_world, np.eye(4)):
         return None
-    narrow = mesh.vertices.astype(np.float32)
+    narrow = item.vertices_m.astype(np.float32)
     step = float(np.spacing(np.abs(narrow).max()))
-    if step < _COARSE_M or not np.array_equal(narrow, mesh.vertices):
+    if step < _COARSE_M or not np.array_equal(narrow, item.vertices_m):
         return None
     from trimesh.triangles import closest_point
 
-    corners = mesh.vertices[mesh.faces] - rig.position_m
+    corners = item.vertices_m[item.geometry.faces] - rig.position_m
     near = np.linalg.norm(closest_point(corners, np.zeros((len(corners), 3))), axis=1).min()
     # A corner is off by sqrt(3) / 2 steps; light falls with the square of the distance.
     error = float(np.sqrt(3) * step / max(near, step))
@@ -177,30 +211,30 @@ def _coarse(shape: xml.Shape, mesh: Mesh, rig: Rig) -> str | None:
 def _object(
     path: Path,
     shape: xml.Shape,
-    mesh: Mesh,
+    meshes: "_Meshes",
     materials: "_Materials",
     settings: SceneSettings | None,
 ) -> SceneObject:
+    geometry, pose = meshes.placed(shape)
     row, reflectance = materials.of(shape)
-    if isinstance(reflectance, Texture) and mesh.uv is None:
+    if isinstance(reflectance, Texture) and geometry.uv is None:
         raise InputError(f"{_place(path, shape)}: textured, but has no u, v coordinates")
     return SceneObject(
         name=shape.name,
-        vertices_m=mesh.vertices,
-        faces=mesh.faces,
-        uv=shape.surface.placed(mesh.uv),
+        geometry=geometry,
         material=row,
         reflectance=reflectance,
         velocity_m_per_s=settings.velocity(shape.name) if settings else (0.0, 0.0, 0.0),
         radar=settings.radar_role(shape.name) if settings else None,
         thickness_m=settings.thickness_m(shape.name) if settings else None,
+        pose=pose,
     )
 
 
 def _rig(
     settings: SceneSettings | None,
     document: xml.Document,
-    meshes: dict[str, Mesh],
+    objects: Sequence[SceneObject],
     pose: Pose | None,
 ) -> tuple[Rig, list[str]]:
     if settings:
@@ -208,7 +242,7 @@ def _rig(
         return (replace(rig, pose=pose) if pose else rig), []
     if pose:
         return Rig(pose), ["no scene.toml: sensor offsets defaulted"]
-    chosen, why = default_pose(document.camera, meshes.values())
+    chosen, why = default_pose(document.camera, objects)
     at = ", ".join(f"{p:.4g}" for p in chosen.position_m)
     return Rig(chosen), [
         f"no scene.toml: rig placed at ({at}) m, yaw {chosen.yaw_deg:.1f}, "

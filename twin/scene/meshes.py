@@ -1,10 +1,9 @@
-"""Meshes in float64: read from files, tessellated from primitives, validated."""
+"""Meshes from files, and tessellated from primitives."""
 
 import logging
 import re
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.files import InputError
+from twin.geometry import Geometry
 from twin.scene.beside import ModelFiles, model_file
 from twin.scene.gltf import check_gltf
 
@@ -21,31 +21,11 @@ FORMATS = ("ply", "obj", "stl", "glb", "gltf")
 _SEGMENTS = 64  # around a tessellated sphere, cylinder or disk: area within 0.16 %
 
 
-#: Float32 has 1.7e7 steps: a triangle this much longer than it is far is found to 1.5e-5 of its
-#: distance, well below the renderer's own offset of shadow rays.
-_EDGE_OVER_DISTANCE = 256.0
+def read_mesh(path: Path, place: str = "") -> Geometry:
+    """A mesh file (PLY, OBJ, STL, glTF) as it stands, faces without area and all.
 
-
-@dataclass(frozen=True, eq=False)
-class Mesh:
-    """Vertices (n, 3) in metres, faces (m, 3), texture coordinates (n, 2) or None."""
-
-    vertices: Array
-    faces: NDArray[np.integer]
-    uv: Array | None = None
-
-    def transformed(self, matrix: Array) -> "Mesh":
-        """Moved by a 4x4 matrix; faces turned over where it mirrors."""
-        with np.errstate(all="ignore"):  # what comes of it is validated
-            vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
-        mirrored = np.linalg.det(matrix[:3, :3]) < 0
-        return Mesh(vertices, self.faces[:, ::-1] if mirrored else self.faces, self.uv)
-
-
-def read_mesh(path: Path) -> Mesh:
-    """A mesh file (PLY, OBJ, STL, glTF) as it stands, unvalidated indices and all.
-
-    Raises InputError where the file is missing, truncated or no mesh.
+    Raises InputError where the file is missing, truncated or no mesh; of what is wrong within the
+    mesh it begins with ``place``, default: the path.
     """
     import trimesh
 
@@ -54,28 +34,13 @@ def read_mesh(path: Path) -> Mesh:
     loaded = load_quietly(path, trimesh.load)
     parts = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
     meshes = [
-        Mesh(
-            np.array(part.vertices, dtype=np.float64),
-            np.array(part.faces, dtype=np.int64),
-            _texture_coordinates(part),
-        )
+        Geometry(part.vertices, part.faces, _texture_coordinates(part), place or str(path))
         for part in parts
         if len(getattr(part, "faces", ())) > 0
     ]
     if not meshes:
         raise InputError(f"{path}: has no faces")
-    return _joined(meshes)
-
-
-def _joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Several as one; trimesh would pack their pictures, and move the texture coordinates."""
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
-    uvs = [mesh.uv for mesh in meshes if mesh.uv is not None]
-    return Mesh(
-        np.vstack([mesh.vertices for mesh in meshes]),
-        np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]),
-        np.vstack(uvs) if len(uvs) == len(meshes) else None,
-    )
+    return Geometry.joined(meshes)  # trimesh would pack their pictures, and move the coordinates
 
 
 def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
@@ -127,69 +92,10 @@ def _check_obj(path: Path) -> None:
 _CHECKS = {".obj": _check_obj, ".gltf": check_gltf, ".glb": check_gltf}
 
 
-def validate(mesh: Mesh, place: str) -> Mesh:
-    """The mesh without its zero-area faces, ready for a renderer.
-
-    Raises InputError, beginning with ``place``, on an index outside the vertices, a coordinate
-    that is no number, or when no face has an area.
-    """
-    for name in ("vertices", "faces"):
-        if (shape := getattr(mesh, name).shape)[1:] != (3,):
-            raise InputError(f"{place}: {name} of shape {shape}, expected three numbers each")
-    bad = np.argwhere((mesh.faces < 0) | (mesh.faces >= len(mesh.vertices)))
-    if len(bad):
-        face, corner = bad[0]
-        raise InputError(
-            f"{place}: face {face} refers to vertex {mesh.faces[face, corner]} "
-            f"of {len(mesh.vertices)}"
-        )
-    lost = np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))
-    if len(lost):
-        raise InputError(f"{place}: vertex {lost[0]} is {mesh.vertices[lost[0]].tolist()}")
-    if mesh.uv is not None and not np.isfinite(mesh.uv).all():
-        raise InputError(f"{place}: a texture coordinate is no number")
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    with np.errstate(over="ignore", invalid="ignore"):
-        solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
-    if not solid.any():
-        raise InputError(f"{place}: no face has an area")
-    return Mesh(mesh.vertices, mesh.faces[solid].astype(np.int32), mesh.uv)
-
-
-def divided(mesh: Mesh) -> Mesh:
-    """The same surface about the origin with no triangle that is large where it is near.
-
-    A renderer in float32 finds a point of a triangle only to the step of its corners' coordinates,
-    8 mm at 1e5 m: light is lost to the surface's own shadow. So edges are halved, in float64,
-    until none is longer than `_EDGE_OVER_DISTANCE` times the triangle's distance (or 1 m).
-    """
-    vertices, faces, uv = mesh.vertices, mesh.faces, mesh.uv
-    if np.linalg.norm(np.ptp(vertices, axis=0)) <= _EDGE_OVER_DISTANCE:  # of 1 m: nothing is longer
-        return mesh
-    while True:
-        corners = vertices[faces]
-        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        longest = edges.max(axis=1)
-        nearest = np.linalg.norm(corners.mean(axis=1), axis=1) - longest
-        split = longest > _EDGE_OVER_DISTANCE * np.maximum(nearest, 1.0)
-        if not split.any():
-            return Mesh(vertices, faces, uv)
-        first = edges[split].argmax(axis=1)[:, None]
-        turn = (first + np.arange(3)) % 3
-        a, b, c = np.take_along_axis(faces[split], turn, axis=1).T
-        middle = len(vertices) + np.arange(len(a))
-        halves = np.concatenate(
-            [np.column_stack([a, middle, c]), np.column_stack([middle, b, c])]
-        ).astype(faces.dtype)
-        vertices = np.concatenate([vertices, (vertices[a] + vertices[b]) / 2])
-        uv = None if uv is None else np.concatenate([uv, (uv[a] + uv[b]) / 2])
-        faces = np.concatenate([faces[~split], halves])
-
-
-def primitive(kind: str, properties: dict[str, Any]) -> Mesh | None:
+def primitive(kind: str, properties: dict[str, Any]) -> Geometry | None:
     """Mitsuba's analytic shapes as triangles, in their own frame; None for other shapes."""
     make = _PRIMITIVES.get(kind)
-    with np.errstate(all="ignore"):  # what comes of it is validated
+    with np.errstate(all="ignore"):  # what comes of it is checked
         return make(properties) if make else None
 
 
@@ -203,30 +109,27 @@ def _texture_coordinates(loaded: Any) -> Array | None:
     return None if uv is None or len(uv) != len(loaded.vertices) else np.array(uv, np.float64)
 
 
-def _rectangle(_: dict[str, Any]) -> Mesh:
+def _rectangle(_: dict[str, Any]) -> Geometry:
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float64)
-    return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), (corners[:, :2] + 1) / 2)
+    return Geometry(corners, np.array([[0, 1, 2], [0, 2, 3]]), (corners[:, :2] + 1) / 2)
 
 
-def _from_trimesh(made: Any) -> Mesh:
-    return Mesh(np.array(made.vertices, np.float64), np.array(made.faces, np.int64))
-
-
-def _cube(_: dict[str, Any]) -> Mesh:
+def _cube(_: dict[str, Any]) -> Geometry:
     import trimesh
 
-    return _from_trimesh(trimesh.creation.box(extents=(2, 2, 2)))
+    made = trimesh.creation.box(extents=(2, 2, 2))
+    return Geometry(made.vertices, made.faces)
 
 
-def _sphere(properties: dict[str, Any]) -> Mesh:
+def _sphere(properties: dict[str, Any]) -> Geometry:
     import trimesh
 
-    ball = _from_trimesh(trimesh.creation.icosphere(5, radius=properties.get("radius", 1.0)))
+    ball = trimesh.creation.icosphere(5, radius=properties.get("radius", 1.0))
     center = np.array(properties.get("center", (0, 0, 0)), dtype=np.float64).ravel()
-    return Mesh(ball.vertices + center, ball.faces)
+    return Geometry(np.asarray(ball.vertices) + center, ball.faces)
 
 
-def _cylinder(properties: dict[str, Any]) -> Mesh:
+def _cylinder(properties: dict[str, Any]) -> Geometry:
     """Open tube from p0 to p1, as in Mitsuba."""
     p0 = np.array(properties.get("p0", (0, 0, 0)), dtype=np.float64).ravel()
     p1 = np.array(properties.get("p1", (0, 0, 1)), dtype=np.float64).ravel()
@@ -237,20 +140,20 @@ def _cylinder(properties: dict[str, Any]) -> Mesh:
     ring = properties.get("radius", 1.0) * (
         np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(axis, u)
     )
-    i = np.arange(_SEGMENTS)
+    i = np.arange(_SEGMENTS, dtype=np.int32)
     j = (i + 1) % _SEGMENTS
     faces = np.vstack(
         [np.column_stack([i, j, j + _SEGMENTS]), np.column_stack([i, j + _SEGMENTS, i + _SEGMENTS])]
     )
-    return Mesh(np.vstack([p0 + ring, p1 + ring]), faces)
+    return Geometry(np.vstack([p0 + ring, p1 + ring]), faces)
 
 
-def _disk(_: dict[str, Any]) -> Mesh:
+def _disk(_: dict[str, Any]) -> Geometry:
     angle = np.linspace(0, 2 * np.pi, _SEGMENTS, endpoint=False)
     rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_SEGMENTS)])
-    i = np.arange(_SEGMENTS)
+    i = np.arange(_SEGMENTS, dtype=np.int32)
     faces = np.column_stack([np.full(_SEGMENTS, _SEGMENTS), i, (i + 1) % _SEGMENTS])
-    return Mesh(np.vstack([rim, np.zeros(3)]), faces)
+    return Geometry(np.vstack([rim, np.zeros(3)]), faces)
 
 
 _PRIMITIVES = {

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.scene.meshes import Mesh, divided
+from twin.geometry import Geometry, divided, mitsuba_mesh
 from twin.scene.model import Array, Scene
 from twin.scene.texture import Reflectance, Texture
 
@@ -20,27 +21,25 @@ def mitsuba_scene(scene: Scene) -> Any:
     origin = scene.rig.position_m
     return _assemble(
         [
-            (divided(Mesh(item.vertices_m - origin, item.faces, item.uv)), item.reflectance)
-            for item in scene.objects
+            (*divided(o.vertices_m - origin, o.geometry.faces, o.geometry.uv), o.reflectance)
+            for o in scene.objects
         ]
     )
 
 
-def first_hits(meshes: Sequence[Mesh], origins: Array, rays: Array) -> Array:
+def first_hits(meshes: Sequence[Geometry], origins: Array, rays: Array) -> Array:
     """Distance to the first surface along each ray, (n,); inf where there is none."""
     mi = mitsuba()
     start, along = (mi.Point3f(origins.T), mi.Vector3f(rays.T))
     # As one: a shape of its own for each of thousands takes seconds.
-    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    whole = Mesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.faces + n for mesh, n in zip(meshes, first, strict=False)]),
-    )
-    hit = _assemble([(whole, 0.0)]).ray_intersect(mi.Ray3f(start, along))
+    whole = Geometry.joined(meshes)
+    scene = _assemble([(whole.vertices_m, whole.faces, None, 0.0)])
+    hit = scene.ray_intersect(mi.Ray3f(start, along))
     return np.where(np.array(hit.is_valid()), np.array(hit.t, np.float64), np.inf)
 
 
-def _assemble(parts: Sequence[tuple[Mesh, Reflectance]]) -> Any:
+def _assemble(parts: Sequence[tuple[Array, NDArray[np.int32], Array | None, Reflectance]]) -> Any:
+    """Of vertices, faces, texture coordinates and reflectance of each shape."""
     shapes = {f"object_{i}": _shape(*part) for i, part in enumerate(parts)}
     mi = mitsuba()
     settings: dict[str, Any] = {"type": "scene"}
@@ -50,27 +49,16 @@ def _assemble(parts: Sequence[tuple[Mesh, Reflectance]]) -> Any:
     return mi.load_dict({**settings, **shapes})
 
 
-def _shape(mesh: Mesh, reflectance: Reflectance) -> Any:
+def _shape(
+    vertices_m: Array, faces: NDArray[np.int32], uv: Array | None, reflectance: Reflectance
+) -> Any:
     mi = mitsuba()
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(
         {"type": "twosided", "sides": {"type": "diffuse", "reflectance": _texture(reflectance)}}
     )
     properties["face_normals"] = True
-    shape = mi.Mesh(
-        "mesh",
-        vertex_count=len(mesh.vertices),
-        face_count=len(mesh.faces),
-        has_vertex_texcoords=mesh.uv is not None,
-        props=properties,
-    )
-    parameters = mi.traverse(shape)
-    parameters["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
-    parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
-    if mesh.uv is not None:
-        parameters["vertex_texcoords"] = mesh.uv.astype(np.float32).ravel()
-    parameters.update()
-    return shape
+    return mitsuba_mesh(mi, vertices_m, faces, uv, properties=properties)
 
 
 def _texture(reflectance: Reflectance) -> dict[str, Any]:

@@ -3,18 +3,19 @@
 import math
 import re
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from hardware.units import quantity
 from twin.files import InputError
+from twin.geometry import Geometry
 from twin.scene.materials import Material
 from twin.scene.texture import Reflectance, Texture
 
@@ -24,6 +25,8 @@ RadarRole = Literal["surface", "optics", "table", "declared", "obstacle"]
 FASTEST_M_PER_S = 1e5
 #: Above the atmosphere the sun gives some 1.3e5 lx.
 BRIGHTEST_LX = 1e7
+#: A geometry's own frame is the world's.
+IN_PLACE = RigidTransform.identity()
 
 
 def _check(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
@@ -50,22 +53,21 @@ def _check_vector(name: str, value: Any, most: float = math.inf) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """A rigid triangle mesh of one material.
+    """A rigid body: a geometry of one material, and where it stands.
 
-    ``vertices_m`` (n, 3) in world coordinates; ``faces`` (m, 3) indices; ``uv`` (n, 2) or None;
-    ``reflectance`` at 1550 nm: one number, or a texture looked up by ``uv``. ``radar`` overrides
-    what the object is to a radar; ``thickness_m`` is that of an open mesh that stands for a sheet.
+    ``reflectance`` at 1550 nm: one number, or a texture looked up by the geometry's ``uv``.
+    ``radar`` overrides what the object is to a radar; ``thickness_m`` is that of an open mesh that
+    stands for a sheet. ``pose`` leads from the geometry's own frame to the world.
     """
 
     name: str
-    vertices_m: Array
-    faces: NDArray[np.integer]
-    uv: Array | None
+    geometry: Geometry
     material: str
     reflectance: Reflectance
     velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     radar: RadarRole | None = None
     thickness_m: float | None = None
+    pose: RigidTransform = IN_PLACE
 
     def __post_init__(self) -> None:
         place = f"objects.{self.name}"
@@ -77,6 +79,30 @@ class SceneObject:
             raise InputError(f"scene.{place}.radar = {self.radar!r}: expected one of {known}")
         if self.thickness_m is not None:
             _check_above_zero(f"{place}.thickness_m", self.thickness_m)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @cached_property
+    def vertices_m(self) -> Array:
+        """Of the geometry, in the world, (n, 3)."""
+        in_place = np.array_equal(self.pose.as_matrix(), np.eye(4))
+        return self.geometry.vertices_m if in_place else self._placed(slice(None))
+
+    @cached_property
+    def box_m(self) -> Array:
+        """Least and largest coordinates of what the faces use, in the world, (2, 3)."""
+        corners = self._placed(self.geometry.shape.hull)
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+    def moved(self, by_m: Sequence[float] | Array) -> "SceneObject":
+        """The same object farther on by a vector (3,) of the world."""
+        return replace(self, pose=RigidTransform.from_translation(by_m) * self.pose)
+
+    def _placed(self, rows: slice | NDArray[np.integer]) -> Array:
+        vertices: Array = self.pose.apply(self.geometry.vertices_m[rows])
+        vertices.setflags(write=False)
+        return vertices
 
 
 @dataclass(frozen=True)
@@ -298,7 +324,7 @@ class Scene:
         return replace(
             self,
             objects=tuple(
-                replace(o, vertices_m=o.vertices_m + seconds * np.asarray(o.velocity_m_per_s))
+                o.moved(seconds * np.asarray(o.velocity_m_per_s)) if any(o.velocity_m_per_s) else o
                 for o in self.objects
             ),
             targets=tuple(t.after(seconds) for t in self.targets),
@@ -313,4 +339,4 @@ class Scene:
     @property
     def triangles(self) -> int:
         """Triangles in all objects."""
-        return sum(len(o.faces) for o in self.objects)
+        return sum(len(o.geometry.faces) for o in self.objects)

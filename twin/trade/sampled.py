@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.radar import RadarDesign
-from twin.radar.propagation.meshes.shape import shape_of
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.materials import surface_of
 from twin.scene import Scene
@@ -109,7 +108,7 @@ def _facets(stage: PreparedScene, objects: Sequence[int]) -> tuple[Array, Array]
         corners = world.vertices[world.faces[rows]]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         double = np.linalg.norm(across, axis=1)
-        outward = shape_of(stage.items[number]).outward
+        outward = stage.items[number].geometry.shape.outward
         middle = corners.mean(axis=1)
         side = np.sum(across * (stage.place - middle), axis=1)
         _, once = np.unique(np.round(middle, 9), axis=0, return_index=True)

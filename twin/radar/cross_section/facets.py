@@ -160,7 +160,7 @@ def direct(
         The frequency at which surfaces reflect.
     """
     subject, (n, m) = subject_of(target), ways.sent.shape[:2]
-    distance = np.minimum(ways.distance_m, _FAR * 2 * target.sphere[1])
+    distance = np.minimum(ways.distance_m, _FAR * 2 * target.geometry.sphere[1])
     wave_numbers = 2 * np.pi * frequency_hz / speed_of_light
     k = float(wave_numbers.max())
     s = _radars(subject, target, ways, distance, 2 * np.pi / k, material_hz)

@@ -82,7 +82,7 @@ class Echo:
 
 def portions(target: Target, count: int) -> Iterator[slice]:
     """So many ways in parts that fit into memory."""
-    at_once = int(np.clip(_FACETS_AT_ONCE // len(target.faces), 1, _MOST_AT_ONCE))
+    at_once = int(np.clip(_FACETS_AT_ONCE // len(target.geometry.faces), 1, _MOST_AT_ONCE))
     if not subject_of(target).is_convex:
         at_once = min(at_once, _SHADED_AT_ONCE)
     yield from (slice(i, min(i + at_once, count)) for i in range(0, count, at_once))

@@ -175,7 +175,7 @@ def spread(target: Target, ways: Ways, way: int, wavelength_m: float, density: D
 
 def _patches(target: Target, ways: Ways, way: int) -> list[Patch]:
     """One rectangle around the mesh's outline; six faces of a cube where the radar is close."""
-    center, radius = target.sphere
+    center, radius = target.geometry.sphere
     u, q = ways.source[way], 1 / ways.distance_m[way]
     towards = center * q - u
     if np.linalg.norm(towards) < _CLOSE * radius * q:
@@ -185,7 +185,7 @@ def _patches(target: Target, ways: Ways, way: int) -> list[Patch]:
     right /= np.linalg.norm(right)
     # Tilted against the axes: rows of tubes parallel to an edge would all be cut alike.
     axes = _TURNED @ np.stack([right, np.cross(right, forward)])
-    points = target.used_m
+    points = target.geometry.used_m
     # Perspective onto the plane through the centre; parallel where q is 0.
     if q:
         ray = points * q - u
@@ -209,12 +209,12 @@ def _cube(here: Array, reach_m: float) -> list[Patch]:
 def _shortening(target: Target, ways: Ways, way: int) -> float:
     """By how much closer rays are for the sake of facets that are met obliquely."""
     u, q = ways.source[way], 1 / ways.distance_m[way]
-    towards = u - q * target.sphere[0]
+    towards = u - q * target.geometry.sphere[0]
     size = float(np.linalg.norm(towards))
-    if size < _CLOSE * target.sphere[1] * q:
+    if size < _CLOSE * target.geometry.sphere[1] * q:
         return 0.5
-    cosine = np.abs(target.normals @ towards) / size
-    seen = target.areas_m2 * cosine
+    cosine = np.abs(target.geometry.normals @ towards) / size
+    seen = target.geometry.areas_m2 * cosine
     oblique = float(np.sum(seen * cosine) / max(np.sum(seen), 1e-300))
     return float(np.clip(1.5 * oblique, _LEAST_SHORTENING, 1))
 

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.geometry import Geometry, Shape
 from twin.radar.cross_section.ways import Ways
-from twin.radar.propagation.meshes.shape import Shape, shape_of
 from twin.radar.propagation.scene.mesh_scene import MeshScene
 from twin.radar.scattering.target import Target
 from twin.scene import SceneObject
@@ -44,25 +44,21 @@ class Subject:
 @lru_cache(maxsize=8)
 def subject_of(target: Target) -> Subject:
     """Found once for a mesh."""
-    center, radius = target.sphere
+    center, radius = target.geometry.sphere
     # Beside the mesh: rays start off a surface by a share of the distance from the anchor.
     anchor = center - radius
+    vertices, faces = target.geometry.vertices_m, target.geometry.faces
     kind = target.surface_of_face
-    kinds = np.zeros(len(target.faces), dtype=np.intp) if kind is None else np.asarray(kind)
+    kinds = np.zeros(len(faces), dtype=np.intp) if kind is None else np.asarray(kind)
     used = np.unique(kinds)
-    faces = target.faces.astype(np.int32)
-    items = [_item(target.vertices_m, faces[kinds == number]) for number in used]
+    parts = [Geometry(vertices, faces[kinds == number]) for number in used]
+    items = [SceneObject("target", part, "", 0.0) for part in parts]
     world = MeshScene(items)
     world.place(items, anchor)
-    whole = _item(target.vertices_m, np.concatenate([item.faces for item in items]))
-    shape = shape_of(whole)
+    shape = Geometry(vertices, np.concatenate([part.faces for part in parts])).shape
     return Subject(
         world, anchor, shape, used.astype(np.uint32), _open(world, shape, _ROUNDED * radius)
     )
-
-
-def _item(vertices: Array, faces: NDArray[np.int32]) -> SceneObject:
-    return SceneObject("target", vertices, faces, None, "", 0.0)
 
 
 def _open(world: MeshScene, shape: Shape, rounded_m: float) -> NDArray[np.bool_]:

@@ -110,7 +110,7 @@ def sweep(
 
 
 def _on_target(target: Target, edges: Edges, wavelength: float, diffraction: bool) -> list[str]:
-    points = target.used_m - target.used_m.mean(axis=0)
+    points = target.geometry.used_m - target.geometry.used_m.mean(axis=0)
     sizes = np.ptp(points @ np.linalg.svd(points, full_matrices=False)[2].T, axis=0) / wavelength
     sizes = np.sort(sizes)[::-1]
     remarks = []
@@ -136,7 +136,7 @@ def _on_target(target: Target, edges: Edges, wavelength: float, diffraction: boo
 
 
 def _on_distance(target: Target, distance_m: float) -> list[str]:
-    center, radius = target.sphere
+    center, radius = target.geometry.sphere
     if distance_m < float(np.linalg.norm(center)) + radius:
         return ["the radar may stand within the target: the figure is an echo, no cross-section"]
     return []

@@ -24,7 +24,7 @@ import os
 import zipfile
 from collections import OrderedDict
 from contextlib import suppress
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -34,6 +34,7 @@ from scipy.constants import speed_of_light
 
 from hardware.files import whole_file
 from twin.errors import InputError
+from twin.geometry import Geometry
 from twin.radar.cross_section.bistatic import scattering_dyadics
 from twin.radar.cross_section.optics import Quality, thinning
 from twin.radar.scattering.target import Target
@@ -93,12 +94,11 @@ class Table:
         quality: Quality = QUALITY,
         file: Path | None = None,
     ) -> None:
-        center, radius = target.sphere
+        center, radius = target.geometry.sphere
         self.extent_m = 2 * radius
         wavelength = speed_of_light / carrier_hz
-        self._target = Target(
-            target.vertices_m - center, target.faces, target.surfaces, target.surface_of_face
-        )
+        centered = Geometry(target.geometry.vertices_m - center, target.geometry.faces)
+        self._target = replace(target, geometry=centered)
         self.far_m = 2 * self.extent_m**2 / wavelength
         self.quality = quality
         self.undersampling = thinning(self._target, carrier_hz, quality)
@@ -210,8 +210,8 @@ class Table:
 def _key(target: Target, carrier_hz: float, nodes: int, quality: Quality) -> str:
     """Digest of all that a table depends on, the source of the packages that fill it included."""
     # To 0.1 um: where the object stands leaves rounding errors in its shape.
-    shape = np.round(target.vertices_m - target.sphere[0], 7) + 0.0
-    found = hashlib.sha256(shape.tobytes() + np.asarray(target.faces, np.int64).tobytes())
+    shape = np.round(target.geometry.vertices_m - target.geometry.sphere[0], 7) + 0.0
+    found = hashlib.sha256(shape.tobytes() + np.asarray(target.geometry.faces, np.int64).tobytes())
     if target.surface_of_face is not None:
         found.update(np.asarray(target.surface_of_face, np.int64).tobytes())
     found.update(repr((target.surfaces, carrier_hz, nodes, astuple(quality), _source())).encode())

@@ -14,7 +14,6 @@ from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges
 from twin.radar.propagation.facets.bodies import scattered_by
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.meshes.grouping import bodies_of
-from twin.radar.propagation.meshes.shape import boxes_of, distances_m
 from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
@@ -23,6 +22,7 @@ from twin.radar.propagation.surface_clutter import SurfaceClutter, clutter_echoe
 from twin.radar.scattering.surface import TABLE_STEPS
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene
+from twin.scene.boxes import boxes_of, distances_m
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.engine import mitsuba
+from twin.geometry import shapes_of
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.meshes.shape import boxes_of, distances_m, shapes_of
 from twin.radar.propagation.one_way.path import TracingContext, station, with_images
 from twin.radar.propagation.scene.culling import (
     OF_NOISE,
@@ -38,6 +38,7 @@ from twin.radar.propagation.scene.slabs import lets_through, walls
 from twin.radar.propagation.surface_clutter import coherent
 from twin.radar.scattering.surface import PEC, TABLE_STEPS, Surface, table
 from twin.scene import Scene, SceneObject, Target
+from twin.scene.boxes import boxes_of, distances_m
 
 Array = NDArray[np.float64]
 
@@ -248,7 +249,8 @@ def _slabs(
     found = {}
     permittivity: dict[str, complex | None] = {}
     large = [item for item in items if role_of[item.name] is ScatteringModel.SURFACE]
-    for item, shape in zip(large, shapes_of(large), strict=True):
+    shapes = shapes_of([item.geometry for item in large])
+    for item, shape in zip(large, shapes, strict=True):
         if item.material not in permittivity:
             surface = surface_of(replace(item, thickness_m=None), scene, radar.ofdm.carrier_hz)[0]
             permittivity[item.material] = surface.backing

@@ -11,12 +11,13 @@ are left out. Out one way and home another, cos(theta) is the geometric mean of 
 
 from dataclasses import dataclass, fields, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.meshes.kept import Kept
+from twin.geometry import Geometry
 from twin.radar.propagation.one_way.path import LEVEL, OFF_SURFACE, TracingContext
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
 from twin.radar.propagation.one_way.rays import Rays, and_reversed
@@ -28,7 +29,6 @@ _MOST_POINTS = 2**20  # of all surfaces together, 70 MB
 _PER_SCATTERER = 16.0  # points to choose from for each that is kept
 _AT_ONCE = 2**17  # points, 100 MB while they are under way
 _BEYOND = 12.0  # steps: a ray through walls ends up to 8 before its end
-_known: "Kept[tuple[int, Field]]" = Kept()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +59,18 @@ class Field:
     area_m2: float
 
 
+#: The last one made for each name and geometry, with what it was made for.
+_fields: WeakKeyDictionary[Geometry, dict[int, tuple[int, int, Field]]] = WeakKeyDictionary()
+
+
 def field_of(item: SceneObject, count: int, seed: int) -> Field:
     """The points of an object: the same for the same faces, count and seed."""
     name = crc32(item.name.encode())
-    held = _known.get([item.faces], seed, name)
-    if held is not None and held[0] == count:
-        return held[1]
+    held = _fields.setdefault(item.geometry, {})
+    if name in held and held[name][:2] == (seed, count):
+        return held[name][2]
     rng = np.random.default_rng([seed, name])
-    area = _areas(item)
+    area = item.geometry.areas_m2
     # Stratified over the faces' areas: no face has more or less than its share.
     at = (np.arange(count) + rng.random(count)) / count
     face = np.minimum(np.searchsorted(np.cumsum(area) / area.sum(), at), len(area) - 1)
@@ -79,13 +83,8 @@ def field_of(item: SceneObject, count: int, seed: int) -> Field:
         chance=rng.random(count),
         area_m2=float(area.sum()) / count,
     )
-    return _known.put((count, found), [item.faces], seed, name)[1]
-
-
-def _areas(item: SceneObject) -> Array:
-    a, b, c = (item.vertices_m[item.faces[:, i]] for i in range(3))
-    areas: Array = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    return areas
+    held[name] = seed, count, found
+    return found
 
 
 def clutter_echoes(
@@ -104,7 +103,7 @@ def clutter_echoes(
     seed
         Of places and phases.
     """
-    areas = [float(_areas(r.item).sum()) for r in surfaces]
+    areas = [float(r.item.geometry.areas_m2.sum()) for r in surfaces]
     whole = sum(areas)
     place, boresight = (np.array(vector).ravel() for vector in (s.place, s.boresight))
     parts = []
@@ -144,7 +143,7 @@ def _ahead(
     item: SceneObject, field: Field, anchor: Array, place: Array, boresight: Array
 ) -> _Points:
     corners = item.vertices_m - anchor
-    a, b, c = (corners[item.faces[:, i]] for i in range(3))
+    a, b, c = (corners[item.geometry.faces[:, i]] for i in range(3))
     across = np.cross(b - a, c - a)
     unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
     w, face = field.weights, field.face

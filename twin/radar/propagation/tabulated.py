@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.files import InputError
+from twin.geometry import Geometry
 from twin.radar.cross_section.table import Table, table_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.scene.materials import surface_of
 from twin.radar.scattering.surface import Surface
 from twin.radar.scattering.target import Target as Body
 from twin.scene import Scene, SceneObject, Target
-from twin.scene.meshes import Mesh
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -64,8 +64,9 @@ def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -
     carrier = radar.ofdm.carrier_hz
     surface, assumed = surface_of(item, scene, carrier)
     place = f"objects.{item.name}"
-    body = Body.from_mesh(Mesh(item.vertices_m, item.faces), surface, place)
-    x, y, z = body.sphere[0].tolist()
+    placed = Geometry(item.vertices_m, item.geometry.faces)
+    body = Body(placed.without_empty_faces(place), (surface,))
+    x, y, z = body.geometry.sphere[0].tolist()
     try:
         table = table_of(body, carrier, nodes)
     except InputError as error:

@@ -110,8 +110,8 @@ def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
 
 def _welded(target: Target) -> tuple[Array, Indices, Array, Indices]:
     """Corners, faces and normals with equal corners made one, each face once, and its number."""
-    _, radius = target.sphere
-    cells = np.round(target.vertices_m / (_WELDED * radius)).astype(np.int64)
+    _, radius = target.geometry.sphere
+    cells = np.round(target.geometry.vertices_m / (_WELDED * radius)).astype(np.int64)
     # One number per cell: unique rows of three would sort ten times as long.
     low = cells.min(axis=0)
     span = [int(n) + 1 for n in np.ptp(cells, axis=0)]
@@ -122,12 +122,12 @@ def _welded(target: Target) -> tuple[Array, Indices, Array, Indices]:
         )
     else:
         _, first, index = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    faces = index.reshape(-1)[target.faces].astype(np.int64)
+    faces = index.reshape(-1)[target.geometry.faces].astype(np.int64)
     corners = np.sort(faces, axis=1)
     solid = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
     _, kept = np.unique(corners[solid], axis=0, return_index=True)
     kept = np.flatnonzero(solid)[np.sort(kept)]
-    return target.vertices_m[first], faces[kept], target.normals[kept], kept
+    return target.geometry.vertices_m[first], faces[kept], target.geometry.normals[kept], kept
 
 
 def _adjacency(faces: Indices) -> tuple[Indices, Indices, int]:

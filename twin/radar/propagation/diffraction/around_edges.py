@@ -27,7 +27,6 @@ from twin.radar.propagation.diffraction.rims import (
     over_two,
     successive,
 )
-from twin.radar.propagation.meshes.shape import boxes_of
 from twin.radar.propagation.meshes.silhouettes import Outline, outline
 from twin.radar.propagation.one_way.path import OFF_SURFACE, TracingContext
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
@@ -35,6 +34,7 @@ from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image, mirrored
 from twin.radar.propagation.scene.mesh_scene import Flat
 from twin.scene import SceneObject
+from twin.scene.boxes import boxes_of
 from twin.transfer import aligned, vector
 
 Array = NDArray[np.float64]

@@ -68,7 +68,8 @@ def echoes_behind(obstacles: Screens, surface_of_object: NDArray[np.uint32], mos
     image, bodies = obstacles.stage.images[0], []
     for body in np.unique(obstacles.body[obstacles.body >= 0]):
         members = np.flatnonzero(obstacles.body == body)
-        corners = [obstacles.items[i].vertices_m[obstacles.items[i].faces] for i in members]
+        items = [obstacles.items[i] for i in members]
+        corners = [item.vertices_m[item.geometry.faces] for item in items]
         low, high = (
             side([side(c, axis=(0, 1)) for c in corners], axis=0) for side in (np.min, np.max)
         )
@@ -101,7 +102,9 @@ def _facets(obstacles: Screens, members: Indices) -> _Facets:
     corners, number = [], []
     for i in members:
         item = obstacles.items[i]
-        vertices, faces = subdivide_to_size(item.vertices_m, item.faces, _FINE_M, max_iter=16)
+        vertices, faces = subdivide_to_size(
+            item.vertices_m, item.geometry.faces, _FINE_M, max_iter=16
+        )
         corners.append(vertices[faces] - obstacles.stage.anchor_m)
         number.append(np.full(len(faces), i))
     facets = _Facets(np.concatenate(corners), np.concatenate(number))

@@ -8,11 +8,12 @@ those of the carrier: 2 GHz off it at 79 GHz the edges' echo of a box of 12 cm i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.meshes.kept import Kept
+from twin.geometry import Geometry
 from twin.radar.propagation.one_way.path import OFF_SURFACE, TracingContext
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
 from twin.radar.propagation.one_way.rays import Rays, and_reversed
@@ -20,7 +21,6 @@ from twin.radar.scattering.diffraction import EdgeQuality, Pieces, fringe_moment
 from twin.radar.scattering.edges import Edges, sharp_edges
 from twin.radar.scattering.target import Target
 from twin.scene import SceneObject
-from twin.scene.meshes import Mesh, validate
 
 Array = NDArray[np.float64]
 
@@ -42,30 +42,34 @@ class Sharp:
     velocity: Array
 
 
-_known: "Kept[tuple[Edges, NDArray[np.intp]]]" = Kept()
+#: By the first object of a body: the others, the anchor, and what was found last.
+_known: "WeakKeyDictionary[SceneObject, tuple[object, tuple[Edges, NDArray[np.intp]]]]" = (
+    WeakKeyDictionary()
+)
 
 
 def edges_of(
     items: tuple[SceneObject, ...], anchor_m: tuple[float, float, float]
 ) -> tuple[Edges, NDArray[np.intp]]:
     """Sharp edges of objects that touch, as one mesh around the anchor, and whose each one is."""
-    held = _known.get(items, anchor_m)
-    return held or _known.put(_edges_of(items, anchor_m), items, anchor_m)
+    first, *others = items
+    key = others, anchor_m
+    held = _known.get(first)
+    if held is None or held[0] != key:
+        held = _known[first] = key, _edges_of(items, anchor_m)
+    return held[1]
 
 
 def _edges_of(
     items: tuple[SceneObject, ...], anchor_m: tuple[float, float, float]
 ) -> tuple[Edges, NDArray[np.intp]]:
-    vertices, faces, owner, count = [], [], [], 0
-    for number, item in enumerate(items):
-        solid = validate(Mesh(item.vertices_m, item.faces), item.name)
-        vertices.append(item.vertices_m - anchor_m)
-        faces.append(solid.faces + count)
-        owner.append(np.full(len(solid.faces), number))
-        count += len(item.vertices_m)
-    target = Target(np.vstack(vertices), np.vstack(faces))
-    edges = sharp_edges(target, _QUALITY.sharp_angle_deg)
-    return edges, np.concatenate(owner)[edges.face]
+    placed = [
+        Geometry(item.vertices_m - anchor_m, item.geometry.without_empty_faces(item.name).faces)
+        for item in items
+    ]
+    edges = sharp_edges(Target(Geometry.joined(placed)), _QUALITY.sharp_angle_deg)
+    owner = np.repeat(np.arange(len(items)), [len(geometry.faces) for geometry in placed])
+    return edges, owner[edges.face]
 
 
 def edge_echoes(

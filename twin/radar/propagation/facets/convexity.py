@@ -2,14 +2,13 @@
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.meshes.kept import Kept
-from twin.radar.propagation.meshes.shape import Shape, shapes_of, welded
+from twin.geometry import Geometry, shapes_of
 from twin.radar.propagation.scene.mesh_scene import MeshScene
-from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -17,7 +16,7 @@ Indices = NDArray[np.int64]
 _MOST_FACES = 32  # of a flat patch that is looked at as one
 _LARGEST_MESH = 200_000  # faces, likewise
 _ROUNDED = 1e-6  # of a patch's size: what juts out no more is convex
-_parts: "Kept[tuple[Indices, int]]" = Kept()
+_parts: WeakKeyDictionary[Geometry, tuple[Indices, int]] = WeakKeyDictionary()
 
 
 def convex_parts(world: MeshScene) -> NDArray[np.uint32]:
@@ -25,46 +24,45 @@ def convex_parts(world: MeshScene) -> NDArray[np.uint32]:
     convex body, a flat convex patch, or the facet alone.
     """
     found = np.zeros(len(world.faces), dtype=np.uint32)
-    items = [item for item in world.items if item is not None]
-    shapes = shapes_of(items)
-    new = [i for i, shape in enumerate(shapes) if _parts.get([shape]) is None]
+    geometries = [item.geometry for item in world.items if item is not None]
+    new = [geometry for geometry in dict.fromkeys(geometries) if geometry not in _parts]
     if new:
-        of_new = _of_meshes([items[i] for i in new], [shapes[i] for i in new])
-        for i, part in zip(new, of_new, strict=True):
-            _parts.put(part, [shapes[i]])
+        _parts.update(zip(new, _of_meshes(new), strict=True))
     first = 0
-    for shape, rows in zip(shapes, world.face_ranges, strict=True):
-        held = _parts.get([shape])
-        assert held is not None
-        found[rows] = held[0] + first
-        first += held[1]
+    for geometry, rows in zip(geometries, world.face_ranges, strict=True):
+        part, count = _parts[geometry]
+        found[rows] = part + first
+        first += count
     return found
 
 
-def _of_meshes(
-    items: Sequence[SceneObject], shapes: Sequence[Shape]
-) -> Iterator[tuple[Indices, int]]:
+def _of_meshes(geometries: Sequence[Geometry]) -> Iterator[tuple[Indices, int]]:
     """Parts of each mesh, and how many there are: all meshes in one go."""
-    first_face = np.cumsum([0, *(len(item.faces) for item in items)])
+    shapes = shapes_of(geometries)
+    first_face = np.cumsum([0, *(len(geometry.faces) for geometry in geometries)])
     first_patch = np.cumsum([0, *(len(shape.patch_area_m2) for shape in shapes)])
-    first_point = np.cumsum([0, *(len(item.vertices_m) for item in items)])
+    first_point = np.cumsum([0, *(len(geometry.vertices_m) for geometry in geometries)])
     patch = np.concatenate(
         [shape.patch_of_face + n for shape, n in zip(shapes, first_patch, strict=False)]
     )
     sizes = np.bincount(patch, minlength=int(first_patch[-1]))
     is_asked = [
-        not s.is_convex and len(i.faces) <= _LARGEST_MESH
-        for i, s in zip(items, shapes, strict=True)
+        not s.is_convex and len(g.faces) <= _LARGEST_MESH
+        for g, s in zip(geometries, shapes, strict=True)
     ]
     joined = (sizes > 1) & (sizes <= _MOST_FACES) & np.repeat(is_asked, np.diff(first_patch))
     rows = np.flatnonzero(joined[patch])
     if len(rows):
         rows = rows[np.argsort(patch[rows], kind="stable")]
-        mesh = np.repeat(np.arange(len(items)), np.diff(first_face))[rows]
-        points = np.concatenate([item.vertices_m - item.vertices_m[0] for item in items])
-        faces = np.concatenate([item.faces for item in items])[rows] + first_point[mesh][:, None]
-        mesh = np.unique(mesh, return_inverse=True)[1].reshape(-1)
-        joined &= _are_convex(points, faces, mesh, patch[rows], len(sizes))
+        mesh = np.repeat(np.arange(len(geometries)), np.diff(first_face))[rows]
+        points = np.concatenate([g.vertices_m - g.vertices_m[0] for g in geometries])
+        first = first_point[mesh][:, None]
+        faces, corners = (
+            np.concatenate(all_faces)[rows] + first
+            for all_faces in zip(*((g.faces, g.welded_faces) for g in geometries), strict=True)
+        )
+        corners = np.unique(corners, return_inverse=True)[1].reshape(-1, 3)
+        joined &= _are_convex(points[faces], corners, patch[rows], len(sizes))
     label = np.where(joined[patch], patch, len(sizes) + np.arange(len(patch)))
     for (a, b), shape in zip(pairwise(first_face), shapes, strict=True):
         if shape.is_convex:
@@ -74,20 +72,17 @@ def _of_meshes(
         yield part.reshape(-1), len(numbers)
 
 
-def _are_convex(
-    points: Array, faces: Indices, mesh: Indices, patch: Indices, count: int
-) -> NDArray[np.bool_]:
-    """Which flat patches have no corner outside one of their border's edges, (count,); by the mesh
-    and the patch of every face (m, 3), patch by patch.
+def _are_convex(place: Array, corners: Indices, patch: Indices, count: int) -> NDArray[np.bool_]:
+    """Which flat patches have no corner outside one of their border's edges, (count,); by the
+    corners of every face (m, 3, 3), their numbers (m, 3), one for all at one place, and the patch
+    of every face (m,), patch by patch.
     """
-    corners = welded(points, faces, mesh)
     ends = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     of_edge = np.repeat(patch, 3)
     many = int(corners.max()) + 1
     keys = (of_edge * many + ends.min(axis=1)) * many + ends.max(axis=1)
     _, which, shared = np.unique(keys, return_inverse=True, return_counts=True)
     border = np.flatnonzero(shared[which.reshape(-1)] == 1)
-    place = points[faces]
     a, b, c = (place[border // 3, (border + k) % 3] for k in range(3))
     along, inwards = _unit(b - a), c - a
     inwards = _unit(inwards - np.sum(inwards * along, axis=1, keepdims=True) * along)

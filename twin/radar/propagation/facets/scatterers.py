@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from twin.radar.device.antenna import Antenna
 from twin.radar.propagation.facets.convexity import convex_parts
-from twin.radar.propagation.meshes.shape import shape_of
 from twin.radar.propagation.one_way.beams import AntennaGain, antenna_gain
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.transfer import aligned
@@ -51,7 +50,7 @@ def scatterers(
     for number in np.flatnonzero(body[: len(world.face_ranges)] >= 0).tolist():
         item, rows = world.items[number], world.face_ranges[number]
         assert item is not None
-        shape = shape_of(item)
+        shape = item.geometry.shape
         counts[rows] &= ~shape.is_double
         outward[rows] = shape.outward
     velocities = np.array([item.velocity_m_per_s for item in stage.items], dtype=np.float64)

@@ -13,8 +13,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from twin.radar.propagation.meshes.shape import boxes_of
 from twin.scene import SceneObject
+from twin.scene.boxes import boxes_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from twin.radar.device.antenna import Antenna
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.meshes.shape import distances_m
 from twin.radar.propagation.scene.images import Image, in_plane
 from twin.radar.propagation.scene.mesh_scene import Flats
+from twin.scene.boxes import distances_m
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

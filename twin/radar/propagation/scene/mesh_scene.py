@@ -9,16 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.radar.propagation.meshes.kept import Kept
-from twin.radar.propagation.meshes.shape import shape_of
+from twin.geometry import Geometry, divided, mitsuba_mesh, planes
 from twin.scene import SceneObject
-from twin.scene.meshes import Mesh, divided
+from twin.scene.model import IN_PLACE
 
 Array = NDArray[np.float64]
 
@@ -26,8 +26,9 @@ Array = NDArray[np.float64]
 _GRID_M = 64.0
 _WORLDS = 4  # kept, the last one and others
 _MOST_KEPT = 2_000_000  # faces in those others: 300 MB for each million
-_worlds: "OrderedDict[tuple[Any, ...], MeshScene]" = OrderedDict()
-_parts: "Kept[tuple[SceneObject | None]]" = Kept()  # None: as it is
+_worlds: "OrderedDict[tuple[Geometry, ...], MeshScene]" = OrderedDict()
+#: Of objects that are too large for float32 rays, around the last anchor.
+_parts: "WeakKeyDictionary[SceneObject, tuple[bytes, SceneObject | None]]" = WeakKeyDictionary()
 
 
 def anchor_of(place_m: Array) -> Array:
@@ -38,8 +39,8 @@ def anchor_of(place_m: Array) -> Array:
 
 def mesher(objects: Sequence[SceneObject], anchor_m: Array) -> "MeshScene":
     """Objects as one mesh around an anchor, up to date."""
-    items = tuple(_divided(item, tuple(anchor_m.tolist())) for item in objects)
-    key = tuple(id(item.faces) for item in items)
+    items = tuple(_divided(item, anchor_m) for item in objects)
+    key = tuple(item.geometry for item in items)
     held = _worlds.get(key)
     if held is None:
         _make_room()
@@ -54,17 +55,16 @@ def _make_room() -> None:
         _worlds.popitem(last=False)
 
 
-def _divided(item: SceneObject, anchor_m: tuple[float, float, float]) -> SceneObject:
+def _divided(item: SceneObject, anchor_m: Array) -> SceneObject:
     """The object with no triangle that is too large for float32 rays."""
-    held = _parts.get([item], anchor_m)
-    if held is None:
-        around = Mesh(item.vertices_m - np.array(anchor_m), item.faces)
-        mesh = divided(around)
+    held = _parts.get(item)
+    if held is None or held[0] != anchor_m.tobytes():
+        vertices, faces, _ = divided(item.vertices_m - anchor_m, item.geometry.faces)
         part = None
-        if mesh.faces is not around.faces:
-            part = replace(item, vertices_m=mesh.vertices + anchor_m, faces=mesh.faces)
-        held = _parts.put((part,), [item], anchor_m)
-    return held[0] or item
+        if faces is not item.geometry.faces:
+            part = replace(item, geometry=Geometry(vertices + anchor_m, faces), pose=IN_PLACE)
+        held = _parts[item] = anchor_m.tobytes(), part
+    return held[1] or item
 
 
 class MeshScene:
@@ -73,10 +73,9 @@ class MeshScene:
     def __init__(self, objects: Sequence[SceneObject]) -> None:
         self.items: list[SceneObject | None] = [None] * len(objects)
         self.is_empty = not objects
-        self.kept = tuple(item.faces for item in objects)  # their ids are the key
         self.anchor_m = np.full(3, np.nan)
         vertices = np.cumsum([0, *(len(item.vertices_m) for item in objects)])
-        faces = np.cumsum([0, *(len(item.faces) for item in objects)])
+        faces = np.cumsum([0, *(len(item.geometry.faces) for item in objects)])
         self.vertex_ranges = [slice(a, b) for a, b in pairwise(vertices)]
         self.face_ranges = [slice(a, b) for a, b in pairwise(faces)]
         self.vertices = np.zeros((int(vertices[-1]), 3))
@@ -85,7 +84,10 @@ class MeshScene:
         self.faces = np.concatenate(
             [
                 np.zeros((0, 3), dtype=np.uint32),
-                *(o.faces.astype(np.uint32) + a for o, a in zip(objects, vertices, strict=False)),
+                *(
+                    item.geometry.faces.astype(np.uint32) + first
+                    for item, first in zip(objects, vertices, strict=False)
+                ),
             ]
         )
         if self.is_empty:  # a point, which no ray hits: there is always something to trace
@@ -108,47 +110,30 @@ class MeshScene:
             changed = True
             here = item.vertices_m - self.anchor_m
             self.vertices[self.vertex_ranges[i]] = here
-            self.plane_table[self.face_ranges[i]] = _planes(here[item.faces])
+            self.plane_table[self.face_ranges[i]] = planes(here, item.geometry.faces)
         if changed or self.scene is None:
             self._upload()
 
     def _upload(self) -> None:
         mi = mitsuba()
-        narrow = self.vertices.astype(np.float32).ravel()
         if self.scene is None:
-            mesh = mi.Mesh("world", len(self.vertices), len(self.faces))
-            parameters = mi.traverse(mesh)
-            parameters["vertex_positions"] = narrow
-            parameters["faces"] = self.faces.ravel()
-            parameters.update()
+            mesh = mitsuba_mesh(mi, self.vertices, self.faces, name="world")
             self.scene = mi.load_dict({"type": "scene", "world": mesh})
             self.parameters = mi.traverse(self.scene)
             self.parameters.keep([r".*vertex_positions"])
             self.object_index = mi.UInt32(self.object_of_face)
         else:
             (name,) = self.parameters.keys()
-            self.parameters[name] = mi.Float(narrow)
+            self.parameters[name] = mi.Float(self.vertices.astype(np.float32).ravel())
             self.parameters.update()
         self.planes = mi.Float64(self.plane_table.ravel())
         dr.eval(self.planes, self.object_index)
 
 
 def _still(before: SceneObject, item: SceneObject) -> bool:
-    same = before.vertices_m is item.vertices_m
-    return same or np.array_equal(before.vertices_m, item.vertices_m)
-
-
-def _planes(corners: Array) -> Array:
-    """A point of each face's plane and its normal, (m, 6); zeros for a face without area."""
-    a = corners[:, 0]
-    first, second = corners[:, 1] - a, corners[:, 2] - a
-    # Scaled first: the squares of tiny edges would underflow.
-    size = np.maximum(np.abs(first), np.abs(second)).max(axis=1, keepdims=True)
-    size = np.where(size > 0, size, 1.0)
-    across = np.cross(first / size, second / size)
-    length = np.linalg.norm(across, axis=1, keepdims=True)
-    normal = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
-    return np.hstack([a, normal])
+    """Whether an object of the same geometry stands where it stood."""
+    same = before.pose is item.pose
+    return same or np.array_equal(before.pose.as_matrix(), item.pose.as_matrix())
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +222,7 @@ def flats(world: MeshScene, large_m: Array) -> tuple[Flats, NDArray[np.uint32]]:
     for number in np.flatnonzero(np.isfinite(large_m)).tolist():
         item = world.items[number]
         assert item is not None
-        shape = shape_of(item)
+        shape = item.geometry.shape
         chosen = np.flatnonzero(shape.plane_area_m2 >= large_m[number] ** 2)
         if not len(chosen):
             continue

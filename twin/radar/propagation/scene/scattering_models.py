@@ -17,9 +17,10 @@ from enum import StrEnum
 
 import numpy as np
 
+from twin.geometry import Shape, shapes_of
 from twin.radar.propagation.meshes.grouping import touching
-from twin.radar.propagation.meshes.shape import Shape, boxes_of, distances_m, shapes_of
 from twin.scene import Scene, Target
+from twin.scene.boxes import boxes_of, distances_m
 
 #: Side of a flat patch over its Fresnel zone from which the image method is taken to hold. At 3
 #: the plate's own cross-section 4 pi A^2 / lambda^2 is 25 dB above pi d^2 of an infinite plane:
@@ -76,9 +77,8 @@ def assign_scattering_models(
     distances = np.maximum(distances_m(boxes_of(scene.objects), origin), wavelength_m)
     part_of_declared = set() if with_optics else _beside(scene, declared)
     found = []
-    for item, shape, distance in zip(
-        scene.objects, shapes_of(scene.objects), distances.tolist(), strict=True
-    ):
+    shapes = shapes_of([item.geometry for item in scene.objects])
+    for item, shape, distance in zip(scene.objects, shapes, distances.tolist(), strict=True):
         ratio = shape.largest_patch_m2**0.5 / (wavelength_m * distance) ** 0.5
         wanted = _WANTED.get(item.radar or "")
         if wanted is not None and wanted is not (

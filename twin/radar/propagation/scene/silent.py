@@ -9,11 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from twin.geometry import shapes_of
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.meshes.shape import boxes_of, shapes_of
 from twin.radar.propagation.scene.culling import noise_amplitude
 from twin.radar.propagation.scene.scattering_models import SMALLEST, Assignment, ScatteringModel
 from twin.scene import Scene
+from twin.scene.boxes import boxes_of
 
 
 def silent_objects(
@@ -31,7 +32,7 @@ def silent_objects(
     if not some:
         return ()
     items = [item for item, _ in some]
-    shapes = shapes_of(items)
+    shapes = shapes_of([item.geometry for item in items])
     turned, axes = scene.rig.device("radar")
     place = scene.rig.position_m + turned
     away = boxes_of(items).mean(axis=1) - place

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.engine import sionna
+from twin.geometry import mitsuba_mesh, planes
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.one_way.rays import lengthening, turning
 from twin.radar.propagation.result import Heard, Path, Propagation, contributions_of_paths
@@ -351,9 +352,9 @@ class _RadioWorld:
 
     def _plane(self, item: SceneObject, primitive: int) -> tuple[Array, Array]:
         """A point and the unit normal of a triangle, relative to the radar, in float64."""
-        a, b, c = item.vertices_m[item.faces[primitive]] - self.origin
-        normal = np.cross(b - a, c - a)
-        return a, normal / np.linalg.norm(normal)
+        corners = item.vertices_m[item.geometry.faces[primitive]] - self.origin
+        (plane,) = planes(corners, np.array([[0, 1, 2]]))
+        return plane[:3], plane[3:]
 
 
 def _leg_motion(
@@ -384,9 +385,4 @@ def _mesh(item: SceneObject, origin: Array) -> Any:
     """Sionna's copy of a mesh, relative to the radar."""
     import mitsuba as mi
 
-    mesh = mi.Mesh(item.name, len(item.vertices_m), len(item.faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = (item.vertices_m - origin).astype(np.float32).ravel()
-    parameters["faces"] = item.faces.astype(np.uint32).ravel()
-    parameters.update()
-    return mesh
+    return mitsuba_mesh(mi, item.vertices_m - origin, item.geometry.faces, name=item.name)

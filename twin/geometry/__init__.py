@@ -1,0 +1,18 @@
+"""Triangle meshes: what they are by themselves, wherever they stand and whatever they are for."""
+
+from twin.geometry.edges import EdgeTable
+from twin.geometry.faces import planes
+from twin.geometry.geometry import Geometry
+from twin.geometry.shape import Shape, shapes_of
+from twin.geometry.tracing import are_too_large, divided, mitsuba_mesh
+
+__all__ = [
+    "EdgeTable",
+    "Geometry",
+    "Shape",
+    "are_too_large",
+    "divided",
+    "mitsuba_mesh",
+    "planes",
+    "shapes_of",
+]
