@@ -38,5 +38,6 @@ from hardware.records import read_record as read_record
 from hardware.records import write_radar_record as write_radar_record
 from hardware.records import write_record as write_record
 from hardware.sources import open_source as open_source
+from hardware.symbols import OwnSymbols as OwnSymbols
 from hardware.units import quantity as quantity
 from hardware.waveform import OfdmWaveform as OfdmWaveform

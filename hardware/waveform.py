@@ -5,13 +5,14 @@ repeats. The same symbol goes out in every slot.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.symbols import OwnSymbols, own_symbols
 
 C_M_PER_S = 299_792_458.0
 Symbols = Literal["zadoff-chu", "flat"]
@@ -35,10 +36,19 @@ class OfdmWaveform:
         Cyclic prefix before the first of them; echoes from beyond c prefix / 2 fall out of step.
     symbols
         ``zadoff-chu``: constant modulus, flat envelope. ``flat``: all ones (an impulse in time).
+        Or a user's own: an array (n_subcarriers,) of complex numbers of modulus 1, which records
+        hold, so that what is divided by is what was sent; ``own`` holds them then.
 
     >>> wave = OfdmWaveform(79e9, 4096, 250e3, 256, 20e-6, repeats=4, prefix_s=1e-6)
     >>> f"{wave.range_cell_m:.3f} m, up to {wave.max_range_m:.0f} m"
     '0.146 m, up to 600 m'
+
+    Random phases on four subcarriers:
+
+    >>> phases = np.random.default_rng(0).uniform(0, 2 * np.pi, 4)
+    >>> wave = OfdmWaveform(79e9, 4, 250e3, 256, 20e-6, 4, 1e-6, symbols=np.exp(1j * phases))
+    >>> wave.symbols, bool(np.allclose(np.angle(wave.sent() * np.exp(-1j * phases)), 0))
+    ('own', True)
     """
 
     carrier_hz: float
@@ -48,9 +58,15 @@ class OfdmWaveform:
     slot_period_s: float
     repeats: int
     prefix_s: float
-    symbols: Symbols = "zadoff-chu"
+    symbols: Symbols | Literal["own"] | OwnSymbols | NDArray[np.complex128] = "zadoff-chu"
+    own: OwnSymbols | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.symbols, str):
+            object.__setattr__(self, "own", own_symbols(self.symbols))
+            object.__setattr__(self, "symbols", "own")
+        elif self.symbols != "own":
+            object.__setattr__(self, "own", None)
         for name in ("carrier_hz", "subcarrier_spacing_hz", "slot_period_s"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError(f"{name}: {getattr(self, name)} is not a positive number")
@@ -67,7 +83,12 @@ class OfdmWaveform:
             )
         if self.bandwidth_hz >= 2 * self.carrier_hz:
             raise InputError(f"carrier_hz: {self.carrier_hz:g} is less than half the bandwidth")
-        if self.symbols not in get_args(Symbols):
+        if self.own is not None and self.own.values.size != self.n_subcarriers:
+            raise InputError(
+                f"symbols: {self.own.values.size}, expected one for each of n_subcarriers, "
+                f"{self.n_subcarriers}"
+            )
+        if self.own is None and self.symbols not in get_args(Symbols):
             raise InputError(f"symbols: {self.symbols!r} is none of {', '.join(get_args(Symbols))}")
 
     @property
@@ -135,8 +156,25 @@ class OfdmWaveform:
         x = np.pi / 2 * moved_m / self.range_cell_m
         return float(sici(x)[0] / x) if x else 1.0
 
+    @property
+    def digest(self) -> str:
+        """SHA-256 of a user's own symbols; empty where their name says them."""
+        return self.own.digest if self.own else ""
+
+    @property
+    def own_symbols(self) -> NDArray[np.float64] | None:
+        """A user's own symbols for a record, (n_subcarriers, 2): real and imaginary parts."""
+        return self.own.pairs if self.own else None
+
+    def over(self, carrier_hz: float, n_subcarriers: int) -> "OfdmWaveform":
+        """The same over another band, for what is divided by its symbols already."""
+        symbols = "flat" if self.own else self.symbols
+        return replace(self, carrier_hz=carrier_hz, n_subcarriers=n_subcarriers, symbols=symbols)
+
     def sent(self) -> NDArray[np.complex128]:
         """Sent symbol per subcarrier, modulus 1, (n_subcarriers,)."""
+        if self.own is not None:
+            return self.own.values
         if self.symbols == "flat":
             return np.ones(self.n_subcarriers, dtype=np.complex128)
         n = np.arange(self.n_subcarriers, dtype=np.int64)
@@ -144,3 +182,23 @@ class OfdmWaveform:
         # pi n (n + odd) / N, reduced modulo 2 pi in integers.
         phase = n * (n + length % 2) % (2 * length)
         return np.exp(-1j * np.pi * phase / length)
+
+
+def waveform_of(
+    *,
+    symbols: Any,
+    digest: str = "",
+    own_symbols: NDArray[np.float64] | None = None,
+    **fields: Any,
+) -> OfdmWaveform:
+    """Waveform of the fields of a record. Raises InputError for what does not fit together, and for
+    a user's own symbols whose digest is not that of their content.
+    """
+    if own_symbols is None or symbols != "own":
+        return OfdmWaveform(symbols=symbols, **fields)
+    waveform = OfdmWaveform(symbols=own_symbols, **fields)  # type: ignore[arg-type]
+    if waveform.digest != digest:
+        raise InputError(
+            f"symbols: their SHA-256 is {waveform.digest}, the record says {digest!r:.70}"
+        )
+    return waveform

@@ -10,7 +10,7 @@ Stepped-carrier OFDM: Schweizer et al., IEEE Trans. Microw. Theory Techn. 66, 20
 (doi 10.1109/TMTT.2017.2751463).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -120,7 +120,7 @@ def _wide(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:
     n = len(carriers) * waveform.n_subcarriers
     lowest = carriers[0] + waveform.frequency_offsets_hz[0]
     carrier = float(lowest + n // 2 * waveform.subcarrier_spacing_hz)
-    return replace(waveform, carrier_hz=carrier, n_subcarriers=n)
+    return waveform.over(carrier, n)
 
 
 def _late(still: Complex, waveform: OfdmWaveform, delay_s: float) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.records import container
 from hardware.records.state import QuaternionPose, RadarFrontEnd
-from hardware.waveform import OfdmWaveform
+from hardware.waveform import OfdmWaveform, waveform_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def _poses(rows: NDArray[np.float64]) -> tuple[QuaternionPose, ...]:
 
 LAYOUT = container.Layout(
     format="ugv-radar-record",
-    version=2,
+    version=3,
     settings=(
         "root_watt_per_count",
         "transmit_power_w",
@@ -115,7 +115,8 @@ LAYOUT = container.Layout(
         "receivers_m": (np.float64, "phase centres: x ahead, y left, z up, m"),
         "pose": (np.float64, "antenna in the world at each burst: x y z (m), quaternion w x y z"),
     },
-    added=dict.fromkeys(
+    added={"digest": 3, "own_symbols": 3}
+    | dict.fromkeys(
         (
             "antenna_gain_dbi",
             "losses_db",
@@ -139,8 +140,10 @@ LAYOUT = container.Layout(
         "repeats",
         "prefix_s",
         "symbols",
+        "digest",
     ),
-    make_group=OfdmWaveform,
+    group_arrays={"own_symbols": np.float64},
+    make_group=waveform_of,
 )
 
 
@@ -157,7 +160,7 @@ def read_radar_record(path: str | Path) -> RadarRecord:
     """
     fields, parameters = container.read(LAYOUT, path)
     try:
-        waveform = OfdmWaveform(**parameters)
+        waveform = waveform_of(**parameters)
         if "carriers_hz" not in fields:
             fields = _from_version_1(fields, waveform)
         return RadarRecord(waveform=waveform, **LAYOUT.arguments(fields))

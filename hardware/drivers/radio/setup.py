@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,10 @@ _PLACES = ("transmitters_m", "receivers_m")
 
 def write_setup(schedule: Schedule, front_end: RadarFrontEnd, path: str | Path) -> None:
     """Write both to one file, whole or not at all; what is unknown (NaN) is null in it."""
-    sent = asdict(schedule)
+    sent = asdict(replace(schedule, waveform=replace(schedule.waveform, symbols="flat")))
+    del sent["waveform"]["own"]
+    pairs = schedule.waveform.own_symbols
+    sent["waveform"]["symbols"] = schedule.waveform.symbols if pairs is None else pairs.tolist()
     known: dict[str, Any] = {"level": schedule.level}
     del sent["level"]  # stands beside the power that belongs to it
     for name, value in vars(front_end).items():

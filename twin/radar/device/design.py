@@ -1,17 +1,21 @@
 """The radar under study, as data, and what contradicts itself in it."""
 
 import math
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
 from scipy import constants
 
+from hardware.errors import InputError as VehicleInputError
 from hardware.records import RadarFrontEnd
+from hardware.symbols import OwnSymbols, own_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform, Symbols
-from twin.files import catalog_folder
+from twin.files import InputError, catalog_folder
+from twin.own_parts import OwnCode, own_part
 from twin.radar.device.antenna import Antenna
 from twin.radar.device.burst import Burst
 from twin.toml import (
@@ -27,6 +31,7 @@ from twin.toml import (
 )
 from twin.warned import CaptureWarning
 
+_SYMBOLS = ("symbols", "symbols_file", "function")  # fields of which one says what is sent
 _MOST_CELLS = 2**25  # of one burst: half a gigabyte in complex numbers
 _MOST_SYMBOLS = 2**24  # of one step, over which the oscillator wanders
 _REFERENCE_K = 290.0  # of noise figures, by definition
@@ -38,7 +43,22 @@ Places = Annotated[tuple[Place, ...], Field(min_length=1, max_length=256)]
 
 
 class Waveform(Strict):
-    """See `OfdmWaveform`. Of a radar that steps its carrier, this is the first step's."""
+    """See `OfdmWaveform`. Of a radar that steps its carrier, this is the first step's.
+
+    In place of ``symbols``, a user's own: ``symbols_file``, an array (n_subcarriers,) of complex
+    numbers of modulus 1 as ``.npy``; or ``function``, which gives such an array for this section:
+    ``file.py:function``, the name of an entry point of the group ``twin.waveform``, or in Python
+    itself.
+
+    >>> def random_phases(waveform):
+    ...     rng = np.random.default_rng(0)
+    ...     return np.exp(2j * np.pi * rng.random(waveform.n_subcarriers.value))
+    >>> radar = load_radar("hybrid-79").with_({"waveform.function": random_phases})
+    >>> radar.ofdm.symbols, radar.ofdm.sent().shape
+    ('own', (4096,))
+    """
+
+    alternatives: ClassVar = (("symbols",), ("symbols_file",), ("function",))
 
     carrier_hz: Sourced[Annotated[Positive, Field(le=1e13)]]
     n_subcarriers: Sourced[Count]
@@ -47,7 +67,32 @@ class Waveform(Strict):
     slot_period_s: Sourced[Annotated[Positive, Field(ge=1e-9, le=1e3)]]
     repeats: Sourced[Count]
     prefix_s: Sourced[NonNegative]
-    symbols: Sourced[Symbols]
+    symbols: Sourced[Symbols] | None = None
+    symbols_file: Sourced[str] | None = None
+    function: Sourced[OwnCode] | None = None
+
+    @model_validator(mode="after")
+    def _says_its_symbols(self) -> "Waveform":
+        if [self.symbols, self.symbols_file, self.function].count(None) != 2:
+            raise ValueError("needs one of symbols, symbols_file and function")
+        return self
+
+    @cached_property
+    def sent(self) -> Symbols | OwnSymbols:
+        """Name of the symbols, or a user's own. Raises InputError."""
+        if self.symbols_file is not None:
+            try:
+                return own_symbols(self.symbols_file.value)
+            except (VehicleInputError, FileNotFoundError) as error:
+                raise InputError(f"waveform.symbols_file: {error}") from error
+        if self.function is None:
+            assert self.symbols is not None
+            return self.symbols.value
+        own = own_part("waveform.function", self.function.value, "waveform")
+        try:
+            return own_symbols(own.function(self))
+        except VehicleInputError as error:
+            raise InputError(f"waveform.function: {own.name}: {error}") from error
 
 
 class FrontEndDesign(Strict):
@@ -188,8 +233,9 @@ class RadarDesign(Entry):
     @property
     def ofdm(self) -> OfdmWaveform:
         """The waveform that is sent; the first step's."""
-        fields = {name: getattr(self.waveform, name).value for name in Waveform.model_fields}
-        return OfdmWaveform(**fields)
+        names = [name for name in Waveform.model_fields if name not in _SYMBOLS]
+        fields = {name: getattr(self.waveform, name).value for name in names}
+        return OfdmWaveform(**fields, symbols=self.waveform.sent)
 
     @property
     def burst(self) -> Burst:
