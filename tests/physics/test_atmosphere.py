@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from twin.system import Weather, load_part
-
-pytest.importorskip("itur")
-
+from twin.radar.propagation.scene import itu_r
 from twin.radar.propagation.scene.atmosphere import Air, gas_db_per_km, rain_db_per_km
+from twin.system import Weather, load_part
 
 CLEAR, RAIN = load_part("clear-air").weather, load_part("rain-10").weather
 
@@ -18,6 +16,37 @@ def test_rain_is_p838s_table_at_80_ghz() -> None:
         found = rain_db_per_km(RAIN, 80e9, polarization)
         assert found == pytest.approx(k * 10**alpha, rel=1e-3)
     assert rain_db_per_km(CLEAR, 80e9, "vertical") == 0
+
+
+@pytest.mark.parametrize(
+    ("frequency_ghz", "oxygen", "water_vapour"),
+    [
+        (12, 0.00869826, 0.00953539),
+        (20, 0.01188355, 0.09704730),
+        (60, 14.62347480, 0.15484184),
+        (90, 0.03886971, 0.34197339),
+        (130, 0.04150908, 0.75184470),
+    ],
+)
+def test_gases_are_the_validation_examples_of_study_group_3(
+    frequency_ghz: float, oxygen: float, water_vapour: float
+) -> None:
+    """ITU-R, CG-3M3J-13-ValEx: dry air of 1013.25 hPa, 7.5 g/m^3 of vapour, 288.15 K."""
+    found = itu_r.gas_db_per_km(frequency_ghz * 1e9, 1013.25, 7.5, 288.15)
+    assert found == pytest.approx(oxygen + water_vapour, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "expected"),
+    [
+        ((24e9, 1000.0, 12.0, 300.0), 0.2626376920596893),
+        ((79e9, 900.0, 3.0, 270.0), 0.18293039192419092),
+        ((325e9, 700.0, 1.0, 250.0), 7.2240158537292745),
+    ],
+)
+def test_gases_are_iturs(conditions: tuple[float, ...], expected: float) -> None:
+    """The package `itur`, 0.4.0: carrier, dry air in hPa, vapour in g/m^3, temperature."""
+    assert itu_r.gas_db_per_km(*conditions) == pytest.approx(expected, rel=1e-14)
 
 
 def test_gases_have_p676s_peaks() -> None:

@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 from numbers import Real
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import InputError
 from twin.optics.weather import own_weather
+from twin.radar.propagation.scene import itu_r
+from twin.radar.propagation.scene.itu_r import Polarization
 from twin.system import Weather
-
-Polarization = Literal["horizontal", "vertical"]
 
 #: Of the ground-level standard atmosphere, ITU-R P.835.
 STANDARD_TEMPERATURE_K = 288.15
@@ -78,17 +77,11 @@ def rain_db_per_km(weather: Weather, carrier_hz: float, polarization: Polarizati
     """Specific attenuation k R^alpha of ITU-R P.838-3, one way, dB/km."""
     if weather.rain_mm_per_h is None or weather.rain_mm_per_h.value == 0:
         return 0.0
-    from itur.models.itu838 import rain_specific_attenuation
-
-    tilt = 0.0 if polarization == "horizontal" else 90.0
-    rate = weather.rain_mm_per_h.value
-    return float(rain_specific_attenuation(rate, carrier_hz / 1e9, 0.0, tilt).value)
+    return itu_r.rain_db_per_km(weather.rain_mm_per_h.value, carrier_hz, polarization)
 
 
 def gas_db_per_km(weather: Weather, carrier_hz: float) -> float:
     """Specific attenuation of oxygen and water vapour, ITU-R P.676, one way, dB/km."""
-    from itur.models.itu676 import gamma0_exact, gammaw_exact
-
     temperature = weather.temperature_k.value if weather.temperature_k else STANDARD_TEMPERATURE_K
     pressure = weather.pressure_pa.value if weather.pressure_pa else STANDARD_PRESSURE_PA
     vapour = (
@@ -96,7 +89,6 @@ def gas_db_per_km(weather: Weather, carrier_hz: float) -> float:
         if weather.water_vapour_kg_per_m3
         else STANDARD_WATER_VAPOUR_KG_PER_M3
     )
-    # itur asks for the pressure of dry air, hPa: what is left without the vapour's own.
     vapour_hpa = vapour * 1e3 * temperature / 216.7
-    arguments = (carrier_hz / 1e9, pressure / 100 - vapour_hpa, vapour * 1e3, temperature)
-    return float(gamma0_exact(*arguments).value) + float(gammaw_exact(*arguments).value)
+    dry_air_hpa = pressure / 100 - vapour_hpa
+    return itu_r.gas_db_per_km(carrier_hz, dry_air_hpa, vapour * 1e3, temperature)
