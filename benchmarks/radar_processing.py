@@ -12,7 +12,7 @@ from scipy import stats
 from benchmarks.timing import Figure, timed
 from hardware.radar import Cfar, MapNoise, OfdmWaveform, cfar_threshold, range_doppler
 from hardware.radar.burst import demodulate
-from hardware.radar.detection import detected, standard_errors
+from hardware.radar.detection import detect_echoes, standard_errors
 from hardware.radar.imaging import image
 from hardware.radar.process import Processing, process
 from tests.hardware.radar_cubes import (
@@ -116,7 +116,7 @@ def rmse(
         channel = np.exp(-2j * np.pi * (wave.carrier_hz * delay % 1.0 + f * delay))
         noise = rng.normal(size=(n, m, 2)).view(np.complex128)[..., 0]
         channel += noise * np.sqrt(n * m / snr / 2)
-        for found, _ in detected(channel, wave, range_doppler(channel, wave), Cfar()):
+        for found, _ in detect_echoes(channel, wave, range_doppler(channel, wave), Cfar()):
             off = np.array([found.range_m - range_m, found.range_rate_m_per_s - rate])
             if np.all(np.abs(off) < 2 * cells):
                 errors.append(off)
@@ -172,7 +172,7 @@ def _false_alarms() -> Iterator[Figure]:
         for _ in range(runs):
             noise = rng.normal(size=(512, 128, 2)).view(np.complex128)[..., 0]
             map_ = range_doppler(noise, small)
-            found += len(detected(noise, small, map_, Cfar(rate), at_most=10**6))
+            found += len(detect_echoes(noise, small, map_, Cfar(rate), at_most=10**6))
         expected = rate * 2**16 * runs
         name = f"false detections by default, nominal {rate:g}: measured over nominal"
         yield name, found / expected, ""
@@ -270,7 +270,7 @@ def _found(wave: OfdmWaveform, snr: float, rng: np.random.Generator) -> bool:
     channel = np.exp(-2j * np.pi * (wave.carrier_hz * delay % 1.0 + f * delay))
     channel += rng.normal(size=(n, m, 2)).view(np.complex128)[..., 0] * np.sqrt(n * m / snr / 2)
     map_ = range_doppler(channel, wave)
-    found = detected(channel, wave, map_, Cfar(1e-6), at_most=4)
+    found = detect_echoes(channel, wave, map_, Cfar(1e-6), at_most=4)
     return any(abs(d.range_m - range_m) < wave.range_cell_m for d, _ in found)
 
 

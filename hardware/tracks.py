@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar import Detection
-from hardware.radar.tracking import Track, Tracker
+from hardware.radar.tracking import TargetTrack, Tracker
 from hardware.records import QuaternionPose
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class RadarTracks:
 
     def update(
         self, sensor: str, detections: Sequence[Detection], time_ns: int, pose: QuaternionPose
-    ) -> list[Track]:
+    ) -> list[TargetTrack]:
         """Take in the detections of a burst; the confirmed tracks.
 
         ``time_ns`` is the device's clock at the burst, ``pose`` the antenna's then. The antenna's
@@ -45,7 +45,7 @@ class RadarTracks:
         return last.tracker.update(detections, elapsed_s, pose, velocity)
 
 
-def cloud(tracks: Sequence[Track]) -> dict[str, Array]:
+def cloud(tracks: Sequence[TargetTrack]) -> dict[str, Array]:
     """Columns of a point cloud in the world's frame, (n_tracks,) each.
 
     ``x``, ``y`` and the velocity with their standard errors, NaN where no azimuth was ever
@@ -60,7 +60,7 @@ def cloud(tracks: Sequence[Track]) -> dict[str, Array]:
         for name in (*names[2:], *errors, "range_m", "range_rate_m_per_s")
     }
     for k, track in enumerate(tracks):
-        if track.estimate.placed:
+        if track.estimate.has_position:
             deviation = np.sqrt(np.diag(track.covariance))
             for name, error, value, own in zip(names, errors, track.state, deviation, strict=True):
                 columns[name][k], columns[error][k] = value, own

@@ -93,7 +93,7 @@ def detect(
     """Detect targets: range, rate, angle, cross-section, each with its standard error."""
     from hardware.calibration import RadarCalibration, read_calibration
     from hardware.processing import calibrated
-    from hardware.radar.pictures import rows_of, write_detections, write_png
+    from hardware.radar.output import table_rows, write_detections, write_png
     from hardware.radar.process import frames
     from hardware.records import read_radar_record
 
@@ -106,7 +106,7 @@ def detect(
         _warn(record, frame.warnings)
         found = calibrated(frame, loaded, reference)
         print(f"{record}: burst {frame.burst}: {len(found)} detections{frame.by}")
-        for line in rows_of(found) if found else ():
+        for line in table_rows(found) if found else ():
             print(line)
         if png and frame.burst == 0:
             write_png(png, frame.image.power_w)
@@ -144,7 +144,7 @@ def image(
 
     from hardware.radar.imaging import Wall
     from hardware.radar.imaging import image as focus
-    from hardware.radar.pictures import write_image, write_png
+    from hardware.radar.output import write_image, write_png
     from hardware.records import read_radar_record
 
     if cells < 1 or not near < far or not width > 0:

@@ -1,22 +1,22 @@
-"""Range rates beyond the Doppler ambiguity, told apart by the target's walk through range cells.
+"""Doppler ambiguity of range rates, resolved by the target's range migration.
 
-Slots a period T apart know the Doppler shift modulo 1 / T: range rates a span of lambda / (2 T)
-apart look alike in phase. They differ in migration: within the interval of M slots one span moves a
-target by M B / fc range cells (B the bandwidth, fc the carrier). So every rate that folds to the
-measured one is tried on the channel itself. With the right one an echo stands in one cell; with
-another it is smeared over as many cells of range and of rate as the two differ in migration, and a
-detection stands on a fragment of it. So each rate is tried over all cells to which its echo may
-have been smeared. (Keystone and hypothesis tests: Perry, DiPietro and Fante, IEEE Trans. Aerosp.
-Electron. Syst. 35, 1999.)
+Slots with the period T determine the Doppler shift modulo 1 / T: range rates that differ by the
+unambiguous span lambda / (2 T) have the same phase. They differ in migration: within the interval
+of M slots one span moves a target by M B / fc range cells (B the bandwidth, fc the carrier). So
+every rate that folds to the measured one is tested as a hypothesis on the channel itself. With the
+true rate the echo is focused in one cell. With another rate it is smeared over as many cells of
+range and rate as the two differ in migration, and a detection is one fragment of the smear. So each
+rate is tested over all cells over which its echo may be smeared. (Keystone and hypothesis tests:
+Perry, DiPietro and Fante, IEEE Trans. Aerosp. Electron. Syst. 35, 1999.)
 
-A strong echo is smeared by a wrong rate, too, over the weak ones beside it: echoes are taken in the
-order of their strength, and each is taken away before the next is weighed.
+With a wrong rate a strong echo is also smeared over weak ones beside it. So echoes are processed in
+the order of their power, and each is subtracted before the next is tested.
 
-Two bodies a whole span apart share a cell of the map. Taken with its own rate, the stronger one
-leaves the other to be seen with its own.
+Two bodies whose rates differ by a whole span share a cell of the map. Once the stronger one is
+subtracted with its own rate, the other one is detected with its own.
 
-Where the migration of a span is less than about a cell the rates cannot be told apart so; of an
-array with time-division multiplexing, the phases across them may (`hardware.radar.angles`).
+Where one span migrates by less than about a cell, this cannot resolve the ambiguity; the phases
+across an array with time-division multiplexing may (`hardware.radar.angles`).
 """
 
 from collections.abc import Sequence
@@ -26,41 +26,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.detection import Detection, Measured, distinct, measurement
+from hardware.radar.detection import (
+    Detection,
+    EchoMeasurement,
+    echo_measurement,
+    without_duplicates,
+)
 from hardware.radar.refinement import (
     Blocks,
-    amplitudes,
+    block_responses,
     blocks_about,
-    highest,
-    left_over,
+    echo_amplitudes,
+    peak_offsets,
+    residual_power,
     unit_echoes,
-    within_blocks,
 )
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 
-#: Log-likelihood ratio from which a rate is taken for certain: an error in a thousand.
+#: Log-likelihood ratio above which a rate counts as certain: one error in a thousand.
 CERTAIN = float(np.log(1e3))
 _USUAL_M_PER_S = 10.0  # standard deviation of range rates before anything is measured
-_MODEL = 0.1  # of the likeliest rate's level: what an echo of several points may add to a wrong one
+_MODEL = 0.1  # of the likeliest rate's level: what an extended target may add to a wrong rate
 _FARTHEST = 9  # cells to each side that are searched: a quarter of the blocks' own reach
 _COARSE = 32  # blocks along each axis of the search; a target at its edge loses 1.2 dB
 _SEARCHED = (2 * _FARTHEST + 1) ** 2  # cells
-_LEFT = 1.3  # see `_more_than_its_smear`
-_WEAKEST = 0.05  # of the power of a body, for another in the same cell of the map to be looked for
-_TOLD_APART = 1.5  # cells that a span must move a target by for two bodies to be told apart
-_FELT = 0.1  # of a cell's noise: what others leave at an echo and need not be taken away
+_SMEAR_FACTOR = 1.3  # see `_may_hide_another`
+_WEAKEST = 0.05  # of the power of a body: the weakest second body searched in the same cell
+_LEAST_MIGRATION = 1.5  # cells of migration per span needed to separate two bodies of one cell
+_NEGLIGIBLE = 0.1  # of a cell's noise: contributions of other echoes that need no subtraction
 
 
 @dataclass(frozen=True, eq=False)
 class RateEvidence:
-    """What speaks for each of the range rates that fold to the measured one.
+    """Likelihood of each of the range rates that fold to the measured one.
 
     ``range_rate_m_per_s`` (n_rates,). ``log_likelihood`` (n_rates,): of a point target in white
-    noise anywhere in the cells that were searched, up to a constant. ``level`` (n_rates,): signal
-    over noise that stands in the best row of one rate, which is largest for the true rate of an
-    extended target, too. ``step`` (n_rates, 2): cells of delay and rate to the highest power.
+    noise anywhere in the cells searched, up to a constant. ``level`` (n_rates,): signal over noise
+    in the best row of one rate, which is largest for the true rate also of an extended target.
+    ``step`` (n_rates, 2): cells of delay and rate to the highest power.
     """
 
     range_rate_m_per_s: Array
@@ -69,9 +74,9 @@ class RateEvidence:
     step: Array
 
     @property
-    def left_open(self) -> NDArray[np.intp]:
-        """Rates (n,) by number that the data cannot exclude, likeliest first: where the data hardly
-        tell, that is the slowest.
+    def candidates(self) -> NDArray[np.intp]:
+        """Indices (n,) of the rates that the data cannot exclude, likeliest first; where the data
+        hardly distinguish them, that is the slowest.
         """
         rates, likelihood = self.range_rate_m_per_s, self.log_likelihood
         likeliest = np.argsort((rates / _USUAL_M_PER_S) ** 2 / 2 - likelihood, kind="stable")
@@ -86,10 +91,10 @@ class RateEvidence:
         return np.asarray(~(unlikely & weak))
 
 
-def folded_rates(
+def ambiguous_rates(
     waveform: OfdmWaveform, range_rate_m_per_s: float, fastest_m_per_s: float
 ) -> Array:
-    """Range rates (n_rates,) that look alike in Doppler, nearest to standstill first.
+    """Range rates (n_rates,) of the same folded Doppler shift, slowest first.
 
     Those up to ``fastest_m_per_s`` either way; at least the nearest.
     """
@@ -102,7 +107,7 @@ def folded_rates(
 
 
 def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateEvidence:
-    """Weigh range rates by the migration that each would have made.
+    """Likelihood of range rates from the migration that each would cause.
 
     Parameters
     ----------
@@ -125,12 +130,13 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     along = np.exp(2j * np.pi * blocks.grid.cell[1] * blocks.grid.carrier_hz * np.outer(t_s, steps))
     single = np.complex64
     across, along, near = across.astype(single), along.astype(single), sums.astype(single)
-    # The carrier's own turn folds to none over whole slots; the band's is the migration.
+    # The carrier's phase is the same for all rates, modulo whole cycles per slot; the rest of the
+    # band gives the migration.
     still = near * blocks.grid.migration(extra).astype(single)[:, None]
     cells = across @ still @ along  # by rate that is tried, channel, delay and rate
     power = np.asarray(np.sum(cells.real**2 + cells.imag**2, axis=1, dtype=np.float64))
     flat = power.reshape(len(power), -1)
-    # What stronger echoes leave over all these cells is no echo.
+    # Remains of stronger echoes over all these cells count as noise.
     middle = flat.shape[1] // 2
     least = max(noise_w, np.finfo(float).tiny)
     noise = np.maximum(np.partition(flat, middle, axis=1)[:, middle] / len(sums), least)[:, None]
@@ -142,20 +148,20 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     return RateEvidence(rates_m_per_s, (highest_w / noise)[:, 0] + spread, rows.max(axis=1), step)
 
 
-def unfolded(
+def resolve_range_rates(
     channel: Complex,
     waveform: OfdmWaveform,
-    found: Sequence[Measured],
+    echoes: Sequence[EchoMeasurement],
     noise_w: float,
     fastest_m_per_s: float,
-) -> list[Measured]:
+) -> list[EchoMeasurement]:
     """Detections with the likeliest of the range rates that fold to theirs, strongest first; other
     rates that the channel leaves open stand with them as alternatives.
 
     Parameters
     ----------
     channel, waveform, found
-        As `detected` took and gave them.
+        Input and result of `detect_echoes`.
     noise_w
         Mean noise power of a cell without a window.
     fastest_m_per_s
@@ -163,56 +169,60 @@ def unfolded(
     """
     from scipy.special import gammainccinv
 
-    one_rate = len(folded_rates(waveform, 0.0, fastest_m_per_s)) == 1
-    if waveform.n_slots == 1 or one_rate or not found:
-        return list(found)
-    range_m = np.array([one.range_m for one, _ in found])
-    rate_m_per_s = np.array([one.range_rate_m_per_s for one, _ in found])
+    one_rate = len(ambiguous_rates(waveform, 0.0, fastest_m_per_s)) == 1
+    if waveform.n_slots == 1 or one_rate or not echoes:
+        return list(echoes)
+    range_m = np.array([one.range_m for one, _ in echoes])
+    rate_m_per_s = np.array([one.range_rate_m_per_s for one, _ in echoes])
     about = blocks_about(channel, waveform, "boxcar", range_m, rate_m_per_s, _COARSE)
-    looks = len(found[0][1])
+    looks = len(echoes[0][1])
     least_w = noise_w * float(gammainccinv(looks, np.exp(-CERTAIN) / _SEARCHED)) / looks
-    kept: list[Measured] = []
-    moved: list[Measured] = []
-    for one, blocks in zip(found, about, strict=True):
-        if moved and _explained(blocks, one, moved):
-            continue  # a fragment of what stands elsewhere with its own rate
-        free = _without(blocks, kept, noise_w)
-        solved, evidence = _solved(channel, waveform, one, free, kept, noise_w, fastest_m_per_s)
-        if _other_fold(solved[0].range_rate_m_per_s, one[0], waveform):
+    kept: list[EchoMeasurement] = []
+    moved: list[EchoMeasurement] = []
+    for one, blocks in zip(echoes, about, strict=True):
+        if moved and _is_explained(blocks, one, moved):
+            continue  # a fragment of an echo that is focused elsewhere with its own rate
+        free = _subtract_echoes(blocks, kept, noise_w)
+        solved, evidence = _with_likeliest_rate(
+            channel, waveform, one, free, kept, noise_w, fastest_m_per_s
+        )
+        if _is_other_fold(solved[0].range_rate_m_per_s, one[0], waveform):
             if solved[0].power_w < least_w:
-                continue  # no echo, but what is left of those before it
+                continue  # not an echo but a remainder of the preceding ones
             moved.append(solved)
-        if _more_than_its_smear(evidence, waveform):
-            beneath = _beneath(
+        if _may_hide_another(evidence, waveform):
+            beneath = _second_body(
                 channel, waveform, one, solved, blocks, kept, noise_w=noise_w, evidence=evidence
             )
             if beneath and beneath[0].power_w >= least_w:
                 moved.append(beneath)
                 kept.append(beneath)
-                free = _without(blocks, kept, noise_w)
-                solved, _ = _solved(channel, waveform, one, free, kept, noise_w, fastest_m_per_s)
+                free = _subtract_echoes(blocks, kept, noise_w)
+                solved, _ = _with_likeliest_rate(
+                    channel, waveform, one, free, kept, noise_w, fastest_m_per_s
+                )
         kept.append(solved)
-    return distinct(kept, waveform, folded=False)
+    return without_duplicates(kept, waveform, folded=False)
 
 
-def _solved(
+def _with_likeliest_rate(
     channel: Complex,
     waveform: OfdmWaveform,
-    one: Measured,
+    one: EchoMeasurement,
     blocks: Blocks,
-    others: Sequence[Measured],
+    others: Sequence[EchoMeasurement],
     noise_w: float,
     fastest_m_per_s: float,
-) -> tuple[Measured, RateEvidence]:
-    """A detection with its likeliest range rate, measured again where that is another, and what
-    speaks for each rate; ``blocks`` about it are free of the ``others``.
+) -> tuple[EchoMeasurement, RateEvidence]:
+    """A detection with its likeliest range rate, measured again where that is another one, and the
+    likelihood of each rate; the ``others`` are already subtracted from ``blocks``.
     """
-    rates = folded_rates(waveform, one[0].range_rate_m_per_s, fastest_m_per_s)
+    rates = ambiguous_rates(waveform, one[0].range_rate_m_per_s, fastest_m_per_s)
     evidence = rate_evidence(blocks, rates, noise_w)
-    best, *rest = evidence.left_open
+    best, *rest = evidence.candidates
     detection, amplitude = one
-    if _other_fold(float(rates[best]), detection, waveform):
-        detection, amplitude = _measured_at(
+    if _is_other_fold(float(rates[best]), detection, waveform):
+        detection, amplitude = _measure_at(
             channel, waveform, one[0], evidence, int(best), others, noise_w
         )
     alternatives = detection.range_rate_m_per_s + (rates[rest] - rates[best])
@@ -220,16 +230,16 @@ def _solved(
     return (replace(detection, range_rate_alternatives_m_per_s=told), amplitude), evidence
 
 
-def _measured_at(
+def _measure_at(
     channel: Complex,
     waveform: OfdmWaveform,
     detection: Detection,
     evidence: RateEvidence,
     number: int,
-    others: Sequence[Measured],
+    others: Sequence[EchoMeasurement],
     noise_w: float,
-) -> Measured:
-    """The echo that stands near a detection with one of the rates, by its number."""
+) -> EchoMeasurement:
+    """The echo near a detection with one of the rates, given by its index."""
     delays, rates = evidence.step[number] * [waveform.range_cell_m, waveform.velocity_cell_m_per_s]
     (blocks,) = blocks_about(
         channel,
@@ -238,76 +248,76 @@ def _measured_at(
         np.array([detection.range_m + delays]),
         np.array([evidence.range_rate_m_per_s[number] + rates]),
     )
-    blocks = _without(blocks, others, noise_w)
-    (step,) = highest([blocks])
-    return measurement(
+    blocks = _subtract_echoes(blocks, others, noise_w)
+    (step,) = peak_offsets([blocks])
+    return echo_measurement(
         blocks,
         step,
-        amplitudes(blocks, step),
+        echo_amplitudes(blocks, step),
         waveform,
         noise_w,
         "boxcar",
-        left_over(blocks, step),
+        residual_power(blocks, step),
     )
 
 
-def _more_than_its_smear(evidence: RateEvidence, waveform: OfdmWaveform) -> bool:
-    """Whether another rate has more than a wrong rate leaves of the likeliest one's echo: of its
-    power in one cell 1.3 over the square of the cells that the wrong rate smears it over.
+def _may_hide_another(evidence: RateEvidence, waveform: OfdmWaveform) -> bool:
+    """Whether another rate has more power than the smear of the likeliest one's echo explains: in
+    one cell 1.3 of the echo's power over the square of the number of cells of the smear.
     """
     span = 2 * waveform.max_velocity_m_per_s
     crossed = span * waveform.n_slots * waveform.slot_period_s / waveform.range_cell_m
     likelihood = np.sort(evidence.log_likelihood)
-    left = max(_LEFT / crossed**2, _WEAKEST)
-    return bool(crossed > _TOLD_APART and likelihood[-2] > left * likelihood[-1])
+    left = max(_SMEAR_FACTOR / crossed**2, _WEAKEST)
+    return bool(crossed > _LEAST_MIGRATION and likelihood[-2] > left * likelihood[-1])
 
 
-def _beneath(
+def _second_body(
     channel: Complex,
     waveform: OfdmWaveform,
-    one: Measured,
-    solved: Measured,
+    one: EchoMeasurement,
+    solved: EchoMeasurement,
     blocks: Blocks,
-    others: Sequence[Measured],
+    others: Sequence[EchoMeasurement],
     *,
     noise_w: float,
     evidence: RateEvidence,
-) -> Measured | None:
-    """A second body with another of the rates that fold to a detection's, in the same cell of the
-    map: what is left without the first, if the first one's own rate does not explain it.
+) -> EchoMeasurement | None:
+    """A second body in the same cell of the map, whose rate differs by whole spans: the strongest
+    echo after subtraction of the first, unless the rate of the first explains it.
     """
     rates = evidence.range_rate_m_per_s
     others = [*others, solved]
-    left = rate_evidence(_without(blocks, others, noise_w), rates, noise_w)
+    left = rate_evidence(_subtract_echoes(blocks, others, noise_w), rates, noise_w)
     own = int(np.argmin(np.abs(rates - solved[0].range_rate_m_per_s)))
-    best = int(left.left_open[0])
+    best = int(left.candidates[0])
     if best == own or left.possible[own]:
         return None
-    found = _measured_at(channel, waveform, one[0], left, best, others, noise_w)
-    return found if _other_fold(found[0].range_rate_m_per_s, solved[0], waveform) else None
+    second = _measure_at(channel, waveform, one[0], left, best, others, noise_w)
+    return second if _is_other_fold(second[0].range_rate_m_per_s, solved[0], waveform) else None
 
 
-def _other_fold(rate_m_per_s: float, detection: Detection, waveform: OfdmWaveform) -> bool:
-    """Whether a rate is another than a detection's by at least half a span."""
+def _is_other_fold(rate_m_per_s: float, detection: Detection, waveform: OfdmWaveform) -> bool:
+    """Whether a rate differs from a detection's by more than half a span."""
     return abs(rate_m_per_s - detection.range_rate_m_per_s) > waveform.max_velocity_m_per_s
 
 
-def _without(blocks: Blocks, others: Sequence[Measured], noise_w: float) -> Blocks:
-    """Blocks less what other echoes leave in them."""
+def _subtract_echoes(blocks: Blocks, others: Sequence[EchoMeasurement], noise_w: float) -> Blocks:
+    """Blocks after subtraction of other echoes."""
     if not others:
         return blocks
     steps = np.array([_steps(one, blocks) for one, _ in others])
-    along_f, along_t = within_blocks(blocks, steps)
+    along_f, along_t = block_responses(blocks, steps)
     amplitude = np.array([amplitude for _, amplitude in others])
     most = np.abs(along_f).sum(axis=1) * np.abs(along_t).sum(axis=1)
-    felt = np.mean(np.abs(amplitude) ** 2, axis=1) * most**2 > _FELT * noise_w
+    felt = np.mean(np.abs(amplitude) ** 2, axis=1) * most**2 > _NEGLIGIBLE * noise_w
     echoes = unit_echoes(blocks, steps[felt])
     return replace(blocks, sums=blocks.sums - np.tensordot(amplitude[felt].T, echoes, 1))
 
 
-def _explained(blocks: Blocks, one: Measured, moved: Sequence[Measured]) -> bool:
-    """Whether most of an echo is gone once echoes that moved elsewhere are taken away."""
-    left = amplitudes(_without(blocks, moved, 0.0), np.array(_steps(one[0], blocks)))
+def _is_explained(blocks: Blocks, one: EchoMeasurement, moved: Sequence[EchoMeasurement]) -> bool:
+    """Whether most of an echo disappears when echoes with a new rate are subtracted."""
+    left = echo_amplitudes(_subtract_echoes(blocks, moved, 0.0), np.array(_steps(one[0], blocks)))
     return bool(np.mean(np.abs(left) ** 2) < 0.25 * one[0].power_w)
 
 

@@ -1,9 +1,9 @@
 """Direction of a target from its amplitude on every pair of transmitter and receiver.
 
-Each pair acts as one antenna at the sum of their places (the virtual array). Transmitters send one
-after another (TDM), so a moving target rotates the phase between them: that is taken out with its
-rate. As the schedule folds the rate, every rate is tried that the migration through range cells
-left open.
+Each pair acts as one antenna at the sum of their positions (the virtual array). Transmitters send
+one after another (TDM), so a moving target rotates the phase between them; its range rate
+compensates that. The schedule makes the rate ambiguous, so every rate that the range migration
+cannot exclude is tested.
 """
 
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hardware.radar.ambiguity import CERTAIN
-from hardware.radar.burst import Burst
+from hardware.radar.burst import DemodulatedBurst
 from hardware.waveform import C_M_PER_S
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_UNEVEN = 1e-3  # power that channels, unevenly calibrated, take from a lone target's beam
+_UNEVEN = 1e-3  # power that calibration errors of the channels take from a single target's beam
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Direction:
 
     @property
     def azimuth_rad(self) -> float:
-        """Positive: left; the elevation is taken as 0 where it is unknown."""
+        """Positive: left; an unknown elevation counts as 0."""
         level = np.cos(0.0 if np.isnan(self.up) else self.elevation_rad)
         return float(np.arcsin(np.clip(self.left / max(level, 1e-9), -1, 1)))
 
@@ -60,13 +60,15 @@ class Direction:
         return float(self.up_error / max(np.cos(self.elevation_rad), 1e-9))
 
 
-def direction(amplitude: Complex, burst: Burst, rates_m_per_s: ArrayLike, snr: float) -> Direction:
-    """Direction of a lone target by beamforming: maximum likelihood in white noise.
+def direction(
+    amplitude: Complex, burst: DemodulatedBurst, rates_m_per_s: ArrayLike, snr: float
+) -> Direction:
+    """Direction of a single target by beamforming: maximum likelihood in white noise.
 
     Parameters
     ----------
     amplitude : (n_channels,)
-        Of the target, from `detected`.
+        Of the target, from `detect_echoes`.
     burst
         Places and TDM offsets of the channels.
     rates_m_per_s : (n_rates,) or one
@@ -75,13 +77,13 @@ def direction(amplitude: Complex, burst: Burst, rates_m_per_s: ArrayLike, snr: f
         Of the target on one channel, after all processing.
     """
     rates = np.atleast_1d(np.asarray(rates_m_per_s, dtype=np.float64))
-    places = virtual_places(burst)[:, 1:] / burst.waveform.wavelength_m
+    places = virtual_array(burst)[:, 1:] / burst.waveform.wavelength_m
     seen = extents(places) > 1e-3
     cosines = np.empty((len(rates), 2))
     share = np.empty(len(rates))  # of the power that one direction explains
     for i, rate in enumerate(rates):
-        still = compensated(amplitude, burst, rate)
-        cosines[i] = _strongest(still, places, seen)
+        still = compensate_motion(amplitude, burst, rate)
+        cosines[i] = _beam_maximum(still, places, seen)
         beam = np.vdot(steering(places, cosines[i]), still)
         share[i] = np.abs(beam) ** 2 / max(len(still) * np.vdot(still, still).real, 1e-300)
     best = int(np.argmax(share * (1 - 1e-6 * np.arange(len(rates)))))
@@ -90,7 +92,7 @@ def direction(amplitude: Complex, burst: Burst, rates_m_per_s: ArrayLike, snr: f
     errors = np.full(2, np.nan)
     errors[seen] = np.sqrt(np.diag(np.linalg.pinv(information))) if seen.any() else np.nan
     left, up = np.where(seen, cosines[best], np.nan)
-    left_open = _left_open(share, snr * len(amplitude), len(amplitude))
+    left_open = _possible_rates(share, snr * len(amplitude), len(amplitude))
     left_open[best] = False
     return Direction(
         float(left),
@@ -102,23 +104,23 @@ def direction(amplitude: Complex, burst: Burst, rates_m_per_s: ArrayLike, snr: f
     )
 
 
-def _left_open(share: Array, snr: float, n_channels: int) -> NDArray[np.bool_]:
+def _possible_rates(share: Array, snr: float, n_channels: int) -> NDArray[np.bool_]:
     """Which rates (n_rates,) the phases cannot exclude, by the shares one direction explains.
 
-    A lone target leaves nothing but noise, a chi-squared variable of 2 n - 4 degrees of freedom
-    over 2. Where more is left, several echoes share the cell and the phases exclude nothing.
+    The residual of a single target is noise, half a chi-squared variable of 2 n - 4 degrees of
+    freedom. A larger residual means that several echoes share the cell: no rate is excluded then.
     """
     from scipy.stats import chi2
 
-    left_over = snr * (1 - share.max())
+    residual = snr * (1 - share.max())
     freedom = max(2 * n_channels - 4, 1)
-    if left_over > chi2.isf(1e-3, freedom) / 2 + _UNEVEN * snr:
+    if residual > chi2.isf(1e-3, freedom) / 2 + _UNEVEN * snr:
         return np.ones(len(share), dtype=bool)
     return np.asarray(snr * (share.max() - share) < CERTAIN)
 
 
-def virtual_places(burst: Burst) -> Array:
-    """Sum of each pair's places, (n_channels, 3), in metres."""
+def virtual_array(burst: DemodulatedBurst) -> Array:
+    """Positions of the virtual array, the sum of each pair's, (n_channels, 3), in metres."""
     return burst.transmitter_m + burst.receiver_m
 
 
@@ -128,20 +130,22 @@ def extents(places: Array) -> Array:
 
 
 def steering(places: Array, cosines: Array) -> Complex:
-    """What a target from direction cosines (2,) or (n, 2) gives: (..., n_channels).
+    """Steering vectors (..., n_channels) for direction cosines (2,) or (n, 2).
 
-    Path lengths shorten towards the target: +2 pi times places in wavelengths.
+    Path lengths decrease towards the target: +2 pi times positions in wavelengths.
     """
     return np.asarray(np.exp(2j * np.pi * (cosines @ places.T)))
 
 
-def compensated(amplitude: Complex, burst: Burst, range_rate_m_per_s: float) -> Complex:
-    """Amplitudes as if all transmitters had sent at once."""
+def compensate_motion(
+    amplitude: Complex, burst: DemodulatedBurst, range_rate_m_per_s: float
+) -> Complex:
+    """Amplitudes as if all transmitters had sent at the same time."""
     doppler = 2 * range_rate_m_per_s * burst.waveform.carrier_hz / C_M_PER_S
     return np.asarray(amplitude * np.exp(2j * np.pi * doppler * burst.tdm_offset_s))
 
 
-def _strongest(amplitude: Complex, places: Array, seen: NDArray[np.bool_]) -> Array:
+def _beam_maximum(amplitude: Complex, places: Array, seen: NDArray[np.bool_]) -> Array:
     """Direction cosines (2,) of the highest beam: a grid, then Newton's method."""
     axes = [
         np.arange(-1, 1, 0.25 / max(extent, 0.25)) if there else np.zeros(1)

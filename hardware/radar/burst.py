@@ -1,4 +1,4 @@
-"""One burst, ready to process: each pair of transmitter and receiver a channel of one wide band."""
+"""Demodulation of one burst: each pair of transmitter and receiver is one wideband channel."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.radar.clutter import without_leakage
-from hardware.radar.demodulation import Complex, Precision, demodulated
-from hardware.radar.demodulation import samples as measured
-from hardware.radar.integrity import usable
+from hardware.radar.demodulation import Complex, Precision, complex_samples, demodulate_samples
+from hardware.radar.integrity import usable_part
 from hardware.radar.phase_noise import leakage_snr, with_steady_phase, without_phase_noise
 from hardware.radar.quadrature import without_images
 from hardware.radar.stitching import stitch
@@ -21,12 +20,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_SEEN_IN_A_SLOT = 10.0  # times the noise: a slot's phase is known to 0.2 rad
-_SEEN = 12.0  # times the noise of all slots' mean: 6 is the highest of 64 delays of noise
+_SEEN_IN_A_SLOT = 10.0  # times the noise: a slot's phase has an error of 0.2 rad
+_SEEN = 12.0  # times the noise of the mean over slots: the highest of 64 delays of noise is 6
 
 
 @dataclass(frozen=True, eq=False)
-class Burst:
+class DemodulatedBurst:
     """A coherent processing interval.
 
     Parameters
@@ -37,13 +36,13 @@ class Burst:
         Of each channel: all carrier steps together, and only the slots in which its transmitter
         sends, so that its velocity ambiguity is that of the TDM schedule.
     tdm_offset_s : (n_channels,)
-        By how much a channel's slots come after the mean of all.
+        Delay of a channel's slots after the mean of all.
     transmitter_m, receiver_m : (n_channels, 3)
         Phase centres in the antenna's frame.
     relative_noise : (n_subcarriers, n_slots) or (n_subcarriers, 1)
-        Mean noise by range and rate, of mean about 1: of carrier steps from what differs between
-        their slots, of one carrier from what is left of phase noise beside strong echoes; None
-        where it is even.
+        Mean noise by range and rate, normalised to a mean of about 1: with carrier steps from the
+        differences between their slots, with one carrier from the residual phase noise beside
+        strong echoes; None where it is uniform.
     whole
         False when a gap or an overflow cut the burst short; ``warnings`` say where.
     """
@@ -67,19 +66,19 @@ def demodulate(
     leakage: bool = True,
     reference_delay_s: float | None = None,
     range_rate_m_per_s: float = 0.0,
-) -> Burst:
+) -> DemodulatedBurst:
     """Demodulate a burst up to its first gap or overflow.
 
     Parameters
     ----------
     record, burst
-        What was measured.
+        The record, and the index of its burst.
     waveform
-        What the caller believes was sent; refused when it is not the record's.
+        The waveform that the caller expects; InputError when it is not the record's.
     precision
-        See `Precision`. Carrier steps are joined in double precision always.
+        See `Precision`. Carrier steps are always stitched in double precision.
     leakage
-        Take the record's leakage and its phase noise away, where its delay is known.
+        Subtract the record's leakage and its phase noise, where its delay is known.
     reference_delay_s, range_rate_m_per_s
         See `stitch`; without a delay that of the record's leakage.
 
@@ -88,7 +87,7 @@ def demodulate(
     """
     if waveform is not None and waveform != record.waveform:
         raise InputError(f"waveform: {waveform} is not the record's, {record.waveform}")
-    part = usable(record, burst)
+    part = usable_part(record, burst)
     schedule = tdm_schedule(record.transmitter[: part.n_slots])
     steps = range(part.n_steps)
     wave = record.waveform
@@ -96,9 +95,9 @@ def demodulate(
     slots = wave.slot_times_s[schedule]
     leakage_s = record.front_end.leakage_delay_s
     own = replace(wave, n_slots=n_rounds, slot_period_s=wave.slot_period_s * n_transmitters)
-    samples = [measured(record.iq[burst, step, : part.n_slots], precision) for step in steps]
+    samples = [complex_samples(record.iq[burst, step, : part.n_slots], precision) for step in steps]
     samples = without_images(samples, wave)
-    lacking: tuple[str, ...] = ()
+    leakage_warnings: tuple[str, ...] = ()
     seen = True
     motion = relative_noise = None
     if leakage and np.isfinite(leakage_s):
@@ -112,12 +111,12 @@ def demodulate(
             snr = leakage_snr(means, wave, leakage_s)
             seen = snr > _SEEN
             if not seen:
-                lacking = (_unseen(burst, leakage_s, snr, len(samples)),)
+                leakage_warnings = (_unseen_leakage(burst, leakage_s, snr, len(samples)),)
     cube = [
         _channels(step, schedule, wave, record.front_end.root_watt_per_count) for step in samples
     ]
     if len(record.carriers_hz) == 1:
-        joined, wide = cube[0], own
+        wide_channel, wide = cube[0], own
     else:
         relative_noise = _noise_of_steps(cube)
         stitched = stitch(
@@ -129,43 +128,43 @@ def demodulate(
             range_rate_m_per_s=range_rate_m_per_s,
             reference_seen=seen or reference_delay_s is not None,
         )
-        joined, wide, motion = stitched.channel, stitched.waveform, stitched.motion
+        wide_channel, wide, motion = stitched.channel, stitched.waveform, stitched.motion
     if leakage and np.isfinite(leakage_s):
-        joined = without_leakage(joined, wide, leakage_s)
+        wide_channel = without_leakage(wide_channel, wide, leakage_s)
     if motion is not None:
-        joined = joined * motion[:, None]
-    used = record.transmitter[schedule[:, 0]]
+        wide_channel = wide_channel * motion[:, None]
+    transmitters = record.transmitter[schedule[:, 0]]
     n_receivers = len(record.front_end.receivers_m)
-    return Burst(
-        channel=joined,
+    return DemodulatedBurst(
+        channel=wide_channel,
         waveform=wide,
         tdm_offset_s=np.repeat(slots.mean(axis=1) - slots.mean(), n_receivers),
-        transmitter_m=np.repeat(record.front_end.transmitters_m[used], n_receivers, axis=0),
+        transmitter_m=np.repeat(record.front_end.transmitters_m[transmitters], n_receivers, axis=0),
         receiver_m=np.tile(record.front_end.receivers_m, (n_transmitters, 1)),
         whole=part.whole,
-        warnings=(*part.warnings, *lacking),
+        warnings=(*part.warnings, *leakage_warnings),
         relative_noise=relative_noise,
     )
 
 
-def _unseen(burst: int, delay_s: float, snr: float, n_steps: int) -> str:
-    """What follows from leakage that does not stand out of the noise."""
+def _unseen_leakage(burst: int, delay_s: float, snr: float, n_steps: int) -> str:
+    """Warning of leakage that is not above the noise."""
     told = (
         f"burst {burst}: no leakage is seen at its delay of {delay_s:.3g} s ({max(snr, 0):.2g} "
         f"times the noise, expected {_SEEN:g} or more): "
     )
     if n_steps == 1:
-        return told + "phases that it would tell are left as they are"
-    return told + "nothing tells the phases of carrier steps, and echoes and ranges are not right"
+        return told + "phases are not corrected"
+    return told + "the phases of carrier steps are unknown, and echoes and ranges are wrong"
 
 
 def _noise_of_steps(steps: list[Complex]) -> Array | None:
-    """Mean noise (n_ranges, 1) of the joined steps (n_channels, n_subcarriers, n_slots).
+    """Mean noise (n_ranges, 1) of the stitched steps (n_channels, n_subcarriers, n_slots).
 
-    Phase noise differs from step to step and from slot to slot, and all its power lies in the few
-    range cells of one step: the joined map's noise is as uneven over range as theirs, with which it
-    repeats. What differs between the slots of a step tells it; echoes of tens of microseconds do
-    not.
+    Phase noise differs between steps and between slots, and its power is concentrated in the few
+    range cells of one step: the noise of the wideband map is as uneven over range, and periodic in
+    it. It is estimated from the differences between the slots of a step, in which echoes, constant
+    over tens of microseconds, cancel.
     """
     n_slots = steps[0].shape[-1]
     if n_slots < 4:
@@ -180,8 +179,8 @@ def _noise_of_steps(steps: list[Complex]) -> Array | None:
 
 
 def tdm_schedule(transmitter: NDArray[np.uint8]) -> NDArray[np.intp]:
-    """Time-division multiplexing: slots (n_transmitters, n_rounds) of each transmitter that sends
-    at all, by its number.
+    """Time-division multiplexing: slots (n_transmitters, n_rounds) of each active transmitter, in
+    the order of their numbers.
 
     A last, incomplete round is left out. Raises InputError unless every round has the same order.
     """
@@ -204,5 +203,5 @@ def _channels(
         regular = slice(int(slots[0]), int(slots[-1]) + 1, len(schedule))  # a view, no copy
         for receiver in range(samples.shape[1]):
             counts = samples[regular, receiver]
-            channels.append(demodulated(counts, waveform, root_watt_per_count).T)
+            channels.append(demodulate_samples(counts, waveform, root_watt_per_count).T)
     return channels[0][None] if len(channels) == 1 else np.stack(channels)

@@ -1,11 +1,11 @@
-"""Constant false-alarm rate: thresholds from the cells around, at a chosen probability.
+"""Constant false-alarm rate: thresholds from training cells, at a given probability.
 
-Which cells those are, and how far above them a detection stands, says `cfar_rule`.
+`cfar_rule` selects the training cells and computes the factor on their level.
 
-Noise that is stronger at some rates than at others (steps of a synthesiser that drifts within a
-slot) is told by the median over range of every rate: thresholds follow it. K-distributed clutter
+Noise that depends on range rate (carrier steps of a synthesiser that drifts within a slot) is
+estimated by the median over range at every rate, and thresholds follow it. K-distributed clutter
 (see `k_distribution`) exceeds thresholds for noise many times too often; with its shape, given or
-fitted to each map, cells and reference are distributed as that says.
+fitted to each map, the distributions of cell and reference follow the K-distribution.
 """
 
 from dataclasses import replace
@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from hardware.radar.cfar_rule import Cfar, MapNoise, offsets_of, rule
 from hardware.radar.k_distribution import fit
-from hardware.radar.windows import taper
+from hardware.radar.windows import normalised_window
 
 Array = NDArray[np.float64]
 Power = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
-_MOST_GATHERED = 2000  # cells looked at one by one
-_FEWEST_RANGES = 16  # whose median an echo among them does not raise
-_MOST_RANGES = 1024  # that tell the noise of a rate
-_UNLIKE = 1.5  # times their standard error, by which medians must differ to be followed
+_MOST_GATHERED = 2000  # cells whose training cells are gathered one by one
+_FEWEST_RANGES = 16  # enough for a median that one echo does not raise
+_MOST_RANGES = 1024  # used to estimate the noise of a rate
+_UNLIKE = 1.5  # standard errors by which medians must differ to count as different
 
 
 def cfar_threshold(
@@ -38,44 +38,44 @@ def cfar_threshold(
     power : (n_ranges, n_rates)
         In any unit.
     cfar
-        What is asked for.
+        Probability of false alarm, method and cells.
     noise
-        What is known of the map's; default: independent cells of one channel.
+        Properties of the map's noise; default: independent cells of one channel.
 
-    Raises InputError when the map leaves no cells to tell the noise from.
+    Raises InputError when the map has no training cells.
     """
     noise = noise or MapNoise()
     if noise.relative_noise is not None:
         uneven = np.broadcast_to(noise.relative_noise, power.shape)
         level = cfar_threshold(power / uneven, cfar, replace(noise, relative_noise=None), at=at)
         return level * (uneven if at is None else uneven[at])
-    cfar = fitted(power, cfar, noise.n_channels)
+    cfar = with_fitted_shape(power, cfar, noise.n_channels)
     regions, factor, rank = rule(power.shape, cfar, noise)
     by_rate = noise_by_rate(power, noise)
-    power = evened(power, by_rate)
+    power = normalise_by_rate(power, by_rate)
     whole = at is None
     if at is None and rank:
         rows, columns = np.unravel_index(np.arange(power.size), power.shape)
         at = rows, columns
     if at is None or (not rank and len(at[0]) > _MOST_GATHERED):
-        level = np.max([sums(power, region) / region.sum() for region in regions], axis=0)
+        level = np.max([box_sums(power, region) / region.sum() for region in regions], axis=0)
         # A running sum loses digits next to a peak 1e10 times higher: never below zero.
         level = factor * by_rate * np.maximum(level, 0)
         return np.asarray(level if at is None else level[at])
-    levels = [_gathered(power, offsets_of(region), rank, at) for region in regions]
+    levels = [_reference_levels(power, offsets_of(region), rank, at) for region in regions]
     level = factor * np.max(levels, axis=0) * by_rate[at[1]]
     return np.asarray(level.reshape(power.shape) if whole else level)
 
 
-def fitted(power: Power, cfar: Cfar, n_channels: int = 1) -> Cfar:
-    """The same with the shape of its clutter fitted to a map, where that is asked for."""
+def with_fitted_shape(power: Power, cfar: Cfar, n_channels: int = 1) -> Cfar:
+    """The rule with the clutter's shape fitted to a map, where ``shape`` is "fitted"."""
     if cfar.shape != "fitted":
         return cfar
     return replace(cfar, shape=fit(power, n_channels).shape)
 
 
 def noise_by_rate(power: Power, noise: MapNoise) -> Array:
-    """Noise at each rate over the mean of all, (n_rates,); ones where only chance differs."""
+    """Noise at each rate over the mean of all, (n_rates,); ones where differences are random."""
     if len(power) < _FEWEST_RANGES:
         return np.ones(power.shape[1])
     stride = max(1, len(power) // _MOST_RANGES)
@@ -85,24 +85,24 @@ def noise_by_rate(power: Power, noise: MapNoise) -> Array:
     medians = np.partition(columns, middle, axis=1)[:, middle].astype(np.float64)
     if not np.all(medians > 0):
         return np.ones(len(medians))
-    # Of the median of gamma distributed cells, of which a window makes some alike.
-    alike = float(np.mean(taper(noise.window, len(power)) ** 2)) / min(stride, 2)
+    # Of the median of gamma distributed cells, some of which a window correlates.
+    alike = float(np.mean(normalised_window(noise.window, len(power)) ** 2)) / min(stride, 2)
     error = 1.44 * np.sqrt(max(alike, 1.0) / (noise.n_channels * len(rows)))
     ratio = medians / medians.mean()
     return ratio if np.std(ratio) > _UNLIKE * error else np.ones(len(medians))
 
 
-def evened(power: Power, by_rate: Array) -> Power:
-    """Power over the noise of its rate: the training cells' rates are not those of their cell."""
+def normalise_by_rate(power: Power, by_rate: Array) -> Power:
+    """Power over the noise of its rate: training cells have other rates than the cell tested."""
     if np.all(by_rate == 1):
         return power
     return np.asarray(power / by_rate.astype(power.dtype))
 
 
-def sums(power: Power, region: Mask) -> Array:
+def box_sums(power: Power, region: Mask) -> Array:
     """Sum over a region, a box or a box with a hole, around every cell; the map wraps around."""
     if power.flags.f_contiguous and not power.flags.c_contiguous:
-        return sums(power.T, region.T).T
+        return box_sums(power.T, region.T).T
     pad = [(n // 2, n - n // 2) for n in region.shape]
     total = np.zeros([n + a + b + 1 for n, (a, b) in zip(power.shape, pad, strict=True)])
     np.cumsum(np.pad(power, pad, mode="wrap"), axis=1, dtype=np.float64, out=total[1:, 1:])
@@ -128,8 +128,8 @@ def _extent(indices: NDArray[np.intp]) -> tuple[int, int]:
     return int(indices.min()), int(indices.max()) + 1
 
 
-def _gathered(power: Power, offsets: NDArray[np.intp], rank: int, at: Cells) -> Array:
-    """Mean, or with a rank (from 1) the rank-th smallest, of the cells around chosen ones."""
+def _reference_levels(power: Power, offsets: NDArray[np.intp], rank: int, at: Cells) -> Array:
+    """Mean, or with a rank (from 1) the rank-th smallest, of the training cells of each cell."""
     level = np.empty(len(at[0]))
     for start in range(0, len(level), 8192):
         part = slice(start, start + 8192)

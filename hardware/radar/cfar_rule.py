@@ -1,4 +1,4 @@
-"""Which cells tell the noise around a cell, and how far above them a detection stands.
+"""Training cells of CFAR, and the factor of the threshold on their reference level.
 
 A noise cell, the mean of V channels, is gamma distributed with shape V. The reference z is
 
@@ -11,9 +11,9 @@ distribution (Q the regularised upper gamma function). For one channel and indep
 is the textbooks' n (Pfa^(-1/n) - 1) for ``ca`` and prod (n - i) / (n - i + factor) = Pfa for ``os``
 (Rohling, IEEE Trans. AES 19, 1983).
 
-A window makes neighbouring cells alike: n cells then tell as much as fewer independent ones. That
-number replaces n: for a mean, the one with the same variance; for a quantile, the one with the same
-variance of the share of cells below it.
+A window correlates neighbouring cells: n cells are then equivalent to fewer independent ones, whose
+number replaces n. For a mean it is the number with the same variance; for a quantile, the number
+with the same variance of the share of cells below it.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.radar.k_distribution import quantile, survival
-from hardware.radar.windows import correlation, taper
+from hardware.radar.windows import correlation, normalised_window
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,20 +36,20 @@ _MOST_ORDERED = 96  # cells that os sorts
 
 @dataclass(frozen=True)
 class Cfar:
-    """How detections are told from noise.
+    """Rule of a CFAR detector.
 
     Parameters
     ----------
     false_alarm
-        Probability per cell that noise alone is called a target.
+        Probability of false alarm per cell.
     method
         ``ca``, ``go`` or ``os``.
     guard, training
-        Cells on each side along range and rate that are left out, and that tell the noise. The
-        guard must hold what a window spreads a cell over: 3 for ``blackmanharris``.
+        Guard and training cells on each side along range and rate. The guard must cover the main
+        lobe of the window: 3 for ``blackmanharris``.
     shape
         Of K-distributed clutter; infinite for noise. ``"fitted"``: to each map, and by `process`
-        to that without a window, where clutter is not evened out.
+        to the map without a window, which does not average clutter over cells.
     """
 
     false_alarm: float = 1e-8
@@ -60,7 +60,7 @@ class Cfar:
 
     def __post_init__(self) -> None:
         if not 0 < self.false_alarm < 1:
-            raise InputError(f"false_alarm: {self.false_alarm} is no probability")
+            raise InputError(f"false_alarm: {self.false_alarm}, expected a number between 0 and 1")
         if self.method not in get_args(Method):
             raise InputError(f"method: {self.method!r} is none of {', '.join(get_args(Method))}")
         for name in ("guard", "training"):
@@ -73,14 +73,14 @@ class Cfar:
 
 @dataclass(frozen=True, eq=False)
 class MapNoise:
-    """What is known of the noise of a map: it sets how alike cells are, and how they scatter.
+    """Properties of a map's noise: correlation of its cells, and their distribution.
 
     Parameters
     ----------
     window, n_channels, oversampling
-        How the map was made.
+        As in `range_doppler`.
     relative_noise : (n_ranges, n_rates) or (n_ranges, 1)
-        Mean noise, in any unit, where it is known to change within the training cells.
+        Mean noise, in any unit, where it is known to vary within the training cells.
     """
 
     window: str = "boxcar"
@@ -102,7 +102,7 @@ def _rule(
     regions = _regions(shape, cfar)
     rank = 0
     if cfar.method == "os":
-        regions = [_thinned(regions[0], shape, window, oversampling)]
+        regions = [_sparse_cells(regions[0], shape, window, oversampling)]
         rank = round(QUANTILE * int(regions[0].sum()))
     cells = int(regions[0].sum())
     alike = _independent(shape, offsets_of(regions[0]), window, oversampling, rank / cells)
@@ -114,7 +114,7 @@ def _rule(
 
 
 def white_threshold(shape: tuple[int, ...], cfar: Cfar, noise: MapNoise) -> float:
-    """Threshold over the mean of noise, where it is the same all over a map."""
+    """Threshold over the mean of uniform noise."""
     from scipy.special import gammaincinv
 
     _, factor, rank = rule(shape, cfar, noise)
@@ -180,7 +180,7 @@ def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[Mask]:
         ring[tuple(middle)] = False
         regions = [ring]
     if not all(region.any() for region in regions):
-        raise InputError(f"training: no cells left of a map of {tuple(shape)} to tell the noise")
+        raise InputError(f"training: no training cells in a map of {tuple(shape)}")
     return regions
 
 
@@ -189,10 +189,17 @@ def offsets_of(region: Mask) -> NDArray[np.intp]:
     return np.argwhere(region) - np.array(region.shape) // 2
 
 
-def _thinned(region: Mask, shape: tuple[int, ...], window: str, oversampling: int) -> Mask:
-    """Of the training cells those on a grid wide enough that few are left to sort, nearly alone."""
+def _sparse_cells(region: Mask, shape: tuple[int, ...], window: str, oversampling: int) -> Mask:
+    """Training cells on a coarser grid: nearly uncorrelated ones, few enough to sort."""
     steps = [
-        max(1, int(np.argmax(correlation(taper(window, n // oversampling), oversampling) < 0.05)))
+        max(
+            1,
+            int(
+                np.argmax(
+                    correlation(normalised_window(window, n // oversampling), oversampling) < 0.05
+                )
+            ),
+        )
         for n in shape
     ]
     rows, columns = (np.arange(n) - n // 2 for n in region.shape)
@@ -221,7 +228,7 @@ def _equivalent(
     shape: tuple[int, ...], packed: bytes, window: str, oversampling: int, quantile: float
 ) -> float:
     offsets = np.frombuffer(packed, dtype=np.intp).reshape(-1, 2)
-    rho = [correlation(taper(window, n // oversampling), oversampling) for n in shape]
+    rho = [correlation(normalised_window(window, n // oversampling), oversampling) for n in shape]
     lags = offsets[:, None] - offsets
     alike = rho[0][lags[..., 0] % shape[0]] * rho[1][lags[..., 1] % shape[1]]
     if quantile == 0:

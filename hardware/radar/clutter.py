@@ -1,4 +1,4 @@
-"""Taking away what is known to be there: the leakage, and everything that stands still."""
+"""Subtraction of the leakage, and of all static echoes."""
 
 import numpy as np
 
@@ -10,12 +10,12 @@ _SMOOTH = 1e-9  # of its power, up to which what changes over the band is the le
 
 
 def without_leakage(channel: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:
-    """A channel (..., n_subcarriers, n_slots) less a constant path of known delay.
+    """A channel (..., n_subcarriers, n_slots) after subtraction of a constant path of known delay.
 
-    Its amplitude is the least-squares one, so a static echo at the same delay goes with it; one a
-    cell of range apart loses nothing, one between less. How the amplitude changes over the band (a
-    polynomial of degree 4) is taken away where that is no more than 90 dB below it: an echo within
-    two cells of the leakage that stands still and is weaker than that cannot be told from it.
+    The amplitude is fitted by least squares, so a static echo at the same delay is subtracted as
+    well; an echo one range cell away loses nothing, one in between a part. The change of amplitude
+    over the band (a polynomial of degree 4) is subtracted where it is at least 90 dB below the
+    leakage: a static echo within two cells of the leakage and weaker than that is lost.
     """
     n = channel.shape[-2]
     path = np.exp(-2j * np.pi * waveform.frequency_offsets_hz * delay_s)
@@ -30,5 +30,5 @@ def without_leakage(channel: Complex, waveform: OfdmWaveform, delay_s: float) ->
 
 
 def without_static(channel: Complex) -> Complex:
-    """A channel less its mean over slots: what moves by less than half a cell of rate is lost."""
+    """A channel minus its mean over slots: targets slower than half a rate cell are lost."""
     return np.asarray(channel - channel.mean(axis=-1, keepdims=True))

@@ -1,8 +1,8 @@
 """From counts to the channel: transform and division by the sent symbols.
 
-A record holds one symbol per slot: the front end has cut the cyclic prefix off and averaged the
-repeats. One oscillator serves transmitter and receiver: there is no carrier offset, and an
-estimator of one would take away Doppler.
+A record holds one symbol per slot: the front end has removed the cyclic prefix and averaged the
+repeats. Transmitter and receiver share one oscillator: there is no carrier frequency offset, and an
+estimator of it would remove the Doppler shift.
 """
 
 from typing import TYPE_CHECKING, Any, Literal
@@ -30,22 +30,24 @@ def channel(
 ) -> Complex:
     """Channel times root transmit power, in root watts, ``(n_subcarriers, n_slots)``.
 
-    One subcarrier carries 1/N of the power; the division by the sent symbols scales it back to the
-    whole, so that an echo of power P has the modulus sqrt(P) everywhere.
+    One subcarrier carries 1/N of the power; the division by the sent symbols includes the factor
+    sqrt(N), so that an echo of power P has the modulus sqrt(P) on every subcarrier.
     """
-    counts = samples(record.iq[burst, step, :, receiver], precision)
-    return demodulated(counts, record.waveform, record.front_end.root_watt_per_count).T
+    counts = complex_samples(record.iq[burst, step, :, receiver], precision)
+    return demodulate_samples(counts, record.waveform, record.front_end.root_watt_per_count).T
 
 
-def samples(counts: NDArray[np.int16], precision: Precision = "double") -> Complex:
+def complex_samples(counts: NDArray[np.int16], precision: Precision = "double") -> Complex:
     """Complex samples (...) of counts (..., 2), in counts."""
     real = np.float64 if precision == "double" else np.float32
     return counts.astype(real, order="C").view(np.result_type(real, np.complex64))[..., 0]
 
 
-def demodulated(samples: Complex, waveform: OfdmWaveform, root_watt_per_count: float) -> Complex:
-    """As `channel`, for samples (..., n_subcarriers) in counts, which are overwritten; subcarriers
-    ascend along the last axis.
+def demodulate_samples(
+    samples: Complex, waveform: OfdmWaveform, root_watt_per_count: float
+) -> Complex:
+    """Channel of samples (..., n_subcarriers) in counts, which are overwritten; subcarriers ascend
+    along the last axis.
     """
     from scipy.fft import fft
 

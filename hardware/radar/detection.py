@@ -1,4 +1,4 @@
-"""Detections: constant false-alarm rate on the map, then each peak refined on the channel."""
+"""Detection: CFAR on the range-Doppler map, then refinement of each peak on the channel."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,28 +11,34 @@ from hardware.radar.cfar_rule import Cfar
 from hardware.radar.demodulation import Complex
 from hardware.radar.peaks import Peaks, peaks_above
 from hardware.radar.range_doppler import RangeDopplerMap, check_channel
-from hardware.radar.refinement import Blocks, amplitudes, blocks_about, highest, left_over
+from hardware.radar.refinement import (
+    Blocks,
+    blocks_about,
+    echo_amplitudes,
+    peak_offsets,
+    residual_power,
+)
 from hardware.radar.sensitivity import side_lobe, weak_echoes
-from hardware.radar.windows import frequency_variance, taper
+from hardware.radar.windows import frequency_variance, normalised_window
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 
-_OVER_LOBES = 20.0  # of an echo's power over the side lobes of others that may stand there
-_WITHIN = 1  # cells of a tapered echo that a neighbour must reach to move it
-_ON_TAPERED = 0.2  # of the false alarms, at least; the rest are of the map without a window
+_OVER_LOBES = 20.0  # least power of an echo over the side lobes of others in its cell
+_WITHIN = 1  # cells of a tapered echo within which a neighbour affects its position
+_ON_TAPERED = 0.2  # share of the false alarms of the windowed map, at least
 
 
 @dataclass(frozen=True)
 class Detection:
-    """One target: where, how fast (positive: receding), how strong.
+    """One target: range, range rate (positive: receding) and power.
 
-    ``power_w`` is what one antenna received. Standard errors follow from the SNR and the window:
-    without one they are the Cramer-Rao bounds. What is not measured is NaN: the rate of a single
-    slot, the range of a single subcarrier; azimuth (positive: left), elevation and cross-section
-    where array or antenna do not tell them.
+    ``power_w``: received by one antenna. Standard errors follow from the SNR and the window;
+    without a window they are the Cramer-Rao bounds. Values not measured are NaN: the rate from a
+    single slot, the range from a single subcarrier; azimuth (positive: left), elevation and
+    cross-section where array or antenna do not determine them.
     ``range_rate_alternatives_m_per_s``: other range rates that the record cannot exclude, likeliest
-    first; the error of the range rate, and the direction, hold if it is none of them.
+    first; direction and error of the range rate are valid if none of them is the true one.
     """
 
     range_m: float
@@ -50,7 +56,7 @@ class Detection:
 
 
 #: A detection, and its amplitude on every channel, (n_channels,), in root watts.
-Measured = tuple[Detection, NDArray[np.complex128]]
+EchoMeasurement = tuple[Detection, NDArray[np.complex128]]
 
 
 def detect(
@@ -69,41 +75,46 @@ def detect(
     Parameters
     ----------
     channel, waveform, image
-        As `range_doppler` took and gave them.
+        Input and result of `range_doppler`.
     false_alarm, guard, training
-        See `Cfar`; for other methods than its own use `detected`.
+        See `Cfar`; for its other methods use `detect_echoes`.
     window
-        The one of ``image``.
+        Window of ``image``.
     at_most
-        Detections returned.
+        Largest number of detections.
     """
     cfar = Cfar(false_alarm, guard=guard, training=training)
-    return [found for found, _ in detected(channel, waveform, image, cfar, window, at_most)]
+    return [
+        detection for detection, _ in detect_echoes(channel, waveform, image, cfar, window, at_most)
+    ]
 
 
-def detected(
+def detect_echoes(
     channel: Complex,
     waveform: OfdmWaveform,
     image: RangeDopplerMap,
     cfar: Cfar,
     window: str = "blackmanharris",
     at_most: int = 64,
-) -> list[Measured]:
+) -> list[EchoMeasurement]:
     """Find targets, strongest first, each with its amplitude on every channel, (n_channels,).
 
-    A map with a window shows what is strong, and the weak beside it; what is weak and alone is
-    found without one, see `weak_echoes`. The two share the false alarms; what side lobes keep from
-    the latter is the former's as well.
+    The map with a window shows strong echoes and weak ones beside them; isolated weak echoes are
+    detected on the map without a window, see `weak_echoes`. The two share the probability of false
+    alarm; what side lobes suppress on the second map is added to the first.
     """
     check_channel(channel, waveform)
     cells = tuple(s * image.oversampling for s in channel.shape[-2:])
     if image.power_w.shape != cells:
         raise InputError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")
     if all(size <= 2 * g + 1 for size, g in zip(cells, cfar.guard, strict=True)):
-        return []  # nothing but guard cells: nothing to tell the noise from
-    if window == "boxcar" or cfar.shape != float("inf"):  # what is between cells is known of noise
+        return []  # guard cells only: no training cells
+    # The rate of false alarms between cells is known for noise only, not for clutter.
+    if window == "boxcar" or cfar.shape != float("inf"):
         peaks = peaks_above(image, cfar, window).strongest(at_most)
-        return distinct(_measured_at(channel, waveform, window, peaks, image.noise_w), waveform)
+        return without_duplicates(
+            _measurements_at(channel, waveform, window, peaks, image.noise_w), waveform
+        )
     untapered = replace(cfar, false_alarm=(1 - _ON_TAPERED) * cfar.false_alarm)
     weak, noise_w, share = weak_echoes(channel, waveform, image, untapered, window)
     weak = weak.strongest(at_most)
@@ -113,56 +124,59 @@ def detected(
         np.concatenate(place) for place in zip(strong.places, weak.places, strict=True)
     )
     blocks = blocks_about(channel, waveform, "boxcar", range_m, rate_m_per_s)
-    found, crowded = _isolated(blocks[: len(strong)], waveform, window, strong, noise_w)
-    found += _measured_at(channel, waveform, window, crowded, image.noise_w)
-    found += _weak(blocks[len(strong) :], waveform, noise_w, found)
-    return distinct(found, waveform)[:at_most]
+    echoes, crowded = _isolated(blocks[: len(strong)], waveform, window, strong, noise_w)
+    echoes += _measurements_at(channel, waveform, window, crowded, image.noise_w)
+    echoes += _weak_measurements(blocks[len(strong) :], waveform, noise_w, echoes)
+    return without_duplicates(echoes, waveform)[:at_most]
 
 
 def _isolated(
     blocks: Sequence[Blocks], waveform: OfdmWaveform, window: str, peaks: Peaks, noise_w: float
-) -> tuple[list[Measured], Peaks]:
-    """Peaks of a tapered map that are measured better without the window, and the others.
+) -> tuple[list[EchoMeasurement], Peaks]:
+    """Peaks of a windowed map that are measured better without the window, and the others.
 
-    Without one, noise does least and errors reach their bound, but the side lobes of other echoes
-    come in. What is left around an echo once it is taken away tells by how much.
+    Without a window the error due to noise is least and reaches its bound, but side lobes of other
+    echoes interfere. The power around an echo after its subtraction shows by how much.
     """
     size = max(waveform.n_subcarriers, waveform.n_slots)
-    worse = frequency_variance(taper(window, size)) / frequency_variance(np.ones(size))
-    found, crowded = [], []
-    for i, (about, step) in enumerate(zip(blocks, highest(blocks), strict=True)):
-        around_w = left_over(about, step)
+    worse = frequency_variance(normalised_window(window, size)) / frequency_variance(np.ones(size))
+    isolated, crowded = [], []
+    for i, (about, step) in enumerate(zip(blocks, peak_offsets(blocks), strict=True)):
+        around_w = residual_power(about, step)
         if around_w < worse * peaks.noise_w[i]:
-            found.append(_measured(about, step, waveform, noise_w, "boxcar", around_w))
+            isolated.append(_measurement(about, step, waveform, noise_w, "boxcar", around_w))
         else:
             crowded.append(i)
-    return found, peaks[np.array(crowded, dtype=np.intp)]
+    return isolated, peaks[np.array(crowded, dtype=np.intp)]
 
 
-def _measured_at(
+def _measurements_at(
     channel: Complex, waveform: OfdmWaveform, window: str, peaks: Peaks, noise_w: float
-) -> list[Measured]:
-    """Peaks as the window of their map shows them.
+) -> list[EchoMeasurement]:
+    """Peaks measured with the window of their map.
 
-    Another echo that the window does not separate stands in no training cell, but in what is left.
+    An echo that the window does not separate is in no training cell, but in the residual power.
     """
     range_m, rate_m_per_s = peaks.places
     blocks = blocks_about(channel, waveform, window, range_m, rate_m_per_s)
-    found = []
-    for about, step, cfar_w in zip(blocks, highest(blocks), peaks.noise_w, strict=True):
-        around_w = max(float(cfar_w), left_over(about, step, _WITHIN))
-        found.append(_measured(about, step, waveform, noise_w, window, around_w))
-    return found
+    echoes = []
+    for about, step, cfar_w in zip(blocks, peak_offsets(blocks), peaks.noise_w, strict=True):
+        around_w = max(float(cfar_w), residual_power(about, step, _WITHIN))
+        echoes.append(_measurement(about, step, waveform, noise_w, window, around_w))
+    return echoes
 
 
-def _weak(
-    blocks: Sequence[Blocks], waveform: OfdmWaveform, noise_w: float, strong: Sequence[Measured]
-) -> list[Measured]:
+def _weak_measurements(
+    blocks: Sequence[Blocks],
+    waveform: OfdmWaveform,
+    noise_w: float,
+    strong: Sequence[EchoMeasurement],
+) -> list[EchoMeasurement]:
     """Weak echoes, strongest first, less those that may be side lobes of stronger ones."""
     cells = np.array([waveform.n_subcarriers, waveform.n_slots])
-    kept: list[Measured] = []
-    for about, step in zip(blocks, highest(blocks), strict=True):
-        weak = _measured(about, step, waveform, noise_w, "boxcar", left_over(about, step))
+    kept: list[EchoMeasurement] = []
+    for about, step in zip(blocks, peak_offsets(blocks), strict=True):
+        weak = _measurement(about, step, waveform, noise_w, "boxcar", residual_power(about, step))
         others = [other for other, _ in (*strong, *kept)]
         lobes = np.prod(side_lobe(_cells_apart([weak[0]], others, waveform)[0], cells), axis=-1)
         lobes_w = float(lobes @ [other.power_w for other in others])
@@ -171,18 +185,20 @@ def _weak(
     return kept
 
 
-def _measured(
+def _measurement(
     blocks: Blocks,
     step: Array,
     waveform: OfdmWaveform,
     noise_w: float,
     window: str,
     around_w: float,
-) -> Measured:
-    return measurement(blocks, step, amplitudes(blocks, step), waveform, noise_w, window, around_w)
+) -> EchoMeasurement:
+    return echo_measurement(
+        blocks, step, echo_amplitudes(blocks, step), waveform, noise_w, window, around_w
+    )
 
 
-def measurement(
+def echo_measurement(
     blocks: Blocks,
     step: Array,
     amplitude: NDArray[np.complex128],
@@ -190,11 +206,11 @@ def measurement(
     noise_w: float,
     window: str,
     around_w: float = 0.0,
-) -> Measured:
-    """A detection at cells from the middle of blocks.
+) -> EchoMeasurement:
+    """A detection ``step`` cells from the middle of blocks.
 
-    ``noise_w``: of the map, for the SNR; ``around_w``: what is around the echo, counted as noise
-    in its errors if it is more. Along an axis of one sample nothing is measured: NaN.
+    ``noise_w``: of the map, for the SNR; ``around_w``: power around the echo, used in its errors
+    if it exceeds the noise. Along an axis of one sample nothing is measured: NaN.
     """
     power = float(np.mean(np.abs(amplitude) ** 2))
     snr = power / noise_w if noise_w else np.inf
@@ -202,7 +218,7 @@ def measurement(
     range_error, rate_error = standard_errors(waveform, window, disturbed * len(amplitude))
     delay = blocks.delay_s + step[0] * blocks.grid.cell[0]
     rate = C_M_PER_S / 2 * (blocks.delay_rate + step[1] * blocks.grid.cell[1])
-    found = Detection(
+    detection = Detection(
         range_m=float(C_M_PER_S / 2 * delay) % waveform.max_range_m
         if waveform.n_subcarriers > 1
         else float("nan"),
@@ -212,17 +228,17 @@ def measurement(
         range_error_m=range_error,
         range_rate_error_m_per_s=rate_error,
     )
-    return found, amplitude
+    return detection, amplitude
 
 
-def distinct(
-    found: Sequence[Measured], waveform: OfdmWaveform, *, folded: bool = True
-) -> list[Measured]:
-    """Strongest first, without those that climbed the same peak: nearer than 0.3 cells.
+def without_duplicates(
+    echoes: Sequence[EchoMeasurement], waveform: OfdmWaveform, *, folded: bool = True
+) -> list[EchoMeasurement]:
+    """Strongest first, without duplicates of the same peak, nearer than 0.3 cells.
 
-    ``folded``: rates a whole span of the Doppler ambiguity apart are one.
+    ``folded``: rates that differ by whole spans of the Doppler ambiguity count as equal.
     """
-    falling = sorted(found, key=lambda pair: -pair[0].power_w)
+    falling = sorted(echoes, key=lambda pair: -pair[0].power_w)
     targets = [one for one, _ in falling]
     near = _cells_apart(targets, targets, waveform).max(axis=-1) <= 0.3
     if not folded:
@@ -257,7 +273,7 @@ def standard_errors(waveform: OfdmWaveform, window: str, snr: float) -> tuple[fl
     if not snr:
         return float("inf"), float("inf")
     spread = [
-        np.sqrt(frequency_variance(taper(window, n)) / snr) if n > 1 else np.nan
+        np.sqrt(frequency_variance(normalised_window(window, n)) / snr) if n > 1 else np.nan
         for n in (waveform.n_subcarriers, waveform.n_slots)
     ]
     return (
@@ -267,7 +283,7 @@ def standard_errors(waveform: OfdmWaveform, window: str, snr: float) -> tuple[fl
 
 
 def with_cross_section(
-    found: Detection,
+    detection: Detection,
     waveform: OfdmWaveform,
     transmit_power_w: float,
     antenna_gain_dbi: float,
@@ -275,13 +291,15 @@ def with_cross_section(
 ) -> Detection:
     """A detection with its cross-section by the radar equation in free space, at the boresight.
 
-    What averaging over a slot takes from a moving target's echo is put back, where its rate is
+    The loss of a moving target's echo by averaging over a slot is compensated, where its rate is
     measured. NaN without a range.
     """
     gain = 10 ** (antenna_gain_dbi / 10)
     loss = 10 ** (losses_db / 10)
-    doppler = 2 * np.nan_to_num(found.range_rate_m_per_s) / waveform.wavelength_m
-    kept = float(waveform.slot_gain(np.array(doppler))) ** 2
-    spread = (4 * np.pi) ** 3 * found.range_m**4 * loss
-    sent = transmit_power_w * gain**2 * waveform.wavelength_m**2 * kept
-    return replace(found, rcs_m2=float(found.power_w * spread / sent) if sent else float("nan"))
+    doppler = 2 * np.nan_to_num(detection.range_rate_m_per_s) / waveform.wavelength_m
+    slot_gain = float(waveform.slot_gain(np.array(doppler))) ** 2
+    spread = (4 * np.pi) ** 3 * detection.range_m**4 * loss
+    sent = transmit_power_w * gain**2 * waveform.wavelength_m**2 * slot_gain
+    return replace(
+        detection, rcs_m2=float(detection.power_w * spread / sent) if sent else float("nan")
+    )

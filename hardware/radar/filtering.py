@@ -1,10 +1,10 @@
 """The Kalman filter of one track: range, azimuth and range rate of a target that moves in a plane.
 
-What the radar measures is not linear in place and velocity: turning the line of sight by an
-azimuth's error of 0.4 degrees changes the range rate of a target that crosses at 3 m/s by 20 mm/s,
-several times the rate's own error. So state and covariance are those of the most probable state
-given the prediction and all of a measurement at once, by Gauss-Newton: the iterated extended Kalman
-filter (Bell and Cathey, IEEE Trans. Autom. Control 38, 1993). The covariance is linearised there.
+The measurement is not linear in position and velocity: rotating the line of sight by an azimuth
+error of 0.4 degrees changes the range rate of a target that crosses at 3 m/s by 20 mm/s, several
+times the error of the rate. So the update is the most probable state given the prediction and the
+whole measurement, by Gauss-Newton: the iterated extended Kalman filter (Bell and Cathey, IEEE
+Trans. Autom. Control 38, 1993). The covariance is linearised there.
 
 A target whose azimuth was never measured has a state of range and range rate alone.
 """
@@ -22,8 +22,8 @@ _LEAST_ERROR = 1e-9  # m, rad and m/s: a standard error of 0 would make the cova
 
 
 @dataclass(frozen=True, eq=False)
-class Antenna:
-    """Place (2,), direction ahead (2,) and velocity (2,) of the radar in the plane."""
+class AntennaState:
+    """Position (2,), boresight (2,) and velocity (2,) of the radar in the plane."""
 
     place_m: Array
     ahead: Array
@@ -31,10 +31,10 @@ class Antenna:
 
 
 @dataclass(frozen=True, eq=False)
-class Measurement:
+class TargetMeasurement:
     """Range (m), azimuth (rad) and range rate (m/s), (3,), and their standard errors, (3,).
 
-    What has no finite value and error was not measured.
+    Components without a finite value and error were not measured.
     """
 
     value: Array
@@ -59,14 +59,14 @@ class Estimate:
     covariance: Array
 
     @property
-    def placed(self) -> bool:
-        """Whether its place in the plane is known, not its range alone."""
+    def has_position(self) -> bool:
+        """Whether the position in the plane is known, not only the range."""
         return len(self.state) == 4
 
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """What a measurement makes of a prediction, and how well both agree.
+    """Estimate from prediction and measurement, and their agreement.
 
     ``distance`` is the squared Mahalanobis distance, chi-squared with ``n_measured`` degrees of
     freedom for the track's own target; ``cost`` twice the negative logarithm of the measurement's
@@ -79,7 +79,9 @@ class Update:
     n_measured: int
 
 
-def begun(measured: Measurement, antenna: Antenna, speed_m_per_s: float) -> Estimate:
+def initial_estimate(
+    measured: TargetMeasurement, antenna: AntennaState, speed_m_per_s: float
+) -> Estimate:
     """Estimate from one measurement, in which the range must be known.
 
     ``speed_m_per_s``: standard deviation of the velocity where nothing is measured of it, so always
@@ -108,7 +110,7 @@ def begun(measured: Measurement, antenna: Antenna, speed_m_per_s: float) -> Esti
     return Estimate(state, covariance)
 
 
-def predicted(
+def predict_estimate(
     estimate: Estimate,
     elapsed_s: float,
     acceleration_m_per_s2: float,
@@ -122,11 +124,11 @@ def predicted(
     Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation",
     section 6.2.2).
 
-    Without azimuth, a target that crosses with ``speed_m_per_s`` changes its range rate by the
-    square of the speed over the range: that is added to the acceleration.
+    Without azimuth, the range rate of a target that crosses with ``speed_m_per_s`` changes by the
+    square of the speed over the range per second, which is added to the acceleration.
     """
     t, axes, variance = elapsed_s, 2, acceleration_m_per_s2**2
-    if not estimate.placed:
+    if not estimate.has_position:
         axes = 1
         variance += (speed_m_per_s**2 / max(abs(estimate.state[0]), 1e-3)) ** 2
     step = np.kron([[1.0, t], [0.0, 1.0]], np.eye(axes))
@@ -135,10 +137,10 @@ def predicted(
     return Estimate(step @ estimate.state, step @ estimate.covariance @ step.T + noise)
 
 
-def expected(state: Array, antenna: Antenna) -> tuple[Array, Array]:
+def measurement_model(state: Array, antenna: AntennaState) -> tuple[Array, Array]:
     """Measurement (3,) of a target in a state, and its Jacobian (3, n_states).
 
-    A state without a place has no azimuth: NaN.
+    A state without a position has no azimuth: NaN.
     """
     if len(state) == 2:
         return np.array([state[0], np.nan, state[1]]), np.array([[1.0, 0], [0, 0], [0, 1]])
@@ -155,19 +157,19 @@ def expected(state: Array, antenna: Antenna) -> tuple[Array, Array]:
     return value, jacobian
 
 
-def updated(prior: Estimate, measured: Measurement, antenna: Antenna) -> Update:
-    """The most probable state given a prediction and what was measured of it."""
-    used = measured.known & np.array([True, prior.placed, True])
+def update_estimate(prior: Estimate, measured: TargetMeasurement, antenna: AntennaState) -> Update:
+    """The most probable state given a prediction and a measurement."""
+    used = measured.known & np.array([True, prior.has_position, True])
     weight = np.where(used, 1 / measured.variance, 0.0)
     information: Array = np.linalg.inv(prior.covariance).astype(np.float64)
     state = prior.state
-    distance, off, jacobian = _compared(state, prior, information, measured, weight, antenna)
+    distance, off, jacobian = _residuals(state, prior, information, measured, weight, antenna)
     for _ in range(_STEPS):
         curved = information + jacobian.T @ (weight[:, None] * jacobian)
         slope = jacobian.T @ (weight * off) - information @ (state - prior.state)
         change, before = np.linalg.solve(curved, slope), distance
         for share in 0.5 ** np.arange(10):
-            distance, off, jacobian = _compared(
+            distance, off, jacobian = _residuals(
                 state + share * change, prior, information, measured, weight, antenna
             )
             if distance <= before * (1 + _CONVERGED):
@@ -185,18 +187,18 @@ def updated(prior: Estimate, measured: Measurement, antenna: Antenna) -> Update:
     )
 
 
-def _compared(
+def _residuals(
     state: Array,
     prior: Estimate,
     information: Array,
-    measured: Measurement,
+    measured: TargetMeasurement,
     weight: Array,
-    antenna: Antenna,
+    antenna: AntennaState,
 ) -> tuple[float, Array, Array]:
-    """Squared distance of a state from prediction and measurement, what is left of the measurement
+    """Squared distance of a state from prediction and measurement, residual of the measurement
     (3,), 0 where it has no weight, and the Jacobian.
     """
-    value, jacobian = expected(state, antenna)
+    value, jacobian = measurement_model(state, antenna)
     off = np.where(weight > 0, measured.value - value, 0.0)
     off[1] = (off[1] + np.pi) % (2 * np.pi) - np.pi
     moved = state - prior.state

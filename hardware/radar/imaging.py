@@ -1,8 +1,8 @@
 """Back-projection of bursts along a track into an image of down-range and cross-range.
 
-Every cell sums what each burst and antenna pair received, each frequency turned by the delay to the
-cell. The frequencies of one burst are first compressed to a range profile, and cells look their
-delay up in it: N log N + cells instead of N cells.
+Each cell is the sum over bursts, antenna pairs and frequencies, with the phase of the delay to the
+cell compensated. The frequencies of one burst are first compressed to a range profile, which is
+interpolated at the delay of each cell: N log N + cells operations instead of N cells.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.radar.burst import Burst, demodulate
+from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.records.state import positions, rotations
 from hardware.waveform import C_M_PER_S
 
@@ -27,7 +27,7 @@ Complex = NDArray[np.complex128]
 class Wall:
     """A plane slab across the view, ``distance_m`` ahead of the image's origin.
 
-    ``permittivity`` is relative and real; what the slab takes away in power is not put back.
+    ``permittivity`` is relative and real; the slab's loss is not compensated.
     """
 
     distance_m: float
@@ -74,31 +74,35 @@ def image(
     Parameters
     ----------
     record
-        Bursts at their poses; up to the first that a gap or an overflow cuts short.
+        Bursts at their poses, up to the first one shortened by a gap or an overflow.
     down_range_m, cross_range_m
         Cells, ahead and to the left of the pose in the middle of the track.
     wall
-        Focus through it.
+        Slab through which to focus.
     tolerance
-        Bounds the error of looking profiles up between their samples, relative to an echo.
+        Bound of the interpolation error, relative to an echo.
     leakage
-        Take the record's leakage away, where its delay is known.
+        Subtract the record's leakage, where its delay is known.
 
-    Raises InputError when the first burst is already broken.
+    Raises InputError when the first burst is incomplete.
     """
     bursts, warnings = _whole_bursts(record, leakage)
-    cells, places, turned = _in_middle_frame(record, len(bursts), down_range_m, cross_range_m)
+    cells, places, rotations_in_frame = _in_middle_frame(
+        record, len(bursts), down_range_m, cross_range_m
+    )
     value = np.zeros((len(down_range_m), len(cross_range_m)), dtype=np.complex128)
-    for burst, place, turn in zip(bursts, places, turned, strict=True):
-        legs: dict[bytes, Array] = {}
+    for burst, place, turn in zip(bursts, places, rotations_in_frame, strict=True):
+        one_way_delay_s: dict[bytes, Array] = {}
         for channel, sender, receiver in zip(
             burst.channel, burst.transmitter_m, burst.receiver_m, strict=True
         ):
             delay = np.zeros_like(value, dtype=np.float64)
             for antenna in (sender, receiver):
-                if (key := antenna.tobytes()) not in legs:
-                    legs[key] = one_way_m(place + turn @ antenna, cells, wall) / C_M_PER_S
-                delay += legs[key]
+                if (key := antenna.tobytes()) not in one_way_delay_s:
+                    one_way_delay_s[key] = (
+                        one_way_m(place + turn @ antenna, cells, wall) / C_M_PER_S
+                    )
+                delay += one_way_delay_s[key]
             value += _looked_up(channel.mean(axis=-1), burst, delay, tolerance)
     wave = bursts[0].waveform
     distance = float(np.hypot(np.mean(down_range_m), np.mean(cross_range_m)))
@@ -122,7 +126,8 @@ def cross_resolution_m(distance_m: float, wavelength_m: float, places_m: Array) 
 def one_way_m(antenna_m: Array, cells_m: Array, wall: Wall | None) -> Array:
     """Optical path from an antenna (3,) to cells (..., 3), through the wall where it lies between.
 
-    The ray in the slab is bent by Snell's law: sin(theta) is the root of its lateral way.
+    The ray is refracted by Snell's law; sin(theta) is the root of the equation for its lateral
+    offset.
     """
     way = cells_m - antenna_m
     straight = np.linalg.norm(way, axis=-1)
@@ -146,8 +151,10 @@ def one_way_m(antenna_m: Array, cells_m: Array, wall: Wall | None) -> Array:
     return path
 
 
-def _whole_bursts(record: "RadarRecord", leakage: bool) -> tuple[list[Burst], tuple[str, ...]]:
-    bursts: list[Burst] = []
+def _whole_bursts(
+    record: "RadarRecord", leakage: bool
+) -> tuple[list[DemodulatedBurst], tuple[str, ...]]:
+    bursts: list[DemodulatedBurst] = []
     warnings: list[str] = []
     for number in range(len(record.iq)):
         try:
@@ -184,8 +191,10 @@ def _in_middle_frame(
     return cells, places - origin, np.asarray((home * axes).as_matrix())
 
 
-def _looked_up(spectrum: Complex, burst: Burst, delay_s: Array, tolerance: float) -> Complex:
-    """Sum over frequencies (n,) turned by each delay, over n.
+def _looked_up(
+    spectrum: Complex, burst: DemodulatedBurst, delay_s: Array, tolerance: float
+) -> Complex:
+    """Mean over frequencies (n,) with the phase of each delay compensated.
 
     The profile about the middle frequency is band-limited to half a turn per cell; linear
     interpolation between k samples per cell is off by at most (pi / k)^2 / 8.

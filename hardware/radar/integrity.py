@@ -1,4 +1,4 @@
-"""What of a burst can be trusted: gaps and overflows end it, silence and clipping are told."""
+"""Integrity of a burst: it ends at a gap or an overflow; silence and clipping give warnings."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,8 +17,8 @@ _CLOCK = 0.01  # of a slot, by which its start may be off
 
 
 @dataclass(frozen=True)
-class Usable:
-    """The part of a burst before anything was lost, and what is wrong with it.
+class UsablePart:
+    """The part of a burst before the first loss of data, and its warnings.
 
     Either all slots of the first ``n_steps`` steps, or the first ``n_slots`` of the first step.
     """
@@ -29,10 +29,10 @@ class Usable:
     warnings: tuple[str, ...]
 
 
-def usable(record: "RadarRecord", burst: int = 0) -> Usable:
-    """What of a burst can be processed together: all up to the first gap or overflow.
+def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
+    """The part of a burst that can be processed coherently: up to the first gap or overflow.
 
-    Raises InputError where nothing comes before it, and for a burst that the record lacks.
+    Raises InputError where there is no such part, and for a burst that the record does not have.
     """
     if not 0 <= burst < len(record.iq):
         raise InputError(f"burst: {burst}, the record holds {len(record.iq)}")
@@ -40,7 +40,7 @@ def usable(record: "RadarRecord", burst: int = 0) -> Usable:
     lost = _lost(record, burst)
     warnings = _levels(record, burst)
     if not lost.any():
-        return Usable(n_steps, n_slots, True, tuple(warnings))
+        return UsablePart(n_steps, n_slots, True, tuple(warnings))
     step, slot = (int(i) for i in np.unravel_index(np.argmax(lost), lost.shape))
     why = "flagged as overrun or reset" if _flagged(record, burst)[step, slot] else "after a gap"
     n_steps, n_slots = (step, n_slots) if step else (1, slot)
@@ -48,7 +48,7 @@ def usable(record: "RadarRecord", burst: int = 0) -> Usable:
     if n_slots < 2 * len(record.front_end.transmitters_m):
         raise InputError(f"{where}; too little comes before it")
     done = f"the {n_steps} steps before it" if step else f"the {n_slots} slots before it"
-    return Usable(n_steps, n_slots, False, (f"{where}; processed are {done}", *warnings))
+    return UsablePart(n_steps, n_slots, False, (f"{where}; processed are {done}", *warnings))
 
 
 def _flagged(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
@@ -61,7 +61,7 @@ def _lost(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
     slot_ns = 1e9 * record.waveform.slot_period_s
     lost = _flagged(record, burst)
     lost[:, 1:] |= np.abs(np.diff(times, axis=1) - slot_ns) > 1 + _CLOCK * slot_ns
-    # A retune takes as long as it takes, but no step begins before the last one has ended.
+    # The duration of a retune is not checked, but no step may begin before the last one has ended.
     lost[1:, 0] |= times[1:, 0] - times[:-1, -1] < slot_ns * (1 - _CLOCK) - 1
     return lost
 

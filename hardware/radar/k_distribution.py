@@ -2,7 +2,7 @@
 
 Power x = t s, with s the mean of V exponential looks and t gamma distributed of mean 1 and shape v
 (Ward, Tough, Watts, Sea Clutter, IET 2013, section 4.3). Noise is the limit of a large shape; the
-smaller the shape, the more often clutter stands far above its mean.
+smaller the shape, the more often clutter exceeds its mean by far.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Power = NDArray[np.floating[Any]]
 
 _LEVEL = 3e-3  # exceeded by noise: rare enough for shapes to differ, frequent enough to count
 _ROWS = 16  # range cells that share a median
-_ECHO = 100.0  # times the median, from which a cell and its surroundings are taken for an echo
+_ECHO = 100.0  # times the median, above which a cell and its surroundings count as an echo
 _BESIDE = 8  # cells around it
 _SHAPES = np.geomspace(0.1, 100.0, 31)
 _LOG_X = np.linspace(-16, 9, 401)
@@ -26,11 +26,11 @@ _MOST = 2**17  # cells counted, about
 
 @dataclass(frozen=True)
 class ClutterFit:
-    """How far a map is from noise.
+    """Deviation of a map from noise.
 
-    ``exceedance``: how often its cells stand above the level that noise exceeds in 3 of 1000 cells,
-    over that; 1 for noise. ``shape``: of the K-distribution with that exceedance, infinite for
-    noise. ``uncertain`` is the relative standard error of the exceedance in noise.
+    ``exceedance``: share of its cells above the level that noise exceeds in 3 of 1000 cells, over
+    3 / 1000; 1 for noise. ``shape``: of the K-distribution with that exceedance, infinite for
+    noise. ``uncertain``: relative standard error of the exceedance in noise.
     """
 
     exceedance: float
@@ -39,11 +39,11 @@ class ClutterFit:
 
     @property
     def is_noise(self) -> bool:
-        """Whether the exceedance is within half of 1, or what chance makes of 1."""
+        """Whether the exceedance is at most 1.5, or within the random error of 1."""
         return self.exceedance <= 1 + max(0.5, 4 * self.uncertain)
 
     def false_alarms(self, false_alarm: float, looks: float) -> float:
-        """How many times more false alarms there are than a threshold for noise was set for."""
+        """Rate of false alarms of a threshold for noise, over the rate it was set for."""
         from scipy.special import gammainccinv
 
         level = gammainccinv(looks, false_alarm) / looks
@@ -95,9 +95,9 @@ def _upper(shape: float, z: Array) -> Array:
 def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     """Fit the shape to a map (n_ranges, n_rates) by how often cells exceed a level.
 
-    Each stripe of 16 ranges is measured by its own median, which a change of the mean with range
-    leaves alone. Surroundings of strong echoes, and cells that are NaN, are left out. ``clump``:
-    cells that a window makes exceed together.
+    Each stripe of 16 ranges is normalised by its own median, so that a change of the mean with
+    range does not matter. Surroundings of strong echoes, and cells that are NaN, are left out.
+    ``clump``: number of cells that a window makes exceed together.
     """
     from scipy.ndimage import maximum_filter
 
@@ -137,7 +137,7 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
 
 
 def _level(looks: float) -> float:
-    """Over the median, what noise exceeds with the probability `_LEVEL`."""
+    """Level over the median that noise exceeds with the probability `_LEVEL`."""
     from scipy.special import gammainccinv
 
     return float(gammainccinv(looks, _LEVEL) / gammainccinv(looks, 0.5))

@@ -1,39 +1,41 @@
-"""MUSIC: several targets of one range and rate told apart by angle (Schmidt, IEEE Trans. AP 1986).
+"""MUSIC: several targets of one range and rate, resolved by angle (Schmidt, IEEE Trans. AP 1986).
 
-Echoes in one snapshot are coherent; averaging over shifted parts of the array, forward and backward
-(Shan, Wax and Kailath 1985; Pillai and Kwon 1989), tells them apart again. That asks for an evenly
-spaced line.
+Echoes in one snapshot are coherent; spatial smoothing over shifted parts of the array, forward and
+backward (Shan, Wax and Kailath 1985; Pillai and Kwon 1989), decorrelates them. It needs an evenly
+spaced linear array.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.radar.angles import extents, virtual_places
-from hardware.radar.burst import Burst
+from hardware.radar.angles import extents, virtual_array
+from hardware.radar.burst import DemodulatedBurst
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def music(amplitude: Complex, burst: Burst, n_targets: int, part: int | None = None) -> Array:
+def music(
+    amplitude: Complex, burst: DemodulatedBurst, n_targets: int, part: int | None = None
+) -> Array:
     """Azimuths (n_targets,) in radians, ascending, positive to the left.
 
     Parameters
     ----------
     amplitude : (n_channels,) or (n_channels, n_snapshots)
-        Compensated for the transmitters' TDM offsets, see `compensated`.
+        Compensated for the transmitters' TDM offsets, see `compensate_motion`.
     burst
         Its channels must form an evenly spaced line to the left.
     n_targets
-        How many there are.
+        Number of targets.
     part
-        Length of the shifted parts; default two thirds of the line. Longer resolves more, shorter
-        averages more.
+        Length of the shifted parts; default two thirds of the line. Longer parts have more
+        resolution, shorter ones more averaging.
 
-    Raises InputError for another array, or for more targets than it can tell.
+    Raises InputError for another array, or for more targets than it can resolve.
     """
-    places = virtual_places(burst) / burst.waveform.wavelength_m
+    places = virtual_array(burst) / burst.waveform.wavelength_m
     line, spacing = _even_line(places)
     size = part or -(-2 * len(line) // 3)
     if not 0 < n_targets < size or size + n_targets > len(line) + n_targets * (n_targets > 1):

@@ -13,7 +13,7 @@ from hardware.radar.detection import Detection
 from hardware.radar.range_doppler import RangeDopplerMap
 from hardware.waveform import OfdmWaveform
 
-#: Of the channel (n_channels, n_subcarriers, n_slots), root watts, and its map.
+#: A function of the channel (n_channels, n_subcarriers, n_slots), root watts, and its map.
 Detect: TypeAlias = Callable[[Complex, OfdmWaveform, RangeDopplerMap], Sequence[Detection]]
 
 _ARGUMENTS = ("channel", "waveform", "image")
@@ -31,28 +31,28 @@ class OwnDetection:
     def __call__(
         self, channel: Complex, waveform: OfdmWaveform, image: RangeDopplerMap
     ) -> tuple[Detection, ...]:
-        """Detections, strongest first. Raises OwnFunctionError for what are no detections."""
-        given = self.own.function(channel, waveform, image)
-        if isinstance(given, str | bytes) or not isinstance(given, Sequence):
+        """Detections, strongest first. Raises OwnFunctionError for invalid ones."""
+        detections = self.own.function(channel, waveform, image)
+        if isinstance(detections, str | bytes) or not isinstance(detections, Sequence):
             raise OwnFunctionError(
-                f"{self.own.name}: returned a {type(given).__name__}, expected a sequence of "
+                f"{self.own.name}: returned a {type(detections).__name__}, expected a sequence of "
                 "hardware.Detection"
             )
-        for i, found in enumerate(given):
-            if not isinstance(found, Detection):
+        for i, detection in enumerate(detections):
+            if not isinstance(detection, Detection):
                 raise OwnFunctionError(
-                    f"{self.own.name}: item {i} is a {type(found).__name__}, expected a "
+                    f"{self.own.name}: item {i} is a {type(detection).__name__}, expected a "
                     "hardware.Detection"
                 )
-            if not np.isfinite([found.power_w, found.snr_db]).all():
+            if not np.isfinite([detection.power_w, detection.snr_db]).all():
                 raise OwnFunctionError(
                     f"{self.own.name}: item {i}: power_w or snr_db is not finite"
                 )
-            if np.isnan(found.range_m) and np.isnan(found.range_rate_m_per_s):
+            if np.isnan(detection.range_m) and np.isnan(detection.range_rate_m_per_s):
                 raise OwnFunctionError(
                     f"{self.own.name}: item {i} has neither range nor range rate"
                 )
-        return tuple(sorted(given, key=lambda found: -found.power_w))
+        return tuple(sorted(detections, key=lambda detection: -detection.power_w))
 
 
 def detection_of(
@@ -70,8 +70,8 @@ def detection_of(
     folder
         What a relative path starts from; default the working directory.
 
-    Raises OwnFunctionError, an InputError, for a function that is not there or takes other
-    arguments; the result does, when called, for what are no detections.
+    Raises OwnFunctionError, an InputError, for a function that does not exist or takes other
+    arguments; the result raises it, when called, for invalid detections.
 
     >>> from hardware import Detection
     >>> def strongest_cell(channel, waveform, image):

@@ -1,4 +1,4 @@
-"""Cells of a range-Doppler map that stand out of the noise around them."""
+"""Peaks of a range-Doppler map above the noise around them."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from hardware.radar.cfar import cfar_threshold
 from hardware.radar.cfar_rule import Cfar, MapNoise, white_threshold
 from hardware.radar.range_doppler import RangeDopplerMap
-from hardware.radar.screening import possible
+from hardware.radar.screening import candidate_cells
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """Cells that stand out, (n,) each: where, how high, and the mean noise around."""
+    """Peaks, (n,) each: range, range rate, power, and mean noise around them."""
 
     range_m: Array
     range_rate_m_per_s: Array
@@ -40,10 +40,10 @@ class Peaks:
 
 
 def peaks_above(image: RangeDopplerMap, cfar: Cfar, window: str) -> Peaks:
-    """Cells above their threshold and above the cells around them."""
+    """Cells above their threshold that are local maxima."""
     power = image.power_w
     noise = MapNoise(window, image.n_channels, image.oversampling, image.relative_noise)
-    rows, columns = possible(power, cfar, noise)
+    rows, columns = candidate_cells(power, cfar, noise)
     peak = _are_peaks(power, rows, columns)
     rows, columns = rows[peak], columns[peak]
     threshold = cfar_threshold(power, cfar, noise, at=(rows, columns))

@@ -1,19 +1,19 @@
-"""Phase noise of the leakage: estimated on the leakage itself and taken out of every receiver.
+"""Phase noise of the leakage: estimated on the leakage itself and subtracted in every receiver.
 
-The leakage from transmitter to receiver is a strong path of known delay, so what the oscillator
-does to it is measured on it, slot by slot and sample by sample. Referred to the leakage's waveform
-l(t) a receiver holds 1 + j d(t) + echoes: the phase noise d is real and the same for all receivers
-of one slot. A Fourier transform over samples and slots then gives it the symmetry
+The leakage from transmitter to receiver is a strong path of known delay, on which the oscillator's
+phase noise is measured slot by slot and sample by sample. Relative to the leakage's waveform l(t) a
+receiver's signal is 1 + j d(t) + echoes: the phase noise d is real and the same for all receivers
+of one slot. Its Fourier transform over samples and slots has the symmetry
 N(-k, -v) = -conj N(k, v) (k: range cells from the leakage, v: cells of rate), which neither an echo
-nor thermal noise has. Half the difference of a cell and its mirror image holds the phase noise,
+nor thermal noise has. Half the difference of a cell and its mirror image contains the phase noise,
 half the sum is free of it.
 
-An echo is in both halves, and taking one away would halve it and mirror it about the leakage. So
-where the half that is free of phase noise shows more than thermal noise would, the cell and its
-mirror image are told apart by their own power, and the phase noise there is taken from the weaker
-one, with its thermal noise: how much noise that leaves is told with the result. An echo straight
-ahead that stands below the phase noise in its own cell cannot be told from its mirror image: there
-half its amplitude is left on either side.
+An echo is in both halves, and subtracting one half would leave half of the echo and its mirror
+image about the leakage. So where the half without phase noise exceeds thermal noise, the powers of
+the cell and its mirror image decide which of them has the echo, and the phase noise is estimated
+from the other one, with its thermal noise; the remaining noise is returned with the result. A
+static echo below the phase noise in its own cell cannot be distinguished from its mirror image:
+half of its amplitude remains on either side.
 """
 
 from collections.abc import Sequence
@@ -22,32 +22,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.windows import taper
+from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 Power = NDArray[np.floating]
 
-_RARE = 1e-9  # chance that thermal noise alone passes for an echo, per cell
-_BEYOND = 8.0  # times the expected power, from which a cell's own power shows an echo
-_LOW = 0.16  # quantile that tells how noise scatters
-_MANY = 9  # cells, from which pooled noise is far from exponential
-_MANY_SAMPLES = 2**18  # that tell whether there is leakage
-_SMOOTHED = 33  # range cells, over which the noise's level changes little
-_FAINT = 0.3  # of thermal noise: side lobes below do no harm on the other side
-# Rates and ranges that are looked at together: an echo's cell, its side lobes along either axis.
+_RARE = 1e-9  # probability per cell that thermal noise alone counts as an echo
+_BEYOND = 8.0  # times the expected power, above which a cell contains an echo
+_LOW = 0.16  # quantile used to estimate the spread of noise
+_MANY = 9  # cells above which the sum of noise is far from exponential
+_MANY_SAMPLES = 2**18  # enough to decide whether there is leakage
+_SMOOTHED = 33  # range cells over which the noise level changes little
+_FAINT = 0.3  # of thermal noise: side lobes below it need no care on the mirrored side
+# Rates and ranges that are averaged: an echo's cell, its side lobes along either axis.
 _POOLED = ((1, 1), (1, 33), (9, 1))
 
 
 def leakage_snr(steps: Sequence[Complex], waveform: OfdmWaveform, delay_s: float) -> float:
-    """Energy of the path at ``delay_s`` in a slot over the noise's, all receivers added.
+    """Energy of the path at ``delay_s`` in a slot over that of the noise, sum over receivers.
 
     ``steps``: samples (n_slots, n_receivers, n_subcarriers) of every carrier step. The noise is
-    told by the median over delays. Of steps, which a retune may delay, the highest delay counts.
+    the median over delays. With several steps, which a retune may delay, the highest delay counts.
     """
     n = waveform.n_subcarriers
     ahead = np.exp(2j * np.pi * waveform.frequency_offsets_hz * delay_s)
-    undone = np.fft.ifftshift(waveform.sent().conj() * ahead * taper("blackmanharris", n))
+    undone = np.fft.ifftshift(
+        waveform.sent().conj() * ahead * normalised_window("blackmanharris", n)
+    )
     snr = []
     for step in steps:
         some = step[:: max(1, step.size // _MANY_SAMPLES)]
@@ -59,16 +61,20 @@ def leakage_snr(steps: Sequence[Complex], waveform: OfdmWaveform, delay_s: float
 
 
 def with_steady_phase(samples: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:
-    """Samples (n_slots, n_receivers, n_subcarriers) less the phase that each slot shares, and less
-    its slope within the slot.
+    """Samples (n_slots, n_receivers, n_subcarriers) after removal of each slot's common phase, and
+    of its slope within the slot.
 
-    Separate oscillators for sending and receiving turn every path of a slot alike. The path at
-    ``delay_s`` tells by how much, to one part in the root of its energy over the noise's; of a
-    shared oscillator next to nothing is found and nothing changes. A window keeps echoes a few
-    range cells away out of the phase. What all slots have in common stays.
+    Separate oscillators of transmitter and receiver rotate all paths of a slot by the same phase.
+    It is measured on the path at ``delay_s``, with a relative error of one over the root of its
+    SNR; with a shared oscillator it is almost zero. A window excludes echoes a few range cells away
+    from the phase. The part that all slots have in common is not removed.
     """
     n = waveform.n_subcarriers
-    path = _leak(waveform, delay_s, taper("blackmanharris", n)).conj().astype(samples.dtype)
+    path = (
+        _leak(waveform, delay_s, normalised_window("blackmanharris", n))
+        .conj()
+        .astype(samples.dtype)
+    )
     share = np.einsum("mrt,t->mr", samples, path)
     level = share.mean(axis=0).conj()
     turn = share @ level
@@ -86,8 +92,8 @@ def with_steady_phase(samples: Complex, waveform: OfdmWaveform, delay_s: float) 
 
 
 def _slopes(phase: Array, time: Array) -> Array:
-    """Slope of each slot's phase (n_slots, n_samples) by generalised least squares: frequencies
-    count by how little of their power over all slots is anything else's.
+    """Slope of each slot's phase (n_slots, n_samples) by generalised least squares: the weight of a
+    frequency is the inverse of its power over all slots.
     """
     spectrum, ramp = np.fft.rfft(phase)[:, 1:], np.fft.rfft(time)[1:]
     power = np.mean(np.abs(spectrum) ** 2, axis=0)
@@ -98,19 +104,19 @@ def _slopes(phase: Array, time: Array) -> Array:
 def without_phase_noise(
     samples: Complex, waveform: OfdmWaveform, delay_s: float, schedule: NDArray[np.intp]
 ) -> tuple[Complex, Array | None]:
-    """Samples (n_slots, n_receivers, n_subcarriers) less the leakage's phase noise within slots,
-    and the noise (n_subcarriers, n_rounds) of every cell of range and rate over that of others at
-    its range; None where all are alike.
+    """Samples (n_slots, n_receivers, n_subcarriers) after subtraction of the leakage's phase noise
+    within slots, and the noise (n_subcarriers, n_rounds) of every cell of range and rate over that
+    of others at its range; None where it is uniform.
 
-    Beside a strong echo phase noise is told by the mirror image alone, whose thermal noise comes
-    with it.
+    Beside a strong echo the phase noise is estimated from the mirror image alone, with its thermal
+    noise.
 
     Parameters
     ----------
     samples
         Of one carrier, in any unit.
     waveform, delay_s
-        What was sent, and when the leakage arrives.
+        Waveform sent, and delay of the leakage.
     schedule : (n_transmitters, n_rounds)
         Slots of each transmitter.
     """
@@ -147,8 +153,8 @@ def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
     """Least-squares phase noise of spectra (n_transmitters, n_rates, n_ranges), the leakage at
     the origin; the result has N(-k, -v) = -conj N(k, v).
 
-    Also the noise that is left in every cell (n_rates, n_ranges), over that of cells at its range
-    beside which there is no echo; None where there is no echo.
+    Also the remaining noise of every cell (n_rates, n_ranges), over that of cells at its range
+    without an echo; None where there is no echo.
     """
     from scipy.ndimage import median_filter, uniform_filter
 
@@ -156,8 +162,8 @@ def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
     odd, even = (spectra + mirrored) / 2, (spectra - mirrored) / 2
 
     def level(part: Complex) -> Array:
-        """Mean noise power (n_ranges,): echoes fill few rates, strong ones few ranges: medians
-        skip both.
+        """Mean noise power (n_ranges,), by medians: echoes occupy few rates, strong ones few
+        ranges.
         """
         median = np.median(np.abs(part) ** 2, axis=(0, 1)) / np.log(2)
         smooth = median_filter(median, min(_SMOOTHED, len(median)), mode="wrap")
@@ -166,7 +172,7 @@ def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
     thermal = 2 * level(even)
     excess = np.maximum(level(odd) - thermal / 2, 0.0)
     thermal = np.maximum(thermal, 1e-300)
-    found = odd * (excess / (excess + thermal / 2)).astype(odd.real.dtype)
+    estimate = odd * (excess / (excess + thermal / 2)).astype(odd.real.dtype)
     n = len(spectra)
     here, there, both = (
         np.mean(np.abs(part) ** 2, axis=0, dtype=np.float64) for part in (spectra, mirrored, even)
@@ -190,7 +196,7 @@ def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
     share = 1 / (1 + np.exp(-np.clip(odds, -60, 60)))
     at = np.nonzero(suspect)
     if not len(at[0]):
-        return np.asarray(found), None
+        return np.asarray(estimate), None
     # Cell and mirror image show the same phase noise, each with its own echo and thermal noise:
     # the mean of both is weighted by what else they hold.
     weights = [
@@ -200,20 +206,21 @@ def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
     total = 1 / np.maximum(excess[at[1]], 1e-300) + weights[0] + weights[1]
     own, other = weights[0] / total, weights[1] / total
     for i in range(n):
-        found[i][at] = own * spectra[i][at] + other * mirrored[i][at]
+        estimate[i][at] = own * spectra[i][at] + other * mirrored[i][at]
     left = excess[at[1]] * (1 - own - other) ** 2 + thermal[at[1]] * ((1 - own) ** 2 + other**2)
     usual = thermal / 2 * (1 + thermal / 2 / (excess + thermal / 2))
     more = np.ones(here.shape)
     more[at] = left / usual[at[1]]
-    return np.asarray(found), more
+    return np.asarray(estimate), more
 
 
 def _rare(pooled: Array, looks: float) -> Array:
-    """Level over the mean that noise exceeds with a chance of `_RARE` at every range, (n_ranges,).
+    """Level over the mean that noise exceeds with the probability `_RARE` at every range,
+    (n_ranges,).
 
-    Neighbouring ranges of noise that fills a part of the band only are alike: their mean scatters
-    as that of fewer cells. How many is told by the lower half of its distribution over the ranges
-    around, where no echo is.
+    Noise in a part of the band only is correlated over neighbouring ranges: its mean varies as that
+    of fewer cells. Their number is estimated from the lower half of the distribution over the
+    ranges around, which contains no echoes.
     """
     from scipy.ndimage import uniform_filter1d
     from scipy.special import gammainccinv, gammaincinv
@@ -229,7 +236,7 @@ def _rare(pooled: Array, looks: float) -> Array:
 
 
 def _side_lobes(power: Array) -> Array:
-    """Power (n_rates, n_ranges) that echoes on cells leave along their own axes, at most."""
+    """Upper bound of the side lobes (n_rates, n_ranges) of echoes along both axes."""
     total = power.copy()
     for axis, size in enumerate(power.shape):
         away = np.minimum(np.arange(size), size - np.arange(size))

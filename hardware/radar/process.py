@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.ambiguity import unfolded
-from hardware.radar.angles import compensated, direction, extents, virtual_places
-from hardware.radar.burst import Burst, demodulate
-from hardware.radar.cfar import fitted
+from hardware.radar.ambiguity import resolve_range_rates
+from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
+from hardware.radar.burst import DemodulatedBurst, demodulate
+from hardware.radar.cfar import with_fitted_shape
 from hardware.radar.cfar_rule import Cfar
 from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Complex, Precision
 from hardware.radar.detection import (
     Detection,
-    Measured,
-    detected,
-    distinct,
+    EchoMeasurement,
+    detect_echoes,
     with_cross_section,
+    without_duplicates,
 )
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.music import music
@@ -38,35 +38,35 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Processing:
-    """What is done with a burst.
+    """Settings of radar processing.
 
     Parameters
     ----------
     window, oversampling
         See `range_doppler`.
     cfar, at_most
-        How detections are told from noise, and how many are kept, strongest first.
+        Rule of detection, and largest number of detections, strongest first.
     precision
         Of demodulation and map: ``single`` takes half the time, see `Precision`. Ranges, rates
-        and phases are found in double precision either way.
+        and phases are always refined in double precision.
     leakage
-        Take the record's leakage away, where its delay is known.
+        Subtract the record's leakage, where its delay is known.
     moving_only
-        Take everything away that stands still.
+        Subtract all static echoes.
     resolve
         Split detections into targets nearer than a cell, see `resolve`.
     per_cell
-        Targets of one range and rate that `music` tells apart by angle; 1 is plain beamforming.
+        Targets of one range and rate to resolve by angle with `music`; 1 is plain beamforming.
     reference_delay_s, range_rate_m_per_s
         For carrier steps, see `stitch`.
     fastest_m_per_s
-        Up to which targets may approach or recede; range rates beyond the Doppler ambiguity are
-        told apart, or listed, up to there, see `unfolded`. An echo must be found first, on a map
-        that does not follow it: what moves n range cells within a burst is 20 log10 n dB weaker
-        there than it is measured afterwards, see `OfdmWaveform.migration_gain`.
+        Highest speed of approaching or receding targets, up to which the Doppler ambiguity is
+        resolved, or alternatives are listed, see `resolve_range_rates`. An echo must first be
+        detected on a map without compensation of its migration: a target that moves by n range
+        cells within a burst is 20 log10 n dB weaker there, see `OfdmWaveform.migration_gain`.
     detection
-        A user's own in place of CFAR and all refinement: a function of (channel, waveform, image),
-        ``file.py:function``, or an installed name, see `detection_of`.
+        A user's own detection in place of CFAR and all refinement: a function of (channel,
+        waveform, image), ``file.py:function``, or an installed name, see `detection_of`.
     """
 
     window: str = "blackmanharris"
@@ -90,10 +90,10 @@ class Processing:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What one burst showed: detections, strongest first, the map, and what was wrong with it.
+    """Result of one burst: detections, strongest first, the map, and warnings.
 
-    ``clutter`` says how far the map is from noise, which thresholds assume unless `Cfar` says
-    otherwise. ``detection`` is the name of a user's own detection, with a digest of its source.
+    ``clutter``: deviation of the map from noise, which thresholds assume unless `Cfar` has a shape.
+    ``detection``: name of a user's own detection, with a digest of its source.
     """
 
     burst: int
@@ -107,7 +107,7 @@ class Frame:
 
     @property
     def by(self) -> str:
-        """Whose detections these are, in words; nothing of the bundled ones."""
+        """Name of a user's own detection, for messages; empty for the bundled one."""
         return f" by {self.detection}" if self.detection else ""
 
 
@@ -120,10 +120,10 @@ def process(
 ) -> Frame:
     """Detect the targets of one burst.
 
-    ``waveform``: what the caller believes was sent; refused when it is not the record's.
+    ``waveform``: the waveform that the caller expects; InputError when it is not the record's.
     """
     how = how or Processing()
-    taken = demodulate(
+    interval = demodulate(
         record,
         burst,
         waveform=waveform,
@@ -132,25 +132,25 @@ def process(
         reference_delay_s=how.reference_delay_s,
         range_rate_m_per_s=how.range_rate_m_per_s,
     )
-    channel = without_static(taken.channel) if how.moving_only else taken.channel
+    channel = without_static(interval.channel) if how.moving_only else interval.channel
     image = range_doppler(
         channel,
-        taken.waveform,
+        interval.waveform,
         how.window,
         oversampling=how.oversampling,
-        relative_noise=taken.relative_noise,
+        relative_noise=interval.relative_noise,
     )
     even = image.power_w
     if image.relative_noise is not None:
         even = even / image.relative_noise
-    # Cells that a window makes exceed a level together: 7 for blackmanharris, 1 without one.
+    # Number of correlated cells that exceed a level together: 7 for blackmanharris, 1 without one.
     clutter = fit(even, image.n_channels, noise_gain(how.window, channel.shape[-2:]) ** 1.4)
     own = None if how.detection is None else detection_of(how.detection)
     points: Sequence[Detection]
     if own is None:
-        points, warnings = _detections(channel, taken, image, even, clutter, how, burst)
+        points, warnings = _detections(channel, interval, image, even, clutter, how, burst)
     else:
-        points = own(channel, taken.waveform, image)
+        points = own(channel, interval.waveform, image)
         warnings = _cut(burst, len(points), how)
         points = points[: how.at_most]
     return Frame(
@@ -158,7 +158,7 @@ def process(
         detections=tuple(
             with_cross_section(
                 point,
-                taken.waveform,
+                interval.waveform,
                 record.front_end.transmit_power_w,
                 record.front_end.antenna_gain_dbi,
                 record.front_end.losses_db,
@@ -166,9 +166,9 @@ def process(
             for point in points
         ),
         image=image,
-        waveform=taken.waveform,
-        whole=taken.whole,
-        warnings=(*taken.warnings, *warnings),
+        waveform=interval.waveform,
+        whole=interval.whole,
+        warnings=(*interval.warnings, *warnings),
         clutter=clutter,
         detection=own.name if own else "",
     )
@@ -176,43 +176,43 @@ def process(
 
 def _detections(
     channel: Complex,
-    taken: Burst,
+    interval: DemodulatedBurst,
     image: RangeDopplerMap,
     even: NDArray[np.floating],
     clutter: ClutterFit,
     how: Processing,
     burst: int,
 ) -> tuple[list[Detection], list[str]]:
-    """Detections by CFAR and refinement, and what of them is not as it should be."""
-    cfar = fitted(even, how.cfar, image.n_channels)
+    """Detections by CFAR and refinement, and warnings."""
+    cfar = with_fitted_shape(even, how.cfar, image.n_channels)
     if how.cfar.shape == "fitted" and how.window != "boxcar":
-        plain = clutter_between_echoes(channel, taken.waveform, image, how.window)
+        plain = clutter_between_echoes(channel, interval.waveform, image, how.window)
         if not plain.is_noise:
             cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
-    # Twice as many: peaks that turn out to be one must not hide that the cap cuts.
-    found = detected(channel, taken.waveform, image, cfar, how.window, 2 * how.at_most)
+    # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
+    echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
-    found = unfolded(channel, taken.waveform, found, noise_w, how.fastest_m_per_s)
-    warnings = _warnings(burst, len(found), image.n_channels, how, clutter)
-    found = found[: how.at_most]
+    echoes = resolve_range_rates(channel, interval.waveform, echoes, noise_w, how.fastest_m_per_s)
+    warnings = _warnings(burst, len(echoes), image.n_channels, how, clutter)
+    echoes = echoes[: how.at_most]
     if how.resolve:
-        found = _resolved(found, channel, taken.waveform, noise_w, how.cfar.false_alarm)
-    points = [point for one in found for point in _points(one, taken, how.per_cell)]
+        echoes = _split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
+    points = [point for one in echoes for point in _points(one, interval, how.per_cell)]
     return points, [*warnings, *_ambiguous(points)]
 
 
 def _warnings(
     burst: int, n_found: int, n_channels: int, how: Processing, clutter: ClutterFit
 ) -> list[str]:
-    """What of the detections is not as it should be."""
+    """Warnings of too many detections and of clutter."""
     told = _cut(burst, n_found, how)
     if not clutter.is_noise and how.cfar.shape == float("inf"):
         told.append(
-            f"burst {burst}: the map is no noise: {clutter.exceedance:.2g} times as many cells as "
-            f"noise has stand far above their median, as in K-distributed clutter of shape "
-            f"{clutter.shape:.2g}; there are "
-            f"{clutter.false_alarms(how.cfar.false_alarm, n_channels):.2g} times as many false "
-            "alarms as asked for (a CFAR with its shape fitted holds the rate)"
+            f"burst {burst}: the map contains clutter: {clutter.exceedance:.2g} times as many "
+            "cells as in noise are far above their median, as in K-distributed clutter of shape "
+            f"{clutter.shape:.2g}; the rate of false alarms is "
+            f"{clutter.false_alarms(how.cfar.false_alarm, n_channels):.2g} times the one set "
+            "(a CFAR with fitted shape keeps it)"
         )
     return told
 
@@ -232,7 +232,7 @@ def frames(
     *,
     waveform: OfdmWaveform | None = None,
 ) -> Iterator[Frame]:
-    """Every burst in turn, up to and with the first that a gap or an overflow cuts short."""
+    """Results of all bursts, up to and including the first one cut short by a gap or overflow."""
     for burst in range(len(record.iq)):
         frame = process(record, burst, how, waveform=waveform)
         left = len(record.iq) - burst - 1
@@ -243,54 +243,54 @@ def frames(
         yield frame
 
 
-def _resolved(
-    found: list[Measured],
+def _split_targets(
+    echoes: list[EchoMeasurement],
     channel: Complex,
     waveform: OfdmWaveform,
     noise_w: float,
     false_alarm: float,
-) -> list[Measured]:
-    """Each detection split into its targets, whose range rate is as ambiguous as its own."""
-    parts: list[Measured] = []
-    for i, (one, _) in enumerate(found):
-        others = [other for other, _ in found[:i] + found[i + 1 :]]
+) -> list[EchoMeasurement]:
+    """Targets that each detection consists of, with the detection's alternative range rates."""
+    parts: list[EchoMeasurement] = []
+    for i, (one, _) in enumerate(echoes):
+        others = [other for other, _ in echoes[:i] + echoes[i + 1 :]]
         split = resolve(channel, waveform, one, noise_w, false_alarm=false_alarm, others=others)
         alternatives = one.range_rate_alternatives_m_per_s
         parts += [
             (replace(part, range_rate_alternatives_m_per_s=alternatives), amplitude)
             for part, amplitude in split
         ]
-    return distinct(parts, waveform, folded=False)
+    return without_duplicates(parts, waveform, folded=False)
 
 
-def _points(found: Measured, taken: Burst, per_cell: int) -> list[Detection]:
+def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) -> list[Detection]:
     """A detection with its direction, or several from `music`.
 
-    The array may tell range rates apart that migration leaves open.
+    The array may exclude range rates that migration cannot.
     """
-    point, amplitude = found
-    if not np.any(extents(virtual_places(taken))[1:] > 0):
+    point, amplitude = echo
+    if not np.any(extents(virtual_array(interval))[1:] > 0):
         return [point]
     measured = not np.isnan(point.range_rate_m_per_s)
     rates = (point.range_rate_m_per_s if measured else 0.0, *point.range_rate_alternatives_m_per_s)
-    way = direction(amplitude, taken, rates, 10 ** (point.snr_db / 10))
+    bearing = direction(amplitude, interval, rates, 10 ** (point.snr_db / 10))
     point = replace(
         point,
-        range_rate_m_per_s=way.range_rate_m_per_s if measured else float("nan"),
-        range_rate_alternatives_m_per_s=way.alternatives_m_per_s,
-        azimuth_rad=way.azimuth_rad,
-        azimuth_error_rad=way.azimuth_error_rad,
-        elevation_rad=way.elevation_rad,
-        elevation_error_rad=way.elevation_error_rad,
+        range_rate_m_per_s=bearing.range_rate_m_per_s if measured else float("nan"),
+        range_rate_alternatives_m_per_s=bearing.alternatives_m_per_s,
+        azimuth_rad=bearing.azimuth_rad,
+        azimuth_error_rad=bearing.azimuth_error_rad,
+        elevation_rad=bearing.elevation_rad,
+        elevation_error_rad=bearing.elevation_error_rad,
     )
     if per_cell == 1:
         return [point]
-    still = compensated(amplitude, taken, way.range_rate_m_per_s)
-    return [replace(point, azimuth_rad=float(a)) for a in music(still, taken, per_cell)]
+    still = compensate_motion(amplitude, interval, bearing.range_rate_m_per_s)
+    return [replace(point, azimuth_rad=float(a)) for a in music(still, interval, per_cell)]
 
 
 def _ambiguous(points: list[Detection]) -> list[str]:
-    """A warning where range rates are not told apart."""
+    """A warning of ambiguous range rates."""
     count = sum(bool(point.range_rate_alternatives_m_per_s) for point in points)
     if not count:
         return []

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.radar.demodulation import Complex
-from hardware.radar.whitening import whitened
-from hardware.radar.windows import taper
+from hardware.radar.whitening import whiten
+from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -24,16 +24,16 @@ Power = NDArray[np.floating[Any]]
 class RangeDopplerMap:
     """Received power by range and range rate.
 
-    ``power_w`` (n_ranges, n_rates): a lone target at a cell's centre shows the power that one
-    antenna received from it, the mean over ``n_channels``. ``range_m`` ascends from 0;
-    ``range_rate_m_per_s`` ascends, positive when the target recedes. ``noise_w`` is the mean noise
-    power of a cell. ``oversampling`` cells stand where one would do.
+    ``power_w`` (n_ranges, n_rates): a single target at a cell's centre has the power that one
+    antenna received from it, mean over ``n_channels``. ``range_m`` ascends from 0;
+    ``range_rate_m_per_s`` ascends, positive when the target recedes. ``noise_w``: mean noise power
+    of a cell. ``oversampling``: cells per resolution cell along each axis.
 
-    ``effective_looks``: as how many independent channels the noise of all scatters. Where they are
-    fewer than ``n_channels`` the channels were made independent, see `whitened`: ``power_w`` is
-    then that of an echo in the mean over directions, less where all channels share the noise.
+    ``effective_looks``: number of independent channels with the same variance of the noise. Where
+    it is less than ``n_channels``, the channels were whitened, see `whiten`: ``power_w`` of an
+    echo is then correct in the mean over directions, and lower where the channels share the noise.
     ``relative_noise`` (n_ranges, n_rates) or (n_ranges, 1): mean noise of the cells where it is
-    known to be uneven, of mean about 1.
+    known to be uneven, normalised to a mean of about 1.
     """
 
     power_w: Power
@@ -66,19 +66,19 @@ def range_doppler(
         Along both axes, by SciPy's name. ``boxcar`` resolves best; ``blackmanharris`` keeps side
         lobes 92 dB down, at twice the width and 3 dB of noise per axis.
     oversampling
-        Cells per resolution cell along each axis. Bounds what a target between cells loses: with
-        ``boxcar`` 3.9 dB per axis for 1, 0.9 for 2; with ``blackmanharris`` 0.8 for 1.
+        Cells per resolution cell along each axis. Limits the scalloping loss of a target between
+        cells: with ``boxcar`` 3.9 dB per axis for 1, 0.9 for 2; with ``blackmanharris`` 0.8 for 1.
 
     relative_noise : (n_subcarriers, n_slots) or (n_subcarriers, 1)
-        Mean noise of the cells without a window, where it is known, see `Burst`.
+        Mean noise of the cells without a window, where it is known, see `DemodulatedBurst`.
 
-    Raises InputError for a channel that is not the waveform's.
+    Raises InputError for a channel that does not fit the waveform.
     """
     check_channel(channel, waveform)
     n, m = channel.shape[-2:]
     across, along = oversampling * n, oversampling * m
     parts = channel.reshape(-1, n, m)
-    images, looks = whitened([amplitudes(part, window, oversampling) for part in parts])
+    images, looks = whiten([complex_map(part, window, oversampling) for part in parts])
     power = mean_power(images)
     rates = (np.arange(along) - (along - 1) // 2) / (along * waveform.slot_period_s)
     return RangeDopplerMap(
@@ -94,14 +94,14 @@ def range_doppler(
 
 
 def _through_window(noise: Array | None, window: str, oversampling: int) -> Array | None:
-    """Mean noise of a map's cells, to each of which a window adds up that of the cells around."""
+    """Mean noise of a map's cells with a window, which averages it over neighbouring cells."""
     if noise is None:
         return None
     for axis, size in enumerate(noise.shape):
         if size == 1:
             continue
         fine = size * oversampling
-        reach = np.abs(np.fft.fft(taper(window, size), fine)) ** 2
+        reach = np.abs(np.fft.fft(normalised_window(window, size), fine)) ** 2
         kernel = np.fft.rfft(reach / reach.sum()).reshape((-1, 1) if axis == 0 else (1, -1))
         spread = np.fft.rfft(np.repeat(noise, oversampling, axis), axis=axis) * kernel
         noise = np.maximum(np.fft.irfft(spread, fine, axis=axis), noise.min())
@@ -118,7 +118,7 @@ def check_channel(channel: Complex, waveform: OfdmWaveform) -> None:
         )
 
 
-def amplitudes(part: Complex, window: str, oversampling: int = 1) -> Complex:
+def complex_map(part: Complex, window: str, oversampling: int = 1) -> Complex:
     """Complex amplitude of one channel by rate and range, (n_rates, n_ranges), in root watts.
 
     Rates 0 and above come first, as the transform leaves them; `mean_power` sorts them.
@@ -129,8 +129,8 @@ def amplitudes(part: Complex, window: str, oversampling: int = 1) -> Complex:
     # Slots first: the channel comes transposed, its subcarriers contiguous.
     slots = part.T
     if window != "boxcar":
-        slots = slots * taper(window, n).astype(part.real.dtype)
-        slots *= taper(window, m).astype(part.real.dtype)[:, None]
+        slots = slots * normalised_window(window, n).astype(part.real.dtype)
+        slots *= normalised_window(window, m).astype(part.real.dtype)[:, None]
     # The inverse transform makes a mean of the sum over subcarriers and undoes exp(-j 2 pi f tau);
     # range rates run against Doppler, so that the transform over slots is the inverse one as well.
     profiles = ifft(slots, oversampling * n, axis=1, overwrite_x=window != "boxcar", workers=-1)
@@ -141,7 +141,7 @@ def amplitudes(part: Complex, window: str, oversampling: int = 1) -> Complex:
 
 
 def mean_power(images: Iterable[Complex]) -> Power:
-    """Power (n_ranges, n_rates) of `amplitudes`, the mean over channels; rates ascend."""
+    """Power (n_ranges, n_rates) of `complex_map`, the mean over channels; rates ascend."""
     powers = [_power(image) for image in images]
     return powers[0] if len(powers) == 1 else np.asarray(np.mean(powers, axis=0))
 

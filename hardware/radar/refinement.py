@@ -1,9 +1,9 @@
-"""Range and rate of a lone target to a small part of a cell: maximum likelihood by Newton's method.
+"""Range and rate of a single target to a fraction of a cell: maximum likelihood by Newton's method.
 
-The model is exact: exp(-j 2 pi (fc + f) (tau + rate t)), with the migration through range cells
-that a fast target makes within the interval. The channel is brought to the target's cell and summed
-in blocks first, which leaves a small, slowly turning array. Of several channels the powers are
-added: each has its own phase.
+The model is exact: exp(-j 2 pi (fc + f) (tau + rate t)), with the range migration of a fast target
+within the interval. The phase of the target's cell is first removed from the channel, which is then
+summed in blocks to a small array of slowly varying phase. Powers of several channels are added:
+each has its own phase.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.windows import taper
+from hardware.radar.windows import normalised_window
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -28,11 +28,11 @@ _CLOSE = 1e-6  # cells: the square of this is left of an error in the next step
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class BlockGrid:
     """Blocks of subcarriers and slots: mean frequencies ``f_hz`` (n_f,), mean times ``t_s`` (n_t,).
 
-    ``count_f``, ``count_t``: each block's subcarriers and slots; ``taper_f``, ``taper_t``: the
-    window's mean over it. ``cell``: of delay (s) and of delay rate (s/s).
+    ``count_f``, ``count_t``: number of subcarriers and slots of each block; ``taper_f``,
+    ``taper_t``: mean of the window over it. ``cell``: of delay (s) and of delay rate (s/s).
     """
 
     f_hz: Array
@@ -55,8 +55,8 @@ class Grid:
         middle_hz = self.carrier_hz + self.f_hz[len(self.f_hz) // 2]
         return np.asarray(2 * np.pi * self.cell[1] * middle_hz * self.t_s)
 
-    def turn(self, steps: Array) -> NDArray[np.complex128]:
-        """exp(j phase) (..., n_f, n_t) of steps of so many cells of delay and rate (..., 2)."""
+    def phasor(self, steps: Array) -> NDArray[np.complex128]:
+        """exp(j phase) (..., n_f, n_t) of offsets in cells of delay and rate (..., 2)."""
         rates = steps[..., 1] * self.cell[1]
         along_f = np.exp(1j * steps[..., :1] * self.by_delay)
         along_t = np.exp(2j * np.pi * self.carrier_hz * rates[..., None] * self.t_s)
@@ -68,18 +68,19 @@ class Grid:
         along_f: NDArray[np.complex128] | None = None,
         along_t: NDArray[np.complex128] | None = None,
     ) -> NDArray[np.complex128]:
-        """exp(2 pi j f rate t) (..., n_f, n_t): what delay rates (...) add to the carrier's turn;
-        times what turns along_f (..., n_f) and along_t (..., n_t).
+        """exp(2 pi j f rate t) (..., n_f, n_t): phasors of the migration at delay rates (...),
+        times the phasors along_f (..., n_f) and along_t (..., n_t).
 
-        A power series to rounding; of the fastest the exponentials, as it would take more terms.
+        By a power series to rounding error; for the fastest rates by exponentials, since the series
+        would need more terms.
         """
         scale, by_f, by_t = self._powers
         phases = np.asarray(rates) * scale
         most = float(np.abs(phases).max(initial=0.0))
         if most > _SERIES:
-            turned = np.exp(2j * np.pi * np.multiply.outer(rates, np.outer(self.f_hz, self.t_s)))
-            turned = turned if along_f is None else turned * along_f[..., None]
-            return np.asarray(turned if along_t is None else turned * along_t[..., None, :])
+            phasor = np.exp(2j * np.pi * np.multiply.outer(rates, np.outer(self.f_hz, self.t_s)))
+            phasor = phasor if along_f is None else phasor * along_f[..., None]
+            return np.asarray(phasor if along_t is None else phasor * along_t[..., None, :])
         numbers = np.arange(1, by_f.shape[1])
         size = 1 + int(np.count_nonzero(np.cumprod(most / numbers) > _ROUNDING))
         weights = np.ones((*phases.shape, size), dtype=np.complex128)
@@ -126,12 +127,12 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """A channel about the delay ``delay_s`` and its rate ``delay_rate``, in sums (n_channels, n_f,
-    n_t) over the blocks of a grid.
+    """A channel relative to the delay ``delay_s`` and its rate ``delay_rate``, in sums (n_channels,
+    n_f, n_t) over the blocks of a grid.
     """
 
     sums: NDArray[np.complex128]
-    grid: Grid
+    grid: BlockGrid
     delay_s: float
     delay_rate: float
 
@@ -146,10 +147,10 @@ def blocks_about(
 ) -> list[Blocks]:
     """Blocks about each of several ranges and rates, (n,) each, from one pass over the channel.
 
-    ``channel`` (..., n_subcarriers, n_slots) is not tapered yet. Sums are scaled so that an echo of
-    power P at the middle has a total of sqrt(P). Ranges or rates that are not measured, NaN, are
-    taken as 0. ``at_most``: blocks along each axis; an echo at half as many cells from the middle
-    loses 3.9 dB.
+    ``channel`` (..., n_subcarriers, n_slots) has no window. Sums are scaled so that an echo of
+    power P at the middle has a total of sqrt(P). Ranges or rates that are not measured (NaN) count
+    as 0. ``at_most``: blocks along each axis; an echo at half as many cells from the middle loses
+    3.9 dB.
     """
     if not len(range_m):
         return []
@@ -157,9 +158,9 @@ def blocks_about(
     delay = 2 / C_M_PER_S * np.nan_to_num(range_m)
     rate = 2 / C_M_PER_S * np.nan_to_num(rate_m_per_s)
     f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
-    windows = taper(window, n), taper(window, m)
-    along_f = _evenly_turned(delay, f) * (windows[0] / n)
-    along_t = _evenly_turned(waveform.carrier_hz * rate, t) * (windows[1] / m)
+    windows = normalised_window(window, n), normalised_window(window, m)
+    along_f = _phasors(delay, f) * (windows[0] / n)
+    along_t = _phasors(waveform.carrier_hz * rate, t) * (windows[1] / m)
     # Slots first: the channel comes transposed, its subcarriers contiguous.
     parts = channel.reshape(-1, n, m).swapaxes(1, 2)
     edges_f, f_mean = _edges(f, at_most)
@@ -169,7 +170,7 @@ def blocks_about(
     for i, (start, stop) in enumerate(pairwise(edges_f)):
         by_slot = (parts[..., start:stop] @ along_f[:, start:stop].T) * along_t.T
         sums[:, i] = np.add.reduceat(by_slot, edges_t[:-1], axis=1)
-    grid = Grid(
+    grid = BlockGrid(
         f_mean,
         t_mean,
         np.diff(edges_f),
@@ -186,7 +187,7 @@ def blocks_about(
     ]
 
 
-def _evenly_turned(cycles: Array, axis: Array) -> NDArray[np.complex128]:
+def _phasors(cycles: Array, axis: Array) -> NDArray[np.complex128]:
     """exp(2 pi j cycles axis) (n, len(axis)) along an evenly spaced axis, by products of fewer."""
     coarse = np.exp(2j * np.pi * np.outer(cycles, axis[::_BLOCKS]))
     fine = np.exp(2j * np.pi * np.outer(cycles, axis[:_BLOCKS] - axis[0]))
@@ -194,15 +195,14 @@ def _evenly_turned(cycles: Array, axis: Array) -> NDArray[np.complex128]:
 
 
 def _edges(axis: Array, at_most: int) -> tuple[NDArray[np.intp], Array]:
-    """Bounds of up to so many blocks (n_blocks + 1,), and the blocks' means."""
+    """Bounds of at most ``at_most`` blocks (n_blocks + 1,), and the blocks' means."""
     edges = np.unique(np.linspace(0, len(axis), min(at_most, len(axis)) + 1).astype(np.intp))
     return edges, np.add.reduceat(axis, edges[:-1]) / np.diff(edges)
 
 
-def highest(about: Sequence[Blocks]) -> Array:
-    """Cells of delay and rate (n, 2) from the middle of each to its highest power nearby.
-
-    Blocks of one grid.
+def peak_offsets(about: Sequence[Blocks]) -> Array:
+    """Cells of delay and rate (n, 2) from the middle of blocks of one grid to the highest power
+    near it.
     """
     steps = np.zeros((len(about), 2))
     for i, blocks in enumerate(about):
@@ -214,7 +214,7 @@ def highest(about: Sequence[Blocks]) -> Array:
 
 
 def _best_of_grid(blocks: Blocks, reach: float) -> Array:
-    """Best of a grid of quarter cells out to ``reach`` cells: a start from which Newton climbs."""
+    """Highest of a grid of quarter cells up to ``reach`` cells: a start for Newton's method."""
     steps = np.arange(-np.ceil(4 * reach), np.ceil(4 * reach) + 1) / 4
     across = np.exp(1j * np.outer(steps, blocks.grid.by_delay))
     along = np.exp(1j * np.outer(blocks.grid.by_rate, steps))
@@ -225,7 +225,7 @@ def _best_of_grid(blocks: Blocks, reach: float) -> Array:
 
 
 def _vertex(power: Array, at: int) -> float:
-    """Place of a maximum from the highest sample, by the parabola through the logs of three."""
+    """Position of a maximum relative to the highest sample, by a parabola through three logs."""
     if not 0 < at < len(power) - 1 or not power[at - 1 : at + 2].all():
         return 0.0
     before, middle, after = np.log(power[at - 1 : at + 2])
@@ -246,16 +246,16 @@ def _climb(about: Sequence[Blocks], steps: Array) -> Array:
     return steps
 
 
-def _newton(grid: Grid, sums: NDArray[np.complex128], steps: Array) -> Array:
+def _newton(grid: BlockGrid, sums: NDArray[np.complex128], steps: Array) -> Array:
     """Newton's steps (n, 2) towards extrema of log sum_channels |sum exp(j (u x + w y))|^2.
 
-    ``sums`` (n, n_channels, n_f, n_t). The shortest where an axis of one sample tells nothing.
+    ``sums`` (n, n_channels, n_f, n_t). The shortest step where an axis has one sample only.
     """
     by_u, by_v, combined = grid.derivatives
-    moments = by_u @ (sums * grid.turn(steps)[:, None]) @ by_v
+    moments = by_u @ (sums * grid.phasor(steps)[:, None]) @ by_v
     # Sums of 1, u, w, u^2, u w, w^2 by channel, and their products with those of 1, u, w.
-    found = moments.reshape(*moments.shape[:2], 9) @ combined.T
-    p = found.swapaxes(1, 2) @ found[..., :3].conj()
+    by_channel = moments.reshape(*moments.shape[:2], 9) @ combined.T
+    p = by_channel.swapaxes(1, 2) @ by_channel[..., :3].conj()
     p /= p[:, :1, :1].real
     x, y = -2 * p[:, 1, 0].imag, -2 * p[:, 2, 0].imag
     xx = 2 * (p[:, 1, 1] - p[:, 3, 0]).real - x * x
@@ -269,14 +269,14 @@ def _newton(grid: Grid, sums: NDArray[np.complex128], steps: Array) -> Array:
     return np.where(solvable[:, None], solved, shortest) / divisor[:, None]
 
 
-def amplitudes(blocks: Blocks, step: Array) -> NDArray[np.complex128]:
+def echo_amplitudes(blocks: Blocks, step: Array) -> NDArray[np.complex128]:
     """Amplitude on every channel (n_channels,), in root watts, at cells from the middle."""
-    return np.asarray(np.sum(blocks.sums * blocks.grid.turn(step), axis=(1, 2)))
+    return np.asarray(np.sum(blocks.sums * blocks.grid.phasor(step), axis=(1, 2)))
 
 
-def within_blocks(blocks: Blocks, steps: Array) -> tuple[Array, Array]:
-    """What each block has of targets of unit amplitude, less what turning within it takes:
-    (n_targets, n_f) and (n_targets, n_t); their product is a target's.
+def block_responses(blocks: Blocks, steps: Array) -> tuple[Array, Array]:
+    """Response of each block to targets of unit amplitude, with the loss by phase change within the
+    block: (n_targets, n_f) and (n_targets, n_t); their product is the response to a target.
     """
     grid = blocks.grid
     along_f = grid.taper_f * _block_mean(grid.count_f, steps[:, :1])
@@ -285,9 +285,9 @@ def within_blocks(blocks: Blocks, steps: Array) -> tuple[Array, Array]:
 
 
 def _block_mean(counts: NDArray[np.intp], steps: Array) -> Array:
-    """Sums of a tone over blocks of so many samples, as a share of all samples, with the phase of
-    each block's middle, (n_steps, n_blocks): a Dirichlet kernel. The tone makes ``steps`` (n_steps,
-    1) turns over all samples; one that turns wholly from sample to sample loses nothing.
+    """Sums of a tone over blocks of ``counts`` samples, over the number of all samples, relative to
+    the phase of each block's middle, (n_steps, n_blocks): a Dirichlet kernel. The tone has
+    ``steps`` (n_steps, 1) cycles over all samples; whole cycles per sample cause no loss.
     """
     samples = counts.sum()
     half = np.pi * steps / samples
@@ -305,13 +305,12 @@ def unit_echoes(blocks: Blocks, steps: Array) -> NDArray[np.complex128]:
 
     ``steps`` (n_targets, 2): cells from the middle.
     """
-    along_f, along_t = within_blocks(blocks, steps)
-    return blocks.grid.turn(-steps) * (along_f[:, :, None] * along_t[:, None])
+    along_f, along_t = block_responses(blocks, steps)
+    return blocks.grid.phasor(-steps) * (along_f[:, :, None] * along_t[:, None])
 
 
-def left_over(blocks: Blocks, step: Array, reach: int = 3) -> float:
-    """Mean power of the cells around a target once it is taken away: of noise, and of what else
-    there is.
+def residual_power(blocks: Blocks, step: Array, reach: int = 3) -> float:
+    """Mean power of the cells around a target after its subtraction: of noise and of other echoes.
 
     The mean is over ``reach`` cells to each side, and over channels.
     """

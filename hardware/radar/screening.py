@@ -1,28 +1,36 @@
-"""Most of a map's cells ruled out as detections, at a small part of a threshold's cost."""
+"""Screening: excludes most cells of a map as detections at a fraction of the cost of CFAR."""
 
 from functools import lru_cache
 
 import numpy as np
 
-from hardware.radar.cfar import Array, Cells, Mask, Power, evened, fitted, noise_by_rate, sums
+from hardware.radar.cfar import (
+    Array,
+    Cells,
+    Mask,
+    Power,
+    box_sums,
+    noise_by_rate,
+    normalise_by_rate,
+    with_fitted_shape,
+)
 from hardware.radar.cfar_rule import Cfar, MapNoise, rule, white_threshold
 
 _TILE = 4  # cells along each side
-_QUIETER = 0.4  # of its threshold, down to which a map's quietest tenth is trusted
+_QUIETER = 0.4  # of the threshold in a map's quietest tenth: bound for os
 
 
-def possible(power: Power, cfar: Cfar, noise: MapNoise | None = None) -> Cells:
-    """Rows and columns of all cells above their threshold, and of few others.
+def candidate_cells(power: Power, cfar: Cfar, noise: MapNoise | None = None) -> Cells:
+    """Rows and columns of all cells above their threshold, and of a few others.
 
-    A lower bound of the training cells' sum, from tiles that lie among them wherever in its own
-    tile a cell is, rules most cells out at a small part of the cost. For ``os`` the bound is 0.4
-    of the threshold in the map's quietest tenth: where it is quieter still by more than that, the
-    threshold is the bound.
+    A lower bound of the sum over the training cells, from tiles that are training cells for every
+    cell of a tile, excludes most cells. For ``os`` the bound is 0.4 of the threshold in the map's
+    quietest tenth; where the noise is lower than 0.4 of that, cells below the bound are lost.
     """
     noise = noise or MapNoise()
     if noise.relative_noise is not None:
         power = power / noise.relative_noise.astype(power.dtype)
-    cfar = fitted(power, cfar, noise.n_channels)
+    cfar = with_fitted_shape(power, cfar, noise.n_channels)
     regions, factor, rank = rule(power.shape, cfar, noise)
     if rank:
         white = white_threshold(power.shape, cfar, noise)
@@ -31,7 +39,9 @@ def possible(power: Power, cfar: Cfar, noise: MapNoise | None = None) -> Cells:
         rows, columns = np.nonzero(power > 0)
         return rows, columns
     by_rate = noise_by_rate(power, noise)
-    least = np.max([_least(evened(power, by_rate), region) for region in regions], axis=0)
+    least = np.max(
+        [_least(normalise_by_rate(power, by_rate), region) for region in regions], axis=0
+    )
     least *= factor * by_rate.reshape(-1, _TILE).min(axis=1)
     # Rounding of single precision must not rule a cell out.
     bound = (least * (1 - 1e-5)).astype(power.dtype)
@@ -65,7 +75,7 @@ def _least(power: Power, region: Mask) -> Array:
     certain = _certain(region.tobytes(), region.shape)
     if not certain.any() or any(c > t for c, t in zip(certain.shape, tiles.shape, strict=True)):
         return np.zeros_like(tiles)
-    return np.maximum(sums(tiles, certain), 0) / region.sum()
+    return np.maximum(box_sums(tiles, certain), 0) / region.sum()
 
 
 @lru_cache(maxsize=16)

@@ -1,15 +1,15 @@
-"""Echoes that a window would bury: looked for without one, above the side lobes of strong ones.
+"""Weak echoes, detected on the map without a window, above the side lobes of strong ones.
 
-A window with low side lobes adds noise: 6 dB with ``blackmanharris`` along both axes. Without one
-the noise is least, but side lobes of strong echoes fill their rows and columns of the map. They are
-bounded: an echo of power P gives at most P / (N sin(pi k / N))^2 at k of N cells from it, and the
-tapered map tells where strong echoes are. What stands above the noise and above that bound, taken
-as noise, is an echo.
+A window with low side lobes adds noise: 6 dB with ``blackmanharris`` along both axes. Without a
+window the noise is least, but side lobes of strong echoes fill their rows and columns of the map.
+They are bounded: an echo of power P gives at most P / (N sin(pi k / N))^2 at k of N cells from it,
+and the windowed map shows where strong echoes are. A cell above the threshold for the sum of noise
+and that bound contains an echo.
 
-An echo between four cells is 7.8 dB down on each of them: its three by three cells together, each
-weighted as such an echo would, tell where to look closer, and more of them how high it is. How
-often noise exceeds a level anywhere between the cells is the expected Euler characteristic of what
-lies above (Worsley, Adv. Appl. Prob. 26, 1994, for chi-squared fields).
+An echo midway between four cells is 7.8 dB weaker on each of them. Candidates are selected by a
+matched filter over three by three cells, their power is measured over more. The rate at which noise
+exceeds a level anywhere between the cells is the expected Euler characteristic of the excursion set
+(Worsley, Adv. Appl. Prob. 26, 1994, for chi-squared fields).
 """
 
 from dataclasses import replace
@@ -25,29 +25,29 @@ from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.peaks import Peaks
 from hardware.radar.range_doppler import (
     RangeDopplerMap,
-    amplitudes,
+    complex_map,
     mean_power,
     noise_level,
     range_doppler,
 )
 from hardware.radar.screening import cells_above
-from hardware.radar.whitening import whitened
-from hardware.radar.windows import taper
+from hardware.radar.whitening import whiten
+from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 
 _TILE = 4  # cells along each side, for which side lobes are bounded at once
-# Of the threshold: below, a cell is not looked at more closely. An echo as high as the threshold
-# leaves a sixth of it on the nearest cell at worst; the cells next to it hold 0.73 of it at least,
-# and what they hold is known within 0.3 of it.
+# Of the threshold: cells below it are no candidates. An echo as high as the threshold has at least
+# a sixth of its power on the nearest cell; the cells next to it hold at least 0.73 of it, with an
+# error of at most 0.3.
 _ON_CELLS = 0.28
 _FROM_NEXT = 0.47
-# Cells to each side that tell the height, and places between them where it is looked for: cells
-# farther away hold 7 % of it at most, and 1 % is lost between two places.
+# Cells to each side of the matched filter, and positions between cells at which it is evaluated:
+# cells farther away hold at most 7 % of the power, and 1 % is lost between two positions.
 _NEXT = (1, 7)
 _NEAR = (5, 13)
-_CLUTTER_BELOW = 1e3  # times the noise: what is stronger is taken for an echo, no clutter
+_CLUTTER_BELOW = 1e3  # times the noise: stronger cells count as echoes, not as clutter
 _MOST_CANDIDATES = 0.05  # of all cells, in noise
 
 
@@ -55,21 +55,21 @@ def weak_echoes(
     channel: Complex, waveform: OfdmWaveform, tapered: RangeDopplerMap, cfar: Cfar, window: str
 ) -> tuple[Peaks, float, float]:
     """Echoes on the map without a window, the mean noise of its cells, and the share of the false
-    alarms that side lobes let come: under them hardly any noise stands out.
+    alarms that remains: side lobes raise the threshold.
 
     Parameters
     ----------
     channel, waveform
-        As `range_doppler` took them.
+        Input of `range_doppler`.
     tapered, window
-        The map that it gave, and of which window.
+        Its map with a window, and that window.
     cfar
         ``false_alarm`` is the expected number of false echoes per cell.
     """
     from scipy.special import gammaincc
 
     n, m = channel.shape[-2:]
-    images, _ = whitened([amplitudes(part, "boxcar") for part in channel.reshape(-1, n, m)])
+    images, _ = whiten([complex_map(part, "boxcar") for part in channel.reshape(-1, n, m)])
     power = mean_power(images)
     looks, noise_w = len(images), noise_level(power, len(images))
     uneven = np.ones((n, m))
@@ -111,9 +111,9 @@ def weak_echoes(
 def clutter_between_echoes(
     channel: Complex, waveform: OfdmWaveform, tapered: RangeDopplerMap, window: str
 ) -> ClutterFit:
-    """How far the map without a window is from noise, where no echo's side lobes are.
+    """Deviation from noise of the map without a window, away from the side lobes of echoes.
 
-    A window makes a cell of several, whose clutter evens out: shapes are larger on its map.
+    A window averages the clutter of several cells: shapes are larger on its map.
     """
     n, m = channel.shape[-2:]
     plain = range_doppler(channel, waveform, "boxcar")
@@ -143,9 +143,10 @@ def side_lobe(cells: Array, size: int | Array) -> Array:
 
 @lru_cache(maxsize=64)
 def on_a_cell(false_alarm: float, n_channels: float = 1, axes: int = 2) -> float:
-    """Probability on a cell for a level that noise peaks exceed ``false_alarm`` times per cell.
+    """Probability of exceeding, on a cell, the level that peaks of noise exceed ``false_alarm``
+    times per cell.
 
-    Without a window; peaks between cells count, along ``axes`` of them.
+    Without a window; peaks between cells count, along so many ``axes``.
     """
     from scipy.optimize import brentq
     from scipy.special import gammaincc, gammaincinv, gammaln
@@ -154,7 +155,7 @@ def on_a_cell(false_alarm: float, n_channels: float = 1, axes: int = 2) -> float
         return false_alarm
 
     def excess(level: float) -> float:
-        """Log of the expected number of peaks per cell above a level, over what is asked."""
+        """Log of the expected number of peaks per cell above a level, over ``false_alarm``."""
         density = (n_channels - 1) * np.log(level) - level - gammaln(n_channels)
         if axes == 1:
             shape = np.sqrt(np.pi * level / 3)
@@ -194,7 +195,7 @@ def _side_lobes(
     at = rows // (fine * _TILE), columns // (fine * _TILE)
     np.add.at(tiles, at, tapered.power_w[rows, columns])
     # A lone echo's cells sum to its power times the windows' mean squares.
-    tiles /= np.prod([fine * np.mean(taper(window, size) ** 2) for size in shape])
+    tiles /= np.prod([fine * np.mean(normalised_window(window, size) ** 2) for size in shape])
     used = [np.unique(i) for i in at]
     by_range, by_rate = (
         _tile_lobes(size, sources) for size, sources in zip(shape, used, strict=True)
@@ -212,9 +213,9 @@ def _tile_lobes(size: int, sources: NDArray[np.intp]) -> Array:
 def _between_cells(images: list[Complex], at: Cells, reach: int, n_places: int) -> Array:
     """Highest power near cells; 0 where a neighbour on the map is higher.
 
-    From the cells out to ``reach`` along both axes: the matched filter of an echo at any of
-    ``n_places`` along each. Noise has the power that it has on a cell; an echo loses what lies
-    farther away. Neighbouring cells of one echo differ in phase by pi (1 - 1/N).
+    Matched filter over the cells up to ``reach`` along both axes, for an echo at any of
+    ``n_places`` along each. The power of noise is that on a cell; an echo loses the part outside.
+    Neighbouring cells of one echo differ in phase by pi (1 - 1/N).
     """
     m, n = images[0].shape
     (by_range, down), (by_rate, across) = (_weights(size, reach, n_places) for size in (n, m))

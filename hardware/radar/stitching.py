@@ -1,10 +1,10 @@
-"""One wide channel from carrier steps: timing and phase of every retune taken out.
+"""One wideband channel from carrier steps: compensates timing and phase of every retune.
 
-A retune leaves a random phase and may leave the receiver some samples late. Both are read off a
-path whose delay is known: the leakage from transmitter to receiver, or a reference target. Within
-one step other echoes lie in the same delay cell as that path; a phase taken from their sum would
-halve every echo and mirror it about the path. So the wide channel is modelled as the path and
-echoes that come after it, and phases and model are found in turn.
+A retune leaves a random phase and may delay the receiver by some samples. Both are estimated from a
+path of known delay: the leakage from transmitter to receiver, or a reference target. Within one
+step other echoes are in the same delay cell as that path; the phase of their sum would halve every
+echo and mirror it about the path. So the wideband channel is modelled as the path and later echoes,
+and phases and model are estimated in alternation.
 
 Stepped-carrier OFDM: Schweizer et al., IEEE Trans. Microw. Theory Techn. 66, 2018
 (doi 10.1109/TMTT.2017.2751463).
@@ -24,12 +24,12 @@ Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
-class Stitched:
+class StitchedChannel:
     """A wide channel (n_channels, n_steps n_subcarriers, n_slots) and the waveform it belongs to.
 
-    ``motion`` (n_steps n_subcarriers,) takes a moving echo to the burst's middle when multiplied;
-    the reference does not move, so take that away first. ``phase_rad`` and ``late_samples``
-    (n_steps,), in the order of time: what was taken out.
+    Multiplication by ``motion`` (n_steps n_subcarriers,) compensates the motion of an echo relative
+    to the burst's middle; the reference does not move and must be subtracted first. ``phase_rad``
+    and ``late_samples`` (n_steps,), in the order of time: the compensated phase and delay.
     """
 
     channel: Complex
@@ -49,8 +49,8 @@ def stitch(
     range_rate_m_per_s: float = 0.0,
     iterations: int = 200,
     reference_seen: bool = True,
-) -> Stitched:
-    """Join carrier steps.
+) -> StitchedChannel:
+    """Stitch carrier steps to one wideband channel.
 
     Parameters
     ----------
@@ -60,26 +60,28 @@ def stitch(
     waveform, carriers_hz
         Of one step, and what the radio was tuned to, (n_steps,); sorted, the steps must touch.
     reference_delay_s
-        Of the leakage or reference path. It is the first to arrive; what comes less than one cell
-        of the wide band later cannot be told from it.
+        Of the leakage or reference path. It arrives first; echoes less than one cell of the wide
+        band later cannot be distinguished from it.
     step_times_s : (n_steps,)
         Start of each step, for Doppler between them; only used with a range rate.
     range_rate_m_per_s
         Of the echoes, for their motion between steps. In one burst of ascending steps rate and
-        range cannot be told apart: rate r looks like a range off by r fc / (df/dt); so the rate
-        must be known, from a track or the vehicle's own motion.
+        range are coupled: rate r shifts the range by r fc / (df/dt); so the rate must be known,
+        from a track or the vehicle's own motion.
     iterations
-        Bounds what echoes leave in the phases; they converge by a factor of about 2 each.
+        Largest number; each reduces the error that echoes cause in the phases by a factor of about
+        2.
     reference_seen
-        Without it steps are joined as they are: phases that are fitted to noise make echoes of it.
+        False: steps are stitched without correction, since phases fitted to noise create false
+        echoes.
 
-    Raises InputError for steps that leave gaps or overlap, or an unknown reference delay.
+    Raises InputError for steps with gaps or overlap, or for an unknown reference delay.
     """
     order = np.argsort(carriers_hz)
-    wide = _wide(waveform, carriers_hz[order])
+    wide = _wideband_waveform(waveform, carriers_hz[order])
     if not np.isfinite(reference_delay_s):
         raise InputError(
-            "leakage_delay_s: unknown; carrier steps cannot be joined without the delay of the "
+            "leakage_delay_s: unknown; carrier steps cannot be stitched without the delay of the "
             "leakage or of a reference target"
         )
     n = waveform.n_subcarriers
@@ -87,7 +89,9 @@ def stitch(
     still = steps.mean(axis=-1)
     late = np.zeros(len(order), dtype=np.int64)
     if reference_seen:
-        late[:] = [_late(still[:, s], waveform, reference_delay_s) for s in range(len(order))]
+        late[:] = [
+            _timing_offset(still[:, s], waveform, reference_delay_s) for s in range(len(order))
+        ]
     timing = np.exp(2j * np.pi * np.outer(late, f) / waveform.bandwidth_hz)
     centre = float(wide.carrier_hz)
     absolute = carriers_hz[:, None] + f
@@ -103,13 +107,13 @@ def stitch(
             aligned, path[order], motion[order], wide, reference_delay_s, iterations
         )
     turn = timing * np.exp(-1j * unsorted)[:, None]
-    joined = (steps * turn[..., None])[:, order]
+    wide_channel = (steps * turn[..., None])[:, order]
     shape = (len(steps), len(order) * n, steps.shape[-1])
-    return Stitched(joined.reshape(shape), wide, motion[order].ravel(), unsorted, late)
+    return StitchedChannel(wide_channel.reshape(shape), wide, motion[order].ravel(), unsorted, late)
 
 
-def _wide(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:
-    """The waveform of all steps together, the carrier at its own subcarrier N // 2."""
+def _wideband_waveform(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:
+    """The waveform of all steps together, with the carrier at its subcarrier N // 2."""
     gaps = np.diff(carriers) / waveform.bandwidth_hz
     if np.any(np.abs(gaps - 1) > 1e-6):
         at = int(np.argmax(np.abs(gaps - 1)))
@@ -123,7 +127,7 @@ def _wide(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:
     return waveform.over(carrier, n)
 
 
-def _late(still: Complex, waveform: OfdmWaveform, delay_s: float) -> int:
+def _timing_offset(still: Complex, waveform: OfdmWaveform, delay_s: float) -> int:
     """Whole samples by which a step (n_channels, n_subcarriers) lags the known path."""
     ahead = np.exp(2j * np.pi * waveform.frequency_offsets_hz * delay_s)
     profile = np.sum(np.abs(np.fft.ifft(still * ahead, axis=-1)) ** 2, axis=0)
@@ -141,13 +145,13 @@ def _phases(
 ) -> Array:
     """Phase of every step (n_steps,), ascending carriers; the arrays are (..., n_steps, n).
 
-    The path does not move, the echoes do: theirs is ``motion``.
+    The path is static; ``motion`` is that of the echoes.
     """
     phase = np.asarray(np.angle(np.einsum("csn,sn->cs", still, path.conj())[0]))
     if len(phase) == 1:
         return np.zeros(1)
     last = max(wide.prefix_s, delay_s + 4 / wide.bandwidth_hz)
-    merged = _merged(still.shape[-1], wide.subcarrier_spacing_hz * last)
+    merged = _subcarriers_per_block(still.shape[-1], wide.subcarrier_spacing_hz * last)
     f = wide.frequency_offsets_hz.reshape(-1, merged)
     echoes = _later_echoes(f.tobytes(), merged, delay_s, last, wide.bandwidth_hz)
     still, path, motion = (
@@ -163,25 +167,26 @@ def _phases(
 
 
 def _model(still: Complex, path: Complex, motion: Complex, echoes: Complex) -> Complex:
-    """What the model makes of steps turned by unit numbers v, compared step by step: the matrix M
-    (n_steps, n_steps) whose (M v)_s has the phase by which step s should be turned.
+    """Matrix M (n_steps, n_steps) of the model for steps multiplied by phasors v: (M v)_s has the
+    phase by which step s should be rotated.
 
-    With the turned steps the path is fitted, and ``echoes`` (n_steps, n, rank) to the rest: all of
-    it linear in v, so that phases are found among n_steps numbers instead of all subcarriers.
+    The path is fitted to the rotated steps, and ``echoes`` (n_steps, n, rank) to the residual: all
+    of it is linear in v, so that phases are estimated among n_steps numbers instead of all
+    subcarriers.
     """
     power = np.vdot(path, path).real
     by_path = np.einsum("snr,sn->r", echoes.conj(), motion * path)
-    found = np.zeros((len(path), len(path)), dtype=np.complex128)
+    matrix = np.zeros((len(path), len(path)), dtype=np.complex128)
     for channel in still:
         leak = np.einsum("sn,sn->s", path.conj(), channel) / power
         by_step = np.einsum("snr,sn->rs", echoes.conj(), motion * channel)
-        found += power * np.outer(leak.conj(), leak)
-        found += by_step.conj().T @ (by_step - np.outer(by_path, leak))
-    return found
+        matrix += power * np.outer(leak.conj(), leak)
+        matrix += by_step.conj().T @ (by_step - np.outer(by_path, leak))
+    return matrix
 
 
-def _merged(n: int, turns: float) -> int:
-    """How many neighbouring subcarriers can be summed: no delay turns by half a cycle in them."""
+def _subcarriers_per_block(n: int, turns: float) -> int:
+    """Number of neighbouring subcarriers over which no delay changes the phase by half a cycle."""
     return max(m for m in range(1, n + 1) if n % m == 0 and (m == 1 or m * turns <= 0.5))
 
 
@@ -191,7 +196,7 @@ def _later_echoes(
 ) -> Complex:
     """Orthonormal basis (n_frequencies, rank) of delays from one cell after the path to the last.
 
-    Echoes from beyond the prefix fall out of step and are none of this model's.
+    Echoes beyond the cyclic prefix are not in this model.
     """
     f = np.frombuffer(frequencies).reshape(-1, merged)
     delays = np.arange(delay_s + 1 / bandwidth_hz, last_s, 0.5 / bandwidth_hz)

@@ -1,9 +1,9 @@
-"""Targets closer than a cell or two, told apart by orthogonal matching pursuit off the grid.
+"""Targets closer than a cell or two, resolved by Newtonized orthogonal matching pursuit.
 
-The strongest target is found, all are fitted together by least squares (delays, rates and
-amplitudes), their sum is taken away, and the rest is searched again, until it holds nothing above
-noise (Mamandipoor, Ramasamy and Madhow, IEEE Trans. Signal Process. 64, 2016, doi
-10.1109/TSP.2016.2580523). Without a window: it would cost resolution and nothing here has side
+The strongest target is searched, all targets are fitted together by least squares (delays, rates
+and amplitudes), their sum is subtracted, and the residual is searched again until it is noise
+(Mamandipoor, Ramasamy and Madhow, IEEE Trans. Signal Process. 64, 2016, doi
+10.1109/TSP.2016.2580523). No window is used: it would cost resolution, and the fit has no side
 lobes.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.detection import Detection, measurement
+from hardware.radar.detection import Detection, echo_measurement
 from hardware.radar.refinement import Blocks, blocks_about, unit_echoes
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
@@ -25,7 +25,7 @@ _CLOSEST = 0.3  # cells
 def resolve(
     channel: Complex,
     waveform: OfdmWaveform,
-    found: Detection,
+    detection: Detection,
     noise_w: float,
     *,
     false_alarm: float = 1e-6,
@@ -40,60 +40,64 @@ def resolve(
     channel, waveform
         As for `detect`.
     found
-        What is looked at closely.
+        The detection to split.
     noise_w
         Mean noise power of a cell without a window.
     false_alarm
-        Probability per cell searched that noise is taken for one more target.
+        Probability of a false target per cell searched.
     reach
-        Cells to each side in range that are searched, and in rate a third of it.
+        Cells searched to each side in range, and a third of it in rate.
     at_most
-        Targets looked for.
+        Largest number of targets.
     others
-        Detections elsewhere, whose side lobes are fitted along.
+        Detections elsewhere, whose side lobes are fitted as well.
 
-    Two closer than 0.3 cells are never told apart: what such a pair would explain is the model's
-    own error, which single precision and the blocks leave 60 dB and more below a target.
+    Two targets closer than 0.3 cells are never resolved: such a pair would fit the error of the
+    model, which is 60 dB and more below a target because of single precision and the blocks.
 
-    Each comes with its amplitude on every channel.
+    Returns each target with its amplitude on every channel.
     """
     blocks = blocks_about(
         channel,
         waveform,
         "boxcar",
-        np.array([found.range_m]),
-        np.array([found.range_rate_m_per_s]),
+        np.array([detection.range_m]),
+        np.array([detection.range_rate_m_per_s]),
     )[0]
     reached = reach, max(reach / 3, 1.0)
     fixed = _steps_of(others, blocks)
     known = unit_echoes(blocks, fixed)
-    rest = blocks.sums - _explained(known, blocks.sums)[1]
+    rest = blocks.sums - _fit_amplitudes(known, blocks.sums)[1]
     steps = np.zeros((0, 2))
     amplitudes = np.zeros((0, len(blocks.sums)), dtype=np.complex128)
     while len(steps) < at_most:
         power, step = _strongest(rest, blocks, reached)
         if power * len(rest) <= noise_w * _threshold(false_alarm, len(rest)):
             break
-        tried = _fitted(np.vstack([steps, step]), blocks, known)
-        if _closest(np.vstack([tried, fixed])) < _CLOSEST or np.abs(tried[:, 0]).max() > reach + 1:
+        candidate = _least_squares_fit(np.vstack([steps, step]), blocks, known)
+        if (
+            _closest(np.vstack([candidate, fixed])) < _CLOSEST
+            or np.abs(candidate[:, 0]).max() > reach + 1
+        ):
             break
-        steps = tried
-        every, explained = _explained(
+        steps = candidate
+        every, explained = _fit_amplitudes(
             np.concatenate([unit_echoes(blocks, steps), known]), blocks.sums
         )
         amplitudes, rest = every[: len(steps)], blocks.sums - explained
     results = [
-        measurement(blocks, step, amplitude, waveform, noise_w, "boxcar")
+        echo_measurement(blocks, step, amplitude, waveform, noise_w, "boxcar")
         for step, amplitude in zip(steps, amplitudes, strict=True)
     ]
     return sorted(results, key=lambda pair: pair[0].range_m)
 
 
 def _threshold(false_alarm: float, n_channels: int) -> float:
-    """Sum over channels of noise over its mean that a peak near a cell exceeds by chance.
+    """Level that a peak of noise near a cell exceeds with this probability: sum over channels, over
+    the mean of one.
 
-    Between cells noise peaks higher than on them: along each axis sqrt(pi x / 3) as often (Rice's
-    rate of crossings of a level x by band-limited noise).
+    Between cells noise peaks higher than on them: along each axis sqrt(pi x / 3) times as often
+    (Rice's rate of crossings of a level x by band-limited noise).
     """
     from scipy.special import gammainccinv
 
@@ -114,8 +118,8 @@ def _strongest(
 
 def _steps_of(others: Sequence[Detection], blocks: Blocks) -> Array:
     """Cells (n, 2) from the middle of blocks to other detections."""
-    delay = np.array([2 * found.range_m / C_M_PER_S for found in others])
-    rate = np.array([2 * found.range_rate_m_per_s / C_M_PER_S for found in others])
+    delay = np.array([2 * detection.range_m / C_M_PER_S for detection in others])
+    rate = np.array([2 * detection.range_rate_m_per_s / C_M_PER_S for detection in others])
     off = np.stack([delay - blocks.delay_s, rate - blocks.delay_rate], axis=-1)
     return np.nan_to_num(off / blocks.grid.cell)  # NaN is not measured
 
@@ -126,7 +130,7 @@ def _closest(steps: Array) -> float:
     return float(apart[np.triu_indices(len(steps), 1)].min(initial=np.inf))
 
 
-def _explained(
+def _fit_amplitudes(
     atoms: NDArray[np.complex128], sums: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Least squares: amplitudes (n_targets, n_channels), and their sum (n_channels, n_f, n_t)."""
@@ -135,7 +139,7 @@ def _explained(
     return np.asarray(amplitudes), np.asarray((flat @ amplitudes).T).reshape(sums.shape)
 
 
-def _fitted(start: Array, blocks: Blocks, known: NDArray[np.complex128]) -> Array:
+def _least_squares_fit(start: Array, blocks: Blocks, known: NDArray[np.complex128]) -> Array:
     """Cells (n_targets, 2) of all targets together by least squares, amplitudes projected out."""
     from scipy.optimize import least_squares
 
@@ -143,7 +147,7 @@ def _fitted(start: Array, blocks: Blocks, known: NDArray[np.complex128]) -> Arra
 
     def misfit(flat: Array) -> Array:
         atoms = np.concatenate([unit_echoes(blocks, flat.reshape(-1, 2)), known])
-        rest = (blocks.sums - _explained(atoms, blocks.sums)[1]).ravel() / scale
+        rest = (blocks.sums - _fit_amplitudes(atoms, blocks.sums)[1]).ravel() / scale
         return np.concatenate([rest.real, rest.imag])
 
     return np.asarray(least_squares(misfit, start.ravel(), xtol=1e-6).x).reshape(-1, 2)

@@ -1,10 +1,11 @@
-"""Noise that several channels share made independent, range by range, before powers are added.
+"""Whitening of noise that several channels share, by range, before powers are added.
 
-What the oscillator does to the leakage is the same for all receivers. The mean power of V channels
-with one noise scatters as if there were fewer of them (the effective number of looks, mean^2 over
-variance), and a threshold for V independent channels is exceeded far too often. Multiplied by the
-inverse root of their noise covariance the channels are independent and equally noisy; an echo
-keeps its power in the mean over directions, and stands out most where the shared noise is not.
+Phase noise of the leakage is the same for all receivers. The mean power of V channels with common
+noise varies as if there were fewer of them (the effective number of looks, mean^2 over variance),
+and exceeds a threshold for V independent channels far too often. After multiplication by the
+inverse root of the noise covariance the channels are independent and equally noisy; the power of
+an echo is preserved in the mean over directions, and its SNR is highest from directions other than
+that of the common noise.
 """
 
 from collections.abc import Sequence
@@ -18,15 +19,15 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 
 _BLOCKS = 32  # of ranges, at most, each with a covariance of its own
 _CELLS = 40  # of a block, per channel: the covariance is known within a sixth
-_LOUD = 6.0  # times the median, from which a cell is taken for an echo
-_ALIKE = 2.0  # neighbouring cells of a window, counted as one of the covariance
+_LOUD = 6.0  # times the median, above which a cell counts as an echo
+_ALIKE = 2.0  # neighbouring cells correlated by a window, which count as one
 
 
-def whitened(images: Sequence[Complex]) -> tuple[list[Complex], float]:
-    """Images (n_rates, n_ranges) of channels made independent, and their effective looks before.
+def whiten(images: Sequence[Complex]) -> tuple[list[Complex], float]:
+    """Whitened images (n_rates, n_ranges) of channels, and their effective looks before whitening.
 
-    Where the channels' noise is alike by no more than chance they stay as they are, and the looks
-    are their number; else the looks are the least over range.
+    Without significant correlation the images are not changed, and the looks are their number;
+    otherwise the looks are the least over range.
     """
     n = len(images)
     n_rates, n_ranges = images[0].shape

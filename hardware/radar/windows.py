@@ -1,4 +1,4 @@
-"""Windows along subcarriers and slots, and what they cost: noise, accuracy, correlated cells."""
+"""Windows along subcarriers and slots: noise gain, accuracy, correlation of cells."""
 
 from functools import lru_cache
 
@@ -9,8 +9,8 @@ Array = NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)
-def taper(name: str, size: int) -> Array:
-    """Window of mean 1: peaks keep their power, noise grows by the mean square. Read-only.
+def normalised_window(name: str, size: int) -> Array:
+    """Window of mean 1: peaks keep their power, noise increases by the mean square. Read-only.
 
     Raises InputError for a name that SciPy does not know.
     """
@@ -23,8 +23,8 @@ def taper(name: str, size: int) -> Array:
 
 
 def noise_gain(name: str, sizes: tuple[int, ...]) -> float:
-    """Noise power of a cell over that without a window, for one along each axis of a size."""
-    return float(np.prod([np.mean(taper(name, size) ** 2) for size in sizes]))
+    """Noise power of a cell over that without a window, for a window along each axis."""
+    return float(np.prod([np.mean(normalised_window(name, size) ** 2) for size in sizes]))
 
 
 def correlation(window: Array, oversampling: int = 1) -> Array:

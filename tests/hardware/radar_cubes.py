@@ -10,7 +10,7 @@ from scipy import special
 from scipy.spatial.transform import Rotation
 
 from hardware.radar import Cfar, OfdmWaveform, range_doppler
-from hardware.radar.detection import detected
+from hardware.radar.detection import detect_echoes
 from hardware.radar.superresolution import resolve
 from hardware.records import QuaternionPose, RadarFrontEnd, RadarRecord
 
@@ -147,7 +147,7 @@ def resolved(channel: np.ndarray, wave: OfdmWaveform, ranges: np.ndarray) -> boo
 
     By default but for `resolve`, which a user asks for.
     """
-    found = detected(channel, wave, range_doppler(channel, wave), Cfar(1e-6))
+    found = detect_echoes(channel, wave, range_doppler(channel, wave), Cfar(1e-6))
     if not found:
         return False
     parts = resolve(channel, wave, found[0][0], range_doppler(channel, wave, "boxcar").noise_w)

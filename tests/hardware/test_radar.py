@@ -20,7 +20,7 @@ from hardware.radar import (
     detect,
     range_doppler,
 )
-from hardware.radar.windows import taper
+from hardware.radar.windows import normalised_window
 from hardware.records import (
     QuaternionPose,
     RadarFrontEnd,
@@ -147,7 +147,7 @@ def test_receding_is_positive() -> None:
 def test_noise_floor_is_noise_over_cells_times_the_windows_loss(window: str) -> None:
     rng = np.random.default_rng(1)
     image = range_doppler(noise(SMALL, 1.0, rng), SMALL, window)
-    losses = [np.mean(taper(window, n) ** 2) for n in (256, 64)]
+    losses = [np.mean(normalised_window(window, n) ** 2) for n in (256, 64)]
     expected = np.prod(losses) / (256 * 64)
     assert image.noise_w == pytest.approx(expected, rel=0.08)
     assert image.power_w.mean() == pytest.approx(expected, rel=0.08)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware.processing import cloud
-from hardware.radar.ambiguity import folded_rates, rate_evidence
+from hardware.radar.ambiguity import ambiguous_rates, rate_evidence
 from hardware.radar.process import process
 from hardware.radar.refinement import blocks_about
 from hardware.waveform import OfdmWaveform
@@ -41,7 +41,7 @@ def test_a_wrong_rate_leaves_what_the_smear_leaves() -> None:
     """Against the sum over all subcarriers and slots, the highest of cells around the target: the
     mean of exp(2 pi j f (t 2 span / c + delay) + 2 pi j t doppler).
     """
-    rates = folded_rates(SLOW, 3.0, 40.0)
+    rates = ambiguous_rates(SLOW, 3.0, 40.0)
     assert 3.0 in np.round(rates, 9)
     np.testing.assert_allclose(
         np.sort(rates), 3.0 + 2 * SLOW.max_velocity_m_per_s * np.arange(-3, 4), rtol=1e-12
@@ -70,7 +70,7 @@ def test_no_rate_is_given_wrongly(n_points: int, n_channels: int) -> None:
     left open. An error in a thousand is allowed for: three or more in 240 come at 2e-3.
     """
     rng = np.random.default_rng(n_points + n_channels)
-    wrong, left_open = 0, 0
+    wrong, candidates = 0, 0
     for _ in range(60):
         rate = rng.uniform(-50, 50)
         ranges = 5.0 + (rng.uniform(-0.75, 0.75, n_points) if n_points > 1 else np.zeros(1))
@@ -78,13 +78,13 @@ def test_no_rate_is_given_wrongly(n_points: int, n_channels: int) -> None:
         strengths = strengths if n_points > 1 else strengths / np.abs(strengths)
         channel, cell = noisy(echoes(SLOW, ranges, rate, strengths), 16.0, rng)
         near = ranges[np.argmax(np.abs(strengths).sum(axis=0))]
-        rates = folded_rates(SLOW, rate, 50.0)
+        rates = ambiguous_rates(SLOW, rate, 50.0)
         (blocks,) = blocks_about(channel, SLOW, "boxcar", np.array([near]), rates[:1])
-        possible = rates[rate_evidence(blocks, rates, cell).left_open]
+        possible = rates[rate_evidence(blocks, rates, cell).candidates]
         wrong += np.abs(possible - rate).min() > 1
-        left_open += len(possible) > 1
+        candidates += len(possible) > 1
     assert wrong == 0
-    assert left_open <= 6
+    assert candidates <= 6
 
 
 @pytest.mark.parametrize("rate", [-41.0, -17.6, 1.4, 22.0, 36.5])
@@ -176,7 +176,7 @@ def test_what_cannot_be_told_apart_is_listed() -> None:
     record = cube(NARROW, [Echo((50.0, 0, 0), velocity_m_per_s=(15.0, 0, 0))], noise_w=1e-8)
     found = process(record).detections[0]
     told = np.sort([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
-    np.testing.assert_allclose(told, np.sort(folded_rates(NARROW, 15.0, 50.0)), atol=0.05)
+    np.testing.assert_allclose(told, np.sort(ambiguous_rates(NARROW, 15.0, 50.0)), atol=0.05)
     assert np.abs(told - 15.0).min() < 0.05
 
 

@@ -14,12 +14,12 @@ from scipy.ndimage import uniform_filter1d
 from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
 from hardware.radar.burst import demodulate
 from hardware.radar.clutter import without_leakage
-from hardware.radar.demodulation import samples
+from hardware.radar.demodulation import complex_samples
 from hardware.radar.k_distribution import fit, survival
 from hardware.radar.phase_noise import phase_noise
 from hardware.radar.process import Processing, process
 from hardware.radar.quadrature import image_ratios
-from hardware.radar.whitening import whitened
+from hardware.radar.whitening import whiten
 from hardware.waveform import OfdmWaveform
 from tests.hardware.radar_cubes import STEP, WIDE, C, Echo, calibrated, cube
 
@@ -70,7 +70,7 @@ def test_independent_channels_stay_as_they_are() -> None:
     rng = np.random.default_rng(6)
     images = list(noise(rng, 12, 64, 1024))
     images[3][5, 70:90] += 1000.0
-    same, looks = whitened(images)
+    same, looks = whiten(images)
     assert looks == 12
     assert all(np.array_equal(a, b) for a, b in zip(same, images, strict=True))
 
@@ -82,7 +82,7 @@ def test_an_echo_of_any_direction_keeps_its_power_in_the_mean() -> None:
     ways = noise(rng, 12, 200)
     for image, way in zip(images, ways, strict=True):
         image[1, :200] += 1e4 * way
-    white, _ = whitened(images)
+    white, _ = whiten(images)
     gain = np.mean([np.abs(image[1, :200]) ** 2 for image in white]) / 1e8
     assert gain == pytest.approx(np.mean(np.abs(ways) ** 2), rel=0.1)
 
@@ -281,7 +281,7 @@ def test_the_image_of_unlike_branches_is_found(gain_db: float, phase_deg: float)
     record = cube(
         STEP, [Echo((5, 0, 0), 1e-8)], carriers_hz=carriers, leakage=(1e-6, 4e-9), noise_w=1e-11
     )
-    x = samples(record.iq[0])
+    x = complex_samples(record.iq[0])
     g, angle = 10 ** (gain_db / 20), np.radians(phase_deg)
     y = x.real + 1j * g * (np.cos(angle) * x.imag + np.sin(angle) * x.real)
     turn = g * np.exp(-1j * angle)

@@ -23,13 +23,13 @@ from radar_cubes import (
 from scipy import stats
 
 from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
-from hardware.radar.angles import compensated, direction
+from hardware.radar.angles import compensate_motion, direction
 from hardware.radar.burst import demodulate, tdm_schedule
 from hardware.radar.clutter import without_leakage, without_static
-from hardware.radar.detection import detected
+from hardware.radar.detection import detect_echoes
 from hardware.radar.music import music
 from hardware.radar.process import Processing, frames, process
-from hardware.radar.screening import possible
+from hardware.radar.screening import candidate_cells
 from hardware.radar.stitching import stitch
 from hardware.radar.superresolution import resolve
 from hardware.records import Flag
@@ -182,7 +182,7 @@ def test_the_greatest_of_factor_against_its_closed_form() -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"false_alarm": 0.0}, "no probability"),
+        ({"false_alarm": 0.0}, "between 0 and 1"),
         ({"method": "so"}, "none of ca, go, os"),
         ({"guard": (-1, 0)}, "guard: .* negative"),
     ],
@@ -216,7 +216,7 @@ def test_standard_errors_hold_the_windows_loss(window: str) -> None:
         echo = np.exp(-2j * np.pi * (79e9 * delay % 1.0 + f[:, None] * delay))
         noise = rng.normal(size=(256, 64, 2)).view(np.complex128)[..., 0] * np.sqrt(8.0)
         image = range_doppler(echo + noise, WIDE, window)
-        found = detected(echo + noise, WIDE, image, Cfar(1e-6), window, 1)[0][0]
+        found = detect_echoes(echo + noise, WIDE, image, Cfar(1e-6), window, 1)[0][0]
         pulls.append(
             [
                 (found.range_m - range_m) / found.range_error_m,
@@ -406,7 +406,7 @@ def test_one_target_stays_one() -> None:
     for _ in range(40):
         channel, _ = two_targets(rng, wave, 24.0, 0.0)
         image = range_doppler(channel, wave, "boxcar", oversampling=2)
-        found = detected(channel, wave, image, Cfar(1e-6, guard=(8, 4)), "boxcar", 1)
+        found = detect_echoes(channel, wave, image, Cfar(1e-6, guard=(8, 4)), "boxcar", 1)
         if found:  # random phases may cancel
             assert len(resolve(channel, wave, found[0][0], image.noise_w)) == 1
 
@@ -429,8 +429,8 @@ def test_angles_and_turns_agree_with_what_was_compensated() -> None:
     """A target of 5 m/s gives the amplitudes of a standing one once its rate is taken out."""
     burst = demodulate(cube(WIDE, [from_above(4.0, 0.2, 5.0)], **MIMO))
     image = range_doppler(burst.channel, burst.waveform)
-    found, amplitude = detected(burst.channel, burst.waveform, image, Cfar())[0]
-    still = compensated(amplitude, burst, found.range_rate_m_per_s)
+    found, amplitude = detect_echoes(burst.channel, burst.waveform, image, Cfar())[0]
+    still = compensate_motion(amplitude, burst, found.range_rate_m_per_s)
     phase = np.unwrap(np.angle(still[np.argsort((burst.transmitter_m + burst.receiver_m)[:, 1])]))
     np.testing.assert_allclose(np.diff(phase), np.pi * np.sin(0.2), atol=0.02)
 
@@ -446,7 +446,7 @@ def test_the_quick_way_finds_the_same_cells(method, false_alarm: float, shape) -
     power[rng.integers(0, shape[0], 40), rng.integers(0, 64, 40)] *= 1e6
     cfar = Cfar(false_alarm, method)
     threshold = cfar_threshold(power, cfar)
-    at = possible(power, cfar)
+    at = candidate_cells(power, cfar)
     np.testing.assert_allclose(cfar_threshold(power, cfar, at=at), threshold[at], rtol=1e-6)
     chosen = np.zeros(shape, dtype=bool)
     chosen[at] = True

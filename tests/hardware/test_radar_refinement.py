@@ -7,7 +7,7 @@ import pytest
 from radar_cubes import WIDE, C
 from scipy.optimize import minimize
 
-from hardware.radar.refinement import blocks_about, highest, unit_echoes
+from hardware.radar.refinement import blocks_about, peak_offsets, unit_echoes
 
 
 @pytest.mark.parametrize("phase", [0.0, 1e-3, 0.3, 2.0, 4.99, 5.01, 40.0])
@@ -26,7 +26,7 @@ def test_migration_is_the_exponential(phase: float) -> None:
     delay, rate = np.array([-1.7, rate / grid.cell[1]]) * grid.cell
     cycles = delay * grid.f_hz[:, None] + rate * np.outer(grid.carrier_hz + grid.f_hz, grid.t_s)
     step = np.array([delay, rate]) / grid.cell
-    np.testing.assert_allclose(grid.turn(step), np.exp(2j * np.pi * cycles), atol=1e-11)
+    np.testing.assert_allclose(grid.phasor(step), np.exp(2j * np.pi * cycles), atol=1e-11)
 
 
 @pytest.mark.parametrize("n_slots", [48, 1])
@@ -47,7 +47,7 @@ def test_peaks_are_those_of_a_search(n_slots: int) -> None:
 
     channel = np.tensordot(strength, [turn(place) for place in places], 1)
     near = np.rint(places)
-    steps = highest(blocks_about(channel, wave, "boxcar", *(near * cell * C / 2).T))
+    steps = peak_offsets(blocks_about(channel, wave, "boxcar", *(near * cell * C / 2).T))
 
     def loss(place: np.ndarray) -> float:
         power = np.abs(np.sum(channel * turn(place).conj(), axis=(1, 2))) ** 2

@@ -10,8 +10,8 @@ from radar_cubes import WIDE, C, Echo, cube
 from scipy import stats
 
 from hardware.radar import Cfar, Detection, OfdmWaveform, range_doppler
-from hardware.radar.detection import detected, standard_errors
-from hardware.radar.pictures import rows_of, write_detections
+from hardware.radar.detection import detect_echoes, standard_errors
+from hardware.radar.output import table_rows, write_detections
 from hardware.radar.process import Processing, process
 from hardware.radar.sensitivity import on_a_cell, side_lobe
 
@@ -40,7 +40,7 @@ def anywhere(wave: OfdmWaveform, rng: np.random.Generator) -> np.ndarray:
 
 def by_default(channel: np.ndarray, wave: OfdmWaveform, false_alarm: float) -> list[Detection]:
     image = range_doppler(channel, wave)
-    return [d for d, _ in detected(channel, wave, image, Cfar(false_alarm), at_most=10**6)]
+    return [d for d, _ in detect_echoes(channel, wave, image, Cfar(false_alarm), at_most=10**6)]
 
 
 def at(found: list[Detection], place, cells: float = 2.0) -> list[Detection]:
@@ -223,7 +223,7 @@ def test_what_is_not_measured_is_nan(
         assert np.isnan([one.range_rate_m_per_s, one.range_rate_error_m_per_s]).all() != rated
         assert not np.isinf([value for value in astuple(one) if isinstance(value, float)]).any()
     write_detections(tmp_path / "d.csv", [(0, one) for one in found])
-    for text in ((tmp_path / "d.csv").read_text(), *list(rows_of(found))[1:]):
+    for text in ((tmp_path / "d.csv").read_text(), *list(table_rows(found))[1:]):
         assert "nan" not in text
         assert "inf" not in text
 
@@ -259,7 +259,7 @@ def test_errors_tell_of_an_echo_that_is_not_told_apart() -> None:
         phases = np.exp(2j * np.pi * rng.uniform(size=2))
         channel = phases[0] * echoes[0] + phases[1] * echoes[1] + white(SMALL, rng)
         image = range_doppler(channel, SMALL)
-        for one, _ in detected(channel, SMALL, image, Cfar()):
+        for one, _ in detect_echoes(channel, SMALL, image, Cfar()):
             off = np.array([one.range_m, one.range_rate_m_per_s]) - places * CELL
             near = off[np.argmin(np.abs(off / CELL).max(axis=1))]
             errors = [one.range_error_m, one.range_rate_error_m_per_s]

@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from hardware.radar.detection import Detection, standard_errors
-from hardware.radar.tracking import Track, Tracker
+from hardware.radar.tracking import TargetTrack, Tracker
 from hardware.records import QuaternionPose
 from hardware.waveform import OfdmWaveform
 
@@ -75,7 +75,7 @@ def turning(
     return np.column_stack([np.array([30.0, 5.0]) + way - way[0], velocity])
 
 
-def nees(track: Track, truth: np.ndarray) -> float:
+def nees(track: TargetTrack, truth: np.ndarray) -> float:
     off = track.state - truth
     return float(off @ np.linalg.solve(track.covariance, off))
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
-from hardware.radar.pictures import cell
+from hardware.radar.output import cell
 from hardware.radar.process import Frame, Processing, process
-from hardware.radar.windows import taper
+from hardware.radar.windows import normalised_window
 from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
 from twin.radar.device.design import RadarDesign
@@ -184,7 +184,9 @@ def _kept(target: TrueTarget, waveform: OfdmWaveform, window: str) -> float:
     t = waveform.slot_times_s
     latest = waveform.n_slots * waveform.slot_period_s / 2
     turn = 2 * np.pi / waveform.wavelength_m * target.rate_change_m_per_s / latest * t**2
-    spectrum = np.fft.fft(taper(window, len(t)) * np.exp(-1j * turn), 8 * len(t)) / len(t)
+    spectrum = np.fft.fft(normalised_window(window, len(t)) * np.exp(-1j * turn), 8 * len(t)) / len(
+        t
+    )
     return float(np.max(np.abs(spectrum) ** 2))
 
 

@@ -134,10 +134,12 @@ def _budget(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
 
 def _window_loss(evaluation: RadarEvaluation) -> float:
     """Noise that the windows add: product of their mean squares at mean 1."""
-    from hardware.radar.windows import taper
+    from hardware.radar.windows import normalised_window
 
     sizes = evaluation.waveform.n_subcarriers, evaluation.waveform.n_slots
-    return float(np.prod([np.mean(taper(evaluation.how.window, n) ** 2) for n in sizes]))
+    return float(
+        np.prod([np.mean(normalised_window(evaluation.how.window, n) ** 2) for n in sizes])
+    )
 
 
 def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:

@@ -15,7 +15,7 @@ from hardware.radar.imaging import RadarImage
 
 
 def write_png(path: Path, power: NDArray[np.floating[Any]], span_db: float = 50.0) -> None:
-    """White at the peak, black ``span_db`` below; row 0 on top, columns as they come.
+    """Grey image, white at the peak, black ``span_db`` below it; row 0 on top.
 
     Raises InputError where Pillow (the extra ``png``) is not installed.
     """
@@ -29,16 +29,16 @@ def write_png(path: Path, power: NDArray[np.floating[Any]], span_db: float = 50.
     Image.fromarray((255 * np.clip(level, 0, 1)).round().astype(np.uint8)).save(path)
 
 
-def write_detections(path: Path, found: Iterable[tuple[int, Detection]]) -> None:
-    """One row per detection, after the number of its burst; empty is what nothing tells."""
+def write_detections(path: Path, detections: Iterable[tuple[int, Detection]]) -> None:
+    """One row per detection, after the number of its burst; unknown values are empty."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["burst", *(f.name for f in fields(Detection))])
-        writer.writerows([burst, *map(cell, astuple(detection))] for burst, detection in found)
+        writer.writerows([burst, *map(cell, astuple(detection))] for burst, detection in detections)
 
 
 def cell(value: float | tuple[float, ...]) -> float | str:
-    """A number as a table has it: empty where it is none; several, with semicolons between."""
+    """Table cell of a number: empty for NaN; several are separated by semicolons."""
     if isinstance(value, tuple):
         return ";".join(f"{each:.6g}" for each in value)
     return "" if np.isnan(value) else value
@@ -56,26 +56,26 @@ def write_image(path: Path, image: RadarImage) -> None:
             writer.writerow([f"{down:.6g}", *map("{:.2f}".format, row)])
 
 
-def rows_of(found: Sequence[Detection], most: int = 20) -> Iterable[str]:
+def table_rows(detections: Sequence[Detection], most: int = 20) -> Iterable[str]:
     """Detections as a table for a terminal."""
     yield "   range, m    +/-   rate, m/s    +/-   azimuth, deg   SNR, dB   RCS, m^2"
-    for d in found[:most]:
+    for d in detections[:most]:
         yield (
-            f"{_told(d.range_m, '.4f', 11)} {_told(d.range_error_m, '.4f', 6)} "
-            f"{_told(d.range_rate_m_per_s, '+.3f', 11)} "
-            f"{_told(d.range_rate_error_m_per_s, '.3f', 6)} "
-            f"{_told(np.degrees(d.azimuth_rad), '+.2f', 14)} {d.snr_db:9.1f} "
-            f"{_told(d.rcs_m2, '.3g', 11)}{_alternatives(d)}"
+            f"{_column(d.range_m, '.4f', 11)} {_column(d.range_error_m, '.4f', 6)} "
+            f"{_column(d.range_rate_m_per_s, '+.3f', 11)} "
+            f"{_column(d.range_rate_error_m_per_s, '.3f', 6)} "
+            f"{_column(np.degrees(d.azimuth_rad), '+.2f', 14)} {d.snr_db:9.1f} "
+            f"{_column(d.rcs_m2, '.3g', 11)}{_alternatives(d)}"
         )
-    if len(found) > most:
-        yield f"  ... and {len(found) - most} more"
+    if len(detections) > most:
+        yield f"  ... and {len(detections) - most} more"
 
 
-def _told(value: float, form: str, width: int) -> str:
+def _column(value: float, form: str, width: int) -> str:
     """A number in its column; a dash where it is not measured."""
     return f"{'-' if np.isnan(value) else format(value, form):>{width}}"
 
 
-def _alternatives(found: Detection) -> str:
-    others = ", ".join(f"{rate:+.3f}" for rate in found.range_rate_alternatives_m_per_s)
+def _alternatives(detection: Detection) -> str:
+    others = ", ".join(f"{rate:+.3f}" for rate in detection.range_rate_alternatives_m_per_s)
     return f"  rate ambiguous, or {others}" if others else ""
