@@ -12,7 +12,7 @@ from twin.errors import InputError
 def _code(value: Any) -> Any:
     if callable(value) or isinstance(value, str):
         return value
-    raise ValueError("expected file.py:function, the name of an installed one, or a callable")
+    raise InputError("expected file.py:function, the name of an installed one, or a callable")
 
 
 #: Where code is: ``file.py:function``, the name of an installed one, or in Python itself.

@@ -182,7 +182,7 @@ class Sourced(Strict, Generic[T]):
     @model_validator(mode="after")
     def _one_origin(self) -> "Sourced[T]":
         if (self.source is None) == (self.assumed is None):
-            raise ValueError("needs either `source` or `assumed`")
+            raise InputError("needs either `source` or `assumed`")
         return self
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from typing import Literal, get_args
 
+from twin.errors import InputError
+
 #: What a warning is about, in the order in which they are listed.
 #:
 #: Of the record: ``saturated`` (upper rail of the converter, or a full well), ``black`` (its lower
@@ -42,9 +44,9 @@ class CaptureWarning(str):
     void: bool
 
     def __new__(cls, kind: Kind, text: str, *, void: bool = False) -> "CaptureWarning":
-        """Raises ValueError for a kind that is none of `KINDS`."""
+        """Raises InputError for a kind that is none of `KINDS`."""
         if kind not in KINDS:
-            raise ValueError(f"kind: {kind!r} is none of {', '.join(KINDS)}")
+            raise InputError(f"kind: {kind!r} is none of {', '.join(KINDS)}")
         made = super().__new__(cls, text)
         made.kind, made.void = kind, void
         return made

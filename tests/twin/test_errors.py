@@ -1,6 +1,8 @@
 """Errors of the simulator: one root, by kind, and what the vehicle makes of them."""
 
+import re
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -65,3 +67,28 @@ def test_to_the_vehicle_an_engine_that_fails_is_a_device(monkeypatch: pytest.Mon
     monkeypatch.setattr("twin.serve.source.still_light", fails)
     with pytest.raises(DeviceError, match=r"^twin:yard: no libLLVM$"):
         records("twin:yard")
+
+
+def test_every_error_that_is_raised_with_words_is_of_a_kind() -> None:
+    """ValueError is what libraries raise: none of our own says anything by it."""
+    root = Path(twin.__file__).parent
+    bare = re.compile(r"raise (ValueError|RuntimeError|Exception)\(")
+    found = [path for path in root.rglob("*.py") if bare.search(path.read_text("utf-8"))]
+    assert found == []
+
+
+def test_a_fault_in_the_closed_form_ends_a_sweep(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A library's ValueError in our own computation is no point that cannot be."""
+
+    def fails(*_: object) -> None:
+        raise ValueError("operands could not be broadcast")
+
+    monkeypatch.setattr("twin.sweep.evaluate.closed_form", fails)
+    study = twin.Study(
+        name="s", model="closed-form", metrics=["snr"], grid={"link.distance_m": [1.0, 2.0]}
+    )
+    with pytest.raises(ValueError, match="broadcast") as caught:
+        twin.run_sweep(study, out=tmp_path / "out", workers=0)
+    assert not isinstance(caught.value, TwinError)

@@ -57,7 +57,7 @@ class Hazard:
 def hazards(system: System, wavelength_m: float | None = None) -> list[Hazard]:
     """Every limit that concerns the emitter, at its peak or at another wavelength.
 
-    By its kind, laser or LED; both standards where the system doesn't say. Raises ValueError for
+    By its kind, laser or LED; both standards where the system doesn't say. Raises InputError for
     wavelengths outside 700-1800 nm.
     """
     emitter = system.emitter

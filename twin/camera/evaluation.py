@@ -23,6 +23,7 @@ from hardware.reconstruction import (
 from hardware.reconstruction.registry import Solve
 from twin.camera.acquisition import Capture
 from twin.camera.verdict import ImageVerdict
+from twin.errors import InputError
 from twin.system import System
 
 #: Methods of every evaluation: the plain inverse and the vehicle's default.
@@ -82,7 +83,7 @@ def evaluate(
     """Score reconstructions of a capture, by default those of `SHOWN` that fit in memory, and that
     by ``method``, a bundled one or a user's own, see `hardware.reconstruct`.
 
-    Raises ValueError for a reconstruction on another grid than the capture's.
+    Raises InputError for a reconstruction on another grid than the capture's.
     """
     record = capture.record
     bundled = SHOWN if isinstance(record.patterns, PatternSet) else SHOWN_OF_OWN
@@ -109,7 +110,7 @@ def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:
     from skimage.metrics import structural_similarity
 
     if truth.shape != image.shape:
-        raise ValueError(f"image: shape {image.shape}, the truth has {truth.shape}")
+        raise InputError(f"image: shape {image.shape}, the truth has {truth.shape}")
     known = np.isfinite(truth)
     peak = float(truth[known].max(initial=0.0))
     error = float(np.mean((image - truth)[known] ** 2))

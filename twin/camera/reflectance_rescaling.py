@@ -13,6 +13,7 @@ from twin.camera.light import SUN_PARTS, DetectorLight, RenderedLight
 from twin.camera.mounting import check_rig, light_problem
 from twin.camera.render_warnings import grazing_warnings, undersampling_warnings
 from twin.camera.truth import Truth, depths, incidence_cosines, object_shares
+from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.optics.by_object import LightByObject, gather_by_object
 from twin.optics.devices import Device
@@ -78,10 +79,10 @@ def render_unit_reflectance(
 ) -> UnitReflectanceLight:
     """Render a scene for a system and every reflectance, with the random numbers of `render`.
 
-    Raises ValueError unless `can_rescale`.
+    Raises InputError unless `can_rescale`.
     """
     if not can_rescale(system, fidelity):
-        raise ValueError("fidelity: only direct light on one bucket scales with the reflectances")
+        raise InputError("fidelity: only direct light on one bucket scales with the reflectances")
     check_rig(scene, system)
     problem = light_problem(_with_unit_reflectance(scene), system)
     mesh_scene, emitter, shape = problem.scene, problem.emitter, system.image_shape

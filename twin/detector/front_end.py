@@ -9,6 +9,7 @@ from scipy import constants
 
 from hardware.records import Flag
 from twin.detector.noise import NoiseBudget, noise_budget
+from twin.errors import InputError
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -138,11 +139,11 @@ def expose(
     flags : (n_exposures,) uint8
         `Flag.SATURATED` where any detector reached a rail or its full well.
 
-    Raises ValueError for a power that is negative, or no finite number of electrons.
+    Raises InputError for a power that is negative, or no finite number of electrons.
     """
     mean_e = power_w * front_end.electrons_per_watt + front_end.dark_e
     if not ((mean_e >= 0) & (mean_e < np.inf)).all():
-        raise ValueError(
+        raise InputError(
             f"power_w: {float(np.min(power_w)):g} to {float(np.max(power_w)):g} W give "
             f"{float(np.max(mean_e)):g} electrons, expected a finite number from 0 up"
         )

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.optics.devices import Device
 from twin.optics.problem import LightProblem
 from twin.optics.weather import Air
@@ -68,7 +69,7 @@ def backscatter(
 
     Raises
     ------
-    ValueError
+    InputError
         Without air; and where a ray in the detector's field passes through the detector itself: two
         pinholes at one place have no finite backscatter.
     """
@@ -100,7 +101,7 @@ def airlight(
 
     In the unit of `sunlight`. Of each ray: albedo p(angle) (1 - exp(-extinction x distance)). The
     sun's irradiance is that at the sensor, everywhere: shadows of objects in the air, and the
-    extinction of sunlight on its way, are left out. Raises ValueError without air or sun.
+    extinction of sunlight on its way, are left out. Raises InputError without air or sun.
     """
     camera, air, direction = problem.detector, _air(problem), problem.sun.direction
     directions, cosine = cell_rays(camera, shape, rays)
@@ -119,7 +120,7 @@ def airlight(
 
 def _air(problem: LightProblem) -> Air:
     if problem.air is None:
-        raise ValueError("air: is not given")
+        raise InputError("air: is not given")
     return problem.air
 
 
@@ -201,7 +202,7 @@ def _along(
     miss = np.linalg.norm(offset + nearest[:, None] * directions, axis=1)
     least = 1e-9 * max(float(np.linalg.norm(offset)), 1e-100)
     if ((miss <= least) & (start <= nearest) & (nearest <= stop)).any():
-        raise ValueError(
+        raise InputError(
             "baseline: a ray of the emitter passes through the detector, where backscatter is "
             "infinite"
         )

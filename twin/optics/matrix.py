@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
+from twin.errors import InputError
 from twin.optics.devices import CellGrid
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
@@ -37,15 +38,15 @@ def transport_matrix(
     The power that cell i puts on pixel j is I tau A_pupil T[j, i]; summed over the pixels it is
     `transport`. Contributions are added in float64 in a fixed order: same seed, same bits.
 
-    Raises ValueError for an unknown ``start``, and for *scatter* towards elements without a lens.
+    Raises InputError for an unknown ``start``, and for *scatter* towards elements without a lens.
     """
     if start not in get_args(Start):
-        raise ValueError(f"start: {start!r} is none of dual, scatter")
+        raise InputError(f"start: {start!r} is none of dual, scatter")
     if start == "dual":
         tracer = problem.from_emitter(cells, quality, seed)
         return _matrix(tracer, CellGrid(problem.detector, *pixels)).T
     if problem.emitter.pitch_m is not None:
-        raise ValueError("start: scatter needs an emitter behind a lens; use dual")
+        raise InputError("start: scatter needs an emitter behind a lens; use dual")
     tracer = problem.from_detector(pixels, quality, seed)
     return _matrix(tracer, CellGrid(problem.emitter, *cells))
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
+from twin.errors import InputError
 from twin.optics.devices import (
     Device,
     apply_blur,
@@ -55,11 +56,11 @@ class TracingQuality:
         for name in ("samples", "indirect_samples"):
             value = getattr(self, name)
             if value is not None and (value < 1 or round(value**0.5) ** 2 != value):
-                raise ValueError(f"{name}: {value} is not a square number")
+                raise InputError(f"{name}: {value} is not a square number")
         if self.max_depth < 1:
-            raise ValueError(f"max_depth: {self.max_depth} is less than 1")
+            raise InputError(f"max_depth: {self.max_depth} is less than 1")
         if self.air_orders < 0:
-            raise ValueError(f"air_orders: {self.air_orders} is less than 0")
+            raise InputError(f"air_orders: {self.air_orders} is less than 0")
 
     @property
     def further_samples(self) -> int:

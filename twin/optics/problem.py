@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.optics.devices import CellGrid, Device
 from twin.optics.paths import DeviceLight, SunLight, TracingQuality
 from twin.optics.tracer import Tracer
@@ -58,7 +59,7 @@ class LightProblem:
 
     @property
     def sun(self) -> SunLight:
-        """The sun as a light. Raises ValueError without a direction."""
+        """The sun as a light. Raises InputError without a direction."""
         if self.sun_direction is None:
-            raise ValueError("sun_direction: is not given")
+            raise InputError("sun_direction: is not given")
         return SunLight(self.sun_direction)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
+from twin.errors import InputError
 from twin.optics.devices import Device
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import cell_centres
@@ -35,7 +36,7 @@ class PatternRenderer:
         mi = mitsuba()
         emitter, detector, air = problem.emitter, problem.detector, problem.air
         if "disc" in (emitter.outline, detector.outline):
-            raise ValueError("outline: the reference renderer knows square fields only")
+            raise InputError("outline: the reference renderer knows square fields only")
         self._emitter = emitter
         shapes = {f"s{i}": shape for i, shape in enumerate(problem.scene.shapes())}
         scene_dict = {

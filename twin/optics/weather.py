@@ -34,7 +34,7 @@ class Air:
     ``asymmetry``: mean cosine of the scattering angle. ``backward_share``: part of the scattered
     light in a lobe towards the source (`BACKWARD_ASYMMETRY`); the rest follows Henyey and
     Greenstein (1941) with the asymmetry that preserves the mean cosine.
-    Raises ValueError for impossible values.
+    Raises InputError for impossible values.
     """
 
     extinction_per_m: float
@@ -44,12 +44,12 @@ class Air:
 
     def __post_init__(self) -> None:
         if not 0 <= self.scattering_per_m <= self.extinction_per_m < math.inf:
-            raise ValueError(
+            raise InputError(
                 f"scattering_per_m: {self.scattering_per_m:g} is not between 0 and "
                 f"extinction_per_m, {self.extinction_per_m:g}"
             )
         if not (0 <= self.backward_share < 1 and abs(self.forward_asymmetry) < 1):
-            raise ValueError(
+            raise InputError(
                 f"asymmetry: {self.asymmetry:g} with backward_share {self.backward_share:g}: "
                 "no phase function has both"
             )

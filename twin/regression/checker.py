@@ -332,7 +332,7 @@ def _views(scene: str | Path | Scene, poses: Sequence[Pose]) -> list[Scene]:
 def _seeds(seeds: int, n_views: int) -> range:
     if seeds < 2 * n_views:
         of = f" of each of {n_views} poses" if n_views > 1 else ""
-        raise ValueError(f"seeds: {seeds}: expected at least 2{of}, a test needs their scatter")
+        raise InputError(f"seeds: {seeds}: expected at least 2{of}, a test needs their scatter")
     return range(seeds)
 
 

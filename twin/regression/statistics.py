@@ -48,6 +48,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.regression.metrics import Metric
 
 Array = NDArray[np.float64]
@@ -136,13 +137,13 @@ def compare(
     views
         Seed i is of view i modulo this number.
 
-    Raises ValueError for fewer than two seeds of a view, numbers of seeds that differ, no metrics,
+    Raises InputError for fewer than two seeds of a view, numbers of seeds that differ, no metrics,
     or a probability that is none.
     """
     if not metrics:
-        raise ValueError("metrics: none given, expected at least one")
+        raise InputError("metrics: none given, expected at least one")
     if not 0 < false_alarm < 1:
-        raise ValueError(f"false_alarm: {false_alarm} is not between 0 and 1")
+        raise InputError(f"false_alarm: {false_alarm} is not between 0 and 1")
     each = false_alarm / len(metrics)
     return tuple(_verdict(m, before[m.name], after[m.name], each, paired, views) for m in metrics)
 
@@ -168,7 +169,7 @@ def _verdict(
     before, after = np.asarray(before, float), np.asarray(after, float)
     n = len(before)
     if n < 2 * views or after.shape != before.shape:
-        raise ValueError(
+        raise InputError(
             f"{metric.name}: {n} seeds before, {len(after)} after: expected as many, at least "
             f"{2 * views}"
         )

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.regression.metrics import Metric
 from twin.regression.statistics import compare
 
@@ -19,12 +20,12 @@ def planted(images: Array, truth: Array, kind: str, loss_db: float, seed: int = 
     """Images (n, rows, columns), worse than they were by a mean PSNR of ``loss_db``.
 
     ``noise``: white noise of its own in every image. ``blur``: part of each is its 3 x 3 mean.
-    ``gain``: all are too bright. Raises ValueError for another kind.
+    ``gain``: all are too bright. Raises InputError for another kind.
     """
     from scipy.optimize import brentq
 
     if kind not in _FAULTS:
-        raise ValueError(f"kind: {kind!r} is none of {', '.join(_FAULTS)}")
+        raise InputError(f"kind: {kind!r} is none of {', '.join(_FAULTS)}")
     fault = _FAULTS[kind](images, truth, np.random.default_rng(seed))
     before = _psnr_loss(images, truth)
     share = brentq(lambda s: _psnr_loss(images + s * fault, truth) - before - loss_db, 0, 1)

@@ -32,7 +32,7 @@ class RadioBand(Strict):
     @model_validator(mode="after")
     def _ascends(self) -> "RadioBand":
         if self.from_hz >= self.to_hz:
-            raise ValueError(f"from_hz = {self.from_hz:g} is not below to_hz, {self.to_hz:g}")
+            raise InputError(f"from_hz = {self.from_hz:g} is not below to_hz, {self.to_hz:g}")
         return self
 
 

@@ -75,7 +75,7 @@ class _Target(Strict):
     @model_validator(mode="after")
     def _one_origin(self) -> "_Target":
         if (self.rcs_source is None) == (self.rcs_assumed is None):
-            raise ValueError("needs either `rcs_source` or `rcs_assumed`")
+            raise InputError("needs either `rcs_source` or `rcs_assumed`")
         return self
 
 

@@ -63,7 +63,7 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> dict[str, Arr
     """Metrics of points, (n,) each. ``columns``: what is set in the points, by parameter.
 
     Without ``link.distance_m`` it is 5 m, without ``link.reflectance`` 0.5.
-    Raises ValueError naming the parameter of a combination that can't be.
+    Raises InputError naming the parameter of a combination that can't be.
     """
     n = len(next(iter(columns.values())))
     _check(columns)
@@ -177,7 +177,7 @@ def _fields(names: Iterable[str], own: Columns) -> Iterator[tuple[str, Any]]:
 
 
 def _check(columns: Columns) -> None:
-    """Raise ValueError for a number of a point that can't be."""
+    """Raise InputError for a number of a point that can't be."""
     for name in columns.keys() & _OF_THE_POINT.keys():
         column = columns[name]
         ends = (column.min(), column.max()) if column.dtype.kind in "if" else column[:1]

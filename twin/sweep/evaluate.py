@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError as VehicleInputError
 from hardware.radar.process import Processing
 from twin.camera.acquisition import Capture, measure
 from twin.camera.light import RenderedLight, render
@@ -124,7 +125,7 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
         return Chunk(start, stop, {name: np.asarray(v, np.float64) for name, v in values.items()})
     except ChangedError:
         raise
-    except ValueError as error:
+    except VehicleInputError as error:
         if stop - start == 1:
             return failed(study, start, f"{type(error).__name__}: {error}")
     # Some point can't be: halve until it stands alone.

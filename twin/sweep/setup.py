@@ -46,7 +46,7 @@ class Setup:
 
 
 def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
-    """Setup of a point. Raises InputError or ValueError naming the parameter."""
+    """Setup of a point. Raises InputError naming the parameter."""
     groups = _groups(values)
     radar = None
     if needs_radar(study.metrics):
@@ -66,7 +66,7 @@ def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
 
 
 def system_of(study: Study, values: Values, inputs: Inputs) -> System:
-    """System of a point. Raises InputError or ValueError naming the parameter."""
+    """System of a point. Raises InputError naming the parameter."""
     found: System = _entry("system", study.system, _groups(values).get("system", {}), inputs)
     return found
 

@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hardware.patterns import Order
+from twin.errors import InputError
 from twin.system.own_patterns import OwnPatternSource
 from twin.toml import Count, Fraction, NonNegative, Positive, Sourced, Strict
 
@@ -35,7 +36,7 @@ class Acquisition(Strict):
     @model_validator(mode="after")
     def _fits(self) -> "Acquisition":
         if self.integration_time_s.value > self.pattern_period_s.value:
-            raise ValueError("integration_time_s is longer than pattern_period_s")
+            raise InputError("integration_time_s is longer than pattern_period_s")
         return self
 
     def residue(self, tau_s: float) -> float:
@@ -76,18 +77,18 @@ class TimeOfFlight(Strict):
         if not (
             (None not in gated and not any(indirect)) or (None not in indirect and not any(gated))
         ):
-            raise ValueError(
+            raise InputError(
                 "needs either modulation_hz and contrast, or pulse_width_s, pulse_rate_hz, "
                 "gate_width_s and gate_delays_s"
             )
         for name in ("pulse_width_s", "gate_width_s"):
             width = getattr(self, name)
             if width and self.pulse_rate_hz and width.value * self.pulse_rate_hz.value > 1:
-                raise ValueError(f"{name} is longer than the time between pulses")
+                raise InputError(f"{name} is longer than the time between pulses")
         if self.gate_delays_s and self.gate_width_s and self.pulse_rate_hz:
             last = max(self.gate_delays_s.value) + self.gate_width_s.value
             if last * self.pulse_rate_hz.value > 1 + 1e-9:
-                raise ValueError(
+                raise InputError(
                     f"gate_delays_s: the last gate closes after {last:g} s, when the next pulse is "
                     f"under way (pulse_rate_hz = {self.pulse_rate_hz.value:g})"
                 )

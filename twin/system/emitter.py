@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from twin.errors import InputError
 from twin.toml import Finite, Fraction, NonNegative, Positive, Sourced, Strict
 
 #: Float32 directions have steps of 3e-6 deg: below, a cell's edges are lost in them.
@@ -65,7 +66,7 @@ class Emitter(Strict):
     @model_validator(mode="after")
     def _line_is_at_its_peak(self) -> "Emitter":
         if self.line_fwhm_m.value >= self.peak_wavelength_m.value:
-            raise ValueError(
+            raise InputError(
                 f"line_fwhm_m = {self.line_fwhm_m.value:g} is wider than peak_wavelength_m, "
                 f"{self.peak_wavelength_m.value:g}"
             )
@@ -75,17 +76,17 @@ class Emitter(Strict):
     def _bare_leds_are_described(self) -> "Emitter":
         if self.has_lens:
             if self.pitch_m is not None:
-                raise ValueError(
+                raise InputError(
                     f"pitch_m = {self.pitch_m.value:g}: expected none behind a lens, where the "
                     "field of view says where cells are; bare LEDs have projection none"
                 )
             return self
         if self.rows.value * self.columns.value > _MOST_BARE:
-            raise ValueError(f"rows x columns: at most {_MOST_BARE} elements without a lens")
+            raise InputError(f"rows x columns: at most {_MOST_BARE} elements without a lens")
         if self.pitch_m is None or self.viewing_angle_deg is None:
-            raise ValueError("projection none needs pitch_m and viewing_angle_deg")
+            raise InputError("projection none needs pitch_m and viewing_angle_deg")
         if self.blur_rms_deg is not None or self.fill_factor is not None:
-            raise ValueError("projection none: without a lens there is no blur and no fill factor")
+            raise InputError("projection none: without a lens there is no blur and no fill factor")
         return self
 
     @property

@@ -5,6 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from twin.errors import InputError
 from twin.own_parts import OwnCode
 from twin.toml import Finite, NonNegative, Positive, Sourced, Strict
 
@@ -33,7 +34,7 @@ class Sky(Strict):
     @model_validator(mode="after")
     def _one_of_them(self) -> "Sky":
         if (self.illuminance_lx is None) == (self.sun_elevation_deg is None):
-            raise ValueError("needs either illuminance_lx or sun_elevation_deg")
+            raise InputError("needs either illuminance_lx or sun_elevation_deg")
         return self
 
 
@@ -78,9 +79,9 @@ class Weather(Strict):
     @model_validator(mode="after")
     def _says_what_is_needed(self) -> "Weather":
         if (self.snow_mm_per_h is None) != (self.snow_kind is None):
-            raise ValueError("snow needs both snow_mm_per_h and snow_kind")
+            raise InputError("snow needs both snow_mm_per_h and snow_kind")
         if self.visibility_model is not None and self.visibility_m is None:
-            raise ValueError("visibility_model needs visibility_m")
+            raise InputError("visibility_model needs visibility_m")
         return self
 
     @model_validator(mode="after")
@@ -92,7 +93,7 @@ class Weather(Strict):
             saturated_kg_per_m3(self.temperature_k.value),
         )
         if vapour > _SUPERSATURATED * most:
-            raise ValueError(
+            raise InputError(
                 f"water_vapour_kg_per_m3 = {vapour:g}: air of {self.temperature_k.value:g} K holds "
                 f"{most:.2g}"
             )

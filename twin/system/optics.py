@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from twin.errors import InputError
 from twin.system.emitter import FieldAngle
 from twin.toml import Fraction, NonNegative, Positive, Sourced, Strict
 
@@ -31,7 +32,7 @@ class Filter(Strict):
     def _in_the_table(self) -> "Filter":
         center, half = self.center_wavelength_m.value, self.width_m.value / 2
         if not _SUN_BAND_M[0] <= center - half <= center + half <= _SUN_BAND_M[1]:
-            raise ValueError(
+            raise InputError(
                 f"band {center - half:g} to {center + half:g} m is outside the solar spectrum, "
                 f"{_SUN_BAND_M[0]:g} to {_SUN_BAND_M[1]:g} m"
             )

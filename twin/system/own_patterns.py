@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, WithJsonSchema
 
 from hardware.errors import InputError as VehicleInputError
 from hardware.patterns import Mode, OwnPatterns, own_patterns
+from twin.errors import InputError
 
 
 def _source(value: Any) -> Any:
@@ -19,7 +20,7 @@ def _source(value: Any) -> Any:
         return str(value)
     if isinstance(value, np.ndarray | list):
         return own_patterns(value)
-    raise ValueError("expected the name of a file, or an array (count, rows, columns)")
+    raise InputError("expected the name of a file, or an array (count, rows, columns)")
 
 
 #: Name of a file, or what `hardware.own_patterns` takes.

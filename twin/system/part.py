@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pydantic import model_validator
 
+from twin.errors import InputError
 from twin.files import catalog_folder
 from twin.system.curves import check_curves
 from twin.system.detector import Detector, Readout
@@ -30,7 +31,7 @@ class Part(Entry):
     @model_validator(mode="after")
     def _is_one_thing(self) -> "Part":
         if len(self._sections()) != 1:
-            raise ValueError(f"needs exactly one section of {', '.join(_SECTIONS)}")
+            raise InputError(f"needs exactly one section of {', '.join(_SECTIONS)}")
         return self
 
     @property

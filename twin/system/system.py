@@ -45,11 +45,11 @@ class System(Entry):
             _ = self.patterns
         except (VehicleInputError, FileNotFoundError) as error:
             if self.acquisition.patterns is not None:
-                raise ValueError(f"acquisition.patterns: {error}") from None
+                raise InputError(f"acquisition.patterns: {error}") from None
             field, rest = str(error).split(":", 1)
             places = {"count": "n_patterns", "subset": "order", "mode": "mode"}
             place = f"acquisition.{places[field]}" if field in places else f"emitter.{field}"
-            raise ValueError(f"{place}:{rest}") from None
+            raise InputError(f"{place}:{rest}") from None
         return self
 
     @model_validator(mode="after")
@@ -60,21 +60,21 @@ class System(Entry):
         )
         rate, period = self.detector.line_rate_hz, acquisition.pattern_period_s.value
         if rate is not None and rate.value * period < 1 - 1e-9:
-            raise ValueError(
+            raise InputError(
                 f"acquisition.pattern_period_s = {period:g}: detector.line_rate_hz allows "
                 f"{rate.value:g} readouts per second, one in {1 / rate.value:.3g} s"
             )
         exposure_s = acquisition.integration_time_s.value
         tof = self.time_of_flight
         if tof is not None and tof.pulse_rate_hz and tof.pulse_rate_hz.value * exposure_s < 1:
-            raise ValueError(
+            raise InputError(
                 f"time_of_flight.pulse_rate_hz = {tof.pulse_rate_hz.value:g}: less than one pulse "
                 f"in acquisition.integration_time_s = {exposure_s:g}"
             )
         if tof is not None and tof.modulation_hz is not None:
             slowest = min(tof.modulation_hz.value)
             if slowest * exposure_s < 1:
-                raise ValueError(
+                raise InputError(
                     f"time_of_flight.modulation_hz = {slowest:g}: less than one period in "
                     f"acquisition.integration_time_s = {exposure_s:g}"
                 )
@@ -115,23 +115,23 @@ class System(Entry):
         if self.detector.pixels is None or self.detector.pixels.value == 1:
             columns = self.acquisition.columns
             if columns is not None and columns.value > 1:
-                raise ValueError(
+                raise InputError(
                     f"acquisition.columns = {columns.value}: belongs to a line sensor "
                     "(detector.pixels), expected 1 or none"
                 )
             return self
         if self.detector.pixels.value % self.n_detectors:
-            raise ValueError(
+            raise InputError(
                 f"acquisition.columns: {self.n_detectors} does not divide "
                 f"detector.pixels, {self.detector.pixels.value}"
             )
         if self.emitter.columns.value != 1 or self.optics.field_stop.value != "matched":
-            raise ValueError(
+            raise InputError(
                 "a line sensor takes its columns itself: emitter.columns must be 1 (it is "
                 f"{self.emitter.columns.value}) and optics.field_stop matched"
             )
         if not self.emitter.has_lens or self.time_of_flight:
-            raise ValueError(
+            raise InputError(
                 "a line sensor needs emitter.projection lens, and no time_of_flight section"
             )
         return self

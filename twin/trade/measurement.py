@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from twin.errors import InputError
 from twin.fidelity import Fidelity
 
 #: Light of emitter and sun; shot noise of an exposure; the radar's channel.
@@ -85,11 +86,11 @@ def cheapest(measurements: Iterable[Measurement], tolerance: float) -> Choice:
     """The cheapest rung whose measured error over the sensor's noise is below the tolerance; of
     those that the quartiles of their times don't tell apart from it, the most accurate.
 
-    Where none is below, the most accurate of all. Raises ValueError where there is no rung at all.
+    Where none is below, the most accurate of all. Raises InputError where there is no rung at all.
     """
     rungs = sorted((m for m in measurements if m.fidelity), key=lambda m: m.cost.seconds)
     if not rungs:
-        raise ValueError("measurements: no rung of the twin among them")
+        raise InputError("measurements: no rung of the twin among them")
     good = [m for m in rungs if m.over_noise < tolerance]
     if not good:
         # A rung whose error is not a number is no candidate as long as there is another.

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from twin.errors import InputError
 from twin.radar.cross_section.facets import direct
 from twin.radar.cross_section.rays import Density, Later, later_bounces, spread
 from twin.radar.cross_section.subject import is_seen_once, subject_of
@@ -49,11 +50,11 @@ class Quality:
 
     def __post_init__(self) -> None:
         if not 1e-3 <= self.tolerance <= 1:
-            raise ValueError(f"tolerance: {self.tolerance}: expected 0.001 to 1")
+            raise InputError(f"tolerance: {self.tolerance}: expected 0.001 to 1")
         if self.max_bounces < 1:
-            raise ValueError(f"max_bounces: {self.max_bounces} is less than 1")
+            raise InputError(f"max_bounces: {self.max_bounces} is less than 1")
         if self.max_rays < 1:
-            raise ValueError(f"max_rays: {self.max_rays} is less than 1")
+            raise InputError(f"max_rays: {self.max_rays} is less than 1")
 
     @property
     def density(self) -> Density:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from twin.errors import InputError
 from twin.radar.device.pattern import Pattern, read_pattern
 from twin.toml import Positive, Sourced, Strict
 
@@ -35,9 +36,9 @@ class Antenna(Strict):
     @model_validator(mode="after")
     def _is_one_or_the_other(self) -> "Antenna":
         if (self.gain_dbi is None) == (self.pattern_file is None):
-            raise ValueError("needs either gain_dbi or pattern_file")
+            raise InputError("needs either gain_dbi or pattern_file")
         if self.pattern_axis is not None and self.pattern_file is None:
-            raise ValueError("pattern_axis needs pattern_file")
+            raise InputError("pattern_axis needs pattern_file")
         if self.pattern_file is not None:
             _ = self.pattern  # its faults are named now
         return self

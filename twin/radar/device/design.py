@@ -74,7 +74,7 @@ class Waveform(Strict):
     @model_validator(mode="after")
     def _says_its_symbols(self) -> "Waveform":
         if [self.symbols, self.symbols_file, self.function].count(None) != 2:
-            raise ValueError("needs one of symbols, symbols_file and function")
+            raise InputError("needs one of symbols, symbols_file and function")
         return self
 
     @cached_property
@@ -143,11 +143,11 @@ class Oscillator(Strict):
     def _is_a_curve(self) -> "Oscillator":
         offsets, levels = self.offset_hz.value, self.phase_noise_dbc_per_hz.value
         if len(offsets) != len(levels):
-            raise ValueError(
+            raise InputError(
                 f"offset_hz has {len(offsets)} points, phase_noise_dbc_per_hz {len(levels)}"
             )
         if any(a >= b for a, b in pairwise(offsets)):
-            raise ValueError("offset_hz does not ascend")
+            raise InputError("offset_hz does not ascend")
         return self
 
     def level(self, offset_hz: np.ndarray) -> np.ndarray:
@@ -190,7 +190,7 @@ class Band(Strict):
     @model_validator(mode="after")
     def _ascends(self) -> "Band":
         if self.low_hz.value >= self.high_hz.value:
-            raise ValueError("low_hz is not below high_hz")
+            raise InputError("low_hz is not below high_hz")
         return self
 
 
@@ -212,20 +212,20 @@ class RadarDesign(Entry):
         steps, receivers = len(burst.carriers_hz), len(burst.receivers_m)
         cells = wave.n_subcarriers * wave.n_slots * steps * receivers
         if cells > _MOST_CELLS:
-            raise ValueError(
+            raise InputError(
                 "waveform: n_subcarriers x n_slots"
                 + (f" x {steps} steps" if steps > 1 else "")
                 + (f" x {receivers} receivers" if receivers > 1 else "")
                 + f" = {cells}, expected at most {_MOST_CELLS}"
             )
         if len(burst.transmitters_m) > wave.n_slots:
-            raise ValueError(
+            raise InputError(
                 f"elements.transmitters_m: {len(burst.transmitters_m)} take turns in "
                 f"{wave.n_slots} slots"
             )
         symbols = wave.n_slots * wave.slot_period_s / wave.symbol_s
         if self.oscillator and symbols > _MOST_SYMBOLS:
-            raise ValueError(
+            raise InputError(
                 f"oscillator: {symbols:.3g} symbols in a step, expected at most {_MOST_SYMBOLS}"
             )
         return self

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.engine import mitsuba
+from twin.errors import InputError
 from twin.radar.scattering.edges import Edges
 from twin.radar.scattering.fringe import moment, observed
 from twin.radar.scattering.target import Target
@@ -39,9 +40,9 @@ class EdgeQuality:
 
     def __post_init__(self) -> None:
         if not 0 < self.sharp_angle_deg < 180:
-            raise ValueError(f"sharp_angle_deg: {self.sharp_angle_deg}: expected 0 to 180")
+            raise InputError(f"sharp_angle_deg: {self.sharp_angle_deg}: expected 0 to 180")
         if not self.pieces_per_wavelength > 0:
-            raise ValueError(
+            raise InputError(
                 f"pieces_per_wavelength: {self.pieces_per_wavelength}: expected above 0"
             )
 

@@ -6,6 +6,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
+
 Array = NDArray[np.float64]
 Polarization = Literal["V", "H"]
 
@@ -28,7 +30,7 @@ class Radar:
 
     def __post_init__(self) -> None:
         if not self.distance_m > 0:
-            raise ValueError(f"distance_m: {self.distance_m}: expected above 0")
+            raise InputError(f"distance_m: {self.distance_m}: expected above 0")
 
     @classmethod
     def at(
