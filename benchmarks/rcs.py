@@ -9,11 +9,11 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from benchmarks.cross_section_references import image_integral, mie_cross_section
 from benchmarks.timing import Figure, Timing, timed
 from twin.geometry import Geometry
 from twin.radar.cross_section import Quality, Ways, physical_optics, scattered
 from twin.radar.scattering import PEC, Layer, Radar, Surface, Target, edge_diffraction, sharp_edges
-from twin.radar.scattering.reference import image_integral, mie_cross_section
 
 _CARRIER = 79e9
 _WAVELENGTH = speed_of_light / _CARRIER

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from benchmarks.planted_losses import planted, share_worse
 from benchmarks.timing import Figure, timed
 from twin.camera.light import render
 from twin.fidelity import Fidelity
 from twin.regression.metrics import CAMERA_METRICS
 from twin.regression.runs import run_camera
 from twin.regression.statistics import compare
-from twin.regression.study import planted, share_worse
 from twin.scene import load_scene
 from twin.system import System, load_system
 from twin.toml import Sourced

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import constants
 
+from benchmarks.cross_section_references import image_integral
 from tests.physics.radar_worlds import (
     CARRIER_HZ,
     GAIN,
@@ -30,7 +31,6 @@ from twin.radar.propagation.scene.scattering_models import ScatteringModel, assi
 from twin.radar.propagation.sionna.paths import sionna_paths
 from twin.radar.propagation.solvers import trace
 from twin.radar.scattering import Radar
-from twin.radar.scattering.reference import image_integral
 from twin.scene import Pose, Rig, Scene, Target
 
 C = constants.c

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks.cross_section_references import mie_coefficients
 from tests.physics.radar_worlds import (
     AT_ORIGIN,
     CARRIER_HZ,
@@ -38,7 +39,6 @@ from twin.radar.propagation.scene.scattering_models import ScatteringModel, assi
 from twin.radar.propagation.solvers import trace
 from twin.radar.propagation.tabulated import leg
 from twin.radar.scattering import PEC, Radar, Surface, Target
-from twin.radar.scattering.reference import mie_coefficients
 from twin.radar.truth import true_targets
 from twin.scene import Pose, Rig, SceneObject
 from twin.scene import Target as Declared

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks.cross_section_references import image_integral, mie_coefficients, mie_cross_section
 from tests.physics.rcs_targets import (
     CARRIER,
     WAVELENGTH,
@@ -24,7 +25,6 @@ from tests.physics.rcs_targets import (
 from twin.geometry import Geometry
 from twin.radar.cross_section import physical_optics
 from twin.radar.scattering import PEC, Layer, Radar, Surface, Target
-from twin.radar.scattering.reference import image_integral, mie_coefficients, mie_cross_section
 
 
 def test_the_series_gives_the_published_efficiencies() -> None:

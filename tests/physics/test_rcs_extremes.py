@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from scipy.constants import speed_of_light
 
+from benchmarks.cross_section_references import image_integral
 from tests.physics.rcs_targets import (
     CARRIER,
     WAVELENGTH,
@@ -34,7 +35,6 @@ from twin.radar.scattering import (
     edge_diffraction,
     sharp_edges,
 )
-from twin.radar.scattering.reference import image_integral
 
 # Invariance
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom, hypergeom, ttest_1samp
 
+from benchmarks.planted_losses import planted, share_worse
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
 from twin.regression.runs import Outcome, repeated, run_camera
 from twin.regression.statistics import compare, repeats, smallest_loss
-from twin.regression.study import planted, share_worse
 
 
 def one(name: str = "psnr_db", **changes: object) -> Metric:

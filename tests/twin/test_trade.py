@@ -27,6 +27,7 @@ from tests.physics.radar_worlds import RADAR, thing, world
 from twin import cli
 from twin.detector import FrontEnd
 from twin.fidelity import PRESETS, Fidelity
+from twin.progress import Stages
 from twin.radar import load_radar
 from twin.radar.propagation.solvers import trace as find_echoes
 from twin.scene import Pose, Rig, Scene, Sun, Target, load_scene
@@ -43,6 +44,7 @@ from twin.trade.camera import (
     told_apart,
 )
 from twin.trade.meter import metered
+from twin.trade.pareto import stage_names
 from twin.trade.radar import _reference, measure_radar
 
 
@@ -110,9 +112,12 @@ def walked(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
         patch.setattr("twin.trade.radar._RUNGS", radar_rungs._RUNGS[:-1])  # the finest is slow
         patch.setattr("twin.trade.radar._MOST_TERMS", 4e7)
         patch.setattr("twin.trade.bodies._MOST_POINTS", 3_000_000)
+        seen, stage = [], Stages.stage
+        patch.setattr(Stages, "stage", lambda self, name: seen.append(name) or stage(self, name))
         found, folder = run_trade(
             without_car_and_person(), small[0], radar=small[1], out=out, seed=3
         )
+        assert seen == stage_names(load_system(small[0]), load_radar(small[1]))
     assert folder == out
     return found, out
 

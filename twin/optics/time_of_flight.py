@@ -1,4 +1,4 @@
-"""Transport with the length of every path: phase, time histogram and gates from one render.
+"""Transport with the length of every path: phase and gates from one render.
 
 The response of a modulated emitter and a gated detector to a path depends on its length alone. So
 the paths are traced once, and each shutter is a sum over them, in float64.
@@ -47,22 +47,6 @@ class Paths:
         value = self.value.astype(np.float64)
         real, imaginary = (value * np.cos(wave)).sum(axis=-1), (value * np.sin(wave)).sum(axis=-1)
         return (real + 1j * imaginary).reshape(self.shape)
-
-    def histogram(self, edges_s: Array) -> Array:
-        """Light of each cell by its time of flight, (rows, columns, n_bins).
-
-        ``edges_s`` (n_bins + 1,) ascending and equally spaced; light outside them is left out.
-        """
-        n_bins = len(edges_s) - 1
-        width = (edges_s[-1] - edges_s[0]) / n_bins
-        bin_number = np.floor((self.length_m.astype(np.float64) / constants.c - edges_s[0]) / width)
-        cell = np.arange(len(self.value))[:, None]
-        inside = (bin_number >= 0) & (bin_number < n_bins) & (self.value > 0)
-        index = (cell * n_bins + bin_number.clip(0, n_bins - 1)).astype(np.int64)
-        sums = np.bincount(
-            index[inside], weights=self.value[inside], minlength=len(self.value) * n_bins
-        )
-        return sums.astype(np.float64).reshape(*self.shape, n_bins)
 
 
 def trace_paths(

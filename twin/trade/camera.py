@@ -27,6 +27,7 @@ from twin.trade.meter import metered
 
 Array = NDArray[np.float64]
 
+_REFERENCE = "reference light"
 _DEPTHS = (1, 2, 4)
 _REFERENCE_RUNS = 4
 #: Paths of the reference in all: a few large cells need more each than many small ones.
@@ -106,10 +107,28 @@ def light_rungs(system: System) -> list[Fidelity]:
     return [Fidelity(s, d, start=side) for side in starts for d in _DEPTHS for s in samples]
 
 
+def light_stages(system: System) -> list[str]:
+    """Stages of `measure_light`, in their order."""
+    return [_REFERENCE, *map(_rendering, light_rungs(system))]
+
+
+def noise_stages() -> list[str]:
+    """Stages of `measure_noise`, in their order."""
+    return [_drawing(kind) for kind in get_args(Noise)]
+
+
+def _rendering(rung: Fidelity) -> str:
+    return f"light: {_name(rung)}"
+
+
+def _drawing(kind: Noise) -> str:
+    return f"noise: {kind}"
+
+
 def measure_light(case: CameraCase, stage: OpenStage) -> tuple[Reference, list[Measurement]]:
     """Every rung against the mean of several renders of the reference."""
     finest = reference_rung(case.system)
-    with stage("reference light"):
+    with stage(_REFERENCE):
         cost, rendered = metered(partial(case.light, finest, 0), least=_REFERENCE_RUNS)
         signals = [CellSignals.of(case, light) for light in rendered]
         cells = np.mean([p.cells_e for p in signals], axis=0)
@@ -130,7 +149,7 @@ def measure_light(case: CameraCase, stage: OpenStage) -> tuple[Reference, list[M
         )
     measured = []
     for number, rung in enumerate(light_rungs(case.system), start=1):
-        with stage(f"light: {_name(rung)}"):
+        with stage(_rendering(rung)):
             cost, rendered = metered(partial(case.light, rung, number))
             signals = [CellSignals.of(case, light) for light in rendered]
             measured.append(_compared(case, _name(rung), rung, cost, signals, reference))
@@ -206,7 +225,7 @@ def measure_noise(case: CameraCase, reference: Reference, stage: OpenStage) -> l
     truth = samples["full"][0]
     spread = truth.std(axis=1)
     for rung in rungs:
-        with stage(f"noise: {rung}"):
+        with stage(_drawing(rung)):
             cost, _ = metered(partial(_one_frame, case, power, rung))
             shift = np.abs(samples[rung][1] - truth).mean(axis=1)
             worst = int(np.argmax(shift / spread))

@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 
 from hardware.patterns import PatternSet
-from twin.fidelity import Fidelity, Noise
+from twin.fidelity import Fidelity
 from twin.files import InputError, check_out, whole_folder
 from twin.progress import OpenStage, Stages, silently
 from twin.radar import RadarDesign, load_radar
@@ -14,10 +14,16 @@ from twin.run_folder import named_folder, unless
 from twin.scene import Scene, load_scene
 from twin.system import System, load_system
 from twin.trade.brute_force import Agreement, check
-from twin.trade.camera import CameraCase, light_rungs, measure_light, measure_noise
+from twin.trade.camera import (
+    CameraCase,
+    light_stages,
+    measure_light,
+    measure_noise,
+    noise_stages,
+)
 from twin.trade.measurement import Choice, Ladder, Measurement, cheapest
 from twin.trade.meter import metered
-from twin.trade.radar import STAGES, measure_radar
+from twin.trade.radar import measure_radar, radar_stages
 from twin.trade.result import Trade
 
 #: Of the sensor's own noise: an error of a fifth adds 4 % to its power, 0.17 dB.
@@ -53,9 +59,7 @@ def run_trade(
 
     check_out(out)
     design, sensor = _inputs(system, radar, tolerance, seed)
-    beside = ("load", "reference light", "brute force", *get_args(Noise))
-    expected = len(beside) + len(light_rungs(design)) + STAGES * bool(sensor)
-    with Stages(expected) as stages:
+    with Stages(len(stage_names(design, sensor))) as stages:
         with stages.stage("load"):
             loaded = scene if isinstance(scene, Scene) else load_scene(scene)
         folder = Path(out or _folder(loaded, design, sensor, tolerance, seed))
@@ -95,6 +99,12 @@ def _folder(
         *unless(tolerance, TOLERANCE, "tolerance_{:g}"),
         *unless(seed, 0, "seed_{}"),
     )
+
+
+def stage_names(system: System, radar: RadarDesign | None) -> list[str]:
+    """Stages of a trade, in their order."""
+    light = ["load", *light_stages(system), "brute force", *noise_stages()]
+    return light + (radar_stages() if radar else [])
 
 
 def _inputs(

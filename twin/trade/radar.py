@@ -34,10 +34,18 @@ _RUNGS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
     (Fidelity(), (1e-3, 1e-6, 1e-10)),
     (Fidelity(radar_tolerance=PRESETS["reference"].radar_tolerance), (1e-6,)),
 )
+_REFERENCE = "reference channel"
 _FINEST = Fidelity(radar="optics", radar_tolerance=0.01)
-STAGES = 1 + len(_RUNGS) + sum(len(tolerances) for *_, tolerances in _RUNGS)
 _ROWS, _COLUMNS = 64, 32  # of the bins compared: edges of band and interval, the rest at random
 _MOST_TERMS = 2e8  # of the direct sum, some seconds: of many echoes fewer bins are compared
+
+
+def radar_stages() -> list[str]:
+    """Stages of `measure_radar`, in their order."""
+    names = [_REFERENCE]
+    for finder, tolerances in _RUNGS:
+        names += [_finding(finder), *(_synthesis(finder, t) for t in tolerances)]
+    return names
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +71,7 @@ def measure_radar(
     one echo, against the noise of one cell. An echo left out is exactly that; what a tolerance
     leaves is spread over the map, and less. Empty where the scene sends no echo at all.
     """
-    with stage("reference channel"):
+    with stage(_REFERENCE):
         bins = _reference(scene, radar, seed)
     if bins.rms == 0:
         return []
@@ -73,10 +81,10 @@ def measure_radar(
         def found_in(run: int, finder: Fidelity = finder) -> Propagation:
             return trace(scene, radar, fidelity=finder, seed=seed + 1 + run)
 
-        with stage(f"radar {_finder(finder)}"):
+        with stage(_finding(finder)):
             finding, found = metered(found_in)
         for tolerance in tolerances:
-            with stage(f"radar {_finder(finder)}, synthesis {tolerance:.0e}"):
+            with stage(_synthesis(finder, tolerance)):
                 rung = replace(finder, nufft_tolerance=tolerance)
                 measured.append(_rung(radar, rung, finding, found[0], bins))
     return measured
@@ -126,6 +134,14 @@ def _rung(
         note=f"{bins.channel.size} bins of {wave.n_subcarriers * wave.n_slots}",
         bodies=errors_of(bins.bodies, found, radar, rung.radar_tolerance) if of_meshes else (),
     )
+
+
+def _finding(finder: Fidelity) -> str:
+    return f"radar {_finder(finder)}"
+
+
+def _synthesis(finder: Fidelity, tolerance: float) -> str:
+    return f"{_finding(finder)}, synthesis {tolerance:.0e}"
 
 
 def _name(rung: Fidelity) -> str:

@@ -189,14 +189,6 @@ def origin_of(s: TracingContext, lit: Triangles) -> Any:
     return dr.gather(s.mi.Vector3d, lit.waves.incident.origin, lit.wave)
 
 
-def axes_of(s: TracingContext, lit: Triangles) -> tuple[Any, Any, Any]:
-    """The world's axes as mirrors and facets show them to the wave that lights each."""
-    if lit.waves is None:
-        return mirrored_axes(s, lit.source)
-    x, y, z = (dr.gather(s.mi.Vector3d, axis, lit.wave) for axis in lit.waves.incident.axes)
-    return x, y, z
-
-
 def incident_on(s: TracingContext, lit: Triangles) -> Incident:
     """The wave that lights each triangle, at its centroid; of what lights it directly it is not
     looked at what stands in between.
