@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeVar, get_args
 
+import numpy as np
+
 from hardware.own_functions import OwnFunction, OwnFunctionError, own_function
 from twin.errors import InputError
 from twin.optics.paths import TracingQuality
@@ -26,11 +28,13 @@ _BELOW_1 = math.nextafter(1.0, 0.0)
 class Rule:
     """What a knob takes, and which of two values is the stricter.
 
-    ``check`` says what is wrong with a value, nothing where it is right.
+    ``made_of`` makes the value of what is given, such as 1 000 000 of 1e6; ``check`` says what is
+    wrong with it, nothing where it is right.
     """
 
     check: Callable[[Any], str]
     stricter: Callable[[Any, Any], Any]
+    made_of: Callable[[Any], Any] = lambda value: value
 
 
 def _whole(least: int, *, optional: bool = False) -> dict[str, Rule]:
@@ -43,7 +47,14 @@ def _whole(least: int, *, optional: bool = False) -> dict[str, Rule]:
             return "is no int"
         return f"is less than {least}" if value < least else ""
 
-    return {"rule": Rule(check, max)}
+    return {"rule": Rule(check, max, _integral)}
+
+
+def _integral(value: Any) -> Any:
+    """A whole number of any kind, such as 1e6, as an int; anything else as it is."""
+    if isinstance(value, float | np.number) and float(value).is_integer():
+        return int(value)
+    return value
 
 
 def _depth(least: float) -> dict[str, Rule]:
@@ -129,7 +140,8 @@ class Knobs:
 
     def __post_init__(self) -> None:
         for knob in fields(self):
-            value = getattr(self, knob.name)
+            value = knob.metadata["rule"].made_of(getattr(self, knob.name))
+            object.__setattr__(self, knob.name, value)
             if wrong := knob.metadata["rule"].check(value):
                 raise InputError(f"{knob.name}: {value!r:.60} {wrong}")
 

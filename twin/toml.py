@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetJsonSchemaHandler,
@@ -32,7 +33,15 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Finite, Field(gt=0)]
 NonNegative = Annotated[Finite, Field(ge=0)]
 Fraction = Annotated[Finite, Field(gt=0, le=1)]
-Count = Annotated[int, Field(strict=True, ge=1, le=2**20)]
+
+
+def _integral(value: Any) -> Any:
+    """A whole number that is written with a point or an exponent, such as 1e6, as an int."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+Whole = Annotated[int, BeforeValidator(_integral), Field(strict=True)]
+Count = Annotated[Whole, Field(ge=1, le=2**20)]
 #: Something is said.
 Words = Annotated[str, Field(pattern=r"\S")]
 Name = Annotated[str, Field(pattern=r"^[\w .,+()-]{1,80}$")]
@@ -273,8 +282,11 @@ def no_such_field(name: str, known: Iterable[str]) -> str:
 
 
 def describe(error: ValidationError) -> str:
-    """All faults of a validation on one line, each with its field and value."""
-    return "; ".join(_fault(fault) for fault in error.errors())
+    """All faults of a validation on one line, each with its field and value; what is wrong before
+    what is missing.
+    """
+    faults = sorted(error.errors(), key=lambda fault: fault["type"] == "missing")
+    return "; ".join(_fault(fault) for fault in faults)
 
 
 def _fault(fault: Any) -> str:

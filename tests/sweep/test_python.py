@@ -151,3 +151,23 @@ def test_objects_are_where_they_belong(tmp_path: Path) -> None:
     path.write_text('metrics = ["snr_median"]\nobjects = {}\n')
     with pytest.raises(InputError, match=r"study\.toml: objects: is no field"):
         load_study(path)
+
+
+def test_what_no_study_can_be_is_the_projects_error() -> None:
+    with pytest.raises(InputError, match="metrics: 'nope' is unknown"):
+        Study(name="s", metrics=["nope"])
+    with pytest.raises(InputError, match="name: missing; metrics: missing"):
+        Study()
+    assert Study(name="s", metrics=["psnr_db"], seed=1e6).seed == 10**6
+
+
+def test_a_closed_study_may_vary_nothing(tmp_path: Path) -> None:
+    """One point, which is that of a study that sets what is the default."""
+    fields = {"model": "closed-form", "metrics": ["snr"]}
+    one, same = (
+        run_sweep(Study(name="s", **fields, **more), out=tmp_path / name, workers=0)
+        for name, more in (("one", {}), ("same", {"set": {"link.distance_m": 5.0}}))
+    )
+    values = [open_sweep(done.out).snr.values.ravel().tolist() for done in (one, same)]
+    assert values[0] == values[1]
+    assert len(values[0]) == 1

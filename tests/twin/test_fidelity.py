@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twin.camera import capture
+from twin.errors import InputError
 from twin.fidelity import PRESETS, Fidelity, LightFidelity, RadarFidelity, preset
 from twin.optics.paths import TracingQuality
 from twin.radar import load_radar, radar_capture
@@ -133,3 +134,12 @@ def test_free_space_targets_are_the_traced_direct_paths() -> None:
         assert path.delay_rate == pytest.approx(other.delay_rate, rel=1e-6, abs=1e-15)
         assert 20 * np.log10(abs(path.amplitude / other.amplitude)) == pytest.approx(0, abs=0.01)
     assert len(direct) >= 3
+
+
+def test_whole_numbers_may_have_an_exponent() -> None:
+    made = Fidelity(radar_edges=1e6, samples=np.int64(16))
+    assert (made.radar_edges, made.samples) == (10**6, 16)
+    assert type(made.radar_edges) is type(made.samples) is int
+    for value in (2.5, float("nan"), float("inf"), True, "7"):
+        with pytest.raises(InputError, match=r"radar_bounces: .* is no int"):
+            Fidelity(radar_bounces=value)

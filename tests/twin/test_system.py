@@ -191,3 +191,18 @@ def test_schemas_know_every_section() -> None:
     text = json.dumps(System.model_json_schema())
     for word in ("radiant_intensity_w_per_sr", "sequency", "matched", "sun_elevation_deg"):
         assert word in text
+
+
+def test_whole_numbers_may_have_an_exponent() -> None:
+    system = load_system("workable").with_({"acquisition.n_patterns": 1e3})
+    assert system.acquisition.n_patterns.value == 1000
+    assert type(system.acquisition.n_patterns.value) is int
+    with pytest.raises(InputError, match=r"acquisition\.n_patterns\.value = 1\.5"):
+        system.with_({"acquisition.n_patterns": 1.5})
+
+
+def test_what_is_wrong_is_told_before_what_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "x"\n[emitter]\nrows = 7\n[optics]\nf_number = -1\n')
+    with pytest.raises(InputError, match=r"mine\.toml: optics\.f_number\.value = -1: .*missing"):
+        load_system(path)

@@ -65,6 +65,7 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> dict[str, Arr
     Without ``link.distance_m`` it is 5 m, without ``link.reflectance`` 0.5.
     Raises InputError naming the parameter of a combination that can't be.
     """
+    columns = columns or {"system": np.array([study.system])}  # nothing is set or varied
     n = len(next(iter(columns.values())))
     _check(columns)
     values = {name: np.empty(n) for name in (*Link.__dataclass_fields__, "time", "read")}

@@ -96,6 +96,8 @@ def _detection(values: Values, inputs: Inputs) -> OwnDetection | Detect | None:
 
 
 def _seed(value: Value) -> int:
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
     if not isinstance(value, int) or value < 0:
         raise InputError(f"seed = {value!r}: expected a whole number from 0")
     return value

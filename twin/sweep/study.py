@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from twin.sweep.names import check_metrics
 from twin.sweep.objects import named
 from twin.sweep.parameters import check_value, is_optical
 from twin.sweep.relevance import check_effects
-from twin.toml import Finite, Name, Strict, describe, read_toml
+from twin.toml import Finite, Name, Strict, Whole, describe, read_toml
 
 Value = bool | int | float | str
 
@@ -38,8 +38,8 @@ class Sample(Strict):
     """
 
     method: Literal["latin-hypercube", "sobol", "saltelli"]
-    n: Annotated[int, Field(strict=True, ge=1, le=10**7)]
-    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    n: Annotated[Whole, Field(ge=1, le=10**7)]
+    seed: Annotated[Whole, Field(ge=0)] = 0
     ranges: Annotated[dict[str, Range], Field(min_length=1)]
 
 
@@ -64,6 +64,8 @@ class Study(Strict):
     >>> study = Study(name="lens", metrics=[brightest], grid={"system": ["workable", fast]})
     >>> study.n_points, study.point(1)
     (2, {'system': 'workable (changed)'})
+
+    Raises InputError for what can't be.
     """
 
     name: Name
@@ -71,7 +73,7 @@ class Study(Strict):
     scene: str = "yard"
     system: str = "workable"
     radar: str = "hybrid-79"
-    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    seed: Annotated[Whole, Field(ge=0)] = 0
     metrics: Annotated[tuple[str, ...], Field(min_length=1)]
     set: dict[str, Value] = {}
     grid: dict[str, Annotated[list[Value], Field(min_length=1)]] = {}
@@ -79,6 +81,14 @@ class Study(Strict):
     sample: Sample | None = None
     folder: Path = Path()
     objects: Annotated[dict[str, Any], Field(exclude=True, repr=False)] = {}
+
+    if not TYPE_CHECKING:
+
+        def __init__(self, **fields: Any) -> None:
+            try:
+                super().__init__(**fields)
+            except ValidationError as error:
+                raise InputError(describe(error)) from error
 
     @model_validator(mode="before")
     @classmethod
@@ -159,7 +169,7 @@ class Study(Strict):
         found: dict[str, NDArray[Any]] = {
             name: np.full(n, check_value(name, value)) for name, value in self.set.items()
         }
-        places = np.unravel_index(np.arange(start, stop), self.shape)
+        places = np.unravel_index(np.arange(start, stop), self.shape) if self.shape else ()
         for axis, place in zip(self.axes, places, strict=True):
             found |= {name: column[place] for name, column in axis.columns.items()}
         return found
