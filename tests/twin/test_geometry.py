@@ -141,6 +141,10 @@ def test_corners_at_one_place_are_one() -> None:
     assert len(soup.edges.first) == 18
     shared = cube()
     assert shared.welded_faces is shared.faces
+    for made in (soup, shared):  # measured, or asked for alone
+        again = Geometry(made.vertices_m, made.faces)
+        assert made.shape
+        np.testing.assert_array_equal(made.welded_faces, again.welded_faces)
 
 
 def test_an_edge_of_three_faces_has_no_pair() -> None:
@@ -177,6 +181,8 @@ def test_empty() -> None:
     assert none.areas_m2.sum() == 0
     assert not are_too_large(none.vertices_m, none.faces).any()
     assert Geometry.joined([]).faces.shape == (0, 3)
+    with pytest.raises(InputError, match="has no faces"):
+        shapes_of([cube(), none])
     pickle.loads(pickle.dumps(none))
 
 

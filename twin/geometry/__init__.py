@@ -1,6 +1,6 @@
 """Triangle meshes: what they are by themselves, wherever they stand and whatever they are for."""
 
-from twin.geometry.edges import EdgeTable
+from twin.geometry.edges import EdgeTable, connected, doubles, edge_table
 from twin.geometry.faces import planes
 from twin.geometry.geometry import Geometry
 from twin.geometry.shape import Shape, shapes_of
@@ -11,7 +11,10 @@ __all__ = [
     "Geometry",
     "Shape",
     "are_too_large",
+    "connected",
     "divided",
+    "doubles",
+    "edge_table",
     "mitsuba_mesh",
     "planes",
     "shapes_of",

@@ -84,6 +84,18 @@ def edge_table(faces: NDArray[np.integer]) -> EdgeTable:
     return EdgeTable(faces.astype(np.int32, copy=False), order.astype(np.int32), first, count)
 
 
+def connected(pairs: NDArray[np.integer], count: int) -> NDArray[np.int32]:
+    """Number of the part that each of ``count`` faces belongs to, by pairs that hang together."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(pairs):
+        return np.arange(count, dtype=np.int32)
+    links = csr_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), (count, count))
+    labels: NDArray[np.int32] = connected_components(links, directed=False)[1]
+    return labels
+
+
 def welded(points: Array, faces: Faces, first_vertex: Indices) -> Faces:
     """Faces of one or more meshes with one vertex for all at the same place.
 

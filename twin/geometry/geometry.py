@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import InputError
-from twin.geometry.edges import EdgeTable, edge_table
+from twin.geometry.edges import EdgeTable, edge_table, welded
 from twin.geometry.faces import areas, normals
 from twin.geometry.shape import Shape, shapes_of
 
@@ -134,10 +134,11 @@ class Geometry:
         """Flat patches, planes, hull, sense of the normals and more; see `Shape`."""
         return shapes_of([self])[0]
 
-    @property
+    @cached_property
     def welded_faces(self) -> Faces:
         """Faces (m, 3) with one vertex for all that stand at the same place."""
-        return self.faces if self.shape.welded_faces is None else self.shape.welded_faces
+        middle = self.used_m.mean(axis=0)
+        return welded(self.vertices_m - middle, self.faces, np.array([0, len(self.vertices_m)]))
 
     @cached_property
     def edges(self) -> EdgeTable:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.geometry.coarseness import depths_m
-from twin.geometry.edges import EdgeTable, doubles, edge_table, welded
+from twin.geometry.edges import EdgeTable, connected, doubles, edge_table, welded
 from twin.geometry.faces import areas, dots, lengths, normals
 
 if TYPE_CHECKING:
@@ -41,8 +42,7 @@ class Shape:
     the normal of a face, by the sense of its corners, looks out of a closed part of the mesh or
     into it; 0 where that part is open. ``is_double`` (m,): faces that another one lies upon.
     ``depth_m``: by which the facets' depth below the smooth surface that they stand for scatters
-    (`coarseness`), 0 where they stand for none. ``welded_faces`` (m, 3): with one vertex for all at
-    one place; None where no two vertices are at one.
+    (`coarseness`), 0 where they stand for none.
     """
 
     patch_of_face: NDArray[np.int32]
@@ -58,7 +58,6 @@ class Shape:
     is_double: Flags
     is_convex: bool
     depth_m: float
-    welded_faces: Faces | None
 
     @property
     def largest_patch_m2(self) -> float:
@@ -74,8 +73,11 @@ class Shape:
 def shapes_of(geometries: "Sequence[Geometry]") -> list[Shape]:
     """Shapes of many meshes; those not asked for before are measured together, each once."""
     for some in _portions([g for g in dict.fromkeys(geometries) if "shape" not in vars(g)]):
-        for geometry, shape in zip(some, _measured(some), strict=True):
-            vars(geometry)["shape"] = shape  # what `Geometry.shape` answers from now on
+        if any(not len(geometry.faces) for geometry in some):
+            raise InputError("mesh: has no faces")
+        for geometry, (shape, welded_faces) in zip(some, _measured(some), strict=True):
+            # What the properties of these names answer from now on.
+            vars(geometry).update(shape=shape, welded_faces=welded_faces)
     return [vars(geometry)["shape"] for geometry in geometries]
 
 
@@ -131,8 +133,10 @@ def _together(geometries: "Sequence[Geometry]") -> tuple[_Meshes, list[Indices]]
     return _Meshes(points, faces, first_vertex, first_face), used
 
 
-def _measured(geometries: "Sequence[Geometry]") -> list[Shape]:
-    """All of them in one go: numpy's calls cost more than a small mesh's arithmetic."""
+def _measured(geometries: "Sequence[Geometry]") -> list[tuple[Shape, Faces]]:
+    """Shape and welded faces of each, all in one go: numpy's calls cost more than a small mesh's
+    arithmetic.
+    """
     meshes, used = _together(geometries)
     points, faces, mesh_of_face = meshes.points, meshes.faces, meshes.mesh_of_face
     normal, area = normals(points, faces), areas(points, faces)
@@ -171,24 +175,22 @@ def _measured(geometries: "Sequence[Geometry]") -> list[Shape]:
         # A surface without a border that is convex at every edge is so all over (Tietze, Nakajima).
         closed = is_whole[n] and 2 * borders[n] == 3 * len(geometry.faces)
         one = joined[rows] - np.int32(meshes.first_vertex[n])
-        found.append(
-            Shape(
-                patch_of_face=patch[rows].astype(np.int32),
-                patch_area_m2=areas_m2.copy(),
-                plane_of_face=plane_of_patch[patch[rows]],
-                plane_area_m2=plane_areas,
-                area_m2=float(areas_m2.sum()),
-                hull=hull,
-                size_m=_size(geometry.vertices_m[hull]),
-                bend_radius_m=float(np.sqrt(areas_m2[0]) / bend[n]) if bend[n] else float("inf"),
-                outward=outward[rows].copy(),
-                is_double=is_double[rows].copy(),
-                is_convex=bool(closed and not is_hollow[n]),
-                depth_m=float(depth[n]),
-                welded_faces=None if np.array_equal(one, geometry.faces) else one,
-                thickness_m=_thickness(at, along, areas_m2),
-            )
+        shape = Shape(
+            patch_of_face=patch[rows].astype(np.int32),
+            patch_area_m2=areas_m2.copy(),
+            plane_of_face=plane_of_patch[patch[rows]],
+            plane_area_m2=plane_areas,
+            area_m2=float(areas_m2.sum()),
+            hull=hull,
+            size_m=_size(geometry.vertices_m[hull]),
+            bend_radius_m=float(np.sqrt(areas_m2[0]) / bend[n]) if bend[n] else float("inf"),
+            outward=outward[rows].copy(),
+            is_double=is_double[rows].copy(),
+            is_convex=bool(closed and not is_hollow[n]),
+            depth_m=float(depth[n]),
+            thickness_m=_thickness(at, along, areas_m2),
         )
+        found.append((shape, geometry.faces if np.array_equal(one, geometry.faces) else one))
     return found
 
 
@@ -214,7 +216,7 @@ def _sides(
         table = edge_table(joined[once])
     outward = np.zeros(len(joined), dtype=np.int8)
     label = np.zeros(len(joined), dtype=np.int32)
-    label[once] = _connected(table.neighbours, len(once))
+    label[once] = connected(table.neighbours, len(once))
     outward[once] = _outward(meshes, table, label[once], once, area)
     is_whole = np.array(
         [
@@ -282,7 +284,7 @@ def _patches(flat: Faces, area: Array, mesh_of_face: Indices) -> tuple[Indices, 
     """Patch of every face by its rank in its mesh, areas of all patches mesh by mesh, the largest
     first, and where each mesh's begin; ``flat`` are pairs of faces that go on in one plane.
     """
-    label = _connected(flat, len(area))
+    label = connected(flat, len(area))
     total = np.bincount(label, weights=area).astype(np.float64)
     mesh = np.zeros(len(total), dtype=np.int64)
     mesh[label] = mesh_of_face
@@ -292,17 +294,6 @@ def _patches(flat: Faces, area: Array, mesh_of_face: Indices) -> tuple[Indices, 
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order)) - first[mesh[order]]
     return rank[label], total[order], first
-
-
-def _connected(pairs: Faces, count: int) -> NDArray[np.int32]:
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    if not len(pairs):
-        return np.arange(count, dtype=np.int32)
-    links = csr_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), (count, count))
-    labels: NDArray[np.int32] = connected_components(links, directed=False)[1]
-    return labels
 
 
 def _planes(at: Array, along: Array, area: Array) -> tuple[Indices, Array]:

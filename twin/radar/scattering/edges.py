@@ -4,15 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from twin.geometry import Geometry, connected, doubles, edge_table
 from twin.radar.scattering.target import Target
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_WELDED = 1e-7  # of the mesh's size: corners closer than this are one
+_ALIKE = 1e-7  # of the mesh's size: coordinates that differ by less count as the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +78,13 @@ def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
 
     Orientation of the faces doesn't matter; faces that lie twice at the same place count once.
     """
-    corners, faces, normals, kept = _welded(target)
-    ends, pairs, non_manifold = _adjacency(faces)
+    corners, faces, kept = _corners(target.geometry)
+    normals = target.geometry.normals[kept]
+    table = edge_table(faces)
+    regular = table.count <= 2
+    first, count = table.first[regular], table.count[regular]
+    ends = table.ends[regular]
+    pairs = (table.half_edges[np.stack([first, first + count - 1], axis=1)] // 3).astype(np.int64)
     is_open = pairs[:, 0] == pairs[:, 1]
     along = corners[ends[:, 1]] - corners[ends[:, 0]]
     length = np.linalg.norm(along, axis=1)
@@ -90,7 +94,7 @@ def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
     inside = np.arccos(cosine)  # 0 for an open edge
     turn = np.pi - inside
     sharp = turn > np.radians(sharp_angle_deg)
-    patch = _connected(pairs[~sharp], len(faces))
+    patch = connected(pairs[~sharp], len(faces)).astype(np.int64)
     bend = (height.mean(axis=1) * turn / 8)[~sharp]
     ends, along, inwards = ends[sharp], along[sharp], inwards[sharp]
     return Edges(
@@ -103,44 +107,26 @@ def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
         patch=patch[pairs[sharp]],
         face=kept[pairs[sharp, 0]],
         patches=_patches(corners, faces, normals, patch, patch[pairs[sharp]], ends),
-        non_manifold=non_manifold,
+        non_manifold=int(np.count_nonzero(~regular)),
         sagitta_m=float(bend.max()) if len(bend) else 0.0,
     )
 
 
-def _welded(target: Target) -> tuple[Array, Indices, Array, Indices]:
-    """Corners, faces and normals with equal corners made one, each face once, and its number."""
-    _, radius = target.geometry.sphere
-    cells = np.round(target.geometry.vertices_m / (_WELDED * radius)).astype(np.int64)
-    # One number per cell: unique rows of three would sort ten times as long.
-    low = cells.min(axis=0)
-    span = [int(n) + 1 for n in np.ptp(cells, axis=0)]
-    if span[0] * span[1] * span[2] < 2**62:
-        keys = ((cells[:, 0] - low[0]) * span[1] + cells[:, 1] - low[1]) * span[2]
-        _, first, index = np.unique(
-            keys + cells[:, 2] - low[2], return_index=True, return_inverse=True
-        )
-    else:
-        _, first, index = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    faces = index.reshape(-1)[target.geometry.faces].astype(np.int64)
-    corners = np.sort(faces, axis=1)
-    solid = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
-    _, kept = np.unique(corners[solid], axis=0, return_index=True)
-    kept = np.flatnonzero(solid)[np.sort(kept)]
-    return target.geometry.vertices_m[first], faces[kept], target.geometry.normals[kept], kept
+def _corners(geometry: Geometry) -> tuple[Array, Indices, Indices]:
+    """Corners (n, 3), faces (m, 3), each once, and which of the mesh's these are, (m,).
 
-
-def _adjacency(faces: Indices) -> tuple[Indices, Indices, int]:
-    """Ends of every edge (n, 2), its two faces (n, 2; twice the same where it is open), and how
-    many edges were left out because more than two faces meet there.
+    Corners are numbered by their place, so that the order of the mesh's vertices does not matter.
     """
-    ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    keys = ends[:, 0] * (int(faces.max()) + 1) + ends[:, 1]
-    order = np.argsort(keys, kind="stable")
-    _, start, count = np.unique(keys[order], return_index=True, return_counts=True)
-    start, count, non_manifold = start[count <= 2], count[count <= 2], int(np.sum(count > 2))
-    first, second = order[start], order[start + count - 1]
-    return ends[first], np.stack([first, second], axis=1) // 3, non_manifold
+    faces = geometry.welded_faces
+    a, b, c = faces.T
+    kept = np.flatnonzero((a != b) & (b != c) & (c != a) & ~doubles(faces))
+    used, index = np.unique(faces[kept], return_inverse=True)
+    corners = geometry.vertices_m[used]
+    cells = np.round(corners / (_ALIKE * geometry.sphere[1]))
+    order = np.lexsort(cells.T[::-1])
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    return corners[order], number[index].reshape(-1, 3), kept
 
 
 def _into(
@@ -162,13 +148,6 @@ def _upwards(inwards: Array, along: Array, is_open: NDArray[np.bool_]) -> Array:
     up = lean * inwards - inwards[:, ::-1]
     size = np.linalg.norm(up, axis=2, keepdims=True)
     return np.where(is_open[:, None, None], open_up, up / np.maximum(size, 1e-300))
-
-
-def _connected(pairs: Indices, count: int) -> Indices:
-    """Number of the surface that each of ``count`` faces belongs to."""
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    labels: Indices = connected_components(links, directed=False)[1]
-    return labels
 
 
 def _patches(

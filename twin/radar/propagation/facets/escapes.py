@@ -7,7 +7,6 @@ tell little that the neighbours' own do not.
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.geometry import shapes_of
 from twin.radar.propagation.facets.facing import Facing, portions
 from twin.radar.propagation.facets.meetings import met_by
 from twin.radar.propagation.facets.parts import parted
@@ -49,8 +48,6 @@ def _corners(s: TracingContext) -> tuple[Indices, int]:
     world = s.world
     found = world.faces.astype(np.int64)
     items = [item for item in world.items if item is not None]
-    shapes = shapes_of([item.geometry for item in items])
-    for shape, rows, own in zip(shapes, world.face_ranges, world.vertex_ranges, strict=True):
-        if shape.welded_faces is not None:
-            found[rows] = shape.welded_faces + own.start
+    for item, rows, own in zip(items, world.face_ranges, world.vertex_ranges, strict=True):
+        found[rows] = item.geometry.welded_faces + own.start
     return found, len(world.vertices)
