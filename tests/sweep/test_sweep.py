@@ -149,18 +149,19 @@ def test_a_failed_point_is_a_row_with_its_error(study, a_worker: str, tmp_path: 
     assert str(data["error"].values[0]) == ""
 
 
-def test_a_users_own_metric_is_found_beside_the_study(study, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["mine:brightest", "mine.py:brightest"])
+def test_a_users_own_metric_is_found_beside_the_study(study, tmp_path: Path, name: str) -> None:
     (tmp_path / "mine.py").write_text(
         "def brightest(outcome):\n"
         '    """Electrons of the brightest cell."""\n'
         "    return outcome.capture.cells_e.max()\n"
         'brightest.unit = "e"\n'
     )
-    head = SMALL.replace('"psnr_db"', '"mine:brightest"')
+    head = SMALL.replace('"psnr_db"', f'"{name}"')
     plan = load_study(study('[grid]\n"scene.rig.x_m" = [0.0]\n', head))
     chunk = evaluate_chunk(plan, 0, 1)
     assert not chunk.errors
-    assert chunk.values["mine:brightest"][0] > 0
+    assert chunk.values[name][0] > 0
 
 
 def test_closed_form_equals_the_budget_point_by_point(study, tmp_path: Path) -> None:

@@ -18,8 +18,7 @@ from twin.digest import digest, file_digest, source_digest
 from twin.files import InputError
 from twin.radar.device.design import load_radar
 from twin.scene import load_scene
-from twin.sweep.methods import method_digest, own_detection, own_method
-from twin.sweep.modules import own_metric
+from twin.sweep.methods import method_digest, own_detection, own_method, own_metric
 from twin.sweep.names import is_own, needs_radar
 from twin.sweep.objects import object_digest
 from twin.sweep.study import Study

@@ -1,20 +1,22 @@
-"""Reconstruction and detection of a study: the vehicle's own, those of installed packages, and a
-user's functions.
+"""Reconstruction, detection and metrics of a study: the vehicle's own, those of installed packages,
+and a user's functions.
 """
 
 import difflib
+import importlib
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from hardware.errors import InputError as VehicleInputError
-from hardware.own_functions import OwnFunctionError
+from hardware.own_functions import OwnFunctionError, is_file_function, own_function
 from hardware.radar.own_detection import OwnDetection, detection_of
 from hardware.reconstruction import METHODS, Method, method_of
 from hardware.reconstruction.registry import load_plugins
 from twin.files import InputError
+from twin.sweep.names import GROUP
 
 #: Digest of each method's module when this process first asked: that is what it runs.
 _running: dict[str, str] = {}
@@ -36,6 +38,31 @@ def own_detection(name: str, folder: Path) -> tuple[str, OwnDetection]:
     except OwnFunctionError as error:
         raise InputError(f"processing.detection: {error}") from error
     return detection.name, detection
+
+
+def own_metric(name: str, folder: Path) -> tuple[str, Callable[..., float]]:
+    """Digest and function of ``file.py:function``, of an installed name, or of ``MODULE:FUNCTION``,
+    of a module beside the study or an installed one. Raises InputError for one that can't be found.
+    """
+    module, colon, function = name.rpartition(":")
+    given: str | Callable[..., float] = name
+    if colon and not is_file_function(name):
+        given = f"{module}.py:{function}"
+        if not (folder / f"{module}.py").is_file():
+            given = _of_installed(module, function, name)
+    try:
+        own = own_function(given, ("outcome",), group=GROUP, folder=folder)
+    except OwnFunctionError as error:
+        raise InputError(f"metrics: {error}") from error
+    return own.digest, own.function
+
+
+def _of_installed(module: str, function: str, name: str) -> Callable[..., float]:
+    try:
+        found: Callable[..., float] = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"metrics: {name!r}: {error}, expected file.py:function") from error
+    return found
 
 
 def check_functions(methods: Iterable[Any], detections: Iterable[Any], folder: Path) -> None:

@@ -143,8 +143,8 @@ _MEASURES: dict[str, Callable[[Outcome], float]] = {
 
 
 def metric(name: str, inputs: Inputs) -> Callable[[Outcome], float]:
-    """A metric by name, or a user's own function, ``MODULE:FUNCTION`` of an `Outcome`, from a
-    module that lies beside the study or can be imported.
+    """A metric by name, or a user's own function of an `Outcome`: ``file.py:function``, a name of
+    the entry-point group ``twin.metric``, or an object in a study in Python.
 
     Raises InputError for one that can't be found.
     """

@@ -46,9 +46,20 @@ CLOSED_FORM = {
 }
 
 
+#: Entry points by which installed packages offer metrics.
+GROUP = "twin.metric"
+
+
 def is_own(metric: str) -> bool:
-    """Whether a metric is a user's own function, ``MODULE:FUNCTION``."""
-    return ":" in metric
+    """Whether a metric is a user's own function: none of the bundled ones."""
+    return metric not in RENDERED and metric not in CLOSED_FORM
+
+
+def _may_be_found(metric: str) -> bool:
+    """Whether a user's own metric says where it is, or an installed package offers it."""
+    from importlib.metadata import entry_points
+
+    return ":" in metric or metric in entry_points(group=GROUP).names
 
 
 def needs_radar(metrics: Iterable[str]) -> bool:
@@ -65,7 +76,7 @@ def check_metrics(metrics: tuple[str, ...], model: str) -> None:
     """Raise InputError, with the nearest name, for a metric that a model does not have."""
     known = RENDERED if model == "rendered" else CLOSED_FORM
     for name in metrics:
-        if name in known or (is_own(name) and model == "rendered"):
+        if name in known or (is_own(name) and model == "rendered" and _may_be_found(name)):
             continue
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(known)}"
