@@ -104,8 +104,9 @@ def locked(out: Path, work: str) -> Iterator[None]:
     """A folder in which no other process does the same ``work`` meanwhile.
 
     The lock is on a file beside the folder, which need not exist yet, and ends with the process
-    that holds it, however that ends. Raises InputError, which says who holds it, where another
-    does, and where ``out`` can't be written. What a file system can't lock is used with a warning.
+    that holds it, however that ends. Raises InputError, which says who holds it (the package
+    `filelock` does not know), where another does, and where ``out`` can't be written. What a file
+    system can't lock is used with a warning.
     """
     out = Path(out).resolve()
     path = out.parent / f".{out.name}.lock"

@@ -1,4 +1,7 @@
-"""Rendered truth on disk, named by all it depends on, made once however many ask."""
+"""Rendered truth on disk, named by all it depends on, made once however many ask.
+
+Neither joblib's memory nor diskcache has a second process wait for the first that makes a result.
+"""
 
 import fcntl
 import os

@@ -1,7 +1,8 @@
 """A prefetcher: the items that will be asked for next are computed in other processes.
 
 In processes, not threads: whoever serves a device in real time answers within a millisecond, which
-an interpreter shared with the simulation does not do.
+an interpreter shared with the simulation does not do. Not in those of `concurrent.futures`: they
+keep a process that ends until their items are made, and outlive one that is killed.
 """
 
 import multiprocessing

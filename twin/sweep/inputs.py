@@ -4,12 +4,13 @@ A study names its inputs; what it computes from them is held by the digest of th
 result is of one content only, in a folder that is resumed, and in a worker that lives long.
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
+
+from cachetools import LRUCache
 
 import hardware
 import twin
@@ -36,8 +37,7 @@ class Held:
     """The last few results by key, and how many were made."""
 
     def __init__(self, most: int) -> None:
-        self._most = most
-        self._items: OrderedDict[Any, Any] = OrderedDict()
+        self._items: LRUCache[Any, Any] = LRUCache(most)
         self.made = 0
 
     def get(self, key: Any, make: Callable[[], T]) -> T:
@@ -45,15 +45,11 @@ class Held:
         if key not in self._items:
             self._items[key] = make()
             self.made += 1
-            if len(self._items) > self._most:
-                self._items.popitem(last=False)
-        self._items.move_to_end(key)
         found: T = self._items[key]
         return found
 
 
-_loaded: OrderedDict[tuple[str, str, Path], tuple[str, Any]] = OrderedDict()
-_MOST_LOADED = 64
+_loaded: LRUCache[tuple[str, str, Path], tuple[str, Any]] = LRUCache(64)
 
 
 @dataclass(frozen=True)
@@ -185,9 +181,6 @@ def _load(kind: str, name: str, folder: Path) -> tuple[str, Any]:
         content = error if isinstance(error, InputError) else InputError(str(error))
         found = _digest(content)
     _loaded[kind, name, folder] = found, content
-    _loaded.move_to_end((kind, name, folder))
-    if len(_loaded) > _MOST_LOADED:
-        _loaded.popitem(last=False)
     return found, content
 
 

@@ -22,17 +22,17 @@ import hashlib
 import io
 import os
 import zipfile
-from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import astuple, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from hardware.files import whole_file
+from twin.digest import source_digest
 from twin.errors import InputError
 from twin.geometry import Geometry
 from twin.radar.cross_section.bistatic import scattering_dyadics
@@ -48,9 +48,9 @@ QUALITY = Quality(tolerance=0.02, max_rays=200_000)
 
 _MOST_NODES = 3_000_000_000  # beyond, pairs of them have no number of 64 bits
 _MOST_PAIRS = 2**19  # 150 MB; then a table starts anew
-_KEPT = 64  # tables
+_RADAR = Path(__file__).parents[1]
 _SHIFT = 1 / 16  # of c / D: the second frequency, at which no part turns by more than 23 deg
-_tables: "OrderedDict[str, Table]" = OrderedDict()
+_tables: "LRUCache[str, Table]" = LRUCache(64)
 
 
 def table_of(target: Target, carrier_hz: float, nodes: int, quality: Quality = QUALITY) -> "Table":
@@ -65,9 +65,6 @@ def table_of(target: Target, carrier_hz: float, nodes: int, quality: Quality = Q
         folder = os.environ.get("TWIN_TABLES")
         file = Path(folder) / f"{key}.npz" if folder else None
         held = _tables[key] = Table(target, carrier_hz, nodes, quality, file)
-        if len(_tables) > _KEPT:
-            _tables.popitem(last=False)
-    _tables.move_to_end(key)
     return held
 
 
@@ -214,17 +211,10 @@ def _key(target: Target, carrier_hz: float, nodes: int, quality: Quality) -> str
     found = hashlib.sha256(shape.tobytes() + np.asarray(target.geometry.faces, np.int64).tobytes())
     if target.surface_of_face is not None:
         found.update(np.asarray(target.surface_of_face, np.int64).tobytes())
-    found.update(repr((target.surfaces, carrier_hz, nodes, astuple(quality), _source())).encode())
-    return found.hexdigest()
-
-
-@lru_cache(maxsize=1)
-def _source() -> str:
-    found = hashlib.sha256()
-    radar = Path(__file__).parents[1]
-    for room in ("cross_section", "propagation", "scattering"):
-        for path in sorted((radar / room).glob("*.py")):
-            found.update(path.read_bytes())
+    code = source_digest(
+        *(_RADAR / room for room in ("cross_section", "propagation", "scattering"))
+    )
+    found.update(repr((target.surfaces, carrier_hz, nodes, astuple(quality), code)).encode())
     return found.hexdigest()
 
 
