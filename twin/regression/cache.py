@@ -1,6 +1,7 @@
 """Rendered truth on disk, named by all it depends on, made once however many ask.
 
-Neither joblib's memory nor diskcache has a second process wait for the first that makes a result.
+By hand: in joblib's memory a second process does not wait for the first that makes a result, and
+locks of diskcache outlive a process that is killed.
 """
 
 import fcntl
