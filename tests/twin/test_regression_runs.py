@@ -8,14 +8,21 @@ import numpy as np
 import pytest
 from yard_32x32 import RADAR, SYSTEM
 
-from hardware import reconstruct
+from hardware import METHODS, reconstruct
 from twin.camera.acquisition import measure
 from twin.fidelity import PRESETS
 from twin.files import InputError
 from twin.radar import load_radar
 from twin.regression.checker import Regression
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
-from twin.regression.runs import records, run_camera, run_radar, vehicle_detector
+from twin.regression.runs import (
+    image_method,
+    radar_detector,
+    records,
+    run_camera,
+    run_radar,
+    vehicle_detector,
+)
 from twin.regression.statistics import compare
 from twin.scene import Pose, load_scene
 from twin.system import load_system
@@ -129,11 +136,34 @@ def test_records_are_those_of_measure(yard) -> None:
 
 def test_a_name_and_a_function_are_the_same_method(yard) -> None:
     scene, system, light = yard
+    methods = (
+        "lmmse",
+        lambda record: reconstruct(record, "lmmse"),
+        lambda values, noise_variance, sensing: METHODS["lmmse"](values, noise_variance, sensing)[
+            0
+        ],
+    )
     runs = [
         run_camera(scene, system, light, method, range(3), CAMERA_METRICS).figures
-        for method in ("lmmse", lambda record: reconstruct(record, "lmmse"))
+        for method in methods
     ]
-    np.testing.assert_array_equal(runs[0]["psnr_db"], runs[1]["psnr_db"])
+    for other in runs[1:]:
+        np.testing.assert_array_equal(runs[0]["psnr_db"], other["psnr_db"])
+
+
+def test_methods_and_detectors_may_stand_in_files(tmp_path: Path) -> None:
+    """As everywhere else: what is not there is told, and what is takes the same arguments."""
+    (tmp_path / "mine.py").write_text(
+        "def inverse(values, noise_variance, sensing):\n    return values\n"
+        "def nothing(channel, waveform, image):\n    return []\n"
+    )
+    assert image_method(f"{tmp_path / 'mine.py'}:inverse")
+    assert radar_detector(f"{tmp_path / 'mine.py'}:nothing")
+    for take, name in ((image_method, "absent"), (radar_detector, "inverse_")):
+        with pytest.raises(InputError, match=f"has no function '{name}'"):
+            take(f"{tmp_path / 'mine.py'}:{name}")
+    with pytest.raises(InputError, match=r"expected a function of \(values, noise_var"):
+        image_method(lambda one, two: one)
 
 
 def test_a_metric_of_ones_own(twin_truth, tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from twin.regression.runs import (
     Outcome,
     image_method,
     in_turn,
+    radar_detector,
     repeated,
     run_camera,
     run_radar,
@@ -85,8 +86,10 @@ class Regression:
         scene, system
             As for `twin.run`, or loaded already.
         method
-            Name in `hardware.reconstruction.METHODS`, or a function from a record to an image
-            (rows, columns) in electrons, detectors side by side, or to a `Reconstruction`.
+            What `hardware.reconstruct` takes (a name in `hardware.reconstruction.METHODS`, a
+            function of (values, noise_variance, sensing), ``file.py:function``), or a function from
+            a record to an image (rows, columns) in electrons, detectors side by side, or to a
+            `Reconstruction`.
         seeds
             Of the sensor's noise: 0 to ``seeds - 1``. More find smaller losses.
         poses
@@ -141,10 +144,13 @@ class Regression:
     ) -> tuple[Verdict, ...]:
         """Compare a detector with its baseline; the test fails when it became worse.
 
-        ``detector`` is a function from a `RadarRecord` to detections; all else as for `camera`.
+        ``detector`` is a function from a `RadarRecord` to detections, or what `hardware.Processing`
+        takes: a function of (channel, waveform, image), ``file.py:function``, an installed name.
+        All else is as for `camera`.
         """
         __tracebackhide__ = True
         views, design = _views(scene, poses), load_radar(radar)
+        radar_detector(detector)  # a wrong one is told before the scene is traced
         numbers, fidelity = _seeds(seeds, len(views)), fidelity or Fidelity()
         captures = [self.truths.echo(view, design, fidelity) for view in views]
         accuracy = fidelity.nufft_tolerance
@@ -153,7 +159,8 @@ class Regression:
             return run_radar(captures[view], design, detector, numbers, metrics, accuracy)
 
         setup = _setup("radar", views[0], poses, design, fidelity, seeds, metrics)
-        what, outcomes = _function_name(detector), partial(in_turn, run, len(views))
+        what = detector if isinstance(detector, str) else _function_name(detector)
+        outcomes = partial(in_turn, run, len(views))
         return self._hold(
             outcomes, numbers, metrics, false_alarm, setup, what, echo_example, draw_echoes, name
         )

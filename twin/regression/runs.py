@@ -1,6 +1,7 @@
 """A method run over seeds of the sensor's noise, on one render."""
 
 import hashlib
+import inspect
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware import SpiRecord, reconstruct
+from hardware.errors import InputError as VehicleInputError
 from hardware.patterns import Patterns
 from hardware.radar import Detection
-from hardware.radar.process import process
-from hardware.reconstruction import METHODS
+from hardware.radar.process import Processing, process
+from hardware.reconstruction import method_of
 from hardware.records import RadarRecord
 from twin.camera.acquisition import measure
 from twin.camera.chain import Chain, Powers
@@ -28,10 +30,10 @@ from twin.scene import Scene
 from twin.system import System
 
 Array = NDArray[np.float64]
-#: Name of a method on the vehicle, or a function from a record to an image (rows, columns).
-Method = str | Callable[[SpiRecord], Any]
-#: From a record to detections.
-Detector = Callable[[RadarRecord], Sequence[Detection]]
+#: What `hardware.reconstruct` takes, or a function from a record to an image (rows, columns).
+Method = str | Callable[..., Any]
+#: From a record to detections, or what `hardware.Processing` takes.
+Detector = str | Callable[..., Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +52,42 @@ class Outcome:
 def image_method(method: Method) -> Callable[[SpiRecord], Any]:
     """A method as a function from a record to an image, detectors side by side, in electrons.
 
-    What a function of one's own gives is not checked here.
+    What a function of a record gives is not checked here.
 
-    Raises InputError for a name that is no method.
+    Raises InputError for what is neither a method of `hardware.reconstruct` nor a function of one
+    record.
     """
-    if isinstance(method, str):
-        if method not in METHODS:
-            raise InputError(f"method: {method!r} is none of {', '.join(METHODS)}")
-        return lambda record: reconstruct(record, method).picture
-    return lambda record: getattr(result := method(record), "picture", result)
+    if not isinstance(method, str) and _takes_a_record(method):
+        return lambda record: getattr(result := method(record), "picture", result)
+    try:
+        solve = method_of(method)
+    except VehicleInputError as error:
+        raise InputError(str(error)) from error
+    return lambda record: reconstruct(record, solve).picture
+
+
+def radar_detector(detector: Detector) -> Callable[[RadarRecord], Sequence[Detection]]:
+    """A detector as a function from a record to detections. Raises InputError as `image_method`."""
+    if not isinstance(detector, str) and _takes_a_record(detector):
+        return detector
+    try:
+        own = Processing(detection=detector)
+    except VehicleInputError as error:
+        raise InputError(str(error)) from error
+    return lambda record: process(record, how=own).detections
+
+
+def _takes_a_record(function: Callable[..., Any]) -> bool:
+    """Whether a function takes one argument, a record, and not the three of a method or of a
+    detection; one that does not say what it takes does.
+    """
+    try:
+        inspect.signature(function).bind("record")
+    except TypeError:
+        return False
+    except ValueError:
+        pass
+    return True
 
 
 def records(
@@ -169,14 +198,14 @@ def run_radar(
     """
     truth = tuple(target for target in capture.truth if target.visible)
     quiet = [received(burst, radar, capture.air, nufft_tolerance) for burst in capture.bursts]
-    found, content = [], hashlib.sha256()
+    found, content, detect = [], hashlib.sha256(), radar_detector(detector)
     for seed in seeds:
         rng = np.random.default_rng(seed)
         taken = [digitize(burst, radar, rng=rng) for burst in quiet]
         iq, flags = (np.stack([burst[i] for burst in taken]) for i in (0, 1))
         record = replace(capture.record, iq=iq, flags=flags)
         content.update(np.ascontiguousarray(iq).tobytes() + flags.tobytes())
-        detections = _detections(detector(record))
+        detections = _detections(detect(record))
         matches = match_detections(detections, truth, radar.channel_waveform)
         found.append(Echo(detections, matches, radar.ofdm.range_cell_m))
     figures = _figures(metrics, [truth] * len(found), found)
