@@ -95,6 +95,29 @@ def reconstruct(
 
     Raises InputError for an unknown method, a mixing that does not fit, patterns whose matrices
     would not fit into memory, or a record in which too much is lost.
+
+    A camera of 1 electron a count before one bright cell, in background:
+
+    >>> from hardware.records.state import AT_ORIGIN
+    >>> patterns, cells = PatternSet(8, 8, 64), np.zeros(64)
+    >>> cells[27] = 1e4
+    >>> light, n = 500 + patterns.signal(cells), patterns.n_exposures
+    >>> record = SpiRecord(
+    ...     counts=np.rint(light)[:, None].astype(np.int32),
+    ...     device_time_ns=np.arange(n),
+    ...     sequence=np.arange(n, dtype=np.uint32),
+    ...     flags=np.zeros(n, np.uint8),
+    ...     patterns=patterns,
+    ...     integration_time_s=1e-4,
+    ...     electrons_per_count=1.0,
+    ...     offset_counts=0.0,
+    ...     adc_bits=16,
+    ...     device="by hand",
+    ...     pose=AT_ORIGIN,
+    ... )
+    >>> found = reconstruct(record, "zero-fill")
+    >>> found.image.shape, int(found.image.argmax()), round(float(found.image.max()))
+    ((1, 8, 8), 27, 10000)
     """
     solve = method_of(method)
     received = with_level(record.received)

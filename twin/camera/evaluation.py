@@ -84,6 +84,20 @@ def evaluate(
     by ``method``, a bundled one or a user's own, see `hardware.reconstruct`.
 
     Raises InputError for a reconstruction on another grid than the capture's.
+
+    >>> from twin.camera.acquisition import capture
+    >>> from twin.fidelity import PRESETS
+    >>> from twin.scene import load_scene
+    >>> from twin.system import load_system
+    >>> system = load_system("workable").with_({"acquisition.n_patterns": 1024})
+    >>> taken = capture(load_scene("table1"), system, seed=1, fidelity=PRESETS["draft"])
+    >>> found = evaluate(system, taken, method=lambda values, noise_variance, sensing: (
+    ...     sensing.adjoint(values) / sensing.n_cells
+    ... ))
+    >>> sorted(image.method.split("-")[0] for image in found.reconstructions)
+    ['lambda', 'lmmse', 'zero']
+    >>> found.verdict.void
+    False
     """
     record = capture.record
     bundled = SHOWN if isinstance(record.patterns, PatternSet) else SHOWN_OF_OWN

@@ -54,6 +54,12 @@ def run_trade(
         appears whole or not at all.
 
     Returns what was found, and the folder. Raises InputError and EngineError as `twin.run` does.
+
+    It takes minutes (`tests/twin/test_trade.py` runs it)::
+
+        scene, system = twin.load_scene("yard"), twin.load_system("workable")
+        found, folder = twin.run_trade(scene, system.with_({"optics.f_number": 0.8}), radar=None)
+        print(found.choices["light"].reason)
     """
     from twin.trade.report import write_trade
 
