@@ -585,3 +585,21 @@ def test_no_such_pace(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
         cli.main()
     assert stopped.value.code == 2
     assert capsys.readouterr().err == "twin: error: pace: 'slow', expected real or fast\n"
+
+
+def test_sweeps_traced_together_depend_on_their_number_alone(scene) -> None:
+    """The first of three is that of a capture bit for bit; the others, which keep a part of it,
+    are the same in whatever order they are asked for, and the next one begins anew.
+    """
+    design, fidelity = small(), Fidelity(radar="optics", radar_tolerance=1.0, radar_images=0)
+    in_order = Sweeps(scene, design, SEED, fidelity, reuse=3)
+    records = [in_order(number).record for number in range(4)]
+    at_random = Sweeps(scene, design, SEED, fidelity, reuse=3)
+    for number in (2, 3, 0, 1):
+        assert np.array_equal(at_random(number).record.iq, records[number].iq)
+    for number in (0, 3):
+        world = scene.after(number * design.burst_s)
+        expected = radar_capture(world, design, seed=SEED + number, fidelity=fidelity).record
+        assert np.array_equal(records[number].iq, expected.iq)
+    with pytest.raises(InputError, match="reuse: 0 sweeps traced together, expected at least 1"):
+        Sweeps(scene, design, SEED, fidelity, reuse=0)

@@ -32,6 +32,13 @@ def serve(
         list[str] | None,
         typer.Option(help="NAME=CHANCE per burst: overflow, late, stall ...; repeatable."),
     ] = None,
+    radar_reuse: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Sweeps traced together: what nothing moving concerns is kept of the first.",
+        ),
+    ] = 1,
     radar_setup: Annotated[
         Path | None, typer.Option(help="JSON to write: schedule and front end for a driver.")
     ] = None,
@@ -70,6 +77,7 @@ def serve(
                 faults=radar_fault or (),
                 seed=seed,
                 setup=radar_setup,
+                reuse=radar_reuse,
             )
         )
     for device in devices:

@@ -124,6 +124,8 @@ def radar_echo(
     poses: Sequence[Pose] | None = None,
     interval_s: float | None = None,
     stage: OpenStage = lambda name: nullcontext(),
+    earlier: Propagation | None = None,
+    keep: bool = False,
 ) -> RadarEcho:
     """The bursts that `radar_capture` records; same parameters, same errors."""
     worlds = _worlds(scene, radar, poses, interval_s)
@@ -133,9 +135,20 @@ def radar_echo(
     ray_seed, noise_seed = _seeds(seed)
     with stage("radar paths"):
         rays = int(ray_seed.generate_state(1)[0]) >> 1
-        bursts = tuple(trace(world, radar, fidelity=fidelity, seed=rays) for world in worlds)
+        bursts = []
+        for world in worlds:
+            own = trace(
+                world,
+                radar,
+                fidelity=fidelity,
+                seed=rays,
+                earlier=earlier,
+                keep=keep and earlier is None,
+            )
+            bursts.append(own)
+            earlier = own if keep and earlier is None else earlier
     interval_s = interval_s or _interval(scene, radar)
-    return RadarEcho(tuple(worlds), radar, bursts, air, interval_s, noise_seed, fidelity)
+    return RadarEcho(tuple(worlds), radar, tuple(bursts), air, interval_s, noise_seed, fidelity)
 
 
 def radar_capture(
@@ -148,6 +161,8 @@ def radar_capture(
     poses: Sequence[Pose] | None = None,
     interval_s: float | None = None,
     stage: OpenStage = lambda name: nullcontext(),
+    earlier: Propagation | None = None,
+    keep: bool = False,
 ) -> RadarCapture:
     """Acquire one burst, or one at each stop of a track.
 
@@ -166,6 +181,13 @@ def radar_capture(
         moves moves on; default: the scene's track, else one burst where the rig stands.
     stage
         Called with each stage's name, for progress and timing.
+    earlier, keep
+        What was found at a burst that was traced with ``keep`` (``propagation`` of its capture):
+        where the radar stands as it stood then, those echoes of meshes' facets are kept that
+        nothing that has moved or changed since concerns, and only the others are found anew.
+        Results depend on that burst, within the errors that they tell, so without it there is no
+        such dependence. ``keep``: later bursts may keep what is found here, those of this capture
+        after its first one do; takes some 500 bytes for each contribution and tube.
 
     Raises InputError where a material has no data at the carrier, a target stands at the radar, a
     record would not fit in memory, or bursts overlap.
@@ -186,6 +208,8 @@ def radar_capture(
         poses=poses,
         interval_s=interval_s,
         stage=stage,
+        earlier=earlier,
+        keep=keep,
     )
     with stage("radar signal"):
         record = echo.record()

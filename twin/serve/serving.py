@@ -72,6 +72,7 @@ def serve_radar(
     seed: int = 0,
     fidelity: Fidelity | None = None,
     setup: Path | None = None,
+    reuse: int = 1,
 ) -> Served:
     """The radar behind its radio.
 
@@ -87,11 +88,13 @@ def serve_radar(
         Of the first sweep; sweep k has ``seed + k``.
     setup
         File to write: what the driver must know.
+    reuse
+        As `Sweeps` takes it.
 
     Raises InputError.
     """
     found, design = parse_faults(faults, RadioFaults), load_radar(radar)
-    sweeps = Prefetcher(Sweeps(scene, design, seed, fidelity))
+    sweeps = Prefetcher(Sweeps(scene, design, seed, fidelity, reuse))
     virtual = VirtualRadio(design, sweeps, clock=DeviceClock(pace), faults=found, seed=seed)
     server = RadioServer(
         virtual, address.host, address.port, n_samples=virtual.n_samples, faults=found, seed=seed

@@ -3,8 +3,10 @@
 from dataclasses import dataclass, replace
 
 from hardware.records import RadarRecord
+from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, RadarEcho, radar_echo
+from twin.radar.propagation.result import Propagation
 from twin.scene import Scene
 
 
@@ -20,26 +22,40 @@ class Sweeps:
     """Sweep k of a radar, with ``seed`` plus k.
 
     From one sweep to the next everything moves on by a burst's time, and the rig to the next stop
-    of the scene's track, where it has one. What stands as it stood is not traced again, wherever
-    that gives the same bits.
+    of the scene's track, where it has one. Where nothing has moved nothing is traced again, if that
+    gives the same bits.
 
     Parameters
     ----------
     scene, radar, seed, fidelity
         As `radar_echo` takes them.
+    reuse
+        Sweeps that are traced together: the first of so many in full, and of it the others keep
+        what nothing that has moved since concerns, while the rig stands still. So a sweep depends
+        on its number alone, whichever are asked for before. At 1 each is that of a capture, bit for
+        bit; at more it differs within the errors that it tells.
     """
 
     def __init__(
-        self, scene: Scene, radar: RadarDesign, seed: int, fidelity: Fidelity | None = None
+        self,
+        scene: Scene,
+        radar: RadarDesign,
+        seed: int,
+        fidelity: Fidelity | None = None,
+        reuse: int = 1,
     ) -> None:
+        if reuse < 1:
+            raise InputError(f"reuse: {reuse} sweeps traced together, expected at least 1")
         self._scene, self._radar = scene, radar
         self._seed, self._fidelity = seed, fidelity
         self._stops = scene.track.poses(scene.rig.pose) if scene.track else [scene.rig.pose]
         self._last: tuple[int, RadarEcho] | None = None  # stop and echo
+        self._reuse = reuse
+        self._full: tuple[int, Propagation] | None = None  # number and what was found
 
     def __call__(self, number: int) -> Sweep:
         """One sweep, in any order. Raises InputError as `radar_echo` does."""
-        stop = min(number, len(self._stops) - 1)
+        stop = self._stop(number)
         echo = self._again(number, stop) or self._traced(number, stop)
         self._last = stop, echo
         return Sweep(echo, echo.record())
@@ -56,10 +72,28 @@ class Sweeps:
         return self._last[1].reseeded(self._seed + number)
 
     def _traced(self, number: int, stop: int) -> RadarEcho:
+        first = number - number % self._reuse
+        if self._reuse == 1 or self._stop(first) != stop:
+            return self._echo(number).condensed()
+        if self._full is None or self._full[0] != first:
+            echo = self._echo(first, keep=True)
+            self._full = first, echo.bursts[0]
+            if number == first:
+                return echo.condensed()
+        return self._echo(number, self._full[1]).condensed()
+
+    def _echo(
+        self, number: int, earlier: Propagation | None = None, *, keep: bool = False
+    ) -> RadarEcho:
         return radar_echo(
             self._scene.after(number * self._radar.burst_s),
             self._radar,
             seed=self._seed + number,
             fidelity=self._fidelity,
-            poses=[self._stops[stop]],
-        ).condensed()
+            poses=[self._stops[self._stop(number)]],
+            earlier=earlier,
+            keep=keep,
+        )
+
+    def _stop(self, number: int) -> int:
+        return min(number, len(self._stops) - 1)

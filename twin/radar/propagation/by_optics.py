@@ -15,6 +15,7 @@ from twin.radar.propagation.facets.convergence import (
     summed_by,
     unconverged,
 )
+from twin.radar.propagation.facets.earlier import Traced
 from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.physical_optics import (
     behind,
@@ -36,8 +37,17 @@ from twin.scene import Scene, Target
 Array = NDArray[np.float64]
 
 
-def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> Propagation:
-    """Mirror images, declared points and scattering meshes, all over the same legs.
+def echoes(
+    scene: Scene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    seed: int,
+    earlier: Traced | None = None,
+    *,
+    keep: bool = False,
+) -> Propagation:
+    """Mirror images, declared points and scattering meshes, all over the same legs; ``earlier`` and
+    ``keep`` as of `physical_optics.scattered`.
 
     Raises InputError where a material has no data at the carrier.
     """
@@ -45,8 +55,9 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
     declared = declared_alone(scene, roles)
     is_rough = fidelity.radar == "rough"
     stage = prepare_scene(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
-    direct, body, error = scattered(stage, radar, fidelity)
-    surfaces = Rays.joined([direct, behind(stage, fidelity)])
+    bodies_echo = scattered(stage, radar, fidelity, earlier, keep=keep)
+    body, error = bodies_echo.body, bodies_echo.error
+    surfaces = Rays.joined([bodies_echo.rays, behind(stage, fidelity)])
     edges, on_edges = diffracted(stage, fidelity)
     points, on_points = (
         surface_clutter(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])
@@ -66,6 +77,8 @@ def echoes(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> P
         objects=tuple(item.name for item in stage.items),
         object_of_surface=surfaces.object,
         bodies=bodies,
+        traced=bodies_echo.traced,
+        kept=bodies_echo.kept,
     )
 
 

@@ -1,6 +1,7 @@
 """Echoes of a scene by physical optics: surfaces, their sharp edges, and rough ground."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,9 @@ from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.diffraction.behind_obstacles import echoes_behind
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.facets.bodies import scattered_by
+from twin.radar.propagation.facets.earlier import Traced, setting_of
 from twin.radar.propagation.facets.scatterers import scatterers
+from twin.radar.propagation.facets.validity import still_valid
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.prepared_scene import PreparedScene
@@ -31,25 +34,54 @@ _DEEPEST_DB = 30.0
 _FREQUENCIES = 5, 64  # over the band, at which a body's echo is summed, at least and at most
 
 
+@dataclass(frozen=True, eq=False)
+class Scattered:
+    """Contributions of every object that scatters; the ``body`` of every object, -1 of others; the
+    error estimated of every body's echo, without losses; what later frames may keep of it, and
+    which share of the contributions is that of an earlier frame.
+    """
+
+    rays: Rays
+    body: NDArray[np.int32]
+    error: Array
+    traced: Traced | None = None
+    kept: float = 0.0
+
+
 def scattered(
-    stage: PreparedScene, radar: RadarDesign, fidelity: Fidelity
-) -> tuple[Rays, NDArray[np.int32], Array]:
-    """Contributions of every object that scatters, to ``fidelity.radar_tolerance``; the body of
-    every object, -1 of others, and the error estimated of every body's echo, without losses.
+    stage: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    earlier: Traced | None = None,
+    *,
+    keep: bool = False,
+) -> Scattered:
+    """To ``fidelity.radar_tolerance``. What holds of an ``earlier`` frame is not found anew;
+    ``keep``: whether later frames may keep this one, which then is traced in full.
     """
     body = _bodies(stage)
     if not (stage.worth & (body >= 0)).any():
-        return Rays.joined([]), body, np.zeros(body.max(initial=-1) + 1)
-    rays, error = scattered_by(
+        return Scattered(Rays.joined([]), body, np.zeros(body.max(initial=-1) + 1))
+    bodies = scatterers(stage, radar.antenna, body, radar.burst_s / 2)
+    asked = fidelity.radar_tolerance, fidelity.radar_bounces
+    setting, valid = None, None
+    if keep or earlier is not None:
+        setting = setting_of(stage, bodies, radar, body, asked)
+    if earlier is not None and setting is not None and not keep:
+        valid = still_valid(stage.station, bodies, earlier, setting, stage)
+    found = scattered_by(
         stage.station,
-        scatterers(stage, radar.antenna, body, radar.burst_s / 2),
+        bodies,
         stage.images,
         wave_numbers(radar, _extent_m(stage, body)),
-        fidelity.radar_tolerance,
-        fidelity.radar_bounces,
+        *asked,
         OF_NOISE * noise_amplitude(radar) / loss_of(radar),
+        valid,
+        with_landings=keep,
     )
-    return rays, body, error
+    traced = Traced(setting, found) if keep and setting is not None else None
+    rays = Rays.joined(found.rays)
+    return Scattered(rays, body, found.error, traced, found.kept / max(len(rays.length_m), 1))
 
 
 def loss_of(radar: RadarDesign) -> float:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.propagation.facets.convergence import BodyEcho
+from twin.radar.propagation.facets.earlier import Traced
 from twin.radar.propagation.scene.scattering_models import Assignment
 from twin.radar.synthesis import Contributions
 
@@ -75,7 +76,8 @@ class Propagation:
     grow with the wavelength, as paths do. ``heard`` sums both up per object. ``objects`` names
     what ``object_of_surface`` numbers, of each of ``surfaces`` the object that it was met at last.
     ``bodies``: those that scatter, the strongest first, with the errors estimated of their
-    surfaces' echoes.
+    surfaces' echoes. ``traced``: what later frames may keep of this one, if that was asked for;
+    ``kept``: share of the contributions of surfaces that is an earlier frame's.
     """
 
     paths: tuple[Path, ...]
@@ -88,6 +90,8 @@ class Propagation:
     objects: tuple[str, ...] = ()
     object_of_surface: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
     bodies: tuple[BodyEcho, ...] = ()
+    traced: Traced | None = None
+    kept: float = 0.0
 
     @cached_property
     def echoes(self) -> Contributions:

@@ -42,7 +42,13 @@ class PropagationModel(Protocol):
 
 
 def trace(
-    scene: Scene, radar: RadarDesign, *, fidelity: Fidelity | None = None, seed: int = 0
+    scene: Scene,
+    radar: RadarDesign,
+    *,
+    fidelity: Fidelity | None = None,
+    seed: int = 0,
+    earlier: Propagation | None = None,
+    keep: bool = False,
 ) -> Propagation:
     """Find the echoes of a scene.
 
@@ -54,6 +60,10 @@ def trace(
         Its ``radar`` rung decides who finds them.
     seed
         Of the rays that look for surfaces, and of rough ones.
+    earlier, keep
+        Another frame, traced in full with ``keep``: of the echoes of meshes' facets those are not
+        found anew that nothing that has moved or changed since concerns (`facets.earlier`). It
+        alone decides with the other parameters what is found, not what was traced in between.
 
     Raises InputError where a material that answers has no data at the carrier, and where a user's
     own model gives no echoes.
@@ -65,7 +75,8 @@ def trace(
         return straight_paths(scene, radar)
     if fidelity.radar == "paths":
         return sionna_paths(scene, radar, table_nodes=fidelity.radar_table_nodes, seed=seed)
-    return echoes(scene, radar, fidelity, seed)
+    traced = None if earlier is None else earlier.traced
+    return echoes(scene, radar, fidelity, seed, traced, keep=keep)
 
 
 def _solved(

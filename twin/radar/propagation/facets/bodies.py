@@ -1,7 +1,8 @@
 """Echoes of all bodies by physical optics: facets lit by the radar, then by each other.
 
 A first, coarse pass tells how strong every body answers; the second is as fine as this asks for,
-and is repeated where a body turns out to be far fainter.
+and is repeated where a body turns out to be far fainter. What still holds of an earlier frame
+counts as found in both.
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
 from twin.radar.propagation.facets.division import Budget, Leaves, settled
+from twin.radar.propagation.facets.earlier import Found, Landings, Sums
 from twin.radar.propagation.facets.escapes import meeting
 from twin.radar.propagation.facets.facing import Facing, facing, largest, lit_by, portions
 from twin.radar.propagation.facets.parts import parted, spacing_of
@@ -19,6 +21,7 @@ from twin.radar.propagation.facets.pieces import rays_of
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, quartered
 from twin.radar.propagation.facets.tubes import Tubes, heard, reflected_on
+from twin.radar.propagation.facets.validity import Valid
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.scene.images import Image
@@ -32,6 +35,7 @@ _MOST_PASSES = 3  # further ones, where bodies seemed louder than they are
 #: divided no further, and its error counts as it is.
 MOST_ROOTS = 2**16
 _COARSE = 0.5  # tolerance of the first pass, at least
+LEAST_FALL = 2.0
 
 
 def scattered_by(
@@ -42,9 +46,11 @@ def scattered_by(
     tolerance: float,
     bounces: int,
     floor: float = 0.0,
-) -> tuple[Rays, Array]:
-    """Contributions of every body, and the errors that their sums may have, (n_bodies,), with the
-    antenna's gain.
+    valid: Valid | None = None,
+    *,
+    with_landings: bool = False,
+) -> Found:
+    """Contributions of every body, and errors that their sums may have, with the antenna's gain.
 
     Parameters
     ----------
@@ -56,17 +62,33 @@ def scattered_by(
         Between bodies, and within one: what is reflected more often is lost.
     floor
         Amplitude below which no error counts.
+    valid
+        What holds of an earlier frame: all else is found, and joined with that. Where a body, or
+        what its error is relative to, is fainter than then by more than a factor `LEAST_FALL`,
+        and the error of what is kept of it beyond the tolerance now, all is found anew.
+    with_landings
+        Whether later frames may keep what is found here.
     """
     count = int(scatterers.body.max()) + 1
-    facets = facing(s, scatterers, images)
-    if not len(facets):
-        return Rays.joined([]), np.zeros(count)
-    whole = facets, facets.echoes()
-    search = _Search(s, scatterers, images, bounces)
-    tubes = search.begun(lit_by(s, scatterers, images)) if bounces > 1 else None
+    facets = facing(s, scatterers, images, None if valid is None else valid.legs)
+    search = _Search(s, scatterers, images, bounces, [] if with_landings else None)
     coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
+    known = None
+    if valid is not None:
+        owner = scatterers.body[valid.sums.face]
+        known = coarse.summed(owner, valid.sums.echo, valid.sums.length_m)
+        coarse = Budget(count, coarse.tolerance, wave_numbers, floor, known=known)
+    whole = (facets, facets.echoes()) if len(facets) else None
+    if whole is None:
+        coarse.consider([])
+    tubes, spacing_m = None, 0.0
+    if bounces > 1:
+        begin = lit_by(s, scatterers, images, None if valid is None else valid.tubes)
+        spacing_m = spacing_of(s, begin.sizes()) if valid is None else valid.spacing_m[1]
+        tubes = search.begun(begin, spacing_m) if len(begin) else None
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
-    budget = Budget(count, tolerance, wave_numbers, floor, coarse)
+    budget = Budget(count, tolerance, wave_numbers, floor, coarse, known=known)
+    budget.known_spacing_m = (valid and valid.spacing_m[0]) or None
     found = search.leaves(whole, tubes, budget, _DEEPEST)
     for _ in range(_MOST_PASSES):
         if (again := budget.renewed()) is None:
@@ -74,14 +96,27 @@ def scattered_by(
         budget = again
         found = search.leaves(whole, tubes, budget, _DEEPEST)
     leaves = [_worth_it(part, budget) for part in found]
-    rays = Rays.joined(
-        [
-            rays_of(s, scatterers, part.chosen(rows))
-            for part in leaves
-            for rows in portions(np.arange(len(part.weight)))
-        ]
+    error = budget.accepted
+    if valid is not None:
+        fallen = valid.level > LEAST_FALL * budget.level
+        if (fallen & (valid.error > tolerance * budget.level)).any():
+            asked = wave_numbers, tolerance, bounces, floor
+            return scattered_by(s, scatterers, images, *asked)
+        error = np.hypot(error, valid.error)
+    rays = [
+        Rays.joined([rays_of(s, scatterers, part.chosen(rows)) for rows in portions(part.rows)])
+        for part in leaves
+    ]
+    return Found(
+        rays=tuple(rays) if valid is None else (valid.rays, *rays),
+        sums=tuple(map(Sums.of, leaves)) if with_landings else (),
+        is_direct=tuple(part.triangles.waves is None for part in leaves),
+        error=error,
+        level=budget.level,
+        landings=tuple(search.landings or ()),
+        spacing_m=(budget.spacing_m, spacing_m),
+        kept=0 if valid is None else len(valid.rays.length_m),
     )
-    return rays, budget.accepted
 
 
 def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
@@ -119,16 +154,19 @@ class _Search:
     scatterers: Scatterers
     images: Sequence[Image]
     bounces: int
+    landings: list[Landings] | None  # noted where these are kept
 
     def leaves(
         self,
-        whole: tuple[Facing, Echoes],
+        whole: tuple[Facing, Echoes] | None,
         tubes: "_Begun | None",
         budget: Budget,
         deepest: tuple[int, int],
     ) -> list[Leaves]:
         """Those lit directly, and those lit by ``tubes``."""
-        found = [settled(self.s, self.scatterers, *whole, budget, deepest[0])]
+        found = []
+        if whole is not None:
+            found.append(settled(self.s, self.scatterers, *whole, budget, deepest[0]))
         budget.end_direct()
         if tubes is not None:
             lit = self._lit_by_tubes(tubes, budget, deepest[1])
@@ -136,11 +174,10 @@ class _Search:
                 found.append(settled(self.s, self.scatterers, *lit, budget, deepest[0]))
         return [Leaves.joined(parts) for parts in found if parts]
 
-    def begun(self, facets: Facing) -> "_Begun | None":
+    def begun(self, facets: Facing, spacing_m: float) -> "_Begun | None":
         """Tubes of facets by which others may be seen, divided until what they may show lies
         between their rays.
         """
-        spacing_m = spacing_of(self.s, facets.sizes())
         rows = meeting(self.s, self.scatterers, facets, spacing_m)
         wholes = (facets.taken(some) for some in portions(rows))
         return self._begun(parted(self.s, whole, spacing_m)[0] for whole in wholes)
@@ -174,6 +211,10 @@ class _Search:
             return None
         tubes = Tubes.joined(found[1:])
         lit, row = heard(self.s, self.scatterers, tubes.triangles, self.images)
+        if self.landings is not None:
+            times = np.repeat(np.arange(1, len(found)), [len(part.root) for part in found[1:]])
+            goes_on = tubes.is_lit & (times < self.bounces - 1)
+            self.landings.append(Landings.of(self.s, tubes, goes_on, row, np.array(lit.receiver)))
         if not len(row):
             return None
         parts = (lit.taken(rows) for rows in portions(np.arange(len(lit))))

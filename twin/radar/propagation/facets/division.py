@@ -61,6 +61,11 @@ class Leaves:
         """Of each, (n,)."""
         return self.triangles.body
 
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """Their numbers."""
+        return np.arange(len(self.weight))
+
     @staticmethod
     def joined(parts: "Sequence[Leaves]") -> "Leaves":
         """One after the other; of equal bounces."""
@@ -79,7 +84,9 @@ class Budget:
     """What is known of the echoes of bodies over the band, and the errors that they may have.
 
     ``level`` (n_bodies,): root mean square over the band, at least that of the noise floor or of
-    an echo 40 dB below the strongest.
+    an echo 40 dB below the strongest. ``known`` (n_bodies, n_frequencies): echoes of what was found
+    before. ``spacing_m``: sizes of parts of facets, as rays look for what hides them;
+    ``known_spacing_m``: what it was before, None where it is to be chosen.
     """
 
     def __init__(
@@ -90,12 +97,18 @@ class Budget:
         floor: float | Array,
         coarse: "Budget | None" = None,
         weakest: float = WEAKEST,
+        known: Complex | None = None,
     ) -> None:
         self.tolerance = tolerance
         self._weakest = weakest
         self._wave_numbers = wave_numbers
         self._floor = floor
+        self._known = known
         self._settled = np.zeros((n_bodies, len(wave_numbers)), dtype=np.complex128)
+        if known is not None:
+            self._settled += known
+        self.known_spacing_m: float | None = None
+        self.spacing_m = 0.0
         self._accepted = np.zeros(n_bodies)  # errors squared
         self.level = np.zeros(n_bodies)
         self.direct = np.zeros_like(self._settled)
@@ -115,15 +128,23 @@ class Budget:
         if not (fallen & (self.accepted > _FALLEN * self.tolerance * self.level)).any():
             return None
         again = Budget(
-            len(self.level), self.tolerance, self._wave_numbers, self._floor, self, self._weakest
+            len(self.level),
+            self.tolerance,
+            self._wave_numbers,
+            self._floor,
+            self,
+            self._weakest,
+            self._known,
         )
         again._most = self.level
+        again.known_spacing_m = self.known_spacing_m
         return again
 
     def expect(self, body: NDArray[np.intp], strength: Array) -> None:
         """A first guess: all echoes out of phase."""
         if not self.level.any():
-            self._rank(np.sqrt(np.bincount(body, strength**2, len(self.level))))
+            known = np.mean(np.abs(self._settled) ** 2, axis=1)
+            self._rank(np.sqrt(known + np.bincount(body, strength**2, len(self.level))))
 
     def summed(
         self, body: NDArray[np.intp], echo: Complex, length_m: Array, count: int | None = None
@@ -263,7 +284,8 @@ def settled(
         return found
     partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
     if deepest and lit.waves is None and not is_open:
-        partly, spacing_m = _partly_hidden(s, lit, bright)
+        partly, spacing_m = _partly_hidden(s, lit, bright, budget.known_spacing_m)
+        budget.spacing_m = spacing_m
 
     def looked_at(some: Triangles, known: Echoes, is_partly: NDArray[np.bool_]) -> _Seen:
         if is_open:
@@ -310,13 +332,14 @@ def settled(
 
 
 def _partly_hidden(
-    s: TracingContext, lit: Triangles | Facing, rows: NDArray[np.intp]
+    s: TracingContext, lit: Triangles | Facing, rows: NDArray[np.intp], spacing_m: float | None
 ) -> tuple[NDArray[np.bool_], float]:
     """Which of some triangles have parts that are seen and others that are not, and how large parts
-    are, in m.
+    are, in m: as asked for, or as the number of rays allows.
     """
     size = lit.chosen(rows).sizes() if isinstance(lit, Facing) else sizes(lit.taken(rows))
-    spacing_m, found = spacing_of(s, size), np.zeros(len(rows), dtype=bool)
+    spacing_m = spacing_of(s, size) if spacing_m is None else spacing_m
+    found = np.zeros(len(rows), dtype=bool)
     for some in portions(np.flatnonzero(size > spacing_m), 4):
         parts, row = parted(s, lit.taken(rows[some]), spacing_m)
         clear = sampled(s, parts, np.zeros(len(parts), dtype=bool))[3]

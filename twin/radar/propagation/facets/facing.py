@@ -99,29 +99,45 @@ class Facing:
         )
 
 
-def facing(s: TracingContext, scatterers: Scatterers, images: Sequence[Image]) -> Facing:
+def facing(
+    s: TracingContext,
+    scatterers: Scatterers,
+    images: Sequence[Image],
+    wanted: NDArray[np.bool_] | None = None,
+) -> Facing:
     """All facets that both a source and a receiver see the same side of, whatever stands in
-    between, closed meshes from outside.
+    between, closed meshes from outside. ``wanted`` (n_images, n_facets): only those that are lit
+    or heard by such an image.
     """
     b = scatterers
-    rows = np.flatnonzero(b.counts)
+    rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
     sides = sides_of(s, images, rows)
     found = []
     for i, side in enumerate(sides):
         lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
         for j in range(i, len(images)):
             both = rows[lit & (sides[j] == side) & b.heard[j, rows]]
+            if wanted is not None:
+                both = both[wanted[i, both] | wanted[j, both]]
             found.append(_numbered(s, b, both, i, j))
     return Facing.joined(found)
 
 
-def lit_by(s: TracingContext, scatterers: Scatterers, images: Sequence[Image]) -> Facing:
-    """All facets that a source faces, as their own receivers."""
-    rows = np.flatnonzero(scatterers.counts)
+def lit_by(
+    s: TracingContext,
+    scatterers: Scatterers,
+    images: Sequence[Image],
+    wanted: NDArray[np.bool_] | None = None,
+) -> Facing:
+    """All facets that a source faces, as their own receivers; ``wanted`` as of `facing`."""
+    b = scatterers
+    rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
     found = []
     for i, side in enumerate(sides_of(s, images, rows)):
-        lit = (side != 0) & (scatterers.outward[i, rows] * side >= 0)
-        found.append(_numbered(s, scatterers, rows[lit & scatterers.heard[i, rows]], i, i))
+        lit = (side != 0) & (b.outward[i, rows] * side >= 0)
+        if wanted is not None:
+            lit &= wanted[i, rows]
+        found.append(_numbered(s, b, rows[lit & b.heard[i, rows]], i, i))
     return Facing.joined(found)
 
 
@@ -163,4 +179,5 @@ def lit_facets(
         waves=None,
         body=scatterers.body[face],
         is_ray=np.zeros(len(face), dtype=bool),
+        first=face.astype(np.uint32),
     )

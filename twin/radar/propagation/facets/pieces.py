@@ -108,6 +108,7 @@ def _rays(
         departure_per_s=found[0],
         arrival_per_s=found[1],
         falloff=pieces.falloff,
+        first=lit.first,
     )
     if s.walls is not None:
         alike = (one.source == one.receiver) & (lit.waves is None)

@@ -20,6 +20,8 @@ from twin.transfer import aligned, concatenated
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
+_ON_HOST = "body", "is_ray", "first"  # what triangles have there
+
 
 @dataclass(frozen=True, eq=False)
 class Incident:
@@ -76,8 +78,8 @@ class Triangles:
 
     ``corners``: three vectors; ``face``: the facet on which they lie; ``source`` and ``receiver``:
     images of the radar; ``wave``: which of the ``waves`` lights each; without these the source
-    lights them directly. On the host (n,): ``body``, and ``is_ray``: its corners may not be lit,
-    and the spot of the wave stands for all of it.
+    lights them directly. On the host (n,): ``body``; ``is_ray``: its corners may not be lit, and
+    the spot of the wave stands for all of it; ``first``: the facet that the way meets first.
     """
 
     corners: tuple[Any, Any, Any]
@@ -88,6 +90,7 @@ class Triangles:
     waves: Waves | None
     body: NDArray[np.intp]
     is_ray: NDArray[np.bool_]
+    first: NDArray[np.uint32]
 
     def __len__(self) -> int:
         return len(self.body)
@@ -116,7 +119,8 @@ class Triangles:
         """Only some of them, by index, to be computed where they are used."""
         index = type(self.face)(aligned(which.astype(np.uint32)))
         columns = [dr.gather(type(value), value, index) for value in self._columns()]
-        return replace(self._of(columns), body=self.body[which], is_ray=self.is_ray[which])
+        body, is_ray, first = (getattr(self, name)[which] for name in _ON_HOST)
+        return replace(self._of(columns), body=body, is_ray=is_ray, first=first)
 
     def taken(self, which: Indices) -> "Triangles":
         """Only some of them, by index."""
@@ -126,8 +130,8 @@ class Triangles:
         """Each of them several times in a row."""
         index = dr.arange(type(self.face), times * len(self)) // times
         columns = [dr.gather(type(value), value, index) for value in self._columns()]
-        body, is_ray = np.repeat(self.body, times), np.repeat(self.is_ray, times)
-        return replace(self._of(columns), body=body, is_ray=is_ray)
+        body, is_ray, first = (np.repeat(getattr(self, name), times) for name in _ON_HOST)
+        return replace(self._of(columns), body=body, is_ray=is_ray, first=first)
 
     def evaluated(self) -> "Triangles":
         """The same, computed."""
@@ -148,9 +152,9 @@ class Triangles:
             parts = [replace(p, wave=p.wave + number[id(p.waves)]) for p in parts]
         columns = list(zip(*(part._columns() for part in parts), strict=True))
         found = first._of(concatenated(columns, [len(part) for part in parts]))
-        body = np.concatenate([part.body for part in parts])
-        is_ray = np.concatenate([part.is_ray for part in parts])
-        return replace(found, waves=waves, body=body, is_ray=is_ray)
+        own = (np.concatenate([getattr(part, name) for part in parts]) for name in _ON_HOST)
+        body, is_ray, begun = own
+        return replace(found, waves=waves, body=body, is_ray=is_ray, first=begun)
 
     def _columns(self) -> list[Any]:
         """All numbers, in order."""

@@ -23,7 +23,8 @@ class Rays:
     seen from the radar, in the world's axes; object that is met last, and the images by which the
     wave goes out and back. ``departure_per_s`` and ``arrival_per_s`` (n, 3): derivatives of both
     directions in time, 1/s; default: 0. ``falloff``: over the band the amplitude goes as the
-    carrier over the frequency to this power; default: 0.
+    carrier over the frequency to this power; default: 0. ``first``: number of the facet that is met
+    first, of what facets scatter; default: 0.
     """
 
     amplitude: NDArray[np.complex128]
@@ -38,12 +39,19 @@ class Rays:
     departure_per_s: Array = None  # type: ignore[assignment]
     arrival_per_s: Array = None  # type: ignore[assignment]
     falloff: Array = None  # type: ignore[assignment]
+    first: NDArray[np.uint32] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = len(self.length_m)
-        for name, shape in (("departure_per_s", (n, 3)), ("arrival_per_s", (n, 3)), ("falloff", n)):
+        defaults = {
+            "departure_per_s": np.zeros((n, 3)),
+            "arrival_per_s": np.zeros((n, 3)),
+            "falloff": np.zeros(n),
+            "first": np.zeros(n, dtype=np.uint32),
+        }
+        for name, values in defaults.items():
             if getattr(self, name) is None:
-                object.__setattr__(self, name, np.zeros(shape))
+                object.__setattr__(self, name, values)
 
     def chosen(self, which: Any) -> "Rays":
         """Only some of them, by index or mask."""
@@ -70,7 +78,7 @@ class Rays:
                 name: np.concatenate(
                     [np.zeros(0, dtype=np.uint32), *(getattr(p, name) for p in parts)]
                 )
-                for name in ("object", "source", "receiver")
+                for name in ("object", "source", "receiver", "first")
             },
         )
 

@@ -1,0 +1,178 @@
+"""What a frame leaves for later ones: what it was traced in, its echoes, and where its ways run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.facets.division import Leaves
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.triangles import origin_of
+from twin.radar.propagation.facets.tubes import Tubes
+from twin.radar.propagation.one_way.path import TracingContext
+from twin.radar.propagation.one_way.rays import Rays
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.scene.images import Image
+from twin.radar.propagation.scene.scattering_models import ScatteringModel
+from twin.radar.scattering.surface import TABLE_STEPS
+from twin.scene import SceneObject
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.integer]
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What a frame is traced in, as later ones are compared with it: the stage itself changes.
+
+    Per object ``items``, ``roles``, ``surface`` (rows of coefficients in ``table``) and ``body``;
+    per facet ``owner``, its object; ``heard`` and ``outward`` as of `Scatterers`; the numbers in
+    ``fixed`` are where the radar stands, what mirrors and what lets through.
+    """
+
+    radar: RadarDesign
+    items: tuple[SceneObject, ...]
+    roles: tuple[ScatteringModel, ...]
+    surface: Indices
+    table: Array
+    body: Indices
+    owner: Indices
+    images: tuple[Image, ...]
+    heard: Mask
+    outward: NDArray[np.int8]
+    fixed: tuple[NDArray[Any], ...]
+
+
+def setting_of(
+    stage: PreparedScene,
+    scatterers: Scatterers,
+    radar: RadarDesign,
+    body: Indices,
+    asked: Sequence[float],
+) -> Setting:
+    """Of a stage; ``asked``: numbers that a frame depends on as well."""
+    flats, walls = stage.flats, stage.station.walls
+    through = () if walls is None else (np.array(walls.thickness), np.array(walls.table))
+    half_time = scatterers.half_time_s
+    return Setting(
+        radar=radar,
+        items=stage.originals,
+        roles=stage.roles,
+        surface=stage.surface_of_object,
+        table=np.array(stage.station.table).reshape(-1, 4 * (TABLE_STEPS + 1)),
+        body=body,
+        owner=stage.world.object_of_face,
+        images=stage.images,
+        heard=scatterers.heard,
+        outward=scatterers.outward,
+        fixed=(
+            np.array([*asked, half_time, stage.wavelength_m, len(stage.world.face_ranges)]),
+            stage.anchor_m,
+            stage.place,
+            stage.axes,
+            flats.object,
+            flats.point,
+            flats.normal,
+            flats.box,
+            *through,
+        ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Landings:
+    """Where tubes land, on the device: ``origin`` of the wave, ``corners``, ``face``; on the host
+    the ``first`` facet of each, the image that is its ``source``, and whether it ``goes_on`` to be
+    reflected; in pairs the ``row`` of a landing and the ``receiver`` that hears it.
+    """
+
+    origin: Any
+    corners: tuple[Any, Any, Any]
+    face: Any
+    first: Indices
+    source: Indices
+    goes_on: Mask
+    row: Indices
+    receiver: Indices
+
+    @staticmethod
+    def of(
+        s: TracingContext, tubes: Tubes, goes_on: Mask, row: Indices, receiver: Indices
+    ) -> "Landings":
+        """Of tubes, without the waves that they bring."""
+        lit = tubes.triangles
+        origin = origin_of(s, lit)
+        dr.eval(origin)
+        source = np.array(lit.source).astype(np.int32)
+        pairs = row.astype(np.int32), receiver.astype(np.int32)
+        return Landings(origin, lit.corners, lit.face, lit.first, source, goes_on, *pairs)
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Echoes of triangles at the carrier without the phase of the path, (n,), with its length; the
+    facet that each lies on, the ``first`` of its way, and images at both ends.
+    """
+
+    echo: NDArray[np.complex128]
+    length_m: Array
+    face: Indices
+    first: Indices
+    source: Indices
+    receiver: Indices
+
+    @staticmethod
+    def of(leaves: Leaves) -> "Sums":
+        """Of triangles that are divided no further."""
+        lit = leaves.triangles
+        return Sums(
+            leaves.weight * leaves.echoes.total,
+            leaves.echoes.length_m,
+            np.array(lit.face),
+            lit.first,
+            np.array(lit.source),
+            np.array(lit.receiver),
+        )
+
+    @staticmethod
+    def joined(parts: "Sequence[Sums]") -> "Sums":
+        """One after the other."""
+        names = [f.name for f in fields(Sums)]
+        return Sums(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+    def chosen(self, which: Indices) -> "Sums":
+        """Only some of them, by index."""
+        return Sums(*(getattr(self, f.name)[which] for f in fields(Sums)))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Echoes of all bodies: contributions in parts, an earlier frame's first, ``sums`` of the
+    others, and whether these ``is_direct``: lit from images, not by tubes; error accepted of every
+    body, and the level that it was accepted for; landings of tubes; sizes of parts of facets, of
+    those lit from images and of those that begin tubes; how many contributions are ``kept``.
+    """
+
+    rays: tuple[Rays, ...]
+    sums: tuple[Sums, ...]
+    is_direct: tuple[bool, ...]
+    error: Array
+    level: Array
+    landings: tuple[Landings, ...]
+    spacing_m: tuple[float, float]
+    kept: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """A frame traced in full, of which later ones may keep a part: some 500 bytes for each of its
+    contributions and tubes.
+    """
+
+    setting: Setting
+    found: Found

@@ -1,0 +1,269 @@
+"""What of an earlier frame still holds where objects have moved: ways that meet none of them.
+
+A way is kept as a whole: from the radar to the facet that it meets first, on to what that lights,
+and back. It holds where no box around anything that changed, as it stood then or stands now, is
+crossed by the pyramid between the radar, or an image of it, and that facet, by those that tubes
+from there were reflected in, and by those home; and where images and what they hear are as they
+were. All else is traced anew, with the errors that the level of every body now allows.
+
+Nothing is kept where the radar, its antenna, a mirror, a wall that it sees through, or a material
+has changed, nor where what has moved stands in more than `MOST_BOXES` places.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from twin.radar.propagation.facets.crossing import as_mirrored, crossed, oriented
+from twin.radar.propagation.facets.currents import plane_of
+from twin.radar.propagation.facets.earlier import Landings, Setting, Sums, Traced
+from twin.radar.propagation.facets.facing import lit_facets, portions
+from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.one_way.path import TracingContext, image_place
+from twin.radar.propagation.one_way.rays import Rays
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.scene.images import Image
+from twin.radar.propagation.scene.scattering_models import ScatteringModel
+from twin.scene import SceneObject
+from twin.scene.boxes import boxes_of
+from twin.transfer import aligned
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MOST_BOXES = 24
+_MOST_COMPARED = 512
+_MOVABLE = (ScatteringModel.OPTICS, ScatteringModel.OBSTACLE)
+
+
+@dataclass(frozen=True, eq=False)
+class Valid:
+    """What still holds of an earlier frame: contributions and echoes, and per body the error that
+    was accepted and the level that it was accepted for.
+
+    Anew, by image and facet (n_images, n_facets): ``legs``, ways there and back, and ``tubes`` that
+    begin there. ``spacing_m`` as of `Found`.
+    """
+
+    rays: Rays
+    sums: Sums
+    error: Array
+    level: Array
+    legs: Mask
+    tubes: Mask
+    spacing_m: tuple[float, float]
+
+
+def still_valid(
+    s: TracingContext, scatterers: Scatterers, earlier: Traced, now: Setting, stage: PreparedScene
+) -> Valid | None:
+    """What still holds; None where nothing can."""
+    before, found = earlier.setting, earlier.found
+    changed = _changed(before, now)
+    if changed is None:
+        return None
+    numbers = np.flatnonzero(changed)
+    sides = [boxes_of([side.items[i] for i in numbers]) for side in (before, now)]
+    boxes = _united(np.concatenate(sides) - stage.anchor_m)
+    if len(boxes) > MOST_BOXES:
+        return None
+    image = _numbers_of(before.images, now.images)
+    differs = _differs(before, now, image)
+    legs, tubes = differs | changed[now.owner], np.zeros_like(differs)
+    if len(boxes):
+        standing = as_mirrored(oriented(boxes), now.images, stage.flats)
+        _cross(s, scatterers, now, standing, legs, tubes)
+        tubes |= legs
+        lands_anew = differs.any(axis=0) | changed[now.owner]
+        for landings in found.landings:
+            is_crossed = _crossing(s, landings, standing, lands_anew, image)
+            source, first = image[landings.source[is_crossed]], landings.first[is_crossed]
+            tubes[source[source >= 0], first[source >= 0]] = True
+    else:
+        tubes |= legs
+
+    def holding(part: Rays | Sums, is_direct: bool) -> Any:
+        source, receiver = image[part.source], image[part.receiver]
+        anew = tubes[source, part.first]
+        if is_direct:
+            anew = legs[source, part.first] | legs[receiver, part.first]
+        rows = np.flatnonzero((source >= 0) & (receiver >= 0) & ~anew)
+        ends = source[rows].astype(np.uint32), receiver[rows].astype(np.uint32)
+        return replace(part.chosen(rows), source=ends[0], receiver=ends[1])
+
+    sums = Sums.joined(list(map(holding, found.sums, found.is_direct)))
+    error, level = _of_bodies(earlier, now, sums)
+    return Valid(
+        rays=Rays.joined(list(map(holding, found.rays, found.is_direct))),
+        sums=sums,
+        error=error,
+        level=level,
+        legs=legs,
+        tubes=tubes,
+        spacing_m=found.spacing_m,
+    )
+
+
+def _changed(before: Setting, now: Setting) -> Mask | None:
+    """Which objects have moved or changed; None where too much else did."""
+    fixed = len(before.fixed) == len(now.fixed) and all(
+        map(np.array_equal, before.fixed, now.fixed)
+    )
+    if not fixed or before.radar != now.radar or not np.array_equal(before.owner, now.owner):
+        return None
+    if [item.name for item in before.items] != [item.name for item in now.items]:
+        return None
+    pairs, row = np.unique(
+        np.stack([before.surface, now.surface], axis=1), axis=0, return_inverse=True
+    )
+    same = np.array([np.array_equal(before.table[i], now.table[j]) for i, j in pairs], dtype=bool)
+    same = same[row.reshape(-1)]
+    for i, (one, other) in enumerate(zip(before.items, now.items, strict=True)):
+        same[i] &= before.roles[i] is now.roles[i] and _alike(one, other)
+    for i in np.flatnonzero(~same).tolist():
+        if before.roles[i] not in _MOVABLE or now.roles[i] not in _MOVABLE:
+            return None
+    return ~same
+
+
+def _alike(one: SceneObject, other: SceneObject) -> bool:
+    if one is other:
+        return True
+    told = ("velocity_m_per_s", "thickness_m")
+    if any(getattr(one, name) != getattr(other, name) for name in told):
+        return False
+    if one.geometry is other.geometry and one.pose is other.pose:
+        return True
+    return np.array_equal(one.geometry.faces, other.geometry.faces) and np.array_equal(
+        one.vertices_m, other.vertices_m
+    )
+
+
+def _united(boxes: Array) -> Array:
+    """Boxes (n, 2, 3), those that overlap as one."""
+    while 1 < len(boxes) <= _MOST_COMPARED:
+        low, high = boxes[:, 0], boxes[:, 1]
+        overlap = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=2)
+        count, group = connected_components(coo_array(overlap), directed=False)
+        if count == len(boxes):
+            break
+        boxes = np.array(
+            [[low[group == k].min(axis=0), high[group == k].max(axis=0)] for k in range(count)]
+        )
+    return boxes
+
+
+def _numbers_of(before: Sequence[Image], now: Sequence[Image]) -> NDArray[np.intp]:
+    """Of images of before what they are now, by their mirrors; -1 of those that there are not."""
+    number = {image.patches: k for k, image in enumerate(now)}
+    return np.array([number.get(image.patches, -1) for image in before], dtype=np.intp)
+
+
+def _differs(before: Setting, now: Setting, image: NDArray[np.intp]) -> Mask:
+    """By which images now facets are heard that were not, or the other way round, or from another
+    side, (n_images, n_facets).
+    """
+    found, old = now.heard.copy(), np.flatnonzero(image >= 0)
+    new = image[old]
+    found[new] = before.heard[old] != now.heard[new]
+    found[new] |= before.outward[old] != now.outward[new]
+    return found
+
+
+def _cross(
+    s: TracingContext,
+    scatterers: Scatterers,
+    now: Setting,
+    standing: Array,
+    legs: Mask,
+    tubes: Mask,
+) -> None:
+    """Note ways from images to facets that are crossed in ``legs``, and in ``tubes`` those that
+    facets reflect.
+    """
+    images, faces = np.nonzero(now.heard & scatterers.counts & ~legs)
+    for some in portions(np.arange(len(faces))):
+        image, face = images[some], faces[some]
+        lit = lit_facets(s, scatterers, face, image, image)
+        tip = image_place(s, lit.source)
+        legs[image, face] = _on_the_way(s, tip, lit.corners, standing, lit.source)
+        tip, none = _behind(s, tip, lit.face), s.mi.UInt32(0)
+        tubes[image, face] = crossed(s.mi, tip, lit.corners, standing[:1, 0], none, beyond=True)
+
+
+def _on_the_way(s: TracingContext, tip: Any, corners: Any, standing: Array, image: Any) -> Mask:
+    """Whether ways from images to triangles may be crossed, (n,)."""
+    found = np.zeros(dr.width(corners[0]), dtype=bool)
+    for level in range(standing.shape[1]):
+        found |= crossed(s.mi, tip, corners, standing[:, level], image, beyond=False)
+    return found
+
+
+def _behind(s: TracingContext, origin: Any, face: Any) -> Any:
+    """Mirror images of points in the planes of facets."""
+    point, normal = plane_of(s, face)
+    return origin - 2 * dr.dot(origin - point, normal) * normal
+
+
+def _crossing(
+    s: TracingContext,
+    landings: Landings,
+    standing: Array,
+    lands_anew: Mask,
+    image: NDArray[np.intp],
+) -> Mask:
+    """Landings of which tubes, on their way on or home, may be crossed, or that are heard
+    otherwise.
+    """
+    mi = s.mi
+    found = lands_anew[np.array(landings.face)]
+    on = np.flatnonzero(landings.goes_on & ~found)
+    row, receiver = landings.row, image[landings.receiver]
+    home = np.flatnonzero((receiver >= 0) & ~found[row])
+    for rows, heard_at in ((on, None), (row[home], receiver[home])):
+        for some in portions(np.arange(len(rows))):
+            index = mi.UInt32(aligned(rows[some].astype(np.uint32)))
+            corners = tuple(dr.gather(mi.Vector3d, c, index) for c in landings.corners)
+            if heard_at is None:
+                origin = dr.gather(mi.Vector3d, landings.origin, index)
+                tip = _behind(s, origin, dr.gather(mi.UInt32, landings.face, index))
+                first = mi.UInt32(0)
+                hit = crossed(mi, tip, corners, standing[:1, 0], first, beyond=True)
+            else:
+                number = mi.UInt32(aligned(heard_at[some].astype(np.uint32)))
+                hit = _on_the_way(s, image_place(s, number), corners, standing, number)
+            found[rows[some][hit]] = True
+    return found
+
+
+def _of_bodies(earlier: Traced, now: Setting, kept: Sums) -> tuple[Array, Array]:
+    """Errors accepted for what is kept of the bodies of now, and the highest level for which; of a
+    body's squared error that share which is kept of its triangles, or of their power if that is
+    more.
+    """
+    before, found = earlier.setting, earlier.found
+    count = len(found.error)
+
+    def of_each(sums: Sums, weights: Array | None = None) -> Array:
+        whose = before.body[before.owner[sums.face]]
+        total: Array = np.bincount(whose, weights, count).astype(np.float64)
+        return total
+
+    whole = Sums.joined(found.sums)
+    shares = [
+        of_each(kept, part) / np.maximum(of_each(whole, all_of_it), 1e-300)
+        for part, all_of_it in ((None, None), (np.abs(kept.echo) ** 2, np.abs(whole.echo) ** 2))
+    ]
+    share = np.maximum(*shares)
+    own = now.owner[kept.face]
+    pairs = np.unique(np.stack([now.body[own], before.body[own]], axis=1), axis=0)
+    error, level = (np.zeros(int(now.body.max(initial=-1)) + 1) for _ in range(2))
+    np.add.at(error, pairs[:, 0], (share * found.error**2)[pairs[:, 1]])
+    np.maximum.at(level, pairs[:, 0], found.level[pairs[:, 1]])
+    return np.sqrt(error), level
