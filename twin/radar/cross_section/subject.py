@@ -1,7 +1,7 @@
 """A mesh as the scene's solver takes it, and what of it can stand before what."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +41,17 @@ class Subject:
         )
 
 
-@lru_cache(maxsize=8)
+_subjects: WeakKeyDictionary[Target, Subject] = WeakKeyDictionary()
+
+
 def subject_of(target: Target) -> Subject:
     """Found once for a mesh."""
+    if target not in _subjects:
+        _subjects[target] = _subject(target)
+    return _subjects[target]
+
+
+def _subject(target: Target) -> Subject:
     center, radius = target.geometry.sphere
     # Beside the mesh: rays start off a surface by a share of the distance from the anchor.
     anchor = center - radius
@@ -51,11 +59,16 @@ def subject_of(target: Target) -> Subject:
     kind = target.surface_of_face
     kinds = np.zeros(len(faces), dtype=np.intp) if kind is None else np.asarray(kind)
     used = np.unique(kinds)
-    parts = [Geometry(vertices, faces[kinds == number]) for number in used]
+    parts = [target.geometry]
+    if len(used) > 1:
+        parts = [Geometry(vertices, faces[kinds == number]) for number in used]
     items = [SceneObject("target", part, "", 0.0) for part in parts]
     world = MeshScene(items)
     world.place(items, anchor)
-    shape = Geometry(vertices, np.concatenate([part.faces for part in parts])).shape
+    whole = target.geometry
+    if len(used) > 1:  # in the order of the world's facets
+        whole = Geometry(vertices, np.concatenate([part.faces for part in parts]))
+    shape = whole.shape
     return Subject(
         world, anchor, shape, used.astype(np.uint32), _open(world, shape, _ROUNDED * radius)
     )
