@@ -3,11 +3,11 @@
 import difflib
 from collections.abc import Container, Iterable, Iterator, Mapping
 from pathlib import Path
+from types import NoneType
 from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     GetJsonSchemaHandler,
@@ -35,13 +35,7 @@ NonNegative = Annotated[Finite, Field(ge=0)]
 Fraction = Annotated[Finite, Field(gt=0, le=1)]
 
 
-def _integral(value: Any) -> Any:
-    """A whole number that is written with a point or an exponent, such as 1e6, as an int."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-Whole = Annotated[int, BeforeValidator(_integral), Field(strict=True)]
-Count = Annotated[Whole, Field(ge=1, le=2**20)]
+Count = Annotated[int, Field(strict=True, ge=1, le=2**20)]
 #: Something is said.
 Words = Annotated[str, Field(pattern=r"\S")]
 Name = Annotated[str, Field(pattern=r"^[\w .,+()-]{1,80}$")]
@@ -68,6 +62,8 @@ class Strict(BaseModel):
     @classmethod
     def _in_its_unit(cls, value: Any, info: ValidationInfo) -> Any:
         name = info.field_name or ""
+        if _holds_whole_numbers(cls.model_fields[name].annotation):
+            return _integral(value)
         if not holds_numbers(cls.model_fields[name].annotation):
             return value
         return _converted(value, unit_of(name))
@@ -124,6 +120,21 @@ def holds_numbers(annotation: Any) -> bool:
     """Whether a field holds numbers with a fraction, in a list or with a source, and no text."""
     kinds = set(_kinds(annotation))
     return float in kinds and str not in kinds
+
+
+def _holds_whole_numbers(annotation: Any) -> bool:
+    """Whether a field holds whole numbers alone, with a source or without."""
+    kinds = set(_kinds(annotation))
+    return int in kinds and kinds <= {int, NoneType}
+
+
+def _integral(value: Any) -> Any:
+    """Whole numbers that are written with a point or an exponent, such as 1e6, as an int."""
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    if isinstance(value, dict) and "value" in value:
+        return value | {"value": _integral(value["value"])}
+    return value
 
 
 def _kinds(annotation: Any) -> Iterator[type]:

@@ -17,7 +17,7 @@ from twin.sweep.names import check_metrics
 from twin.sweep.objects import named
 from twin.sweep.parameters import check_value, is_optical
 from twin.sweep.relevance import check_effects
-from twin.toml import Finite, Name, Strict, Whole, describe, read_toml
+from twin.toml import Finite, Name, Strict, describe, read_toml
 
 Value = bool | int | float | str
 
@@ -38,8 +38,8 @@ class Sample(Strict):
     """
 
     method: Literal["latin-hypercube", "sobol", "saltelli"]
-    n: Annotated[Whole, Field(ge=1, le=10**7)]
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    n: Annotated[int, Field(strict=True, ge=1, le=10**7)]
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
     ranges: Annotated[dict[str, Range], Field(min_length=1)]
 
 
@@ -73,7 +73,7 @@ class Study(Strict):
     scene: str = "yard"
     system: str = "workable"
     radar: str = "hybrid-79"
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
     metrics: Annotated[tuple[str, ...], Field(min_length=1)]
     set: dict[str, Value] = {}
     grid: dict[str, Annotated[list[Value], Field(min_length=1)]] = {}

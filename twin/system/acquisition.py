@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from hardware.patterns import Order
 from twin.errors import InputError
 from twin.system.own_patterns import OwnPatternSource
-from twin.toml import Count, Fraction, NonNegative, Positive, Sourced, Strict, Whole
+from twin.toml import Count, Fraction, NonNegative, Positive, Sourced, Strict
 
 #: Of `hardware.patterns.Mode` what one detector can measure: complementary takes two.
 Mode = Literal["differential", "plain", "reference", "s-matrix"]
@@ -63,7 +63,7 @@ class TimeOfFlight(Strict):
     )
 
     modulation_hz: Sourced[Annotated[tuple[Positive, ...], Field(min_length=1)]] | None = None
-    phase_steps: Sourced[Annotated[Whole, Field(ge=3, le=16)]] | None = None
+    phase_steps: Sourced[Annotated[int, Field(strict=True, ge=3, le=16)]] | None = None
     contrast: Sourced[Fraction] | None = None
     pulse_width_s: Sourced[Positive] | None = None
     pulse_rate_hz: Sourced[Positive] | None = None

@@ -9,7 +9,7 @@ from scipy import constants
 
 from twin.errors import InputError
 from twin.own_parts import OwnCode
-from twin.toml import Count, Finite, NonNegative, Positive, Sourced, Strict, Whole
+from twin.toml import Count, Finite, NonNegative, Positive, Sourced, Strict
 
 
 class Detector(Strict):
@@ -139,7 +139,7 @@ class Readout(Strict):
     read_noise_e: Sourced[NonNegative]
     flicker_corner_hz: Sourced[NonNegative] | None = None
     bandwidth_hz: Sourced[Positive] | None = None
-    adc_bits: Sourced[Annotated[Whole, Field(ge=1, le=31)]]
+    adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=31)]]
     adc_full_scale_v: Sourced[Positive]
     adc_offset_v: Sourced[NonNegative]
 

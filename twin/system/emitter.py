@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twin.errors import InputError
-from twin.toml import Finite, Fraction, NonNegative, Positive, Sourced, Strict, Whole
+from twin.toml import Finite, Fraction, NonNegative, Positive, Sourced, Strict
 
 #: Float32 directions have steps of 3e-6 deg: below, a cell's edges are lost in them.
 FieldAngle = Annotated[Positive, Field(ge=2e-3, lt=170)]
-GridSize = Annotated[Whole, Field(ge=1, le=1024)]
+GridSize = Annotated[int, Field(strict=True, ge=1, le=1024)]
 #: Bare elements are all told apart by a matrix of cells x cells.
 _MOST_BARE = 4096
 
@@ -57,7 +57,7 @@ class Emitter(Strict):
     fill_factor: Sourced[Fraction] | None = None
     contrast_ratio: Sourced[Annotated[Finite, Field(gt=1)]] | None = None
     intensity_spread: Sourced[Annotated[NonNegative, Field(lt=1)]] | None = None
-    intensity_seed: Sourced[Annotated[Whole, Field(ge=0)]] | None = None
+    intensity_seed: Sourced[Annotated[int, Field(strict=True, ge=0)]] | None = None
     intensity_noise: Sourced[Annotated[NonNegative, Field(lt=1)]] | None = None
     switching_time_s: Sourced[NonNegative] | None = None
     kind: Sourced[Literal["led", "laser"]] | None = None

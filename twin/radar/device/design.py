@@ -26,7 +26,6 @@ from twin.toml import (
     Positive,
     Sourced,
     Strict,
-    Whole,
     bundled,
     load_entry,
 )
@@ -113,7 +112,7 @@ class FrontEndDesign(Strict):
     noise_figure_db: Sourced[Annotated[NonNegative, Field(le=100)]]
     losses_db: Sourced[Annotated[NonNegative, Field(le=300)]]
     noise_counts: Sourced[Positive]
-    adc_bits: Sourced[Annotated[Whole, Field(ge=1, le=16)]] | None = None
+    adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=16)]] | None = None
     iq_gain_db: Sourced[Annotated[Finite, Field(ge=-20, le=20)]] | None = None
     iq_phase_deg: Sourced[Annotated[Finite, Field(gt=-90, lt=90)]] | None = None
 
@@ -168,7 +167,7 @@ class Steps(Strict):
         Of the delay between sending and sampling, drawn anew at each step.
     """
 
-    count: Sourced[Annotated[Whole, Field(ge=1, le=4096)]]
+    count: Sourced[Annotated[int, Field(strict=True, ge=1, le=4096)]]
     spacing_hz: Sourced[Positive]
     settling_s: Sourced[Annotated[NonNegative, Field(le=1e3)]]
     random_phase: Sourced[bool]
