@@ -16,7 +16,7 @@ from benchmarks.timing import Figure, timed
 from hardware import PatternSet, reconstruct
 from hardware.patterns import fwht
 from hardware.reconstruction import METHODS
-from twin.budget import Link, audit, link_of
+from twin.budget import OpticalLink, audit, link_of
 from twin.budget.link import maximum_distance_m, minimum_time_s
 from twin.camera.acquisition import capture
 from twin.camera.evaluation import evaluate
@@ -206,7 +206,7 @@ def _budget() -> Iterator[Figure]:
     fields = np.random.default_rng(0).lognormal(0, 0.3, (8, 1_000_000))
 
     def designs() -> None:
-        link = Link(*fields)
+        link = OpticalLink(*fields)
         signal, background = link.signal_e_per_s(0.5, 5.0), link.background_e_per_s(0.5)
         minimum_time_s(signal, background, 1e3)
         maximum_distance_m(link.signal_e_per_s(0.5, 1.0), background, 1e-3, 1e3)

@@ -28,7 +28,7 @@ from twin.serve.clock import DeviceClock
 from twin.serve.line import Terminal
 from twin.serve.radio import VirtualRadio
 from twin.serve.serial import CameraServer
-from twin.serve.sweeps import Sweep
+from twin.serve.sweeps import RadarSweep
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
 
@@ -118,7 +118,7 @@ def _radio() -> Iterator[Figure]:
     """
     design = load_radar("prototype")
     echo = radar_echo(load_scene("yard"), design, fidelity=Fidelity(radar="targets")).condensed()
-    swept = Sweep(echo, echo.record())
+    swept = RadarSweep(echo, echo.record())
     radio = VirtualRadio(design, lambda number: swept, clock=DeviceClock("fast"))
     what = f"radio, a sweep of {len(radio.carriers_hz)} carriers (prototype)"
     yield f"{what}: through ZeroMQ", _sweeps(radio, remote=True), ""

@@ -128,7 +128,7 @@ def test_gain_helps_until_its_own_noise_takes_over(system) -> None:
 
 
 def test_the_closed_form_knows_the_excess_noise() -> None:
-    """`Link` of a diode and of an avalanche: time and distance give the SNR that is asked for."""
+    """`OpticalLink` of a diode and of an avalanche: time and distance give the SNR asked for."""
     part = load_part("ingaas-apd-200")
     link = link_of(load_system("paper"), part)
     assert link.shot_variance == pytest.approx(10 * (0.4 * 10 + 0.6 * 1.9))

@@ -9,7 +9,7 @@ import pytest
 from scipy import constants, optimize
 
 from twin import cli
-from twin.budget import SENSORS, Link, audit, frame_rates, link_of
+from twin.budget import SENSORS, OpticalLink, audit, frame_rates, link_of
 from twin.budget.link import (
     distance_sigma_m,
     implied_read_noise_e,
@@ -23,7 +23,7 @@ from twin.system import load_part, load_system
 PAPER = load_system("paper")
 
 
-def paper_link(name: str, **options: bool) -> Link:
+def paper_link(name: str, **options: bool) -> OpticalLink:
     return link_of(PAPER, load_part(name), **options)
 
 
@@ -119,7 +119,7 @@ def test_elasticities_are_derivatives() -> None:
     row = audit(link, part)
 
     def log_time(log_power: np.ndarray) -> float:
-        changed = Link(**{**vars(link), "sun_w_per_m2": float(np.exp(log_power[0]))})
+        changed = OpticalLink(**{**vars(link), "sun_w_per_m2": float(np.exp(log_power[0]))})
         signal = changed.signal_e_per_s(0.8, 10.0)
         rest = changed.background_e_per_s(0.8)
         return float(np.log(minimum_time_s(signal, rest, row.read_noise_e)))
@@ -155,7 +155,7 @@ def test_a_million_designs_take_less_than_two_seconds() -> None:
     rng = np.random.default_rng(0)
     fields = rng.lognormal(0, 0.3, (8, 1_000_000))
     start = time.perf_counter()
-    link = Link(*fields)
+    link = OpticalLink(*fields)
     signal, background = link.signal_e_per_s(0.5, 5.0), link.background_e_per_s(0.5)
     shortest = minimum_time_s(signal, background, 1e3)
     maximum_distance_m(link.signal_e_per_s(0.5, 1.0), background, 1e-3, 1e3)

@@ -42,7 +42,7 @@ from twin.serve.faults import RadioFaults, parse_faults
 from twin.serve.prefetcher import Prefetcher
 from twin.serve.radio import VirtualRadio
 from twin.serve.serving import parse_address
-from twin.serve.sweeps import Sweeps
+from twin.serve.sweeps import RadarSweeps
 from twin.serve.zeromq import RadioServer
 
 SEED = 11
@@ -79,7 +79,7 @@ def direct(scene, design: RadarDesign, sweep: int) -> RadarRecord:
 
 def virtual(scene, design: RadarDesign, **options) -> VirtualRadio:
     options = {"clock": DeviceClock("fast"), **options}
-    return VirtualRadio(design, Sweeps(scene, design, SEED, QUICK), **options)
+    return VirtualRadio(design, RadarSweeps(scene, design, SEED, QUICK), **options)
 
 
 @contextmanager
@@ -148,7 +148,9 @@ def test_what_is_really_sent_is_what_comes_back(scene) -> None:
 
     def heard(level: float, waveform=wave):
         """Of the first sweep, so that nothing has moved."""
-        radio = VirtualRadio(design, Sweeps(scene, design, SEED, quiet), clock=DeviceClock("fast"))
+        radio = VirtualRadio(
+            design, RadarSweeps(scene, design, SEED, quiet), clock=DeviceClock("fast")
+        )
         schedule = replace(radio.schedule, waveform=waveform)
         return channel(acquire(radio, replace(schedule, level=level), radio.front_end))
 
@@ -303,7 +305,7 @@ def test_a_stall_is_waited_for_and_a_dropped_connection_is_an_error(scene) -> No
 def test_a_scene_slower_than_real_time_makes_sweeps_late_and_loses_nothing(scene, caplog) -> None:
     """0.3 s to compute a sweep of 0.12 s: the same counts, no step late, and it is said once."""
     design = load_radar("prototype")
-    computed = Sweeps(scene, design, SEED, QUICK)
+    computed = RadarSweeps(scene, design, SEED, QUICK)
 
     def slow(number: int):
         time.sleep(0.3)
@@ -324,7 +326,7 @@ def test_a_scene_slower_than_real_time_makes_sweeps_late_and_loses_nothing(scene
 def test_a_sweep_that_fails_is_one_line_and_may_be_asked_for_again(scene, caplog) -> None:
     """Here and at the client; the sweep comes once it can be computed."""
     design = small()
-    computed, broken = Sweeps(scene, design, SEED, QUICK), [True]
+    computed, broken = RadarSweeps(scene, design, SEED, QUICK), [True]
 
     def fails(number: int):
         if number and broken[0]:
@@ -359,12 +361,12 @@ def test_what_stands_is_traced_once(rung: str, monkeypatch) -> None:
     design, quick = small(), Fidelity(radar=rung, radar_tolerance=1.0, radar_scatterers=500)
     scene = load_scene("fig3b")
     at_rest = replace(scene, track=None)
-    sweeps = Sweeps(at_rest, design, SEED, quick)
+    sweeps = RadarSweeps(at_rest, design, SEED, quick)
     for number in range(3):
         expected = radar_capture(at_rest, design, seed=SEED + number, fidelity=quick).record
         assert np.array_equal(sweeps(number).record.iq, expected.iq)
     assert len(traced) == (3 if rung == "rough" else 1)
-    on_track = Sweeps(scene, design, SEED, quick)
+    on_track = RadarSweeps(scene, design, SEED, quick)
     assert len({on_track(number).record.iq.tobytes() for number in range(3)}) == 3
     assert len(traced) == (6 if rung == "rough" else 4)
 

@@ -1,4 +1,4 @@
-"""The speed/accuracy trade: what is measured of a rung, which one is taken, what is written."""
+"""The speed/accuracy trade: what is measured of a level, which one is taken, what is written."""
 
 import csv
 import json
@@ -21,7 +21,7 @@ from scipy import stats
 from scipy.constants import speed_of_light
 from scipy.linalg import hadamard
 
-import twin.trade.radar as radar_rungs
+import twin.trade.radar as radar_levels
 from hardware.patterns import PatternSet
 from tests.physics.radar_worlds import RADAR, thing, world
 from twin import cli
@@ -32,25 +32,34 @@ from twin.radar import load_radar
 from twin.radar.propagation.solvers import trace as find_echoes
 from twin.scene import Pose, Rig, Scene, Sun, Target, load_scene
 from twin.system import load_system
-from twin.trade import Cost, Measurement, Trade, cheapest, choose_fidelity, front, meter, run_trade
+from twin.trade import (
+    Cost,
+    LevelMeasurement,
+    Trade,
+    cheapest,
+    choose_fidelity,
+    front,
+    meter,
+    run_trade,
+)
 from twin.trade.bodies import errors_of, reference_bodies
 from twin.trade.brute_force import Agreement, _agreement, _sampled_masks, _transport, check
 from twin.trade.camera import (
     CameraCase,
     distributions,
-    light_rungs,
+    light_levels,
+    measurable_part,
     measure_light,
-    reference_rung,
-    told_apart,
+    reference_level,
 )
-from twin.trade.meter import metered
+from twin.trade.meter import measure_cost
 from twin.trade.pareto import stage_names
 from twin.trade.radar import _reference, measure_radar
 
 
-def rung(seconds: float, over_noise: float, name: str = "", own: bool = True) -> Measurement:
+def level(seconds: float, over_noise: float, name: str = "", own: bool = True) -> LevelMeasurement:
     cost = Cost(seconds, seconds, seconds, 3, 0.0)
-    return Measurement(
+    return LevelMeasurement(
         "light", name, Fidelity() if own else None, cost, 100 * over_noise, "e-", over_noise
     )
 
@@ -77,11 +86,11 @@ T = TypeVar("T")
 
 
 def no_longer_than_needed(patch: pytest.MonkeyPatch) -> None:
-    """As few runs of each rung as its errors take, of those of a second for its time: three of the
+    """As few runs of each level as its errors take, of those of a second for its time: three of the
     light's, over which its error is a mean, and of the radar's the one that is compared.
     """
     patch.setattr("twin.trade.meter._ENOUGH_S", 0.0)
-    patch.setattr("twin.trade.radar.metered", once)
+    patch.setattr("twin.trade.radar.measure_cost", once)
 
 
 def once(work: Callable[[int], T]) -> tuple[Cost, list[T]]:
@@ -103,13 +112,13 @@ def without_car_and_person() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def walked(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
+def measured(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
     out = tmp_path_factory.mktemp("trade") / "yard"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("twin.trade.camera._LEAST_PATHS", 2**16)  # 1024 for each of 64 cells
         no_longer_than_needed(patch)
         patch.setattr("twin.trade.radar._FINEST", Fidelity(radar_tolerance=0.02))
-        patch.setattr("twin.trade.radar._RUNGS", radar_rungs._RUNGS[:-1])  # the finest is slow
+        patch.setattr("twin.trade.radar._LEVELS", radar_levels._LEVELS[:-1])  # the finest is slow
         patch.setattr("twin.trade.radar._MOST_TERMS", 4e7)
         patch.setattr("twin.trade.bodies._MOST_POINTS", 3_000_000)
         seen, stage = [], Stages.stage
@@ -122,57 +131,57 @@ def walked(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
     return found, out
 
 
-# Which rung is taken.
+# Which level is taken.
 
 
-def test_the_cheapest_rung_below_the_tolerance_is_taken() -> None:
-    rungs = [rung(3, 0.01, "fine"), rung(1, 0.9, "rough"), rung(2, 0.1, "fair")]
-    choice = cheapest(rungs, 0.2)
-    assert (choice.taken.name, choice.within) == ("fair", True)
+def test_the_cheapest_level_below_the_tolerance_is_taken() -> None:
+    levels = [level(3, 0.01, "fine"), level(1, 0.9, "rough"), level(2, 0.1, "fair")]
+    choice = cheapest(levels, 0.2)
+    assert (choice.measurement.name, choice.within) == ("fair", True)
     assert "rough, has 0.9" in choice.reason
     assert "fine takes 1.5 times as long" in choice.reason
-    assert cheapest(rungs, 0.1).taken.name == "fine"  # below, not at
-    assert cheapest(rungs, 5).taken.name == "rough"
+    assert cheapest(levels, 0.1).measurement.name == "fine"  # below, not at
+    assert cheapest(levels, 5).measurement.name == "rough"
 
 
-def test_of_rungs_equally_fast_the_most_accurate_is_taken() -> None:
+def test_of_levels_equally_fast_the_most_accurate_is_taken() -> None:
     """Quartiles of 1.0 to 1.2 s and 1.1 to 1.3 s overlap; those from 1.25 s on stand apart."""
-    good = rung(1.1, 0.1, "first")
-    rungs = [
+    good = level(1.1, 0.1, "first")
+    levels = [
         replace(good, cost=replace(good.cost, low_s=1.0, high_s=1.2)),
-        replace(rung(1.2, 0.05, "second"), cost=Cost(1.2, 1.1, 1.3, 3, 0.0)),
-        replace(rung(1.3, 0.01, "third"), cost=Cost(1.3, 1.25, 1.4, 3, 0.0)),
+        replace(level(1.2, 0.05, "second"), cost=Cost(1.2, 1.1, 1.3, 3, 0.0)),
+        replace(level(1.3, 0.01, "third"), cost=Cost(1.3, 1.25, 1.4, 3, 0.0)),
     ]
-    choice = cheapest(rungs, 0.2)
-    assert choice.taken.name == "second"
+    choice = cheapest(levels, 0.2)
+    assert choice.measurement.name == "second"
     assert "as fast as first within the spread" in choice.reason
 
 
 def test_where_none_is_good_enough_the_most_accurate_is_taken_and_said_so() -> None:
-    rungs = [rung(1, 0.9), rung(2, 0.4, "best"), rung(3, 0.6), rung(0.5, np.nan)]
-    choice = cheapest(rungs, 0.2)
-    assert (choice.taken.name, choice.within) == ("best", False)
-    assert "no rung stays below 0.2" in choice.reason
-    assert cheapest([rung(9, 0.0, own=False), *rungs], 0.2).taken.name == "best"
-    with pytest.raises(ValueError, match="no rung"):
-        cheapest([rung(1, 0.0, own=False)], 0.2)
+    levels = [level(1, 0.9), level(2, 0.4, "best"), level(3, 0.6), level(0.5, np.nan)]
+    choice = cheapest(levels, 0.2)
+    assert (choice.measurement.name, choice.within) == ("best", False)
+    assert "no level is below 0.2" in choice.reason
+    assert cheapest([level(9, 0.0, own=False), *levels], 0.2).measurement.name == "best"
+    with pytest.raises(ValueError, match="no level"):
+        cheapest([level(1, 0.0, own=False)], 0.2)
 
 
 @given(
     st.lists(st.tuples(st.floats(1e-6, 1e3), st.floats(0, 1e3)), min_size=1, max_size=20),
     st.floats(1e-6, 1e3),
 )
-def test_no_cheaper_rung_would_do_and_none_on_the_front_is_beaten(pairs, tolerance) -> None:
-    rungs = [rung(*pair) for pair in pairs]
-    choice = cheapest(rungs, tolerance)
-    assert choice.within == (choice.taken.over_noise < tolerance)
+def test_no_cheaper_level_would_do_and_none_on_the_front_is_beaten(pairs, tolerance) -> None:
+    levels = [level(*pair) for pair in pairs]
+    choice = cheapest(levels, tolerance)
+    assert choice.within == (choice.measurement.over_noise < tolerance)
     if choice.within:
-        cheaper = [m for m in rungs if m.cost.seconds < choice.taken.cost.seconds]
+        cheaper = [m for m in levels if m.cost.seconds < choice.measurement.cost.seconds]
         assert not any(m.over_noise < tolerance for m in cheaper)
     else:
-        assert choice.taken.over_noise == min(m.over_noise for m in rungs)
-    best = front(rungs)
-    for m in rungs:
+        assert choice.measurement.over_noise == min(m.over_noise for m in levels)
+    best = front(levels)
+    for m in levels:
         beaten = [
             b for b in best if b.cost.seconds <= m.cost.seconds and b.over_noise <= m.over_noise
         ]
@@ -185,13 +194,13 @@ def test_no_cheaper_rung_would_do_and_none_on_the_front_is_beaten(pairs, toleran
 # What is measured.
 
 
-def test_more_paths_less_error(walked: tuple[Trade, Path]) -> None:
+def test_more_paths_less_error(measured: tuple[Trade, Path]) -> None:
     """64 times the paths: direct light's error falls as n^-0.75, 23 times, all light's as n^-0.5,
     8 times, at least; by 4 anything else is wrong. (Over 20 seeds the least was 7.9, by one step
     of four 1.6.) Without further bounces a seventeenth of the sun's light is missing.
     """
-    rungs = [m for m in walked[0].of("light") if m.fidelity]
-    light = {(m.fidelity.samples, m.fidelity.max_depth): m for m in rungs}
+    levels = [m for m in measured[0].of("light") if m.fidelity]
+    light = {(m.fidelity.samples, m.fidelity.max_depth): m for m in levels}
     for depth in (2, 4):
         errors = [light[n, depth].error for n in (4, 16, 64, 256)]
         assert errors == sorted(errors, reverse=True)
@@ -202,20 +211,20 @@ def test_more_paths_less_error(walked: tuple[Trade, Path]) -> None:
     assert reference.error == min(m.error for m in light.values())
 
 
-def test_errors_in_all_units_are_the_same_error(walked: tuple[Trade, Path]) -> None:
+def test_errors_in_all_units_are_the_same_error(measured: tuple[Trade, Path]) -> None:
     """Electrons over the pixel's noise; watts through the responsivity that was asked for."""
-    found, _ = walked
+    found, _ = measured
     for m in found.of("light"):
         assert m.over_noise == pytest.approx(m.error / found.pixel_noise_e, rel=1e-9)
         per_watt = m.error / m.detail["error_w"]
         assert per_watt == pytest.approx(0.95 * 80e-6 / 1.602176634e-19, rel=1e-9)
 
 
-def test_the_reference_agrees_with_brute_force(walked: tuple[Trade, Path]) -> None:
+def test_the_reference_agrees_with_brute_force(measured: tuple[Trade, Path]) -> None:
     """Within 4 standard errors and 0.2 %, and no pattern of 8 beyond 6 of its own: 1e-3 false
     alarms in all. A transport 1 % too bright, or mirrored, is found.
     """
-    agreement = walked[0].agreement
+    agreement = measured[0].agreement
     assert agreement.holds
     assert agreement.worst_sigmas < 6
     assert 0 < agreement.standard_error < 2e-3
@@ -256,7 +265,7 @@ def test_rows_of_leds_agree_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert agreement.worst_sigmas < 6
 
 
-def test_noise_rungs_are_as_far_from_poisson_as_they_should_be() -> None:
+def test_noise_levels_are_as_far_from_poisson_as_they_should_be() -> None:
     """Ten electrons of pure shot noise. Rounded and spread again, distribution functions are
     polygons through the half integers: the area between two of them is the distance. 20 000 draws
     leave 0.02 of it open.
@@ -280,11 +289,11 @@ def test_noise_rungs_are_as_far_from_poisson_as_they_should_be() -> None:
     assert np.trapezoid(np.abs(polygon["gaussian"] - polygon["full"]), fine) > 0.14
 
 
-def test_without_noise_the_distribution_is_missed_altogether(walked: tuple[Trade, Path]) -> None:
+def test_without_noise_the_distribution_is_missed_altogether(measured: tuple[Trade, Path]) -> None:
     """Mean distance of a normal number from its mean: sqrt(2 / pi) sigma, less a quarter of the
     converter's step, which is spread over.
     """
-    none, gaussian, full = walked[0].of("noise")
+    none, gaussian, full = measured[0].of("noise")
     front_end = CameraCase.of(load_scene("table1"), load_system("workable"), 0).chain.front_end
     sigma = none.detail["noise_e"]
     expected = np.sqrt(2 / np.pi) * sigma - front_end.electrons_per_count / 4
@@ -302,7 +311,7 @@ def test_a_missing_echo_is_as_far_above_noise_as_the_link_budget_says(small, mon
     scene = Scene("free space", Path(), "", (), rig, Sun(0.0, 0.0, 0.0), targets=(target,))
     found = {(m.fidelity.radar, m.fidelity.nufft_tolerance): m for m in measure(scene, radar)}
     snr = radar.image_snr(radar.received_power_w(30.0, 10.0))
-    # In free space declared targets are all there is, on every rung; Sionna's to float32.
+    # In free space declared targets are all there is, on every level; Sionna's to float32.
     assert found["targets", 1e-6].error < 1e-6
     assert found["paths", 1e-6].error < 1e-4
     reference_rms = found["paths", 1e-6].over_noise / found["paths", 1e-6].error
@@ -315,27 +324,27 @@ def test_a_missing_echo_is_as_far_above_noise_as_the_link_budget_says(small, mon
     assert bins.columns.tolist() == list(range(16))
 
 
-def test_a_closer_tolerance_is_nearer_to_the_reference(walked: tuple[Trade, Path]) -> None:
+def test_a_closer_tolerance_is_nearer_to_the_reference(measured: tuple[Trade, Path]) -> None:
     """On the yard; and what says nothing of the meshes is as far off as silence."""
-    found = {(m.fidelity.radar, m.fidelity.radar_tolerance): m for m in walked[0].of("radar")}
-    tolerances = sorted((t for rung, t in found if rung == "optics"), reverse=True)
+    found = {(m.fidelity.radar, m.fidelity.radar_tolerance): m for m in measured[0].of("radar")}
+    tolerances = sorted((t for level, t in found if level == "optics"), reverse=True)
     errors = [found["optics", t].error for t in tolerances]
     assert tolerances == [0.3, 0.1]
     assert errors == sorted(errors, reverse=True)
     assert found["targets", Fidelity().radar_tolerance].error > 0.5
 
 
-def test_errors_are_named_body_by_body(walked: tuple[Trade, Path]) -> None:
+def test_errors_are_named_body_by_body(measured: tuple[Trade, Path]) -> None:
     """Within 40 dB of the strongest, each with what it was compared with; what is off by more than
     its tolerance is named. Weighted by their power, errors of bodies are that of their sum, as far
     as they are independent: within a factor of 3.
     """
-    found, out = walked
-    rungs = {m.fidelity.radar_tolerance: m for m in found.of("radar") if m.bodies}
-    assert list(rungs) == [0.3, 0.1]
+    found, out = measured
+    levels = {m.fidelity.radar_tolerance: m for m in found.of("radar") if m.bodies}
+    assert list(levels) == [0.3, 0.1]
     text = (out / "trade.md").read_text()
     assert "| optics, tolerance 0.3 | optics, tolerance 0.1 |" in text
-    for tolerance, m in rungs.items():
+    for tolerance, m in levels.items():
         assert {"post_left", "post_right"} <= {e.body for e in m.bodies}
         assert all(-40 <= e.level_db <= 0 for e in m.bodies)
         assert all(e.is_converged == (e.error <= tolerance) for e in m.bodies)
@@ -345,7 +354,7 @@ def test_errors_are_named_body_by_body(walked: tuple[Trade, Path]) -> None:
         assert whole / 3 < m.error < 3 * whole
         assert all(f"| {e.body} |" in text for e in m.bodies)
         assert ("not converged" in text) >= any(not e.is_converged for e in m.bodies)
-    references = {e.reference.split(" at ")[0] for e in rungs[0.1].bodies}
+    references = {e.reference.split(" at ")[0] for e in levels[0.1].bodies}
     assert references == {"direct echo sampled by brute force", "the solver itself"}
 
 
@@ -373,11 +382,11 @@ def test_brute_force_is_the_plate_of_the_textbook() -> None:
     assert errors_of(bodies, found, radar, 0.01)[0].error < 0.01
 
 
-def measure(scene: Scene, radar) -> list[Measurement]:
+def measure(scene: Scene, radar) -> list[LevelMeasurement]:
     return measure_radar(scene, radar, 0, silent)
 
 
-def test_no_echo_no_rungs(small: tuple[Path, Path]) -> None:
+def test_no_echo_no_levels(small: tuple[Path, Path]) -> None:
     rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
     scene = Scene("nothing", Path(), "", (), rig, Sun(0.0, 0.0, 0.0))
     assert measure(scene, load_radar(small[1])) == []
@@ -388,8 +397,10 @@ def test_only_what_the_patterns_tell_counts() -> None:
     patterns = PatternSet(4, 8, 11)
     cells = np.random.default_rng(0).normal(size=(2, 32))
     rows = hadamard(32)[patterns.indices]
-    np.testing.assert_allclose(told_apart(cells, patterns), cells @ rows.T @ rows / 32, atol=1e-12)
-    assert told_apart(cells, PatternSet(4, 8, 32)) is cells
+    np.testing.assert_allclose(
+        measurable_part(cells, patterns), cells @ rows.T @ rows / 32, atol=1e-12
+    )
+    assert measurable_part(cells, PatternSet(4, 8, 32)) is cells
 
 
 def touched(n_bytes: int) -> mmap.mmap:
@@ -415,7 +426,7 @@ def test_time_and_memory_are_the_works_own(forgets, monkeypatch, tmp_path) -> No
             time.sleep(0.03 if run else 0.3)
         return run
 
-    cost, results = metered(work, most=4)
+    cost, results = measure_cost(work, most=4)
     assert results == [1, 2, 3, 4]
     assert called == [0, 1, 2, 3, 4]
     assert 60 < cost.peak_bytes / 2**20 < 100
@@ -426,8 +437,8 @@ def test_time_and_memory_are_the_works_own(forgets, monkeypatch, tmp_path) -> No
 # What is written.
 
 
-def test_a_trade_writes_data_and_says_what_to_take(walked: tuple[Trade, Path]) -> None:
-    found, out = walked
+def test_a_trade_writes_data_and_says_what_to_take(measured: tuple[Trade, Path]) -> None:
+    found, out = measured
     assert {p.name for p in out.iterdir()} == {"trade.json", "trade.csv", "trade.md", "trade.png"}
     assert list(out.parent.iterdir()) == [out]
     content = json.loads((out / "trade.json").read_text())
@@ -439,16 +450,18 @@ def test_a_trade_writes_data_and_says_what_to_take(walked: tuple[Trade, Path]) -
     assert sum(int(row["taken"]) for row in rows) == 3
     text = (out / "trade.md").read_text()
     for choice in found.choices.values():
-        assert f"| **{choice.taken.name}** |" in text
+        assert f"| **{choice.measurement.name}** |" in text
     assert "brute force per pattern" in text
     assert "(standard)" in text
     tables = [line for line in text.splitlines() if line.startswith("|")]
     assert {line.count("|") for line in tables} == {6, 7}
 
 
-def test_the_choice_joins_the_ladders(walked: tuple[Trade, Path]) -> None:
-    found, _ = walked
-    light, noise, radar = (found.choices[k].taken.fidelity for k in ("light", "noise", "radar"))
+def test_the_choice_joins_the_models(measured: tuple[Trade, Path]) -> None:
+    found, _ = measured
+    light, noise, radar = (
+        found.choices[k].measurement.fidelity for k in ("light", "noise", "radar")
+    )
     assert found.fidelity.quality == light.quality
     assert found.fidelity.noise == noise.noise
     assert (found.fidelity.radar, found.fidelity.nufft_tolerance) == (
@@ -465,7 +478,7 @@ def test_the_choice_joins_the_ladders(walked: tuple[Trade, Path]) -> None:
 
 
 @pytest.fixture
-def short_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_levels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.trade.camera._LEAST_PATHS", 1)
     monkeypatch.setattr("twin.trade.camera._DEPTHS", (1, 4))
     monkeypatch.setattr("twin.trade.brute_force._SEEDS", 3)
@@ -476,11 +489,11 @@ def test_few_cells_need_more_paths_each() -> None:
     """Paths of the reference in all: never fewer than those of 64 x 64 cells."""
     for name, expected in (("workable", 1024), ("led-16x16", 128**2), ("line-256x16", 1024)):
         system = load_system(name)
-        assert reference_rung(system).samples == expected
-        assert max(r.samples for r in light_rungs(system)) == expected / 4
+        assert reference_level(system).samples == expected
+        assert max(r.samples for r in light_levels(system)) == expected / 4
 
 
-@pytest.mark.usefixtures("short_ladder")
+@pytest.mark.usefixtures("few_levels")
 def test_choose_measures_and_returns_a_fidelity(small: tuple[Path, Path]) -> None:
     """A tolerance that nothing meets gives the reference; one that all meet, little work."""
     scene = load_scene("table1")
@@ -498,7 +511,7 @@ def twin(*arguments: str, monkeypatch, capsys) -> tuple[int, str, str]:
     return stopped.value.code or 0, streams.out, streams.err
 
 
-@pytest.mark.usefixtures("short_ladder")
+@pytest.mark.usefixtures("few_levels")
 def test_the_command_prints_table_check_and_choice(small, monkeypatch, capsys, tmp_path) -> None:
     out = tmp_path / "out"
     arguments = ("table1", "--system", str(small[0]), "--radar", "none", "--tolerance", "1e-6")
@@ -506,7 +519,7 @@ def test_the_command_prints_table_check_and_choice(small, monkeypatch, capsys, t
         *arguments, "--out", str(out), monkeypatch=monkeypatch, capsys=capsys
     )
     assert code == 0
-    assert "warning: light: no rung stays below 1e-06" in errors
+    assert "warning: light: no level is below 1e-06" in errors
     for part in ("64 paths, 4 bounces", "transport over brute force", "take: Fidelity("):
         assert part in printed
     assert "radar:" not in printed

@@ -11,7 +11,7 @@ from twin.fidelity import Fidelity
 from twin.scene import load_scene
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock
-from twin.serve.configuration import configured
+from twin.serve.configuration import configure_system
 from twin.serve.faults import CameraFaults
 from twin.serve.line import Terminal
 from twin.serve.serial import CameraServer
@@ -35,7 +35,9 @@ def quick_world():
 
 def direct(world, wanted: SpiSettings, sets: int):
     scene, system, light = world
-    records = stills(scene, configured(system, wanted), seed=SEED, fidelity=QUICK, rendered=light)
+    records = stills(
+        scene, configure_system(system, wanted), seed=SEED, fidelity=QUICK, rendered=light
+    )
     return list(islice(records, sets))
 
 

@@ -1,15 +1,15 @@
-"""Budgets in closed form: one's own system before a wall; the paper's Table 1, re-derived."""
+"""Budgets in closed form: a system in front of a wall; the paper's Table 1, re-derived."""
 
 from twin.budget.design import WallRow, wall_rows
 from twin.budget.frame_rate import FrameRate, frame_rates
-from twin.budget.link import Link
-from twin.budget.table1 import SENSORS, Row, audit, link_of
+from twin.budget.link import OpticalLink
+from twin.budget.table1 import SENSORS, AuditRow, audit, link_of
 
 __all__ = [
     "SENSORS",
+    "AuditRow",
     "FrameRate",
-    "Link",
-    "Row",
+    "OpticalLink",
     "WallRow",
     "audit",
     "frame_rates",

@@ -1,7 +1,7 @@
-"""A system of one's own in closed form: what it makes of a wall square to the rig.
+"""Budget of a system in front of a wall at normal incidence, in closed form.
 
-Emitter, filter, lens, detector, amplifier, converter and patterns are the system's; light that
-comes back is that of `wall_power_w`, noise that of the simulated camera (`noise_budget`).
+Emitter, filter, lens, detector, amplifier, converter and patterns are the system's; the light is
+that of `wall_power_w`, the noise that of the simulated camera (`noise_budget`).
 """
 
 import math
@@ -31,11 +31,11 @@ from twin.toml import Sourced
 
 Array = NDArray[np.float64]
 
-_PARTS = 64  # of the field along each side, over which the filter's shift is averaged
+_PARTS = 64  # parts of the field along each side, over which the filter's shift is averaged
 _TIMES_S = (1e-9, 1e3)
 _DISTANCES_M = (1e-2, 1e6)
 
-#: What the closed form has no place for, by the field that says it.
+#: Effects that the closed form leaves out, by the field of the system.
 _LEFT_OUT = {
     "weather": "the air",
     "emitter.viewing_angle_deg": "the emitter's lobe",
@@ -81,14 +81,14 @@ def wall_rows(
     system: System, distances_m: Sequence[float], reflectances: Sequence[float]
 ) -> list[WallRow]:
     """Rows for every distance and reflectance. Raises InputError where there is no light at all."""
-    design = _Design.of(system)
+    design = _SystemBudget.of(system)
     if not design.watt(1.0, 1.0):
         raise InputError("budget: no light of the emitter passes the filter, or it emits none")
     return [design.row(z, rho) for z in distances_m for rho in reflectances]
 
 
 def left_out(system: System) -> list[str]:
-    """What the system says and the closed form leaves out."""
+    """Effects of the system that the closed form leaves out."""
     said = {name for name, _ in system.values()} | ({"weather"} if system.weather else set())
     missing = [what for name, what in _LEFT_OUT.items() if name in said]
     if system.optics.field_stop.value == "detector":
@@ -97,11 +97,11 @@ def left_out(system: System) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Design:
-    """What of a system neither distance nor reflectance changes.
+class _SystemBudget:
+    """The part of a system's budget that depends on neither distance nor reflectance.
 
-    ``in_band``: share of the emitter's line behind the filter, mean over what a wall sends back;
-    ``sun_w``: the sun's power on one detector by a white wall that it meets square.
+    ``in_band``: share of the emitter's line behind the filter, mean over the light of a wall;
+    ``sun_w``: the sun's power on one detector from a white wall at normal incidence.
     """
 
     system: System
@@ -111,7 +111,7 @@ class _Design:
     responsivity: float
 
     @classmethod
-    def of(cls, system: System) -> "_Design":
+    def of(cls, system: System) -> "_SystemBudget":
         check_has_closed_form(system.detector)
         lens = collection(system)
         dark = Sky(illuminance_lx=Sourced(value=0.0, source="no sky section"))
@@ -194,7 +194,7 @@ class _Design:
         )
 
     def minimum_time_s(self, distance_m: float, reflectance: float) -> float:
-        time = _where_at(lambda t: self.snr(distance_m, reflectance, t), _TIMES_S, 1.0)
+        time = _solve(lambda t: self.snr(distance_m, reflectance, t), _TIMES_S, 1.0)
         fits = time < math.inf and self.fill(distance_m, reflectance, time) < 1
         return time if fits else math.inf
 
@@ -202,7 +202,7 @@ class _Design:
         tof = self.system.time_of_flight
         if tof is not None and tof.gate_delays_s is not None:
             return math.nan
-        far = _where_at(lambda z: -self.snr(z, reflectance), _DISTANCES_M, -1.0)
+        far = _solve(lambda z: -self.snr(z, reflectance), _DISTANCES_M, -1.0)
         return far if far == math.inf or self.fill(far, reflectance) < 1 else math.nan
 
     def _front_end(self, time_s: float | None = None) -> FrontEnd:
@@ -214,8 +214,8 @@ class _Design:
         return FrontEnd.of(system, self.responsivity)
 
 
-def _where_at(rising: Callable[[float], float], ends: tuple[float, float], level: float) -> float:
-    """Argument at which a rising function is at a level: the first end where it is above it
+def _solve(rising: Callable[[float], float], ends: tuple[float, float], level: float) -> float:
+    """Argument at which a rising function reaches a level: the first end where it is above it
     everywhere, infinite where it is below.
     """
     low, high = (math.log(end) for end in ends)
@@ -229,7 +229,7 @@ def _where_at(rising: Callable[[float], float], ends: tuple[float, float], level
 
 
 def _field(lens: Collection) -> tuple[Array, NDArray[np.bool_]]:
-    """Angles to the axis over the square around the field, and what of it is outside, alike."""
+    """Angles to the axis over the square around the field, and whether each point is outside."""
     side = cell_centres(_PARTS) * lens.tan_half_field
     radius = np.hypot(side[:, None], side)
     return np.arctan(radius), (lens.outline == "disc") & (radius > lens.tan_half_field)

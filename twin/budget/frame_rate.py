@@ -1,4 +1,4 @@
-"""Frame rates: patterns, line rate, processing, in turns or overlapped."""
+"""Frame rates from patterns, line rate and processing, sequential or overlapped."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ def frame_rates(
 ) -> list[FrameRate]:
     """Frame rates at the printed integration times, the sensor's line rate respected.
 
-    In turns, a frame takes acquisition plus processing; overlapped, the longer of the two.
+    Sequential, a frame takes acquisition plus processing; overlapped, the longer of the two.
     """
     name = part.name.removesuffix("-paper")
     line_rate = detector_of(part).line_rate_hz

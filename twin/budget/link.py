@@ -1,7 +1,7 @@
-"""One pixel's optical link in closed form, for arrays of designs at once.
+"""Link budget of one pixel in closed form, for arrays of designs at once.
 
-Rates in electrons per second; the bare on-axis formula of physics and paper alike, without the
-cosines of the field (their mean is 0.93 over 20 degrees, see `mean_cos_power`).
+Rates in electrons per second; the on-axis formula, as in the paper, without the cosines of the
+field (their mean is 0.93 over 20 degrees, see `mean_cos_power`).
 """
 
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ Number = float | NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Link:
-    """A design; every field may be an array, and all arrays broadcast.
+class OpticalLink:
+    """Parameters of a link; every field may be an array, and all arrays broadcast.
 
     ``in_band``: share of the emitter's line inside the filter. ``sun_w_per_m2``: irradiance of the
-    sun in the band, taken to fall on the object square. ``shot_variance``: variance over mean of
-    the electrons at the detector's terminals, M F of an avalanche photodiode.
+    sun in the band, at normal incidence on the object. ``shot_variance``: variance over mean of the
+    electrons at the detector's terminals, M F of an avalanche photodiode.
     """
 
     radiant_intensity_w_per_sr: Number
@@ -50,7 +50,7 @@ class Link:
 def noise_e(
     signal: Number, background: Number, time_s: Number, read_e: Number, shot_variance: Number = 1.0
 ) -> Number:
-    """Shot noise of everything that is collected, with the read noise."""
+    """Shot noise of all collected electrons, with the read noise."""
     return np.sqrt(shot_variance * (signal + background) * time_s + np.square(read_e))
 
 
@@ -93,7 +93,7 @@ def maximum_distance_m(
 def implied_read_noise_e(
     signal: Number, background: Number, time_s: Number, shot_variance: Number = 1.0
 ) -> Number:
-    """Read noise with which ``time_s`` is just enough for SNR 1; 0 where even none is too much."""
+    """Read noise with which ``time_s`` gives SNR 1; 0 where shot noise alone is too high."""
     excess = np.square(signal * time_s) - shot_variance * (signal + background) * time_s
     return np.sqrt(np.maximum(excess, 0.0))
 

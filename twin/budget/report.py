@@ -1,4 +1,4 @@
-"""Budgets as tables for a terminal, as JSON, and as a plot: one's own system, the paper's table."""
+"""Budgets as tables for a terminal, as JSON, and as a plot: of a system, and the paper's table."""
 
 import json
 import math
@@ -14,13 +14,13 @@ from rich.table import Table
 
 from twin.budget.design import WallRow
 from twin.budget.frame_rate import FrameRate
-from twin.budget.table1 import REFLECTANCES, Row
+from twin.budget.table1 import REFLECTANCES, AuditRow
 from twin.report.style import BLUE, GREY, ORANGE, new_figure, si
 from twin.system import System
 
 
-def print_budget(rows: Sequence[Row], rates: Sequence[FrameRate], console: Console) -> None:
-    """Table 1 beside what was derived, the elasticities, the frame rates."""
+def print_budget(rows: Sequence[AuditRow], rates: Sequence[FrameRate], console: Console) -> None:
+    """Table 1 beside the derived values, the elasticities, the frame rates."""
     console.print(_table1(rows))
     for row in rows:
         moves = ", ".join(f"{name} {value:+.2f}" for name, value in row.elasticity.items())
@@ -28,7 +28,7 @@ def print_budget(rows: Sequence[Row], rates: Sequence[FrameRate], console: Conso
     console.print(_rates(rates))
 
 
-def write_budget(rows: Sequence[Row], rates: Sequence[FrameRate], folder: Path) -> None:
+def write_budget(rows: Sequence[AuditRow], rates: Sequence[FrameRate], folder: Path) -> None:
     """``budget.json`` with every number, ``budget.png`` with times over printed times."""
     content = {"table1": [_plain(row) for row in rows], "frame_rates": [asdict(r) for r in rates]}
     (folder / "budget.json").write_text(json.dumps(content, indent=1))
@@ -36,7 +36,7 @@ def write_budget(rows: Sequence[Row], rates: Sequence[FrameRate], folder: Path) 
 
 
 def print_design(system: System, rows: Sequence[WallRow], console: Console) -> None:
-    """One's own system before a wall: electrons, noise, SNR, what it takes and how far it goes."""
+    """A system in front of a wall: electrons, noise, SNR, time and distance for an SNR of 1."""
     columns = (
         "wall at",
         "reflectance",
@@ -68,8 +68,8 @@ def print_design(system: System, rows: Sequence[WallRow], console: Console) -> N
 
 
 def write_design(system: System, rows: Sequence[WallRow], folder: Path) -> None:
-    """``budget.json`` with every number of one's own system, null where there is none;
-    ``budget.png`` with the SNR over distance.
+    """``budget.json`` with every number of a system, null for NaN and infinity; ``budget.png`` with
+    the SNR over distance.
     """
     walls = [
         {
@@ -109,7 +109,7 @@ def plot_design(system: System, rows: Sequence[WallRow]) -> Figure:
     return figure
 
 
-def plot_budget(rows: Sequence[Row]) -> Figure:
+def plot_budget(rows: Sequence[AuditRow]) -> Figure:
     """Photon-limited and fitted times over the printed ones, cell by cell."""
     figure = new_figure((1.5 * len(rows) + 2.5, 3.6))
     axis = figure.subplots()
@@ -127,7 +127,7 @@ def plot_budget(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def _table1(rows: Sequence[Row]) -> Table:
+def _table1(rows: Sequence[AuditRow]) -> Table:
     columns = ("sensor", "rho", "printed: z, T", "photons alone", "implied read noise")
     table = Table(
         *columns, "T with the row's", "z with the row's", "sigma of a ToF reading", box=None
@@ -169,7 +169,7 @@ def _rates(rates: Sequence[FrameRate]) -> Table:
     return table
 
 
-def _plain(row: Row) -> dict[str, Any]:
+def _plain(row: AuditRow) -> dict[str, Any]:
     return {
         name: value.tolist() if isinstance(value, np.ndarray) else value
         for name, value in vars(row).items()

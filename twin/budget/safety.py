@@ -1,4 +1,4 @@
-"""Margin of a design to the exposure limits of the eye; what another wavelength would change."""
+"""Margin of a design to the exposure limits of the eye, and its dependence on wavelength."""
 
 import json
 import math
@@ -36,9 +36,9 @@ DURATIONS_S = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 1
 
 @dataclass(frozen=True)
 class Hazard:
-    """One limit: what the design gives, what is allowed, and by which clause.
+    """One exposure limit: exposure by the design, limit, and clause of the standard.
 
-    ``margin`` above 1 is safe. All cells are taken as lit all the time, the worst of all patterns.
+    ``margin`` above 1 is safe. All cells are assumed lit all the time, the worst case of patterns.
     """
 
     name: str
@@ -55,42 +55,42 @@ class Hazard:
 
 
 def hazards(system: System, wavelength_m: float | None = None) -> list[Hazard]:
-    """Every limit that concerns the emitter, at its peak or at another wavelength.
+    """All limits for the emitter, at its peak or at another wavelength.
 
-    By its kind, laser or LED; both standards where the system doesn't say. Raises InputError for
+    According to its kind, laser or LED; both where the system does not say. Raises InputError for
     wavelengths outside 700-1800 nm.
     """
     emitter = system.emitter
     wavelength = emitter.peak_wavelength_m.value if wavelength_m is None else wavelength_m
     diameter = emitter.source_diameter_m.value if emitter.source_diameter_m else 0.0
     kind = emitter.kind.value if emitter.kind else None
-    found = []
+    rows = []
     if kind in ("laser", None):
-        found += _laser(system, wavelength, diameter)
+        rows += _laser(system, wavelength, diameter)
     if kind in ("led", None):
-        found += _lamp(system, wavelength, diameter)
-    return found
+        rows += _lamp(system, wavelength, diameter)
+    return rows
 
 
 def assumptions(system: System) -> list[str]:
-    """What was taken because the system says nothing."""
-    emitter, taken = system.emitter, []
+    """Assumptions about whatever the system leaves out."""
+    emitter, assumed = system.emitter, []
     if emitter.kind is None:
-        taken.append("emitter.kind: not given, both standards are applied")
+        assumed.append("emitter.kind: not given, both standards are applied")
     if emitter.source_diameter_m is None:
-        taken.append("emitter.source_diameter_m: not given, a point source (worst case)")
-    taken.append("all cells lit all the time; no optical instruments; no single fault")
-    taken.append("limits and clauses after secondary sources: check them against the standards")
-    return taken
+        assumed.append("emitter.source_diameter_m: not given, a point source (worst case)")
+    assumed.append("all cells lit all the time; no optical instruments; no single fault")
+    assumed.append("limits and clauses after secondary sources: check them against the standards")
+    return assumed
 
 
 def wavelength_ratio(
     time_s: Any, wavelength_m: float = 1550e-9, other_m: float = 850e-9
 ) -> tuple[Array, Array]:
-    """How much more a wavelength may expose the eye than another: J/m^2 and J, pulses of a point.
+    """Ratio of the limits of two wavelengths for pulses of a point source: exposure and energy.
 
-    The second counts the energy through each wavelength's limiting aperture (class 1): 1 mm for
-    pulses at 1550 nm and 7 mm at 850 nm make it 49 times smaller than the first.
+    The energy is that through each wavelength's limiting aperture (class 1): with 1 mm for pulses
+    at 1550 nm and 7 mm at 850 nm its ratio is 49 times smaller than that of the exposures.
     """
     exposure = mpe_j_per_m2(wavelength_m, time_s) / mpe_j_per_m2(other_m, time_s)
     energy = class_1_ael_j(wavelength_m, time_s) / class_1_ael_j(other_m, time_s)
@@ -102,7 +102,7 @@ def _laser(system: System, wavelength: float, diameter: float) -> list[Hazard]:
     alpha = diameter / LASER_DISTANCE_M
     pulse = system.acquisition.integration_time_s.value
     pulse = min(max(pulse, 1e-9), CLASS_1_TIME_S)
-    found = []
+    rows = []
     for name, clause, duration in (
         ("laser, one exposure", "4.3 f) 1", pulse),
         ("laser, continuous, 100 s", "4.3 f) 2", CLASS_1_TIME_S),
@@ -111,10 +111,10 @@ def _laser(system: System, wavelength: float, diameter: float) -> list[Hazard]:
         limit = float(class_1_ael_j(wavelength, duration, alpha))
         table = "Table 4" if is_retinal(wavelength) and alpha > 1.5e-3 else "Table 3"
         where = f"IEC 60825-1 {clause}), {table}, class 1"
-        found.append(Hazard(name, where, wavelength, energy, limit, "J"))
+        rows.append(Hazard(name, where, wavelength, energy, limit, "J"))
     if is_retinal(wavelength):
         period = system.acquisition.pattern_period_s.value
-        # Closer than T_i, or joined to one light: the whole period counts as the pulse.
+        # Pulses closer than T_i, or continuous light: the whole period counts as the pulse.
         duration = max(period, 13e-6)
         pulses = min(t2_s(alpha), CLASS_1_TIME_S) / duration
         factor = c5(wavelength, duration, max(pulses, 1.0), alpha)
@@ -122,12 +122,12 @@ def _laser(system: System, wavelength: float, diameter: float) -> list[Hazard]:
         energy = _collected_w(system, wavelength, duration) * duration
         limit = factor * float(class_1_ael_j(wavelength, duration, alpha))
         where = "IEC 60825-1 4.3 f) 3), C5, class 1"
-        found.append(Hazard("laser, pulse train", where, wavelength, energy, limit, "J"))
-    return found
+        rows.append(Hazard("laser, pulse train", where, wavelength, energy, limit, "J"))
+    return rows
 
 
 def _collected_w(system: System, wavelength: float, duration_s: float) -> float:
-    """Power through the limiting aperture at 100 mm; never more than there is."""
+    """Power through the limiting aperture at 100 mm; at most the emitter's whole power."""
     emitter = system.emitter
     radius = float(aperture_m(wavelength, duration_s)) / 2
     seen = 2 * math.pi * (1 - math.cos(math.atan(radius / LASER_DISTANCE_M)))
@@ -141,11 +141,11 @@ def _lamp(system: System, wavelength: float, diameter: float) -> list[Hazard]:
     intensity = system.emitter.radiant_intensity_w_per_sr.value
     irradiance = intensity / LAMP_DISTANCE_M**2
     pulse = min(max(system.acquisition.integration_time_s.value, 1e-5), 10.0)
-    found = []
+    rows = []
     if wavelength >= 780e-9:
         limit = float(lamp_cornea_w_per_m2(1001.0))
         where = "IEC 62471 4.3.7, exempt"
-        found.append(Hazard("LED, cornea, > 1000 s", where, wavelength, irradiance, limit, "W/m^2"))
+        rows.append(Hazard("LED, cornea, > 1000 s", where, wavelength, irradiance, limit, "W/m^2"))
     if is_retinal(wavelength):
         for name, clause, duration in (
             ("LED, retina, one exposure", "4.3.5", pulse),
@@ -155,8 +155,8 @@ def _lamp(system: System, wavelength: float, diameter: float) -> list[Hazard]:
             retina = lamp_retina(wavelength, intensity, diameter, duration)
             where = f"IEC 62471 {clause}, exempt"
             unit = "W/(m^2 sr)"
-            found.append(Hazard(name, where, wavelength, retina.radiance, retina.limit, unit))
-    return found
+            rows.append(Hazard(name, where, wavelength, retina.radiance, retina.limit, unit))
+    return rows
 
 
 def print_safety(system: System, rows: Sequence[Hazard], console: Console) -> None:

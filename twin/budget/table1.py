@@ -1,11 +1,11 @@
-"""The paper's Table 1, cell by cell: what it says, what photons allow, what it implies."""
+"""The paper's Table 1, cell by cell: printed, photon-limited and implied values."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twin.budget.link import (
-    Link,
+    OpticalLink,
     distance_sigma_m,
     implied_read_noise_e,
     maximum_distance_m,
@@ -27,12 +27,12 @@ PRINTED = {
 }
 #: Data sheets and the paper's own words, as catalogue parts.
 SENSORS = ("fga015", "fga015-paper", "g10768-1024d", "g9201-256", "g9201-256-paper")
-#: Not in the paper: what a time-of-flight reading is taken to be modulated with.
+#: Assumed modulation of a time-of-flight measurement; not in the paper.
 MODULATION_HZ = 10e6
 
 
 @dataclass(frozen=True)
-class Row:
+class AuditRow:
     """One sensor's three cells, each array (3,) over the reflectances.
 
     ``photon_limited_s``: no read noise at all. ``read_noise_e``: the one that fits the row's three
@@ -57,17 +57,17 @@ class Row:
 
 def link_of(
     system: System, part: Part, *, whole_line: bool = False, filter_before_lens: bool = False
-) -> Link:
-    """The link of one pixel of a sensor in a system's place of the detector.
+) -> OpticalLink:
+    """Link of one pixel of a sensor, in place of the system's detector.
 
-    ``whole_line``: as the paper has it, the emitter's line lies inside the filter altogether.
-    ``filter_before_lens``: light comes through the filter at the angles of the field, which move
-    its band; the share is the mean over the square field.
+    ``whole_line``: as in the paper, the emitter's line is completely inside the filter.
+    ``filter_before_lens``: the angles of incidence on the filter are those of the field, which
+    shift its band; the share is the mean over the square field.
     """
     band, optics = system.filter, system.optics
     detector = detector_of(part)
     sun = sun_in_band(system.sky, band).irradiance_w_per_m2 if system.sky else 0.0
-    return Link(
+    return OpticalLink(
         radiant_intensity_w_per_sr=system.emitter.radiant_intensity_w_per_sr.value,
         in_band=1.0 if whole_line else _share(system, filter_before_lens),
         transmission=optics.transmission.value * band.transmission.value,
@@ -83,12 +83,12 @@ def link_of(
 def _responsivity(system: System, part: Part) -> float:
     """Raises InputError for more than one electron a photon."""
     detector, emitter = detector_of(part), system.emitter
-    found = responsivity_a_per_w(detector, emitter, system.filter)
+    responsivity = responsivity_a_per_w(detector, emitter, system.filter)
     try:
-        detector.check_quantum_limit(found, emitter.peak_wavelength_m.value)
+        detector.check_quantum_limit(responsivity, emitter.peak_wavelength_m.value)
     except InputError as error:
         raise InputError(f"part {part.name}: {error}") from error
-    return found
+    return responsivity
 
 
 def _share(system: System, over_field: bool) -> float:
@@ -109,7 +109,7 @@ def detector_of(part: Part) -> Detector:
     return part.detector
 
 
-def audit(link: Link, part: Part) -> Row:
+def audit(link: OpticalLink, part: Part) -> AuditRow:
     """Re-derive one sensor's cells of Table 1. Raises KeyError for a sensor not in the table."""
     printed = PRINTED[part.name.removesuffix("-paper")]
     if not np.all(link.signal_e_per_s(1.0, 1.0)):
@@ -121,7 +121,7 @@ def audit(link: Link, part: Part) -> Row:
     time = minimum_time_s(signal, background, read, **shot)
     snr = signal * t / noise_e(signal, background, t, read, **shot)
     at_1_m = link.signal_e_per_s(np.array(REFLECTANCES), 1.0)
-    return Row(
+    return AuditRow(
         sensor=part.name,
         printed_distance_m=z,
         printed_time_s=t,
@@ -136,13 +136,13 @@ def audit(link: Link, part: Part) -> Row:
     )
 
 
-def _rates(link: Link, distance_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rates(link: OpticalLink, distance_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rho = np.array(REFLECTANCES)
     signal = np.asarray(link.signal_e_per_s(rho, distance_m))
     return signal, np.asarray(link.background_e_per_s(rho))
 
 
-def _fitted_read_noise(link: Link, z: np.ndarray, t: np.ndarray) -> float:
+def _fitted_read_noise(link: OpticalLink, z: np.ndarray, t: np.ndarray) -> float:
     """The read noise whose times fit the printed ones best, in the logarithm."""
     from scipy.optimize import minimize_scalar
 
@@ -155,15 +155,17 @@ def _fitted_read_noise(link: Link, z: np.ndarray, t: np.ndarray) -> float:
         times = minimum_time_s(signal, background, np.exp(log_read), **shot)
         return float(np.sum(np.log(times / t) ** 2))
 
-    found = minimize_scalar(misfit, bounds=(start - 5, start + 5), method="bounded")
-    return float(np.exp(found.x))
+    fit = minimize_scalar(misfit, bounds=(start - 5, start + 5), method="bounded")
+    return float(np.exp(fit.x))
 
 
-def _elasticity(link: Link, read_e: float, distance_m: float) -> dict[str, float]:
-    """Per cent that the time at 80 % and the farthest distance moves per per cent of each input."""
+def _elasticity(link: OpticalLink, read_e: float, distance_m: float) -> dict[str, float]:
+    """Relative change of the time at 80 % and the farthest distance per relative change of each
+    input.
+    """
     rho = REFLECTANCES[-1]
 
-    def log_time(changed: Link, read: float) -> float:
+    def log_time(changed: OpticalLink, read: float) -> float:
         signal = changed.signal_e_per_s(rho, distance_m)
         background, shot = changed.background_e_per_s(rho), changed.shot_variance
         return float(np.log(minimum_time_s(signal, background, read, shot_variance=shot)))

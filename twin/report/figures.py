@@ -1,4 +1,4 @@
-"""Figures of the optical report. Titles say the finding; maps are safe for colour-blind eyes."""
+"""Figures of the optical report. Titles state the result; colour maps are colour-blind safe."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def headline(view: View, evaluations: Sequence[Evaluation]) -> Figure:
-    """Scene, noise-free image, and what each system makes of it."""
+    """Scene, noise-free image, and reconstruction of each system."""
     first = evaluations[0]
     figure, axes = _panels(1, 2 + len(evaluations), 3.1)
     _image(axes[0], view.total, "scene at 1550 nm, sun and emitter")
@@ -35,7 +35,7 @@ def headline(view: View, evaluations: Sequence[Evaluation]) -> Figure:
 
 
 def scene_view(view: View) -> Figure:
-    """The scene by its two lights."""
+    """The scene in the light of the sun and in that of the emitter."""
     figure, axes = _panels(1, 2, 4.2)
     share = view.emitter.sum() / max(view.total.sum(), np.finfo(float).tiny)
     _image(axes[0], view.sun, f"sun: {1 - share:.1%} of the light in the band")
@@ -127,7 +127,7 @@ def _panels(rows: int, columns: int, side: float) -> tuple[Figure, list[Any]]:
 
 
 def _image(axis: Any, image: Array, title: str) -> None:
-    """Grey picture, square-root scale from 0 to its 99.5th percentile; noise around 0 as it is.
+    """Grey image, square-root scale from 0 to its 99.5th percentile.
 
     Cells without a value are left blank.
     """

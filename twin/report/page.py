@@ -1,4 +1,4 @@
-"""Assembles the HTML page: figures inside, numbers in tables, nothing to fetch."""
+"""Assembles the self-contained HTML page of figures and tables."""
 
 import base64
 import io
@@ -45,8 +45,8 @@ def write_report(
             drawn |= _drawn_by_light(view, evaluations)
         if radar:
             drawn |= _drawn_by_radar(radar)
-        pictures = {name: _png(figure) for name, figure in drawn.items()}
-    for name, data in pictures.items():
+        images = {name: _png(figure) for name, figure in drawn.items()}
+    for name, data in images.items():
         (folder / f"{name}.png").write_bytes(data)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATE),
@@ -60,7 +60,7 @@ def write_report(
         seed=seed,
         evaluations=evaluations,
         columns=[_summary(e) for e in evaluations],
-        images={name: base64.b64encode(data).decode() for name, data in pictures.items()},
+        images={name: base64.b64encode(data).decode() for name, data in images.items()},
         settings=[(d, d.values()) for d in _designs(evaluations, radar)],
         assumptions=evaluations[0].capture.assumptions if evaluations else (),
         radar=radar_summary(radar) if radar else None,
@@ -111,32 +111,32 @@ def _warnings(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) 
 
 
 def _summary(evaluation: Evaluation) -> dict[str, str]:
-    """The figures that decide, by name, for one system."""
-    taken, system = evaluation.capture, evaluation.system
-    lens, noise, patterns = taken.lens, taken.noise, system.patterns
+    """Key figures of one system, by name."""
+    capture, system = evaluation.capture, evaluation.system
+    lens, noise, patterns = capture.lens, capture.noise, system.patterns
     best, verdict = evaluation.reconstructions[0], evaluation.verdict
-    found = float(np.sqrt(np.mean(best.noise_electrons**2))) / _per_value(evaluation)
-    rendering = np.median(taken.cells_error_e) / noise.pixel_noise_e(patterns)
+    measured_noise_e = float(np.sqrt(np.mean(best.noise_electrons**2))) / _per_value(evaluation)
+    rendering = np.median(capture.cells_error_e) / noise.pixel_noise_e(patterns)
     return {
         "system": system.name,
         "what it is": system.description,
         "patterns": f"{patterns.count} of {patterns.columns} x {patterns.rows}, {patterns.mode}"
         + (f", own ({patterns.digest[:8]})" if patterns.digest else ""),
         "frame time": f"{si(system.frame_time_s, 's')} ({1 / system.frame_time_s:.3g} frames/s)",
-        "sun in the band": f"{taken.sun_irradiance_w_per_m2:.4g} W/m² "
-        f"at {taken.illuminance_lx:g} lx",
-        "emitter line inside the filter": f"{taken.in_band_fraction:.1%}",
+        "sun in the band": f"{capture.sun_irradiance_w_per_m2:.4g} W/m² "
+        f"at {capture.illuminance_lx:g} lx",
+        "emitter line inside the filter": f"{capture.in_band_fraction:.1%}",
         "detector lens": f"focal length {si(lens.focal_length_m, 'm')}, "
         f"pupil {si(lens.pupil_diameter_m, 'm')}, "
         f"field {system.optics.field_of_view_deg.value:g}° {lens.outline}",
-        "signal on the detector, mean": si(float(taken.signal_w.mean()), "W"),
-        "sun on the detector": si(taken.background_w, "W"),
+        "signal on the detector, mean": si(float(capture.signal_w.mean()), "W"),
+        "sun on the detector": si(capture.background_w, "W"),
         "electrons per exposure": f"signal {noise.signal_e:.3g}, sun {noise.background_e:.3g}, "
         f"dark {noise.dark_e:.3g}",
         "noise per exposure": f"{noise.total_noise_e:.4g} e- predicted, "
         + (
-            f"{found:.4g} e- found in the record"
-            if np.isfinite(found)
+            f"{measured_noise_e:.4g} e- found in the record"
+            if np.isfinite(measured_noise_e)
             else "not told by the record"
         ),
         "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",

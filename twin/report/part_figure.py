@@ -11,7 +11,7 @@ from twin.system.curves import read_responsivity
 
 
 def plot_part(part: Part) -> Figure:
-    """Curve over wavelength, with what angle does to it where that is known.
+    """Curve over wavelength, with its shift with angle where that is known.
 
     Raises InputError for a part without a spectrum.
     """

@@ -65,9 +65,9 @@ def radar_cuts(evaluation: RadarEvaluation) -> Figure:
     return figure
 
 
-def track_image(picture: TrackPicture) -> Figure:
-    """Back-projection over the track from above, with true outlines and what was taken for them."""
-    image = picture.image
+def track_image(track: TrackPicture) -> Figure:
+    """Back-projection over the track from above, with true outlines and detected targets."""
+    image = track.image
     with np.errstate(divide="ignore"):
         decibel = 20 * np.log10(np.abs(image.value))
     figure = new_figure((6.4, 5.4))
@@ -83,9 +83,9 @@ def track_image(picture: TrackPicture) -> Figure:
         rasterized=True,
     )
     figure.colorbar(drawn, ax=axis, label="power (dB over the peak)")
-    for outline in picture.outlines.values():
+    for outline in track.outlines.values():
         axis.fill(outline[:, 1], outline[:, 0], fill=False, ec=ORANGE, lw=1.2)
-    seen = picture.seen
+    seen = track.seen
     places = [s.cross_range_m for s in seen], [s.down_range_m for s in seen]
     axis.plot(*places, "o", mfc="none", mec="white", ms=10)
     axis.invert_xaxis()  # left is left
@@ -119,17 +119,21 @@ def _mark(axis: Any, evaluation: RadarEvaluation) -> None:
 
 
 def _on_map(evaluation: RadarEvaluation, rates_m_per_s: Sequence[float]) -> np.ndarray:
-    """Range rates as the slots fold them: where the map shows them; not measured: at 0."""
+    """Folded range rates, as shown on the map; 0 where not measured."""
     fastest = evaluation.waveform.max_velocity_m_per_s
     return (np.nan_to_num(rates_m_per_s) + fastest) % (2 * fastest) - fastest
 
 
 def _shown_ranges(evaluation: RadarEvaluation) -> slice:
     """From 0 to a third beyond the farthest target or echo."""
-    found = evaluation.capture.propagation
+    propagation = evaluation.capture.propagation
     far = [t.wrapped_range_m for t in evaluation.capture.truth]
-    far += [p.range_m for p in found.paths]
-    far += [float(found.echoes.delay_s.max()) * C_M_PER_S / 2] if found.echoes.delay_s.size else []
+    far += [p.range_m for p in propagation.paths]
+    far += (
+        [float(propagation.echoes.delay_s.max()) * C_M_PER_S / 2]
+        if propagation.echoes.delay_s.size
+        else []
+    )
     top = 1.33 * max(far, default=evaluation.image.range_m[-1])
     return slice(0, max(8, int(np.searchsorted(evaluation.image.range_m, top))))
 

@@ -76,22 +76,22 @@ def _parts(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
     record, radar = evaluation.capture.record, evaluation.radar
     n_bursts, n_steps, _, n_receivers = record.iq.shape[:4]
     n_transmitters = len(record.front_end.transmitters_m)
-    found = []
+    rows = []
     if n_bursts > 1:
         length = float(np.linalg.norm(record.pose[-1].position_m - record.pose[0].position_m))
-        found.append(("bursts", f"{n_bursts} along {si(length, 'm')}; map: the first"))
+        rows.append(("bursts", f"{n_bursts} along {si(length, 'm')}; map: the first"))
     if n_steps > 1:
         last = record.carriers_hz[-1] / 1e9
-        found.append(("carrier steps", f"{n_steps}, to {last:g} GHz in {si(radar.burst_s, 's')}"))
+        rows.append(("carrier steps", f"{n_steps}, to {last:g} GHz in {si(radar.burst_s, 's')}"))
     if n_transmitters * n_receivers > 1:
-        found.append(
+        rows.append(
             ("transmitters x receivers", f"{n_transmitters} x {n_receivers}, transmitting by turns")
         )
-    return found
+    return rows
 
 
 def _picture(evaluation: RadarEvaluation) -> list[dict[str, str]]:
-    """Targets in the picture of a track."""
+    """Targets in the image of a track."""
     if evaluation.picture is None:
         return []
     return [
@@ -133,7 +133,7 @@ def _budget(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
 
 
 def _window_loss(evaluation: RadarEvaluation) -> float:
-    """Noise that the windows add: product of their mean squares at mean 1."""
+    """Noise gain of the windows: product of their mean squares at mean 1."""
     from hardware.radar.windows import normalised_window
 
     sizes = evaluation.waveform.n_subcarriers, evaluation.waveform.n_slots
@@ -144,13 +144,13 @@ def _window_loss(evaluation: RadarEvaluation) -> float:
 
 def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
     by_target = {
-        target.name: found
-        for found, target in zip(evaluation.detections, evaluation.matches, strict=True)
+        target.name: detection
+        for detection, target in zip(evaluation.detections, evaluation.matches, strict=True)
         if target
     }
     rows = []
     for target in evaluation.capture.truth:
-        found = by_target.get(target.name)
+        detection = by_target.get(target.name)
         rows.append(
             {
                 "name": target.name,
@@ -158,16 +158,18 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
                 "range": f"{target.range_m:.4f} m",
                 "rate": f"{target.range_rate_m_per_s:+.3f} m/s",
                 "power": f"{_db(target.received_w * 1e3):.1f} dBm",
-                "found_range": _off(found.range_m - target.wrapped_range_m, 1e3, "+.2f", "mm")
-                if found
+                "found_range": _off(detection.range_m - target.wrapped_range_m, 1e3, "+.2f", "mm")
+                if detection
                 else "not detected",
                 "found_rate": _off(
-                    found.range_rate_m_per_s - target.range_rate_m_per_s, 1.0, "+.4f", "m/s"
+                    detection.range_rate_m_per_s - target.range_rate_m_per_s, 1.0, "+.4f", "m/s"
                 )
-                if found
+                if detection
                 else "",
-                "found_power": f"{_db(found.power_w / target.received_w):+.2f} dB" if found else "",
-                "snr": f"{found.snr_db:.1f} dB" if found else "",
+                "found_power": f"{_db(detection.power_w / target.received_w):+.2f} dB"
+                if detection
+                else "",
+                "snr": f"{detection.snr_db:.1f} dB" if detection else "",
             }
         )
     return rows
@@ -180,8 +182,8 @@ def _off(value: float, scale: float, form: str, unit: str) -> str:
 def _further(evaluation: RadarEvaluation) -> list[str]:
     """Echoes of other parts of the targets' objects."""
     return [
-        f"{part.name}: {_place(found)}"
-        for found, part in zip(evaluation.detections, evaluation.further, strict=True)
+        f"{part.name}: {_place(detection)}"
+        for detection, part in zip(evaluation.detections, evaluation.further, strict=True)
         if part
     ]
 
@@ -189,20 +191,22 @@ def _further(evaluation: RadarEvaluation) -> list[str]:
 def _others(evaluation: RadarEvaluation) -> list[str]:
     """Detections within no target's extent."""
     return [
-        _place(found)
-        for found, target, part in zip(
+        _place(detection)
+        for detection, target, part in zip(
             evaluation.detections, evaluation.matches, evaluation.further, strict=True
         )
         if target is None and part is None
     ]
 
 
-def _place(found: Detection) -> str:
-    """Where a detection is, as far as it is measured."""
+def _place(detection: Detection) -> str:
+    """Range, range rate and SNR of a detection, as far as measured."""
     parts = [
-        "" if np.isnan(found.range_m) else f"{found.range_m:.3f} m",
-        "" if np.isnan(found.range_rate_m_per_s) else f"{found.range_rate_m_per_s:+.3f} m/s",
-        f"{found.snr_db:.1f} dB",
+        "" if np.isnan(detection.range_m) else f"{detection.range_m:.3f} m",
+        ""
+        if np.isnan(detection.range_rate_m_per_s)
+        else f"{detection.range_rate_m_per_s:+.3f} m/s",
+        f"{detection.snr_db:.1f} dB",
     ]
     return ", ".join(part for part in parts if part)
 

@@ -1,4 +1,4 @@
-"""How figures and numbers look; colours that colour-blind eyes tell apart (Okabe and Ito)."""
+"""Style of figures and numbers; colour-blind safe colours (Okabe and Ito)."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The virtual camera: the twin behind hardware/drivers/PROTOCOL.md, without a line."""
+"""The virtual camera: the twin behind hardware/drivers/PROTOCOL.md, independent of the line."""
 
 import zlib
 from collections.abc import Callable, Iterator
@@ -44,22 +44,22 @@ from twin.camera.chain import Chain
 from twin.files import InputError
 from twin.scene import Sun
 from twin.serve.clock import DeviceClock
-from twin.serve.configuration import INTEGRATION_S, configured
+from twin.serve.configuration import INTEGRATION_S, configure_system
 from twin.serve.table import UploadedTable
 from twin.system import System
 
 _FRAME_EXPOSURES = 64
-_ENOUGH = 8  # patterns that tell most orders apart
+_ENOUGH_PATTERNS = 8  # patterns that tell most orders apart
 #: All but complementary, which takes a second detector behind a mirror.
 _MODES = sum(1 << code for code, mode in enumerate(MODE_CODES) if mode != "complementary")
 
 
 class _RefusedError(Exception):
-    """A request that gets a refusal: its code, and why."""
+    """Refusal of a request: its code and reason."""
 
 
 @dataclass
-class _Run:
+class _CameraRun:
     number: int
     sets: int
     start_ns: int
@@ -81,15 +81,15 @@ class VirtualCamera:
     Parameters
     ----------
     system, sun
-        The camera, and what shines on the scene.
+        Design of the camera, and the scene's sun.
     records
-        What a system measures, set after set, from the first one on.
+        Records of a system, set after set.
     clock
         Device time.
     send
-        Takes a frame's bytes; False where the line takes no more.
+        Sends a frame's bytes; returns False where the line is full.
     overrun
-        Asked for every frame: whether the ADC misses it.
+        Called for every frame: whether the ADC misses it.
 
     Raises InputError for a system whose frames the protocol cannot carry.
     """
@@ -116,24 +116,24 @@ class VirtualCamera:
         self.start_up()
 
     def start_up(self) -> None:
-        """Switch on, or be reset: everything is forgotten but the time."""
+        """Switch on or reset: clear all state but the time."""
         self._deframer = Deframer()
         self._state, self._booted = State.IDLE, True
-        self._made: Configured | None = None
-        self._configured = self.system
+        self._configuration: Configured | None = None
+        self._configured_system = self.system
         self._table = UploadedTable()
-        self._run: _Run | None = None
+        self._run: _CameraRun | None = None
         self._mark = Flag.RESET  # on the next exposure
-        self._say(self._status())
+        self._send_message(self._status())
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the host; answers go out at once."""
+        """Process bytes from the host; replies are sent at once."""
         for frame in self._deframer.feed(data):
-            self._say(self._answer(frame), frame.tag)
+            self._send_message(self._answer(frame), frame.tag)
 
     def poll(self) -> float | None:
         """Send one frame if it is due. Seconds until the next one is; None where none will be."""
-        run, made = self._run, self._made
+        run, made = self._run, self._configuration
         if self._state != State.RUNNING or run is None or made is None:
             return None
         stop = min(run.exposure + made.exposures_per_frame, made.exposures)
@@ -148,13 +148,13 @@ class VirtualCamera:
             run.set, run.exposure, run.record = run.set + 1, 0, None
             if run.set == run.sets:
                 self._state = State.ARMED
-                self._say(self._status())
+                self._send_message(self._status())
                 return None
         else:
             run.exposure = stop
         return 0.0
 
-    def _send_frame(self, run: _Run, made: Configured, stop: int) -> None:
+    def _send_frame(self, run: _CameraRun, made: Configured, stop: int) -> None:
         assert run.record is not None
         part = slice(run.exposure, stop)
         flags = run.record.flags[part].copy()
@@ -169,15 +169,15 @@ class VirtualCamera:
         )
         run.frames += 1
         self._mark = Flag(0)
-        if self._overrun() or not self._say(frame):
+        if self._overrun() or not self._send_message(frame):
             run.dropped += 1
             self._mark = Flag.OVERRUN
 
     def _since(self, exposures: int) -> int:
-        assert self._made is not None
-        return round(exposures * self._made.pattern_period_s * 1e9)
+        assert self._configuration is not None
+        return round(exposures * self._configuration.pattern_period_s * 1e9)
 
-    def _say(self, message: Message, tag: int = 0) -> bool:
+    def _send_message(self, message: Message, tag: int = 0) -> bool:
         return self.send(encode(to_frame(message, tag)))
 
     def _answer(self, frame: Frame) -> Message:
@@ -227,7 +227,7 @@ class VirtualCamera:
     def _configure(self, request: Configure) -> Configured:
         if self._state == State.RUNNING:
             raise _RefusedError(Refusal.STATE, "Configure: a run is on")
-        system = self._built(request)
+        system = self._system_for(request)
         if request.order == UPLOADED:
             size = system.patterns.n_exposures * -(-system.patterns.n_cells // 8)
             self._table.expect(size)
@@ -238,8 +238,8 @@ class VirtualCamera:
             size, crc = len(table), zlib.crc32(table)
         shown, front_end = system.acquisition, Chain.of(system, self._sun).front_end
         most = Measurement.most_exposures(self.system.n_detectors)
-        self._request, self._configured, self._state = request, system, State.CONFIGURED
-        self._made = Configured(
+        self._request, self._configured_system, self._state = request, system, State.CONFIGURED
+        self._configuration = Configured(
             exposures=system.patterns.n_exposures * self._n_shutters,
             exposures_per_frame=min(request.exposures_per_frame or _FRAME_EXPOSURES, most),
             detectors=self.system.n_detectors,
@@ -250,9 +250,9 @@ class VirtualCamera:
             electrons_per_count=front_end.electrons_per_count,
             offset_counts=front_end.offset_counts,
         )
-        return self._made
+        return self._configuration
 
-    def _built(self, request: Configure, uploaded: OwnPatterns | None = None) -> System:
+    def _system_for(self, request: Configure, uploaded: OwnPatterns | None = None) -> System:
         """The system that does what is asked for, with an ``uploaded`` table's own patterns."""
 
         def refuse(why: str) -> None:
@@ -287,7 +287,7 @@ class VirtualCamera:
                 gain=request.gain,
                 shutters=request.shutters,
             )
-            return configured(self.system, settings)
+            return configure_system(self.system, settings)
         except (VehicleInputError, ValidationError) as error:
             raise _RefusedError(Refusal.UNSUPPORTED, " ".join(str(error).split())[:150]) from error
 
@@ -303,12 +303,12 @@ class VirtualCamera:
         return self._status()
 
     def _arm(self, crc: int) -> Status:
-        if self._state not in (State.CONFIGURED, State.ARMED) or self._made is None:
+        if self._state not in (State.CONFIGURED, State.ARMED) or self._configuration is None:
             raise _RefusedError(Refusal.STATE, "Arm: configure first")
-        if (self._made.table_bytes, crc) != self._held():
+        if (self._configuration.table_bytes, crc) != self._table_state():
             raise _RefusedError(Refusal.TABLE, "Arm: this is not the table that I hold")
         if self._state == State.CONFIGURED and self._request.order == UPLOADED:
-            self._configured = self._recognized(bytes(self._table.data))
+            self._configured_system = self._recognized(bytes(self._table.data))
         self._state = State.ARMED
         return self._status()
 
@@ -319,28 +319,30 @@ class VirtualCamera:
         with suppress(VehicleInputError):  # cells that are no power of two have no named order
             for code, name in enumerate(ORDER_CODES):
                 patterns = PatternSet(asked.rows, asked.columns, asked.count, name, mode)
-                first = replace(patterns, count=min(asked.count, _ENOUGH))
+                first = replace(patterns, count=min(asked.count, _ENOUGH_PATTERNS))
                 if table.startswith(table_bytes(first)) and table == table_bytes(patterns):
-                    return self._built(replace(asked, order=code))
+                    return self._system_for(replace(asked, order=code))
         try:
             own = patterns_in(table, asked.rows, asked.columns, mode)
         except VehicleInputError as error:
             raise _RefusedError(Refusal.TABLE, f"Arm: {error}"[:150]) from error
-        return self._built(asked, own)
+        return self._system_for(asked, own)
 
-    def _held(self) -> tuple[int, int]:
-        """Bytes of the table that are here, and their CRC-32."""
-        if self._made is None:
+    def _table_state(self) -> tuple[int, int]:
+        """Number of bytes of the table received, and their CRC-32."""
+        if self._configuration is None:
             return 0, 0
         if self._request.order == UPLOADED:
             return len(self._table.data), zlib.crc32(self._table.data)
-        return self._made.table_bytes, self._made.table_crc
+        return self._configuration.table_bytes, self._configuration.table_crc
 
     def _start(self, number: int, sets: int) -> Status:
         if self._run is None or number != self._run.number:
             if self._state != State.ARMED:
                 raise _RefusedError(Refusal.STATE, "Start: arm first")
-            self._run = _Run(number, sets, self.clock.now_ns(), self._records(self._configured))
+            self._run = _CameraRun(
+                number, sets, self.clock.now_ns(), self._records(self._configured_system)
+            )
             self._state, self._booted = State.RUNNING, False
         return self._status()
 
@@ -350,7 +352,7 @@ class VirtualCamera:
         return self._status()
 
     def _status(self) -> Status:
-        run, (held, crc) = self._run, self._held()
+        run, (held, crc) = self._run, self._table_state()
         return Status(
             state=self._state,
             booted=int(self._booted),

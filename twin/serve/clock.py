@@ -12,9 +12,9 @@ class DeviceClock:
     Parameters
     ----------
     pace
-        ``real``: it runs as the host's; ``fast``: it jumps to whatever is waited for.
+        ``real``: runs with the host's clock; ``fast``: jumps to each time that is waited for.
     drift
-        What it gains on the host's, of real time: 1e-6 is a microsecond a second.
+        Relative to the host's clock: 1e-6 gains a microsecond a second.
     """
 
     def __init__(self, pace: Pace = "real", drift: float = 0.0) -> None:
@@ -29,13 +29,13 @@ class DeviceClock:
         return self._now_ns
 
     def left_s(self, time_ns: int) -> float:
-        """Seconds of the host until a time; 0 where it is past, or the clock is fast."""
+        """Seconds of the host's clock until a time; 0 where it is past, or the clock is fast."""
         if self.pace == "fast":
             return 0.0
         return max(0.0, (time_ns - self.now_ns()) / 1e9 / self._rate)
 
     def wait_until(self, time_ns: int) -> None:
-        """Come back at a time, at once if it is past."""
+        """Wait until a time; return at once if it is past."""
         if (left_s := self.left_s(time_ns)) > 0:
             time.sleep(left_s)
         self._now_ns = max(self._now_ns, time_ns)

@@ -1,4 +1,4 @@
-"""The system that measures what a host asks of a camera."""
+"""Configuration of a camera's system by the settings of a host."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from twin.toml import plain
 INTEGRATION_S = (1e-7, 1.0)
 
 
-def configured(system: System, settings: SpiSettings) -> System:
+def configure_system(system: System, settings: SpiSettings) -> System:
     """A system with the patterns, integration time and pattern period of a driver's settings.
 
     Cells, gain and shutters are the system's own; a pattern period of 0 is the shortest, with the

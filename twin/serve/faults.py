@@ -1,4 +1,4 @@
-"""Faults on request: what a virtual device does wrong, and how often."""
+"""Injected faults of virtual devices, with their probabilities."""
 
 import math
 from collections.abc import Sequence
@@ -10,9 +10,9 @@ from twin.files import InputError
 
 @dataclass(frozen=True)
 class RadioFaults:
-    """Chances per burst, 0 to 1, by the names of `hardware.drivers.radio.Fault`.
+    """Probabilities per burst, by the names of `hardware.drivers.radio.Fault`.
 
-    ``stall``: the radio is silent for ``stall_s``. ``drop``: it forgets its client without a word.
+    ``stall``: the radio does not answer for ``stall_s``. ``drop``: it drops its client silently.
     """
 
     overflow: float = 0.0
@@ -29,12 +29,11 @@ class RadioFaults:
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """Chances per frame sent, 0 to 1, and the drift of the camera's clock.
+    """Probabilities per frame sent, and the drift of the camera's clock.
 
-    ``drop``, ``duplicate``, ``reorder`` (with the next frame), ``flip`` (one bit of it), ``split``
-    (it goes out in pieces), ``stall`` (the line is silent for ``stall_s``), ``reset`` (the camera
-    starts up anew), ``overrun`` (the ADC misses the frame's exposures), ``hang_up`` (the line is
-    cut, where there is one to cut).
+    ``drop``, ``duplicate``, ``reorder`` (with the next frame), ``flip`` (one bit), ``split`` (sent
+    in pieces), ``stall`` (the line is silent for ``stall_s``), ``reset`` (the camera restarts),
+    ``overrun`` (the ADC misses the frame's exposures), ``hang_up`` (a TCP connection is closed).
     """
 
     drop: float = 0.0
@@ -64,16 +63,16 @@ _Faults = TypeVar("_Faults", RadioFaults, CameraFaults)
 
 
 def parse_faults(texts: Sequence[str], kind: type[_Faults]) -> _Faults:
-    """Faults from ``NAME=CHANCE`` each. Raises InputError for what is none."""
+    """Faults from texts ``NAME=CHANCE``. Raises InputError for invalid ones."""
     known = {field.name for field in fields(kind)}
-    found: dict[str, float] = {}
+    chances: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
         name = name.strip().replace("-", "_")
         if name not in known:
             raise InputError(f"fault {name!r}: expected {', '.join(sorted(known))}")
         try:
-            found[name] = float(value)
+            chances[name] = float(value)
         except ValueError as error:
             raise InputError(f"fault {name}: {value!r}, expected a number") from error
-    return kind(**found)
+    return kind(**chances)

@@ -1,4 +1,4 @@
-"""Lines on which a virtual camera sits: a pseudo-terminal, or a TCP port for one host at a time."""
+"""Lines of a virtual camera: a pseudo-terminal, or a TCP port for one host at a time."""
 
 import os
 import selectors
@@ -15,7 +15,7 @@ _MOST_REFUSED = 8  # second hosts that are being told
 
 
 class Terminal:
-    """A pseudo-terminal; ``url`` is its path. It outlives whoever opens it."""
+    """A pseudo-terminal; ``url`` is its path. It stays open when a host closes it."""
 
     def __init__(self) -> None:
         self._ours, self._theirs = os.openpty()  # theirs stays open: the line never hangs up
@@ -51,7 +51,7 @@ class Terminal:
 
 
 class TcpPort:
-    """A TCP port; what a second host asks is refused.
+    """A TCP port; requests of a second host are refused.
 
     Raises InputError where it cannot listen.
     """
@@ -117,18 +117,18 @@ class TcpPort:
 
     def _accept(self) -> None:
         with suppress(BlockingIOError):
-            found, _ = self._server.accept()
-            found.setblocking(False)
+            connection, _ = self._server.accept()
+            connection.setblocking(False)
             if self._host is None:
-                found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._host = found
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._host = connection
             elif len(self._others) < _MOST_REFUSED:
-                self._others[found] = Deframer()
+                self._others[connection] = Deframer()
             else:
-                found.close()
+                connection.close()
 
     def _refuse(self, other: socket.socket) -> None:
-        """Answer what a second host asks; it is let go once it has asked, or gone."""
+        """Refuse the requests of a second host, then close its connection."""
         try:
             data = other.recv(_CHUNK)
             frames = self._others[other].feed(data)

@@ -1,8 +1,8 @@
-"""A prefetcher: the items that will be asked for next are computed in other processes.
+"""A prefetcher: computes the next items in other processes.
 
-In processes, not threads: whoever serves a device in real time answers within a millisecond, which
-an interpreter shared with the simulation does not do. Not in those of `concurrent.futures`: they
-keep a process that ends until their items are made, and outlive one that is killed.
+Processes, not threads: a device served in real time must answer within a millisecond, which is not
+possible in an interpreter that also runs the simulation. Not those of `concurrent.futures`: they
+delay the end of a process until their items are computed, and outlive a parent that is killed.
 """
 
 import multiprocessing
@@ -22,10 +22,10 @@ _MOST_PROCESSES = 4  # each holds an engine of its own: some 400 MB
 
 
 class Prefetcher(Generic[_Item]):
-    """Items 0, 1, 2 ... of a function, asked for in this order.
+    """Items 0, 1, 2 ... of a function, requested in this order.
 
-    Each process computes one item ahead, and waits until it is asked for. Processes end with
-    `close`, or with this one, however it ends.
+    Each process computes one item in advance, and waits until it is requested. Processes end with
+    `close`, or with the parent process.
 
     Parameters
     ----------
@@ -49,9 +49,9 @@ class Prefetcher(Generic[_Item]):
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def __call__(self, number: int) -> _Item:
-        """One item; asked for again where it failed, it is made again.
+        """One item; after a failure, another request computes it again.
 
-        Raises InputError as its making does, EngineError for all else.
+        Raises InputError as ``make`` does, EngineError for all other errors.
         """
         line = self._lines[number % len(self._lines)]
         try:
@@ -64,18 +64,18 @@ class Prefetcher(Generic[_Item]):
         return item
 
     def ready(self, number: int, timeout_s: float) -> bool:
-        """Whether an item can be had, or has failed, within a time."""
+        """Whether an item is ready, or has failed, within a time."""
         return self._lines[number % len(self._lines)].poll(timeout_s)
 
     def close(self) -> None:
-        """End the processes; any number of times. No item can be asked for any more."""
+        """End the processes; any number of times. No item can be requested afterwards."""
         for line in self._lines:
             line.close()
 
 
 def _work(line: Connection, make: Callable[[int], Any]) -> None:
-    """Make what is asked for until nobody is there to ask."""
-    _stand_back()
+    """Compute requested items until the connection is closed."""
+    _lower_priority()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         while True:
@@ -85,15 +85,15 @@ def _work(line: Connection, make: Callable[[int], Any]) -> None:
         pass
 
 
-def _stand_back() -> None:
-    """Leave a core at once to whoever wants it, as a nice process does only after some time."""
+def _lower_priority() -> None:
+    """Yield the core to other processes at once, which `nice` alone does only after some time."""
     os.nice(19)
     if hasattr(os, "SCHED_IDLE"):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def _end_with_parent() -> None:
-    """At once, whatever is being made."""
+    """End this process at once when the parent has ended."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

@@ -1,4 +1,4 @@
-"""The virtual radio: a radio whose antennas stand in the scene."""
+"""The virtual radio: a radio whose antennas are in the scene."""
 
 import logging
 import time
@@ -23,7 +23,7 @@ from twin.files import InputError
 from twin.radar import RadarDesign
 from twin.serve.clock import DeviceClock
 from twin.serve.faults import RadioFaults
-from twin.serve.sweeps import Sweep
+from twin.serve.sweeps import RadarSweep
 
 _log = logging.getLogger(__name__)
 
@@ -36,32 +36,32 @@ _FAR_NS = 60_000_000_000  # nobody means to wait longer for a burst
 class VirtualRadio(Radio):
     """The twin as a radio.
 
-    The twin's own counts come back, as samples: a record made through it is the one the twin makes
-    directly, bit for bit. What is really sent arrives at the scene: the channel multiplies the
-    subcarriers of each symbol, so an echo stays within its symbol (as a prefix longer than the
-    echo's delay makes it). The repeats of a slot come back alike, each with the noise of their
-    mean; between slots there is nothing.
+    It returns the twin's own counts as samples: a record acquired through it is bit for bit the one
+    that the twin makes directly. The samples sent determine the echo: the channel multiplies the
+    subcarriers of each symbol, so an echo stays within its symbol (as with a cyclic prefix longer
+    than the echo's delay). All repeats of a slot are the same, each with the noise of their mean;
+    between slots the samples are 0.
 
-    Sweeps are computed ahead of time, for the waveform's own samples. The oscillator locks at once,
-    but where its step begins a sweep that is not ready yet: so a scene that takes longer than real
-    time makes sweeps come later, and costs none of their bursts.
+    Sweeps are computed in advance, for the waveform's own samples. The oscillator locks at once,
+    except at the beginning of a sweep that is not ready yet: if a scene takes longer than real
+    time, sweeps are delayed, but no burst is lost.
 
     Parameters
     ----------
     radar
         The design.
     sweeps
-        The scene's answer to the sweep over all carriers of this number.
+        The scene's echoes for sweep k over all carriers.
     clock
         Device time.
     faults, seed
-        What goes wrong, and of which draw.
+        Injected faults, and the seed of their random numbers.
     """
 
     def __init__(
         self,
         radar: RadarDesign,
-        sweeps: Callable[[int], Sweep],
+        sweeps: Callable[[int], RadarSweep],
         *,
         clock: DeviceClock,
         faults: RadioFaults | None = None,
@@ -74,12 +74,12 @@ class VirtualRadio(Radio):
         self.sample_rate_hz = self.waveform.bandwidth_hz
         self.device = f"twin {__version__}: {radar.name}"
         self._faults, self._rng = faults or RadioFaults(), np.random.default_rng(seed)
-        self._own = spectrum(symbol(self.waveform, self.level), self.level)
+        self._sent_spectrum = spectrum(symbol(self.waveform, self.level), self.level)
         self._sweeps = sweeps
-        self._coming: Sweep | None = sweeps(0)
+        self._next_sweep: RadarSweep | None = sweeps(0)
         self._sweep, self._late = -1, 0
         self._step = 0
-        self._begin()
+        self._begin_sweep()
         if (n := len(self._record.front_end.transmitters_m)) > 1:
             raise InputError(f"radar {radar.name}: {n} transmitters, expected 1 for a radio")
         self.carriers_hz = self._record.carriers_hz
@@ -92,12 +92,12 @@ class VirtualRadio(Radio):
 
     @property
     def front_end(self) -> RadarFrontEnd:
-        """What a calibration of this radio would find."""
+        """Front end, as a calibration of this radio would measure it."""
         return self._record.front_end
 
     @property
     def schedule(self) -> Schedule:
-        """The design's own rhythm, by which the scene moves."""
+        """The design's own schedule, at which the scene moves."""
         burst_s = self.waveform.n_slots * self.waveform.slot_period_s
         starts = self._record.device_time_ns[0, :, 0]
         period = float(starts[1] - starts[0]) / 1e9 if len(starts) > 1 else burst_s + _PAUSE_S
@@ -119,7 +119,7 @@ class VirtualRadio(Radio):
             )
         self._step = int(steps[0])
         if self._step in self._played:
-            self._await()
+            self._await_sweep()
         return Tuned(float(self.carriers_hz[self._step]), self.clock.now_ns())
 
     def now_ns(self) -> int:
@@ -137,40 +137,40 @@ class VirtualRadio(Radio):
         if start_ns < now or self._happens(self._faults.late):
             return Reception.nothing(self.n_receivers, expected, start_ns, Fault.LATE)
         heard = Reception(
-            self._heard(samples), np.ones(expected, dtype=np.bool_), start_ns, Fault(0)
+            self._received_samples(samples), np.ones(expected, dtype=np.bool_), start_ns, Fault(0)
         )
         self.clock.wait_until(start_ns + round(1e9 * expected / self.sample_rate_hz))
-        return self._spoilt(heard)
+        return self._with_faults(heard)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""
 
-    def _begin(self) -> None:
-        """Go on to the sweep that comes."""
-        assert self._coming is not None
-        self._echo, self._record = self._coming.echo, self._coming.record
-        self._coming = None
+    def _begin_sweep(self) -> None:
+        """Begin the next sweep."""
+        assert self._next_sweep is not None
+        self._echo, self._record = self._next_sweep.echo, self._next_sweep.record
+        self._next_sweep = None
         self._sweep, self._begun_s = self._sweep + 1, time.monotonic()
         self._played: set[int] = set()
-        shape = (len(self._record.carriers_hz), self.waveform.n_slots, len(self._own))
-        self._sent = np.array(np.broadcast_to(self._own, shape))
+        shape = (len(self._record.carriers_hz), self.waveform.n_slots, len(self._sent_spectrum))
+        self._sent = np.array(np.broadcast_to(self._sent_spectrum, shape))
 
-    def _await(self) -> None:
-        """Have the sweep that comes. Raises RadioError where it fails."""
-        if self._coming is not None:
+    def _await_sweep(self) -> None:
+        """Wait for the next sweep. Raises RadioError where it fails."""
+        if self._next_sweep is not None:
             return
         asked_s, number = time.monotonic(), self._sweep + 1
         try:
-            self._coming = self._sweeps(number)
+            self._next_sweep = self._sweeps(number)
         except Exception as error:  # any engine's: client and operator get one line of it
             line = f"{self.device}: sweep {number}: {' '.join(str(error).split())}"
             _log.error("%s", line)
             raise RadioError(line) from error
         now_s = time.monotonic()
         if self.clock.pace == "real" and now_s - asked_s > _WAITED_S:
-            self._tell_late(now_s - self._begun_s)
+            self._warn_late(now_s - self._begun_s)
 
-    def _tell_late(self, took_s: float) -> None:
+    def _warn_late(self, took_s: float) -> None:
         self._late += 1
         lasts_s = self.schedule.sweep_s
         if self._late == _LATE_TOLD and took_s > lasts_s:
@@ -180,11 +180,11 @@ class VirtualRadio(Radio):
                 *(self.device, lasts_s, took_s, took_s / lasts_s),
             )
 
-    def _heard(self, samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """Samples (n_receivers, n_samples) that this step's burst brings back."""
+    def _received_samples(self, samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """Samples (n_receivers, n_samples) received in this step's burst."""
         if self._step in self._played:
-            self._await()
-            self._begin()
+            self._await_sweep()
+            self._begin_sweep()
         self._played.add(self._step)
         n_slots, grid = self.waveform.n_slots, self.grid
         repeats = samples.reshape(n_slots, grid.slot)[:, grid.useful]
@@ -201,7 +201,7 @@ class VirtualRadio(Radio):
         heard[..., : len(places)] = received.transpose(1, 0, 2)[..., places]
         return heard.reshape(self.n_receivers, -1)
 
-    def _spoilt(self, heard: Reception) -> Reception:
+    def _with_faults(self, heard: Reception) -> Reception:
         faults = Fault(0)
         for fault, chance in (
             (Fault.OVERFLOW, self._faults.overflow),

@@ -1,4 +1,4 @@
-"""Runs a virtual camera on a line, and spoils its bytes on request."""
+"""Runs a virtual camera on a line, with injected faults."""
 
 import selectors
 import time
@@ -23,11 +23,11 @@ class CameraServer:
     Parameters
     ----------
     camera
-        Makes the camera, with where it sends and what it asks about overruns.
+        Makes the camera, from its functions ``send`` and ``overrun``.
     line, clock
-        Where it sits, and its time.
+        Its line, and its clock.
     faults, seed
-        What goes wrong, and of which draw.
+        Injected faults, and the seed of their random numbers.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class CameraServer:
         self._stopped = True
 
     def _work(self) -> float | None:
-        """Whatever can be done now; seconds until there may be more, None: unknown."""
+        """Do all pending work; returns seconds until there may be more, None: unknown."""
         if data := self.line.read():
             self.camera.receive(data)
         self._flush()
@@ -85,12 +85,12 @@ class CameraServer:
     def _flush(self) -> None:
         while self._waiting and time.monotonic() >= self._silent_until:
             piece = self._waiting.popleft()
-            if (taken := self.line.write(piece)) < len(piece):
-                self._waiting.appendleft(piece[taken:])
+            if (written := self.line.write(piece)) < len(piece):
+                self._waiting.appendleft(piece[written:])
                 return
 
     def _send(self, frame: bytes) -> bool:
-        """Put a frame on its way, with its faults; False where the line is full."""
+        """Queue a frame, with its faults; False where the line is full."""
         if sum(map(len, self._waiting)) > _MOST_WAITING:
             return False
         faults = self._faults

@@ -1,4 +1,4 @@
-"""What ``twin serve`` runs: the devices of one scene, each behind its protocol."""
+"""The virtual devices of ``twin serve``, each behind its protocol."""
 
 import ipaddress
 import threading
@@ -19,7 +19,7 @@ from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.prefetcher import Prefetcher
 from twin.serve.radio import VirtualRadio
 from twin.serve.serial import CameraServer
-from twin.serve.sweeps import Sweeps
+from twin.serve.sweeps import RadarSweeps
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
 
@@ -53,7 +53,7 @@ def parse_address(text: str) -> Address:
 
 
 @dataclass(frozen=True)
-class Served:
+class ServedDevice:
     """A device that can be reached at a URL; ``run`` serves it until ``stop``."""
 
     name: str
@@ -73,36 +73,41 @@ def serve_radar(
     fidelity: Fidelity | None = None,
     setup: Path | None = None,
     reuse: int = 1,
-) -> Served:
+) -> ServedDevice:
     """The radar behind its radio.
 
     Parameters
     ----------
     scene, radar, fidelity
-        As `radar_capture` takes them, the design by name or file.
+        As in `radar_capture`, the design by name or file.
     address
-        Where the radio listens, and at the two ports above.
+        Where the radio listens; it uses the two next ports as well.
     pace, faults
         Of the clock; ``NAME=CHANCE`` of `RadioFaults`.
     seed
         Of the first sweep; sweep k has ``seed + k``.
     setup
-        File to write: what the driver must know.
+        Setup file of the driver to write.
     reuse
-        As `Sweeps` takes it.
+        As in `RadarSweeps`.
 
     Raises InputError.
     """
-    found, design = parse_faults(faults, RadioFaults), load_radar(radar)
-    sweeps = Prefetcher(Sweeps(scene, design, seed, fidelity, reuse))
-    virtual = VirtualRadio(design, sweeps, clock=DeviceClock(pace), faults=found, seed=seed)
+    fault_chances, design = parse_faults(faults, RadioFaults), load_radar(radar)
+    sweeps = Prefetcher(RadarSweeps(scene, design, seed, fidelity, reuse))
+    virtual = VirtualRadio(design, sweeps, clock=DeviceClock(pace), faults=fault_chances, seed=seed)
     server = RadioServer(
-        virtual, address.host, address.port, n_samples=virtual.n_samples, faults=found, seed=seed
+        virtual,
+        address.host,
+        address.port,
+        n_samples=virtual.n_samples,
+        faults=fault_chances,
+        seed=seed,
     )
     if setup is not None:
         write_setup(virtual.schedule, virtual.front_end, setup)
     url = f"zmq://{address.host}:{address.port}"
-    return Served(virtual.device, url, server.run, server.stop)
+    return ServedDevice(virtual.device, url, server.run, server.stop)
 
 
 def serve_camera(
@@ -114,15 +119,15 @@ def serve_camera(
     faults: Sequence[str] = (),
     seed: int = 0,
     fidelity: Fidelity | None = None,
-) -> Served:
+) -> ServedDevice:
     """The single-pixel camera behind its protocol, at an address or on a pseudo-terminal (None).
 
     Each run gives the records of `stills` with ``seed``, from the first on; the rest as
     `serve_radar`. Raises InputError.
     """
-    found, design = parse_faults(faults, CameraFaults), load_system(system)
+    fault_chances, design = parse_faults(faults, CameraFaults), load_system(system)
     light = still_light(scene, design, seed=seed, fidelity=fidelity)
-    clock = DeviceClock(pace, found.drift)
+    clock = DeviceClock(pace, fault_chances.drift)
     line: Line = Terminal() if address is None else TcpPort(address.host, address.port)
     server = CameraServer(
         lambda send, overrun: VirtualCamera(
@@ -135,13 +140,13 @@ def serve_camera(
         ),
         line,
         clock=clock,
-        faults=found,
+        faults=fault_chances,
         seed=seed,
     )
-    return Served(f"twin: {design.name}", line.url, server.run, server.stop)
+    return ServedDevice(f"twin: {design.name}", line.url, server.run, server.stop)
 
 
-def run(devices: Sequence[Served]) -> None:
+def run(devices: Sequence[ServedDevice]) -> None:
     """Serve all until interrupted."""
     threads = [threading.Thread(target=device.run, daemon=True) for device in devices]
     for thread in threads:

@@ -1,7 +1,7 @@
 """The twin as a source of records, ``twin:SCENE``.
 
 The vehicle finds it by the entry point ``ugv.sources``. Records are those of
-`twin.camera.stream.stills` and `twin.serve.sweeps.Sweeps`, without a protocol in between:
+`twin.camera.stream.stills` and `twin.serve.sweeps.RadarSweeps`, without a protocol in between:
 
     twin:yard                                  the camera of the system ``workable``
     twin:scenes/yard?system=mine.toml&seed=3   another camera, another seed
@@ -31,13 +31,13 @@ from twin.fidelity import Fidelity
 from twin.radar import load_radar
 from twin.scene import load_scene
 from twin.serve.clock import DeviceClock, Pace
-from twin.serve.configuration import configured
+from twin.serve.configuration import configure_system
 from twin.serve.prefetcher import Prefetcher
-from twin.serve.sweeps import Sweeps
+from twin.serve.sweeps import RadarSweeps
 from twin.system import System, load_system
 
 _OPTIONS = {"system": "workable", "radar": "none", "seed": "0", "pace": "real"}
-#: Between looks whether it is over, while waiting.
+#: Interval at which ``over`` is checked while waiting.
 _LOOK_S = 0.1
 
 
@@ -56,16 +56,16 @@ def records(
         ``twin:SCENE?OPTION=VALUE&...``. The scene and the options ``system``, ``radar`` (a name,
         a file, or ``none``), ``seed`` and ``pace`` are as ``twin serve`` takes them.
     settings
-        What the camera measures; default: what its system says.
+        Settings of the camera; default: those of its system.
     over
-        Once it is set, no record is waited for any more.
+        Event that ends the records.
     fidelity
-        Knobs, each with the error it bounds.
+        Accuracy settings, each with the error it bounds.
 
-    A record comes once the device would have measured it (``real``), or as soon as it is computed
-    (``fast``). The scene is read, and lit for the camera, before this returns. Raises InputError
-    for what is wrong in the URL, the files that it names or the settings; DeviceError where the
-    engine fails.
+    A record is yielded once the device would have measured it (``real``), or as soon as it is
+    computed (``fast``). The scene is read, and rendered for the camera, before this returns. Raises
+    InputError for errors in the URL, in the files that it names or in the settings; DeviceError
+    where the engine fails.
     """
     name, options = _parsed(url)
     paces: dict[str, Pace] = {pace: pace for pace in get_args(Pace)}
@@ -83,14 +83,14 @@ def records(
             light = still_light(scene, system, seed=seed, fidelity=fidelity)
         camera = stills(scene, system, seed=seed, fidelity=fidelity, rendered=light)
     if options["radar"] != "none":
-        radar = Sweeps(scene, load_radar(options["radar"]), seed, fidelity)
+        radar = RadarSweeps(scene, load_radar(options["radar"]), seed, fidelity)
     clock = DeviceClock(paces[options["pace"]])
     return _received(camera, radar, clock, over or threading.Event())
 
 
 @contextmanager
 def _engine_as_device(name: str) -> Iterator[None]:
-    """To the vehicle an engine that fails is a device that fails."""
+    """Raise errors of the engine as errors of a device, which the vehicle knows."""
     try:
         yield
     except EngineError as error:
@@ -114,18 +114,18 @@ def _system(url: str, name: str, settings: SpiSettings | None) -> System:
     if settings is None:
         return system
     try:
-        return configured(system, settings)
+        return configure_system(system, settings)
     except (InputError, ValidationError) as error:
         raise InputError(f"{url}: settings: {' '.join(str(error).split())}") from error
 
 
 def _received(
     camera: Iterator[SpiRecord] | None,
-    radar: Sweeps | None,
+    radar: RadarSweeps | None,
     clock: DeviceClock,
     over: threading.Event,
 ) -> Generator[Received, None, None]:
-    """Records of both in the order in which they begin, on a host's clock that began with the
+    """Records of both in the order of their start, on a host's clock that started with the
     device's.
     """
     zero_ns = time.time_ns()

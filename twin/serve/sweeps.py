@@ -1,4 +1,4 @@
-"""What a scene answers to each sweep of a radar."""
+"""Echoes of a scene for each sweep of a radar."""
 
 from dataclasses import dataclass, replace
 
@@ -11,24 +11,24 @@ from twin.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
-    """The scene's answer, and what is recorded where the waveform's own samples are sent."""
+class RadarSweep:
+    """Echoes of one sweep, and their record for the waveform's own samples."""
 
     echo: RadarEcho
     record: RadarRecord
 
 
-class Sweeps:
+class RadarSweeps:
     """Sweep k of a radar, with ``seed`` plus k.
 
-    From one sweep to the next everything moves on by a burst's time, and the rig to the next stop
-    of the scene's track, where it has one. Where nothing has moved nothing is traced again, if that
+    From one sweep to the next all objects move on by the time of a burst, and the rig to the next
+    stop of the scene's track, where it has one. Where nothing has moved nothing is traced again, if that
     gives the same bits.
 
     Parameters
     ----------
     scene, radar, seed, fidelity
-        As `radar_echo` takes them.
+        As in `radar_echo`.
     reuse
         Sweeps that are traced together: the first of so many in full, and of it the others keep
         what nothing that has moved since concerns, while the rig stands still. So a sweep depends
@@ -53,12 +53,12 @@ class Sweeps:
         self._reuse = reuse
         self._full: tuple[int, Propagation] | None = None  # number and what was found
 
-    def __call__(self, number: int) -> Sweep:
+    def __call__(self, number: int) -> RadarSweep:
         """One sweep, in any order. Raises InputError as `radar_echo` does."""
         stop = self._stop(number)
-        echo = self._again(number, stop) or self._traced(number, stop)
+        echo = self._without_tracing(number, stop) or self._traced(number, stop)
         self._last = stop, echo
-        return Sweep(echo, echo.record())
+        return RadarSweep(echo, echo.record())
 
     def record(self, number: int) -> RadarRecord:
         """The record of one sweep, in the device time of all: sweeps follow without a pause."""
@@ -66,7 +66,7 @@ class Sweeps:
         record = self(number).record
         return replace(record, device_time_ns=record.device_time_ns + begun_ns)
 
-    def _again(self, number: int, stop: int) -> RadarEcho | None:
+    def _without_tracing(self, number: int, stop: int) -> RadarEcho | None:
         if self._last is None or self._last[0] != stop or not self._scene.at_rest:
             return None
         return self._last[1].reseeded(self._seed + number)

@@ -1,17 +1,17 @@
-"""The table of patterns that a virtual camera is sent, as PROTOCOL.md keeps and forgets it."""
+"""The uploaded pattern table of a virtual camera, as defined in PROTOCOL.md."""
 
 from twin.errors import InputError
 
 
 class UploadedTable:
-    """What is held of it: ``data``, out of ``size`` bytes; 0 where none is expected."""
+    """Bytes received, ``data``, out of ``size`` expected ones; 0 where none is expected."""
 
     def __init__(self) -> None:
         self.data, self.size = bytearray(), 0
         self._kept = False  # of an earlier Configure: the next upload forgets it
 
     def expect(self, size: int) -> None:
-        """Configured for a table of this size: one that is held whole is kept."""
+        """Expect a table of this size; a complete one of the same size is kept."""
         self._kept = 0 < size == self.size == len(self.data)
         if not self._kept:
             self.data.clear()

@@ -1,8 +1,9 @@
 """A radio behind ZeroMQ: the other end of `ZeroMqRadio` and of plain virtual radios.
 
-Three ports from the given one on: commands; samples received, for whoever asks; samples to send,
-asked for from whoever has them. The last two are the convention of GNU Radio and srsRAN. As long as
-a client has the radio, the second is a copy of what it hears; else both make it a plain one.
+Three ports from the given one on: commands; received samples, on request; samples to transmit,
+which the server requests. The last two are the convention of GNU Radio and srsRAN. While a client
+has opened the radio, the second port has a copy of its received samples; otherwise both ports form
+a plain virtual radio.
 """
 
 import json
@@ -21,9 +22,9 @@ from hardware.errors import InputError as VehicleInputError
 from twin.files import InputError
 from twin.serve.faults import RadioFaults
 
-_LEASE_S = 10.0  # of silence, after which another client may have the radio
-_PATIENCE_S = 60.0  # for the first frame of a scene, whose kernels are compiled then
-_MOST_WAITING = 64  # bursts that nobody has fetched; older ones are dropped
+_LEASE_S = 10.0  # of silence, after which another client may open the radio
+_PATIENCE_S = 60.0  # for the first burst of a scene, for which kernels are compiled
+_MOST_WAITING = 64  # bursts not fetched yet; older ones are dropped
 _POLL_S = 0.1
 
 
@@ -33,13 +34,13 @@ class RadioServer:
     Parameters
     ----------
     radio
-        Who sends and hears.
+        The radio to serve.
     host, port
-        Where to listen: at ``port`` and the two above it.
+        Where to listen: at ``port`` and the next two.
     n_samples
-        Of a burst; a longer one is not even received.
+        Of a burst; longer messages are not received.
     faults, seed
-        Those of the connection.
+        Injected faults of the connection, and the seed of their random numbers.
 
     Raises InputError where it cannot listen.
     """
@@ -95,7 +96,7 @@ class RadioServer:
                     *way, asked = self._received.recv_multipart()
                     self._readers.append((way, requested(asked)))
                 if self._transmit in ready:
-                    self._take(self._transmit.recv_multipart()[-1])
+                    self._queue_samples(self._transmit.recv_multipart()[-1])
                 self._answer_readers()
         finally:
             self._context.destroy(linger=0)
@@ -105,7 +106,7 @@ class RadioServer:
         self._stopped = True
 
     def _serve(self, message: list[bytes]) -> None:
-        """Answer one command, or leave it unanswered where that fault is asked for."""
+        """Answer one command, or leave it unanswered by an injected fault."""
         sender, *rest = message
         frames = rest[1:] if rest and not rest[0] else rest
         command: dict[str, Any] = {}
@@ -119,14 +120,14 @@ class RadioServer:
                     return
                 if self._happens(self._faults.stall):
                     time.sleep(self._faults.stall_s)
-            answer, samples = self._done(sender, command, frames[1:])
+            answer, samples = self._execute(sender, command, frames[1:])
         except (RadioError, VehicleInputError) as error:
             answer = {"error": str(error)}
         number = command.get("number")
         answer["number"] = number if isinstance(number, int) else None
         self._commands.send_multipart([sender, b"", json.dumps(answer).encode(), *samples])
 
-    def _done(
+    def _execute(
         self, sender: bytes, command: dict[str, Any], frames: list[bytes]
     ) -> tuple[dict[str, Any], list[bytes]]:
         name, now = command.get("do"), time.monotonic()
@@ -158,7 +159,7 @@ class RadioServer:
             heard = self._burst(
                 to_samples(frames[0] if frames else b""), _number(command, "start_ns", int)
             )
-            return _told(heard), [heard.samples.tobytes()] if heard.there.any() else []
+            return _reception_fields(heard), [heard.samples.tobytes()] if heard.there.any() else []
         raise InputError(f"do: {name!r:.40}, expected open, tune, time, burst or close")
 
     def _burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
@@ -167,8 +168,8 @@ class RadioServer:
         self._heard_at = time.monotonic()
         return heard
 
-    def _take(self, message: bytes) -> None:
-        """Samples that somebody plain wants to be sent: as many as make a burst go out."""
+    def _queue_samples(self, message: bytes) -> None:
+        """Queue samples of a plain client, and transmit each complete burst."""
         self._asked = False
         try:
             samples = to_samples(message)
@@ -181,7 +182,7 @@ class RadioServer:
             self._to_send = self._to_send[self.n_samples :]
 
     def _answer_readers(self) -> None:
-        """Give what was heard to whoever asked; else see whether somebody wants to send."""
+        """Answer requests for received samples; without any, request samples to transmit."""
         while self._readers and self._waiting:
             way, most = self._readers.popleft()
             samples = self._waiting.popleft()
@@ -189,10 +190,10 @@ class RadioServer:
             if len(samples) > most:
                 self._waiting.appendleft(samples[most:])
         if self._readers and self._client is None and not self._asked:
-            self._asked = self._asks_for(self.n_samples - len(self._to_send))
+            self._asked = self._request_samples(self.n_samples - len(self._to_send))
 
-    def _asks_for(self, n_samples: int) -> bool:
-        """Ask whoever wants to send; False when nobody is there, for whom a socket would wait."""
+    def _request_samples(self, n_samples: int) -> bool:
+        """Request samples to transmit; False where no client is connected."""
         import zmq
 
         try:
@@ -230,8 +231,8 @@ def _number(command: dict[str, Any], name: str, kind: type[_Number]) -> _Number:
         raise InputError(f"{name}: {command[name]!r:.40}, expected a number") from error
 
 
-def _told(heard: Reception) -> dict[str, Any]:
-    """What an answer says of a burst beside its samples."""
+def _reception_fields(heard: Reception) -> dict[str, Any]:
+    """Fields of the answer to a burst, beside its samples."""
     edges = np.flatnonzero(np.diff(heard.there, prepend=True, append=True))
     return {
         "start_ns": heard.start_ns,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.budget.link import (
-    Link,
+    OpticalLink,
     maximum_distance_m,
     minimum_time_s,
     noise_e,
@@ -68,15 +68,15 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> dict[str, Arr
     columns = columns or {"system": np.array([study.system])}  # nothing is set or varied
     n = len(next(iter(columns.values())))
     _check(columns)
-    values = {name: np.empty(n) for name in (*Link.__dataclass_fields__, "time", "read")}
+    values = {name: np.empty(n) for name in (*OpticalLink.__dataclass_fields__, "time", "read")}
     for points, system, link in _links(study, columns, inputs):
-        for name in Link.__dataclass_fields__:
+        for name in OpticalLink.__dataclass_fields__:
             values[name][points] = getattr(link, name)
         values["time"][points] = system.acquisition.integration_time_s.value
         values["read"][points] = system.readout.read_noise_e.value
     time = columns.get("system.acquisition.integration_time_s", values.pop("time"))
     read = columns.get("system.readout.read_noise_e", values.pop("read"))
-    link = Link(**values)
+    link = OpticalLink(**values)
     distance = columns.get("link.distance_m", np.float64(5.0))
     reflectance = columns.get("link.reflectance", np.float64(0.5))
     signal = link.signal_e_per_s(reflectance, distance)
@@ -94,7 +94,9 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> dict[str, Arr
     return {name: np.broadcast_to(results[name], (n,)) for name in study.metrics}
 
 
-def _links(study: Study, columns: Columns, inputs: Inputs) -> Iterator[tuple[Array, System, Link]]:
+def _links(
+    study: Study, columns: Columns, inputs: Inputs
+) -> Iterator[tuple[Array, System, OpticalLink]]:
     """Points that share all but numbers, their system, and their links as one of arrays."""
     free = [name for name in columns if name not in _OF_THE_POINT]
     arrays = [n for n in free if n in (*_ARRAYS, *_WAVELENGTHS) and columns[n].dtype.kind in "if"]

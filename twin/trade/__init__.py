@@ -1,6 +1,6 @@
-"""The speed/accuracy trade: time, memory and error of every rung on one's own scene and machine."""
+"""Speed against accuracy: time, memory and error of every fidelity level on a scene and machine."""
 
-from twin.trade.measurement import Choice, Cost, Measurement, cheapest, front
+from twin.trade.measurement import Choice, Cost, LevelMeasurement, cheapest, front
 from twin.trade.pareto import TOLERANCE, choose_fidelity, run_trade
 from twin.trade.result import Trade
 
@@ -8,7 +8,7 @@ __all__ = [
     "TOLERANCE",
     "Choice",
     "Cost",
-    "Measurement",
+    "LevelMeasurement",
     "Trade",
     "cheapest",
     "choose_fidelity",

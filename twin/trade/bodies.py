@@ -1,8 +1,8 @@
-"""Errors of the radar's echoes body by body: of which each rung is converged, and of which not.
+"""Errors of the radar's echoes by body, and convergence of each fidelity level.
 
-The reference of a body is the solver's finest tolerance, whose direct echo gives way to brute force
-where the body is small enough for it (`twin.trade.sampled`): an error common to all tolerances then
-shows as well.
+The reference of a body is the solver at its finest tolerance. Where the body is small enough, its
+direct echo is computed by brute force instead (`twin.trade.sampled`), which also shows errors
+common to all tolerances.
 """
 
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ _MOST_POINTS = 20_000_000  # of a body, to be sampled by brute force: some ten s
 class Bodies:
     """Bodies of a scene with their reference echoes over the band, (n_bodies, n_frequencies).
 
-    ``names``: of the objects that each consists of; ``is_sampled``: whether its direct echo is by
+    ``names``: of the objects of each body; ``is_sampled``: whether its direct echo is computed by
     brute force.
     """
 
@@ -47,53 +47,53 @@ class Bodies:
     @property
     def level(self) -> Array:
         """Root mean square over the band, (n_bodies,)."""
-        found: Array = np.sqrt(np.mean(np.abs(self.echo) ** 2, axis=1))
-        return found
+        level: Array = np.sqrt(np.mean(np.abs(self.echo) ** 2, axis=1))
+        return level
 
 
 def reference_bodies(
     scene: Scene, radar: RadarDesign, fidelity: Fidelity, finest: Propagation, seed: int
 ) -> Bodies:
-    """References of all bodies; ``finest`` is what the fidelity, the closest one, found."""
+    """References of all bodies; ``finest`` is the propagation at this, the finest fidelity."""
     names = _names(scene, finest)
     frequencies = band_of(radar.ofdm)
     echo = echoes_by_body(finest, names, radar, frequencies)
     level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
-    stage = prepare_scene(scene, radar, finest.roles, 0)
+    prepared = prepare_scene(scene, radar, finest.roles, 0)
     sampled = np.zeros(len(names), dtype=bool)
-    numbers = {item.name: i for i, item in enumerate(stage.items)}
-    if stage.station.walls is None:  # brute force knows no panes
+    numbers = {item.name: i for i, item in enumerate(prepared.items)}
+    if prepared.station.walls is None:  # brute force knows no panes
         for i in np.flatnonzero(level >= _WEAKEST * level.max(initial=0.0)):
             members = [numbers[name] for name in names[i]]
-            sampled[i] = level[i] > 0 and points_of(stage, members) <= _MOST_POINTS
+            sampled[i] = level[i] > 0 and points_of(prepared, members) <= _MOST_POINTS
     if sampled.any():
         alone = replace(fidelity, radar_bounces=1, radar_images=0)
         direct = trace(scene, radar, fidelity=alone, seed=seed)
         own = echoes_by_body(direct, names, radar, frequencies)
         for i in np.flatnonzero(sampled):
             members = [numbers[name] for name in names[i]]
-            echo[i] += direct_echo(scene, stage, radar, members, frequencies) - own[i]
+            echo[i] += direct_echo(scene, prepared, radar, members, frequencies) - own[i]
     return Bodies(names, echo, tuple(sampled.tolist()), fidelity.radar_tolerance, frequencies)
 
 
 def errors_of(
-    bodies: Bodies, found: Propagation, radar: RadarDesign, tolerance: float
+    bodies: Bodies, propagation: Propagation, radar: RadarDesign, tolerance: float
 ) -> tuple[BodyError, ...]:
     """Complex errors, rms over the band, of every body within 40 dB of the strongest.
 
-    Converged is what is off by no more than the tolerance.
+    A body is converged where its error is at most the tolerance.
     """
-    echo = echoes_by_body(found, bodies.names, radar, bodies.frequencies_hz)
-    off = np.sqrt(np.mean(np.abs(echo - bodies.echo) ** 2, axis=1))
+    echo = echoes_by_body(propagation, bodies.names, radar, bodies.frequencies_hz)
+    error = np.sqrt(np.mean(np.abs(echo - bodies.echo) ** 2, axis=1))
     level = bodies.level
     strongest = level.max(initial=0.0)
     order = [i for i in np.argsort(-level) if level[i] >= max(_WEAKEST * strongest, 1e-300)]
     return tuple(
         BodyError(
-            body=_called(bodies.names[i]),
+            body=_label(bodies.names[i]),
             level_db=float(20 * np.log10(level[i] / strongest)),
-            error=float(off[i] / level[i]),
-            is_converged=bool(off[i] <= tolerance * level[i]),
+            error=float(error[i] / level[i]),
+            is_converged=bool(error[i] <= tolerance * level[i]),
             reference=(
                 "direct echo sampled by brute force"
                 if bodies.is_sampled[i]
@@ -105,22 +105,26 @@ def errors_of(
 
 
 def echoes_by_body(
-    found: Propagation,
+    propagation: Propagation,
     names: tuple[tuple[str, ...], ...],
     radar: RadarDesign,
     frequencies_hz: Array,
 ) -> Complex:
     """Echoes of surfaces at rest, summed by body, (n_bodies, n_frequencies)."""
     body_of = {name: i for i, members in enumerate(names) for name in members}
-    number = np.array([body_of.get(name, -1) for name in found.objects], dtype=np.intp)
-    body = number[found.object_of_surface] if len(found.object_of_surface) else np.zeros(0, np.intp)
+    number = np.array([body_of.get(name, -1) for name in propagation.objects], dtype=np.intp)
+    body = (
+        number[propagation.object_of_surface]
+        if len(propagation.object_of_surface)
+        else np.zeros(0, np.intp)
+    )
     carrier = radar.ofdm.carrier_hz
-    return summed_by(body, len(names), found.surfaces, carrier, frequencies_hz)
+    return summed_by(body, len(names), propagation.surfaces, carrier, frequencies_hz)
 
 
-def _names(scene: Scene, found: Propagation) -> tuple[tuple[str, ...], ...]:
+def _names(scene: Scene, propagation: Propagation) -> tuple[tuple[str, ...], ...]:
     """Objects that scatter, by the body that they are part of."""
-    scattering = {a.name for a in found.roles if a.role is ScatteringModel.OPTICS}
+    scattering = {a.name for a in propagation.roles if a.role is ScatteringModel.OPTICS}
     items = [item for item in scene.objects if item.name in scattering]
     if not items:
         return ()
@@ -131,6 +135,6 @@ def _names(scene: Scene, found: Propagation) -> tuple[tuple[str, ...], ...]:
     )
 
 
-def _called(names: tuple[str, ...]) -> str:
-    """By its first object."""
+def _label(names: tuple[str, ...]) -> str:
+    """Name of a body, after its first object."""
     return names[0] if len(names) == 1 else f"{names[0]} (of {len(names)} objects)"

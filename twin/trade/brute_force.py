@@ -1,4 +1,4 @@
-"""The check from outside: Mitsuba's projector and path tracer on a sample of the patterns."""
+"""Independent check: Mitsuba's projector and path tracer on a sample of the patterns."""
 
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any
@@ -11,27 +11,27 @@ from twin.optics.devices import Device
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.reference import PatternRenderer
-from twin.trade.camera import CameraCase, Reference, reference_rung
-from twin.trade.measurement import Cost, Measurement
-from twin.trade.meter import metered
+from twin.trade.camera import CameraCase, Reference, reference_level
+from twin.trade.measurement import Cost, LevelMeasurement
+from twin.trade.meter import measure_cost
 
 Array = NDArray[np.float64]
 
-_PATTERNS = 8  # exposures out of the set: the first, all lit, and others at random
+_PATTERNS = 8  # exposures of the set: the first, all lit, and others at random
 _SEEDS = 12
 _SAMPLES = 16  # paths per pixel of its film, 64 x 64
-_BOUNCES = 32  # what the reference leaves out is in it
+_BOUNCES = 32  # more than in the reference
 _TRANSPORT_RUNS = 4
-#: Projected texels in steps of cos^3 and film pixels of finite size, in all.
+#: Error of projected texels in steps of cos^3 and of film pixels of finite size together.
 _ALLOWANCE = 2e-3
 _SIGMAS = 4.0  # of Student's t with 11 degrees of freedom: 0.2 % false alarms
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Light of the sampled patterns, transport over brute force less 1, with its standard error.
+    """Light of the sampled patterns, transport over brute force minus 1, with its standard error.
 
-    ``worst_sigmas``: the pattern that is off most, over its own Monte-Carlo error.
+    ``worst_sigmas``: largest deviation of a pattern over its own Monte-Carlo error.
     """
 
     difference: float
@@ -45,7 +45,7 @@ class Agreement:
 
     @property
     def holds(self) -> bool:
-        """Whether the two agree within their errors and what the texture's steps cost."""
+        """Whether the two agree within their errors and that of the texture's steps."""
         return abs(self.difference) <= _SIGMAS * self.standard_error + _ALLOWANCE
 
     def __str__(self) -> str:
@@ -57,10 +57,12 @@ class Agreement:
         )
 
 
-def check(case: CameraCase, reference: Reference) -> tuple[Agreement | None, Measurement | None]:
-    """Agreement of the reference, and brute force as a rung for comparison.
+def check(
+    case: CameraCase, reference: Reference
+) -> tuple[Agreement | None, LevelMeasurement | None]:
+    """Agreement of the reference, and brute force as a level for comparison.
 
-    (None, None) for bare LEDs: the projector has a lens. The rung is None for line sensors, whose
+    (None, None) for bare LEDs: the projector has a lens. The level is None for line sensors, whose
     columns the reference renderer does not tell apart as fine.
     """
     system = case.system
@@ -74,7 +76,7 @@ def check(case: CameraCase, reference: Reference) -> tuple[Agreement | None, Mea
     agreement = _agreement(case, brute, transport, masks)
     if system.n_detectors > 1:
         return agreement, None
-    return agreement, _rung(case, reference, brute, costs)
+    return agreement, _measure_level(case, reference, brute, costs)
 
 
 def _renders(
@@ -87,8 +89,8 @@ def _renders(
         def once(run: int, mask: Any = mask, row: list[int] = row) -> float:
             return renderer.render(mask, samples=_SAMPLES, seed=row[run])
 
-        cost, found = metered(once, least=_SEEDS, most=_SEEDS)
-        renders.append(found)
+        cost, signals = measure_cost(once, least=_SEEDS, most=_SEEDS)
+        renders.append(signals)
         costs.append(cost)
     return np.array(renders), costs
 
@@ -99,14 +101,14 @@ def _sampled_masks(case: CameraCase) -> NDArray[np.uint8]:
     first = 2 if patterns.mode == "differential" else 1
     others = np.arange(first, patterns.n_exposures)
     rng = np.random.default_rng([case.seed, 3])
-    chosen = rng.choice(others, min(_PATTERNS - 1, len(others)), replace=False)
-    numbers = [0, *sorted(chosen.tolist())]
+    others_shown = rng.choice(others, min(_PATTERNS - 1, len(others)), replace=False)
+    numbers = [0, *sorted(others_shown.tolist())]
     return np.concatenate([patterns.masks(slice(n, n + 1)) for n in numbers])
 
 
 def _square(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The same pattern with as many texels in both directions: a projector's field has the aspect
-    of its texture, an emitter's is square. Rows and columns are powers of two.
+    """The pattern with the same number of texels in both directions: a projector's field has the
+    aspect ratio of its texture, an emitter's is square. Rows and columns are powers of two.
     """
     rows, columns = mask.shape
     side = max(rows, columns)
@@ -117,14 +119,14 @@ def _transport(case: CameraCase) -> Array:
     """Light of each cell on all detectors together, by run, (n_runs, n_cells), between the same
     ideal devices.
     """
-    rung, light = reference_rung(case.system), []
+    level, light = reference_level(case.system), []
     for run in range(_TRANSPORT_RUNS):
         seeds = np.random.SeedSequence([case.seed, 5, run]).spawn(2)
         rendered = render_light(
             _ideal_problem(case),
             case.system,
             case.truth,
-            rung,
+            level,
             seeds,
             sun_quality=TracingQuality(1, 1),
         )
@@ -163,7 +165,9 @@ def _described(
     )
 
 
-def _rung(case: CameraCase, reference: Reference, brute: Array, costs: list[Cost]) -> Measurement:
+def _measure_level(
+    case: CameraCase, reference: Reference, brute: Array, costs: list[Cost]
+) -> LevelMeasurement:
     """Brute force for the whole set: its noise passes through the same inverse transform."""
     patterns = case.system.patterns
     per_value = np.sqrt(2.0) if patterns.mode == "differential" else 2.0
@@ -173,8 +177,8 @@ def _rung(case: CameraCase, reference: Reference, brute: Array, costs: list[Cost
     error = float(per_value * sigma * np.sqrt(patterns.count) / patterns.n_cells * to_e)
     times = np.array([(c.low_s, c.seconds, c.high_s) for c in costs]).mean(axis=0)
     low, median, high = (patterns.n_exposures * times).tolist()
-    return Measurement(
-        ladder="light",
+    return LevelMeasurement(
+        model="light",
         name="brute force per pattern",
         fidelity=None,
         cost=Cost(median, low, high, _SEEDS, max(c.peak_bytes for c in costs)),
@@ -193,12 +197,12 @@ def _ideal_problem(case: CameraCase) -> LightProblem:
 
 
 def _ideal(device: Device) -> Device:
-    """What the reference renderer knows: a square field, sharp and even, a pinhole."""
+    """The device as the reference renderer models it: a square, sharp, even field and a pinhole."""
     return Device(device.origin_m, device.axes, device.tan_half_field)
 
 
 def _set(device: Device, whose: str) -> list[str]:
-    """Names of what `_ideal` takes away."""
+    """Names of the properties that `_ideal` leaves out."""
     known = [f for f in fields(Device) if f.default is not MISSING]
     return [f"{whose}.{f.name}" for f in known if getattr(device, f.name) != f.default]
 

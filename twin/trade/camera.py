@@ -22,8 +22,8 @@ from twin.optics.problem import LightProblem
 from twin.progress import OpenStage
 from twin.scene import Scene
 from twin.system import System
-from twin.trade.measurement import Cost, Measurement
-from twin.trade.meter import metered
+from twin.trade.measurement import Cost, LevelMeasurement
+from twin.trade.meter import measure_cost
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ _EXPOSURES, _DRAWS = 8, 20_000  # distributions compared, and how many numbers t
 
 @dataclass(frozen=True, eq=False)
 class CameraCase:
-    """A scene seen by a system, with everything at hand that is the same on every rung."""
+    """A scene and a system, with everything that is the same at every level."""
 
     scene: Scene
     system: System
@@ -48,26 +48,26 @@ class CameraCase:
 
     @classmethod
     def of(cls, scene: Scene, system: System, seed: int) -> "CameraCase":
-        """Load the scene's triangles once and look at them."""
+        """Load the scene's triangles once and render its truth."""
         problem = light_problem(scene, system)
         truth = render_truth(problem.scene, problem.emitter, system.image_shape)
         return cls(scene, system, problem, truth, Chain.of(system, scene.sun), seed)
 
     def light(self, fidelity: Fidelity, *key: int) -> RenderedLight:
-        """Light of emitter and sun; another key draws other paths."""
+        """Light of emitter and sun; another key gives other random paths."""
         seeds = np.random.SeedSequence([self.seed, *key]).spawn(2)
         return render_light(self.problem, self.system, self.truth, fidelity, seeds)
 
     @property
     def electrons_per_watt(self) -> float:
-        """Of what patterns tell: a dark cell's light is in every exposure alike."""
+        """Electrons per watt of modulated light: dark cells emit the same in every exposure."""
         return (1 - dark_share(self.system)) * self.chain.front_end.electrons_per_watt
 
 
 @dataclass(frozen=True, eq=False)
 class CellSignals:
-    """Electrons of each cell lit alone, (n_detectors, n_cells), as far as the patterns shown can
-    tell them; and the sun's power on all detectors, W.
+    """Electrons of each cell lit alone, (n_detectors, n_cells), their part that the patterns
+    measure; and the sun's power on all detectors, W.
     """
 
     cells_e: Array
@@ -78,7 +78,7 @@ class CellSignals:
         """Through lens, filter and shutters."""
         power = case.chain.powers(rendered)
         cells = case.electrons_per_watt * power.cells_w.sum(axis=0)
-        return cls(told_apart(cells, case.system.patterns), float(power.sun_w.sum()))
+        return cls(measurable_part(cells, case.system.patterns), float(power.sun_w.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class Reference:
     rendered: RenderedLight
 
 
-def reference_rung(system: System) -> Fidelity:
+def reference_level(system: System) -> Fidelity:
     """The `reference` preset, with more paths per cell where cells are few."""
     cells = system.emitter.rows.value * system.emitter.columns.value * system.n_detectors
     side = math.ceil(math.sqrt(_LEAST_PATHS / cells))
@@ -98,9 +98,9 @@ def reference_rung(system: System) -> Fidelity:
     return preset.with_(samples=max(preset.samples, side**2))
 
 
-def light_rungs(system: System) -> list[Fidelity]:
-    """Paths x bounces; to a line sensor behind a lens from either side."""
-    finest = reference_rung(system).samples
+def light_levels(system: System) -> list[Fidelity]:
+    """Numbers of paths and bounces; for a line sensor and a lens also where paths start."""
+    finest = reference_level(system).samples
     samples = [4**power for power in range(20) if 4**power < finest]
     both = system.n_detectors > 1 and system.emitter.has_lens
     starts: tuple[Start, ...] = ("dual", "scatter") if both else ("auto",)
@@ -109,7 +109,7 @@ def light_rungs(system: System) -> list[Fidelity]:
 
 def light_stages(system: System) -> list[str]:
     """Stages of `measure_light`, in their order."""
-    return [_REFERENCE, *map(_rendering, light_rungs(system))]
+    return [_REFERENCE, *map(_rendering, light_levels(system))]
 
 
 def noise_stages() -> list[str]:
@@ -117,19 +117,19 @@ def noise_stages() -> list[str]:
     return [_drawing(kind) for kind in get_args(Noise)]
 
 
-def _rendering(rung: Fidelity) -> str:
-    return f"light: {_name(rung)}"
+def _rendering(level: Fidelity) -> str:
+    return f"light: {_name(level)}"
 
 
 def _drawing(kind: Noise) -> str:
     return f"noise: {kind}"
 
 
-def measure_light(case: CameraCase, stage: OpenStage) -> tuple[Reference, list[Measurement]]:
-    """Every rung against the mean of several renders of the reference."""
-    finest = reference_rung(case.system)
+def measure_light(case: CameraCase, stage: OpenStage) -> tuple[Reference, list[LevelMeasurement]]:
+    """Every level against the mean of several renders of the reference."""
+    finest = reference_level(case.system)
     with stage(_REFERENCE):
-        cost, rendered = metered(partial(case.light, finest, 0), least=_REFERENCE_RUNS)
+        cost, rendered = measure_cost(partial(case.light, finest, 0), least=_REFERENCE_RUNS)
         signals = [CellSignals.of(case, light) for light in rendered]
         cells = np.mean([p.cells_e for p in signals], axis=0)
         sun_w = float(np.mean([p.sun_w for p in signals]))
@@ -139,31 +139,31 @@ def measure_light(case: CameraCase, stage: OpenStage) -> tuple[Reference, list[M
         # One render's scatter about the mean of all, which it is part of.
         unbiased = np.sqrt(len(signals) / (len(signals) - 1))
         name = f"reference: {finest.samples} paths, {finest.max_depth} bounces"
-        found = _compared(case, name, finest, cost, signals, reference)
-        found = replace(
-            found,
-            error=found.error * unbiased,
-            over_noise=found.over_noise * unbiased,
-            detail=found.detail | {"error_w": found.detail["error_w"] * unbiased},
+        own = _compare_level(case, name, finest, cost, signals, reference)
+        own = replace(
+            own,
+            error=own.error * unbiased,
+            over_noise=own.over_noise * unbiased,
+            detail=own.detail | {"error_w": own.detail["error_w"] * unbiased},
             note=f"scatter of {len(signals)} renders; their mean is what all are compared with",
         )
     measured = []
-    for number, rung in enumerate(light_rungs(case.system), start=1):
-        with stage(_rendering(rung)):
-            cost, rendered = metered(partial(case.light, rung, number))
+    for number, level in enumerate(light_levels(case.system), start=1):
+        with stage(_rendering(level)):
+            cost, rendered = measure_cost(partial(case.light, level, number))
             signals = [CellSignals.of(case, light) for light in rendered]
-            measured.append(_compared(case, _name(rung), rung, cost, signals, reference))
-    return reference, [*measured, found]
+            measured.append(_compare_level(case, _name(level), level, cost, signals, reference))
+    return reference, [*measured, own]
 
 
-def _compared(
+def _compare_level(
     case: CameraCase,
     name: str,
     fidelity: Fidelity,
     cost: Cost,
     signals: list[CellSignals],
     reference: Reference,
-) -> Measurement:
+) -> LevelMeasurement:
     """Root mean square over cells and runs."""
     off = np.stack([p.cells_e for p in signals]) - reference.signals.cells_e
     error = float(np.sqrt(np.mean(off**2)))
@@ -171,8 +171,8 @@ def _compared(
     scale = float(np.sqrt(np.mean(reference.signals.cells_e**2)))
     total = float(np.mean([p.cells_e.sum() for p in signals]))
     sun_w = float(np.mean([p.sun_w for p in signals]))
-    return Measurement(
-        ladder="light",
+    return LevelMeasurement(
+        model="light",
         name=name,
         fidelity=fidelity,
         cost=cost,
@@ -199,12 +199,12 @@ def _pixel_noise(case: CameraCase, rendered: RenderedLight) -> Array:
     return np.sqrt(len(chain.shutters)) * pixel_e
 
 
-def _name(rung: Fidelity) -> str:
-    name = f"{rung.samples} path{'s' if rung.samples > 1 else ''}, "
-    name += f"{rung.max_depth} bounces" if rung.max_depth > 1 else "direct"
-    if rung.start != "auto":
-        name += f", {rung.start}"
-    known = [key for key, value in PRESETS.items() if value.quality == rung.quality]
+def _name(level: Fidelity) -> str:
+    name = f"{level.samples} path{'s' if level.samples > 1 else ''}, "
+    name += f"{level.max_depth} bounces" if level.max_depth > 1 else "direct"
+    if level.start != "auto":
+        name += f", {level.start}"
+    known = [key for key, value in PRESETS.items() if value.quality == level.quality]
     return f"{name} ({known[0]})" if known else name
 
 
@@ -212,30 +212,32 @@ def _ratio(value: float, scale: float, of_nothing: float = 0.0) -> float:
     return value / scale if scale else of_nothing
 
 
-def measure_noise(case: CameraCase, reference: Reference, stage: OpenStage) -> list[Measurement]:
-    """Noise rungs: how far the distribution of an exposure's counts is from the full one's.
+def measure_noise(
+    case: CameraCase, reference: Reference, stage: OpenStage
+) -> list[LevelMeasurement]:
+    """Levels of noise: distance of the distribution of an exposure's counts from the full one.
 
-    The distance is Wasserstein's, the mean shift of a sorted sample, for exposures spread over the
-    range of signals; the worst one counts. The full rung is the reference; what two samples of it
-    differ by is in the others' errors.
+    Wasserstein distance, the mean shift of a sorted sample, of the worst of some exposures spread
+    over the range of signals. The full level is the reference; the random difference of two of its
+    samples is included in the errors of the others.
     """
     power = case.chain.powers(reference.rendered)
-    rungs: tuple[Noise, ...] = get_args(Noise)
-    samples, found = _samples(case, power, rungs), []
+    levels: tuple[Noise, ...] = get_args(Noise)
+    samples, measured = _samples(case, power, levels), []
     truth = samples["full"][0]
     spread = truth.std(axis=1)
-    for rung in rungs:
-        with stage(_drawing(rung)):
-            cost, _ = metered(partial(_one_frame, case, power, rung))
-            shift = np.abs(samples[rung][1] - truth).mean(axis=1)
+    for level in levels:
+        with stage(_drawing(level)):
+            cost, _ = measure_cost(partial(_one_frame, case, power, level))
+            shift = np.abs(samples[level][1] - truth).mean(axis=1)
             worst = int(np.argmax(shift / spread))
             own = float(shift[worst] / spread[worst])
-            exact = rung == "full"
-            found.append(
-                Measurement(
-                    ladder="noise",
-                    name="no noise" if rung == "none" else rung,
-                    fidelity=Fidelity(noise=rung),
+            exact = level == "full"
+            measured.append(
+                LevelMeasurement(
+                    model="noise",
+                    name="no noise" if level == "none" else level,
+                    fidelity=Fidelity(noise=level),
                     cost=cost,
                     error=0.0 if exact else float(shift[worst]),
                     unit="e-",
@@ -246,7 +248,7 @@ def measure_noise(case: CameraCase, reference: Reference, stage: OpenStage) -> l
                     else f"shift of the distribution, worst of {len(truth)} exposures",
                 )
             )
-    return found
+    return measured
 
 
 def _one_frame(case: CameraCase, power: Powers, kind: Noise, seed: int) -> None:
@@ -254,32 +256,32 @@ def _one_frame(case: CameraCase, power: Powers, kind: Noise, seed: int) -> None:
 
 
 def _samples(
-    case: CameraCase, power: Powers, rungs: Sequence[Noise]
+    case: CameraCase, power: Powers, levels: Sequence[Noise]
 ) -> dict[Noise, tuple[Array, Array]]:
-    """Of exposures spread over the range of signals."""
+    """Samples of exposures spread over the range of signals."""
     rng = np.random.default_rng([case.seed, 2])
     signal_w, _, _ = case.chain.measure_frame(power, rng=rng, noise="none")
     light = signal_w + case.chain.open_share[:, None] * power.sun_w
-    levels = np.quantile(light, np.linspace(0, 1, _EXPOSURES))
-    return distributions(levels, case.chain.front_end, rungs, rng)
+    powers_w = np.quantile(light, np.linspace(0, 1, _EXPOSURES))
+    return distributions(powers_w, case.chain.front_end, levels, rng)
 
 
 def distributions(
-    levels_w: Array, front_end: Detector, rungs: Sequence[Noise], rng: np.random.Generator
+    levels_w: Array, front_end: Detector, levels: Sequence[Noise], rng: np.random.Generator
 ) -> dict[Noise, tuple[Array, Array]]:
-    """Two sorted samples of electrons for each rung, (n_exposures, n_draws)."""
+    """Two sorted samples of electrons for each level, (n_exposures, n_draws)."""
 
-    def drawn(kind: Noise) -> Array:
-        many = np.repeat(levels_w[None], _DRAWS, axis=0)
-        counts, _ = front_end.expose(many, rng=rng, noise=kind)
-        # Spread over its step, so that rounding does not pass for shape.
+    def sample(kind: Noise) -> Array:
+        powers_w = np.repeat(levels_w[None], _DRAWS, axis=0)
+        counts, _ = front_end.expose(powers_w, rng=rng, noise=kind)
+        # Spread over the converter's step, so that rounding does not count as a difference.
         electrons = (counts + rng.uniform(-0.5, 0.5, counts.shape)) * front_end.electrons_per_count
         return np.sort(electrons, axis=0).T
 
-    return {kind: (drawn(kind), drawn(kind)) for kind in rungs}
+    return {kind: (sample(kind), sample(kind)) for kind in levels}
 
 
-def told_apart(cells: Array, patterns: Patterns) -> Array:
+def measurable_part(cells: Array, patterns: Patterns) -> Array:
     """Part of images (n, n_cells) that the patterns shown can tell; the rest is never measured."""
     if not isinstance(patterns, PatternSet):
         own = Sensing(patterns)
@@ -287,6 +289,6 @@ def told_apart(cells: Array, patterns: Patterns) -> Array:
     if patterns.count == patterns.n_cells:
         return cells
     spectrum = fwht(cells.T)
-    kept = np.zeros_like(spectrum)
-    kept[patterns.indices] = spectrum[patterns.indices]
-    return fwht(kept).T / patterns.n_cells
+    measured = np.zeros_like(spectrum)
+    measured[patterns.indices] = spectrum[patterns.indices]
+    return fwht(measured).T / patterns.n_cells

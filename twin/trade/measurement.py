@@ -1,4 +1,4 @@
-"""What was measured of each rung, and which rung one would take."""
+"""Cost and error measured at each fidelity level, and the choice of a level."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -7,11 +7,12 @@ from typing import Any, Literal
 from twin.errors import InputError
 from twin.fidelity import Fidelity
 
-#: Light of emitter and sun; shot noise of an exposure; the radar's channel.
-Ladder = Literal["light", "noise", "radar"]
+#: Models with several fidelity levels: light of emitter and sun; noise of an exposure; the radar's
+#: channel.
+Model = Literal["light", "noise", "radar"]
 
-#: What each ladder moves.
-_KNOBS: dict[Ladder, tuple[str, ...]] = {
+#: Settings that each model's levels vary.
+_KNOBS: dict[Model, tuple[str, ...]] = {
     "light": ("samples", "max_depth", "indirect_samples", "start"),
     "noise": ("noise",),
     "radar": ("radar", "radar_tolerance", "nufft_tolerance"),
@@ -33,8 +34,8 @@ class Cost:
 class BodyError:
     """Complex error of one body's echo, rms over the band and relative to the echo itself.
 
-    ``level_db``: of the echo, over that of the strongest body; ``is_converged``: off by no more
-    than the rung's tolerance; ``reference``: what it was compared with.
+    ``level_db``: of the echo, over that of the strongest body; ``is_converged``: whether the error
+    is at most the tolerance; ``reference``: name of the reference.
     """
 
     body: str
@@ -45,16 +46,16 @@ class BodyError:
 
 
 @dataclass(frozen=True)
-class Measurement:
-    """Cost and error of one rung, on one scene and one machine.
+class LevelMeasurement:
+    """Cost and error of one level, on one scene and one machine.
 
     ``error`` is in ``unit``, ``over_noise`` in units of the sensor's own noise; both contain the
     error of the reference itself. ``detail`` holds further figures by name, ``bodies`` the errors
-    of the radar's strongest bodies. A rung without a ``fidelity`` is for comparison: it is none of
-    the twin's, and never taken.
+    of the radar's strongest bodies. A level without a ``fidelity`` is for comparison only: it is
+    not one of the twin's, and never chosen.
     """
 
-    ladder: Ladder
+    model: Model
     name: str
     fidelity: Fidelity | None
     cost: Cost
@@ -67,61 +68,61 @@ class Measurement:
 
     @property
     def knobs(self) -> dict[str, Any]:
-        """The rung's values of the knobs that its ladder moves."""
+        """Values of the settings that the model's levels vary."""
         if self.fidelity is None:
             return {}
-        return {name: getattr(self.fidelity, name) for name in _KNOBS[self.ladder]}
+        return {name: getattr(self.fidelity, name) for name in _KNOBS[self.model]}
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The rung to take; ``within``: its error is below the tolerance."""
+    """The level chosen; ``within``: its error is below the tolerance."""
 
-    taken: Measurement
+    measurement: LevelMeasurement
     within: bool
     reason: str
 
 
-def cheapest(measurements: Iterable[Measurement], tolerance: float) -> Choice:
-    """The cheapest rung whose measured error over the sensor's noise is below the tolerance; of
-    those that the quartiles of their times don't tell apart from it, the most accurate.
+def cheapest(measurements: Iterable[LevelMeasurement], tolerance: float) -> Choice:
+    """The cheapest level whose measured error over the sensor's noise is below the tolerance; among
+    levels of equal time within the quartiles, the most accurate.
 
-    Where none is below, the most accurate of all. Raises InputError where there is no rung at all.
+    Where none is below, the most accurate of all. Raises InputError without any level.
     """
-    rungs = sorted((m for m in measurements if m.fidelity), key=lambda m: m.cost.seconds)
-    if not rungs:
-        raise InputError("measurements: no rung of the twin among them")
-    good = [m for m in rungs if m.over_noise < tolerance]
+    levels = sorted((m for m in measurements if m.fidelity), key=lambda m: m.cost.seconds)
+    if not levels:
+        raise InputError("measurements: no level of the twin")
+    good = [m for m in levels if m.over_noise < tolerance]
     if not good:
-        # A rung whose error is not a number is no candidate as long as there is another.
-        best = min(rungs, key=lambda m: (m.over_noise != m.over_noise, m.over_noise))
+        # A level whose error is NaN is chosen only if there is no other.
+        best = min(levels, key=lambda m: (m.over_noise != m.over_noise, m.over_noise))
         reason = (
-            f"no rung stays below {tolerance:g} of the sensor's noise; the most accurate has "
+            f"no level is below {tolerance:g} of the sensor's noise; the most accurate has "
             f"{best.over_noise:.2g}"
         )
         return Choice(best, False, reason)
     alike = [m for m in good if m.cost.low_s <= good[0].cost.high_s]
-    taken = min(alike, key=lambda m: m.over_noise)
-    reason = f"cheapest below {tolerance:g} of the sensor's noise: {taken.over_noise:.2g}"
-    if taken is not good[0]:
+    best_level = min(alike, key=lambda m: m.over_noise)
+    reason = f"cheapest below {tolerance:g} of the sensor's noise: {best_level.over_noise:.2g}"
+    if best_level is not good[0]:
         reason += f"; as fast as {good[0].name} within the spread of the runs, and more accurate"
-    cheaper = [m for m in rungs if m.cost.seconds < taken.cost.seconds and m not in good]
+    cheaper = [m for m in levels if m.cost.seconds < best_level.cost.seconds and m not in good]
     if cheaper:
         next_best = min(cheaper, key=lambda m: m.over_noise)
         reason += (
             f"; the best of the cheaper ones, {next_best.name}, has {next_best.over_noise:.2g}"
         )
-    finest = min(rungs, key=lambda m: m.over_noise)
-    if finest is not taken:
-        factor = finest.cost.seconds / taken.cost.seconds
+    finest = min(levels, key=lambda m: m.over_noise)
+    if finest is not best_level:
+        factor = finest.cost.seconds / best_level.cost.seconds
         reason += f"; {finest.name} takes {factor:.3g} times as long for {finest.over_noise:.2g}"
-    return Choice(taken, True, reason)
+    return Choice(best_level, True, reason)
 
 
-def front(measurements: Sequence[Measurement]) -> list[Measurement]:
-    """Those that no other beats in both time and error, by time."""
-    kept: list[Measurement] = []
-    for found in sorted(measurements, key=lambda m: (m.cost.seconds, m.over_noise)):
-        if not kept or found.over_noise < kept[-1].over_noise:
-            kept.append(found)
-    return kept
+def front(measurements: Sequence[LevelMeasurement]) -> list[LevelMeasurement]:
+    """The Pareto front, by time: levels that no other beats in both time and error."""
+    best: list[LevelMeasurement] = []
+    for measurement in sorted(measurements, key=lambda m: (m.cost.seconds, m.over_noise)):
+        if not best or measurement.over_noise < best[-1].over_noise:
+            best.append(measurement)
+    return best

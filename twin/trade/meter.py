@@ -1,4 +1,4 @@
-"""Time and memory of a piece of work, warm."""
+"""Time and memory of a computation after a warm-up."""
 
 import re
 import threading
@@ -19,21 +19,23 @@ _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 _SAMPLES_EVERY_S = 1e-3
 
 
-def metered(work: Callable[[int], T], *, least: int = 3, most: int = 9) -> tuple[Cost, list[T]]:
-    """Run a piece of work warm, several times.
+def measure_cost(
+    work: Callable[[int], T], *, least: int = 3, most: int = 9
+) -> tuple[Cost, list[T]]:
+    """Run a computation several times after a warm-up.
 
     Parameters
     ----------
     work
-        Called with the number of the run, from 0; number 0 warms up: neither timed nor returned.
+        Called with the number of the run, from 0; run 0 is the warm-up, neither timed nor returned.
     least, most
-        Timed runs; between the two as many as fit into a second.
+        Limits of the number of timed runs; between them as many as fit into a second.
 
     Returns
     -------
-    Cost and what each timed run returned. The peak is what the resident memory grew by, at most,
-    over the state before: heap left free by earlier work and a GPU's memory are not in it. Where
-    the system cannot take its own peak back, memory is looked at every millisecond.
+    Cost and the result of each timed run. The peak is the largest growth of the resident memory
+    over the state before; heap freed by earlier work and a GPU's memory are not included. Where the
+    system cannot reset its high-water mark, memory is sampled every millisecond.
     """
     work(0)
     dr.flush_malloc_cache()
@@ -50,18 +52,18 @@ def metered(work: Callable[[int], T], *, least: int = 3, most: int = 9) -> tuple
 
 
 class _Peak:
-    """By how much the resident memory grows, at most, from here on."""
+    """Largest growth of the resident memory from now on."""
 
     def __init__(self) -> None:
         self._before = self._highest = psutil.Process().memory_info().rss
         self._stop = threading.Event()
         self._sampler: threading.Thread | None = None
-        if not _forgotten(self._before):
+        if not _reset_high_water_mark(self._before):
             self._sampler = threading.Thread(target=self._sample, daemon=True)
             self._sampler.start()
 
     def grown_bytes(self) -> float:
-        """Ends the watch."""
+        """Largest growth so far; ends the measurement."""
         if self._sampler:
             self._stop.set()
             self._sampler.join()
@@ -75,8 +77,8 @@ class _Peak:
             self._highest = max(self._highest, process.memory_info().rss)
 
 
-def _forgotten(resident_bytes: int) -> bool:
-    """Whether the system could set its high-water mark back to the present value (proc(5))."""
+def _reset_high_water_mark(resident_bytes: int) -> bool:
+    """Reset the high-water mark to the present value (proc(5)); whether that succeeded."""
     try:
         _CLEAR.write_text("5")
     except OSError:
@@ -86,7 +88,7 @@ def _forgotten(resident_bytes: int) -> bool:
 
 def _high_water_bytes() -> int:
     try:
-        found = re.search(r"VmHWM:\s+(\d+) kB", _STATUS.read_text())
+        match = re.search(r"VmHWM:\s+(\d+) kB", _STATUS.read_text())
     except OSError:
         return 0
-    return 1024 * int(found[1]) if found else 0
+    return 1024 * int(match[1]) if match else 0

@@ -1,4 +1,4 @@
-"""The Pareto front of time and error: `run_trade` measures it, `choose_fidelity` takes from it."""
+"""The Pareto front of time and error, measured by `run_trade` and `choose_fidelity`."""
 
 from pathlib import Path
 from typing import get_args
@@ -21,8 +21,8 @@ from twin.trade.camera import (
     measure_noise,
     noise_stages,
 )
-from twin.trade.measurement import Choice, Ladder, Measurement, cheapest
-from twin.trade.meter import metered
+from twin.trade.measurement import Choice, LevelMeasurement, Model, cheapest
+from twin.trade.meter import measure_cost
 from twin.trade.radar import measure_radar, radar_stages
 from twin.trade.result import Trade
 
@@ -39,21 +39,21 @@ def run_trade(
     seed: int = 0,
     out: str | Path | None = None,
 ) -> tuple[Trade, Path]:
-    """Measure every rung on a scene and this machine, and write a folder.
+    """Measure every level on a scene and this machine, and write a folder.
 
     Parameters
     ----------
     scene, system, radar
         As in `twin.run`.
     tolerance
-        Error of a rung that counts as unseen, in units of the sensor's own noise.
+        Acceptable error of a level, in units of the sensor's own noise.
     seed
-        Of every random draw.
+        Of all random numbers.
     out
-        Folder to write to; default ``runs/trade-SCENE-SYSTEM`` with all that is not the default. It
-        appears whole or not at all.
+        Folder to write to; default ``runs/trade-SCENE-SYSTEM`` with all settings that differ from
+        the default. It is written completely or not at all.
 
-    Returns what was found, and the folder. Raises InputError and EngineError as `twin.run` does.
+    Returns the result and the folder. Raises InputError and EngineError as `twin.run` does.
 
     It takes minutes (`tests/twin/test_trade.py` runs it)::
 
@@ -70,9 +70,9 @@ def run_trade(
             loaded = scene if isinstance(scene, Scene) else load_scene(scene)
         folder = Path(out or _folder(loaded, design, sensor, tolerance, seed))
         with whole_folder(folder) as partial:
-            found = _measure(loaded, design, sensor, tolerance, seed, stages.stage, checked=True)
-            write_trade(found, partial)
-    return found, folder
+            trade = _measure(loaded, design, sensor, tolerance, seed, stages.stage, checked=True)
+            write_trade(trade, partial)
+    return trade, folder
 
 
 def choose_fidelity(
@@ -87,7 +87,7 @@ def choose_fidelity(
     the sensor's own noise; the most accurate one where none does.
 
     Measures as `run_trade` does, without the brute-force check and without writing anything. Costs
-    are timed: what is about equally fast may change places from run to run.
+    are measured times: the order of levels of about equal time may change between runs.
     """
     design, sensor = _inputs(system, radar, tolerance, seed)
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
@@ -146,10 +146,10 @@ def _measure(
     measured += measure_noise(case, reference, stage)
     measured += measure_radar(scene, radar, seed, stage) if radar else []
     choices = {}
-    for ladder in get_args(Ladder):
-        rungs = [m for m in measured if m.ladder == ladder]
-        if rungs:
-            choices[ladder] = cheapest(rungs, tolerance)
+    for model in get_args(Model):
+        levels = [m for m in measured if m.model == model]
+        if levels:
+            choices[model] = cheapest(levels, tolerance)
     return Trade(
         scene=scene.name,
         system=system.name,
@@ -168,30 +168,32 @@ def _measure(
 def _fft_s() -> float:
     rng = np.random.default_rng(0)
     x = rng.normal(size=2**20) + 1j * rng.normal(size=2**20)
-    return metered(lambda run: np.fft.fft(x))[0].seconds
+    return measure_cost(lambda run: np.fft.fft(x))[0].seconds
 
 
 def _warnings(
-    measured: list[Measurement],
-    choices: dict[Ladder, Choice],
+    measured: list[LevelMeasurement],
+    choices: dict[Model, Choice],
     agreement: Agreement | None,
     radar: RadarDesign | None,
     tolerance: float,
 ) -> list[str]:
-    found = [f"{ladder}: {c.reason}" for ladder, c in choices.items() if not c.within]
+    warnings = [f"{model}: {c.reason}" for model, c in choices.items() if not c.within]
     if agreement and not agreement.holds:
-        found.append(f"the reference is off: {agreement}")
+        warnings.append(f"the reference is off: {agreement}")
     own = next(m.over_noise for m in measured if m.name.startswith("reference"))
     if own > tolerance:
-        found.append(
-            f"light: one render of the reference scatters by {own:.2g} of the sensor's noise: "
-            f"errors of all rungs are upper bounds"
+        warnings.append(
+            f"light: renders of the reference differ by {own:.2g} of the sensor's noise: errors of "
+            f"all levels are upper bounds"
         )
     if "radar" in choices:
-        unsettled = [e for e in choices["radar"].taken.bodies if not e.is_converged]
+        unsettled = [e for e in choices["radar"].measurement.bodies if not e.is_converged]
         if unsettled:
             named = ", ".join(f"{e.body} ({100 * e.error:.2g} %)" for e in unsettled)
-            found.append(f"radar: {choices['radar'].taken.name}: echoes not converged: {named}")
+            warnings.append(
+                f"radar: {choices['radar'].measurement.name}: echoes not converged: {named}"
+            )
     if radar and "radar" not in choices:
-        found.append(f"{radar.name}: no echo at all, so its rungs can't be told apart")
-    return found
+        warnings.append(f"{radar.name}: no echo at all, so its levels cannot be compared")
+    return warnings

@@ -1,8 +1,8 @@
-"""Rungs of the radar: who finds the echoes, and the tolerances of finding and of synthesis.
+"""Fidelity levels of the radar: the solver, and the tolerances of solver and synthesis.
 
-All against physical optics at a finer tolerance, the closest that there is to the scene's meshes:
-what the cheaper descriptions leave out, or declare otherwise, is their error. Rough surfaces are
-not here: their speckle is one draw of many, and no error.
+The reference is physical optics at a finer tolerance, the most accurate solution for the scene's
+meshes; whatever cheaper models leave out, or declare differently, is their error. Surface clutter
+is left out: it is one realisation of a random process, not an error.
 """
 
 from dataclasses import dataclass, replace
@@ -21,13 +21,13 @@ from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
 from twin.trade.bodies import Bodies, errors_of, reference_bodies
-from twin.trade.measurement import Cost, Measurement
-from twin.trade.meter import metered
+from twin.trade.measurement import Cost, LevelMeasurement
+from twin.trade.meter import measure_cost
 
 Complex = NDArray[np.complex128]
 
-#: Who finds the echoes, tolerances of the synthesis.
-_RUNGS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
+#: Solver, and tolerances of the synthesis.
+_LEVELS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
     (Fidelity(radar="targets"), (1e-6,)),
     (Fidelity(radar="paths"), (1e-6,)),
     (Fidelity(radar_tolerance=PRESETS["draft"].radar_tolerance), (1e-3,)),
@@ -43,14 +43,14 @@ _MOST_TERMS = 2e8  # of the direct sum, some seconds: of many echoes fewer bins 
 def radar_stages() -> list[str]:
     """Stages of `measure_radar`, in their order."""
     names = [_REFERENCE]
-    for finder, tolerances in _RUNGS:
-        names += [_finding(finder), *(_synthesis(finder, t) for t in tolerances)]
+    for finder, tolerances in _LEVELS:
+        names += [_tracing(finder), *(_synthesis(finder, t) for t in tolerances)]
     return names
 
 
 @dataclass(frozen=True, eq=False)
 class _Bins:
-    """Bins that are compared, and the channel there by direct sum in float64; and bodies."""
+    """Bins to compare, the reference channel there by direct sum in float64, and bodies."""
 
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
@@ -64,29 +64,29 @@ class _Bins:
 
 def measure_radar(
     scene: Scene, radar: RadarDesign, seed: int, stage: OpenStage
-) -> list[Measurement]:
-    """Every rung against the direct sum over the echoes of the reference.
+) -> list[LevelMeasurement]:
+    """Every level against the direct sum over the echoes of the reference.
 
-    The error over noise is that of the range-Doppler map: the error's whole energy, as if it were
-    one echo, against the noise of one cell. An echo left out is exactly that; what a tolerance
-    leaves is spread over the map, and less. Empty where the scene sends no echo at all.
+    The error over noise refers to the range-Doppler map: the energy of the whole error, as if it
+    were one echo, over the noise of one cell. That is exact for a missing echo, and an upper bound
+    for errors spread over the map. Empty where the scene has no echo at all.
     """
     with stage(_REFERENCE):
         bins = _reference(scene, radar, seed)
     if bins.rms == 0:
         return []
     measured = []
-    for finder, tolerances in _RUNGS:
+    for finder, tolerances in _LEVELS:
 
-        def found_in(run: int, finder: Fidelity = finder) -> Propagation:
+        def trace_echoes(run: int, finder: Fidelity = finder) -> Propagation:
             return trace(scene, radar, fidelity=finder, seed=seed + 1 + run)
 
-        with stage(_finding(finder)):
-            finding, found = metered(found_in)
+        with stage(_tracing(finder)):
+            tracing_cost, propagations = measure_cost(trace_echoes)
         for tolerance in tolerances:
             with stage(_synthesis(finder, tolerance)):
-                rung = replace(finder, nufft_tolerance=tolerance)
-                measured.append(_rung(radar, rung, finding, found[0], bins))
+                level = replace(finder, nufft_tolerance=tolerance)
+                measured.append(_measure_level(radar, level, tracing_cost, propagations[0], bins))
     return measured
 
 
@@ -105,64 +105,66 @@ def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
     return _Bins(rows, columns, direct_sum(echoes, f, t, wave.carrier_hz), bodies)
 
 
-def _rung(
-    radar: RadarDesign, rung: Fidelity, finding: Cost, found: Propagation, bins: _Bins
-) -> Measurement:
+def _measure_level(
+    radar: RadarDesign, level: Fidelity, tracing_cost: Cost, propagation: Propagation, bins: _Bins
+) -> LevelMeasurement:
     wave = radar.channel_waveform
-    echoes = _echoes(found, radar)
-    tolerance = rung.nufft_tolerance
-    cost, channels = metered(lambda run: synthesize(echoes, wave, tolerance)[_sampled(bins)])
+    echoes = _echoes(propagation, radar)
+    tolerance = level.nufft_tolerance
+    cost, channels = measure_cost(lambda run: synthesize(echoes, wave, tolerance)[_sampled(bins)])
     off = np.abs(channels[0] - bins.channel)
     rms = float(np.sqrt(np.mean(off**2)))
     relative = rms / bins.rms
-    of_meshes = rung.radar == "optics"
-    known = [name for name, value in PRESETS.items() if _same(value, rung)]
-    return Measurement(
-        ladder="radar",
-        name=_name(rung) + (f" ({known[0]})" if known else ""),
-        fidelity=rung,
-        cost=_both(finding, cost),
+    of_meshes = level.radar == "optics"
+    known = [name for name, value in PRESETS.items() if _same(value, level)]
+    return LevelMeasurement(
+        model="radar",
+        name=_name(level) + (f" ({known[0]})" if known else ""),
+        fidelity=level,
+        cost=_both(tracing_cost, cost),
         error=relative,
         unit="of the channel",
         over_noise=rms / _noise(radar),
         detail={
             "error_db": 20 * float(np.log10(relative)) if relative else -np.inf,
             "largest": float(off.max()) / bins.rms,
-            "paths": len(found.paths),
-            "echoes": len(found.echoes.delay_s),
+            "paths": len(propagation.paths),
+            "echoes": len(propagation.echoes.delay_s),
         },
         note=f"{bins.channel.size} bins of {wave.n_subcarriers * wave.n_slots}",
-        bodies=errors_of(bins.bodies, found, radar, rung.radar_tolerance) if of_meshes else (),
+        bodies=errors_of(bins.bodies, propagation, radar, level.radar_tolerance)
+        if of_meshes
+        else (),
     )
 
 
-def _finding(finder: Fidelity) -> str:
-    return f"radar {_finder(finder)}"
+def _tracing(finder: Fidelity) -> str:
+    return f"radar {_solver_name(finder)}"
 
 
 def _synthesis(finder: Fidelity, tolerance: float) -> str:
-    return f"{_finding(finder)}, synthesis {tolerance:.0e}"
+    return f"{_tracing(finder)}, synthesis {tolerance:.0e}"
 
 
-def _name(rung: Fidelity) -> str:
-    return f"{_finder(rung)}, synthesis {rung.nufft_tolerance:.0e}"
+def _name(level: Fidelity) -> str:
+    return f"{_solver_name(level)}, synthesis {level.nufft_tolerance:.0e}"
 
 
-def _finder(rung: Fidelity) -> str:
-    if rung.radar != "optics":
-        return str(rung.radar)
-    return f"{rung.radar}, tolerance {rung.radar_tolerance:g}"
+def _solver_name(level: Fidelity) -> str:
+    if level.radar != "optics":
+        return str(level.radar)
+    return f"{level.radar}, tolerance {level.radar_tolerance:g}"
 
 
-def _echoes(found: Propagation, radar: RadarDesign) -> Contributions:
-    """Of the first step, transmitter and receiver, which stand for the others."""
-    return radar.burst.seen(contributions(found, radar, Air()))
+def _echoes(propagation: Propagation, radar: RadarDesign) -> Contributions:
+    """Echoes of the first step, transmitter and receiver, which represent the others."""
+    return radar.burst.seen(contributions(propagation, radar, Air()))
 
 
 def _noise(radar: RadarDesign) -> float:
     """Channel error, rms over bins, whose energy in one cell of the map equals the noise there.
 
-    A bin's noise is the sample's over the sent power; the transform gains by all bins.
+    The noise of a bin is that of a sample over the sent power, divided by the processing gain.
     """
     wave = radar.channel_waveform
     per_bin = radar.sample_noise_w / radar.front_end.transmit_power_w.value
@@ -170,7 +172,7 @@ def _noise(radar: RadarDesign) -> float:
 
 
 def _both(a: Cost, b: Cost) -> Cost:
-    """One after the other."""
+    """Cost of two computations, one after the other."""
     return Cost(
         a.seconds + b.seconds,
         a.low_s + b.low_s,
@@ -184,6 +186,6 @@ def _sampled(bins: _Bins) -> Any:
     return np.ix_(bins.rows, bins.columns)
 
 
-def _same(preset: Fidelity, rung: Fidelity) -> bool:
+def _same(preset: Fidelity, level: Fidelity) -> bool:
     knobs = ("radar", "radar_tolerance", "nufft_tolerance")
-    return preset == replace(preset, **{name: getattr(rung, name) for name in knobs})
+    return preset == replace(preset, **{name: getattr(level, name) for name in knobs})

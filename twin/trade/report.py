@@ -1,4 +1,4 @@
-"""The trade as a table for terminal and README, as JSON and CSV, and as a picture of the front."""
+"""Results as a table for terminal and README, as JSON, CSV, and a plot of the Pareto front."""
 
 import csv
 import json
@@ -18,10 +18,10 @@ from rich.table import Table
 from twin import __version__
 from twin.fidelity import Fidelity
 from twin.report.style import BLUE, GREY, ORANGE, new_figure, si
-from twin.trade.measurement import Ladder, Measurement, front
+from twin.trade.measurement import LevelMeasurement, Model, front
 from twin.trade.result import Trade
 
-_LADDERS: dict[Ladder, str] = {
+_MODELS: dict[Model, str] = {
     "light": "light: paths per cell, bounces",
     "noise": "noise of an exposure",
     "radar": "radar: paths and their synthesis",
@@ -30,98 +30,98 @@ _DEPTH_COLORS = {1: GREY, 2: ORANGE, 4: BLUE}
 _SMALLEST = 1e-9  # what a logarithmic axis shows of an error of 0
 
 
-def write_trade(found: Trade, folder: Path) -> None:
-    """``trade.json``, ``trade.csv`` with every rung, ``trade.md`` with the front, ``trade.png``."""
-    content = json.dumps(_finite(_content(found)), indent=1, allow_nan=False)
+def write_trade(trade: Trade, folder: Path) -> None:
+    """``trade.json``, ``trade.csv`` of all levels, ``trade.md`` with the front, ``trade.png``."""
+    content = json.dumps(_finite(_content(trade)), indent=1, allow_nan=False)
     (folder / "trade.json").write_text(content)
-    (folder / "trade.md").write_text("\n".join(markdown(found)) + "\n")
-    rows = [_flat(found, m) for m in found.measurements]
+    (folder / "trade.md").write_text("\n".join(markdown(trade)) + "\n")
+    rows = [_csv_row(trade, m) for m in trade.measurements]
     with (folder / "trade.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
         writer.writeheader()
         writer.writerows(rows)
-    plot_trade(found).savefig(folder / "trade.png", metadata={"Software": None})
+    plot_trade(trade).savefig(folder / "trade.png", metadata={"Software": None})
 
 
-def print_trade(found: Trade, console: Console) -> None:
-    """The same rows as in ``trade.md``, the check, and what one would take."""
+def print_trade(trade: Trade, console: Console) -> None:
+    """The rows of ``trade.md``, the independent check, and the level chosen."""
     table = Table(
         "", "time", "peak memory", "error, rms", "rms / noise", "median / noise", box=None
     )
-    table.title = f"{found.scene}, {found.system}, {found.radar or 'no radar'}"
-    for ladder, title in _LADDERS.items():
-        if ladder in found.choices:
+    table.title = f"{trade.scene}, {trade.system}, {trade.radar or 'no radar'}"
+    for model, title in _MODELS.items():
+        if model in trade.choices:
             table.add_row(f"[bold]{title}")
-            for m in _shown(found, ladder):
-                table.add_row(*_cells(found, m), style="bold" if _taken(found, m) else None)
+            for m in _table_levels(trade, model):
+                table.add_row(*_cells(trade, m), style="bold" if _is_choice(trade, m) else None)
     console.print(table)
-    bodies = _bodies(found)
+    bodies = _bodies(trade)
     if bodies:
         errors = Table(*bodies[0], box=None)
         for row in bodies[1:]:
             errors.add_row(*row)
         console.print(errors)
-    if found.agreement:
-        console.print(str(found.agreement), highlight=False, markup=False)
-    for ladder, choice in found.choices.items():
-        line = f"{ladder}: {choice.taken.name}: {choice.reason}"
+    if trade.agreement:
+        console.print(str(trade.agreement), highlight=False, markup=False)
+    for model, choice in trade.choices.items():
+        line = f"{model}: {choice.measurement.name}: {choice.reason}"
         console.print(line, highlight=False, markup=False)
-    for line in _by_force(found):
+    for line in _brute_force_lines(trade):
         console.print(line.removeprefix("- "), highlight=False, markup=False)
-    console.print(f"take: {spelled(found.fidelity)}", highlight=False, markup=False)
+    console.print(f"take: {as_code(trade.fidelity)}", highlight=False, markup=False)
 
 
-def markdown(found: Trade) -> Iterator[str]:
-    """Lines of a table for a README: the front, the presets, what is for comparison."""
-    radar = f", radar `{found.radar}`" if found.radar else ""
+def markdown(trade: Trade) -> Iterator[str]:
+    """Lines of a table for a README: the front, the presets, and levels for comparison."""
+    radar = f", radar `{trade.radar}`" if trade.radar else ""
     yield (
-        f"`twin trade {found.scene}`: system `{found.system}` (noise of a pixel "
-        f"{found.pixel_noise_e:.3g} e-){radar}. Times are medians of warm runs, in brackets over "
-        f"one complex FFT of 2^20 points ({si(found.fft_s, 's')}); in bold what one would take "
-        f"below {found.tolerance:g} of the sensor's noise. {len(found.measurements)} rungs were "
+        f"`twin trade {trade.scene}`: system `{trade.system}` (noise of a pixel "
+        f"{trade.pixel_noise_e:.3g} e-){radar}. Times are medians of warm runs, in brackets over "
+        f"one complex FFT of 2^20 points ({si(trade.fft_s, 's')}); in bold the level chosen for "
+        f"{trade.tolerance:g} of the sensor's noise. {len(trade.measurements)} levels were "
         "measured; these are the fastest for their error, the presets and the references."
     )
-    for ladder, title in _LADDERS.items():
-        if ladder not in found.choices:
+    for model, title in _MODELS.items():
+        if model not in trade.choices:
             continue
         yield ""
         yield f"| {title} | time | peak memory | error, rms | rms / noise | median / noise |"
         yield "|---|---|---|---|---|---|"
-        for m in _shown(found, ladder):
-            cells = list(_cells(found, m))
-            if _taken(found, m):
+        for m in _table_levels(trade, model):
+            cells = list(_cells(trade, m))
+            if _is_choice(trade, m):
                 cells[0] = f"**{cells[0]}**"
             yield f"| {' | '.join(cells)} |"
     yield ""
-    if bodies := _bodies(found):
+    if bodies := _bodies(trade):
         yield f"| {' | '.join(bodies[0])} |"
         yield "|---" * len(bodies[0]) + "|"
         for row in bodies[1:]:
             yield f"| {' | '.join(row)} |"
         yield ""
-    if found.agreement:
-        yield f"{str(found.agreement).capitalize()}."
+    if trade.agreement:
+        yield f"{str(trade.agreement).capitalize()}."
         yield ""
-    for ladder, choice in found.choices.items():
-        yield f"- {ladder}: {choice.taken.name}: {choice.reason}"
-    yield from _by_force(found)
-    yield f"- in all: `{spelled(found.fidelity)}`"
-    for warning in found.warnings:
+    for model, choice in trade.choices.items():
+        yield f"- {model}: {choice.measurement.name}: {choice.reason}"
+    yield from _brute_force_lines(trade)
+    yield f"- in all: `{as_code(trade.fidelity)}`"
+    for warning in trade.warnings:
         yield f"- warning: {warning}"
 
 
-def _bodies(found: Trade) -> list[tuple[str, ...]]:
+def _bodies(trade: Trade) -> list[tuple[str, ...]]:
     """Errors of the radar's bodies by tolerance, with a head; empty where nothing scatters."""
-    rungs = {m.name.rsplit(",", 1)[0]: m for m in found.of("radar") if m.bodies}
-    if not rungs:
+    levels = {m.name.rsplit(",", 1)[0]: m for m in trade.of("radar") if m.bodies}
+    if not levels:
         return []
     head = (
         "body within 40 dB: error, rms",
         "echo",
-        *rungs,
+        *levels,
         "against",
     )
-    columns = [m.bodies for m in rungs.values()]
+    columns = [m.bodies for m in levels.values()]
     rows = [
         (
             row[0].body,
@@ -137,19 +137,19 @@ def _bodies(found: Trade) -> list[tuple[str, ...]]:
     return [head, *rows]
 
 
-def _by_force(found: Trade) -> Iterator[str]:
-    """What rendering every pattern by itself would cost, beside the rung taken."""
-    taken = found.choices["light"].taken
-    for m in found.of("light"):
+def _brute_force_lines(trade: Trade) -> Iterator[str]:
+    """Cost of rendering every pattern by itself, compared with the level chosen."""
+    choice = trade.choices["light"].measurement
+    for m in trade.of("light"):
         if m.fidelity is None:
             yield (
-                f"- {m.name} takes {_number(m.cost.seconds / taken.cost.seconds)} times as long as "
-                f"{taken.name}, for {_number(m.over_noise)} of the sensor's noise ({m.note})"
+                f"- {m.name} takes {_number(m.cost.seconds / choice.cost.seconds)} times as long "
+                f"as {choice.name}, for {_number(m.over_noise)} of the sensor's noise ({m.note})"
             )
 
 
-def spelled(fidelity: Fidelity) -> str:
-    """As one would type it: the knobs that differ from the default."""
+def as_code(fidelity: Fidelity) -> str:
+    """Fidelity as Python code: the settings that differ from the default."""
     knobs = [
         f"{f.name}={getattr(fidelity, f.name)!r}"
         for f in fields(Fidelity)
@@ -158,19 +158,19 @@ def spelled(fidelity: Fidelity) -> str:
     return f"Fidelity({', '.join(knobs)})"
 
 
-def plot_trade(found: Trade) -> Figure:
-    """Error over the sensor's noise against time; the front, the tolerance, the rung taken."""
-    drawn: list[Ladder] = [ladder for ladder in ("light", "radar") if ladder in found.choices]
+def plot_trade(trade: Trade) -> Figure:
+    """Error over the sensor's noise against time; the front, the tolerance, the level chosen."""
+    drawn: list[Model] = [model for model in ("light", "radar") if model in trade.choices]
     figure = new_figure((5.4 * len(drawn), 3.9))
-    for axis, ladder in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
-        _scatter(axis, found, ladder)
-        _decorate(axis, found, ladder)
+    for axis, model in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
+        _scatter(axis, trade, model)
+        _annotate(axis, trade, model)
     return figure
 
 
-def _scatter(axis: Any, found: Trade, ladder: Ladder) -> None:
-    for m in found.of(ladder):
-        label, color, marker = _look(m)
+def _scatter(axis: Any, trade: Trade, model: Model) -> None:
+    for m in trade.of(model):
+        label, color, marker = _marker(m)
         seen = axis.get_legend_handles_labels()[1]
         axis.plot(
             m.cost.seconds,
@@ -182,11 +182,11 @@ def _scatter(axis: Any, found: Trade, ladder: Ladder) -> None:
         )
 
 
-def _look(m: Measurement) -> tuple[str, str, str]:
-    """Label, colour and marker of a rung."""
+def _marker(m: LevelMeasurement) -> tuple[str, str, str]:
+    """Label, colour and marker of a level."""
     if m.fidelity is None:
         return m.name, "black", "x"
-    if m.ladder == "radar":
+    if m.model == "radar":
         known = {
             "targets": ("declared targets", GREY, "s"),
             "paths": ("traced paths", GREY, "o"),
@@ -204,15 +204,15 @@ def _look(m: Measurement) -> tuple[str, str, str]:
     return label, _DEPTH_COLORS[depth], marker
 
 
-def _decorate(axis: Any, found: Trade, ladder: Ladder) -> None:
-    best, taken = front(found.of(ladder)), found.choices[ladder].taken
+def _annotate(axis: Any, trade: Trade, model: Model) -> None:
+    best, choice = front(trade.of(model)), trade.choices[model].measurement
     times = [m.cost.seconds for m in best]
     errors = [max(m.over_noise, _SMALLEST) for m in best]
     axis.plot(times, errors, color=BLUE, lw=0.8, zorder=0, drawstyle="steps-post")
-    axis.axhline(found.tolerance, color=GREY, lw=0.8, ls="--")
+    axis.axhline(trade.tolerance, color=GREY, lw=0.8, ls="--")
     axis.text(
         1.0,
-        found.tolerance,
+        trade.tolerance,
         "the sensor's noise hides what is below ",
         transform=axis.get_yaxis_transform(),
         ha="right",
@@ -220,7 +220,7 @@ def _decorate(axis: Any, found: Trade, ladder: Ladder) -> None:
         fontsize=7.5,
         color="#55595f",
     )
-    place = (taken.cost.seconds, max(taken.over_noise, _SMALLEST))
+    place = (choice.cost.seconds, max(choice.over_noise, _SMALLEST))
     axis.plot(*place, "o", mfc="none", mec=ORANGE, ms=12, mew=1.6, label="to take", ls="none")
     axis.set_xscale("log")
     axis.set_yscale("log")
@@ -229,50 +229,54 @@ def _decorate(axis: Any, found: Trade, ladder: Ladder) -> None:
     axis.xaxis.set_major_formatter(EngFormatter(unit="s"))
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.set_xlabel("time, warm")
-    unit = "a pixel's noise" if ladder == "light" else "the noise of a map cell"
+    unit = "a pixel's noise" if model == "light" else "the noise of a map cell"
     axis.set_ylabel(f"error, rms, over {unit}")
-    axis.set_title(_finding(found, ladder), loc="left")
+    axis.set_title(_title(trade, model), loc="left")
     axis.legend(frameon=False, fontsize=7.5, loc="best")
 
 
-def _finding(found: Trade, ladder: Ladder) -> str:
-    choice = found.choices[ladder]
-    taken = choice.taken
+def _title(trade: Trade, model: Model) -> str:
+    choice = trade.choices[model]
+    measurement = choice.measurement
     end = "enough" if choice.within else "not enough, and the most accurate"
-    time = si(taken.cost.seconds, "s")
-    return f"{ladder}: {taken.name}: {end}\n{taken.over_noise:.2g} of the noise in {time}"
+    time = si(measurement.cost.seconds, "s")
+    return (
+        f"{model}: {measurement.name}: {end}\n{measurement.over_noise:.2g} of the noise in {time}"
+    )
 
 
-def _shown(found: Trade, ladder: Ladder) -> list[Measurement]:
-    """The front, presets, references, and what is taken; by time. All of a short ladder."""
-    rungs = found.of(ladder)
-    best = front(rungs)
-    kept = [m for m in rungs if len(rungs) <= 6 or m in best or _is_named(m) or _taken(found, m)]
+def _table_levels(trade: Trade, model: Model) -> list[LevelMeasurement]:
+    """The front, presets, references, and the level chosen, by time; all of a few levels."""
+    levels = trade.of(model)
+    best = front(levels)
+    kept = [
+        m for m in levels if len(levels) <= 6 or m in best or _is_named(m) or _is_choice(trade, m)
+    ]
     return sorted(kept, key=lambda m: m.cost.seconds)
 
 
-def _is_named(m: Measurement) -> bool:
+def _is_named(m: LevelMeasurement) -> bool:
     """A preset, the reference, or something for comparison."""
     return m.fidelity is None or m.name.startswith("reference") or m.name.endswith(")")
 
 
-def _taken(found: Trade, m: Measurement) -> bool:
-    return found.choices[m.ladder].taken is m
+def _is_choice(trade: Trade, m: LevelMeasurement) -> bool:
+    return trade.choices[m.model].measurement is m
 
 
-def _cells(found: Trade, m: Measurement) -> tuple[str, ...]:
+def _cells(trade: Trade, m: LevelMeasurement) -> tuple[str, ...]:
     error = f"{_number(m.error, 3)} {m.unit}"
-    if m.ladder == "light":
+    if m.model == "light":
         error += f", {si(m.detail['error_w'], 'W')}"
         if "relative" in m.detail:
             error += f", {_number(100 * m.detail['relative'])} %"
-    elif m.ladder == "radar":
+    elif m.model == "radar":
         error += f", {m.detail['error_db']:.0f} dB"
     median = m.detail.get("median_over_noise")
     scaled = " (scaled)" if "scaled" in m.note else ""
     return (
         m.name,
-        f"{si(m.cost.seconds, 's')} ({_number(m.cost.seconds / found.fft_s)}){scaled}",
+        f"{si(m.cost.seconds, 's')} ({_number(m.cost.seconds / trade.fft_s)}){scaled}",
         f"{m.cost.peak_bytes / 2**20:.0f} MiB",
         error,
         _number(m.over_noise),
@@ -285,13 +289,13 @@ def _number(value: float, digits: int = 2) -> str:
     return f"{value:,.0f}" if value >= 10**digits else f"{value:.{digits}g}"
 
 
-def _flat(found: Trade, m: Measurement) -> dict[str, Any]:
+def _csv_row(trade: Trade, m: LevelMeasurement) -> dict[str, Any]:
     """One row of the CSV."""
     return {
-        "ladder": m.ladder,
+        "ladder": m.model,
         "rung": m.name,
-        "taken": int(_taken(found, m)),
-        "on_front": int(m in front(found.of(m.ladder))),
+        "taken": int(_is_choice(trade, m)),
+        "on_front": int(m in front(trade.of(m.model))),
         "seconds": m.cost.seconds,
         "seconds_low": m.cost.low_s,
         "seconds_high": m.cost.high_s,
@@ -307,28 +311,28 @@ def _flat(found: Trade, m: Measurement) -> dict[str, Any]:
     }
 
 
-def _content(found: Trade) -> dict[str, Any]:
-    agreement = found.agreement
+def _content(trade: Trade) -> dict[str, Any]:
+    agreement = trade.agreement
     return {
-        "scene": found.scene,
-        "system": found.system,
-        "radar": found.radar,
-        "tolerance": found.tolerance,
-        "seed": found.seed,
+        "scene": trade.scene,
+        "system": trade.system,
+        "radar": trade.radar,
+        "tolerance": trade.tolerance,
+        "seed": trade.seed,
         "version": __version__,
         "machine": {"cores": os.cpu_count(), "machine": platform.machine()},
-        "fft_2_20_s": found.fft_s,
-        "pixel_noise_e": found.pixel_noise_e,
+        "fft_2_20_s": trade.fft_s,
+        "pixel_noise_e": trade.pixel_noise_e,
         "agreement": {**asdict(agreement), "holds": agreement.holds} if agreement else None,
-        "fidelity": found.fidelity.said(),
+        "fidelity": trade.fidelity.said(),
         "choices": {
-            ladder: {"rung": c.taken.name, "within": c.within, "reason": c.reason}
-            for ladder, c in found.choices.items()
+            model: {"rung": c.measurement.name, "within": c.within, "reason": c.reason}
+            for model, c in trade.choices.items()
         },
-        "warnings": found.warnings,
-        "measurements": [_flat(found, m) for m in found.measurements],
+        "warnings": trade.warnings,
+        "measurements": [_csv_row(trade, m) for m in trade.measurements],
         "bodies": [
-            {"rung": m.name, **asdict(error)} for m in found.measurements for error in m.bodies
+            {"rung": m.name, **asdict(error)} for m in trade.measurements for error in m.bodies
         ],
     }
 

@@ -1,19 +1,19 @@
-"""What walking the rungs found."""
+"""Result of measuring all fidelity levels."""
 
 from dataclasses import dataclass
 from typing import Any
 
 from twin.fidelity import Fidelity
 from twin.trade.brute_force import Agreement
-from twin.trade.measurement import Choice, Ladder, Measurement
+from twin.trade.measurement import Choice, LevelMeasurement, Model
 
 
 @dataclass(frozen=True, eq=False)
 class Trade:
-    """Every rung's cost and error, and the choice by ladder.
+    """Cost and error of every fidelity level, and the choice by model.
 
     ``pixel_noise_e``: the sensor's noise of a pixel, median over the detectors, electrons.
-    ``fft_s``: one complex FFT of 2^20 points in NumPy on this machine, to compare machines by.
+    ``fft_s``: time of one complex FFT of 2^20 points in NumPy, for comparison between machines.
     """
 
     scene: str
@@ -21,8 +21,8 @@ class Trade:
     radar: str | None
     tolerance: float
     seed: int
-    measurements: tuple[Measurement, ...]
-    choices: dict[Ladder, Choice]
+    measurements: tuple[LevelMeasurement, ...]
+    choices: dict[Model, Choice]
     agreement: Agreement | None
     pixel_noise_e: float
     fft_s: float
@@ -30,12 +30,12 @@ class Trade:
 
     @property
     def fidelity(self) -> Fidelity:
-        """The choices of all ladders in one."""
+        """The choices of all models in one fidelity."""
         knobs: dict[str, Any] = {}
         for choice in self.choices.values():
-            knobs |= choice.taken.knobs
+            knobs |= choice.measurement.knobs
         return Fidelity(**knobs)
 
-    def of(self, ladder: Ladder) -> list[Measurement]:
-        """Measurements of one ladder."""
-        return [m for m in self.measurements if m.ladder == ladder]
+    def of(self, model: Model) -> list[LevelMeasurement]:
+        """Measurements of one model."""
+        return [m for m in self.measurements if m.model == model]

@@ -1,9 +1,9 @@
-"""Physical optics by brute force: what the radar's exact facets are checked against, body by body.
+"""Physical optics by brute force, an independent reference for the radar's exact facets.
 
-The surface integral of a body's currents by Gauss and Legendre's rule on a fixed grid of points,
-nine for each piece of at most a third of a wavelength squared, in float64, with a ray from every
-point to the radar. Nothing is adaptive, and of the solver nothing is used but the scene's meshes
-and their ray tracer. Straight ways alone: no further bounces, no large mirrors.
+The surface integral of a body's currents by Gauss-Legendre quadrature on a fixed grid of points,
+nine for each piece of at most a third of a wavelength squared, in float64, with a shadow ray from
+every point to the radar. Nothing is adaptive; only meshes and ray tracer are shared with the
+solver. Direct echoes alone: no further bounces, no images in large mirrors.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,59 +26,59 @@ _AT_ONCE = 500_000  # points
 _OFF_SURFACE = 2e-6  # of the distance from the anchor: some steps of float32
 
 
-def points_of(stage: PreparedScene, objects: Sequence[int]) -> int:
+def points_of(prepared: PreparedScene, objects: Sequence[int]) -> int:
     """Number of points on the facets of some objects."""
-    corners, _ = _facets(stage, objects)
-    along, across = _pieces(corners, stage.wavelength_m)
+    corners, _ = _facets(prepared, objects)
+    along, across = _pieces(corners, prepared.wavelength_m)
     return int(9 * (along * across).sum())
 
 
 def direct_echo(
     scene: Scene,
-    stage: PreparedScene,
+    prepared: PreparedScene,
     radar: RadarDesign,
     objects: Sequence[int],
     frequencies_hz: Array,
 ) -> Complex:
-    """Received over sent wave by the straight way, (n_frequencies,), equally spaced ones.
+    """Received over sent wave of the direct echo, (n_frequencies,), at equally spaced frequencies.
 
-    ``objects`` number those of the stage; materials answer as at the carrier.
+    ``objects``: indices in the prepared scene; materials are those at the carrier.
     """
     total = np.zeros(len(frequencies_hz), dtype=np.complex128)
     for number in objects:
-        surface, _ = surface_of(stage.items[number], scene, radar.ofdm.carrier_hz)
-        corners, normal = _facets(stage, [number])
-        for point, area, across in _points(corners, normal, stage.wavelength_m):
-            away = point - stage.place
+        surface, _ = surface_of(prepared.items[number], scene, radar.ofdm.carrier_hz)
+        corners, normal = _facets(prepared, [number])
+        for point, area, across in _points(corners, normal, prepared.wavelength_m):
+            away = point - prepared.place
             distance = np.linalg.norm(away, axis=1)
             away /= distance[:, None]
             cosine = np.abs(np.sum(across * away, axis=1))
-            seen = _seen(stage, point, across, away, distance)
+            seen = _is_visible(prepared, point, across, away, distance)
             te, tm = surface.reflection(cosine, radar.ofdm.carrier_hz)
-            share = _across_share(stage, away, across)
-            gain = radar.antenna.gain(away @ stage.axes.T)
+            share = _across_share(prepared, away, across)
+            gain = radar.antenna.gain(away @ prepared.axes.T)
             # Pr / Pt = |sum of -j G cos dA / (4 pi R^2) (Gamma_TM e_p^2 - Gamma_TE e_s^2)|^2
             current = tm * (1 - share) - te * share
             wave = -1j * gain * current * cosine * area / (4 * np.pi * distance**2)
-            total += _summed((wave * seen), distance, frequencies_hz)
+            total += _sum_over_frequencies((wave * seen), distance, frequencies_hz)
     loss: float = 10 ** (-radar.front_end.losses_db.value / 20)
     return total * loss
 
 
-def _summed(wave: Complex, distance: Array, frequencies_hz: Array) -> Complex:
-    turns = 2 * distance / speed_of_light
-    wave = wave * np.exp(-2j * np.pi * (frequencies_hz[0] * turns % 1.0))
-    step = np.exp(-2j * np.pi * ((frequencies_hz[1] - frequencies_hz[0]) * turns % 1.0))
-    found = np.empty(len(frequencies_hz), dtype=np.complex128)
-    for i in range(len(found)):
-        found[i] = wave.sum()
+def _sum_over_frequencies(wave: Complex, distance: Array, frequencies_hz: Array) -> Complex:
+    cycles = 2 * distance / speed_of_light
+    wave = wave * np.exp(-2j * np.pi * (frequencies_hz[0] * cycles % 1.0))
+    step = np.exp(-2j * np.pi * ((frequencies_hz[1] - frequencies_hz[0]) * cycles % 1.0))
+    total = np.empty(len(frequencies_hz), dtype=np.complex128)
+    for i in range(len(total)):
+        total[i] = wave.sum()
         wave *= step
-    return found
+    return total
 
 
-def _across_share(stage: PreparedScene, away: Array, normal: Array) -> Array:
-    """Power share of the sent field across the plane of incidence, by Ludwig's third definition."""
-    forward, up = stage.axes[0], stage.axes[2]
+def _across_share(prepared: PreparedScene, away: Array, normal: Array) -> Array:
+    """Power share of the incident field perpendicular to the plane of incidence, Ludwig-3."""
+    forward, up = prepared.axes[0], prepared.axes[2]
     field = up - ((away @ up) / np.maximum(1 + away @ forward, 1e-9))[:, None] * (away + forward)
     side = np.cross(away, normal)
     square = np.sum(side**2, axis=1)
@@ -86,38 +86,40 @@ def _across_share(stage: PreparedScene, away: Array, normal: Array) -> Array:
     return np.where(square < 1e-24, 0.5, share)
 
 
-def _seen(stage: PreparedScene, point: Array, normal: Array, away: Array, distance: Array) -> Array:
+def _is_visible(
+    prepared: PreparedScene, point: Array, normal: Array, away: Array, distance: Array
+) -> Array:
     """1 where a ray from a point reaches the radar, else 0."""
-    mi = stage.station.mi
+    mi = prepared.station.mi
     towards = np.sign(-np.sum(normal * away, axis=1))[:, None] * normal
     off = _OFF_SURFACE * (np.linalg.norm(point, axis=1) + 1e-3)
     start = point + off[:, None] * towards
     columns = [mi.Float(np.ascontiguousarray(v, dtype=np.float32)) for v in (*start.T, *-away.T)]
     reach = mi.Float((distance * (1 - 1e-5) - off).astype(np.float32))
     ray: Any = mi.Ray3f(mi.Point3f(*columns[:3]), mi.Vector3f(*columns[3:]), reach, 0.0, [])
-    return 1.0 - np.array(stage.world.scene.ray_test(ray)).astype(np.float64)
+    return 1.0 - np.array(prepared.world.scene.ray_test(ray)).astype(np.float64)
 
 
-def _facets(stage: PreparedScene, objects: Sequence[int]) -> tuple[Array, Array]:
+def _facets(prepared: PreparedScene, objects: Sequence[int]) -> tuple[Array, Array]:
     """Corners (n, 3, 3) with the shortest edge last, and normals (n, 3), of facets that may be lit:
-    doubles once, and of what is closed not the far side.
+    without duplicates, and without the far side of closed meshes.
     """
-    world, found, normals = stage.world, [], []
+    world, lit_corners, normals = prepared.world, [], []
     for number in objects:
         rows = world.face_ranges[number]
         corners = world.vertices[world.faces[rows]]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         double = np.linalg.norm(across, axis=1)
-        outward = stage.items[number].geometry.shape.outward
+        outward = prepared.items[number].geometry.shape.outward
         middle = corners.mean(axis=1)
-        side = np.sum(across * (stage.place - middle), axis=1)
+        side = np.sum(across * (prepared.place - middle), axis=1)
         _, once = np.unique(np.round(middle, 9), axis=0, return_index=True)
-        kept = np.zeros(len(corners), dtype=bool)
-        kept[once] = True
-        kept &= (double > 0) & (outward * side >= 0)
-        found.append(corners[kept])
-        normals.append(across[kept] / double[kept, None])
-    corners, normal = np.concatenate(found), np.concatenate(normals)
+        is_lit = np.zeros(len(corners), dtype=bool)
+        is_lit[once] = True
+        is_lit &= (double > 0) & (outward * side >= 0)
+        lit_corners.append(corners[is_lit])
+        normals.append(across[is_lit] / double[is_lit, None])
+    corners, normal = np.concatenate(lit_corners), np.concatenate(normals)
     edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)  # 01, 12, 20
     first = (edges.argmin(axis=1) + 2) % 3  # the corner opposite the shortest edge
     order = (first[:, None] + np.arange(3)) % 3
