@@ -29,7 +29,7 @@ _NEAR_M = 1.0
 
 
 @dataclass(frozen=True)
-class Target:
+class CalibrationTarget:
     """Reference: ``size`` is a Lambertian reflectance for the camera, a radar cross section in
     square metres for the radar.
     """
@@ -58,10 +58,10 @@ class CameraCalibration:
     made_ns: int
     dark: Array
     flat: Array
-    target: Target
+    target: CalibrationTarget
 
     @classmethod
-    def of(cls, dark: SpiRecord, flat: SpiRecord, target: Target) -> Self:
+    def of(cls, dark: SpiRecord, flat: SpiRecord, target: CalibrationTarget) -> Self:
         """From two records.
 
         Raises InputError for records of two cameras, or a cell no brighter than in the dark.
@@ -103,10 +103,10 @@ class RadarCalibration:
     made_ns: int
     range_offset_m: float
     constant_w_m2: float
-    target: Target
+    target: CalibrationTarget
 
     @classmethod
-    def of(cls, device: str, detections: Sequence[Detection], target: Target) -> Self:
+    def of(cls, device: str, detections: Sequence[Detection], target: CalibrationTarget) -> Self:
         """From the strongest detection near the target. Raises InputError where there is none."""
         away = target.distance_m
         near = [found for found in detections if abs(found.range_m - away) < _NEAR_M]
@@ -173,7 +173,7 @@ def read_calibration(path: str | Path, *, max_age_s: float = math.inf) -> Calibr
         except InputError as error:
             faults.append(str(error))
             continue
-        found: Calibration = kind(**fields, target=Target(**target))
+        found: Calibration = kind(**fields, target=CalibrationTarget(**target))
         age_s = (time.time_ns() - found.made_ns) * 1e-9
         if age_s > max_age_s:
             raise InputError(

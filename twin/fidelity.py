@@ -285,7 +285,7 @@ class RadarFidelity(Knobs):
         shadows of 30 dB; 0: on bodies shadows are silent and their borders hard, as above. Some
         3 ms each, and 4 s for the street's car to be cut into facets of 2 cm.
     radar_table_nodes
-        Of a table of physical optics on the rung ``paths``, per lobe lambda / (2 D) of a target of
+        Of a table of physical optics at the level ``paths``, per lobe lambda / (2 D) of a target of
         extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms
         error is 0.7 % of its peak, 0.06 dB.
     radar_scatterers

@@ -1,1 +1,1 @@
-"""What each command of `ugv` does."""
+"""The commands of `ugv`."""

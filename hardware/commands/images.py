@@ -24,7 +24,7 @@ def reconstruct(
     method: Annotated[str, typer.Option(help="See `ugv methods`; or file.py:function.")] = "lmmse",
     mixing: Annotated[
         Path | None,
-        typer.Option(help="NumPy file (n_emitters, rows, columns): what each emitter lights."),
+        typer.Option(help="NumPy file (n_emitters, rows, columns): light of each emitter."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="NumPy archive to write; default RECORD-METHOD.npz.")
@@ -43,13 +43,13 @@ def reconstruct(
     solve, loaded = method_of(method), read_record(record)
     start = time.perf_counter()
     calibrated = _mixing(mixing) if mixing else None
-    found = to_image(loaded, solve, mixing=calibrated)
+    reconstruction = to_image(loaded, solve, mixing=calibrated)
     timed = any(shutter != ALWAYS_OPEN for shutter in loaded.shutters)
-    ranged = range_image(loaded, solve, mixing=calibrated) if timed else None
+    ranges = range_image(loaded, solve, mixing=calibrated) if timed else None
     elapsed = time.perf_counter() - start
-    for warning in dict.fromkeys((*found.warnings, *(ranged.warnings if ranged else ()))):
+    for warning in dict.fromkeys((*reconstruction.warnings, *(ranges.warnings if ranges else ()))):
         print(f"warning: {record}: {warning}", file=sys.stderr)
-    detectors, rows, columns = found.image.shape
+    detectors, rows, columns = reconstruction.image.shape
     patterns = loaded.patterns
     print(
         f"{record}: {loaded.received.patterns.count} of {patterns.n_cells} patterns "
@@ -57,26 +57,25 @@ def reconstruct(
         f"{rows} x {columns}"
     )
     print(
-        f"{solve.name}: {1e3 * elapsed:.3g} ms; cells {np.nanmin(found.image):.3g} to "
-        f"{np.nanmax(found.image):.3g} e-"
+        f"{solve.name}: {1e3 * elapsed:.3g} ms; cells {np.nanmin(reconstruction.image):.3g} to "
+        f"{np.nanmax(reconstruction.image):.3g} e-"
     )
-    print(f"noise of one measurement: {_noise(found)}")
-    arrays = {"image": found.image, "noise_electrons": found.noise_electrons}
-    if found.standard_error is not None:
-        known = found.standard_error[np.isfinite(found.standard_error)]
+    print(f"noise of one measurement: {_noise(reconstruction)}")
+    arrays = {"image": reconstruction.image, "noise_electrons": reconstruction.noise_electrons}
+    if reconstruction.standard_error is not None:
+        known = reconstruction.standard_error[np.isfinite(reconstruction.standard_error)]
         error = f"{float(np.median(known)):.3g} e- (median)" if known.size else "unknown"
-        print(
-            f"standard error of a cell: {error}; 95 % lie within {found.errors_in_95:.3g} of them"
-        )
-        arrays["standard_error"] = found.standard_error
-        arrays["errors_in_95"] = np.array(found.errors_in_95)
-    if ranged:
-        print(_distances(loaded, ranged))
+        within = f"95 % lie within {reconstruction.errors_in_95:.3g} of them"
+        print(f"standard error of a cell: {error}; {within}")
+        arrays["standard_error"] = reconstruction.standard_error
+        arrays["errors_in_95"] = np.array(reconstruction.errors_in_95)
+    if ranges:
+        print(_distances(loaded, ranges))
         arrays |= {
-            "amplitude": ranged.amplitude,
-            "distance_m": ranged.distance_m,
-            "distance_standard_error_m": ranged.standard_error_m,
-            "distance_confidence": ranged.confidence,
+            "amplitude": ranges.amplitude,
+            "distance_m": ranges.distance_m,
+            "distance_standard_error_m": ranges.standard_error_m,
+            "distance_confidence": ranges.confidence,
         }
     target = out or record.with_name(f"{record.stem}-{solve.name}.npz")
     with target.open("wb") as file:
@@ -84,13 +83,13 @@ def reconstruct(
     print(f"written: {target}")
 
 
-def _noise(found: "Reconstruction") -> str:
+def _noise(reconstruction: "Reconstruction") -> str:
     import numpy as np
 
-    told = np.isfinite(found.noise_electrons)
-    if told.any():
-        return f"{float(np.median(found.noise_electrons[told])):.3g} e- (median)"
-    most = float(np.median(found.most_noise_electrons))
+    is_known = np.isfinite(reconstruction.noise_electrons)
+    if is_known.any():
+        return f"{float(np.median(reconstruction.noise_electrons[is_known])):.3g} e- (median)"
+    most = float(np.median(reconstruction.most_noise_electrons))
     bound = f", at most {most:.3g} e- (median)" if np.isfinite(most) else ""
     return f"not told by this record{bound}"
 
@@ -100,24 +99,24 @@ def methods() -> None:
     from hardware.reconstruction import METHODS, load_plugins
 
     load_plugins()
-    for name, found in sorted(METHODS.items()):
-        print(f"{name}: {found.summary}")
+    for name, method in sorted(METHODS.items()):
+        print(f"{name}: {method.summary}")
 
 
-def _distances(record: "SpiRecord", found: "RangeImage") -> str:
-    """One line: how distance was measured, and what came out where it is sure."""
+def _distances(record: "SpiRecord", ranges: "RangeImage") -> str:
+    """One line: method of the distance measurement, and distances of cells above 95 %."""
     import numpy as np
 
     hz = np.unique([shutter.modulation_hz for shutter in record.shutters])
     how = f"phases at {', '.join(f'{f / 1e6:g}' for f in hz)} MHz" if hz.any() else "gates"
-    head = f"{len(record.shutters)} {how}, distances up to {found.longest_m:.4g} m"
-    sure = found.confidence > 0.95
+    head = f"{len(record.shutters)} {how}, distances up to {ranges.longest_m:.4g} m"
+    sure = ranges.confidence > 0.95
     if not sure.any():
         return f"{head}: none surer than 95 %"
-    low, high = np.percentile(found.distance_m[sure], [5, 95])
+    low, high = np.percentile(ranges.distance_m[sure], [5, 95])
     return (
         f"{head}: {low:.4g} to {high:.4g} m (5 to 95 % of the {np.count_nonzero(sure)} of "
-        f"{sure.size} cells surer than 95 %), amplitude {np.median(found.amplitude[sure]):.3g} e- "
+        f"{sure.size} cells surer than 95 %), amplitude {np.median(ranges.amplitude[sure]):.3g} e- "
         "(median)"
     )
 
@@ -128,7 +127,7 @@ def _mixing(path: Path) -> "Mixing":
     from hardware.reconstruction import Mixing
 
     try:
-        # Mapped: a file that promises more than it holds is refused before memory is taken.
+        # Memory-mapped: a truncated file is refused before memory is allocated.
         matrix = np.load(path, mmap_mode="r")
     except (ValueError, EOFError) as error:
         raise InputError(f"{path}: {error}") from error

@@ -1,4 +1,4 @@
-"""Commands of ``ugv`` around the log: from `capture` to `calibrate`."""
+"""Commands of ``ugv`` on logs, from `capture` to `calibrate`."""
 
 import itertools
 import math
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hardware.records import RadarFrontEnd
 
 _Kind = TypeVar("_Kind")
-#: Exit status of a command that did its work on what of a log is whole, while some is lost.
+#: Exit status of a command that succeeded on the intact part of a damaged log.
 _DATA_LOST = 1
 _Settings = Annotated[
     Path | None, typer.Option("--settings", help="TOML file: patterns and times of a camera.")
@@ -81,8 +81,8 @@ def capture(
     ] = math.inf,
     records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
 ) -> None:
-    """Record what sensors send. Exit status 1: all was recorded that came, but a log among the
-    sources has lost some.
+    """Record the data of sensors. Exit status 1: everything received was recorded, but a log among
+    the sources is damaged.
     """
     from hardware.capture import capture as run
     from hardware.files import read_toml
@@ -141,7 +141,7 @@ def process(
     ] = 0,
     detection: DetectionOption = None,
 ) -> None:
-    """Turn records into images and detections; a radar's as `ugv detect` does."""
+    """Process records to images and detections; those of a radar as with `ugv detect`."""
     from hardware.calibration import CameraCalibration, RadarCalibration
     from hardware.interruption import asked_to_end
     from hardware.processing import process as run
@@ -151,11 +151,11 @@ def process(
     from hardware.sliding_images import SlidingImages
     from hardware.tracks import RadarTracks
 
-    followed = RadarTracks() if tracks else None
+    radar_tracks = RadarTracks() if tracks else None
     sliding = SlidingImages(image_every) if image_every else None
-    found = [_calibration(path, max_age) for path in calibration]
-    camera = next((one for one in found if isinstance(one, CameraCalibration)), None)
-    radar = next((one for one in found if isinstance(one, RadarCalibration)), None)
+    calibrations = [_calibration(path, max_age) for path in calibration]
+    camera = next((one for one in calibrations if isinstance(one, CameraCalibration)), None)
+    radar = next((one for one in calibrations if isinstance(one, RadarCalibration)), None)
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
     solve = method_of(method)
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
@@ -174,7 +174,7 @@ def process(
                     how=how,
                     camera=camera,
                     radar=radar,
-                    tracks=followed,
+                    tracks=radar_tracks,
                     sliding=sliding,
                 )
             except InputError as error:
@@ -202,7 +202,7 @@ def replay(
     path: Annotated[Path, typer.Argument(help="A log.")],
     speed: Annotated[float, typer.Option(help="Times the recorded pace.")] = 1.0,
 ) -> None:
-    """Play a log at its own pace: a line for each record as it comes."""
+    """Replay a log at its recorded pace, with one line for each record."""
     from hardware.recording.reading import Ending
     from hardware.sources import replay as play
 
@@ -217,25 +217,25 @@ def replay(
 
 
 def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
-    """Say what is in a log."""
-    from hardware.recording.reading import Ending, read_messages, unpacked
+    """Print the contents of a log."""
+    from hardware.recording.reading import Ending, read_messages, unpack_record
     from hardware.records import SpiRecord
     from hardware.records.spi import exposures_between
 
     ending, counts, types = Ending(), Counter[str](), dict[str, str]()
     flags, devices, times = Counter[str](), set[str](), [math.inf, -math.inf]
     missing, last = Counter[str](), dict[str, SpiRecord]()
-    for found in read_messages(path, ending):
-        counts[found.topic] += 1
-        types[found.topic] = found.schema.name
-        times = [min(times[0], found.message.log_time), max(times[1], found.message.log_time)]
-        if received := unpacked(path, found):
+    for logged in read_messages(path, ending):
+        counts[logged.topic] += 1
+        types[logged.topic] = logged.schema.name
+        times = [min(times[0], logged.message.log_time), max(times[1], logged.message.log_time)]
+        if received := unpack_record(path, logged):
             record = received.record
             flags.update(_flag_counts(record.flags))
             devices.add(record.device)
             if isinstance(record, SpiRecord):
-                missing[found.topic] += exposures_between(last.get(found.topic), record)
-                last[found.topic] = record
+                missing[logged.topic] += exposures_between(last.get(logged.topic), record)
+                last[logged.topic] = record
     if ending.fault and not counts:
         raise InputError(f"{path}: no whole message in it: {ending.fault}")
     length_s = max(times[1] - times[0], 0) * 1e-9 if counts else 0.0
@@ -260,17 +260,17 @@ def recover(
         Path | None, typer.Option("--out", "-o", help="Instead of in its own place.")
     ] = None,
 ) -> None:
-    """Finish a log whose writer was killed, or that is damaged. Exit status 1: data was lost; the
-    file as it was then stays beside it.
+    """Recover a log whose writer was killed, or that is damaged. Exit status 1: data were lost; the
+    original file is then kept beside it.
     """
     from hardware.recording import recover as run
 
-    found = run(path, out)
-    print(f"{out or path}: {found.kept} messages; {found.ending.fault or 'nothing was wrong'}")
-    if found.original:
-        print(f"as it was: {found.original}")
-    if found.ending.lost:
-        print(f"warning: {path}: {found.ending.lost}", file=sys.stderr)
+    result = run(path, out)
+    print(f"{out or path}: {result.kept} messages; {result.ending.fault or 'nothing was wrong'}")
+    if result.original:
+        print(f"as it was: {result.original}")
+    if result.ending.lost:
+        print(f"warning: {path}: {result.ending.lost}", file=sys.stderr)
         raise typer.Exit(_DATA_LOST)
 
 
@@ -307,10 +307,10 @@ def calibrate_camera(
     settings: _Settings = None,
 ) -> None:
     """Dark and flat of a camera."""
-    from hardware.calibration import CameraCalibration, Target, write_calibration
+    from hardware.calibration import CalibrationTarget, CameraCalibration, write_calibration
     from hardware.records import SpiRecord
 
-    target = Target(distance, reflectance)
+    target = CalibrationTarget(distance, reflectance)
     pair = [_first(_records(source, settings), source, SpiRecord) for source in (dark, flat)]
     write_calibration(CameraCalibration.of(pair[0], pair[1], target), out)
     print(f"written: {out}")
@@ -326,18 +326,18 @@ def calibrate_radar(
     radar_setup: _RadarSetup = None,
 ) -> None:
     """Range offset and power of a radar."""
-    from hardware.calibration import RadarCalibration, Target, write_calibration
+    from hardware.calibration import CalibrationTarget, RadarCalibration, write_calibration
     from hardware.radar.process import process as processed
     from hardware.records import RadarRecord
 
-    target = Target(distance, cross_section)
+    target = CalibrationTarget(distance, cross_section)
     record = _first(_records(source, None, radar_setup), source, RadarRecord)
     frame = processed(record)
     for warning in frame.warnings:
         print(f"warning: {source}: {warning}", file=sys.stderr)
-    made = RadarCalibration.of(record.device, frame.detections, target)
-    write_calibration(made, out)
-    print(f"range offset {1e3 * made.range_offset_m:.2f} mm; written: {out}")
+    result = RadarCalibration.of(record.device, frame.detections, target)
+    write_calibration(result, out)
+    print(f"range offset {1e3 * result.range_offset_m:.2f} mm; written: {out}")
 
 
 def _records(
@@ -360,7 +360,7 @@ def _because(ending: "Ending") -> str:
 
 
 def _tell(endings: Mapping[str | Path, "Ending"]) -> None:
-    """Warn of logs that are not whole; where data of one are lost, the exit status says so."""
+    """Warn of incomplete logs; where data are lost, exit with status 1."""
     for path, ending in endings.items():
         if ending.fault:
             print(f"warning: {path}: {ending.advice(path)}", file=sys.stderr)
@@ -394,7 +394,7 @@ def _calibration(path: Path, max_age_days: float) -> "Calibration":
 
 
 def _nothing_heard(received: "Received") -> bool:
-    """Whether no slot of a radar's record holds anything."""
+    """Whether all slots of a radar's record are lost."""
     from hardware.records import Flag, RadarRecord
 
     record = received.record
@@ -402,8 +402,8 @@ def _nothing_heard(received: "Received") -> bool:
 
 
 def _flags(received: "Received") -> str:
-    found = _flag_counts(received.record.flags)
-    return ", ".join(f"{n} {name}" for name, n in found.items())
+    counts = _flag_counts(received.record.flags)
+    return ", ".join(f"{n} {name}" for name, n in counts.items())
 
 
 def _flag_counts(flags: object) -> dict[str, int]:

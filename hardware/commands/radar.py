@@ -25,7 +25,7 @@ DetectionOption = Annotated[
 ]
 Window = Annotated[str | None, typer.Option(help="SciPy's name of a window.")]
 Resolve = Annotated[bool, typer.Option(help="Split targets nearer than a cell.")]
-MovingOnly = Annotated[bool, typer.Option(help="Leave out what stands still.")]
+MovingOnly = Annotated[bool, typer.Option(help="Leave out static targets.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -43,7 +43,7 @@ def processing(
     moving_only: bool,
     detection: str | None = None,
 ) -> "Processing":
-    """What ``ugv detect`` and ``ugv process`` do with a burst; None leaves a default as it is."""
+    """Radar processing of ``ugv detect`` and ``ugv process``; None stands for the default."""
     from hardware.radar.own_detection import detection_of
     from hardware.radar.process import Processing
 
@@ -59,7 +59,7 @@ def processing(
 
 
 def _shape(asked: str | None) -> float | str | None:
-    """What ``--clutter-shape`` says."""
+    """Value of ``--clutter-shape``."""
     try:
         return asked if asked in (None, "fitted") else float(asked)
     except ValueError:
@@ -104,14 +104,14 @@ def detect(
     loaded, table = read_radar_record(record), []
     for frame in frames(loaded, how):
         _warn(record, frame.warnings)
-        found = calibrated(frame, loaded, reference)
-        print(f"{record}: burst {frame.burst}: {len(found)} detections{frame.by}")
-        for line in table_rows(found) if found else ():
+        detections = calibrated(frame, loaded, reference)
+        print(f"{record}: burst {frame.burst}: {len(detections)} detections{frame.by}")
+        for line in table_rows(detections) if detections else ():
             print(line)
         if png and frame.burst == 0:
             write_png(png, frame.image.power_w)
             print(f"written: {png} (range downwards, rate to the right)")
-        table += [(frame.burst, detection) for detection in found]
+        table += [(frame.burst, detection) for detection in detections]
     target = out or record.with_name(f"{record.stem}-detections.csv")
     write_detections(target, table)
     print(f"written: {target}")

@@ -1,6 +1,6 @@
-"""Drivers: what sits on a line, and how its bytes become records. The protocol: PROTOCOL.md.
+"""Drivers: devices on a line, and records from their bytes. The protocol: PROTOCOL.md.
 
-The camera's is imported when it is asked for: the radio's needs neither its framing nor its line.
+The camera's driver is imported on first use: the radio's needs neither its framing nor its line.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""From measurement frames to whole sets of exposures; what is missing is named and marked."""
+"""Assembly of measurement frames to sets of exposures; lost exposures are reported and flagged."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ _LOST = int(Flag.LOST)
 
 @dataclass(frozen=True, eq=False)
 class ExposureSet:
-    """One round of the patterns: arrays of a `SpiRecord`, what is lost marked in ``flags``."""
+    """One set of all patterns: arrays of a `SpiRecord`, lost exposures marked in ``flags``."""
 
     number: int
     counts: NDArray[np.int32]
@@ -24,19 +24,19 @@ class ExposureSet:
 
 
 class Assembly:
-    """Sets out of the frames of one run.
+    """Assembles sets from the frames of one run.
 
     Parameters
     ----------
     run
-        Frames of other runs are left out.
+        Frames of other runs are ignored.
     configured
-        As the device replied.
+        Reply of the device.
     adc_bits
-        Counts beyond them are no counts.
+        Larger counts are invalid.
     on_loss
-        Called with the sequence numbers of lost frames, as soon as a later one shows the gap. A
-        frame that comes after that, or twice, is left out.
+        Called with the sequence numbers of lost frames, as soon as a later frame shows the gap.
+        Late and duplicate frames are ignored.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Assembly:
         self._open: list[Measurement] = []
 
     def take(self, frame: Measurement) -> Iterator[ExposureSet]:
-        """Sets that this frame completes, or shows to be over: at most two."""
+        """Sets that this frame completes or ends: at most two."""
         if frame.run != self.run or frame.sequence < self.next_sequence or not self._fits(frame):
             self.refused += 1
             return
@@ -72,9 +72,7 @@ class Assembly:
             yield self._close()
 
     def finish(self, frames: int) -> Iterator[ExposureSet]:
-        """End of the run, at which the device had counted so many frames: the last set, if its
-        end was measured.
-        """
+        """End of the run after ``frames`` frames: the last set, if it was measured to its end."""
         if frames > self.next_sequence:
             self._on_loss(range(self.next_sequence, frames))
             self.next_sequence = frames
@@ -86,7 +84,7 @@ class Assembly:
         return frame.sequence // self._frames_per_set
 
     def _fits(self, frame: Measurement) -> bool:
-        """Whether the frame is the one that its sequence number promises."""
+        """Whether the frame has the exposures expected from its sequence number."""
         made = self.configured
         first = frame.sequence % self._frames_per_set * made.exposures_per_frame
         shape = (min(made.exposures_per_frame, made.exposures - first), made.detectors)
@@ -98,7 +96,7 @@ class Assembly:
         n, number = self.configured.exposures, self._set_of(self._open[0])
         counts = np.zeros((n, self.configured.detectors), np.int32)
         flags = np.full(n, _LOST, np.uint8)
-        # Lost exposures get the time at which they must have been.
+        # Lost exposures get the time at which they took place.
         anchor = self._open[0]
         time_ns = anchor.time_ns - self._since_ns[anchor.first] + self._since_ns
         for frame in self._open:

@@ -1,9 +1,9 @@
 """Device clock against host clock: offset and drift from exchanged times.
 
 Each exchange (host sends t0, device receives t1 and sends t2, host receives t3) gives the offset
-((t1 - t0) + (t2 - t3)) / 2, wrong by half the asymmetry of the ways, so by less than half the
-round trip (Cristian, Distributed Computing 3, 1989; RFC 5905). Exchanges with short round trips
-are the good ones: a line through the best half tells offset and drift.
+((t1 - t0) + (t2 - t3)) / 2, with an error of half the asymmetry of the two ways, so of less than
+half the round trip (Cristian, Distributed Computing 3, 1989; RFC 5905). Exchanges with short round
+trips are the most accurate: a line through the best half gives offset and drift.
 """
 
 from collections import deque
@@ -40,13 +40,13 @@ class ClockModel:
 
 
 class ClockFilter:
-    """The newest exchanges, and the model that they give."""
+    """The latest exchanges, and the clock model fitted to them."""
 
     def __init__(self) -> None:
         self._exchanges: deque[tuple[int, int, int]] = deque(maxlen=_KEPT)
 
     def add(self, sent_ns: int, received_ns: int, replied_ns: int, returned_ns: int) -> None:
-        """Take one exchange: t0, t1, t2, t3.
+        """Add one exchange: t0, t1, t2, t3.
 
         Raises InputError for a reply that came before the request, on either clock.
         """
@@ -62,7 +62,7 @@ class ClockFilter:
     def model(self) -> ClockModel | None:
         """None before the first exchange.
 
-        The drift is 0 until the exchanges span 100 of their own errors.
+        The drift is 0 until the exchanges span 100 times their own error.
         """
         if not self._exchanges:
             return None

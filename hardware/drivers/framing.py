@@ -1,4 +1,4 @@
-"""Frames on a byte stream: COBS between zero bytes, CRC-32 at the end; nothing broken gets through.
+"""Frames on a byte stream: COBS between zero bytes, CRC-32 at the end; broken frames are rejected.
 
 Consistent overhead byte stuffing: Cheshire and Baker, IEEE/ACM Trans. Networking 7, 1999. CRC-32 is
 that of IEEE 802.3, as in zlib.
@@ -18,18 +18,18 @@ _HEADER, _CHECKSUM = 2, 4
 MAX_PAYLOAD = MAX_FRAME - _HEADER - _CHECKSUM
 
 
-class Frame(NamedTuple):
-    """What travels: the message's type, the tag that ties a reply to its request, the payload."""
+class ProtocolFrame(NamedTuple):
+    """One frame: type of the message, tag that links a reply to its request, payload."""
 
     type: int
     tag: int
     payload: bytes
 
 
-def encode(frame: Frame) -> bytes:
-    """Bytes on the wire, the closing zero among them.
+def encode(frame: ProtocolFrame) -> bytes:
+    """Bytes on the wire, with the closing zero.
 
-    Raises InputError for a payload beyond `MAX_PAYLOAD`, or a type or tag that is no byte.
+    Raises InputError for a payload longer than `MAX_PAYLOAD`, or a type or tag that is no byte.
     """
     if len(frame.payload) > MAX_PAYLOAD:
         raise InputError(f"payload: {len(frame.payload)} bytes, at most {MAX_PAYLOAD}")
@@ -37,8 +37,8 @@ def encode(frame: Frame) -> bytes:
     return cobs.encode(body + zlib.crc32(body).to_bytes(_CHECKSUM, "little")) + b"\0"
 
 
-def decode(stuffed: bytes) -> Frame | None:
-    """Frame between two zero bytes, or None where anything about it is wrong."""
+def decode(stuffed: bytes) -> ProtocolFrame | None:
+    """Frame between two zero bytes, or None where it is invalid."""
     if len(stuffed) > MAX_ENCODED:
         return None
     try:
@@ -49,14 +49,13 @@ def decode(stuffed: bytes) -> Frame | None:
         return None
     if zlib.crc32(body[:-_CHECKSUM]) != int.from_bytes(body[-_CHECKSUM:], "little"):
         return None
-    return Frame(body[0], body[1], body[_HEADER:-_CHECKSUM])
+    return ProtocolFrame(body[0], body[1], body[_HEADER:-_CHECKSUM])
 
 
 class Deframer:
-    """Frames out of bytes that come in any portions.
+    """Extracts frames from bytes that arrive in any portions.
 
-    Never holds more than one frame's bytes; ``rejected`` counts what stood between zeros and was
-    no frame.
+    Holds at most the bytes of one frame; ``rejected`` counts invalid frames.
     """
 
     def __init__(self) -> None:
@@ -64,18 +63,18 @@ class Deframer:
         self._rest = b""
         self._skipping = False  # inside something too long to be a frame
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes, give the frames that they complete."""
+    def feed(self, data: bytes) -> list[ProtocolFrame]:
+        """Add bytes; returns the frames that they complete."""
         *closed, self._rest = (self._rest + data).split(b"\0")
         if closed and self._skipping:
             closed[0], self._skipping = b"", False
         if len(self._rest) > MAX_ENCODED:
             self.rejected += not self._skipping
             self._rest, self._skipping = b"", True
-        found = []
+        frames = []
         for stuffed in filter(None, closed):
             if frame := decode(stuffed):
-                found.append(frame)
+                frames.append(frame)
             else:
                 self.rejected += 1
-        return found
+        return frames

@@ -1,4 +1,4 @@
-"""The bytes' way to a device: any pyserial URL, opened, read without waiting too long, written."""
+"""Byte stream to a device at any pyserial URL, with timeouts."""
 
 import select
 import time
@@ -6,9 +6,9 @@ from typing import Any
 
 from hardware.errors import InputError, LinkError
 
-#: Bytes taken at once; also what a read may return at most.
+#: Largest number of bytes of one read.
 _CHUNK = 65536
-#: Pause between looks at a port that cannot be waited on (rfc2217://).
+#: Polling interval of a port without select (rfc2217://).
 _POLL_S = 1e-3
 
 
@@ -18,14 +18,14 @@ class Link:
     Parameters
     ----------
     url
-        As pyserial takes it: ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``,
+        As in pyserial: ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``,
         ``rfc2217://host:port``.
     baud
-        Where the line has one.
+        Baud rate of a serial line.
     write_timeout_s
-        How long the other side may refuse to take bytes; not of ``rfc2217://``.
+        Timeout of writing; not for ``rfc2217://``.
 
-    Raises LinkError where the URL cannot be opened, InputError where it is none.
+    Raises LinkError where the URL cannot be opened, InputError for an invalid URL.
     """
 
     def __init__(self, url: str, *, baud: int = 115_200, write_timeout_s: float = 1.0) -> None:
@@ -33,7 +33,7 @@ class Link:
 
         self.url = url
         try:
-            # pyserial refuses a time limit on writing there; a broken line shows by its silence.
+            # pyserial has no write timeout there; a broken line is detected by its silence.
             limit = None if url.lower().startswith("rfc2217:") else write_timeout_s
             self._port: Any = serial.serial_for_url(
                 url, baudrate=baud, timeout=0, write_timeout=limit
@@ -48,7 +48,7 @@ class Link:
             self._handle = None
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, or comes within the time; empty where nothing does.
+        """Bytes that have arrived, or arrive within the timeout; empty where none do.
 
         Raises LinkError.
         """
@@ -71,7 +71,7 @@ class Link:
         """Close; any number of times."""
         inner = getattr(self._port, "_socket", None)
         self._port.close()
-        if inner is not None:  # pyserial forgets it open where the other side hung up first
+        if inner is not None:  # pyserial leaves it open where the other side closed first
             inner.close()
 
     def _poll(self, timeout_s: float) -> bytes:

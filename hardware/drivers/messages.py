@@ -1,6 +1,6 @@
-"""The messages of PROTOCOL.md, both directions: data classes that pack into frames and back.
+"""The messages of PROTOCOL.md in both directions: data classes that pack into frames and back.
 
-Whoever stands in for a device uses the same classes as the driver.
+Virtual devices use the same classes as the driver.
 """
 
 import struct
@@ -11,14 +11,14 @@ from typing import Any, ClassVar, Self, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.framing import MAX_PAYLOAD, Frame
+from hardware.drivers.framing import MAX_PAYLOAD, ProtocolFrame
 from hardware.errors import InputError
 from hardware.patterns import Mode, Order
 from hardware.records.state import ALWAYS_OPEN, Shutter
 
 PROTOCOL_VERSION = 1
 
-#: Codes on the wire are the places in these tuples; an order that travels as bits is UPLOADED.
+#: Codes on the wire are indices of these tuples; a table sent as bits has the code UPLOADED.
 ORDER_CODES: tuple[Order, ...] = tuple(name for name in get_args(Order) if name != "custom")
 MODE_CODES: tuple[Mode, ...] = get_args(Mode)
 UPLOADED = 255
@@ -27,7 +27,7 @@ MAX_SHUTTERS = 64
 
 
 class State(IntEnum):
-    """What a device is doing."""
+    """State of a device."""
 
     IDLE = 0
     CONFIGURED = 1
@@ -36,7 +36,7 @@ class State(IntEnum):
 
 
 class Refusal(IntEnum):
-    """Why a device refused."""
+    """Reason of a refusal."""
 
     UNKNOWN = 1
     MALFORMED = 2
@@ -65,17 +65,17 @@ class _Fixed:
 
 @dataclass(frozen=True)
 class Identify(_Fixed):
-    """Host asks who is there."""
+    """Host requests the device's identity."""
 
     TYPE = 0x01
 
 
 @dataclass(frozen=True)
 class Configure:
-    """Host asks for a pattern set and how to measure it.
+    """Host configures the pattern set and its measurement.
 
-    ``order`` and ``mode`` are codes; a ``pattern_period_s`` of 0 asks for the shortest, an
-    ``exposures_per_frame`` of 0 leaves it to the device. ``shutters`` as in `SpiRecord`.
+    ``order`` and ``mode`` are codes; a ``pattern_period_s`` of 0 requests the shortest, with an
+    ``exposures_per_frame`` of 0 the device chooses. ``shutters`` as in `SpiRecord`.
     """
 
     TYPE: ClassVar[int] = 0x02
@@ -155,7 +155,7 @@ class Arm(_Fixed):
 
 @dataclass(frozen=True)
 class Start(_Fixed):
-    """Host starts a run under a number of its own: so many pattern sets, 0 until stopped."""
+    """Host starts a run with a number of its choice, of ``sets`` pattern sets, 0: until stopped."""
 
     TYPE = 0x05
     LAYOUT = struct.Struct("<IQ")
@@ -173,14 +173,14 @@ class Stop(_Fixed):
 
 @dataclass(frozen=True)
 class Query(_Fixed):
-    """Host asks for the status."""
+    """Host requests the status."""
 
     TYPE = 0x07
 
 
 @dataclass(frozen=True)
 class Time(_Fixed):
-    """Host asks for the time, and says its own."""
+    """Host requests the device's time, and sends its own."""
 
     TYPE = 0x08
     LAYOUT = struct.Struct("<q")
@@ -190,7 +190,7 @@ class Time(_Fixed):
 
 @dataclass(frozen=True)
 class Identity:
-    """Who the device is and what it can do. ``orders`` and ``modes`` are bit masks of the codes."""
+    """Identity and capabilities of a device. ``orders``, ``modes``: bit masks of the codes."""
 
     TYPE: ClassVar[int] = 0x81
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<HBBIIHHBxdd")
@@ -221,7 +221,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class Configured(_Fixed):
-    """What the device made of the request; these values count."""
+    """Configuration of the device after a request; these values are the valid ones."""
 
     TYPE = 0x82
     LAYOUT = struct.Struct("<IHBxIIdddd")
@@ -261,7 +261,7 @@ class Status(_Fixed):
 
 @dataclass(frozen=True)
 class TimeReply(_Fixed):
-    """Host's time as it came, device clock when it came and when this went out."""
+    """Host's time as received, and device time of the receipt and of this reply."""
 
     TYPE = 0x88
     LAYOUT = struct.Struct("<qqq")
@@ -273,7 +273,7 @@ class TimeReply(_Fixed):
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """Some exposures of a set, one after another.
+    """Consecutive exposures of a set.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Refused:
-    """Device refuses a request: a code of `Refusal`, and why in words."""
+    """Device refuses a request: a code of `Refusal`, and a text."""
 
     TYPE: ClassVar[int] = 0xFF
 
@@ -361,12 +361,12 @@ _BY_TYPE: dict[int, type[Message]] = {
 }
 
 
-def to_frame(message: Message, tag: int = 0) -> Frame:
+def to_frame(message: Message, tag: int = 0) -> ProtocolFrame:
     """Frame of a message."""
-    return Frame(message.TYPE, tag, message.pack())
+    return ProtocolFrame(message.TYPE, tag, message.pack())
 
 
-def from_frame(frame: Frame) -> Message:
+def from_frame(frame: ProtocolFrame) -> Message:
     """Message of a frame. Raises InputError for an unknown type or a payload that does not fit."""
     kind = _BY_TYPE.get(frame.type)
     if kind is None:

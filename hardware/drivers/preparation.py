@@ -1,4 +1,4 @@
-"""Getting a camera ready: who it is, what it is to measure, the table of patterns."""
+"""Preparation of a camera: identity, configuration, pattern table."""
 
 import zlib
 
@@ -21,12 +21,12 @@ from hardware.drivers.settings import SpiSettings
 from hardware.drivers.table import table_bytes
 from hardware.errors import DeviceError
 
-#: What a device says of times (s) and counts is refused from here on, as no device's.
+#: Times (s) and counts from here on are invalid in a device's reply.
 _MOST = 1e9
 
 
 def identify(device: RequestClient) -> Identity:
-    """Who is there. Raises DeviceError where it is none that this software can drive."""
+    """Identity of the device. Raises DeviceError for one that this software cannot drive."""
     identity = device.ask(Identify(), Identity)
     if identity.version != PROTOCOL_VERSION:
         raise DeviceError(
@@ -41,9 +41,9 @@ def identify(device: RequestClient) -> Identity:
 
 
 def prepare(device: RequestClient, identity: Identity, settings: SpiSettings) -> Configured:
-    """Configure the camera, bring it the table where it does not hold it, arm it.
+    """Configure the camera, upload the pattern table unless the camera has it, arm the camera.
 
-    Raises DeviceError where it cannot do or does not understand what is asked for.
+    Raises DeviceError where the camera does not support or understand the settings.
     """
     patterns, request = settings.patterns, _request(device, identity, settings)
     if patterns.n_cells > identity.max_cells or identity.detectors % patterns.n_arms:
@@ -105,7 +105,7 @@ def _possible(made: Configured, identity: Identity, exposures: int, size: int) -
 
 
 def _upload(device: RequestClient, table: bytes, crc: int) -> None:
-    """Bring the table, unless the device holds it still."""
+    """Upload the table, unless the device still has it."""
     held = device.status()
     if (held.table_bytes, held.table_crc) == (len(table), crc):
         return

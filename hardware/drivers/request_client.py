@@ -1,5 +1,5 @@
-"""A client of the camera's protocol: requests and replies on a line that is opened again where it
-breaks.
+"""A client of the camera's protocol: requests and replies on a line that is reopened after a
+failure.
 """
 
 import itertools
@@ -33,16 +33,16 @@ from hardware.errors import DeviceError, InputError, LinkError, NoAnswerError
 _log = logging.getLogger(__name__)
 _Expected = TypeVar("_Expected", Identity, Configured, Status, TimeReply)
 
-#: Between exchanges of time while measuring.
+#: Interval between exchanges of time while measuring.
 _SYNC_PERIOD_S = 1.0
-#: Between looks whether it is over, while waiting.
+#: Interval at which ``over`` is checked while waiting.
 _LOOK_S = 0.1
 
 
 @dataclass
 class Statistics:
-    """Counts of frames since the camera was opened: measured, lost, broken on the line, refused by
-    the driver; of new lines and new starts; of tables sent (``uploads``).
+    """Counts since the camera was opened: frames measured, lost, broken on the line, refused by the
+    driver; reconnections and restarts; tables uploaded.
     """
 
     frames: int = 0
@@ -56,7 +56,7 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Patience:
-    """How long to wait: for a reply, how often to ask again, and for a lost line to come back."""
+    """Timeout of a reply, number of attempts, timeout of a reconnection."""
 
     reply_s: float = 0.5
     attempts: int = 4
@@ -65,20 +65,20 @@ class Patience:
 
 
 class RequestClient:
-    """Asks the device at a URL.
+    """Sends requests to the device at a URL.
 
-    ``inbox`` holds what it sent unasked, ``clock`` is its clock against ``time.time_ns``.
+    ``inbox`` holds its unsolicited messages, ``clock`` its clock relative to ``time.time_ns``.
 
     Parameters
     ----------
     url
-        As pyserial takes it.
+        As in pyserial.
     patience, baud
-        How long to wait; the rate, where the line has one.
+        Timeouts; baud rate of a serial line.
     over
-        Once it is set, nothing is waited for longer than one reply.
+        Event that ends all waiting after at most one reply.
 
-    Raises LinkError where there is no line within ``patience``.
+    Raises LinkError where no line can be opened within ``patience``.
     """
 
     def __init__(
@@ -99,7 +99,10 @@ class RequestClient:
         return any(isinstance(message, Measurement) for message in self.inbox)
 
     def ask(self, request: Request, expected: type[_Expected]) -> _Expected:
-        """Send a request until it is answered. Raises NoAnswerError, DeviceError, LinkError."""
+        """Send a request, repeatedly, until it is answered.
+
+        Raises NoAnswerError, DeviceError, LinkError.
+        """
         asked = 0
         while asked < self.patience.attempts and not (asked and self.over.is_set()):
             asked += 1
@@ -127,7 +130,7 @@ class RequestClient:
         return self.ask(Query(), Status)
 
     def synchronize(self, exchanges: int) -> None:
-        """Exchange the time so many times."""
+        """Make several exchanges of time."""
         for _ in range(exchanges):
             self.ask(Time(time.time_ns()), TimeReply)
         self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
@@ -146,7 +149,7 @@ class RequestClient:
         return self.inbox.popleft() if self.inbox else None
 
     def reconnect(self) -> None:
-        """A new line, on which the device answers."""
+        """Open a new line on which the device answers."""
         deadline = time.monotonic() + self.patience.reconnect_s
         while True:
             self._link.close()
@@ -165,7 +168,7 @@ class RequestClient:
         self._link.close()
 
     def _keep(self, tag: int, message: Message) -> None:
-        """Put by what the device sends unasked; late answers to old requests are of no use."""
+        """Store unsolicited messages of the device; late replies to old requests are dropped."""
         if tag == 0 and isinstance(message, (Measurement, Status)):
             self.inbox.append(message)
 

@@ -1,4 +1,4 @@
-"""What a camera is to measure, as it is given or from a TOML file."""
+"""Settings of a camera's measurement, also from a TOML file."""
 
 import math
 from dataclasses import dataclass
@@ -54,7 +54,9 @@ class SpiSettings:
         if not 0 < self.integration_time_s < math.inf:
             raise InputError(f"integration_time_s: {self.integration_time_s} is not positive")
         if not 0 <= self.pattern_period_s < math.inf:
-            raise InputError(f"pattern_period_s: {self.pattern_period_s} is no time")
+            raise InputError(
+                f"pattern_period_s: {self.pattern_period_s} is not 0 or a positive number"
+            )
         if not 0 <= self.pulse_width_s < math.inf:
             raise InputError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
         for name, most in (("gain", 0xFF), ("exposures_per_frame", 0xFFFF)):

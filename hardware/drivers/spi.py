@@ -1,4 +1,4 @@
-"""The single-pixel camera behind PROTOCOL.md: its runs, and their frames as records."""
+"""Driver of the single-pixel camera behind PROTOCOL.md: its runs, and their records."""
 
 import logging
 import threading
@@ -40,22 +40,22 @@ class SpiCamera:
     Parameters
     ----------
     url
-        As pyserial takes it.
+        As in pyserial.
     settings
-        Sent at the start, and again after the device was reset.
+        Sent at the start, and again after a reset of the device.
     on_loss
-        Called with the sequence numbers of frames that were lost.
+        Called with the sequence numbers of lost frames.
     over
-        Once it is set, from another thread or a signal's handler, `records` ends at once and the
-        device is told to stop.
+        Event, set by another thread or a signal handler, that ends `records` at once and stops the
+        device.
 
-    A line that breaks is opened again. If the device still measures, it goes on and what was lost
-    in between is marked; if it was reset, it is set up and started anew. Bytes are read only when a
-    record is asked for: a slow consumer fills the system's buffers, then the device's, which drops
-    whole frames and says so; nothing here grows.
+    A broken line is reopened. If the device still measures, the run continues and lost exposures
+    are flagged; after a reset the device is configured and started again. Bytes are read only when
+    a record is requested: a slow consumer fills the system's buffers, then the device's, which
+    drops whole frames and reports it; no buffer of the driver grows.
 
-    Raises LinkError where there is no line within ``patience``, NoAnswerError where nobody answers,
-    DeviceError for a refusal, and for a device that measures nothing however often it is started.
+    Raises LinkError where no line can be opened within ``patience``, NoAnswerError without a reply,
+    DeviceError for a refusal, and for a device that does not measure after repeated starts.
     """
 
     def __init__(
@@ -97,20 +97,20 @@ class SpiCamera:
         return self._device.clock.model
 
     def acquire(self) -> SpiRecord:
-        """One record: one round of the patterns. Raises LinkError where nothing of it arrived."""
+        """One record of one pattern set. Raises LinkError where all of its frames were lost."""
         for record in self.records(sets=1):
             return record
         raise LinkError(f"{self.url}: every frame of the set was lost")
 
     def records(self, sets: int = 0) -> Iterator[SpiRecord]:
-        """Records of rounds of the patterns, 0: without end.
+        """Records of ``sets`` pattern sets, 0: without end.
 
-        A round of which nothing arrived gives no record. Ends early where rounds were lost.
+        A set of which nothing arrived gives no record. Ends early where sets were lost.
         """
         try:
             self._start(sets)
             while (run := self._run) and not self._device.over.is_set():
-                yield from (self._record(found, run.configured) for found in self._step())
+                yield from (self._record(exposures, run.configured) for exposures in self._step())
         finally:
             if self._run:
                 self._stop()
@@ -128,7 +128,7 @@ class SpiCamera:
     # A run, step by step.
 
     def _start(self, sets: int) -> None:
-        """Set up the device and let it measure."""
+        """Configure the device and start the run."""
         number = self._free_run_number()
         made = prepare(self._device, self.identity, self.settings)
         assembly = Assembly(number, made, self.identity.adc_bits, self._lost)
@@ -139,14 +139,14 @@ class SpiCamera:
         self._device.ask(Start(number, sets), Status)
 
     def _free_run_number(self) -> int:
-        """One that is not the device's newest, which is over now."""
+        """A number other than that of the device's last run, which is stopped."""
         status = self.status()
         if status.state == State.RUNNING:
             self._device.ask(Stop(), Status)
         return status.run % 0xFFFFFFFF + 1
 
     def _step(self) -> list[ExposureSet]:
-        """What the next message brings; mends what is broken."""
+        """Sets completed by the next message; reconnects where the line is broken."""
         run = self._run
         assert run is not None
         try:
@@ -161,18 +161,18 @@ class SpiCamera:
                 sets = list(run.assembly.take(message))
                 self.statistics.refused += run.assembly.refused - before
                 return sets
-            return self._judge(message or self.status())
+            return self._handle_status(message or self.status())
         except LinkError as error:
             _log.warning("%s: %s; opening it again", self.url, error)
             self._device.reconnect()
-            return self._judge(self.status())
+            return self._handle_status(self.status())
 
     def _silence_s(self, made: Configured) -> float:
-        """Silence that is too long: three frames' time, and a reply's."""
+        """Timeout of silence: the time of three frames and of a reply."""
         return self._device.patience.reply_s + 3 * made.exposures_per_frame * made.pattern_period_s
 
-    def _judge(self, status: Status) -> list[ExposureSet]:
-        """Go on, end or begin anew, by what the device says of itself."""
+    def _handle_status(self, status: Status) -> list[ExposureSet]:
+        """Continue, end or restart the run, according to the status of the device."""
         run = self._run
         assert run is not None
         if status.run == run.number and status.state == State.RUNNING:
@@ -197,11 +197,11 @@ class SpiCamera:
             )
         sets = list(run.assembly.finish(run.assembly.next_sequence))
         left = self._sets and max(self._sets - self._sets_done(run), 1)
-        self._start_anew(left)
+        self._restart(left)
         return sets
 
-    def _start_anew(self, sets: int) -> None:
-        """Start, though the device may be down again at any moment."""
+    def _restart(self, sets: int) -> None:
+        """Start, with further attempts where the device fails again."""
         deadline = time.monotonic() + self._device.patience.reconnect_s
         while True:
             try:
@@ -216,7 +216,7 @@ class SpiCamera:
         return run.assembly.next_sequence // per_set
 
     def _stop(self) -> None:
-        """End the run; a line that is down needs no end."""
+        """End the run; errors of a broken line are only logged."""
         run, self._run = self._run, None
         assert run is not None
         try:
@@ -224,13 +224,13 @@ class SpiCamera:
         except (LinkError, DeviceError) as error:
             _log.warning("%s: not stopped: %s", self.url, error)
 
-    def _record(self, found: ExposureSet, made: Configured) -> SpiRecord:
+    def _record(self, exposures: ExposureSet, made: Configured) -> SpiRecord:
         settings = self.settings
         return SpiRecord(
-            counts=found.counts,
-            device_time_ns=found.device_time_ns,
-            sequence=found.sequence,
-            flags=found.flags,
+            counts=exposures.counts,
+            device_time_ns=exposures.device_time_ns,
+            sequence=exposures.sequence,
+            flags=exposures.flags,
             patterns=settings.patterns,
             integration_time_s=made.integration_time_s,
             electrons_per_count=made.electrons_per_count,

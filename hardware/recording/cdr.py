@@ -1,7 +1,7 @@
 """Common data representation, the bytes of ROS 2 messages (OMG DDSI-RTPS 2.5, section 10; XCDR1).
 
-Here and not from a library, because arrays go over in one piece: those that vehicles can install
-take a microsecond per number, seconds for one radar record.
+Not from a library, because the installable ones take a microsecond per number, seconds for one
+radar record; here arrays are copied as a whole.
 """
 
 import struct

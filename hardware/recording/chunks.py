@@ -1,4 +1,4 @@
-"""Records within a chunk of a log, whole or broken, in memory that a file cannot choose."""
+"""Records within an intact or broken chunk of a log, in bounded memory."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -11,22 +11,21 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from hardware.errors import InputError
 
-#: Of one chunk when unpacked. `Log` closes one at 1 MiB and the message that goes beyond; more is
-#: not taken into memory, whatever a file claims.
+#: Largest size of one unpacked chunk. `Log` closes chunks at 1 MiB plus one message.
 MOST_CHUNK_BYTES = 1 << 29
-#: Of a broken chunk: how much is unpacked at a time, and how far definitions are looked for.
+#: Of a broken chunk: bytes unpacked at a time, and in all.
 _PIECE_BYTES, _MOST_DEFINITIONS_BYTES = 1 << 14, 1 << 25
 
 
 class RefusedError(InputError):
-    """A chunk that is not read at all, whatever it holds."""
+    """A chunk that is not read at all."""
 
 
-def in_chunk(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
-    """Records of a whole chunk; `RefusedError` before one is unpacked that is too large or packed
-    in a way that is not known, other errors where it is broken.
+def records_of_chunk(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
+    """Records of an intact chunk; `RefusedError` for one that is too large or of an unknown
+    compression, other errors for a broken one.
     """
-    size = max(chunk.uncompressed_size, _told_size(chunk))
+    size = max(chunk.uncompressed_size, _stated_size(chunk))
     if size > MOST_CHUNK_BYTES:
         raise RefusedError(f"a chunk of {size} bytes, expected at most {MOST_CHUNK_BYTES}")
     if chunk.compression not in ("", "zstd", "lz4"):
@@ -35,9 +34,9 @@ def in_chunk(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
     yield from _records(stream, length)
 
 
-def unchecked(body: bytes) -> Iterator[Schema | Channel | Message]:
-    """Records of a broken chunk up to where they make no sense, whatever its CRC-32 says."""
-    with suppress(Exception):  # of spoilt bytes readers raise whatever there is
+def records_of_broken_chunk(body: bytes) -> Iterator[Schema | Channel | Message]:
+    """Records of a broken chunk up to the first invalid one, without a check of its CRC-32."""
+    with suppress(Exception):  # readers may raise any error for damaged bytes
         chunk = Chunk.read(ReadDataStream(BytesIO(body)))
         if chunk.compression not in ("", "zstd"):
             return
@@ -46,7 +45,7 @@ def unchecked(body: bytes) -> Iterator[Schema | Channel | Message]:
 
 
 def _unpacked(data: bytes) -> bytes:
-    """What of a broken zstd frame can be unpacked: all up to the broken block."""
+    """Content of a broken zstd frame up to the broken block."""
     import zstandard
 
     unpacked, reader = bytearray(), zstandard.ZstdDecompressor().stream_reader(data)
@@ -61,12 +60,12 @@ def _records(stream: ReadDataStream, length: int) -> Iterator[Schema | Channel |
         kind, size = stream.read1(), stream.read8()
         if kind == 0:
             raise InputError("a record of no kind")
-        if found := one_record(kind, stream, size):
-            yield found
+        if record := one_record(kind, stream, size):
+            yield record
 
 
 def one_record(kind: int, stream: ReadDataStream, size: int) -> Schema | Channel | Message | None:
-    """The record of a kind and size that comes next; None: of no interest, passed over."""
+    """The next record, of a kind and size; None for other kinds, which are skipped."""
     if kind == Opcode.MESSAGE:
         return Message.read(stream, size)
     if kind == Opcode.CHANNEL:
@@ -77,8 +76,8 @@ def one_record(kind: int, stream: ReadDataStream, size: int) -> Schema | Channel
     return None
 
 
-def _told_size(chunk: Chunk) -> int:
-    """Bytes that the compressed data themselves say they unpack to; 0 where they do not."""
+def _stated_size(chunk: Chunk) -> int:
+    """Unpacked size according to the compressed data; 0 where they do not contain it."""
     if chunk.compression == "zstd":
         import zstandard
 

@@ -1,4 +1,4 @@
-"""Records as messages: the definition follows from the record's `Layout`, whatever it holds."""
+"""Records as messages, whose definition is derived from the record's `Layout`."""
 
 import math
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _SCALARS = {float: "float64", int: "int64", str: "string", bool: "bool"}
 
 
 @dataclass(frozen=True)
-class Kind:
+class RecordKind:
     """A type of record: its layout, its class, and the class that types its group of parameters.
 
     ``pose_of`` names the frame whose pose it holds: the rig's, or None: the sensor's own.
@@ -40,13 +40,13 @@ class Kind:
         layout, grouped, own = self.layout, get_type_hints(self.group), dict[str, Any]()
         for kind in (self.record, *layout.parts.values()):
             own |= get_type_hints(kind)
-        found = {name: _SCALARS.get(own[name], "string") for name in layout.settings}
+        types = {name: _SCALARS.get(own[name], "string") for name in layout.settings}
         for name in layout.parameters:
             hint = grouped.get(name, str)
-            found[f"{layout.group}_{name}"] = (
+            types[f"{layout.group}_{name}"] = (
                 "string" if get_origin(hint) else _SCALARS.get(hint, "string")
             )
-        return found
+        return types
 
     @cached_property
     def definition(self) -> Definition:
@@ -134,8 +134,8 @@ class Kind:
             if layout.has(name, version)
         }
         for name in layout.optional:
-            here, found = reader.number("bool"), reader.array("int64")
-            group[name] = tuple(found.tolist()) if here else None
+            is_present, values_here = reader.number("bool"), reader.array("int64")
+            group[name] = tuple(values_here.tolist()) if is_present else None
         for name, dtype in layout.group_arrays.items():
             if not layout.has(name, version):
                 continue
@@ -153,13 +153,13 @@ class Kind:
 
 
 KINDS = (
-    Kind("SpiRecord", spi.LAYOUT, spi.SpiRecord, PatternSet, "rig"),
-    Kind("RadarRecord", radar.LAYOUT, radar.RadarRecord, OfdmWaveform),
+    RecordKind("SpiRecord", spi.LAYOUT, spi.SpiRecord, PatternSet, "rig"),
+    RecordKind("RadarRecord", radar.LAYOUT, radar.RadarRecord, OfdmWaveform),
 )
 BY_NAME = {kind.definition.name: kind for kind in KINDS}
 
 
-def kind_of(record: Record) -> Kind:
+def kind_of(record: Record) -> RecordKind:
     """Kind of a record. Raises TypeError for anything else."""
     for kind in KINDS:
         if isinstance(record, kind.record):

@@ -1,7 +1,6 @@
-"""The log: one MCAP file that only ever grows, and can be read up to its last moments.
+"""The log: an append-only MCAP file that can be read even where its writer was killed.
 
-MCAP: mcap.dev/spec. Chunks are closed every half second, so that whatever ends the program takes
-no more than that away.
+MCAP: mcap.dev/spec. Chunks are closed every half second, so that a crash loses no more than that.
 """
 
 import time
@@ -30,12 +29,12 @@ class Log:
     Parameters
     ----------
     path
-        New file. Raises FileExistsError rather than write over a log.
+        New file. Raises FileExistsError for an existing one.
     flush_s
-        Longest time that a message waits in memory, as long as messages or `tick` keep coming.
+        Longest time that a message stays in memory, if messages or `tick` follow.
     extrinsics
-        Poses of sensors on the rig, by frame: x y z (m), quaternion w x y z. Such a sensor stands
-        under the rig in the tree of transforms; one without, by its own poses, under the world.
+        Poses of sensors on the rig, by frame: x y z (m), quaternion w x y z. In the tree of
+        transforms such a sensor is a child of the rig; others are children of the world.
     """
 
     def __init__(
@@ -124,12 +123,12 @@ class Log:
         self.tick()
 
     def tick(self) -> None:
-        """Write out what has waited too long; call it now and then where nothing comes."""
+        """Flush if due; call it regularly where no messages arrive."""
         if time.monotonic() - self._flushed_s >= self._flush_s:
             self.flush()
 
     def flush(self) -> None:
-        """Close the chunk and give it to the system."""
+        """Close the chunk and write it to the file."""
         with naming(self.path):
             self._writer.flush()  # type: ignore[no-untyped-call]
         self._flushed_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""A log read back, whole, cut short or damaged, and finished where its writer could not."""
+"""Reading of complete, truncated and damaged logs, and recovery of unfinished ones."""
 
 import itertools
 import logging
@@ -23,9 +23,9 @@ from hardware.files import place_beside
 from hardware.recording.chunks import (
     MOST_CHUNK_BYTES,
     RefusedError,
-    in_chunk,
     one_record,
-    unchecked,
+    records_of_broken_chunk,
+    records_of_chunk,
 )
 from hardware.recording.kinds import BY_NAME, KINDS, Record
 
@@ -35,8 +35,8 @@ _MAGIC = b"\x89MCAP0\r\n"
 
 
 @dataclass(frozen=True)
-class Logged:
-    """One message as it stands in a log."""
+class LoggedMessage:
+    """One message of a log."""
 
     topic: str
     schema: Schema
@@ -45,7 +45,7 @@ class Logged:
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A record with the topic it came under, when it came (host clock), and the device's clock."""
+    """A record with its topic, time of arrival (host clock), and the model of the device clock."""
 
     topic: str
     record: Record
@@ -55,17 +55,16 @@ class Received:
 
 @dataclass
 class Ending:
-    """How a log was read.
+    """Completeness of a log, as found while reading.
 
     Parameters
     ----------
     fault
-        Why it is not whole; None: it was finished and every chunk of it is, or nothing was met so
-        far.
+        First fault; None: none so far.
     lost_bytes
-        Of the file, in chunks and messages that are broken or cut off; the rest is read.
+        In broken or truncated chunks and messages; the rest is read.
     lost_messages
-        In those, as far as the index behind each broken chunk tells.
+        In those, as far as the index behind each broken chunk contains their number.
     """
 
     fault: str | None = None
@@ -74,37 +73,36 @@ class Ending:
 
     @property
     def lost(self) -> str:
-        """What cannot be read, in words; empty: nothing is lost."""
+        """Amount of lost data, in words; empty where nothing is lost."""
         if not self.lost_bytes:
             return ""
         return f"lost: {self.lost_bytes} bytes, {self.lost_messages or 'unknown'} messages"
 
     def advice(self, path: str | Path) -> str:
-        """Why the log at a path is not whole, and what finishes it."""
+        """Fault of the log at a path, and the command that recovers it."""
         if self.lost:
             return f"damaged: {self.fault}; {self.lost}; `ugv recover {path}` keeps the rest"
         return f"not finished: {self.fault}; `ugv recover {path}` finishes it"
 
 
-def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Logged]:
+def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[LoggedMessage]:
     """Messages in the order of writing; ``ending`` is filled in.
 
-    A chunk that is broken is passed over, what stands behind it is read; a file that was cut short
-    is read to where it ends.
+    A broken chunk is skipped; a truncated file is read to its end.
 
-    Raises FileNotFoundError; InputError for a file that is no MCAP, or of which nothing is read
-    because a chunk is too large or packed in a way that is not known.
+    Raises FileNotFoundError; InputError for a file that is not MCAP, or of which nothing can be
+    read because a chunk is too large or of an unknown compression.
     """
     path, ending = Path(path), ending or Ending()
     with path.open("rb") as file:
         if not _MAGIC.startswith(file.read(len(_MAGIC))):
             raise InputError(f"{path}: no MCAP file")
-        walk, n = _Walk(file, path.stat().st_size, ending), 0
-        for found in walk.messages():
+        reader, n = _LogReader(file, path.stat().st_size, ending), 0
+        for message in reader.messages():
             n += 1
-            yield found
-        if walk.refused and not n:
-            raise InputError(f"{path}: {walk.refused}")
+            yield message
+        if reader.refused and not n:
+            raise InputError(f"{path}: {reader.refused}")
 
 
 class _Definitions:
@@ -115,35 +113,37 @@ class _Definitions:
         self._channels: dict[int, Channel] = {}
 
     def take(self, records: Iterable[object]) -> None:
-        """Keep those among records."""
-        for found in records:
-            if isinstance(found, Schema):
-                self._schemas[found.id] = found
-            elif isinstance(found, Channel):
-                self._channels[found.id] = found
+        """Add the schemas and channels among records."""
+        for record in records:
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._channels[record.id] = record
 
     def of(self, message: Message) -> tuple[str, Schema] | None:
-        """Topic and schema of a message, None where they are not known."""
+        """Topic and schema of a message, None where unknown."""
         channel = self._channels.get(message.channel_id)
         schema = self._schemas.get(channel.schema_id) if channel else None
         return (channel.topic, schema) if channel and schema else None
 
 
-class _Walk:
-    """Through the records of a file, from one to the next by their lengths."""
+class _LogReader:
+    """Iterates over the records of a file by their lengths."""
 
     def __init__(self, file: IO[bytes], size: int, ending: Ending) -> None:
         self._file, self._size, self._ending = file, size, ending
         self._known = _Definitions()
         self._searched = False
-        self._doubtful = _Definitions()
+        self._from_broken_chunks = _Definitions()
         self._end = "it ends before its footer"
         self.refused: str | None = None
 
-    def messages(self) -> Iterator[Logged]:
+    def messages(self) -> Iterator[LoggedMessage]:
         """Every message that can be read."""
         finished = False
-        given: int | None = None  # messages of the broken chunk just passed; None: none is broken
+        n_before: int | None = (
+            None  # messages of the broken chunk just passed; None: none is broken
+        )
         for kind, at, length in self._heads():
             whole = at + length <= self._size
             if kind == Opcode.FOOTER and whole:
@@ -155,41 +155,41 @@ class _Walk:
                     self._ending.lost_bytes += self._size - at
                 break
             if kind == Opcode.MESSAGE_INDEX:
-                if given is not None:
+                if n_before is not None:
                     indexed = self._indexed(at, length)
-                    self._ending.lost_messages += max(indexed - given, 0)
-                    given = max(given - indexed, 0)
+                    self._ending.lost_messages += max(indexed - n_before, 0)
+                    n_before = max(n_before - indexed, 0)
                 continue
-            given = None
-            if kind == Opcode.DATA_END and not self._sums_up(at, length):
+            n_before = None
+            if kind == Opcode.DATA_END and not self._crc_matches(at, length):
                 self._note("the CRC-32 of the data is another")
             if kind not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
                 continue
-            here = 0
+            n_here = 0
             try:
-                for found in self._in_record(kind, self._body(at, length)):
-                    here += 1
-                    yield found
+                for message in self._in_record(kind, self._body(at, length)):
+                    n_here += 1
+                    yield message
             except Exception as error:
-                if not _of_the_data(error):
+                if not _is_data_error(error):
                     raise
                 if isinstance(error, RefusedError):
                     self.refused = str(error)
-                self._note(_in_words(error))
+                self._note(_describe(error))
                 self._ending.lost_bytes += length
-                given = here
+                n_before = n_here
                 if kind == Opcode.CHUNK and not isinstance(error, RefusedError):
-                    self._doubtful.take(unchecked(self._body(at, length)))
+                    self._from_broken_chunks.take(records_of_broken_chunk(self._body(at, length)))
         if not finished:
             before = f"{self._ending.fault}; " if self._ending.fault else ""
             self._ending.fault = before + self._end
 
     def _note(self, fault: str) -> None:
-        """Of several faults the first is told."""
+        """Store the first of several faults."""
         self._ending.fault = self._ending.fault or fault
 
     def _heads(self, at: int = len(_MAGIC)) -> Iterator[tuple[int, int, int]]:
-        """Kind of each record, where its content begins, and how long it says that is."""
+        """Kind of each record, offset and stated length of its content."""
         while at < self._size:
             self._file.seek(at)
             head = self._file.read(9)
@@ -206,57 +206,61 @@ class _Walk:
         self._file.seek(at)
         return self._file.read(length)
 
-    def _in_record(self, kind: int, body: bytes) -> Iterator[Logged]:
+    def _in_record(self, kind: int, body: bytes) -> Iterator[LoggedMessage]:
         stream = ReadDataStream(BytesIO(body))
         within = (
-            in_chunk(Chunk.read(stream))
+            records_of_chunk(Chunk.read(stream))
             if kind == Opcode.CHUNK
             else (one_record(kind, stream, len(body)),)
         )
-        for found in within:
-            self._known.take([found])
-            if isinstance(found, Message) and (logged := self._logged(found)):
+        for record in within:
+            self._known.take([record])
+            if isinstance(record, Message) and (logged := self._logged(record)):
                 yield logged
 
-    def _logged(self, found: Message) -> Logged | None:
-        """A message with its topic and schema; None, and it is lost, where nothing tells them."""
-        if not self._known.of(found) and not self._searched:
+    def _logged(self, message: Message) -> LoggedMessage | None:
+        """A message with its topic and schema; None, and counted as lost, where unknown."""
+        if not self._known.of(message) and not self._searched:
             self._searched = True
             self._search()
-        told = self._known.of(found) or self._by_content(found) or self._doubtful.of(found)
-        if told:
-            return Logged(*told, found)
-        number = found.channel_id
+        definition = (
+            self._known.of(message)
+            or self._by_content(message)
+            or self._from_broken_chunks.of(message)
+        )
+        if definition:
+            return LoggedMessage(*definition, message)
+        number = message.channel_id
         self._note(f"a message refers to channel {number}, whose definition is lost or none")
-        self._ending.lost_bytes += len(found.data)
+        self._ending.lost_bytes += len(message.data)
         self._ending.lost_messages += 1
         return None
 
     def _search(self) -> None:
-        """Take definitions from the summary: the chunk that held them is broken."""
+        """Read definitions from the summary, since the chunk that had them is broken."""
         for kind, at, length in self._heads():
             if kind in (Opcode.SCHEMA, Opcode.CHANNEL) and at + length <= self._size:
                 for _ in self._in_record(kind, self._body(at, length)):
                     pass
 
-    def _by_content(self, found: Message) -> tuple[str, Schema] | None:
-        """Topic and schema of a record, which says itself what it is; the topic by the number of
-        its channel, unless what is left of a broken chunk names it.
+    def _by_content(self, message: Message) -> tuple[str, Schema] | None:
+        """Topic and schema of a record from its content; the topic is named after the number of its
+        channel, unless a broken chunk contains it.
         """
         for kind in KINDS:
             try:
-                kind.unpack(found.data)
+                kind.unpack(message.data)
             except (TypeError, ValueError, OverflowError):
                 continue
-            topic = f"/channel{found.channel_id}/record"
+            topic = f"/channel{message.channel_id}/record"
             text = kind.definition.text.encode()
-            told = self._doubtful.of(found)
+            definition = self._from_broken_chunks.of(message)
             schema = Schema(0, text, "ros2msg", kind.definition.name)
-            return told[0] if told else topic, schema
+            return definition[0] if definition else topic, schema
         return None
 
-    def _sums_up(self, at: int, length: int) -> bool:
-        """Whether everything before this end of the data has the CRC-32 in it; 0 there: none."""
+    def _crc_matches(self, at: int, length: int) -> bool:
+        """Whether the data have the CRC-32 of this end-of-data record; 0 stands for none."""
         expected = int.from_bytes(self._body(at, length)[:4], "little")
         if not expected:
             return True
@@ -267,7 +271,7 @@ class _Walk:
         return crc == expected
 
     def _indexed(self, at: int, length: int) -> int:
-        """Messages that an index says are in its chunk."""
+        """Number of messages in an index of a chunk."""
         try:
             return len(MessageIndex.read(ReadDataStream(BytesIO(self._body(at, length)))).records)
         except (EndOfFile, struct.error):
@@ -277,52 +281,51 @@ class _Walk:
 _WITHOUT_MESSAGES = set(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
 
 
-def _of_the_data(error: Exception) -> bool:
-    """Whether an error is of spoilt data (zstandard has classes of its own, lz4 RuntimeError)."""
+def _is_data_error(error: Exception) -> bool:
+    """Whether an error is due to damaged data (zstandard has its own classes, lz4 RuntimeError)."""
     known = (McapError, EOFError, OSError, RuntimeError, ValueError, struct.error)
     return isinstance(error, known) or type(error).__module__.split(".")[0] == "zstandard"
 
 
-def _in_words(error: Exception) -> str:
+def _describe(error: Exception) -> str:
     if isinstance(error, (EOFError, EndOfFile, struct.error)):
         return "a record ends too early"
     return str(error) or type(error).__name__
 
 
-def unpacked(path: str | Path, found: Logged) -> Received | None:
+def unpack_record(path: str | Path, logged: LoggedMessage) -> Received | None:
     """Record in a message of a log, None for a message of another kind.
 
     Raises InputError for a broken one, naming the file.
     """
-    kind = BY_NAME.get(found.schema.name)
+    kind = BY_NAME.get(logged.schema.name)
     if kind is None:
         return None
     try:
-        record, clock = kind.unpack(found.message.data)
+        record, clock = kind.unpack(logged.message.data)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: {found.topic}: {error}") from error
-    return Received(found.topic, record, found.message.log_time, clock)
+        raise InputError(f"{path}: {logged.topic}: {error}") from error
+    return Received(logged.topic, record, logged.message.log_time, clock)
 
 
 def read_records(path: str | Path, ending: Ending | None = None) -> Iterator[Received]:
-    """Records in a log, bit for bit as they went in.
+    """Records of a log, bit for bit as written.
 
-    A log that was not finished, or is damaged, gives what of it is whole. Then ``ending`` says
-    so; without it a warning is logged. Raises as `read_messages`, and InputError for a broken
-    message.
+    An unfinished or damaged log gives its intact records. Then ``ending`` has the fault; without it
+    a warning is logged. Raises as `read_messages`, and InputError for a broken message.
     """
     tell, ending = ending is None, ending or Ending()
-    for found in read_messages(path, ending):
-        if received := unpacked(path, found):
+    for message in read_messages(path, ending):
+        if received := unpack_record(path, message):
             yield received
     if tell and ending.fault:
         _log.warning("%s: %s", path, ending.advice(path))
 
 
 @dataclass(frozen=True)
-class Recovered:
-    """What `recover` did: messages kept, how the log was found, and where the damaged original
-    was put (None: it stayed where it was, or nothing of it was thrown away).
+class RecoveryResult:
+    """Result of `recover`: number of messages, state of the log before, and new path of the damaged
+    original (None: not moved, or nothing was lost).
     """
 
     kept: int
@@ -330,15 +333,14 @@ class Recovered:
     original: Path | None = None
 
 
-def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
-    """Finish a log that was cut short or damaged: all its whole messages, with index and footer.
+def recover(path: str | Path, out: str | Path | None = None) -> RecoveryResult:
+    """Recover a truncated or damaged log: all its intact messages, with index and footer.
 
-    Written beside it and put in its place (or that of ``out``) at the very end. Where anything is
-    thrown away, the file as it was stays beside it, as NAME-damaged. A log with which nothing was
-    wrong stays as it is.
+    The new file replaces the log (or ``out``) at the end. Where data are lost, the original file is
+    kept beside it as NAME-damaged. A log without faults is not changed.
 
-    Raises as `read_messages`, and InputError where not one message can be read; then too the file
-    stays as it is.
+    Raises as `read_messages`, and InputError where no message can be read; the file is not changed
+    then.
     """
     path, ending = Path(path), Ending()
     target = Path(out) if out else path
@@ -353,33 +355,33 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
             os.rename(path, original)
         if ending.fault is not None or out:
             os.replace(partial, target)
-    return Recovered(kept, ending, original)
+    return RecoveryResult(kept, ending, original)
 
 
 def _beside(path: Path) -> Path:
-    """A name for the damaged original that no file has."""
+    """A free path for the damaged original."""
     names = (f"{path.stem}-damaged{n or ''}{path.suffix}" for n in itertools.count())
     return next(free for name in names if not (free := path.with_name(name)).exists())
 
 
-def _copy(messages: Iterator[Logged], file: IO[bytes]) -> int:
-    """Write messages as a whole log; how many they were."""
+def _copy(messages: Iterator[LoggedMessage], file: IO[bytes]) -> int:
+    """Write messages as a complete log; returns their number."""
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
     n = 0
     writer = Writer(file, 1 << 20, CompressionType.ZSTD)
     writer.start(profile="ros2", library="ugv recover")
-    for found in messages:
+    for logged in messages:
         n += 1
-        schema, message = found.schema, found.message
+        schema, message = logged.schema, logged.message
         if schema.name not in schemas:
             schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
-        if found.topic not in channels:
-            channels[found.topic] = writer.register_channel(
-                found.topic, "cdr", schemas[schema.name]
+        if logged.topic not in channels:
+            channels[logged.topic] = writer.register_channel(
+                logged.topic, "cdr", schemas[schema.name]
             )
         writer.add_message(
-            channels[found.topic],
+            channels[logged.topic],
             message.log_time,
             message.data,
             message.publish_time,

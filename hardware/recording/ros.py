@@ -1,4 +1,4 @@
-"""Messages of ROS 2 that every tool knows: images, clouds of points, transforms."""
+"""Standard messages of ROS 2: images, point clouds, transforms."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ _FLOAT32 = 7
 
 
 def put_header(writer: Writer, stamp_ns: int, frame: str) -> None:
-    """The field ``header``. Times before 1970 or after 2038 stand at the limit."""
+    """The field ``header``. Times before 1970 or after 2038 are clipped."""
     seconds, rest = divmod(min(max(stamp_ns, 0), (2**31 - 1) * 10**9), 10**9)
     writer.number("int32", seconds)
     writer.number("uint32", rest)

@@ -19,7 +19,7 @@ with atheris.instrument_imports(include=["hardware.drivers"]):
 
 import hardware
 from hardware import PatternSet
-from hardware.drivers.framing import MAX_ENCODED, MAX_PAYLOAD, Deframer, Frame
+from hardware.drivers.framing import MAX_ENCODED, MAX_PAYLOAD, Deframer, ProtocolFrame
 from hardware.drivers.messages import (
     UPLOADED,
     Arm,
@@ -53,12 +53,12 @@ def on_the_line(data: bytes) -> bytes:
     if how == 3:  # longer than any frame
         return b"\x55" * (40 * rest[0]) + rest[1:] if rest else b""
     if how == 1:
-        return framing.encode(Frame(rest[0], 0, rest[1:][:MAX_PAYLOAD])) if rest else b""
+        return framing.encode(ProtocolFrame(rest[0], 0, rest[1:][:MAX_PAYLOAD])) if rest else b""
     # A series: a byte for the type, one for the length of the payload, the payload.
     line, at = b"", 0
     while at + 2 <= len(rest):
         kind, size = _TYPES[rest[at] % len(_TYPES)], rest[at + 1]
-        line += framing.encode(Frame(kind, 0, rest[at + 2 : at + 2 + size]))
+        line += framing.encode(ProtocolFrame(kind, 0, rest[at + 2 : at + 2 + size]))
         at += 2 + size
     return line
 
@@ -84,7 +84,7 @@ def write_seeds(folder: Path) -> None:
         (folder / f"seed-{number}").write_bytes(seed)
 
 
-def taken(line: bytes, step: int) -> tuple[list[Frame], int]:
+def taken(line: bytes, step: int) -> tuple[list[ProtocolFrame], int]:
     """Frames of a line that comes in portions, and what was rejected."""
     deframer, found = Deframer(), []
     for at in range(0, len(line), step):

@@ -15,9 +15,9 @@ from ugv_command import SETTINGS, ugv
 import hardware
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.calibration import (
+    CalibrationTarget,
     CameraCalibration,
     RadarCalibration,
-    Target,
     read_calibration,
     write_calibration,
 )
@@ -258,7 +258,7 @@ def test_reflectance_comes_out_of_any_light_and_any_dark(tmp_path: Path) -> None
     light, dark = rng.uniform(2000, 9000, 64), rng.uniform(0, 300, 64)
     albedo = rng.uniform(0.05, 0.9, 64)
     seen = [record(dark), record(dark + 0.5 * light), record(dark + albedo * light / 4)]
-    made = CameraCalibration.of(seen[0], seen[1], Target(distance_m=3.0, size=0.5))
+    made = CameraCalibration.of(seen[0], seen[1], CalibrationTarget(distance_m=3.0, size=0.5))
     write_calibration(made, tmp_path / "camera.h5")
     loaded = read_calibration(tmp_path / "camera.h5", max_age_s=60)
     assert isinstance(loaded, CameraCalibration)
@@ -268,7 +268,7 @@ def test_reflectance_comes_out_of_any_light_and_any_dark(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="device: calibrated 'camera', measured 'other'"):
         loaded.reflectance(image, record(dark, "other"), 6.0)
     with pytest.raises(ValueError, match="no brighter"):
-        CameraCalibration.of(seen[1], seen[0], Target(3.0, 0.5))
+        CameraCalibration.of(seen[1], seen[0], CalibrationTarget(3.0, 0.5))
 
 
 def test_radar_range_and_cross_section(tmp_path: Path) -> None:
@@ -277,7 +277,9 @@ def test_radar_range_and_cross_section(tmp_path: Path) -> None:
 
     constant, offset = 3e-12, 0.12
     heard = [echo(2.0, 1e-9), echo(10 + offset, constant * 5 / 10**4), echo(30, 1e-16)]
-    write_calibration(RadarCalibration.of("radar", heard, Target(10.0, 5.0)), tmp_path / "r.h5")
+    write_calibration(
+        RadarCalibration.of("radar", heard, CalibrationTarget(10.0, 5.0)), tmp_path / "r.h5"
+    )
     made = read_calibration(tmp_path / "r.h5")
     assert isinstance(made, RadarCalibration)
     other = echo(25 + offset, constant * 0.7 / 25**4)
@@ -291,17 +293,19 @@ def test_radar_range_and_cross_section(tmp_path: Path) -> None:
     moving = replace(other, range_rate_m_per_s=12.0, power_w=other.power_w * kept**2)
     assert made.corrected(moving, WIDE).rcs_m2 == pytest.approx(0.7)
     with pytest.raises(ValueError, match="none within 1 m of the target at 20 m"):
-        RadarCalibration.of("radar", heard, Target(20.0, 5.0))
+        RadarCalibration.of("radar", heard, CalibrationTarget(20.0, 5.0))
 
 
 def test_an_old_calibration_is_refused(tmp_path: Path) -> None:
-    made = CameraCalibration.of(record(np.zeros(64)), record(np.full(64, 1e3)), Target(1.0, 1.0))
+    made = CameraCalibration.of(
+        record(np.zeros(64)), record(np.full(64, 1e3)), CalibrationTarget(1.0, 1.0)
+    )
     old = replace(made, made_ns=time.time_ns() - 40 * 86400 * 10**9)
     write_calibration(old, tmp_path / "old.h5")
     with pytest.raises(ValueError, match=r"old\.h5: 40 days old, at most 30 are allowed"):
         read_calibration(tmp_path / "old.h5", max_age_s=30 * 86400)
     with pytest.raises(ValueError, match=r"distance_m: 0\.0"):
-        Target(0.0, 1.0)
+        CalibrationTarget(0.0, 1.0)
     (tmp_path / "none.h5").write_bytes(b"none")
     with pytest.raises(ValueError, match=r"none\.h5"):
         read_calibration(tmp_path / "none.h5")

@@ -16,7 +16,7 @@ from hardware import PatternSet
 from hardware.drivers import framing, messages
 from hardware.drivers.assembly import Assembly, ExposureSet
 from hardware.drivers.clock import ClockFilter
-from hardware.drivers.framing import MAX_ENCODED, MAX_PAYLOAD, Deframer, Frame
+from hardware.drivers.framing import MAX_ENCODED, MAX_PAYLOAD, Deframer, ProtocolFrame
 from hardware.drivers.messages import Configured, Measurement, from_frame, to_frame
 from hardware.drivers.preparation import _possible
 from hardware.drivers.table import table_bytes
@@ -69,7 +69,7 @@ def test_second_implementation_agrees_on_any_bytes(firmware) -> None:  # type: i
     payloads = [rng.integers(low, high, n, np.uint8).tobytes()
                 for n in sizes for low, high in ((0, 1), (0, 2), (0, 256), (1, 256))]  # fmt: skip
     bodies = [(b"\x42\x07" + payload).hex() for payload in payloads]
-    wires = [framing.encode(Frame(0x42, 7, payload)).hex() for payload in payloads]
+    wires = [framing.encode(ProtocolFrame(0x42, 7, payload)).hex() for payload in payloads]
     assert firmware.translate("encode", bodies) == wires
     assert firmware.translate("decode", wires) == bodies
     broken = [wire[:-4] + "00" for wire in wires]
@@ -89,7 +89,7 @@ def test_checksum_is_the_one_of_the_standard() -> None:
 def test_any_frame_comes_back_however_it_is_split(
     kind: int, tag: int, payload: bytes, cut: int
 ) -> None:
-    frame = Frame(kind, tag, payload)
+    frame = ProtocolFrame(kind, tag, payload)
     wire = framing.encode(frame)
     assert len(wire) <= MAX_ENCODED + 1
     assert wire.count(0) == 1
@@ -116,7 +116,7 @@ def test_any_bytes_are_survived_in_bounded_memory(portions: list[bytes]) -> None
 def test_any_payload_is_a_message_or_a_value_error(kind: int, payload: bytes) -> None:
     """What is accepted says in its own bytes what it was: nothing is guessed or left out."""
     try:
-        message = from_frame(Frame(kind, 0, payload))
+        message = from_frame(ProtocolFrame(kind, 0, payload))
     except ValueError:
         return
     if isinstance(message, Measurement):

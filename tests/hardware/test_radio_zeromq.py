@@ -17,7 +17,7 @@ from hardware.drivers.radio import (
     acquire,
     open_radio,
 )
-from hardware.drivers.radio.stream import StreamRadio, requested
+from hardware.drivers.radio.stream import StreamRadio, parse_request
 from hardware.drivers.radio.zeromq import ZeroMqRadio
 from hardware.radar import OfdmWaveform
 from hardware.records import RadarFrontEnd
@@ -326,9 +326,14 @@ def test_plain_virtual_radio(style: str) -> None:
 
 
 def test_requests() -> None:
-    assert requested(struct.pack("<i", 100)) == 100
-    assert requested(struct.pack("<i", -1)) == 0
-    assert requested(b"\xff") == requested(b"") == requested(struct.pack("<i", 2**30)) == 65536
+    assert parse_request(struct.pack("<i", 100)) == 100
+    assert parse_request(struct.pack("<i", -1)) == 0
+    assert (
+        parse_request(b"\xff")
+        == parse_request(b"")
+        == parse_request(struct.pack("<i", 2**30))
+        == 65536
+    )
 
 
 def test_plain_virtual_radio_that_is_silent() -> None:

@@ -21,7 +21,7 @@ from virtual_camera import PATIENCE, QUICK, SEED, SETTINGS, direct, served
 
 from hardware import PatternSet, own_patterns
 from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSettings
-from hardware.drivers.framing import Deframer, Frame, encode
+from hardware.drivers.framing import Deframer, ProtocolFrame, encode
 from hardware.drivers.messages import (
     Configure,
     Refusal,
@@ -177,7 +177,7 @@ def talk(world):
         send=lambda data: sent.extend(data) is None,
     )
 
-    def ask(frame: Frame):
+    def ask(frame: ProtocolFrame):
         sent.clear()
         camera.receive(encode(frame))
         (answer,) = Deframer().feed(bytes(sent))
@@ -192,21 +192,21 @@ def test_requests_out_of_place(world) -> None:
     ask = talk(world)
     configure = Configure(16, 16, 4, 1, 0, 0, 0, 80e-6, 100e-6)
     for request, code in (
-        (Frame(0x7F, 3, b""), Refusal.UNKNOWN),
-        (Frame(0x02, 3, b"short"), Refusal.MALFORMED),
-        (Frame(0x01, 3, b"x"), Refusal.MALFORMED),
+        (ProtocolFrame(0x7F, 3, b""), Refusal.UNKNOWN),
+        (ProtocolFrame(0x02, 3, b"short"), Refusal.MALFORMED),
+        (ProtocolFrame(0x01, 3, b"x"), Refusal.MALFORMED),
         (to_frame(Upload(0, b"x"), 3), Refusal.STATE),
-        (Frame(0x04, 3, bytes(4)), Refusal.STATE),
+        (ProtocolFrame(0x04, 3, bytes(4)), Refusal.STATE),
         (to_frame(Start(1, 1), 3), Refusal.STATE),
-        (Frame(0x81, 3, bytes(64)), Refusal.UNKNOWN),
+        (ProtocolFrame(0x81, 3, bytes(64)), Refusal.UNKNOWN),
     ):
         answer = ask(request)
         assert isinstance(answer, Refused)
         assert answer.code == code
     made = ask(to_frame(configure, 4))
-    assert ask(Frame(0x04, 5, bytes(4))).code == Refusal.TABLE
+    assert ask(ProtocolFrame(0x04, 5, bytes(4))).code == Refusal.TABLE
     for _ in range(2):
-        status = ask(Frame(0x04, 5, made.table_crc.to_bytes(4, "little")))
+        status = ask(ProtocolFrame(0x04, 5, made.table_crc.to_bytes(4, "little")))
         assert isinstance(status, Status)
     started = ask(to_frame(Start(7, 1), 6))
     assert (started.run, started.state, started.booted) == (7, 3, 0)
@@ -221,9 +221,9 @@ def test_bytes_from_anyone(world) -> None:
     @given(data=st.binary(max_size=300), typed=st.integers(0, 255))
     @settings(max_examples=500, deadline=None)
     def send(data: bytes, typed: int) -> None:
-        ask(Frame(typed, 9, data))
+        ask(ProtocolFrame(typed, 9, data))
         ask.camera.receive(data + b"\0")
-        assert isinstance(ask(Frame(0x07, 2, b"")), Status)
+        assert isinstance(ask(ProtocolFrame(0x07, 2, b"")), Status)
 
     send()
 

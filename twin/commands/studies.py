@@ -90,7 +90,7 @@ def trade(
         typer.Option(help="Folder; default runs/trade-SCENE-SYSTEM and what is not the default."),
     ] = None,
 ) -> None:
-    """Measure time, memory and error of every rung on a scene, and say which one to take."""
+    """Measure time, memory and error of every fidelity level on a scene, and choose one."""
     from rich.console import Console
 
     from twin.trade import run_trade

@@ -126,11 +126,11 @@ def own_weather(weather: Weather) -> OwnWeather | None:
 
 
 def _own_air(own: OwnWeather, wavelength_m: float) -> Air:
-    found = own.air(wavelength_m)
-    if isinstance(found, Air):
-        return found
+    air = own.air(wavelength_m)
+    if isinstance(air, Air):
+        return air
     raise InputError(
-        f"weather.function: {type(own).__name__}.air gave a {type(found).__name__}, expected a "
+        f"weather.function: {type(own).__name__}.air gave a {type(air).__name__}, expected a "
         "twin.Air"
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import ValidationError
 
-from hardware.drivers.framing import Deframer, Frame, encode
+from hardware.drivers.framing import Deframer, ProtocolFrame, encode
 from hardware.drivers.messages import (
     MODE_CODES,
     ORDER_CODES,
@@ -180,7 +180,7 @@ class VirtualCamera:
     def _send_message(self, message: Message, tag: int = 0) -> bool:
         return self.send(encode(to_frame(message, tag)))
 
-    def _answer(self, frame: Frame) -> Message:
+    def _answer(self, frame: ProtocolFrame) -> Message:
         received_ns = self.clock.now_ns()
         try:
             match from_frame(frame):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.drivers.radio.interface import Radio, RadioError, Reception
-from hardware.drivers.radio.stream import request, requested
+from hardware.drivers.radio.stream import parse_request, request
 from hardware.drivers.radio.zeromq import MOST_JSON, PROTOCOL_VERSION, to_samples
 from hardware.errors import InputError as VehicleInputError
 from twin.files import InputError
@@ -94,7 +94,7 @@ class RadioServer:
                     self._serve(self._commands.recv_multipart())
                 if self._received in ready:
                     *way, asked = self._received.recv_multipart()
-                    self._readers.append((way, requested(asked)))
+                    self._readers.append((way, parse_request(asked)))
                 if self._transmit in ready:
                     self._queue_samples(self._transmit.recv_multipart()[-1])
                 self._answer_readers()

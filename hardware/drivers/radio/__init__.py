@@ -1,4 +1,4 @@
-"""The radar's radio: one narrow interface, over UHD or ZeroMQ, and the schedule that uses it."""
+"""The radar's radio: a common interface over UHD or ZeroMQ, and the stepped-carrier schedule."""
 
 from hardware.drivers.radio.calibration import Calibration, calibrate
 from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned

@@ -1,4 +1,4 @@
-"""What a radio's answer holds: every field is checked, none is bent into shape."""
+"""Checked access to the fields of a radio's answer."""
 
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from hardware.drivers.radio.interface import Fault, RadioError
 
-#: Of a device clock: 146 years, half of what an int64 holds, so that a schedule fits behind it.
+#: Largest time of a device clock: 146 years, half the range of int64, which leaves room for a
+#: schedule.
 MOST_NS = 2**62
 
 _MOST_TEXT = 200
@@ -53,14 +54,14 @@ class Answer:
 
     def faults(self) -> Fault:
         """The field ``faults``: a list of names."""
-        value, found = self.fields.get("faults"), Fault(0)
+        value, faults = self.fields.get("faults"), Fault(0)
         if not isinstance(value, list):
             self._refuse("faults", f"a list of {', '.join(_FAULTS)}")
         for name in value:
             if not isinstance(name, str) or name not in _FAULTS:
                 self._refuse("faults", f"a list of {', '.join(_FAULTS)}")
-            found |= _FAULTS[name]
-        return found
+            faults |= _FAULTS[name]
+        return faults
 
     def there(self, n_samples: int) -> NDArray[np.bool_]:
         """Which samples are not in one of the ``gaps``, a list of ``[first, stop]``."""
@@ -86,7 +87,7 @@ class Answer:
 
 
 def _short(value: Any) -> str:
-    """A value as it may stand in a line: a number of a million digits, or a deep list, may not."""
+    """A value shortened for an error message."""
     if isinstance(value, int) and value.bit_length() > 128:
         return f"a number of {value.bit_length()} bits"
     try:

@@ -1,4 +1,4 @@
-"""The calibration burst: over a cable of known loss and delay, what a count means at the port."""
+"""Calibration over a cable of known loss and delay: power at the port per count."""
 
 from dataclasses import dataclass, replace
 
@@ -14,11 +14,11 @@ from hardware.records.state import RadarFrontEnd
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """One calibrated front end, and how alike the carriers are.
+    """A calibrated front end, and the differences between its carriers.
 
-    ``gain_db`` (n_steps,) is each step's gain relative to their mean, ``delay_s`` that of the
-    radio itself (the cable's is taken off), ``coherence`` (n_steps,) the share of the power that
-    one delay and one gain explain: noise, reflections and interference lower it below 1.
+    ``gain_db`` (n_steps,): gain of each step relative to their mean. ``delay_s``: of the radio
+    itself, without the cable. ``coherence`` (n_steps,): share of the power that one delay and one
+    gain explain; noise, reflections and interference reduce it below 1.
     """
 
     front_end: RadarFrontEnd
@@ -40,9 +40,9 @@ def calibrate(
     Parameters
     ----------
     radio, schedule
-        As `acquire` takes them.
+        As in `acquire`.
     front_end
-        Its ``transmit_power_w`` (from a power meter) is believed; ``root_watt_per_count`` is not.
+        Its ``transmit_power_w`` (from a power meter) is used; ``root_watt_per_count`` is replaced.
     attenuation_db, delay_s
         Of cable and attenuator, port to port.
 
@@ -59,21 +59,21 @@ def calibrate(
     if not power.min() > 0:
         raise RadioError(f"{radio.device}: nothing came through the cable")
     f = record.waveform.frequency_offsets_hz
-    found = _delay(response, record.waveform.subcarrier_spacing_hz)
-    gain = (response * np.exp(2j * np.pi * f * found)).mean(axis=1)
-    through = np.abs(gain)
+    total_delay_s = _delay(response, record.waveform.subcarrier_spacing_hz)
+    gain = (response * np.exp(2j * np.pi * f * total_delay_s)).mean(axis=1)
+    amplitude = np.abs(gain)
     root_power = np.sqrt(front_end.transmit_power_w * 10 ** (-attenuation_db / 10))
     return Calibration(
         front_end=replace(
-            front_end, root_watt_per_count=float(root_power / np.sqrt(np.mean(through**2)))
+            front_end, root_watt_per_count=float(root_power / np.sqrt(np.mean(amplitude**2)))
         ),
-        delay_s=float(found - delay_s),
-        gain_db=10 * np.log10(through**2 / np.mean(through**2)),
-        coherence=through**2 * response.shape[1] / power,
+        delay_s=float(total_delay_s - delay_s),
+        gain_db=10 * np.log10(amplitude**2 / np.mean(amplitude**2)),
+        coherence=amplitude**2 * response.shape[1] / power,
     )
 
 
 def _delay(response: NDArray[np.complex128], spacing_hz: float) -> float:
-    """Delay that all steps share, from the turn of the phase between neighbouring subcarriers."""
+    """Common delay of all steps, from the phase difference between neighbouring subcarriers."""
     turn = np.sum(response[:, 1:] * response[:, :-1].conj())
     return float(-np.angle(turn) / (2 * np.pi * spacing_hz))

@@ -1,4 +1,4 @@
-"""What the radar needs of a radio: tune, send a burst at a time, hear what comes back."""
+"""Interface of a radio: tune, transmit a burst at a given time, and receive its echoes."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ FULL_SCALE_COUNTS = 32767
 
 
 class Fault(IntFlag):
-    """What may go wrong with one burst."""
+    """Faults of one burst."""
 
     OVERFLOW = 1  # the host fetched samples too slowly: some are lost
     LATE = 2  # the command came after its time: nothing was sent
@@ -26,11 +26,11 @@ class Fault(IntFlag):
 
 
 class RadioError(LinkError):
-    """The radio cannot be found, refuses, or no longer answers. One line, says which radio."""
+    """The radio cannot be found, refuses, or does not answer. One line that names the radio."""
 
 
 class Tuned(NamedTuple):
-    """What a radio is tuned to, and its clock when the oscillator had locked."""
+    """Carrier to which a radio is tuned, and device time at which the oscillator locked."""
 
     carrier_hz: float
     locked_ns: int
@@ -38,12 +38,12 @@ class Tuned(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Reception:
-    """What came back of one burst.
+    """Received samples of one burst.
 
     Parameters
     ----------
     samples : (n_receivers, n_samples) complex64
-        As many as were sent, each at its place; 1 is full scale, lost ones are 0.
+        As many as were sent, aligned with them; 1 is full scale, lost ones are 0.
     there : (n_samples,) bool
         False where a sample was lost.
     start_ns
@@ -59,7 +59,7 @@ class Reception:
 
     @staticmethod
     def nothing(n_receivers: int, n_samples: int, start_ns: int, faults: Fault) -> "Reception":
-        """A burst of which no sample came back."""
+        """A burst without any received sample."""
         samples = np.zeros((n_receivers, n_samples), dtype=np.complex64)
         return Reception(samples, np.zeros(n_samples, dtype=np.bool_), start_ns, faults)
 
@@ -76,9 +76,9 @@ class Radio(ABC):
 
     @abstractmethod
     def tune(self, carrier_hz: float) -> Tuned:
-        """Tune both ways, wait until the oscillator has locked.
+        """Tune transmitter and receivers, and wait until the oscillator has locked.
 
-        The phase after it is another one each time. Raises RadioError.
+        The phase is different after each call. Raises RadioError.
         """
 
     @abstractmethod
@@ -87,15 +87,14 @@ class Radio(ABC):
 
     @abstractmethod
     def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
-        """Send (n_samples,), at most 1 in modulus, from ``start_ns`` on; receive meanwhile.
+        """Transmit (n_samples,), at most 1 in modulus, from ``start_ns`` on, and receive meanwhile.
 
-        What goes wrong on the air stands in the reception. Raises RadioError where the radio no
-        longer answers.
+        Faults of the burst are in the result. Raises RadioError where the radio does not answer.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""Which radio a URL means; what it needs is imported only then."""
+"""Opens the radio of a URL; its libraries are imported only then."""
 
 import threading
 from urllib.parse import urlsplit
@@ -18,11 +18,11 @@ def open_radio(
         ``uhd:ARGS`` with UHD's device arguments, such as ``uhd:type=b200``, or
         ``zmq://HOST:PORT``.
     sample_rate_hz
-        Of a UHD radio; a radio behind ZeroMQ says its own.
+        Of a UHD radio; a radio behind ZeroMQ reports its own.
     over
-        Once it is set, an answer is no longer waited for: RadioError. UHD's own waits are short.
+        Event that ends the wait for an answer, with RadioError. UHD's own waits are short.
 
-    Raises InputError for another URL, RadioError (an OSError) where the radio cannot be had.
+    Raises InputError for another URL, RadioError (an OSError) where the radio is not available.
     """
     expected = f"radio: {url!r}, expected uhd:ARGS or zmq://HOST:PORT"
     if url.startswith("uhd:"):

@@ -1,4 +1,4 @@
-"""Between the waveform and the radio's samples: what is sent, and counts from what comes back.
+"""Samples of the radio: transmit samples of a waveform, and counts of received samples.
 
 A slot is a cyclic prefix, the repeats of one symbol, and silence up to its end.
 """
@@ -13,7 +13,7 @@ from hardware.errors import InputError
 from hardware.records.container import Flag
 from hardware.waveform import OfdmWaveform
 
-_GRID = 1e-6  # of a sample, by which prefix and slot may miss the sampling grid
+_GRID = 1e-6  # of a sample: tolerance of prefix and slot on the sampling grid
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class SlotGrid:
 
     @staticmethod
     def of(waveform: OfdmWaveform) -> "SlotGrid":
-        """Grid of a waveform. Raises InputError where prefix or slot miss the sampling grid."""
+        """Grid of a waveform. Raises InputError where prefix or slot are not on it."""
         prefix, slot = (
             _whole(name, getattr(waveform, name), waveform.bandwidth_hz)
             for name in ("prefix_s", "slot_period_s")
@@ -46,7 +46,7 @@ def symbol(waveform: OfdmWaveform, level: float) -> NDArray[np.complex64]:
     Parameters
     ----------
     waveform
-        Says which symbols its subcarriers carry.
+        Has the symbols of its subcarriers.
     level
         Root mean square, of full scale.
 
@@ -67,10 +67,10 @@ def highest_level(waveform: OfdmWaveform) -> float:
 
 
 def spectrum(symbols: NDArray[np.complex64], level: float) -> NDArray[np.complex128]:
-    """Subcarriers (..., n_subcarriers) of symbols in time: `OfdmWaveform.sent`, as it went out."""
+    """Subcarriers (..., n_subcarriers) of symbols in time, as in `OfdmWaveform.sent`."""
     n = symbols.shape[-1]
-    found = np.fft.fft(symbols.astype(np.complex128), axis=-1) / (level * np.sqrt(n))
-    return np.asarray(np.fft.fftshift(found, axes=-1))
+    subcarriers = np.fft.fft(symbols.astype(np.complex128), axis=-1) / (level * np.sqrt(n))
+    return np.asarray(np.fft.fftshift(subcarriers, axes=-1))
 
 
 def burst(waveform: OfdmWaveform, level: float) -> NDArray[np.complex64]:
@@ -88,8 +88,8 @@ def counts(
 ) -> tuple[NDArray[np.int16], NDArray[np.uint8]]:
     """IQ (n_slots, n_receivers, n_subcarriers, 2) and flags (n_slots,) of one burst.
 
-    The prefix is cut off, the repeats are averaged. A slot of which a sample is missing is zero
-    and flagged as overrun, never joined with the next.
+    The prefix is removed, the repeats are averaged. A slot with a missing sample is zero and
+    flagged as overrun.
     """
     grid = SlotGrid.of(waveform)
     n_receivers = len(reception.samples)
@@ -109,7 +109,7 @@ def counts(
     flags[(rail > FULL_SCALE_COUNTS - 0.5).any(axis=(0, 2))] = Flag.SATURATED
     missing = ~reception.there.reshape(waveform.n_slots, grid.slot)[:, grid.useful]
     if reception.faults and reception.there.all():
-        missing[:] = True  # the radio says that something is wrong, not where
+        missing[:] = True  # a fault without a position
     lost = missing.any(axis=1)
     iq[lost], flags[lost] = 0, Flag.OVERRUN
     return iq, flags

@@ -1,4 +1,4 @@
-"""The stepped-carrier schedule: tune, settle, one burst per step at its time; a record of it."""
+"""The stepped-carrier schedule: tune, settle, one burst per step; acquisition of a record."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ _MOST_OFF_HZ = 1e3  # of the carrier: 0.004 rad of phase at 100 m
 
 @dataclass(frozen=True)
 class Schedule:
-    """When each carrier is sent.
+    """Times of all carrier steps.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Schedule:
     settling_s
         Between the report that the oscillator has locked and the burst.
     lead_s
-        Between the command and the first burst, for the way to the device.
+        Between the command and the first burst, for the latency of the device.
     level
         Root mean square of the samples sent, of full scale.
     """
@@ -65,7 +65,7 @@ class Schedule:
 
     @property
     def sweep_s(self) -> float:
-        """From one burst of a record to the next, every carrier once."""
+        """Duration of one sweep over all carriers."""
         return len(self.carriers_hz) * self.step_period_s
 
     def starts_ns(self, first_ns: int) -> list[int]:
@@ -80,7 +80,7 @@ def carriers(
 ) -> tuple[float, ...]:
     """Carriers ``spacing_hz`` apart around a centre, in the order of time.
 
-    ``shuffled``: range and Doppler do not couple along a sweep as they do on a ramp.
+    ``shuffled``: without the range-Doppler coupling of a ramp.
     """
     if order not in get_args(Order):
         raise InputError(f"order: {order!r} is none of {', '.join(get_args(Order))}")
@@ -105,16 +105,15 @@ def acquire(
     Parameters
     ----------
     radio, schedule, front_end
-        Who sends what when, and what its counts mean; ``transmit_power_w`` belongs to the
-        schedule's ``level``.
+        Radio, schedule and calibration; ``transmit_power_w`` refers to the schedule's ``level``.
     bursts
         Sweeps over all carriers.
     pose
         Of the antenna: one, or one for each burst.
 
-    What is lost stands in the record as zeros under `Flag.OVERRUN`: a sample, a late burst, a
-    burst of which nothing came. Raises RadioError where the radio no longer answers or tunes
-    elsewhere, InputError where schedule, front end and radio do not fit.
+    Lost slots, late bursts and bursts without samples are zeros in the record with `Flag.OVERRUN`.
+    Raises RadioError where the radio does not answer or tunes to another carrier, InputError where
+    schedule, front end and radio do not fit.
     """
     wave = schedule.waveform
     _check(radio, schedule, front_end)
@@ -134,7 +133,7 @@ def acquire(
             starts = starts or schedule.starts_ns(settled + round(1e9 * schedule.lead_s))
             if settled <= starts[step]:
                 heard = radio.burst(sent, starts[step])
-            else:  # sent later, it would break the rhythm of the sweep
+            else:  # sent later, it would not fit the times of the sweep
                 n = radio.n_receivers
                 heard = Reception.nothing(n, len(sent), starts[step], Fault.LATE)
             iq[burst, step], flags[burst, step] = samples.counts(heard, wave)

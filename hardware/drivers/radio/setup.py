@@ -1,4 +1,4 @@
-"""Schedule and front end as a JSON file: what a driver must know that no radio tells."""
+"""Schedule and front end of a radio as a JSON file, which a driver needs."""
 
 import json
 import math
@@ -46,9 +46,9 @@ def read_setup(path: str | Path) -> tuple[Schedule, RadarFrontEnd]:
         raise FileNotFoundError(f"{path}: no such setup")
     content = read_json(path)
     try:
-        found = (content.get("format"), content.get("version"))
-        if found != (FORMAT, VERSION):
-            raise InputError(f"format and version {found}, expected {(FORMAT, VERSION)}")
+        header = (content.get("format"), content.get("version"))
+        if header != (FORMAT, VERSION):
+            raise InputError(f"format and version {header}, expected {(FORMAT, VERSION)}")
         schedule, front_end = content["schedule"], content["front_end"]
         schedule = {k: v if k in _NESTED else _number(k, v) for k, v in schedule.items()}
         schedule["waveform"] = OfdmWaveform(**schedule["waveform"])

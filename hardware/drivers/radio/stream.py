@@ -1,8 +1,8 @@
-"""Plain virtual radios, by the convention of GNU Radio and srsRAN: samples in, samples out.
+"""Plain virtual radios that exchange samples, by the convention of GNU Radio and srsRAN.
 
-Who has samples answers requests for them (REP), who wants samples asks (REQ); an answer is raw
-complex64 without any header. A request is GNU Radio's (a 32-bit integer: at most so many samples)
-or srsRAN's (one byte: whatever there is). Needs the package `pyzmq`.
+The side with samples answers requests (REP), the side that needs samples sends them (REQ); an
+answer is raw complex64 without a header. A request is GNU Radio's (a 32-bit integer: largest number
+of samples) or srsRAN's (one byte: all that are available). Needs the package `pyzmq`.
 """
 
 import struct
@@ -15,7 +15,7 @@ from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception
 from hardware.drivers.radio.zeromq import to_samples
 from hardware.errors import InputError
 
-#: Samples that one answer brings, at most.
+#: Largest number of samples of one answer.
 MOST_SAMPLES = 2**16
 
 _MOST_BYTES = 2**25  # of an answer: srsRAN's radios send what they have, whatever was asked for
@@ -26,7 +26,7 @@ def request(n_samples: int) -> bytes:
     return struct.pack("<i", min(n_samples, MOST_SAMPLES))
 
 
-def requested(message: bytes) -> int:
+def parse_request(message: bytes) -> int:
     """How many samples a request asks for, at most."""
     if len(message) == 4:
         return max(0, min(int(struct.unpack("<i", message)[0]), MOST_SAMPLES))
@@ -34,23 +34,23 @@ def requested(message: bytes) -> int:
 
 
 class StreamRadio(Radio):
-    """A virtual radio that stands at one carrier and has no clock but its samples.
+    """A virtual radio with a fixed carrier, whose only clock is the number of its samples.
 
-    A burst starts when it is its turn, and its reception says when that was.
+    A burst starts with the next sample; its reception has the start time.
 
     Parameters
     ----------
     transmit
-        Where our samples are to be had, such as ``tcp://127.0.0.1:2001``; with ``*`` for a port,
-        any that is free. The attribute ``transmit`` says which.
+        Address of the transmit samples, such as ``tcp://127.0.0.1:2001``; the port ``*`` is any
+        free one, which the attribute ``transmit`` then contains.
     receive
-        Whom we ask for theirs, such as ``tcp://127.0.0.1:2000``.
+        Address of the received samples, such as ``tcp://127.0.0.1:2000``.
     listen
-        Whether we listen at ``transmit``, as is the convention; else the other side does.
+        Whether this side listens at ``transmit``, as is the convention; else the other side does.
     carrier_hz, sample_rate_hz
-        What it is set to.
+        Carrier and sample rate of the radio.
     timeout_s
-        How long it may be silent.
+        Timeout of an answer.
     """
 
     def __init__(
@@ -113,11 +113,11 @@ class StreamRadio(Radio):
             if not ready or time.monotonic() > until:
                 raise RadioError(f"{self.device}: no samples within {self.timeout_s:g} s")
             if self._transmit in ready:
-                n = requested(self._transmit.recv())
+                n = parse_request(self._transmit.recv())
                 self._transmit.send(left[:n].tobytes())
                 left = left[n:]
             if self._receive in ready:
-                part = self._taken(len(heard) - there)
+                part = self._receive_samples(len(heard) - there)
                 heard[there : there + len(part)] = part
                 there += len(part)
                 if len(part):
@@ -129,7 +129,7 @@ class StreamRadio(Radio):
         """See `Radio.close`."""
         self._context.destroy(linger=0)
 
-    def _taken(self, most: int) -> NDArray[np.complex64]:
+    def _receive_samples(self, most: int) -> NDArray[np.complex64]:
         self._asked = False
         try:
             part = to_samples(self._receive.recv())

@@ -1,4 +1,4 @@
-"""Radios of Ettus over UHD, the B200 above all; what could not be tried stands in RADIO.md.
+"""Radios of Ettus over UHD, mainly the B200; RADIO.md lists what has not been tested.
 
 Needs UHD's own Python package `uhd` (Debian's python3-uhd, or the vendor's), imported only here.
 """
@@ -19,7 +19,7 @@ _TICKS_HZ = 1e9
 
 
 class UhdRadio(Radio):
-    """A radio that UHD finds: channel 0 sends, channels 0 to ``n_receivers - 1`` receive.
+    """A UHD radio: channel 0 transmits, channels 0 to ``n_receivers - 1`` receive.
 
     Parameters
     ----------
@@ -30,13 +30,13 @@ class UhdRadio(Radio):
     n_receivers
         Channels that receive.
     transmit_gain_db, receive_gain_db
-        As UHD counts them; calibration belongs to one pair.
+        As defined by UHD; a calibration is valid for one pair.
     transmit_antenna, receive_antenna
         Ports, by UHD's names.
     uhd
         The package, in place of the one installed.
 
-    Raises RadioError without UHD, without such a radio, or where it cannot do the rate.
+    Raises RadioError without UHD, without such a radio, or for an unsupported sample rate.
     """
 
     def __init__(
@@ -79,10 +79,11 @@ class UhdRadio(Radio):
         self._usrp = usrp
 
     def tune(self, carrier_hz: float) -> Tuned:
-        """See `Radio.tune`. The B200 has one oscillator for each way; both are waited for.
+        """See `Radio.tune`. The B200 has separate oscillators of transmitter and receiver; both
+        must lock.
 
-        The front end's oscillator cannot be tuned at a given time (only the digital mixer behind
-        it could, whose reach is the sample rate), so this happens now, and settling is waited for.
+        The front end's oscillator cannot be tuned at a given time (only the digital mixer can,
+        whose range is the sample rate), so it is tuned at once, with a wait for settling.
         """
         usrp, request = self._usrp, self._uhd.types.TuneRequest(carrier_hz)
         try:
@@ -124,7 +125,7 @@ class UhdRadio(Radio):
         return Reception(heard.samples, heard.there, heard.start_ns, heard.faults | sent)
 
     def close(self) -> None:
-        """See `Radio.close`: UHD lets go with the last reference."""
+        """See `Radio.close`: UHD releases the device with the last reference."""
         self._transmit = self._receive = self._usrp = None
 
     def _stream_args(self, channels: list[int]) -> Any:
@@ -133,15 +134,15 @@ class UhdRadio(Radio):
         return args
 
     def _locked(self) -> list[bool]:
-        """Of every channel whose front end can say so."""
+        """Lock state of every channel that reports one."""
         usrp = self._usrp
-        found = []
+        locked = []
         if "lo_locked" in usrp.get_tx_sensor_names(0):
-            found.append(usrp.get_tx_sensor("lo_locked", 0).to_bool())
+            locked.append(usrp.get_tx_sensor("lo_locked", 0).to_bool())
         for channel in range(self.n_receivers):
             if "lo_locked" in usrp.get_rx_sensor_names(channel):
-                found.append(usrp.get_rx_sensor("lo_locked", channel).to_bool())
-        return found
+                locked.append(usrp.get_rx_sensor("lo_locked", channel).to_bool())
+        return locked
 
     def _send(self, samples: NDArray[np.complex64], start: Any) -> None:
         metadata = self._uhd.types.TXMetadata()
@@ -152,7 +153,7 @@ class UhdRadio(Radio):
         self._transmit.send(np.ascontiguousarray(samples[None]), metadata, patience)
 
     def _heard(self, n_samples: int, start_ns: int) -> Reception:
-        """Chunks as they come, each put where its time says."""
+        """Received chunks, each placed by its time stamp."""
         heard = Reception.nothing(self.n_receivers, n_samples, start_ns, Fault(0))
         faults = Fault(0)
         size = self._receive.get_max_num_samps()
@@ -163,7 +164,7 @@ class UhdRadio(Radio):
         while place < n_samples:
             n = self._receive.recv(buffer, metadata, patience)
             faults |= receive_fault(self._uhd, metadata)
-            if not n and not faults:  # whatever it says, nothing came in time
+            if not n and not faults:  # no error, but no samples either
                 faults |= Fault.TIMEOUT
             if metadata.has_time_spec and n:
                 since_ns = to_ns(metadata.time_spec) - start_ns
@@ -179,7 +180,7 @@ class UhdRadio(Radio):
         return Reception(heard.samples, heard.there, start_ns, faults)
 
     def _sent(self) -> Fault:
-        """What the transmitter says of its burst: messages until it acknowledges the end."""
+        """Faults of the transmitted burst, from messages up to the acknowledgement of its end."""
         types, faults = self._uhd.types, Fault(0)
         metadata = types.TXAsyncMetadata()
         while self._transmit.recv_async_msg(metadata, _RECEIVE_S):
@@ -197,7 +198,7 @@ def to_ns(spec: Any) -> int:
 
 
 def receive_fault(uhd: Any, metadata: Any) -> Fault:
-    """What a receiver's metadata mean. Raises RadioError for what no burst survives."""
+    """Fault of a receiver's metadata. Raises RadioError for a fatal one."""
     codes = uhd.types.RXMetadataErrorCode
     code = metadata.error_code
     if code == codes.none:
@@ -213,7 +214,7 @@ def receive_fault(uhd: Any, metadata: Any) -> Fault:
 
 
 def transmit_fault(uhd: Any, metadata: Any) -> Fault:
-    """What a transmitter's message means; none for an acknowledgement."""
+    """Fault of a transmitter's message; none for an acknowledgement."""
     codes = uhd.types.TXMetadataEventCode
     known = {
         codes.underflow: Fault.UNDERFLOW,

@@ -1,7 +1,7 @@
-"""A radio behind ZeroMQ that can be tuned and told the time: commands and samples on one socket.
+"""A tunable radio with a clock behind ZeroMQ: commands and samples on one socket.
 
-A command is a frame of JSON, with the samples to send behind it; so is an answer, with the samples
-received. RADIO.md describes both. Needs the package `pyzmq`.
+A command is a frame of JSON followed by the samples to transmit; an answer is a frame of JSON
+followed by the samples received. RADIO.md describes both. Needs the package `pyzmq`.
 """
 
 import json
@@ -21,16 +21,16 @@ PROTOCOL_VERSION = 2
 #: Bytes of the JSON of one message, at most.
 MOST_JSON = 2**16
 
-_OPEN_S = 5.0  # until somebody answers at all
-_CLOSE_S = 1.0  # for the answer to a farewell, which changes nothing
-_LOOK_S = 0.1  # between looks whether it is over, while waiting
-_MOST_BYTES = 2**30  # of one frame: more is not taken from anybody
+_OPEN_S = 5.0  # timeout of the first answer
+_CLOSE_S = 1.0  # timeout of the answer to the last command
+_LOOK_S = 0.1  # interval at which ``over`` is checked while waiting
+_MOST_BYTES = 2**30  # of one frame
 _MOST_RECEIVERS = 256
 _MOST_PATIENCE_S = 3600.0
 
 
 def to_samples(frame: bytes) -> NDArray[np.complex64]:
-    """Samples of a frame. Raises InputError unless it holds whole, finite ones."""
+    """Samples of a frame. Raises InputError for a partial or non-finite sample."""
     if len(frame) % 8:
         raise InputError(f"{len(frame)} bytes, expected complex samples of 8")
     samples = np.frombuffer(frame, dtype="<c8")
@@ -47,12 +47,12 @@ class ZeroMqRadio(Radio):
     host, port
         Where it listens.
     timeout_s
-        How long it may be silent, beyond the time that a burst is asked to wait and to last; by
-        default what it asks for itself.
+        Timeout of an answer, in addition to the delay and duration of a burst; by default the one
+        that the radio requests.
     over
-        Once it is set, an answer is no longer waited for.
+        Event that ends the wait for an answer.
 
-    Raises RadioError where nobody answers, or another client has it.
+    Raises RadioError where the radio does not answer, or another client has opened it.
     """
 
     def __init__(
@@ -100,14 +100,14 @@ class ZeroMqRadio(Radio):
     def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
         """See `Radio.burst`."""
         n = len(samples)
-        # Patience needs no exact clock: asking for it would take a part of the step's time.
+        # The timeout needs no exact clock, whose request would take a part of the step's time.
         known_ns = self.now_ns() if self._known_ns is None else self._known_ns
         ends_s = (start_ns - known_ns) / 1e9 + n / self.sample_rate_hz
         frame = np.ascontiguousarray(samples, dtype="<c8").tobytes()
         answer, frames = self._command(
             "burst", frame, wait_s=self.timeout_s + max(0.0, ends_s), start_ns=int(start_ns)
         )
-        # What began at another time than asked for is no burst of the schedule.
+        # A burst with another start time does not belong to the schedule.
         started = answer.whole("start_ns", int(start_ns), int(start_ns))
         faults, there = answer.faults(), answer.there(n)
         try:
@@ -133,14 +133,14 @@ class ZeroMqRadio(Radio):
         try:
             self._command("close", wait_s=min(self.timeout_s, _CLOSE_S))
         except OSError:
-            pass  # it lets go by itself of a client that is silent
+            pass  # it drops a silent client by itself
         finally:
             self._context.destroy(linger=0)
 
     def _command(
         self, name: str, *frames: bytes, wait_s: float | None = None, **fields: Any
     ) -> tuple[Answer, list[bytes]]:
-        """Send a command, wait for its answer: the JSON, and the frames behind it."""
+        """Send a command and wait for its answer: the JSON, and the frames behind it."""
         import zmq
 
         self._number += 1
@@ -160,7 +160,7 @@ class ZeroMqRadio(Radio):
             fields = self._parsed(parts[0] if parts else b"")
             number = fields.get("number")
             if isinstance(number, bool) or number != self._number:
-                continue  # of a command that was given up
+                continue  # answer to an earlier command
             answer = Answer(self.device, name, fields)
             if "error" in fields:
                 raise RadioError(f"{self.device}: {answer.text('error')}")

@@ -1,1 +1,1 @@
-"""Reconstruction methods, one file each; every file here is found by itself."""
+"""Reconstruction methods, one file each; all files here are registered automatically."""

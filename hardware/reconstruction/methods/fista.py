@@ -4,9 +4,9 @@
 
 FISTA: Beck and Teboulle, SIAM J. Imaging Sci. 2, 2009. The thresholds t_k fall with the standard
 deviation w_k that coefficient k has under the 1/f^2 prior: t_k = noise variance / (u w_k), u the
-prior's scale as measured, never below a small share of it, so that coefficients which were not
-measured stay small where there is no noise. Warm-started from LMMSE; the last step goes to the
-images that the measurements allow.
+measured scale of the prior, with a lower limit, so that coefficients that were not measured stay
+small without noise. Warm-started from LMMSE; the last step projects onto the images that agree with
+the measurements.
 """
 
 import math
@@ -21,8 +21,8 @@ from hardware.reconstruction.sensing import Sensing
 
 #: Steps; bounds how far the image is from the minimum.
 ITERATIONS = 30
-#: Noise that the thresholds assume at least, as a share of the root-mean-square measurement;
-#: chosen on every other of the test pictures.
+#: Lower limit of the noise in the thresholds, as a share of the root-mean-square measurement; tuned
+#: on every other test image.
 LEAST_NOISE = 0.3
 
 

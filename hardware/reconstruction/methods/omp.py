@@ -1,11 +1,11 @@
 """Orthogonal matching pursuit in a DCT or Haar dictionary (the paper's choice).
 
-Atoms are A d_k w_k with w_k the standard deviation of the coefficient under the 1/f^2 prior. Never
-normalise them to one: low-sequency patterns see almost nothing of fine atoms, which naive
-normalisation would amplify, and the pursuit collapses by 5 dB.
+Atoms are A d_k w_k with w_k the standard deviation of the coefficient under the 1/f^2 prior. They
+are not normalised: low-sequency patterns hardly measure fine atoms, which normalisation would
+amplify, at a loss of 5 dB.
 
-What the chosen atoms leave unexplained beyond the noise, because their number is bounded, goes to
-the nearest image that the measurements allow.
+The number of selected atoms is bounded; the rest of the measurements beyond the noise is explained
+by projection onto the nearest image that agrees with them.
 """
 
 from collections.abc import Iterator
@@ -21,12 +21,12 @@ from hardware.reconstruction.pursuit import batch_omp
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
 
-#: Atoms that take part: those of largest weighted norm, this many per measurement. More change
-#: nothing (an atom's correlation is bounded by its norm) and cost memory squared.
+#: Candidate atoms per measurement, those of largest weighted norm. More have no effect (an atom's
+#: correlation is bounded by its norm), and memory grows with their square.
 ATOMS_PER_MEASUREMENT = 4
 #: The same in all: the Gram matrix takes 8 bytes times its square, 128 MiB.
 MOST_ATOMS = 4096
-#: Chosen atoms, per measurement, where the noise does not stop the pursuit earlier.
+#: Selected atoms per measurement, where the noise does not stop the pursuit earlier.
 CHOSEN_PER_MEASUREMENT = 0.75
 #: The same in all: the time grows with its square, to half a second. A cap of 256 costs 2 dB at
 #: 1024 patterns of 64 x 64 without noise; with noise the pursuit stops long before.

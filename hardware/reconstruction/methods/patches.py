@@ -1,14 +1,13 @@
 """Sparse patches: every small patch has few DCT coefficients, and so has their overlap-average.
 
-Plug-and-play with a classical denoiser, in turns with the measurements: (1) take the DCT of all
-overlapping patches, set coefficients below a threshold to 0, and average the patches back, sparse
-ones counting more (Guleryuz, IEEE Trans. Image Process. 15, 2006); (2) project onto the images
-that the measurements allow within their noise. The threshold falls geometrically from coarse to
-fine. Total variation and a global DCT err in other places, so the result is a mean of the three,
-which the measurements allow too.
+Plug-and-play with a classical denoiser, alternating with the data: (1) take the DCT of all
+overlapping patches, set coefficients below a threshold to 0, and average the patches with weights
+by their sparsity (Guleryuz, IEEE Trans. Image Process. 15, 2006); (2) project onto the images that
+agree with the measurements within their noise. The threshold falls geometrically from coarse to
+fine. Total variation and a global DCT have different errors, so the result is a mean of the three,
+which agrees with the measurements as well.
 
-Nothing is learned: thresholds, steps and the share were chosen on every other of the benchmark's
-pictures.
+Nothing is learned: thresholds, steps and shares were tuned on every other image of the benchmark.
 """
 
 import numpy as np
@@ -25,7 +24,7 @@ from hardware.reconstruction.sensing import Sensing
 #: Side of a patch of square cells. Where cells are wider than high it is higher by the square root
 #: of that ratio, or the other way round.
 PATCH = 8
-#: Turns.
+#: Alternations of denoising and projection.
 ITERATIONS = 40
 #: First and last threshold over the standard deviation of the image, for 8 x 8 cells.
 THRESHOLDS = (1.4, 0.05)
@@ -37,7 +36,7 @@ SHARES = (0.6, 0.2, 0.2)
 
 @method("patches", slow=True)
 def patches(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, None]:
-    """Sparse overlapping patches in turns with the data, averaged with TV and FISTA."""
+    """Sparse overlapping patches, alternating with the data, averaged with TV and FISTA."""
     plan = lmmse_plan(sensing)
     scale = plan.scale(values, noise_variance)
     if scale == 0:
@@ -57,28 +56,30 @@ def patches(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Arr
     return SHARES[0] * cells + SHARES[1] * edges + SHARES[2] * waves, None
 
 
-def sparse_patches(picture: Array, threshold: float) -> Array:
+def sparse_patches(image: Array, threshold: float) -> Array:
     """All overlapping patches hard-thresholded in their DCT, averaged by their sparsity.
 
-    The picture is mirrored at its edges, so that each cell lies in as many patches.
+    The image is mirrored at its edges, so that each cell lies in the same number of patches.
     """
-    high, wide = sides(picture.shape)
-    padded = np.pad(picture, ((high - 1,) * 2, (wide - 1,) * 2), mode="symmetric")
+    high, wide = sides(image.shape)
+    padded = np.pad(image, ((high - 1,) * 2, (wide - 1,) * 2), mode="symmetric")
     transform = np.kron(dct_matrix(high), dct_matrix(wide))
     windows = sliding_window_view(padded, (high, wide))
     coefficients = windows.reshape(-1, high * wide) @ transform.T
-    kept = np.abs(coefficients) > threshold
-    kept[:, 0] = True
-    weight = 1 / np.count_nonzero(kept, axis=1)
-    found = ((coefficients * kept) @ transform * weight[:, None]).reshape(windows.shape)
+    is_significant = np.abs(coefficients) > threshold
+    is_significant[:, 0] = True
+    weight = 1 / np.count_nonzero(is_significant, axis=1)
+    denoised = ((coefficients * is_significant) @ transform * weight[:, None]).reshape(
+        windows.shape
+    )
     weight = weight.reshape(windows.shape[:2])
     total, weights = np.zeros_like(padded), np.zeros_like(padded)
     rows, columns = weight.shape
     for i in range(high):
         for j in range(wide):
-            total[i : i + rows, j : j + columns] += found[:, :, i, j]
+            total[i : i + rows, j : j + columns] += denoised[:, :, i, j]
             weights[i : i + rows, j : j + columns] += weight
-    down, along = picture.shape
+    down, along = image.shape
     return np.asarray((total / weights)[high - 1 : high - 1 + down, wide - 1 : wide - 1 + along])
 
 

@@ -1,4 +1,4 @@
-"""Least total variation among the images that the measurements allow, within their noise.
+"""Least total variation among the images that agree with the measurements within their noise.
 
     min over x of  sum over cells of |grad x|   with   |A x - y|^2 <= M s
 
@@ -18,12 +18,12 @@ from hardware.reconstruction.projection import projection
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
 
-#: Steps; 48 from LMMSE come within 0.25 dB of the converged image for each test picture, and lie
-#: above it in the mean.
+#: Steps; 48 from LMMSE are within 0.25 dB of the converged image for each test image, and better
+#: than it in the mean.
 ITERATIONS = 48
 #: Primal step over the spread of the image; the dual one follows.
 STEP = 0.1
-#: Squared misfit over its expectation M s, chosen on every other of the test pictures.
+#: Squared misfit over its expectation M s, tuned on every other test image.
 MISFIT = 0.6
 
 
@@ -68,8 +68,9 @@ def total_variation_joint(
 def _steps(shape: tuple[int, int]) -> tuple[tuple[float, float], float]:
     """Weights of differences down the rows and along the columns, and the dual step.
 
-    The field is taken as square, as the prior does: where cells are four times as wide as high, a
-    difference along the columns is a quarter of that slope. Both steps times |grad|^2 make 1.
+    The field is assumed square, as in the prior: where cells are four times as wide as high, a
+    difference along the columns has a quarter of the weight. The product of both steps and |grad|^2
+    is 1.
     """
     least = min(shape)
     weights = least / shape[1], least / shape[0]
@@ -83,14 +84,14 @@ def _start(values: Array, noise_variance: float, sensing: Sensing) -> Array:
 
 
 def _side_by_side(cells: Array, sensing: Sensing) -> Array:
-    """Cells (n_cells, n_detectors) as one picture (rows, n_detectors * columns)."""
+    """Cells (n_cells, n_detectors) as one image (rows, n_detectors * columns)."""
     rows, columns = sensing.shape
-    picture = cells.reshape(rows, columns, -1).swapaxes(1, 2)
-    return np.ascontiguousarray(picture.reshape(rows, -1))
+    image = cells.reshape(rows, columns, -1).swapaxes(1, 2)
+    return np.ascontiguousarray(image.reshape(rows, -1))
 
 
-def _stacked(picture: Array, sensing: Sensing) -> Array:
+def _stacked(image: Array, sensing: Sensing) -> Array:
     """Inverse of `_side_by_side`."""
     rows, columns = sensing.shape
-    cells = picture.reshape(rows, -1, columns).swapaxes(1, 2)
+    cells = image.reshape(rows, -1, columns).swapaxes(1, 2)
     return np.ascontiguousarray(cells).reshape(rows * columns, -1)

@@ -10,8 +10,7 @@ from hardware.reconstruction.sensing import Sensing
 def zero_fill(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, Array]:
     """Inverse transform, patterns not shown count as zero.
 
-    x = H^T y / n. The error is that of the noise alone; what unseen patterns would have added is
-    not in it.
+    x = H^T y / n. The error is that of the noise alone, without that of missing patterns.
     """
     n = sensing.n_cells
     error = np.sqrt(noise_variance * sensing.count) / n
