@@ -594,9 +594,9 @@ def test_sweeps_traced_together_depend_on_their_number_alone(scene) -> None:
     are the same in whatever order they are asked for, and the next one begins anew.
     """
     design, fidelity = small(), Fidelity(radar="optics", radar_tolerance=1.0, radar_images=0)
-    in_order = Sweeps(scene, design, SEED, fidelity, reuse=3)
+    in_order = RadarSweeps(scene, design, SEED, fidelity, reuse=3)
     records = [in_order(number).record for number in range(4)]
-    at_random = Sweeps(scene, design, SEED, fidelity, reuse=3)
+    at_random = RadarSweeps(scene, design, SEED, fidelity, reuse=3)
     for number in (2, 3, 0, 1):
         assert np.array_equal(at_random(number).record.iq, records[number].iq)
     for number in (0, 3):
@@ -604,4 +604,4 @@ def test_sweeps_traced_together_depend_on_their_number_alone(scene) -> None:
         expected = radar_capture(world, design, seed=SEED + number, fidelity=fidelity).record
         assert np.array_equal(records[number].iq, expected.iq)
     with pytest.raises(InputError, match="reuse: 0 sweeps traced together, expected at least 1"):
-        Sweeps(scene, design, SEED, fidelity, reuse=0)
+        RadarSweeps(scene, design, SEED, fidelity, reuse=0)

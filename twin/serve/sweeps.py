@@ -22,8 +22,8 @@ class RadarSweeps:
     """Sweep k of a radar, with ``seed`` plus k.
 
     From one sweep to the next all objects move on by the time of a burst, and the rig to the next
-    stop of the scene's track, where it has one. Where nothing has moved nothing is traced again, if that
-    gives the same bits.
+    stop of the scene's track, where it has one. A scene at rest is not traced again, if that gives
+    the same bits.
 
     Parameters
     ----------
