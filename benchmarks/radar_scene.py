@@ -68,6 +68,16 @@ def _times(
     bins = f"{wave.n_subcarriers} x {wave.n_slots}"
     yield f"{what}: echoes and channel of {bins}", timed(synthesis, runs, warm_up=0), ""
     yield f"{what}: whole frame", timed(lambda: frame(scene), runs, warm_up=0), ""
+    first = trace(scene, radar, fidelity=fidelity, keep=True)
+
+    def kept() -> float:
+        return trace(
+            _driven(scene, _STEP_M * next(step)), radar, fidelity=fidelity, earlier=first
+        ).kept
+
+    kept()  # warm
+    yield f"{what}: echoes, car moved, with what holds of one frame", timed(kept, runs, 0), ""
+    yield f"{what}: contributions that hold then", 100 * kept(), "%"
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         yield f"{what}: whole frame, car moved", timed(moved, runs, warm_up=0), ""

@@ -69,8 +69,10 @@ def crossed(
     found = dr.zeros(mi.Bool, count)
     if not count or not sets:
         return np.zeros(count, dtype=bool)
+    begin = which * dr.opaque(mi.UInt32, many)
+    dr.eval(begin)
     for number in range(many):
-        row = _NUMBERS * (which * many + dr.opaque(mi.UInt32, number))
+        row = _NUMBERS * (begin + dr.opaque(mi.UInt32, number))
         middle, *half = (
             mi.Vector3d(*(dr.gather(mi.Float64, table, row + 3 * k + i) for i in range(3)))
             for k in range(4)

@@ -114,9 +114,11 @@ def facing(
     sides = sides_of(s, images, rows)
     found = []
     for i, side in enumerate(sides):
-        lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
+        is_lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
+        lit = np.flatnonzero(is_lit)
+        face, of_lit = rows[lit], side[lit]
         for j in range(i, len(images)):
-            both = rows[lit & (sides[j] == side) & b.heard[j, rows]]
+            both = face[(sides[j][lit] == of_lit) & b.heard[j, face]]
             if wanted is not None:
                 both = both[wanted[i, both] | wanted[j, both]]
             found.append(_numbered(s, b, both, i, j))
