@@ -209,12 +209,12 @@ def test_thin_air_is_not_followed() -> None:
 
 
 def test_a_capture_says_how_fog_is_taken(tmp_path: Path) -> None:
-    """The model stands in the assumptions; the warning says that the real image is hazier."""
+    """The model stands in the assumptions, what it does to the image in the warning."""
     taken = capture(
         striped(10.0, 8), foggy(tmp_path, '[weather]\npart = "fog-50m"\n'), fidelity=Fidelity(1, 1)
     )
     assert any("every scattering" in text for text in taken.assumptions)
-    assert any("hazier" in str(warning) for warning in taken.warnings)
+    assert any("less contrast" in str(warning) for warning in taken.warnings)
     crisp = Fidelity(1, 1, air_orders=0)
     left = capture(
         striped(10.0, 8), foggy(tmp_path, '[weather]\npart = "fog-50m"\n'), fidelity=crisp
