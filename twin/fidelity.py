@@ -212,8 +212,9 @@ class LightFidelity(Knobs):
         wrong in shape below some 100 electrons. ``full``: Poisson.
     air_orders
         Scatterings that are followed in the air on the way to a surface, and as many back: light of
-        more is lost, 1e-10 of it at an optical depth of 1 and 2e-5 at 3. 0: what is scattered
-        forward stays in its cell, whose contrast is then too high by the optical depth.
+        more is lost. Of a wall's light, at an optical depth of 1 each way, less than 0.1 % (mean
+        cosine 0.85) and 0.6 % (0); at 3 0.2 % and 29 %. 0: what is scattered forward stays in its
+        cell, whose contrast is then too high by the optical depth.
     """
 
     samples: int = field(default=64, metadata=_whole(1))

@@ -80,6 +80,20 @@ def stripes_in_fog(
     )
 
 
+def wall_in_fog(fog: Fog, bench: Bench, emitter_tan: float, *, walks: int, seed: int) -> float:
+    """Light of a wall of one tone (``bright``) that is reflected once, in 1/m^2: irradiance on the
+    pupil per radiant intensity. The bench's field is the detector's; the emitter has its own.
+    """
+    rng = np.random.default_rng(seed)
+    gathered = _gathered(fog, bench, walks, rng)
+    left, up = rng.uniform(-1, 1, (2, walks)) * emitter_tan
+    start = (2 * emitter_tan) ** 2 / walks * (1 + left**2 + up**2) ** -1.5
+    total = 0.0
+    for walk, place, weight in _hits(fog, bench, left, up, rng, reflects=False):
+        total += float(start[walk] @ (weight * gathered(place[:, 1:] / bench.distance_m)))
+    return bench.bright / np.pi * total
+
+
 def _straight(bench: Bench, left: Array, up: Array, extinction_per_m: float) -> Array:
     """What the detector gathers straight from a place on the wall: cosines by squared distance."""
     across = left - bench.baseline_m / bench.distance_m

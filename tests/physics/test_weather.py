@@ -418,7 +418,8 @@ FOG_200_M = '[weather]\npart = "fog-200m"\n'
 def test_fog_dims_the_scene_and_lifts_its_darkest_cells(foggy) -> None:
     """Through the camera: the yard is wide against the fog's lobe, so most cells lose what delta
     scaling takes, and gain backscatter; cells that see the sky get a little of their neighbours'
-    light besides.
+    light besides. Light scattered into ground and objects on its way is lost: 0.6 % of the median
+    on the way out, 0.4 % more on the way back, where shadows were once those of the straight line.
     """
     scene = load_scene("yard")
     fidelity = Fidelity(1024, 1)
@@ -437,7 +438,7 @@ def test_fog_dims_the_scene_and_lifts_its_darkest_cells(foggy) -> None:
     expected = clear.light.cells[0] * np.exp(-air.surface_extinction_per_m * way) + from_air[0]
     seen = np.isfinite(depth) & (clear.light.cells[0] > 0)
     ratio = foggy_light.light.cells[0][seen] / expected[seen]
-    assert np.median(ratio) == pytest.approx(1, abs=0.01)
+    assert np.median(ratio) == pytest.approx(0.99, abs=0.01)
     sky = foggy_light.light.cells[0][~seen] / from_air[0][~seen]
     assert (sky > 1).all()
     assert sky.max() < 1.1

@@ -48,8 +48,8 @@ _ROUNDING = 1e-13
 #: Holds for every capture through air.
 AIR_ASSUMPTION = (
     "air: homogeneous, with a phase function of two Henyey-Greenstein lobes; all scatterings are "
-    "traced on the way to a surface, those by less than 90 deg on the straight way back; "
-    "backscatter and airlight are scattered once"
+    "traced on the way to a surface and back, up to fidelity.air_orders; backscatter and airlight "
+    "are scattered once"
 )
 
 #: Holds for every capture; printed with it.

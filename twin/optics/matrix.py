@@ -2,8 +2,8 @@
 
 Paths start in the cells of one device and connect to the other device at every bounce. The point
 of the connection in the other device's field determines its cell. *Dual*: paths start at the
-emitter. *Scatter*: paths start at the detector's pixels. Both give the same matrix; the noise is
-lower when paths start at the device with more cells.
+emitter. *Scatter*: paths start at the detector's pixels. Both give the same matrix, in
+scattering air too; the noise is lower when paths start at the device with more cells.
 """
 
 from typing import Any, Literal, get_args

@@ -8,7 +8,7 @@ import drjit as dr
 
 from twin.engine import mitsuba
 from twin.optics.paths import Connection, Light, albedo, connector
-from twin.optics.scattering import Medium
+from twin.optics.scattering import Medium, ScatteredPath
 
 
 class Arrival(NamedTuple):
@@ -71,16 +71,30 @@ class PathSteps:
         self, hit: Any, ray: Any, rng: Any, active: Any, *, coherent: bool
     ) -> tuple[Any, Connection]:
         """Light reflected back along the ray from direct illumination by the light, without
-        absorption by the air; and the connection.
+        absorption by the air over the distance; and the connection.
         """
         mi = mitsuba()
         link = self._connect(hit, rng)
+        value, lit = self._reflected(hit, ray, link, active)
+        lit &= ~self.scene.ray_test(link.shadow_ray, mi.Bool(coherent), lit)
+        value = dr.select(lit, value, 0)
+        if not self.scatters or not link.places:
+            return value, link
+        assert self.medium is not None
+        path = ScatteredPath(self.medium, link.direction, link.length, rng, active)
+        around = self._connect.scattered(link, path)
+        more, lit = self._reflected(hit, ray, around, active)
+        lit = path.is_clear(self.scene, hit.spawn_ray(path.first).o, lit)
+        return _together(value, link, dr.select(lit, more, 0), around)
+
+    def _reflected(self, hit: Any, ray: Any, link: Connection, active: Any) -> tuple[Any, Any]:
+        """Light of a connection that is reflected back along the ray if nothing is in its way; and
+        whether there is any.
+        """
         cos_out = dr.dot(link.direction, hit.n)
         same_side = cos_out * dr.dot(ray.d, hit.n) < 0
         value = albedo(hit, active) * dr.abs(cos_out) * link.weight / dr.pi
-        lit = active & same_side & (value > 0)
-        lit &= ~self.scene.ray_test(link.shadow_ray, mi.Bool(coherent), lit)
-        return dr.select(lit, value, 0), link
+        return value, active & same_side & (value > 0)
 
     def unabsorbed(self, length: Any) -> Any:
         """Transmission of a path of this length, of absorption alone."""
@@ -89,6 +103,17 @@ class PathSteps:
     def unscattered(self, length: Any) -> Any:
         """Unscattered share over a path of this length; 1 where scattering is not traced."""
         return self.medium.unscattered(length) if self.medium and self.scatters else 1.0
+
+
+def _together(
+    value: Any, link: Connection, more: Any, around: Connection
+) -> tuple[Any, Connection]:
+    """Unscattered and scattered light of a connection: their sum, and the connection of both."""
+    total = value + more
+    share = value / dr.select(total > 0, total, 1)
+    ((_, left, up),), ((_, to_left, to_up),) = link.places, around.places
+    places = ((share, left, up), (1 - share, to_left, to_up))
+    return total, link._replace(places=places, detour=(1 - share) * around.detour)
 
 
 @dr.syntax
@@ -101,11 +126,7 @@ def _random_walk(
     length, order = mi.Float(0), mi.UInt32(0)
     distance = dr.select(hit.is_valid(), hit.t, dr.inf)
     while active & (t < distance) & (order < medium.orders):
-        cosine, angle = medium.cosine(rng), 2 * dr.pi * rng.next_float32()
-        sine = dr.safe_sqrt(1 - cosine * cosine)
-        sin_angle, cos_angle = dr.sincos(angle)
-        local = mi.Vector3f(sine * cos_angle, sine * sin_angle, cosine)
-        ray = mi.Ray3f(ray(t), mi.Frame3f(ray.d).to_world(local))
+        ray = mi.Ray3f(ray(t), medium.turned(ray.d, rng))
         length += t
         order += 1
         hit = steps.meet(ray, False, active)

@@ -29,8 +29,9 @@ class Bounce(NamedTuple):
 
     ``value``: light that reaches the surface directly from the source and is reflected to the
     path's cell, with the weight of `sample_rays`; its mean over a cell's paths is that cell's
-    light. ``length``: of the whole path, m, 0 where there is no light. ``places``: the point of the
-    source's own field, as in `Connection`. ``shape``: the object hit.
+    light. ``length``: of the whole path, m, 0 where there is no light; where the air scatters, the
+    mean over the two ways back, weighted by their light. ``places``: the point of the source's own
+    field, as in `Connection`. ``shape``: the object hit.
     """
 
     value: Any
@@ -75,10 +76,10 @@ class Tracer:
             hit, ray, active, step_length = steps.next_surface(ray, rng, active, first=first)
             path_length = path_length + step_length
             value, link = steps.light_at(hit, ray, rng, active, coherent=first)
-            length = dr.select(value > 0, path_length + link.length, 0)
-            light = Bounce(
-                value * throughput * steps.unabsorbed(length), length, link.places, hit.shape
-            )
+            length = path_length + link.length
+            value = value * throughput * steps.unabsorbed(length)
+            length = dr.select(value > 0, length + link.detour, 0)
+            light = Bounce(value, length, link.places, hit.shape)
             # After the last one too, unless it is the only one: one kernel less to compile.
             if self.quality.max_depth > 1:
                 throughput = throughput * albedo(hit, active)
@@ -97,6 +98,7 @@ class Tracer:
         length = step_length + link.length
         value *= steps.unabsorbed(length)
         value *= steps.unscattered(step_length)
+        length = length + link.detour
         return Bounce(_per_path(weight * value, rng), length, link.places, hit.shape)
 
     def scattered(self, block: Block) -> Bounce:
@@ -107,6 +109,7 @@ class Tracer:
         value, link = steps.light_at(hit, ray, rng, active, coherent=False)
         length = step_length + link.length
         value = value * share * steps.unabsorbed(length)
+        length = length + link.detour
         return Bounce(_per_path(weight * value, rng), length, link.places, hit.shape)
 
     def indirect(self, block: Block) -> Any:
