@@ -8,7 +8,7 @@ from scipy.stats import binom, hypergeom, ttest_1samp
 
 from benchmarks.planted_losses import planted, share_worse
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
-from twin.regression.runs import Outcome, repeated, run_camera
+from twin.regression.runs import SeedResults, repeated, run_camera
 from twin.regression.statistics import compare, repeats, smallest_loss
 
 
@@ -190,12 +190,14 @@ def test_rare_failures_at_random_alarm_no_more_often_than_stated(name: str, draw
         for _ in range(times):
             before, after = ({name: draw(rng, share, n)} for _ in range(2))
 
-            def run(seeds, share=share, rng=rng) -> Outcome:
-                return Outcome({name: draw(rng, share, len(seeds))}, None, [], "")
+            def run(seeds, share=share, rng=rng) -> SeedResults:
+                return SeedResults({name: draw(rng, share, len(seeds))}, None, [], "")
 
             verdict = compare([metric], before, after, paired=True)[0]
             at_once += verdict.worse
-            if not repeated(run, Outcome(after, None, [], ""), verdict.failed, repeats(n, 1, 0.01)):
+            if not repeated(
+                run, SeedResults(after, None, [], ""), verdict.failed, repeats(n, 1, 0.01)
+            ):
                 verdict = compare([metric], before, after)[0]
             alarms += verdict.worse
         assert alarms / times < 0.01 + 6 * np.sqrt(0.01 / times)

@@ -10,7 +10,7 @@ import pytest
 from yard_32x32 import SYSTEM
 
 from twin.digest import digest
-from twin.regression.cache import Store
+from twin.regression.cache import TruthCache
 from twin.regression.truth import Truths
 from twin.scene import load_scene
 from twin.system import load_system
@@ -18,13 +18,13 @@ from twin.system import load_system
 
 def test_truth_is_rendered_once_and_kept(yard, tmp_path: Path, monkeypatch) -> None:
     scene, system, _ = yard
-    first = Truths(Store(tmp_path)).light(scene, system)
+    first = Truths(TruthCache(tmp_path)).light(scene, system)
     monkeypatch.setattr("twin.regression.truth.render", None)
-    again = Truths(Store(tmp_path)).light(scene, system)
+    again = Truths(TruthCache(tmp_path)).light(scene, system)
     np.testing.assert_array_equal(first.light.cells, again.light.cells)
     np.testing.assert_array_equal(first.truth.depth_m, again.truth.depth_m)
     with pytest.raises(TypeError):  # another system is rendered anew
-        Truths(Store(tmp_path)).light(scene, load_system("workable"))
+        Truths(TruthCache(tmp_path)).light(scene, load_system("workable"))
 
 
 def _count_and_make(folder: Path) -> int:
@@ -34,7 +34,7 @@ def _count_and_make(folder: Path) -> int:
         time.sleep(0.2)  # long enough for all to come
         return 7
 
-    return Store(folder / "store").get("key", make)
+    return TruthCache(folder / "store").get("key", make)
 
 
 def test_processes_at_once_make_it_once(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_processes_at_once_make_it_once(tmp_path: Path) -> None:
 
 
 def test_a_damaged_file_is_made_anew(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store = TruthCache(tmp_path)
     assert store.get("key", lambda: 1) == 1
     (tmp_path / "key.pickle").write_bytes(b"")
     assert store.get("key", lambda: 2) == 2

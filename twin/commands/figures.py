@@ -134,6 +134,7 @@ def safety(
 
 def rcs(
     mesh: Annotated[Path, typer.Argument(help="PLY, OBJ, STL or glTF file.")],
+    *,
     carrier_hz: Annotated[
         float,
         typer.Option("--carrier-hz", help="Carrier frequency, Hz.", parser=quantity_of("Hz")),

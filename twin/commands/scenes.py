@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 def run(
     scene: SceneArgument,
+    *,
     system: Annotated[
         str, typer.Option(help="Bundled system or TOML file; `none`: the radar alone.")
     ] = "workable",

@@ -11,6 +11,7 @@ from twin.commands.arguments import PoseOption, SceneArgument
 
 def serve(
     scene: SceneArgument,
+    *,
     spi: Annotated[
         str | None, typer.Option(help="Where the camera sits: pty, or tcp:HOST:PORT.")
     ] = None,

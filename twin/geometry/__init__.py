@@ -3,8 +3,8 @@
 from twin.geometry.edges import EdgeTable, connected, doubles, edge_table
 from twin.geometry.faces import planes
 from twin.geometry.geometry import Geometry
+from twin.geometry.mitsuba_meshes import are_too_large, divided, mitsuba_mesh
 from twin.geometry.shape import Shape, shapes_of
-from twin.geometry.tracing import are_too_large, divided, mitsuba_mesh
 
 __all__ = [
     "EdgeTable",

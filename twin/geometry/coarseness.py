@@ -27,6 +27,7 @@ def depths_m(
     faces: NDArray[np.int32],
     normals: Array,
     area: Array,
+    *,
     bends: NDArray[np.int32],
     turn: Array,
     patch: Indices,

@@ -153,11 +153,11 @@ def _measured(geometries: "Sequence[Geometry]") -> list[tuple[Shape, Faces]]:
         faces,
         normal,
         area,
-        pairs[smooth],
-        turn[smooth],
-        patch + first_patch[mesh_of_face],
-        mesh_of_face,
-        len(meshes),
+        bends=pairs[smooth],
+        turn=turn[smooth],
+        patch=patch + first_patch[mesh_of_face],
+        mesh_of_face=mesh_of_face,
+        count=len(meshes),
     )
     borders = np.bincount(mesh_of_face[pairs[:, 0]], minlength=len(meshes))
     found = []

@@ -26,7 +26,7 @@ def code() -> str:
     return source_digest(here.parent, without=(here,))
 
 
-class Store:
+class TruthCache:
     """A folder of results by key. Processes that want the same one wait for whoever makes it."""
 
     def __init__(self, folder: Path) -> None:

@@ -26,7 +26,7 @@ from twin.regression.pictures import draw_echoes, draw_images, echo_example, ima
 from twin.regression.runs import (
     Detector,
     Method,
-    Outcome,
+    SeedResults,
     image_method,
     in_turn,
     radar_detector,
@@ -41,9 +41,9 @@ from twin.scene import Pose, Scene, load_scene
 from twin.system import System, load_system
 
 #: A method's outcome over seeds.
-_Run = Callable[[Sequence[int]], Outcome]
+_Run = Callable[[Sequence[int]], SeedResults]
 #: Figure of a failure from outcome, example, figures before, verdicts.
-_Draw = Callable[[Outcome, dict[str, Any], dict[str, Any], Sequence[Verdict]], Figure]
+_Draw = Callable[[SeedResults, dict[str, Any], dict[str, Any], Sequence[Verdict]], Figure]
 
 
 _DRAWS = "gives other figures of the same record each time; failures are counted, not paired"
@@ -110,7 +110,7 @@ class Regression:
         numbers, fidelity = _seeds(seeds, len(views)), fidelity or Fidelity()
         light = [self.truths.light(view, design, fidelity) for view in views]
 
-        def run(view: int, numbers: Sequence[int]) -> Outcome:
+        def run(view: int, numbers: Sequence[int]) -> SeedResults:
             return run_camera(
                 views[view],
                 design,
@@ -126,7 +126,15 @@ class Regression:
         what = method if isinstance(method, str) else _function_name(method)
         outcomes = partial(in_turn, run, len(views))
         return self._hold(
-            outcomes, numbers, metrics, false_alarm, setup, what, image_example, draw_images, name
+            outcomes,
+            numbers,
+            metrics,
+            false_alarm,
+            setup,
+            method=what,
+            exemplify=image_example,
+            draw=draw_images,
+            name=name,
         )
 
     def radar(
@@ -155,14 +163,22 @@ class Regression:
         captures = [self.truths.echo(view, design, fidelity) for view in views]
         accuracy = fidelity.nufft_tolerance
 
-        def run(view: int, numbers: Sequence[int]) -> Outcome:
+        def run(view: int, numbers: Sequence[int]) -> SeedResults:
             return run_radar(captures[view], design, detector, numbers, metrics, accuracy)
 
         setup = _setup("radar", views[0], poses, design, fidelity, seeds, metrics)
         what = detector if isinstance(detector, str) else _function_name(detector)
         outcomes = partial(in_turn, run, len(views))
         return self._hold(
-            outcomes, numbers, metrics, false_alarm, setup, what, echo_example, draw_echoes, name
+            outcomes,
+            numbers,
+            metrics,
+            false_alarm,
+            setup,
+            method=what,
+            exemplify=echo_example,
+            draw=draw_echoes,
+            name=name,
         )
 
     def _hold(
@@ -172,8 +188,9 @@ class Regression:
         metrics: Sequence[Metric],
         false_alarm: float,
         setup: dict[str, Any],
+        *,
         method: str,
-        exemplify: Callable[[Outcome], dict[str, Any]],
+        exemplify: Callable[[SeedResults], dict[str, Any]],
         draw: _Draw,
         name: str,
     ) -> tuple[Verdict, ...]:
@@ -195,7 +212,9 @@ class Regression:
             pytest.fail(f"{fault}: {self._remedy('why')}", pytrace=False)
         if self.reason is not None:
             example = exemplify(outcome)
-            self._update(path, known, outcome, metrics, false_alarm, setup, method, example)
+            self._update(
+                path, known, outcome, metrics, false_alarm, setup, method=method, example=example
+            )
             return ()
         if known is None:
             pytest.fail(
@@ -232,10 +251,11 @@ class Regression:
         self,
         path: Path,
         known: Baseline | None,
-        outcome: Outcome,
+        outcome: SeedResults,
         metrics: Sequence[Metric],
         false_alarm: float,
         setup: dict[str, Any],
+        *,
         method: str,
         example: dict[str, Any],
     ) -> None:

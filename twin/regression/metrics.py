@@ -26,7 +26,7 @@ class Metric:
     of
         From truth and result of one seed to a number. Truth and result are images in electrons
         (rows, columns) for a camera, the truth NaN in cells that the patterns do not measure; the
-        visible `TrueTarget`s and an `Echo` for a radar.
+        visible `TrueTarget`s and an `RadarResult` for a radar.
     tolerance
         Mean loss that does not matter: rounding, another order of sums. In ``unit``.
     higher_is_better
@@ -47,7 +47,7 @@ class Metric:
 
 
 @dataclass(frozen=True)
-class Echo:
+class RadarResult:
     """Detections of one record, each with its true target or None, and the size of a range cell."""
 
     detections: tuple[Detection, ...]
@@ -70,7 +70,7 @@ def rmse_e(truth: Image, image: Image) -> float:
     return float(np.sqrt(np.mean((image - truth)[np.isfinite(truth)] ** 2)))
 
 
-def range_error_m(truth: tuple[TrueTarget, ...], found: Echo) -> float:
+def range_error_m(truth: tuple[TrueTarget, ...], found: RadarResult) -> float:
     """Range error, rms over the targets; one that is not found counts as two cells off.
 
     So losing a target never improves it.
@@ -80,7 +80,7 @@ def range_error_m(truth: tuple[TrueTarget, ...], found: Echo) -> float:
     return float(np.sqrt(np.mean([off.get(t.name, gate) ** 2 for t in truth]))) if truth else 0.0
 
 
-def range_offset_m(truth: tuple[TrueTarget, ...], found: Echo) -> float:
+def range_offset_m(truth: tuple[TrueTarget, ...], found: RadarResult) -> float:
     """Range less the declared one, mean over the targets; 0 for one that is not found.
 
     A target is declared at its centre, while its surface answers: so an honest offset is not 0, and
@@ -89,7 +89,7 @@ def range_offset_m(truth: tuple[TrueTarget, ...], found: Echo) -> float:
     return float(sum(_offsets_m(found).values())) / len(truth) if truth else 0.0
 
 
-def _offsets_m(found: Echo) -> dict[str, float]:
+def _offsets_m(found: RadarResult) -> dict[str, float]:
     """Range less the declared one, by name of the targets that were found."""
     return {
         target.name: detection.range_m - target.wrapped_range_m
@@ -98,13 +98,13 @@ def _offsets_m(found: Echo) -> dict[str, float]:
     }
 
 
-def missed(truth: tuple[TrueTarget, ...], found: Echo) -> float:
+def missed(truth: tuple[TrueTarget, ...], found: RadarResult) -> float:
     """Visible targets without a detection."""
     seen = {target.name for target in found.matches if target is not None}
     return float(sum(target.name not in seen for target in truth))
 
 
-def unmatched(_: tuple[TrueTarget, ...], found: Echo) -> float:
+def unmatched(_: tuple[TrueTarget, ...], found: RadarResult) -> float:
     """Detections that are no declared target: echoes of echoes, clutter, noise."""
     return float(sum(target is None for target in found.matches))
 

@@ -10,15 +10,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from twin.regression.metrics import Echo
-from twin.regression.runs import Outcome
+from twin.regression.metrics import RadarResult
+from twin.regression.runs import SeedResults
 from twin.regression.statistics import Verdict
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
 
 _LARGEST_SIDE = 64
 
 
-def image_example(outcome: Outcome) -> dict[str, Any]:
+def image_example(outcome: SeedResults) -> dict[str, Any]:
     """The first seed's image as a small PNG: the square root of its share of the brightest cell."""
     from PIL import Image
 
@@ -31,9 +31,9 @@ def image_example(outcome: Outcome) -> dict[str, Any]:
     return {"png": base64.b64encode(buffer.getvalue()).decode()}
 
 
-def echo_example(outcome: Outcome) -> dict[str, Any]:
+def echo_example(outcome: SeedResults) -> dict[str, Any]:
     """The first seed's detections: range in m, rate in m/s."""
-    found: Echo = outcome.results[0]
+    found: RadarResult = outcome.results[0]
     return {
         "detections": [
             [round(d.range_m, 4), round(d.range_rate_m_per_s, 4)] for d in found.detections
@@ -42,7 +42,10 @@ def echo_example(outcome: Outcome) -> dict[str, Any]:
 
 
 def draw_images(
-    outcome: Outcome, example: dict[str, Any], before: dict[str, Any], verdicts: Sequence[Verdict]
+    outcome: SeedResults,
+    example: dict[str, Any],
+    before: dict[str, Any],
+    verdicts: Sequence[Verdict],
 ) -> Figure:
     """Truth, image before and now, what is wrong now, and the figures."""
     figure, axes = _figure(4, verdicts)
@@ -68,12 +71,15 @@ def draw_images(
 
 
 def draw_echoes(
-    outcome: Outcome, example: dict[str, Any], before: dict[str, Any], verdicts: Sequence[Verdict]
+    outcome: SeedResults,
+    example: dict[str, Any],
+    before: dict[str, Any],
+    verdicts: Sequence[Verdict],
 ) -> Figure:
     """Detections before and now among the true targets, and the figures."""
     figure, axes = _figure(2, verdicts)
     earlier = np.array(example["detections"]).reshape(-1, 2)
-    found: Echo = outcome.results[0]
+    found: RadarResult = outcome.results[0]
     now = np.array([(d.range_m, d.range_rate_m_per_s) for d in found.detections]).reshape(-1, 2)
     places = [(t.wrapped_range_m, t.range_rate_m_per_s) for t in outcome.truth]
     true = np.array(places).reshape(-1, 2)
@@ -101,7 +107,7 @@ def _figure(n_pictures: int, verdicts: Sequence[Verdict]) -> tuple[Figure, list[
 
 
 def _draw_figures(
-    axes: Sequence[Any], outcome: Outcome, before: dict[str, Any], verdicts: Sequence[Verdict]
+    axes: Sequence[Any], outcome: SeedResults, before: dict[str, Any], verdicts: Sequence[Verdict]
 ) -> None:
     for axis, verdict in zip(axes, verdicts, strict=True):
         metric = verdict.metric

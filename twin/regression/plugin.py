@@ -63,13 +63,13 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 @pytest.fixture(scope="session")
 def twin_truth(request: pytest.FixtureRequest) -> "Truths":
     """Rendered truth, kept in pytest's cache from run to run."""
-    from twin.regression.cache import Store
+    from twin.regression.cache import TruthCache
     from twin.regression.truth import Truths
 
     if hasattr(request.config, "cache") and request.config.cache is not None:
-        return Truths(Store(request.config.cache.mkdir("twin-truth")))
+        return Truths(TruthCache(request.config.cache.mkdir("twin-truth")))
     factory = request.getfixturevalue("tmp_path_factory")  # with -p no:cacheprovider
-    return Truths(Store(factory.mktemp("twin-truth")))
+    return Truths(TruthCache(factory.mktemp("twin-truth")))
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from twin.radar import RadarCapture, RadarDesign
 from twin.radar.acquisition import channel as received
 from twin.radar.device.front_end import digitize
 from twin.radar.evaluation import match_detections
-from twin.regression.metrics import Echo, Metric
+from twin.regression.metrics import Metric, RadarResult
 from twin.scene import Scene
 from twin.system import System
 
@@ -37,7 +37,7 @@ Detector = str | Callable[..., Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class SeedResults:
     """Figures by metric, (n_seeds,) each, with the first seed's truth and every seed's result.
 
     ``records`` is a digest of what all records hold.
@@ -150,7 +150,7 @@ def run_camera(
     noise: Noise = "full",
     *,
     mirrored: bool = False,
-) -> Outcome:
+) -> SeedResults:
     """A reconstruction over noise seeds, odd ones of the scene ``mirrored``: an image that does not
     come from its own record is wrong in half of them.
 
@@ -165,7 +165,7 @@ def run_camera(
         truth, backscatter = (straight, other)[seed % 2]
         images.append(_checked(solve(record), truth.shape) - backscatter)
         truths.append(truth)
-    return Outcome(_figures(metrics, truths, images), straight[0], images, content.hexdigest())
+    return SeedResults(_figures(metrics, truths, images), straight[0], images, content.hexdigest())
 
 
 def _checked(image: Any, shape: tuple[int, ...]) -> Array:
@@ -191,7 +191,7 @@ def run_radar(
     seeds: Sequence[int],
     metrics: Sequence[Metric],
     nufft_tolerance: float,
-) -> Outcome:
+) -> SeedResults:
     """A detector over noise seeds, judged by the targets that have a direct path.
 
     Raises InputError where it gives something other than detections.
@@ -207,15 +207,15 @@ def run_radar(
         content.update(np.ascontiguousarray(iq).tobytes() + flags.tobytes())
         detections = _detections(detect(record))
         matches = match_detections(detections, truth, radar.channel_waveform)
-        found.append(Echo(detections, matches, radar.ofdm.range_cell_m))
+        found.append(RadarResult(detections, matches, radar.ofdm.range_cell_m))
     figures = _figures(metrics, [truth] * len(found), found)
-    return Outcome(figures, truth, found, content.hexdigest())
+    return SeedResults(figures, truth, found, content.hexdigest())
 
 
 def in_turn(
-    run: Callable[[int, Sequence[int]], Outcome], n_views: int, seeds: Sequence[int]
-) -> Outcome:
-    """Outcomes of several views as one: seed i is of view i modulo their number, ``run(view,
+    run: Callable[[int, Sequence[int]], SeedResults], n_views: int, seeds: Sequence[int]
+) -> SeedResults:
+    """Results of several views as one: seed i is of view i modulo their number, ``run(view,
     seeds)`` gives those of one.
     """
     if n_views == 1:
@@ -230,11 +230,14 @@ def in_turn(
     results = [parts[k].results[i] for k, i in zip(of_view, place, strict=True)]
     digests = "".join(part.records for part in parts.values())
     first = parts[of_view[0]].truth
-    return Outcome(figures, first, results, hashlib.sha256(digests.encode()).hexdigest())
+    return SeedResults(figures, first, results, hashlib.sha256(digests.encode()).hexdigest())
 
 
 def repeated(
-    run: Callable[[Sequence[int]], Outcome], outcome: Outcome, seeds: Sequence[int], times: int
+    run: Callable[[Sequence[int]], SeedResults],
+    outcome: SeedResults,
+    seeds: Sequence[int],
+    times: int,
 ) -> bool:
     """Whether a method gives the figures of ``outcome``, of seeds from 0 on, again at each of these
     seeds, as many times.

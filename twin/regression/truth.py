@@ -9,7 +9,7 @@ from twin.camera.light import RenderedLight, render
 from twin.digest import digest, versions
 from twin.fidelity import Fidelity
 from twin.radar import RadarCapture, RadarDesign, radar_capture
-from twin.regression.cache import Store, code
+from twin.regression.cache import TruthCache, code
 from twin.scene import Scene
 from twin.system import System
 
@@ -17,7 +17,7 @@ from twin.system import System
 class Truths:
     """Truths in a store on disk. Same scene, design, fidelity and versions: same bits."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: TruthCache) -> None:
         self._store = store
 
     def light(

@@ -63,7 +63,7 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     table_path = find_materials(path.parent)
     materials = _Materials(path, table_path, strict=settings is not None)
 
-    meshes = _Meshes(path)
+    meshes = _MeshFiles(path)
     objects = tuple(_object(path, shape, meshes, materials, settings) for shape in document.shapes)
     rig, warnings = _rig(settings, document, objects, pose)
     if not np.abs(rig.position_m).max() <= FARTHEST_ORIGIN_M:
@@ -118,14 +118,14 @@ def _find(scene: str | Path) -> Path:
     raise InputError(f"{scene}: no such scene; bundled ones: {known}")
 
 
-class _Meshes:
+class _MeshFiles:
     """Geometries of a scene's shapes: those of equal shapes are one, read once."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.held: dict[Hashable, Geometry] = {}
 
-    def placed(self, shape: xml.Shape) -> tuple[Geometry, RigidTransform]:
+    def placed(self, shape: xml.XmlShape) -> tuple[Geometry, RigidTransform]:
         """A shape's geometry, and the pose of its frame in the world.
 
         What ``to_world`` does beyond turning and moving is done to the vertices.
@@ -144,7 +144,7 @@ class _Meshes:
             return geometry, RigidTransform.from_matrix(matrix)
         return geometry.transformed(matrix, place).without_empty_faces(place), IN_PLACE
 
-    def _read(self, shape: xml.Shape, place: str) -> Geometry:
+    def _read(self, shape: xml.XmlShape, place: str) -> Geometry:
         if shape.plugin in _MESH_PLUGINS:
             if "filename" not in shape.properties:
                 raise InputError(f"{place}: {shape.plugin!r} needs a filename")
@@ -174,11 +174,11 @@ def _is_rigid(matrix: Array) -> bool:
     return bool(np.abs(turn @ turn.T - np.eye(3)).max() < 1e-12 and np.linalg.det(turn) > 0)
 
 
-def _place(path: Path, shape: xml.Shape) -> str:
+def _place(path: Path, shape: xml.XmlShape) -> str:
     return f"{shape.properties.get('filename', path)}: shape {shape.name!r}"
 
 
-def _check_extent(path: Path, shape: xml.Shape, item: SceneObject, rig: Rig) -> None:
+def _check_extent(path: Path, shape: xml.XmlShape, item: SceneObject, rig: Rig) -> None:
     distance = np.abs(item.vertices_m - rig.position_m).max(axis=1)
     far = int(distance.argmax())
     if distance[far] > FARTHEST_M:
@@ -188,7 +188,7 @@ def _check_extent(path: Path, shape: xml.Shape, item: SceneObject, rig: Rig) -> 
         )
 
 
-def _coarse(shape: xml.Shape, item: SceneObject, rig: Rig) -> str | None:
+def _coarse(shape: xml.XmlShape, item: SceneObject, rig: Rig) -> str | None:
     """Warning for a mesh file with float32 coordinates far from the origin."""
     if shape.plugin not in _MESH_PLUGINS or not np.array_equal(shape.to_world, np.eye(4)):
         return None
@@ -210,8 +210,8 @@ def _coarse(shape: xml.Shape, item: SceneObject, rig: Rig) -> str | None:
 
 def _object(
     path: Path,
-    shape: xml.Shape,
-    meshes: "_Meshes",
+    shape: xml.XmlShape,
+    meshes: "_MeshFiles",
     materials: "_Materials",
     settings: SceneSettings | None,
 ) -> SceneObject:
@@ -267,7 +267,7 @@ class _Materials:
         self.defaulted: dict[str, list[str]] = {}
         self.overruled: dict[str, None] = {}
 
-    def of(self, shape: xml.Shape) -> tuple[str, Reflectance]:
+    def of(self, shape: xml.XmlShape) -> tuple[str, Reflectance]:
         surface = shape.surface
         given = self._checked(shape)
         for what in surface.left_out:
@@ -294,7 +294,7 @@ class _Materials:
         self.defaulted.setdefault(f"{name}, {surface.plugin}", []).append(shape.name)
         return _FALLBACK, self.table[_FALLBACK].optical.reflectance.value
 
-    def _checked(self, shape: xml.Shape) -> Reflectance | None:
+    def _checked(self, shape: xml.XmlShape) -> Reflectance | None:
         value = shape.surface.reflectance
         if value is None:
             return None

@@ -33,7 +33,7 @@ _REFLECTANCES = ("reflectance", "diffuse_reflectance", "base_color", "color")
 
 
 @dataclass(frozen=True)
-class Surface:
+class XmlBsdf:
     """A BSDF: its id, plugin, and the reflectance the XML itself gives (number, image or None).
 
     ``left_out``: what of it a Lambertian, opaque, flat surface does not hold, in words.
@@ -58,14 +58,14 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Shape:
+class XmlShape:
     """A shape: plugin, properties, placement and surface."""
 
     name: str
     plugin: str
     properties: dict[str, Any]
     to_world: NDArray[np.float64]
-    surface: Surface
+    surface: XmlBsdf
     flips_texture: bool
 
 
@@ -73,7 +73,7 @@ class Shape:
 class Document:
     """What a scene file holds. ``camera`` is the 4x4 pose of its first sensor."""
 
-    shapes: tuple[Shape, ...]
+    shapes: tuple[XmlShape, ...]
     camera: NDArray[np.float64] | None
     emitters: tuple[str, ...] = field(default=())
 
@@ -132,7 +132,7 @@ class _Reader:
             raise InputError(f"{self._place(node)}: sensor: to_world is no pose")
         return matrix
 
-    def _shape(self, node: Any, number: int) -> Shape:
+    def _shape(self, node: Any, number: int) -> XmlShape:
         properties = {
             key: node.props[key]
             for key in node.props.keys()
@@ -142,19 +142,19 @@ class _Reader:
         name = node.props.id() or f"{node.props.plugin_name()}-{number + 1}"
         if "filename" in properties:
             properties["filename"] = self.folder / str(properties["filename"])
-        return Shape(
+        return XmlShape(
             name=name,
             plugin=node.props.plugin_name(),
             properties=properties,
             to_world=self._to_world(node),
-            surface=self._surface(surfaces[0]) if surfaces else Surface("", "none"),
+            surface=self._surface(surfaces[0]) if surfaces else XmlBsdf("", "none"),
             # Mitsuba turns the textures of OBJ files over unless it is told otherwise.
             flips_texture=bool(
                 properties.get("flip_tex_coords", node.props.plugin_name() == "obj")
             ),
         )
 
-    def _surface(self, node: Any) -> Surface:
+    def _surface(self, node: Any) -> XmlBsdf:
         """The BSDF under its wrappers; the outermost id that the author gave is its name."""
         name = node.props.id()
         left_out = []
@@ -166,7 +166,7 @@ class _Reader:
             node = inner[0]
             name = name or node.props.id()
         plugin = node.props.plugin_name()
-        surface = Surface(name, plugin, left_out=(*left_out, *self._left_out(node)))
+        surface = XmlBsdf(name, plugin, left_out=(*left_out, *self._left_out(node)))
         if plugin == "itu-radio-material":
             return replace(surface, radio_type=str(node.props["type"]))
         for key in _REFLECTANCES:

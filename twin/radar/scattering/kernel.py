@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 
 from twin.radar.scattering.surface import TABLE_STEPS
-from twin.radar.scattering.target import Traced
+from twin.radar.scattering.target import TargetScene
 
 _PASSED, _STOPPED = 0.5, 0.9  # cycles of phase from tube to tube
 
@@ -46,7 +46,7 @@ def turned(e: Any, u: Any, direction: Any) -> Any:
 @dr.syntax
 def trace(
     mi: Any,
-    engine: Traced,
+    engine: TargetScene,
     setting: dict[str, Any],
     coefficients: Any,
     max_bounces: Any,

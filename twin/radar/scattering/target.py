@@ -40,12 +40,12 @@ class Target:
             raise InputError(f"target: reaches to {reach:.3g} m, expected at most {_LARGEST_M:g} m")
 
     @cached_property
-    def engine(self) -> "Traced":
+    def engine(self) -> "TargetScene":
         """What rays need, on the device."""
-        return Traced(self)
+        return TargetScene(self)
 
 
-class Traced:
+class TargetScene:
     """The mesh around its own centre as a Mitsuba scene in float32, its planes in float64."""
 
     def __init__(self, target: Target) -> None:

@@ -1,4 +1,4 @@
-"""Meshes as a renderer takes them: triangles in float32, none too large for it."""
+"""Triangles as Mitsuba takes them: in float32, none too large for its distance."""
 
 from typing import Any
 
