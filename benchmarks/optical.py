@@ -1,4 +1,4 @@
-"""Figures of the optical chain: accuracy against closed forms, then time for each rung."""
+"""Figures of the optical chain: accuracy against closed forms, then time for each level."""
 
 import importlib.util
 import resource

@@ -17,7 +17,7 @@ from twin.optics.paths import TracingQuality
 
 Noise = Literal["none", "gaussian", "full"]
 Start = Literal["auto", "dual", "scatter"]
-RadarRung = Literal["targets", "paths", "optics", "rough"]
+RadarModel = Literal["targets", "paths", "optics", "rough"]
 
 K = TypeVar("K", bound="Knobs")
 
@@ -94,18 +94,18 @@ _SOLVED = ("scene", "radar", "fidelity", "seed")
 _OWN_SOLVERS = "twin.propagation"
 
 
-def own_solver(radar: "RadarRung | str | Callable[..., Any]") -> OwnFunction | None:
+def own_solver(radar: "RadarModel | str | Callable[..., Any]") -> OwnFunction | None:
     """A user's own propagation model where ``fidelity.radar`` names or holds one; None: a bundled
     one. Raises OwnFunctionError, an InputError, for one that is not there or takes other arguments.
     """
-    if isinstance(radar, str) and radar in get_args(RadarRung):
+    if isinstance(radar, str) and radar in get_args(RadarModel):
         return None
     return own_function(radar, _SOLVED, group=_OWN_SOLVERS)
 
 
 def _solver() -> dict[str, Rule]:
     """One of the bundled models, the stricter the later; or a user's own, which is before all."""
-    known = get_args(RadarRung)
+    known = get_args(RadarModel)
 
     def check(value: Any) -> str:
         if not callable(value) and not isinstance(value, str):
@@ -293,7 +293,7 @@ class RadarFidelity(Knobs):
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
     """
 
-    radar: RadarRung | str | Callable[..., Any] = field(default="optics", metadata=_solver())
+    radar: RadarModel | str | Callable[..., Any] = field(default="optics", metadata=_solver())
     nufft_tolerance: float = field(default=1e-6, metadata=_tolerance(1e-14, _BELOW_1))
     radar_tolerance: float = field(default=0.1, metadata=_tolerance(1e-3, 1.0))
     radar_bounces: int = field(default=3, metadata=_whole(1))

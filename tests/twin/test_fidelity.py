@@ -1,4 +1,4 @@
-"""The knobs: stricter of two, presets, and what each rung leaves out."""
+"""The knobs: stricter of two, presets, and what each level leaves out."""
 
 from dataclasses import asdict, fields
 

@@ -1,4 +1,4 @@
-"""Rungs of the camera: paths, bounces, the side they start on; and the noise of an exposure."""
+"""Fidelity levels of the camera: paths, bounces, where they start; and the noise of an exposure."""
 
 import math
 from collections.abc import Sequence

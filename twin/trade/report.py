@@ -292,8 +292,8 @@ def _number(value: float, digits: int = 2) -> str:
 def _csv_row(trade: Trade, m: LevelMeasurement) -> dict[str, Any]:
     """One row of the CSV."""
     return {
-        "ladder": m.model,
-        "rung": m.name,
+        "model": m.model,
+        "level": m.name,
         "taken": int(_is_choice(trade, m)),
         "on_front": int(m in front(trade.of(m.model))),
         "seconds": m.cost.seconds,
@@ -326,13 +326,13 @@ def _content(trade: Trade) -> dict[str, Any]:
         "agreement": {**asdict(agreement), "holds": agreement.holds} if agreement else None,
         "fidelity": trade.fidelity.said(),
         "choices": {
-            model: {"rung": c.measurement.name, "within": c.within, "reason": c.reason}
+            model: {"level": c.measurement.name, "within": c.within, "reason": c.reason}
             for model, c in trade.choices.items()
         },
         "warnings": trade.warnings,
         "measurements": [_csv_row(trade, m) for m in trade.measurements],
         "bodies": [
-            {"rung": m.name, **asdict(error)} for m in trade.measurements for error in m.bodies
+            {"level": m.name, **asdict(error)} for m in trade.measurements for error in m.bodies
         ],
     }
 

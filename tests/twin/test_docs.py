@@ -1,0 +1,67 @@
+"""What the tour and the glossary name exists, and the walks give what the tour says."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TOUR = (ROOT / "docs" / "tour.md").read_text()
+GLOSSARY = (ROOT / "docs" / "glossary.md").read_text()
+
+
+def packages() -> set[str]:
+    found = (p.parent for name in ("twin", "hardware") for p in (ROOT / name).rglob("__init__.py"))
+    return {".".join(folder.relative_to(ROOT).parts) for folder in found}
+
+
+def exists(dotted: str) -> bool:
+    """Whether a module, or a name written in one, is there; nothing is imported."""
+    parts = dotted.split(".")
+    for n in range(len(parts), 0, -1):
+        place = ROOT.joinpath(*parts[:n])
+        files = [place.with_suffix(".py"), place / "__init__.py"]
+        if file := next((file for file in files if file.is_file()), None):
+            return all(re.search(rf"\b{name}\b", file.read_text()) for name in parts[n:])
+    return False
+
+
+def test_every_package_has_a_line_in_the_tour() -> None:
+    assert {p for p in packages() if f"| `{p}` |" not in TOUR} == set()
+
+
+def test_what_is_named_is_there() -> None:
+    for text in (TOUR, GLOSSARY):
+        names = set(re.findall(r"`((?:twin|hardware)(?:\.\w+)+)`", text)) - {"twin.catalog"}
+        assert [name for name in names if not exists(name)] == []
+    for path in re.findall(r"`((?:twin|hardware)/[\w/.]+)`", TOUR):
+        assert (ROOT / path).exists(), path
+
+
+def test_what_the_walks_name_in_a_room_is_there() -> None:
+    room = ""
+    for line in TOUR.splitlines():
+        if match := re.match(r"\| (?:(?:\d `([\w.]+)`)|) ?\| (`[^|]*) \|", line):
+            room = match[1] or room
+            for name in re.findall(r"`([\w.]+)`", match[2]):
+                assert exists(f"{room}.{name}"), (room, name)
+
+
+def test_the_walks_give_what_the_tour_says() -> None:
+    names: dict[str, object] = {}
+    for block in re.findall(r"```python\n(.*?)```", TOUR, re.DOTALL):
+        exec(block, names)
+    told = {
+        "mean_e": 10_681_264,
+        "count": 14_980,
+        "electrons": 10_688_584,
+        "value": -425_203,
+        "cell_e": 7863,
+        "truth_e": 7740,
+        "delay_s": 37.602e-9,
+    }
+    # Noise is drawn by NumPy, light by the renderer: other processors may round it otherwise.
+    for name, value in told.items():
+        assert names[name] == pytest.approx(value, rel=2e-3), name
+    assert names["score"].psnr_db == pytest.approx(37.6, abs=0.1)
+    assert names["detection"].range_m == pytest.approx(5.6374, abs=2e-4)
