@@ -1,1 +1,11 @@
-"""Every way from the radar through the scene and back."""
+"""Every way from the radar through the scene and back.
+
+- `solvers`: the models by name, and who traces with which
+- `physical_optics`: what meshes echo (a car, a person), by `facets`, `diffraction` and
+  `surface_clutter`; `by_optics` adds images of the radar and declared points (`single_paths`)
+- `free_space`: declared targets alone; `sionna`: paths by Sionna RT; `tabulated`: far objects from
+  tables of their scattering
+- `prepared_scene`, `scene`: the scene at one pose; materials, walls, images, rain and gases
+- `one_way`: the path between the radar and a point, where its rays start, what walls do to it
+- `result`: what all of them come to
+"""
