@@ -23,6 +23,7 @@ from twin.system import System
 #: Stated for direct light on a wall: what the transport is tested to everywhere.
 LIGHT = 3e-3
 _WALL = "mpmath: integral over the field, to electrons"
+_PUPIL = "mpmath: integral over field and pupil, to electrons"
 
 
 def expected_electrons(
@@ -31,6 +32,13 @@ def expected_electrons(
     """Electrons of all cells together, from the system's plain values."""
     e, f, o, d = system.emitter, system.filter, system.optics, system.detector
     field = o.field_of_view_deg.value
+    pupil = oracle.pupil_m2(d.width_m.value, o.f_number.value, field)
+    # Its own radius; the effective area is smaller than it by 4 N^2 / (4 N^2 + 1).
+    radius = float(mp.sqrt(pupil / mp.pi * (1 + 1 / (4 * mp.mpf(o.f_number.value) ** 2))))
+    if incline_deg == 90 and distance_m < 1e3 * radius:
+        light = oracle.facing_light(distance_m, field, radius)
+    else:
+        light = oracle.plane_light(distance_m, incline_deg, field)
     watts = (
         mp.mpf(e.radiant_intensity_w_per_sr.value)
         * oracle.band_share(
@@ -41,9 +49,9 @@ def expected_electrons(
         )
         * mp.mpf(f.transmission.value)
         * mp.mpf(o.transmission.value)
-        * oracle.pupil_m2(d.width_m.value, o.f_number.value, field)
+        * pupil
         * mp.mpf(reflectance)
-        * oracle.plane_light(distance_m, incline_deg, field)
+        * light
     )
     time = mp.mpf(system.acquisition.integration_time_s.value)
     return watts * mp.mpf(d.responsivity_a_per_w.value) * time / oracle.Q
@@ -165,11 +173,18 @@ def _distances() -> list[Case]:
     made = [
         Case("distance", text, _WALL, lambda z=z: _facing(z), slow=slow)
         for text, z, slow in (
-            ("1 um", 1e-6, True), ("1 mm", 1e-3, True), ("1 cm", 1e-2, False),
-            ("10 m", 10.0, False), ("10 km", 1e4, False), ("40 km", 4e4, True),
+            ("10 cm", 0.1, True), ("10 m", 10.0, False), ("10 km", 1e4, False),
+            ("40 km", 4e4, True),
+        )
+    ]  # fmt: skip
+    near = [
+        Case("distance", text, _PUPIL, lambda z=z: _facing(z), "warning", "pupil", slow=slow)
+        for text, z, slow in (
+            ("1 um", 1e-6, True), ("1 mm", 1e-3, False), ("1 cm", 1e-2, True),
         )
     ]  # fmt: skip
     return [
+        *near,
         *made,
         Case("distance", "110 km", _WALL, lambda: _facing(1.1e5), "error", "m from the rig"),
     ]
@@ -212,7 +227,7 @@ def _triangles() -> list[Case]:
         return plane(square((5.0, 0, 0), half), 5.0, turned=True)
 
     return [
-        Case("triangles", "1 um, 800 of them at 20 um", _WALL, fine),
+        Case("triangles", "1 um, 800 of them at 20 um", _PUPIL, fine, "warning", "pupil"),
         Case("triangles", "10 km at 5 m", _WALL, lambda: large(5e3)),
         Case("triangles", "140 km at 5 m", _WALL, lambda: large(7e4), slow=True),
         Case("triangles", "400 km at 5 m", "-", lambda: large(2e5), "error", "m from the rig"),
@@ -263,7 +278,7 @@ def _devices() -> list[Case]:
     return [
         Case("detector", "1 um", _WALL, lambda: wide(1e-6), says="diffraction"),
         Case("detector", "150 um", _WALL, lambda: wide(150e-6), slow=True),
-        Case("detector", "1 m", _WALL, lambda: wide(1.0)),
+        Case("detector", "1 m", _PUPIL, lambda: wide(1.0), "warning", "pupil"),
         Case("detector", "0", "-", lambda: wide(0.0), "error", "width_m"),
     ]
 

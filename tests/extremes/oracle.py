@@ -33,6 +33,37 @@ def plane_light(distance_m: float, incline_deg: float, field_deg: float) -> mp.m
     return whole / (mp.pi * h * h)
 
 
+@lru_cache(maxsize=64)
+def facing_light(distance_m: float, field_deg: float, radius_m: float) -> mp.mpf:
+    """The same from a plane that faces a pupil of this radius: mean irradiance over the pupil.
+
+    Of a point of the plane at distance z and a off the pupil's axis the disc's form factor is
+    (1 - (z^2 + a^2 - R^2) / sqrt((z^2 + a^2 + R^2)^2 - 4 R^2 a^2)) / 2, checked against quadrature
+    over the disc (`disc_form_factor`); over the field as in `plane_light`.
+    """
+    z, big = mp.mpf(distance_m), mp.mpf(radius_m) ** 2
+    t = mp.tan(mp.radians(mp.mpf(field_deg) / 2))
+
+    def light(x: mp.mpf, y: mp.mpf) -> mp.mpf:
+        across = z * z * (x * x + y * y)
+        d = z * z + across
+        factor = (1 - (d - big) / mp.sqrt((d + big) ** 2 - 4 * big * across)) / 2
+        return factor / (1 + x * x + y * y) ** mp.mpf("1.5")
+
+    with mp.workdps(24):
+        whole = 4 * mp.quad(light, [0, t], [0, t])
+    return whole / (mp.pi * big)
+
+
+def disc_form_factor(distance_m: float, aside_m: float, radius_m: float) -> float:
+    """Form factor of a disc for a point of a plane facing it, by quadrature over the disc."""
+    node, weight = np.polynomial.legendre.leggauss(400)
+    r, angle = (node[:, None] + 1) / 2 * radius_m, np.pi * (node + 1)
+    x, y = aside_m + r * np.cos(angle), r * np.sin(angle)
+    kernel = distance_m**2 / (distance_m**2 + x**2 + y**2) ** 2 / np.pi
+    return float((weight[:, None] / 2 * radius_m * r * kernel * weight * np.pi).sum())
+
+
 @lru_cache(maxsize=8)
 def field_cos4(field_deg: float) -> mp.mpf:
     """Projected solid angle of a square field on a flat pupil."""

@@ -12,8 +12,10 @@ from twin.budget import wall_rows
 from twin.budget.design import left_out
 from twin.budget.report import write_design
 from twin.camera import capture
+from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
+from twin.optics.radiometry import collection, wall_power_w
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.system import load_system
 
@@ -64,6 +66,22 @@ def test_time_and_distance_are_where_the_snr_is_one(system) -> None:
     assert far.snr_per_pixel == pytest.approx(1, rel=1e-9)
     short = system(f"[acquisition]\nintegration_time_s = {row.minimum_time_s!r}\n")
     assert wall_rows(short, [Z], [RHO])[0].snr_per_pixel == pytest.approx(1, rel=1e-9)
+
+
+def test_no_budget_within_the_pupil() -> None:
+    """Nearer than the pupil is wide there is no closed form: an error that names the distance, not
+    gigawatts. From there on no more comes back than is sent, and where the pupil's area begins to
+    count, at 100 radii, nothing jumps.
+    """
+    system = load_system("workable")
+    with pytest.raises(InputError, match=r"distances: 1e-09 m: expected at least 0.00754 m"):
+        wall_rows(system, [1e-9], [0.5])
+    tangent = math.tan(math.radians(system.emitter.field_of_view_deg.value / 2))
+    sent = system.emitter.radiant_intensity_w_per_sr.value * 4 * tangent**2
+    lens = collection(system)
+    assert wall_power_w(system, 1.0, lens.pupil_diameter_m) < 0.25 * sent * lens.transmission
+    near, far = (wall_power_w(system, 1.0, z) for z in (0.376, 0.378))
+    assert near / far == pytest.approx((0.378 / 0.376) ** 2, rel=2e-4)
 
 
 def test_saturation_is_void_here_too(system, tmp_path: Path) -> None:

@@ -8,8 +8,10 @@ import pytest
 from scipy import stats
 
 from hardware import PatternSet
+from tests.extremes import oracle
 from twin.geometry import Geometry
-from twin.optics.devices import Device
+from twin.optics.devices import Device, disc_error
+from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
@@ -73,6 +75,43 @@ def test_a_baseline_loses_the_field_that_geometry_says(distance_m: float) -> Non
     lost = 0.1 / (2 * distance_m * TAN) * 32
     assert (cells[:, : 32 - math.ceil(lost)] > 0).all()
     assert not cells[:, 32 - math.floor(lost) :].any()
+
+
+@pytest.mark.parametrize("radii", [1e-3, 0.3, 1.0, 5.0, 30.0])
+def test_no_more_light_than_is_sent_reaches_a_pupil_near_a_wall(radii: float) -> None:
+    """A wall facing the pupil at this many of its radii: within the stated error of quadrature over
+    field and pupil, from either start, and no more than is reflected. As a point the pupil takes
+    (R / d)^2 too much, a million times at a thousandth of its radius.
+    """
+    radius_m = 4e-3
+    world = mitsuba_scene(wall_scene(radii * radius_m, half_size_m=1.0))
+    pupil = Device(np.zeros(3), AHEAD, TAN, disc_radius_m=radius_m)
+    problem = LightProblem(world, Device(np.zeros(3), AHEAD, TAN), pupil)
+    quality, shape = TracingQuality(64, 1), (8, 8)
+    light = transport(problem, shape, quality=quality, seed=1).total.sum()
+    dual, scatter = (
+        transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start).sum()
+        for start in ("dual", "scatter")
+    )
+    assert dual == pytest.approx(light, rel=1e-3)
+    assert scatter == pytest.approx(light, rel=1e-3)
+    sent = 4 * TAN**2 * mean_cos_power(3, TAN, "square")
+    assert light * math.pi * radius_m**2 < 0.5 * sent
+    expected = 0.5 * float(oracle.facing_light(radii * radius_m, 20.0, radius_m))
+    cos2 = mean_cos_power(2, TAN, "square")
+    bound = disc_error(radius_m, np.array(radii * radius_m / cos2**0.5), np.array(cos2))
+    assert abs(light / expected - 1) < max(float(bound), 1e-3)
+
+
+@pytest.mark.parametrize(("distance_m", "aside_m"), [(2e-3, 1e-3), (4e-3, 0.0), (0.1, 0.02)])
+def test_the_form_factor_of_a_disc_is_that_of_quadrature(distance_m: float, aside_m: float) -> None:
+    """What the oracle of near walls rests on, and 1 / (d^2 + R^2) on the axis."""
+    big = 4e-3**2
+    d = distance_m**2 + aside_m**2
+    exact = (1 - (d - big) / math.sqrt((d + big) ** 2 - 4 * big * aside_m**2)) / 2
+    assert oracle.disc_form_factor(distance_m, aside_m, 4e-3) == pytest.approx(exact, rel=1e-6)
+    if not aside_m:
+        assert exact == pytest.approx(big / (d + big))
 
 
 @pytest.mark.parametrize(

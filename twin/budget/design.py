@@ -84,6 +84,12 @@ def wall_rows(
     design = _SystemBudget.of(system)
     if not design.watt(1.0, 1.0):
         raise InputError("budget: no light of the emitter passes the filter, or it emits none")
+    nearest = design.lens.pupil_diameter_m
+    if near := [z for z in distances_m if z < nearest]:
+        raise InputError(
+            f"distances: {near[0]:g} m: expected at least {nearest:.3g} m, the diameter of the "
+            f"detector's pupil of system {system.name!r}"
+        )
     return [design.row(z, rho) for z in distances_m for rho in reflectances]
 
 

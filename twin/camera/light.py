@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
-from twin.camera.mounting import check_rig, field_points, light_problem
+from twin.camera.mounting import check_rig, field_points, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
     forward_scattering_warnings,
     grazing_warnings,
+    near_pupil_warnings,
     truncation_warnings,
     undersampling_warnings,
 )
@@ -116,9 +117,11 @@ def _uncertain(
     shape = truth.albedo.shape
     # Cells of a line sensor's detectors, side by side, are the cells of the image.
     image = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
+    cosines = incidence_cosines(problem.scene, emitter, shape)
     return (
         *undersampling_warnings(scene, emitter, image.size * fidelity.samples),
-        *grazing_warnings(image, incidence_cosines(problem.scene, emitter, shape)),
+        *grazing_warnings(image, cosines),
+        *near_pupil_warnings(image, cosines, truth.depth_m, emitter, rendered.detector),
         *truncation_warnings(light.indirect_share, truth.albedo, fidelity.max_depth),
         *forward_scattering_warnings(problem.air, float(truth.depth_m.min()), fidelity.air_orders),
     )
@@ -143,6 +146,7 @@ def render_light(
         where_air_scatters(problem.air, truth.depth_m, q)
         for q in (fidelity.quality, sun_quality or fidelity.quality)
     )
+    problem = with_near_pupil(problem, system, truth.depth_m)
     shape = (system.emitter.rows.value, system.emitter.columns.value)
     first, second = (int(seed.generate_state(1)[0]) for seed in seeds)
     paths = backscatter = None

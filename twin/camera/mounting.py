@@ -1,6 +1,7 @@
 """Emitter and detector of a system, mounted on the rig of a scene."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from twin.files import InputError
 from twin.optics.devices import Device
 from twin.optics.emission import lobe_exponent
 from twin.optics.problem import LightProblem
-from twin.optics.radiometry import Collection, cell_centres, collection
+from twin.optics.radiometry import Collection, cell_centres, collection, near_pupil_m
 from twin.optics.weather import air_of_system
 from twin.scene import Scene
 from twin.scene.enclosure import touches
@@ -58,6 +59,17 @@ def light_problem(scene: Scene, system: System, mesh_scene: Any = None) -> Light
     if mesh_scene is None:
         mesh_scene = mitsuba_scene(scene)
     return LightProblem(mesh_scene, emitter, detector, scene.sun.direction, air_of_system(system))
+
+
+def with_near_pupil(problem: LightProblem, system: System, depth_m: Array) -> LightProblem:
+    """The problem with the pupil's area in it where a surface in sight is so near that the area
+    matters; ``depth_m`` of the image, infinite where there is no surface.
+    """
+    detector = problem.detector
+    radius = near_pupil_m(collection(system), float(depth_m.min(initial=math.inf)))
+    if not radius or detector.pupil_radius_m:
+        return problem
+    return replace(problem, detector=replace(detector, disc_radius_m=radius))
 
 
 def check_rig(scene: Scene, system: System) -> None:

@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
 from twin.camera.light import SUN_PARTS, DetectorLight, RenderedLight
-from twin.camera.mounting import check_rig, light_problem
-from twin.camera.render_warnings import grazing_warnings, undersampling_warnings
+from twin.camera.mounting import check_rig, light_problem, with_near_pupil
+from twin.camera.render_warnings import (
+    grazing_warnings,
+    near_pupil_warnings,
+    undersampling_warnings,
+)
 from twin.camera.truth import Truth, depths, incidence_cosines, object_shares
 from twin.errors import InputError
 from twin.fidelity import Fidelity
@@ -56,7 +60,7 @@ class UnitReflectanceLight:
         )
         light = self.emitter_parts.with_reflectance(reflectance)
         sun = self.sun_parts.with_reflectance(reflectance).total
-        cells = light.total.reshape(1, -1)
+        cells, image = light.total.reshape(1, -1), light.total.reshape(self.cosines.shape)
         return RenderedLight(
             light=DetectorLight(
                 cells + self.backscatter.light if self.backscatter else cells,
@@ -69,7 +73,10 @@ class UnitReflectanceLight:
             backscatter=self.backscatter,
             warnings=(
                 *self.warnings,
-                *grazing_warnings(light.total.reshape(self.cosines.shape), self.cosines),
+                *grazing_warnings(image, self.cosines),
+                *near_pupil_warnings(
+                    image, self.cosines, self.depth_m, self.emitter, self.detector
+                ),
             ),
         )
 
@@ -88,6 +95,7 @@ def render_unit_reflectance(
     mesh_scene, emitter, shape = problem.scene, problem.emitter, system.image_shape
     first, second = (int(child.generate_state(1)[0]) for child in seed.spawn(2))
     depth, sun_parts = depths(mesh_scene, emitter, shape), (SUN_PARTS, SUN_PARTS)
+    problem = with_near_pupil(problem, system, depth)
     quality = where_air_scatters(problem.air, depth, fidelity.quality)
     return UnitReflectanceLight(
         emitter_parts=gather_by_object(problem.from_emitter(shape, quality, first)),

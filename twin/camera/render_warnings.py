@@ -5,7 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.devices import Device
+from twin.camera.mounting import field_points
+from twin.optics.devices import Device, disc_error
+from twin.optics.radiometry import mean_cos_power
 from twin.optics.weather import Air
 from twin.scene import Scene
 from twin.warned import CaptureWarning
@@ -57,6 +59,46 @@ def grazing_warnings(cells: Array, cosines: Array) -> list[CaptureWarning]:
         return []
     text = f"grazing incidence: float32 rays give an error of up to {100 * error:.2g} %"
     return [CaptureWarning("rendering", text)]
+
+
+def near_pupil_warnings(
+    cells: Array, cosines: Array, depth_m: Array, emitter: Device, detector: Device
+) -> list[CaptureWarning]:
+    """Form factor of a pupil near a surface, off the pupil's axis, weighted by the cells' light;
+    and more light than the emitter sends, which bounces between surfaces that near can bring.
+
+    ``cells``, ``cosines``, ``depth_m`` of one shape: light, cosine of incidence in the cell's
+    middle, and depth along the emitter's axis.
+    """
+    radius = detector.disc_radius_m
+    lit = (cells > 0) & (cosines > 0) & np.isfinite(depth_m)
+    if not radius or not lit.any():
+        return []
+    left, up = field_points(cells.shape, emitter.tan_half_field)
+    along = np.stack([np.ones_like(left), left, up], axis=-1) @ emitter.axes
+    to_detector = depth_m[lit, None] * along[lit] + emitter.origin_m - detector.origin_m
+    distance_m = np.linalg.norm(to_detector, axis=-1)
+    at_pupil = np.clip(to_detector @ detector.axes[0] / distance_m, 1e-3, 1)
+    errors = disc_error(radius, distance_m, np.clip(cosines[lit], 1e-3, 1) * at_pupil)
+    error = float(errors @ cells[lit] / cells[lit].sum())
+    found = []
+    if error >= _WORTH_SAYING:
+        text = (
+            f"surfaces are near the detector's pupil, of radius {radius:.2g} m: the light that it "
+            f"takes of them is exact on its axis only, and off by up to {100 * error:.2g} %"
+        )
+        found.append(CaptureWarning("model", text))
+    tangent = emitter.tan_half_field
+    sent = 4 * tangent**2 * mean_cos_power(3, tangent, "square")
+    if emitter.pitch_m is not None:
+        sent = 2 * np.pi / (emitter.lobe_exponent + 1)
+    if (share := float(cells.sum()) * np.pi * radius**2 / sent) > 1:
+        text = (
+            f"{share:.3g} times the light of the emitter reaches the detector: surfaces are as "
+            "near as its pupil is wide, and bounces pass through it: move the rig"
+        )
+        found.append(CaptureWarning("model", text, void=True))
+    return found
 
 
 def forward_scattering_warnings(

@@ -45,6 +45,11 @@ class Device:
         its own lobe around the axis.
     pupil_radius_m, focus_m
         A pupil of finite size, focused at a distance; with radius 0 a pinhole.
+    disc_radius_m
+        Of a pinhole: radius R of the pupil that it stands for. Over the distance d it then takes
+        1 / (d^2 + R^2) of the light, the form factor of the disc for a point on its axis, instead
+        of 1 / d^2, so that no more arrives than is sent. Exact on the axis of a surface facing it;
+        see `disc_error`.
     """
 
     origin_m: Array
@@ -58,6 +63,7 @@ class Device:
     pitch_m: float | None = None
     pupil_radius_m: float = 0.0
     focus_m: float = float("inf")
+    disc_radius_m: float = 0.0
 
     def moved(self, rotation: Array, shift_m: Array) -> "Device":
         """The device after a rigid motion: rotated about the rig's position, then translated."""
@@ -161,6 +167,24 @@ def pupil_point(device: Device, rng: Any) -> tuple[Any, Any]:
     radius = dr.opaque(mi.Float, device.pupil_radius_m)
     shift = radius * mi.warp.square_to_uniform_disk_concentric(sample)
     return shift, dr.opaque(mi.Float, 1 / (device.focus_m * device.tan_half_field))
+
+
+def per_distance2(device: Device, distance2: Any) -> Any:
+    """Light over a squared distance, 1/m^2."""
+    if device.disc_radius_m:
+        distance2 = distance2 + dr.opaque(mitsuba().Float, device.disc_radius_m**2)
+    return dr.rcp(distance2)
+
+
+def disc_error(radius_m: float, distance_m: Array, cosines: Array) -> Array:
+    """Largest relative error of 1 / (d^2 + R^2) off the axis; ``cosines``: product of those at the
+    surface and at the pupil.
+
+    4 e / (1 + e) (1 / cosines - 1), e = (R / d)^2: no less than the error in 8000 random cases with
+    quadrature over the disc, tilts to 75 degrees, 45 degrees off the axis, d from 0.01 R to 30 R.
+    """
+    ratio = (radius_m / distance_m) ** 2
+    return np.asarray(4 * ratio / (1 + ratio) * (1 / cosines - 1))
 
 
 def _lensless_rays(

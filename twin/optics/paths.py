@@ -17,6 +17,7 @@ from twin.optics.devices import (
     apply_blur,
     field_coordinates,
     is_in_field,
+    per_distance2,
     point,
     pupil_point,
     relative_intensity,
@@ -138,7 +139,9 @@ class _DeviceConnector:
         left, up = field_coordinates(self.device, -direction)
         if shift is not None:
             left, up = left + shift.x * defocus, up + shift.y * defocus
-        weight = dr.rcp(distance2) * relative_intensity(self.device, left, up, cos)
+        weight = per_distance2(self.device, distance2) * relative_intensity(
+            self.device, left, up, cos
+        )
         if self.is_pupil:
             weight *= cos
         left, up = apply_blur(self.device, left, up, rng)
@@ -156,7 +159,7 @@ class _DeviceConnector:
         straight_left, straight_up = field_coordinates(device, -link.direction)
         left, up = field_coordinates(device, -path.last)
         cos = dr.dot(-path.last, self.axes[0])
-        weight = path.weight * dr.rcp(dr.square(link.length))
+        weight = path.weight * per_distance2(device, dr.square(link.length))
         weight *= relative_intensity(device, left, up, cos)
         if self.is_pupil:
             weight *= cos

@@ -11,6 +11,7 @@ from twin.files import InputError
 from twin.system import System
 
 Outline = Literal["square", "disc"]
+_FAR = 100.0  # radii of the pupil
 
 
 def cell_centres(n: int) -> NDArray[np.float64]:
@@ -86,6 +87,14 @@ def mean_cos_power(power: float, tan_half_field: float, outline: Outline) -> flo
     return float(weight @ (1 + r2) ** (-power / 2) / 2)
 
 
+def near_pupil_m(lens: Collection, distance_m: float) -> float:
+    """Radius of the pupil where its area matters at this distance, else 0: as a point it takes
+    (R / z)^2 too much, less than 1e-4 from 100 radii on.
+    """
+    radius = lens.pupil_diameter_m / 2
+    return radius if distance_m < _FAR * radius else 0.0
+
+
 def wall_power_w(
     system: System, reflectance: float, distance_m: float, baseline_m: float = 0.0
 ) -> float:
@@ -94,12 +103,14 @@ def wall_power_w(
     I rho tau A / ((4 N^2 + 1) z^2) x <cos^7> for a square field at baseline 0: cos^3 from the
     emitter's irradiance on the wall, cos^4 from the flat pupil and the lens's image plane. With a
     horizontal baseline b the common part of two square fields remains, 1 - b / (2 z tan), and the
-    cosines belong to slightly different directions; the integral is over that part.
+    cosines belong to slightly different directions; the integral is over that part. Near the pupil,
+    of radius R, the distance d to it counts as sqrt(d^2 + R^2) (`Device.disc_radius_m`).
     """
     lens = collection(system)
     if lens.outline != "square" and baseline_m:
         raise InputError("closed form with a baseline holds for square fields only")
     t, shift = lens.tan_half_field, baseline_m / distance_m
+    near = (near_pupil_m(lens, distance_m) / distance_m) ** 2
     node, weight = np.polynomial.legendre.leggauss(64)
     if lens.outline == "square":
         low, high = max(-t, shift - t), min(t, shift + t)
@@ -111,7 +122,12 @@ def wall_power_w(
         to_detector = 1 + (x[:, None] - shift) ** 2 + y**2
         # emitter: cos^3 per tangent area; wall and pupil: cos^2; distance: cos^2
         kernel = from_emitter**-1.5 / to_detector**2
+        if near:
+            kernel /= 1 + near / to_detector
         integral = float(weight @ kernel @ weight) * (high - low) / 2 * t
+    elif near:
+        cos2 = 1 / (1 + t**2 * (node + 1) / 2)
+        integral = float(weight @ (cos2**3.5 / (1 + near * cos2)) / 2) * lens.field_area
     else:
         integral = mean_cos_power(7, t, "disc") * lens.field_area
     intensity = system.emitter.radiant_intensity_w_per_sr.value

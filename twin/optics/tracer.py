@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from twin.engine import mitsuba
-from twin.optics.devices import CellGrid, RayWeighting, sample_rays
+from twin.optics.devices import CellGrid, RayWeighting, per_distance2, sample_rays
 from twin.optics.paths import Light, Place, TracingQuality, albedo, bounce, random_numbers
 from twin.optics.scattering import Medium
 from twin.optics.steps import PathSteps
@@ -75,6 +75,10 @@ class Tracer:
             first = depth == 0
             hit, ray, active, step_length = steps.next_surface(ray, rng, active, first=first)
             path_length = path_length + step_length
+            if first and self.weighting == "pupil" and self.start.device.disc_radius_m:
+                # Paths from a point of the pupil: the share of a point that the whole pupil has.
+                distance2 = dr.square(step_length)
+                throughput *= distance2 * per_distance2(self.start.device, distance2)
             value, link = steps.light_at(hit, ray, rng, active, coherent=first)
             length = path_length + link.length
             value = value * throughput * steps.unabsorbed(length)

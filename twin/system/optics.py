@@ -52,7 +52,8 @@ class Optics(Strict):
     ``edge_illumination``: vignetting beyond cos^4, what is left at the middle of the field's edge.
     ``blur_rms_deg``: standard deviation of the lens's Gaussian blur, some 0.1 deg for a Fresnel
     lens. ``focus_m``: the pupil has its true size and is focused there; default: a pinhole in
-    position, in focus everywhere.
+    position, in focus everywhere. Of surfaces nearer than 100 of its radii its area is taken into
+    account by a form factor, whose error is warned of.
     """
 
     f_number: Sourced[Annotated[Positive, Field(ge=FASTEST_F_NUMBER)]]
