@@ -46,6 +46,15 @@ _Run = Callable[[Sequence[int]], SeedResults]
 _Draw = Callable[[SeedResults, dict[str, Any], dict[str, Any], Sequence[Verdict]], Figure]
 
 
+@dataclass(frozen=True)
+class _Shown:
+    """What a baseline keeps of one seed to show, and how a failure is drawn beside it."""
+
+    example: Callable[[SeedResults], dict[str, Any]]
+    draw: _Draw
+
+
+_IMAGES, _ECHOES = _Shown(image_example, draw_images), _Shown(echo_example, draw_echoes)
 _DRAWS = "gives other figures of the same record each time; failures are counted, not paired"
 
 
@@ -123,18 +132,9 @@ class Regression:
             )
 
         setup = _setup("camera", views[0], poses, design, fidelity, seeds, metrics)
-        what = method if isinstance(method, str) else _function_name(method)
-        outcomes = partial(in_turn, run, len(views))
+        runs = partial(in_turn, run, len(views))
         return self._hold(
-            outcomes,
-            numbers,
-            metrics,
-            false_alarm,
-            setup,
-            method=what,
-            exemplify=image_example,
-            draw=draw_images,
-            name=name,
+            _IMAGES, runs, numbers, metrics, false_alarm, setup, own=method, name=name
         )
 
     def radar(
@@ -167,34 +167,25 @@ class Regression:
             return run_radar(captures[view], design, detector, numbers, metrics, accuracy)
 
         setup = _setup("radar", views[0], poses, design, fidelity, seeds, metrics)
-        what = detector if isinstance(detector, str) else _function_name(detector)
-        outcomes = partial(in_turn, run, len(views))
+        runs = partial(in_turn, run, len(views))
         return self._hold(
-            outcomes,
-            numbers,
-            metrics,
-            false_alarm,
-            setup,
-            method=what,
-            exemplify=echo_example,
-            draw=draw_echoes,
-            name=name,
+            _ECHOES, runs, numbers, metrics, false_alarm, setup, own=detector, name=name
         )
 
     def _hold(
         self,
+        shown: _Shown,
         run: _Run,
         seeds: Sequence[int],
         metrics: Sequence[Metric],
         false_alarm: float,
         setup: dict[str, Any],
         *,
-        method: str,
-        exemplify: Callable[[SeedResults], dict[str, Any]],
-        draw: _Draw,
+        own: str | Callable[..., Any],
         name: str,
     ) -> tuple[Verdict, ...]:
         __tracebackhide__ = True
+        method = own if isinstance(own, str) else _function_name(own)
         if name in self._named:
             pytest.fail(
                 f"name: {name!r} is taken: one for each comparison of a test", pytrace=False
@@ -211,7 +202,7 @@ class Regression:
         if fault and self.reason is None:  # with a reason it is replaced
             pytest.fail(f"{fault}: {self._remedy('why')}", pytrace=False)
         if self.reason is not None:
-            example = exemplify(outcome)
+            example = shown.example(outcome)
             self._update(
                 path, known, outcome, metrics, false_alarm, setup, method=method, example=example
             )
@@ -241,7 +232,7 @@ class Regression:
             verdicts = judge(paired=False)
         if any(verdict.worse for verdict in verdicts):
             picture = self.pictures / f"{stem}.png"
-            save(draw(outcome, known.example, known.figures, verdicts), picture)
+            save(shown.draw(outcome, known.example, known.figures, verdicts), picture)
             pytest.fail(self._told(method, known, verdicts, path, picture), pytrace=False)
         if any(verdict.better for verdict in verdicts):
             self.notes.append(f"{self.node}: better; keep it: {self._remedy('what improved')}")
