@@ -257,7 +257,7 @@ class RadarFidelity(Knobs):
         estimated errors, added as independent, stay below it at each stage, or to a deepest
         division. What all stages come to is told of every body (`Propagation.bodies`, the report),
         times three: 95 of 100 bodies' errors are within that (`python -m benchmarks
-        radar_estimates`: of 133 bodies of random scenes 99, 97 and 96 % at 0.3, 0.1 and 0.03; all
+        radar_estimates`: of 133 bodies of random scenes 99, 98 and 96 % at 0.3, 0.1 and 0.03; all
         of the yard and the street). It is warned of from six tolerances on, where the error itself
         most likely exceeds one. `twin trade` measures the errors themselves, body by body. What the
         estimate misses: bodies narrower than the rays within a facet that shows them by reflection

@@ -28,12 +28,14 @@ from twin.radar.propagation.scene.images import Image
 
 Array = NDArray[np.float64]
 
-_DEEPEST = 12, 3  # divisions of facets by four, and of roots of tubes by sixteen
+_DEEPEST = 12, 6  # divisions by four, of facets and of roots of tubes
 _COARSE_DEPTH = 0, 0
+_FEW = 1000  # roots that are divided by sixteen: launching kernels costs more than these
 _MOST_PASSES = 3  # further ones, where bodies seemed louder than they are
 #: Roots of one size, the most uncertain ones: what their tubes light takes some 2 GB. The rest is
 #: divided no further, and its error counts as it is.
 MOST_ROOTS = 2**16
+_PER_LEVEL = 0.04  # of the squared tolerance, of roots of one size
 _COARSE = 0.5  # tolerance of the first pass, at least
 LEAST_FALL = 2.0
 
@@ -224,6 +226,12 @@ class _Search:
         error = most * tubes.doubt[row]
         return _Landed(lit, echoes, tubes.root[row], tubes.is_lit[row], error)
 
+    def _divided(self, roots: Triangles, times: int) -> Triangles:
+        """By four, some times."""
+        for _ in range(times):
+            roots = quartered(self.s, roots)
+        return roots
+
     def _lit_by_tubes(
         self, tubes: "_Begun", budget: Budget, deepest: int
     ) -> tuple[Triangles, Echoes] | None:
@@ -234,18 +242,17 @@ class _Search:
         """
         lit: list[tuple[Triangles, Echoes]] = []
         begun: _Begun | None = tubes
-        for depth in range(deepest + 1):
-            if begun is None:
-                break
+        depth = 0
+        while begun is not None:
             roots, square = begun.roots, np.zeros(len(begun.roots))
             for landed in begun.landed:
                 share = landed.error / budget.allowed(landed.lit.body)
                 square += np.bincount(landed.root, share**2, len(roots))
             error = np.sqrt(square) * budget.allowed(roots.body)
-            done = budget.affordable(roots.body, error)
+            done = budget.affordable(roots.body, error, _PER_LEVEL)
             if depth == deepest:
                 done[:] = True
-            done |= ~largest(np.where(done, 0.0, square), MOST_ROOTS // 16)
+            done |= ~largest(np.where(done, 0.0, square), MOST_ROOTS // 4)
             for landed in begun.landed:
                 ends = done[landed.root]
                 budget.accept(landed.lit.body, landed.error, ends)
@@ -255,8 +262,10 @@ class _Search:
             rest = np.flatnonzero(~done)
             if not len(rest):
                 break
-            divided = (roots.taken(rows) for rows in portions(rest, 16))
-            begun = self._begun(quartered(self.s, quartered(self.s, some)) for some in divided)
+            times = min(2 if len(rest) < _FEW else 1, deepest - depth)
+            divided = (roots.taken(rows) for rows in portions(rest, 4**times))
+            begun = self._begun(self._divided(some, times) for some in divided)
+            depth += times
         if not lit:
             return None
         triangles, echoes = zip(*lit, strict=True)

@@ -26,7 +26,7 @@ _FREQUENCIES = 17  # over the band
 _NAMED = 6  # bodies in a remark
 _SURE = 6.0  # estimates over the tolerance from which on the error itself most likely exceeds it
 _WITHIN = 3.0  # of the errors that are accepted, as independent: 95 % of bodies are off by less
-_LEAST = 5e-4  # of any echo, by float32 rays and by what contributions are off over the band
+_LEAST = 3e-3  # of any echo, by float32 rays and by what contributions are off over the band
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from twin.radar.propagation.facets.facing import Facing, largest, portions
 from twin.radar.propagation.facets.hidden import wholly_hidden
 from twin.radar.propagation.facets.parts import parted, sizes, spacing_of
 from twin.radar.propagation.facets.scatterers import Scatterers
-from twin.radar.propagation.facets.shadows import cut, sampled
+from twin.radar.propagation.facets.shadows import alike, cut, sampled
 from twin.radar.propagation.facets.triangles import Triangles, quartered
 from twin.radar.propagation.one_way.path import TracingContext
 
@@ -29,11 +29,12 @@ _DEEPEST = 8  # divisions by four
 _FEW = 500  # triangles that are divided by sixteen: launching kernels costs more than these
 #: Of the strongest body, 40 dB: weaker ones are known as well as one of this level.
 WEAKEST = 0.01
-_PER_LEVEL = 0.25  # of the squared tolerance
+_PER_LEVEL = 0.06  # of the squared tolerance, of triangles of one size
 _LEFT_OUT = 0.1  # of tolerance and body: what together comes to less is left out
 _OCTAVES = 40  # of strength that are told apart
 _SAMPLED = 0.02  # of tolerance and body: triangles that may return less get a single ray
-_CUT = 0.02
+_CLOSER = 0.1  # likewise: triangles that may return more get six more rays
+_CUT = 0.005
 _UNSEEN_M = 0.1  # size of triangles on which a shadow may pass between four rays
 _UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return more are divided
 _FINEST_M = 0.01
@@ -41,6 +42,9 @@ _FINEST_M = 0.01
 #: no further, and their errors and doubts count as they are.
 MOST_TRIANGLES = 2**21
 _MIXED = 0.25  # of its strength: error of a triangle that is partly seen
+#: Mean share of triangles that is seen, by how many of their corners are, 0 to 3, where a point
+#: inside is not seen and where it is.
+_SEEN = np.array([[0.0, 0.1, 0.3, 0.45], [0.7, 0.7, 0.85, 1.0]])
 _BENT = 1.0  # of what a bent border changes: what is left then
 _FALLEN = 2.0  # level of a body and errors that it may have: from which another pass is needed
 _AT_ONCE = 8192  # echoes that are summed together, which the processor's cache holds
@@ -48,8 +52,8 @@ _AT_ONCE = 8192  # echoes that are summed together, which the processor's cache 
 
 @dataclass(frozen=True, eq=False)
 class Leaves:
-    """Triangles that are not divided further, and their echoes; ``weight`` (n,): 1 of those that
-    are seen, -1 of dark parts of these.
+    """Triangles that are not divided further, and their echoes; ``weight`` (n,): the share that is
+    seen, and -1 of dark parts.
     """
 
     triangles: Triangles
@@ -238,11 +242,8 @@ class Budget:
         found: NDArray[np.bool_] = octave >= kept[body]
         return found
 
-    def affordable(self, body: NDArray[np.intp], error: Array) -> NDArray[np.bool_]:
+    def affordable(self, body: NDArray[np.intp], error: Array, share: float) -> NDArray[np.bool_]:
         """The smallest errors of every body that together stay within a level's share."""
-        return self._within(body, error, _PER_LEVEL)
-
-    def _within(self, body: NDArray[np.intp], error: Array, share: float) -> NDArray[np.bool_]:
         order = np.lexsort((error, body))
         total = np.cumsum(error[order] ** 2)
         first = np.searchsorted(body[order], np.arange(len(self.level)))
@@ -306,7 +307,7 @@ def settled(
     depth = 0
     while True:
         budget.consider([seen.leaves, seen.cut])
-        done = budget.affordable(seen.leaves.body, seen.error) & ~seen.is_doubtful
+        done = budget.affordable(seen.leaves.body, seen.error, _PER_LEVEL) & ~seen.is_doubtful
         done &= ~seen.is_wide
         if depth == deepest:
             done[:] = True
@@ -418,11 +419,15 @@ def _looked_at(
     clear = sampled(s, lit, partly | (echoes.strength > _SAMPLED * allowed))
     corners = clear[:3].sum(axis=0)
     agree = (clear == clear[3]).all(axis=0)
-    weight = np.where(corners >= 2, 1.0, 0.0)
+    closer = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSER * allowed))
+    if len(closer):
+        agree[closer] = alike(s, lit.taken(closer), clear[3, closer])
+    weight = _SEEN[clear[3].astype(np.intp), corners]
     error = np.where(weight > 0, echoes.curved, 0.0)
     odd = (corners == 1) | (corners == 2)
     error += np.where(agree, 0.0, _MIXED * echoes.strength)
     row = np.flatnonzero(odd & (partly | (_MIXED * echoes.strength > _CUT * allowed)))
+    weight[row] = corners[row] >= 2
     size = sizes(lit)
     doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
     is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
@@ -438,7 +443,7 @@ def _looked_at(
     # Against the triangle's own path.
     wave = _turned(both, s).reshape(3, -1)
     bent = np.abs(wave[0] + wave[1] - wave[2])
-    error[row] += _BENT * bent - _MIXED * echoes.strength[row]
+    error[row] += _BENT * bent - np.where(off.is_known, _MIXED, 0) * echoes.strength[row]
     error[row] += parts.curved[: len(row)] + parts.curved[len(row) :]
     sign: Array = off.is_seen - weight[row]
     twice = np.concatenate([row, row])

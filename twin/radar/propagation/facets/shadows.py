@@ -17,6 +17,15 @@ from twin.radar.propagation.one_way.path import TracingContext, leg, offset
 from twin.transfer import aligned
 
 _INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
+#: Points where more is looked at, by shares of the corners.
+_BETWEEN = (
+    (0.499, 0.499, 0.002),
+    (0.002, 0.499, 0.499),
+    (0.499, 0.002, 0.499),
+    (0.68, 0.16, 0.16),
+    (0.16, 0.68, 0.16),
+    (0.16, 0.16, 0.68),
+)
 _DRAWN_IN = 3 * _INSET  # lines on which borders are searched for, likewise
 _HALVINGS = 12  # of a line until a border is found on it: 2.4e-4 of its length
 
@@ -51,16 +60,31 @@ def sampled(s: TracingContext, lit: Triangles, thoroughly: NDArray[np.bool_]) ->
     return found
 
 
+def alike(s: TracingContext, lit: Triangles, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether triangles are seen, or not, as ``wanted``, (n,), at six more points: in the middles
+    of edges and towards corners.
+    """
+    n, share = len(lit), np.array(_BETWEEN).T
+    some, number = lit.repeated(len(_BETWEEN)), np.tile(np.arange(len(_BETWEEN)), n)
+    weights = [s.mi.Float64(aligned(column[number])) for column in share]
+    place = sum(w * corner for w, corner in zip(weights, some.corners, strict=True))
+    clear = np.array(seen(s, some, place)).reshape(n, -1)
+    found: NDArray[np.bool_] = (clear == wanted[:, None]).all(axis=1)
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Cut:
     """Triangles cut by a shadow's border: the parts at the corner that differs from the others,
     bordered by two straight lines (``parts``, 2 n) and by one (``whole``, n); whether that corner
-    ``is_seen``.
+    ``is_seen``, and whether all of the border ``is_known``: points in the middle of what lies on
+    either side of it are seen or not like the corners there.
     """
 
     parts: Triangles
     whole: Triangles
     is_seen: NDArray[np.bool_]
+    is_known: NDArray[np.bool_]
 
 
 def cut(s: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
@@ -114,12 +138,21 @@ def cut(s: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
     bent_left, bent_right = (share * across * half / 2 for half in (share_left, share_right))
     left_at += (left_at - bend) * _onwards(near, (1 - 3 * near) * bent_right)
     right_at += (right_at - bend) * _onwards(near, (1 - 3 * near) * bent_left)
-    tip = ordered(lit.corners)[0]
-    parts = Triangles.joined(
-        [replace(lit, corners=(tip, left_at, bend)), replace(lit, corners=(tip, bend, right_at))]
-    )
+    tip, left, right = ordered(lit.corners)
+    near_by: list[tuple[Any, Any, Any]] = [(tip, left_at, bend), (tip, bend, right_at)]
+    beyond: list[tuple[Any, ...]] = [
+        (left_at, left, bend),
+        (bend, left, right),
+        (bend, right, right_at),
+    ]
+    beyond += [(left, right), (left_at, left), (right_at, right)]
+    is_known = s.mi.Bool(True)
+    for part, expected in (*((p, wanted) for p in near_by), *((p, ~wanted) for p in beyond)):
+        middle = sum(part) / len(part)
+        is_known &= seen(s, lit, middle + _INSET * (lit.center - middle)) == expected
+    parts = Triangles.joined([replace(lit, corners=part) for part in near_by])
     whole = replace(lit, corners=(tip, left_at, right_at))
-    return Cut(parts.evaluated(), whole.evaluated(), is_seen)
+    return Cut(parts.evaluated(), whole.evaluated(), is_seen, np.array(is_known))
 
 
 def _onwards(margin: float, away: Any) -> Any:
