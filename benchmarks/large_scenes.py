@@ -79,7 +79,7 @@ def _of(name: str, scene: Scene) -> Iterator[Figure]:
 def _set_up(scene: Scene) -> PreparedScene:
     radar = load_radar("hybrid-79")
     stage = prepare_scene(
-        scene, radar, assign_scattering_models(scene, radar.ofdm.wavelength_m, "optics"), 1
+        scene, radar, assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True), 1
     )
     items = zip(stage.items, stage.roles, strict=True)
     bodies_of([item for item, role in items if role is ScatteringModel.OPTICS])

@@ -105,7 +105,7 @@ def _stage(items: Sequence[SceneObject], begin: Array, order: int) -> PreparedSc
     rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((x, y, z)))
     sun = Sun(180.0, 30.0, 0.0)
     scene = Scene("peer", Path("peer"), "", tuple(items), rig, sun, (), materials=_MATERIALS)
-    roles = assign_scattering_models(scene, _WAVELENGTH_M, "optics")
+    roles = assign_scattering_models(scene, _WAVELENGTH_M, with_optics=True)
     stage = prepare_scene(scene, _RADAR, roles, order)
     return stage.with_images(stage.all_images)  # those that no body is heard by, too
 

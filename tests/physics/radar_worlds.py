@@ -1,5 +1,6 @@
 """Small scenes for the radar, shared by its tests."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
 from twin.radar import load_radar
+from twin.radar.propagation.result import Path as RadioPath
+from twin.radar.propagation.result import Propagation
 from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target
 from twin.scene.materials import load_materials
@@ -88,3 +91,12 @@ def cross_section_db(amplitude: complex, distance_m: float) -> float:
     """By the radar equation, on boresight."""
     scale = (4 * np.pi) ** 1.5 * distance_m**2 / (GAIN * WAVELENGTH_M)
     return float(20 * np.log10(max(abs(amplitude) * scale, 1e-30)))
+
+
+def paths_of(
+    found: Propagation, is_wanted: Callable[[RadioPath], object] = lambda path: True
+) -> Contributions:
+    """Single paths as contributions, all or some."""
+    return found.contributions.chosen(
+        np.array([k for k, path in enumerate(found.paths) if is_wanted(path)], dtype=int)
+    )

@@ -17,7 +17,7 @@ from twin.radar.device.oscillator import apply, draw, residual_rad
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Air
 
-NOTHING = Propagation(paths=(), roles=(), assumptions=())
+NOTHING = Propagation()
 
 
 def design(name: str = "hybrid-79-slow", **changes: object) -> RadarDesign:

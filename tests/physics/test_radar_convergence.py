@@ -210,7 +210,7 @@ def test_of_a_track_the_worst_burst_is_named() -> None:
             BodyEcho((name,), 0.0, error, 0.1)
             for name, error in zip("abcdefgh", errors, strict=False)
         )
-        return Propagation((), (), (), bodies=bodies)
+        return Propagation(bodies=bodies)
 
     assert _unconverged([burst(0.05, 0.2)]) == []
     assert _unconverged([burst(0.7, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)]) == [
@@ -237,7 +237,9 @@ def test_the_benchmark_measures_every_body(tmp_path: Path) -> None:
     assert len(true) == 3
     assert all(0.01 < error < 30 for error in true)
     assert {"test: error of car, 0.0 dB", "test: error of all bodies' sum"} <= figures.keys()
-    off = replace(found, surfaces=replace(found.surfaces, amplitude=1.5 * found.surfaces.amplitude))
+    all_of_it = found.contributions
+    louder = np.where(all_of_it.wavelength_power == 0, 1.5, 1.0) * all_of_it.amplitude
+    off = replace(found, contributions=replace(all_of_it, amplitude=louder))
     worse = {name: float(value) for name, value, _ in _errors("test", off, radar, reference)}
     assert worse["test: error of all bodies' sum"] == pytest.approx(50, abs=15)
     taken = {name: value for name, value, _ in _times("t", scene, radar, Fidelity(), 1)}

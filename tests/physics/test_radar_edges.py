@@ -29,12 +29,12 @@ from tests.physics.test_radar_walls import box, permittivity, slab
 from twin.fidelity import PRESETS
 from twin.geometry import Geometry
 from twin.radar.cross_section import Quality, sweep
-from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.physical_optics import diffracted, scattered
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.radar.scattering import Radar, Target, edge_diffraction, sharp_edges
+from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject
 
 K = 2 * np.pi / WAVELENGTH_M
@@ -63,24 +63,29 @@ def turned(mesh: trimesh.Trimesh, radar: Radar, distance_m: float) -> SceneObjec
     return thing("t", at, mesh.faces, radar="optics")
 
 
-def rays_of(scene: Scene, **knobs) -> Rays:
+def rays_of(scene: Scene, **knobs) -> Contributions:
     """Of surfaces and edges, without the antenna's gain."""
-    roles = assign_scattering_models(scene, WAVELENGTH_M, "optics")
+    roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
     stage, fidelity = prepare_scene(scene, RADAR, roles, 1), EDGES.with_(**knobs)
-    return Rays.joined([scattered(stage, RADAR, fidelity)[0], diffracted(stage, fidelity)[0]])
+    surfaces = scattered(stage, RADAR, fidelity).contributions
+    return Contributions.joined([surfaces, diffracted(stage, fidelity)[0]])
 
 
-def edges_of(scene: Scene) -> Rays:
+def lengths_m(found: Contributions) -> np.ndarray:
+    return 299792458.0 * found.delay_s
+
+
+def edges_of(scene: Scene) -> Contributions:
     """Those of sharp edges alone."""
-    roles = assign_scattering_models(scene, WAVELENGTH_M, "optics")
+    roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
     return diffracted(prepare_scene(scene, RADAR, roles, 1), EDGES)[0]
 
 
-def total(rays: Rays) -> complex:
-    return complex(np.sum(rays.amplitude * np.exp(-1j * K * rays.length_m)))
+def total(rays: Contributions) -> complex:
+    return complex(np.sum(rays.amplitude * np.exp(-1j * K * lengths_m(rays))))
 
 
-def amplitude_m(rays: Rays, distance_m: float) -> complex:
+def amplitude_m(rays: Contributions, distance_m: float) -> complex:
     """S at the target's origin."""
     return total(rays) * np.exp(2j * K * distance_m) * 4 * np.pi * distance_m**2 / WAVELENGTH_M
 
@@ -218,7 +223,7 @@ def test_an_edge_on_the_ground_is_none() -> None:
     """A plate that stands on it: its lower edge is silent directly and by the image, no other."""
     item = quad("p", [[4, -0.1, -1], [4.1, 0.1, -1], [4.1, 0.1, -0.8], [4, -0.1, -0.8]])
     free, over = edges_of(world(item)), edges_of(world(item, ground(-1.0)))
-    low = np.abs(free.length_m / 2 * free.departure[:, 2] + 1.0) < 1e-4
+    low = np.abs(lengths_m(free) / 2 * free.departure[:, 2] + 1.0) < 1e-4
     assert low.sum() > 400
     for out, home in ((0, 0), (0, 1), (1, 0), (1, 1)):
         assert np.sum((over.source == out) & (over.receiver == home)) == np.sum(~low)
@@ -238,7 +243,7 @@ def test_delays_hold_over_the_band_and_rates_are_their_derivatives() -> None:
     rays = edges_of(world(turned(flat, radar, 5.0)))
     for frequency in (77e9, 81e9):
         k = 2 * np.pi * frequency / 299792458.0
-        found = np.sum(rays.amplitude * np.exp(-1j * k * (rays.length_m - 10.0)))
+        found = np.sum(rays.amplitude * np.exp(-1j * k * (lengths_m(rays) - 10.0)))
         found *= 4 * np.pi * 25.0 / WAVELENGTH_M
         expected = edge_diffraction(target, sharp_edges(target, 25), radar, frequency)[0]
         assert abs(found - expected) < 0.1 * abs(expected)
@@ -247,7 +252,10 @@ def test_delays_hold_over_the_band_and_rates_are_their_derivatives() -> None:
     later = moving.moved(step * np.array(velocity))
     one, other = (edges_of(world(o)) for o in (moving, later))
     np.testing.assert_allclose(
-        (other.length_m - one.length_m) / step, one.rate_m_per_s, rtol=1e-5, atol=1e-6
+        (lengths_m(other) - lengths_m(one)) / step,
+        299792458.0 * one.delay_rate,
+        rtol=1e-5,
+        atol=1e-6,
     )
 
 

@@ -39,7 +39,9 @@ def test_neighbours_of_what_sees_something_are_looked_at(is_loose: bool) -> None
     """
     item = loose(mirror()) if is_loose else mirror()
     scene = world(item, ball("ball", (10.0, 1.5, 0.0), 0.1, level=3))
-    stage = prepare_scene(scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, "optics"), 0)
+    stage = prepare_scene(
+        scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, with_optics=True), 0
+    )
     s, b = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
     facets = lit_by(s, b, stage.images)
     lit = facets.taken(facets.all)

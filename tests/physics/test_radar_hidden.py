@@ -49,7 +49,9 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
     """
     rng = np.random.default_rng(seed)
     scene = yard(rng)
-    stage = prepare_scene(scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, "optics"), 1)
+    stage = prepare_scene(
+        scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, with_optics=True), 1
+    )
     assert len(stage.images) == 3  # the radar, in the ground, in the mirror
     s, bodies = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
     facets = facing(s, bodies, stage.images)

@@ -134,15 +134,19 @@ def test_echoes_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
     here = np.array([12.0, 3.0, 0.0])
     there = mirrored(mirrored(here, "ahead"), "side")
     scene = world(AHEAD, SIDE, ball("b", here))
-    stage = prepare_scene(scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, "optics"), 2)
+    stage = prepare_scene(
+        scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, with_optics=True), 2
+    )
     twice = [n for n in range(len(stage.images)) if len(stage.via(n)) == 2]
     assert {stage.via(n) for n in twice} == {("side", "ahead")}
-    rays, _, _ = scattered(stage, RADAR, knobs)
+    rays = scattered(stage, RADAR, knobs).contributions
     over = rays.chosen(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
     alone = world(ball("b", there))
-    free = prepare_scene(alone, RADAR, assign_scattering_models(alone, WAVELENGTH_M, "optics"), 0)
+    free = prepare_scene(
+        alone, RADAR, assign_scattering_models(alone, WAVELENGTH_M, with_optics=True), 0
+    )
     found, expected = (
-        np.sum(r.amplitude * np.exp(-1j * K * r.length_m))
-        for r in (over, scattered(free, RADAR, knobs)[0])
+        np.sum(r.amplitude * np.exp(-1j * K * 299792458.0 * r.delay_s))
+        for r in (over, scattered(free, RADAR, knobs).contributions)
     )
     assert found == pytest.approx(expected, rel=0.02)

@@ -50,7 +50,7 @@ def block(name: str, center, size, **more) -> SceneObject:
 
 def staged(scene: Scene, order: int = 1) -> PreparedScene:
     return prepare_scene(
-        scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, "optics"), order
+        scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, with_optics=True), order
     )
 
 
@@ -112,7 +112,7 @@ def test_one_object_that_moves_is_all_that_is_looked_at_anew(monkeypatch) -> Non
     for step in range(3):
         moved = items[7].moved([step, step, step])
         scene = world(*items[:7], moved, *items[8:])
-        assign_scattering_models(scene, WAVELENGTH_M, "optics")
+        assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
         grouping.bodies_of(scene.objects)
     assert len(measured) == len(set(measured)) == 1500
     known = [ref(item.geometry.shape) for item in items]
@@ -300,7 +300,7 @@ def test_the_radar_sees_itself_over_the_same_mirrors_as_over_all_images(monkeypa
         rays = mirror_echoes(one.station)
         heard = np.flatnonzero(np.abs(rays.amplitude))
         found.append(
-            sorted((one.via(int(rays.source[k])), rays.length_m[k]) for k in heard.tolist())
+            sorted((one.via(int(rays.source[k])), rays.delay_s[k]) for k in heard.tolist())
         )
     assert [via for via, _ in found[0]] == [via for via, _ in found[1]]
     np.testing.assert_allclose([x for _, x in found[0]], [x for _, x in found[1]], rtol=1e-12)

@@ -18,6 +18,7 @@ from tests.physics.radar_worlds import (
     RADAR,
     WAVELENGTH_M,
     ground,
+    paths_of,
     plate,
     quad,
     trihedral,
@@ -26,7 +27,6 @@ from tests.physics.radar_worlds import (
 from twin.radar.acquisition import channel, radar_capture
 from twin.radar.device.burst import Burst, burst_channel
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.result import contributions_of_paths
 from twin.radar.propagation.scene.atmosphere import Air
 from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis import Contributions, direct_sum
@@ -237,8 +237,8 @@ def test_every_element_of_an_array_hears_its_own_rate() -> None:
     )
     for rung in ("targets", "optics", "paths"):
         scene = world(targets=(target(place, velocity),))
-        paths = trace(scene, RADAR, fidelity=OPTICS.with_(radar=rung)).paths
-        found = burst_channel(contributions_of_paths(paths), ARRAY)[0, :, :, 4]
+        paths = paths_of(trace(scene, RADAR, fidelity=OPTICS.with_(radar=rung)))
+        found = burst_channel(paths, ARRAY)[0, :, :, 4]
         assert off_over_time(found, exact) < 0.01
 
 

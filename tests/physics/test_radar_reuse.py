@@ -51,7 +51,7 @@ def box(name: str, center, size, material: str = "metal", turn_deg: float = 0.0,
 def echoes(found: Propagation) -> dict[tuple[str, ...], tuple[np.ndarray, float]]:
     """Of every body over the band, and the error that is told of it, in amplitude."""
     number = {name: k for k, body in enumerate(found.bodies) for name in body.objects}
-    owner = np.array([number.get(name, -1) for name in found.objects])[found.object_of_surface]
+    owner = np.array([number.get(name, -1) for name in found.objects])[found.surfaces.object]
     wave = RADAR.ofdm
     echo = summed_by(owner, len(found.bodies), found.surfaces, wave.carrier_hz, band_of(wave))
     rms = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
@@ -216,7 +216,7 @@ def test_rates_are_those_of_now() -> None:
     alone, kept = frames(replace(scene, objects=tuple(driving)), after)
     assert kept.kept > 0
     for found in (alone, kept):
-        rates = C_M_PER_S * found.surfaces.delay_rate[found.object_of_surface == 1]
+        rates = C_M_PER_S * found.surfaces.delay_rate[found.surfaces.object == 1]
         assert found.objects[1] == "ball"
         assert np.allclose(rates, 2 * 3.0 * 8 / np.hypot(8, 2), rtol=0.02)
 

@@ -1,6 +1,6 @@
 """Rough surfaces: mean power, speckle, decorrelation with motion, what is left of the mirror."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +29,6 @@ from twin.radar.propagation.scene.atmosphere import Air
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.radar.propagation.surface_clutter import coherent
-from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject
 
 K = 2 * np.pi / WAVELENGTH_M
@@ -185,7 +184,7 @@ def test_the_far_face_of_a_wall_lies_behind_it() -> None:
     s = replace(scene(panel), materials=rough("wood"))
     found = echoes(s, 4000)
     across = np.abs(found.departure[:, 1:] / found.departure[:, :1]).max(axis=1)
-    found = chosen(found, across < 0.095)  # without the slab's narrow sides
+    found = found.chosen(across < 0.095)  # without the slab's narrow sides
     x = found.delay_s * speed_of_light / 2 * found.departure[:, 0]
     near = np.abs(x - 5.0) < 2e-3
     later = np.real(np.sqrt(permittivity("wood"))) * 0.0125
@@ -195,7 +194,7 @@ def test_the_far_face_of_a_wall_lies_behind_it() -> None:
     rest = ~near & ~far
     trips = np.count_nonzero(rest) / far.sum()
     assert trips == round(trips)  # each within the slab, once more to and fro
-    sums = per_scatterer(chosen(found, ~near), int(far.sum()))
+    sums = per_scatterer(found.chosen(~near), int(far.sum()))
     ratio = np.mean(np.abs(sums) ** 2) / np.mean(np.abs(found.amplitude[near]) ** 2)
     factor = abs(slab(permittivity("wood"), 0.0125, 0.0, CARRIER_HZ)[0]) ** 4
     assert 10 * np.log10(ratio / factor) == pytest.approx(0, abs=0.2)
@@ -207,7 +206,7 @@ def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
     panel = box("panel", (3.0, -15, -15), (3.0125, 15, 15), material)
     s = replace(scene(panel), materials=rough(material))
     stage = prepare_scene(
-        s, RADAR, assign_scattering_models(s, WAVELENGTH_M, "rough"), 1, is_rough=True
+        s, RADAR, assign_scattering_models(s, WAVELENGTH_M, with_optics=True), 1, is_rough=True
     )
     assert {stage.via(n) for n in range(len(stage.images))} == {()}  # nothing else is heard over it
     stage = stage.with_images(stage.all_images)
@@ -218,10 +217,6 @@ def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
     assert not rays.receiver.any()
 
 
-def chosen(found: Contributions, which: np.ndarray) -> Contributions:
-    return Contributions(*(getattr(found, f.name)[which] for f in fields(Contributions)))
-
-
 def test_the_floor_behind_a_mirror() -> None:
     """A metal wall at 22 m: the floor before it answers over it too. Power by way of the mirror
     both ways is that of the mirrored floor, out one way and home the other that of bistatic
@@ -229,7 +224,7 @@ def test_the_floor_behind_a_mirror() -> None:
     """
     mirror = plate("mirror", (22.0, 0, 0), 60.0)
     s = scene(floor(), mirror)
-    roles = assign_scattering_models(s, WAVELENGTH_M, "rough")
+    roles = assign_scattering_models(s, WAVELENGTH_M, with_optics=True)
     stage = prepare_scene(s, RADAR, roles, 1, is_rough=True)
     rays = surface_clutter(s, stage, Fidelity(radar="rough"), 0)[0]
     (number,) = {int(n) for n in rays.source if n}
@@ -266,8 +261,9 @@ def test_points_answer_with_the_wavelength_of_each_step() -> None:
     radar = load_radar("prototype")
     floor = world(ground(-1.0, "asphalt"), plate("p", (6, 0, 0), 1.0))
     found = trace(floor, radar, fidelity=Fidelity(radar="rough", radar_scatterers=1000))
-    assert len(found.diffuse.delay_s) > 100
-    alone = Propagation((), (), (), diffuse=found.diffuse)
+    diffuse = found.echoes.chosen(found.echoes.wavelength_power == 1)
+    assert len(diffuse) > 100
+    alone = Propagation(diffuse)
     levels = np.abs(contributions(alone, radar, Air(None)).amplitude)[:, :-1]  # less the leakage
     levels = levels[:, levels[0] > 0]
     ratio = radar.burst.carriers_hz[0] / radar.burst.carriers_hz[:, None]

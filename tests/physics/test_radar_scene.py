@@ -107,7 +107,9 @@ def test_who_scatters_is_a_rule_that_a_scene_can_override() -> None:
     tiny = plate("tiny", (20.0, 0, 0), 0.002)
     sphere = ball("ball", (20.0, 0, 0), 5.0)
     scene = world(small, wall, tiny, sphere)
-    roles = {a.name: a.role for a in assign_scattering_models(scene, WAVELENGTH_M, "optics")}
+    roles = {
+        a.name: a.role for a in assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
+    }
     assert roles == {
         "small": ScatteringModel.OPTICS,
         "wall": ScatteringModel.SURFACE,
@@ -115,7 +117,7 @@ def test_who_scatters_is_a_rule_that_a_scene_can_override() -> None:
         "ball": ScatteringModel.OPTICS,
     }
     (one,) = assign_scattering_models(
-        world(replace(small, radar="obstacle")), WAVELENGTH_M, "optics"
+        world(replace(small, radar="obstacle")), WAVELENGTH_M, with_optics=True
     )
     assert (one.role, one.declared) == (ScatteringModel.OBSTACLE, True)
     # The cheap rung knows no physical optics.
@@ -132,7 +134,7 @@ def test_a_smoothly_bent_surface_is_no_mirror() -> None:
     faces = np.vstack([np.column_stack([n, n + 1, n + 22]), np.column_stack([n, n + 22, n + 21])])
 
     (role,) = assign_scattering_models(
-        world(thing("b", np.vstack([low, high]), faces)), WAVELENGTH_M, "optics"
+        world(thing("b", np.vstack([low, high]), faces)), WAVELENGTH_M, with_optics=True
     )
     assert role.role is ScatteringModel.OPTICS
 

@@ -19,6 +19,7 @@ from tests.physics.radar_worlds import (
     ball,
     cross_section_db,
     ground,
+    paths_of,
     plate,
     quad,
     thing,
@@ -27,7 +28,6 @@ from tests.physics.radar_worlds import (
 )
 from twin.fidelity import PRESETS, Fidelity
 from twin.radar.propagation.diffraction.knife_edge import over_edge, over_two_edges
-from twin.radar.propagation.result import contributions_of_paths
 from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, SceneObject, Target
 
@@ -60,7 +60,7 @@ def box(low, high, **more) -> SceneObject:
 
 def found(*objects: SceneObject, at: Target | None = None, fidelity: Fidelity = DEEP, **more):
     scene = world(*objects, targets=(at or point(),), **more)
-    return contributions_of_paths(trace(scene, RADAR, fidelity=fidelity).paths)
+    return paths_of(trace(scene, RADAR, fidelity=fidelity))
 
 
 def echo(*objects: SceneObject, frequency_hz: float = CARRIER_HZ, **more) -> complex:
@@ -232,14 +232,14 @@ def test_over_a_mirror_both_sides_of_it_are_obstructed() -> None:
     both = rectangle("screen", (-30, 30), (-1.55, -0.45), x=4.0)
     below = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, -2.0)))
     real, unfolded = (
-        trace(world(*objects, targets=(at,), rig=rig), RADAR, fidelity=DEEP).paths
+        trace(world(*objects, targets=(at,), rig=rig), RADAR, fidelity=DEEP)
         for objects, rig in (
             ((floor, upright), Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))),
             ((both,), below),
         )
     )
-    over = [p for p in real if p.target and p.via.count("ground") == 2]
-    got, due = (wave(contributions_of_paths(paths)) for paths in (over, unfolded))
+    over = paths_of(real, lambda path: path.target and path.via.count("ground") == 2)
+    got, due = (wave(paths) for paths in (over, paths_of(unfolded)))
     assert abs(abs(got) / abs(due) - 1) < 0.02
 
 

@@ -250,13 +250,14 @@ def test_what_was_asked_before_does_not_matter() -> None:
 def test_who_answers_from_a_table_is_a_rule_that_a_scene_can_override() -> None:
     small = trihedral("small", (30, 0, 0))
 
-    def role(item: SceneObject, rung="paths", **more) -> tuple[ScatteringModel, bool]:
-        found = assign_scattering_models(world(item, **more), WAVELENGTH_M, rung)[0]
+    def role(item: SceneObject, with_optics=False, **more) -> tuple[ScatteringModel, bool]:
+        scene = world(item, **more)
+        found = assign_scattering_models(scene, WAVELENGTH_M, with_optics=with_optics)[0]
         return found.role, found.declared
 
     assert role(small) == (ScatteringModel.TABLE, False)
-    assert role(small, "optics") == (ScatteringModel.OPTICS, False)
-    assert role(tabled(small), "optics") == (ScatteringModel.OPTICS, False)
+    assert role(small, with_optics=True) == (ScatteringModel.OPTICS, False)
+    assert role(tabled(small), with_optics=True) == (ScatteringModel.OPTICS, False)
     near = trihedral("near", (8, 0, 0))  # its far field begins at 11.8 m
     assert role(near) == (ScatteringModel.OBSTACLE, False)
     assert role(tabled(near)) == (ScatteringModel.TABLE, True)

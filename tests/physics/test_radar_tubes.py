@@ -111,7 +111,7 @@ def test_a_ball_in_a_mirror(level: int) -> None:
     for bounces in (1, 2):
         knobs = OPTICS.with_(radar_tolerance=0.1, radar_bounces=bounces)
         traced = trace(scene, RADAR, fidelity=knobs)
-        of_ball = traced.object_of_surface == traced.objects.index("b")
+        of_ball = traced.surfaces.object == traced.objects.index("b")
         surfaces = traced.surfaces
         cycles = WAVELENGTH_M**-1 * speed_of_light * surfaces.delay_s % 1.0
         found.append(np.sum((surfaces.amplitude * np.exp(-2j * np.pi * cycles))[of_ball]))

@@ -18,9 +18,13 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.radar import RadarDesign, load_radar
-from twin.radar.propagation.one_way.rays import InternalReflections, Rays, with_internal_reflections
+from twin.radar.propagation.one_way.internal_reflections import (
+    InternalReflections,
+    with_internal_reflections,
+)
 from twin.radar.propagation.scene.materials import radio_properties, surface_of
 from twin.radar.propagation.solvers import trace
+from twin.radar.synthesis import Contributions
 from twin.scene import Scene, SceneObject, Target
 
 C = constants.c
@@ -111,15 +115,18 @@ def test_a_point_behind_a_wall_at_every_subcarrier(
 
 def test_ringing_over_two_different_ways() -> None:
     """Out and home through walls that ring otherwise: both geometric series, multiplied out."""
-    one = Rays(*(np.ones(shape) for shape in (1, 1, 1, 1, (1, 3), (1, 3), 1, 1, 1)))
+    still = np.zeros(1)
+    one = Contributions.ahead(np.ones(1, complex), np.ones(1) / constants.speed_of_light, still)
     first, second = 0.3 * np.exp(1j), 0.2 + 0j
     rings = [
         InternalReflections(np.array([rho]), np.array([lag]))
         for rho, lag in ((first, 0.011), (second, 0.007))
     ]
-    found = with_internal_reflections(one, *rings, np.array([False]))
+    found = with_internal_reflections(one, np.ones(1), *rings, np.array([False]))
     for k in (100.0, 1000.0):
-        total = np.sum(found.amplitude * np.exp(-1j * k * (found.length_m - 1)))
+        total = np.sum(
+            found.amplitude * np.exp(-1j * k * (constants.speed_of_light * found.delay_s - 1))
+        )
         series = [1 / (1 - r.rho[0] * np.exp(-1j * k * r.lag_m[0])) for r in rings]
         assert total == pytest.approx(series[0] * series[1], rel=4e-3)
 

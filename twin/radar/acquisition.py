@@ -16,9 +16,9 @@ from twin.progress import OpenStage
 from twin.radar.device.burst import burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
-from twin.radar.propagation.result import Propagation, contributions_of_paths
+from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Air
-from twin.radar.propagation.solvers import trace
+from twin.radar.propagation.solvers import solver_of, trace
 from twin.radar.remarks import assumptions, warnings
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
@@ -29,7 +29,6 @@ from twin.warned import CaptureWarning, is_void
 
 _NEAREST_M = 0.1  # a point target nearer than this is no point
 _MOST_CELLS = 2**28  # of one record: a gigabyte
-_SEEDLESS = ("targets", "optics")  # rungs whose echoes no seed changes
 #: Stages of `radar_capture`.
 STAGES = ("radar paths", "radar signal")
 
@@ -86,7 +85,7 @@ class RadarEcho:
 
     def reseeded(self, seed: int) -> "RadarEcho | None":
         """The same with another seed, where nothing but the noise is drawn from it; else None."""
-        if self.fidelity.radar not in _SEEDLESS:
+        if solver_of(self.fidelity).is_seeded:
             return None
         return replace(self, noise_seed=_seeds(seed)[1])
 
@@ -214,15 +213,15 @@ def radar_capture(
     with stage("radar signal"):
         record = echo.record()
     first, bursts, air = echo.worlds[0], echo.bursts, echo.air
-    truth = true_targets(first, radar, bursts[0], air)
+    truth, solver = true_targets(first, radar, bursts[0], air), solver_of(echo.fidelity)
     return RadarCapture(
         record=record,
         truth=truth,
         bursts=bursts,
         air=air,
         sample_noise_w=radar.sample_noise_w,
-        assumptions=assumptions(first, radar, bursts[0], air, echo.fidelity.radar),
-        warnings=warnings(first, radar, bursts, truth, record.flags, echo.fidelity.radar),
+        assumptions=assumptions(first, radar, bursts[0], air, solver),
+        warnings=warnings(first, radar, bursts, truth, record.flags, solver),
     )
 
 
@@ -230,16 +229,7 @@ def contributions(found: Propagation, radar: RadarDesign, air: Air) -> Contribut
     """Echoes as the synthesis takes them, with what air, averaging over a slot and a stepped
     carrier leave of each, and the leakage.
     """
-    lengths = radar.burst.carriers_hz[0] / radar.burst.carriers_hz
-    return Contributions.joined(
-        [
-            # Mirrors, edges, points answer in proportion to the wavelength, surfaces without it.
-            _stepped(contributions_of_paths(found.paths), radar, air, lengths),
-            _stepped(found.diffuse, radar, air, lengths),
-            _stepped(found.surfaces, radar, air, np.ones_like(lengths)),
-            _of_leakage(radar),
-        ]
-    )
+    return Contributions.joined([_stepped(found.contributions, radar, air), _of_leakage(radar)])
 
 
 def channel(found: Propagation, radar: RadarDesign, air: Air, tolerance: float = 1e-6) -> Complex:
@@ -253,19 +243,22 @@ def _seeds(seed: int) -> tuple[np.random.SeedSequence, np.random.SeedSequence]:
     return rays, noise
 
 
-def _stepped(
-    echoes: Contributions, radar: RadarDesign, air: Air, factors: NDArray[np.float64]
-) -> Contributions:
+def _stepped(echoes: Contributions, radar: RadarDesign, air: Air) -> Contributions:
     """Echoes with their amplitudes at every carrier step, (n_steps, n)."""
     length, moving = C_M_PER_S * echoes.delay_s, np.flatnonzero(echoes.delay_rate)
-    doppler = echoes.delay_rate[moving]
-    amplitude = np.empty((len(factors), len(length)), dtype=np.complex128)
-    powers = [(power, echoes.falloff == power) for power in np.unique(echoes.falloff) if power]
-    for row, carrier, factor in zip(amplitude, radar.burst.carriers_hz, factors, strict=True):
-        level = np.full(len(length), factor)
-        if carrier != radar.burst.carriers_hz[0]:
+    doppler, carriers = echoes.delay_rate[moving], radar.burst.carriers_hz
+    amplitude = np.empty((len(carriers), len(length)), dtype=np.complex128)
+    powers = [
+        (power, of_each == power)
+        for of_each in (echoes.wavelength_power, echoes.falloff)
+        for power in np.unique(of_each)
+        if power
+    ]
+    for row, carrier in zip(amplitude, carriers, strict=True):
+        level = np.ones(len(length))
+        if carrier != carriers[0]:
             for power, which in powers:
-                level[which] *= (radar.burst.carriers_hz[0] / carrier) ** power
+                level[which] *= (carriers[0] / carrier) ** power
         level[moving] *= radar.ofdm.slot_gain(carrier * doppler)
         if air.weather is not None:
             level *= air.amplitude(length, carrier)

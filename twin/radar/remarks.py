@@ -11,10 +11,11 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
 from twin.radar.device.oscillator import residual_rad
 from twin.radar.propagation.facets.convergence import BodyEcho, unconverged
-from twin.radar.propagation.one_way.rays import lengthening
+from twin.radar.propagation.one_way.motion import lengthening
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Air
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
+from twin.radar.propagation.solvers import Solver
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import encloses
@@ -32,30 +33,10 @@ _ALWAYS = (
     "velocities are constant within a burst, positions those of its middle, delays of second order "
     f"in time (what is beyond by {_BENT_RAD} rad is warned of) and to first order in v / c",
 )
-_POINTS = "declared targets answer with a constant cross-section from one point"
-_SMOOTH = "surfaces are smooth and large against the Fresnel zone where they reflect"
-_MESHES = (
-    "meshes scatter by physical optics: no diffraction by edges, no creeping waves, so echoes of "
-    "what is smaller than some wavelengths or met at grazing are off"
-)
-#: What the radar's rungs take for granted.
-_OF_RUNG: dict[object, tuple[str, ...]] = {
-    "targets": (_POINTS,),
-    "paths": (
-        _POINTS,
-        f"{_SMOOTH}; nothing goes through them; objects that are neither only cast shadows",
-    ),
-    "optics": (_POINTS, _MESHES, _SMOOTH),
-    "rough": (
-        _POINTS,
-        _MESHES,
-        "rough surfaces scatter from fixed points of random phase, reached by straight ways alone",
-    ),
-}
 
 
 def assumptions(
-    scene: Scene, radar: RadarDesign, found: Propagation, air: Air, rung: object
+    scene: Scene, radar: RadarDesign, found: Propagation, air: Air, solver: Solver
 ) -> tuple[str, ...]:
     """Everything that a capture takes for granted, the design's assumed values included."""
     values = [
@@ -69,7 +50,7 @@ def assumptions(
         if t.origin.startswith("assumed: ")
     ]
     return (
-        *_OF_RUNG.get(rung, ()),
+        *solver.assumptions,
         *_ALWAYS,
         _antennas(radar),
         *_steps(radar),
@@ -87,7 +68,7 @@ def warnings(
     bursts: Sequence[Propagation],
     truth: tuple[TrueTarget, ...],
     flags: NDArray[np.uint8],
-    rung: object,
+    solver: Solver,
 ) -> tuple[CaptureWarning, ...]:
     """What contradicts itself; the scene is that of the first burst."""
     farthest = max((t.range_m for t in truth), default=0.0)
@@ -103,7 +84,7 @@ def warnings(
         found.append(CaptureWarning("hidden", f"no direct path to {', '.join(hidden)}"))
     surfaces = {a.name for a in bursts[0].roles if a.role is ScatteringModel.SURFACE}
     coarse = []
-    if rung == "paths":  # our own images are found in float64
+    if solver.is_float32:
         coarse = [o.name for o in scene.objects if o.name in surfaces and _too_large(o, place)]
     if coarse:
         text = (
@@ -117,7 +98,7 @@ def warnings(
     found += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
     found += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
     found += _noise(radar, farthest)
-    if not any(len(burst.paths) + len(burst.echoes.delay_s) for burst in bursts):
+    if not any(len(burst.contributions) for burst in bursts):
         what = "noise and leakage" if radar.leakage else "noise"
         text = f"no echo at all: the record holds {what} only"
         found.append(CaptureWarning("no-echo", text))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.one_way.rays import lengthening
+from twin.radar.propagation.one_way.motion import lengthening
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Air
 from twin.scene import Scene, Target

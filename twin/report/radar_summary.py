@@ -44,7 +44,7 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "detection": evaluation.frame.detection,
         "cfar": _CFAR[evaluation.how.cfar.method],
         "picture": _picture(evaluation),
-        "n_paths": len(evaluation.capture.propagation.paths),
+        "n_paths": len(evaluation.capture.propagation.names),
     }
 
 

@@ -113,13 +113,9 @@ def echoes_by_body(
     """Echoes of surfaces at rest, summed by body, (n_bodies, n_frequencies)."""
     body_of = {name: i for i, members in enumerate(names) for name in members}
     number = np.array([body_of.get(name, -1) for name in propagation.objects], dtype=np.intp)
-    body = (
-        number[propagation.object_of_surface]
-        if len(propagation.object_of_surface)
-        else np.zeros(0, np.intp)
-    )
-    carrier = radar.ofdm.carrier_hz
-    return summed_by(body, len(names), propagation.surfaces, carrier, frequencies_hz)
+    surfaces = propagation.surfaces
+    body = number[surfaces.object] if len(number) else np.full(len(surfaces), -1)
+    return summed_by(body, len(names), surfaces, radar.ofdm.carrier_hz, frequencies_hz)
 
 
 def _names(scene: Scene, propagation: Propagation) -> tuple[tuple[str, ...], ...]:

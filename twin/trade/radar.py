@@ -17,7 +17,7 @@ from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Air
-from twin.radar.propagation.solvers import trace
+from twin.radar.propagation.solvers import solver_of, trace
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
 from twin.trade.bodies import Bodies, errors_of, reference_bodies
@@ -115,7 +115,6 @@ def _measure_level(
     off = np.abs(channels[0] - bins.channel)
     rms = float(np.sqrt(np.mean(off**2)))
     relative = rms / bins.rms
-    of_meshes = level.radar == "optics"
     known = [name for name, value in PRESETS.items() if _same(value, level)]
     return LevelMeasurement(
         model="radar",
@@ -128,12 +127,12 @@ def _measure_level(
         detail={
             "error_db": 20 * float(np.log10(relative)) if relative else -np.inf,
             "largest": float(off.max()) / bins.rms,
-            "paths": len(propagation.paths),
-            "echoes": len(propagation.echoes.delay_s),
+            "paths": len(propagation.names),
+            "echoes": len(propagation.echoes),
         },
         note=f"{bins.channel.size} bins of {wave.n_subcarriers * wave.n_slots}",
         bodies=errors_of(bins.bodies, propagation, radar, level.radar_tolerance)
-        if of_meshes
+        if solver_of(level).has_tolerance
         else (),
     )
 
@@ -151,7 +150,7 @@ def _name(level: Fidelity) -> str:
 
 
 def _solver_name(level: Fidelity) -> str:
-    if level.radar != "optics":
+    if not solver_of(level).has_tolerance:
         return str(level.radar)
     return f"{level.radar}, tolerance {level.radar_tolerance:g}"
 

@@ -187,12 +187,11 @@ def _marker(m: LevelMeasurement) -> tuple[str, str, str]:
     if m.fidelity is None:
         return m.name, "black", "x"
     if m.model == "radar":
-        known = {
-            "targets": ("declared targets", GREY, "s"),
-            "paths": ("traced paths", GREY, "o"),
-            "optics": ("physical optics", BLUE, "^"),
-        }
-        return known[str(m.fidelity.radar)]
+        from twin.radar.propagation.solvers import solver_of  # brings the tracers along
+
+        solver = solver_of(m.fidelity)
+        marker = {"targets": "s", "optics": "^"}.get(str(m.fidelity.radar), "o")
+        return solver.label, BLUE if solver.has_tolerance else GREY, marker
     if m.name.startswith("reference"):
         return "one render of the reference", "black", "D"
     depth = m.fidelity.max_depth

@@ -1,9 +1,9 @@
 """The rungs of physical optics: every echo of a scene, as paths by name and as dense echoes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
@@ -16,25 +16,23 @@ from twin.radar.propagation.facets.convergence import (
     unconverged,
 )
 from twin.radar.propagation.facets.earlier import Traced
-from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.physical_optics import (
+    Scattered,
+    at_antenna,
     behind,
-    contributions_of,
     diffracted,
     loss_of,
     scattered,
     surface_clutter,
 )
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
-from twin.radar.propagation.result import Heard, Path, Propagation
+from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models, declared_alone
 from twin.radar.propagation.scene.silent import silent_objects
 from twin.radar.propagation.single_paths import mirror_echoes, point_echoes
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
-
-Array = NDArray[np.float64]
 
 
 def echoes(
@@ -51,34 +49,35 @@ def echoes(
 
     Raises InputError where a material has no data at the carrier.
     """
-    roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, fidelity.radar)
-    declared = declared_alone(scene, roles)
     is_rough = fidelity.radar == "rough"
+    roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True)
     stage = prepare_scene(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
-    bodies_echo = scattered(stage, radar, fidelity, earlier, keep=keep)
-    body, error = bodies_echo.body, bodies_echo.error
-    surfaces = Rays.joined([bodies_echo.rays, behind(stage, fidelity)])
+    of_bodies = scattered(stage, radar, fidelity, earlier, keep=keep)
+    traced = Contributions.joined([of_bodies.contributions, behind(stage, fidelity)])
+    surfaces = at_antenna(traced, stage, radar)
     edges, on_edges = diffracted(stage, fidelity)
-    points, on_points = (
-        surface_clutter(scene, stage, fidelity, seed) if is_rough else (Rays.joined([]), [])
+    clutter, on_clutter = Contributions.none(), list[str]()
+    if is_rough:
+        clutter, on_clutter = surface_clutter(scene, stage, fidelity, seed)
+    diffuse = at_antenna(Contributions.joined([edges, clutter]), stage, radar)
+    diffuse = diffuse.in_proportion_to_wavelength()
+    mirrors = _mirrors(stage, radar, fidelity)
+    points = _points(stage, radar, declared_alone(scene, roles), fidelity)
+    names, paths = by_delay(
+        [*mirrors[0], *points[0]], Contributions.joined([mirrors[1], points[1]])
     )
-    diffuse = Rays.joined([edges, points])
-    paths = [*_mirrors(stage, radar, fidelity), *_points(stage, radar, declared, fidelity)]
-    dense = [contributions_of(rays, stage, radar) for rays in (surfaces, diffuse)]
-    bodies = _converged(stage, radar, fidelity, body, error, dense[0], surfaces.object)
+    bodies = _converged(stage, radar, fidelity, of_bodies, surfaces)
     return Propagation(
-        paths=tuple(sorted((p for p in paths if p.amplitude), key=lambda p: p.delay_s)),
+        Contributions.joined([paths, diffuse, surfaces]),
+        names,
         roles=tuple(roles),
-        assumptions=(*stage.assumptions, *on_edges, *on_points, *unconverged(bodies)),
-        surfaces=dense[0],
-        diffuse=dense[1],
-        heard=_heard(Rays.joined([surfaces, diffuse]), Contributions.joined(dense), stage, radar),
+        assumptions=(*stage.assumptions, *on_edges, *on_clutter, *unconverged(bodies)),
+        heard=_heard(Contributions.joined([surfaces, diffuse]), stage, radar),
         warnings=silent_objects(scene, radar, roles),
         objects=tuple(item.name for item in stage.items),
-        object_of_surface=surfaces.object,
         bodies=bodies,
-        traced=bodies_echo.traced,
-        kept=bodies_echo.kept,
+        traced=of_bodies.traced,
+        kept=of_bodies.kept,
     )
 
 
@@ -86,14 +85,13 @@ def _converged(
     stage: PreparedScene,
     radar: RadarDesign,
     fidelity: Fidelity,
-    body: NDArray[np.int32],
-    error: Array,
+    of_bodies: Scattered,
     surfaces: Contributions,
-    owner: NDArray[np.uint32],
 ) -> tuple[BodyEcho, ...]:
-    """Levels of bodies and estimates of their errors; ``owner``: object of each echo."""
-    count, wave = len(error), radar.ofdm
-    echo = summed_by(body[owner], count, surfaces, wave.carrier_hz, band_of(wave))
+    """Levels of bodies and estimates of their errors."""
+    body, error, wave = of_bodies.body, of_bodies.error, radar.ofdm
+    count = len(error)
+    echo = summed_by(body[surfaces.object], count, surfaces, wave.carrier_hz, band_of(wave))
     return body_echoes(
         [tuple(stage.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)],
         echo,
@@ -103,22 +101,24 @@ def _converged(
     )
 
 
-def _mirrors(stage: PreparedScene, radar: RadarDesign, fidelity: Fidelity) -> list[Path]:
+def _mirrors(
+    stage: PreparedScene, radar: RadarDesign, fidelity: Fidelity
+) -> tuple[list[PathName], Contributions]:
     """The radar's own images: as many reflections as out and back together."""
     if fidelity.radar_images == 0 or len(stage.flats) == 0:
-        return []
+        return [], Contributions.none()
     further = stage.seen_by_itself()
     return _paths(further, radar, mirror_echoes(further.station), [None], [()])
 
 
 def _points(
     stage: PreparedScene, radar: RadarDesign, declared: Sequence[Target], fidelity: Fidelity
-) -> list[Path]:
+) -> tuple[list[PathName], Contributions]:
     """Declared points; what passes an edge on the way is said to meet its obstacle."""
     if not declared:
-        return []
+        return [], Contributions.none()
     obstacles = screens(stage, fidelity.radar_shadow_db)
-    rays, ways = point_echoes(stage.station, declared, stage.anchor_m, obstacles)
+    echoes, ways = point_echoes(stage.station, declared, stage.anchor_m, obstacles)
 
     def over(item: int) -> tuple[str, ...]:
         return (stage.items[item].name,) if item >= 0 else ()
@@ -128,52 +128,34 @@ def _points(
         (*over(way.out_over), name, *over(way.home_over))
         for way, name in zip(ways, names, strict=True)
     ]
-    return _paths(stage, radar, rays, names, met)
+    return _paths(stage, radar, echoes, names, met)
 
 
 def _paths(
     stage: PreparedScene,
     radar: RadarDesign,
-    rays: Rays,
+    traced: Contributions,
     targets: Sequence[str | None],
     met: Sequence[tuple[str, ...]],
-) -> list[Path]:
-    """Rays by name, with gains, losses and wavelength; by the rays' object, their target and what
-    they meet between the large surfaces.
+) -> tuple[list[PathName], Contributions]:
+    """Paths with their names, by their ``object`` the target and what they meet between the large
+    surfaces; ``traced`` per wavelength.
     """
-    found = contributions_of(rays, stage, radar)
-    return [
-        Path(
-            via=(*stage.via(out), *met[row], *stage.via(home)[::-1]),
-            target=targets[row],
-            amplitude=complex(found.amplitude[k]) * stage.wavelength_m,
-            delay_s=float(found.delay_s[k]),
-            delay_rate=float(found.delay_rate[k]),
-            delay_acceleration_per_s=float(found.delay_acceleration_per_s[k]),
-            departure=_triple(found.departure[k]),
-            arrival=_triple(found.arrival[k]),
-            departure_per_s=_triple(found.departure_per_s[k]),
-            arrival_per_s=_triple(found.arrival_per_s[k]),
-        )
-        for k, (row, out, home) in enumerate(
-            zip(rays.object, rays.source, rays.receiver, strict=True)
-        )
+    ends = zip(traced.object, traced.source, traced.receiver, strict=True)
+    names = [
+        PathName((*stage.via(out), *met[row], *stage.via(home)[::-1]), targets[row])
+        for row, out, home in ends
     ]
+    paths = at_antenna(traced, stage, radar)
+    return names, replace(paths, amplitude=paths.amplitude * stage.wavelength_m)
 
 
-def _triple(vector: Array) -> tuple[float, float, float]:
-    x, y, z = vector
-    return float(x), float(y), float(z)
-
-
-def _heard(
-    rays: Rays, dense: Contributions, stage: PreparedScene, radar: RadarDesign
-) -> tuple[Heard, ...]:
-    cycles = radar.ofdm.carrier_hz * dense.delay_s % 1.0
-    wave = dense.amplitude * np.exp(-2j * np.pi * cycles)
-    n = len(stage.items)
-    count = np.bincount(rays.object, minlength=n)
-    total = np.bincount(rays.object, wave.real, n) + 1j * np.bincount(rays.object, wave.imag, n)
+def _heard(echoes: Contributions, stage: PreparedScene, radar: RadarDesign) -> tuple[Heard, ...]:
+    cycles = radar.ofdm.carrier_hz * echoes.delay_s % 1.0
+    wave = echoes.amplitude * np.exp(-2j * np.pi * cycles)
+    n, owner = len(stage.items), echoes.object
+    count = np.bincount(owner, minlength=n)
+    total = np.bincount(owner, wave.real, n) + 1j * np.bincount(owner, wave.imag, n)
     return tuple(
         Heard(item.name, int(count[i]), float(abs(total[i]) ** 2))
         for i, item in enumerate(stage.items)

@@ -4,8 +4,9 @@ import numpy as np
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.one_way.rays import lengthening, turning
-from twin.radar.propagation.result import Path, Propagation
+from twin.radar.propagation.one_way.motion import lengthening, turning
+from twin.radar.propagation.result import PathName, Propagation, by_delay
+from twin.radar.synthesis import Contributions
 from twin.scene import Scene
 
 
@@ -16,7 +17,7 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
     """
     offset, axes = scene.rig.device("radar")
     sent = radar.front_end.transmit_power_w.value
-    paths = []
+    names, paths = [], []
     for target in scene.targets:
         towards = np.asarray(target.position_m) - scene.rig.position_m - offset
         distance = float(np.linalg.norm(towards))
@@ -26,24 +27,24 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
             continue
         velocity = np.asarray(target.velocity_m_per_s)
         rate, acceleration = lengthening(velocity, towards / distance, distance)
-        turn = axes @ turning(velocity, towards / distance, distance)
-        aside = float(turn[0]), float(turn[1]), float(turn[2])
+        turn = (axes @ turning(velocity, towards / distance, distance)).reshape(1, 3)
+        direction = np.array([[ahead, left, up]])
+        names.append(PathName((target.name,), target.name))
         paths.append(
-            Path(
-                via=(target.name,),
-                target=target.name,
-                amplitude=complex(np.sqrt(received / sent)),
-                delay_s=2 * distance / C_M_PER_S,
-                delay_rate=2 * float(rate) / C_M_PER_S,
-                delay_acceleration_per_s=2 * float(acceleration) / C_M_PER_S,
-                departure=(ahead, left, up),
-                arrival=(ahead, left, up),
-                departure_per_s=aside,
-                arrival_per_s=aside,
+            Contributions(
+                amplitude=np.array([np.sqrt(received / sent)], dtype=np.complex128),
+                delay_s=np.array([2 * distance / C_M_PER_S]),
+                delay_rate=np.array([2 * float(rate) / C_M_PER_S]),
+                delay_acceleration_per_s=np.array([2 * float(acceleration) / C_M_PER_S]),
+                departure=direction,
+                arrival=direction,
+                departure_per_s=turn,
+                arrival_per_s=turn,
             )
         )
+    sorted_names, contributions = by_delay(names, Contributions.joined(paths))
     return Propagation(
-        paths=tuple(sorted(paths, key=lambda p: p.delay_s)),
-        roles=(),
+        contributions,
+        sorted_names,
         assumptions=("the scene itself is left out: no multipath, no clutter, no shadows",),
     )

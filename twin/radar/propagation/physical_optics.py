@@ -1,7 +1,7 @@
 """Echoes of a scene by physical optics: surfaces, their sharp edges, and rough ground."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from twin.radar.propagation.facets.earlier import Traced, setting_of
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.validity import still_valid
 from twin.radar.propagation.meshes.grouping import bodies_of
-from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
@@ -41,7 +40,7 @@ class Scattered:
     which share of the contributions is that of an earlier frame.
     """
 
-    rays: Rays
+    contributions: Contributions
     body: NDArray[np.int32]
     error: Array
     traced: Traced | None = None
@@ -61,7 +60,7 @@ def scattered(
     """
     body = _bodies(stage)
     if not (stage.worth & (body >= 0)).any():
-        return Scattered(Rays.joined([]), body, np.zeros(body.max(initial=-1) + 1))
+        return Scattered(Contributions.none(), body, np.zeros(body.max(initial=-1) + 1))
     bodies = scatterers(stage, radar.antenna, body, radar.burst_s / 2)
     asked = fidelity.radar_tolerance, fidelity.radar_bounces
     setting, valid = None, None
@@ -80,8 +79,9 @@ def scattered(
         with_landings=keep,
     )
     traced = Traced(setting, found) if keep and setting is not None else None
-    rays = Rays.joined(found.rays)
-    return Scattered(rays, body, found.error, traced, found.kept / max(len(rays.length_m), 1))
+    contributions = Contributions.joined(found.contributions)
+    share = found.kept / max(len(contributions), 1)
+    return Scattered(contributions, body, found.error, traced, share)
 
 
 def loss_of(radar: RadarDesign) -> float:
@@ -113,24 +113,24 @@ def _extent_m(stage: PreparedScene, body: NDArray[np.int32]) -> float:
     return float((high - low).max())
 
 
-def diffracted(stage: PreparedScene, fidelity: Fidelity) -> tuple[Rays, list[str]]:
+def diffracted(stage: PreparedScene, fidelity: Fidelity) -> tuple[Contributions, list[str]]:
     """Contributions of the sharp edges of every such object; what about them is assumed or lost."""
     if not fidelity.radar_edges or ScatteringModel.OPTICS not in stage.roles:
-        return Rays.joined([]), []
+        return Contributions.none(), []
     body = _bodies(stage)
     sharp = _sharp(stage, body)
-    rays, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
-    return rays, _on_edges(stage, sharp, longer)
+    echoes, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
+    return echoes, _on_edges(stage, sharp, longer)
 
 
-def behind(stage: PreparedScene, fidelity: Fidelity) -> Rays:
+def behind(stage: PreparedScene, fidelity: Fidelity) -> Contributions:
     """Contributions of such objects by ways round others."""
     if not fidelity.radar_shadowed or ScatteringModel.OPTICS not in stage.roles:
-        return Rays.joined([])
+        return Contributions.none()
     depth = min(fidelity.radar_shadow_db, _DEEPEST_DB)
     obstacles = screens(stage, depth, _bodies(stage))
     if obstacles is None:
-        return Rays.joined([])
+        return Contributions.none()
     return echoes_behind(obstacles, stage.surface_of_object, fidelity.radar_shadowed)
 
 
@@ -175,7 +175,7 @@ def _on_edges(stage: PreparedScene, sharp: Sequence[Sharp], longer: float) -> li
 
 def surface_clutter(
     scene: Scene, stage: PreparedScene, fidelity: Fidelity, seed: int
-) -> tuple[Rays, list[str]]:
+) -> tuple[Contributions, list[str]]:
     """Contributions of rough surfaces, and which ones have no gamma or one that is assumed."""
     found, remarks = [], []
     for number, (item, role) in enumerate(zip(stage.items, stage.roles, strict=True)):
@@ -192,25 +192,24 @@ def surface_clutter(
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
     if not found:
-        return Rays.joined([]), remarks
-    rays = clutter_echoes(stage.station, stage.anchor_m, found, fidelity.radar_scatterers, seed)
-    return rays, list(dict.fromkeys(remarks))
+        return Contributions.none(), remarks
+    echoes = clutter_echoes(stage.station, stage.anchor_m, found, fidelity.radar_scatterers, seed)
+    return echoes, list(dict.fromkeys(remarks))
 
 
-def contributions_of(rays: Rays, stage: PreparedScene, radar: RadarDesign) -> Contributions:
-    """Rays with the antenna's gains and the front end's losses, as the synthesis takes them."""
-    departure, arrival = rays.departure @ stage.axes.T, rays.arrival @ stage.axes.T
+def at_antenna(traced: Contributions, stage: PreparedScene, radar: RadarDesign) -> Contributions:
+    """Contributions with the antenna's gains and the front end's losses, and in its axes, as the
+    synthesis takes them.
+    """
+    departure, arrival = traced.departure @ stage.axes.T, traced.arrival @ stage.axes.T
     gain = np.sqrt(radar.antenna.gain(departure) * radar.antenna.gain(arrival))
-    return Contributions(
-        amplitude=rays.amplitude * gain * loss_of(radar),
-        delay_s=rays.length_m / speed_of_light,
-        delay_rate=rays.rate_m_per_s / speed_of_light,
-        delay_acceleration_per_s=rays.acceleration_m_per_s2 / speed_of_light,
+    return replace(
+        traced,
+        amplitude=traced.amplitude * gain * loss_of(radar),
         departure=departure,
         arrival=arrival,
-        departure_per_s=rays.departure_per_s @ stage.axes.T,
-        arrival_per_s=rays.arrival_per_s @ stage.axes.T,
-        falloff=rays.falloff,
+        departure_per_s=traced.departure_per_s @ stage.axes.T,
+        arrival_per_s=traced.arrival_per_s @ stage.axes.T,
     )
 
 

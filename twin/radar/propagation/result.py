@@ -1,11 +1,10 @@
-"""What finding paths comes to: single ones by name, dense echoes as arrays, roles, assumptions."""
+"""What tracing a scene comes to: contributions, some of them paths by name; roles, assumptions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.propagation.facets.convergence import BodyEcho
@@ -15,45 +14,30 @@ from twin.radar.synthesis import Contributions
 
 
 @dataclass(frozen=True)
-class Path:
-    """One way from the radar and back.
-
-    ``via`` names the objects in order; ``amplitude`` is the wave relative to the sent one, antenna
-    gains and losses included, without the phase of the delay; ``delay_rate`` (s/s) and
-    ``delay_acceleration_per_s`` are the delay's derivatives. ``departure`` and ``arrival`` are
-    unit vectors from the antenna to the first and the last object, in its own frame;
-    ``departure_per_s`` and ``arrival_per_s`` their derivatives.
-    """
+class PathName:
+    """Names of the objects that a path meets, in order, and of its target if it has one."""
 
     via: tuple[str, ...]
-    target: str | None
-    amplitude: complex
-    delay_s: float
-    delay_rate: float
-    delay_acceleration_per_s: float
-    departure: tuple[float, float, float]
-    arrival: tuple[float, float, float]
-    departure_per_s: tuple[float, float, float]
-    arrival_per_s: tuple[float, float, float]
+    target: str | None = None
+
+
+@dataclass(frozen=True)
+class Path(PathName):
+    """One contribution, by name: figures as of `Contributions`, gains and losses included."""
+
+    amplitude: complex = 0j
+    delay_s: float = 0.0
+    delay_rate: float = 0.0
+    delay_acceleration_per_s: float = 0.0
+    departure: tuple[float, ...] = (0.0, 0.0, 0.0)
+    arrival: tuple[float, ...] = (0.0, 0.0, 0.0)
+    departure_per_s: tuple[float, ...] = (0.0, 0.0, 0.0)
+    arrival_per_s: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     @property
     def range_m(self) -> float:
         """Half the length."""
         return self.delay_s * C_M_PER_S / 2
-
-
-def contributions_of_paths(paths: Sequence[Path]) -> Contributions:
-    """Paths as the synthesis takes them."""
-    return Contributions(
-        amplitude=np.array([path.amplitude for path in paths], dtype=np.complex128),
-        delay_s=np.array([path.delay_s for path in paths]),
-        delay_rate=np.array([path.delay_rate for path in paths]),
-        delay_acceleration_per_s=np.array([path.delay_acceleration_per_s for path in paths]),
-        **{
-            name: np.array([getattr(path, name) for path in paths]).reshape(-1, 3)
-            for name in ("departure", "arrival", "departure_per_s", "arrival_per_s")
-        },
-    )
 
 
 @dataclass(frozen=True)
@@ -69,31 +53,56 @@ class Heard:
 
 @dataclass(frozen=True)
 class Propagation:
-    """All paths, and how the scene was understood.
+    """All contributions, and how the scene was understood.
 
-    ``surfaces`` and ``diffuse`` are echoes of meshes, and of their edges and rough surfaces, with
-    the same conventions as a path's; at other carriers the former keep their amplitude, the latter
-    grow with the wavelength, as paths do. ``heard`` sums both up per object. ``objects`` names
-    what ``object_of_surface`` numbers, of each of ``surfaces`` the object that it was met at last.
-    ``bodies``: those that scatter, the strongest first, with the errors estimated of their
+    ``names``: of the first contributions, which are single paths, the nearest first. ``heard`` sums
+    up the others per object. ``objects`` names what ``object`` of the contributions numbers, but of
+    paths. ``bodies``: those that scatter, the strongest first, with the errors estimated of their
     surfaces' echoes. ``traced``: what later frames may keep of this one, if that was asked for;
     ``kept``: share of the contributions of surfaces that is an earlier frame's.
     """
 
-    paths: tuple[Path, ...]
-    roles: tuple[Assignment, ...]
-    assumptions: tuple[str, ...]
-    surfaces: Contributions = field(default_factory=Contributions.none)
-    diffuse: Contributions = field(default_factory=Contributions.none)
+    contributions: Contributions = field(default_factory=Contributions.none)
+    names: tuple[PathName, ...] = ()
+    roles: tuple[Assignment, ...] = ()
+    assumptions: tuple[str, ...] = ()
     heard: tuple[Heard, ...] = ()
     warnings: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
-    object_of_surface: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
     bodies: tuple[BodyEcho, ...] = ()
     traced: Traced | None = None
     kept: float = 0.0
 
     @cached_property
+    def paths(self) -> tuple[Path, ...]:
+        """Single paths, for tables and reports."""
+        c = self.contributions.chosen(slice(len(self.names)))
+        columns = (
+            c.amplitude.tolist(),
+            c.delay_s.tolist(),
+            c.delay_rate.tolist(),
+            c.delay_acceleration_per_s.tolist(),
+            *(map(tuple, c.departure.tolist()), map(tuple, c.arrival.tolist())),
+            *(map(tuple, c.departure_per_s.tolist()), map(tuple, c.arrival_per_s.tolist())),
+        )
+        rows = zip(self.names, *columns, strict=True)
+        return tuple(Path(name.via, name.target, *values) for name, *values in rows)
+
+    @cached_property
     def echoes(self) -> Contributions:
-        """All but the paths, at the first carrier."""
-        return Contributions.joined([self.surfaces, self.diffuse])
+        """All but the paths: of surfaces, of tables, of edges and of rough surfaces."""
+        return self.contributions.chosen(slice(len(self.names), None))
+
+    @cached_property
+    def surfaces(self) -> Contributions:
+        """Of these, what no carrier step changes in proportion to the wavelength."""
+        return self.echoes.chosen(np.flatnonzero(self.echoes.wavelength_power == 0))
+
+
+def by_delay(
+    names: Sequence[PathName], paths: Contributions
+) -> tuple[tuple[PathName, ...], Contributions]:
+    """Paths, the nearest first, without those of which nothing comes back."""
+    some = np.flatnonzero(paths.amplitude)
+    order = some[np.argsort(paths.delay_s[some], kind="stable")]
+    return tuple(names[k] for k in order), paths.chosen(order).in_proportion_to_wavelength()

@@ -9,13 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
 from twin.radar.propagation.diffraction.around_edges import Screens, legs_to
 from twin.radar.propagation.diffraction.rims import loud, meeting
+from twin.radar.propagation.one_way.motion import lengthening, turning
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import between, paths_to_points
-from twin.radar.propagation.one_way.rays import Rays, lengthening, turning
 from twin.radar.scattering.kernel import turned
+from twin.radar.synthesis import Contributions
 from twin.scene import Target
 from twin.transfer import host, vector
 
@@ -25,7 +27,7 @@ _ASIDE = 1e-4  # of an image's distance: far beyond float32's step, far below a 
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
 
 
-def mirror_echoes(s: TracingContext) -> Rays:
+def mirror_echoes(s: TracingContext) -> Contributions:
     """Images in which the radar sees itself: amplitude per wavelength, no object.
 
     Over the images of even and odd order alike: wall, wall and ground, and so on. The image in a
@@ -34,7 +36,7 @@ def mirror_echoes(s: TracingContext) -> Rays:
     """
     count = s.n_sources - 1
     if count == 0:
-        return Rays.joined([])
+        return Contributions.none()
     here, source = np.array(s.place).ravel(), 1 + np.arange(count)
     way = here - np.array(s.positions).reshape(-1, 3)[source]
     aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(way, _OBLIQUE)).reshape(-1, 3)
@@ -49,11 +51,11 @@ def mirror_echoes(s: TracingContext) -> Rays:
     motion = -exact.velocity, -exact.back, exact.length
     rate, acceleration = lengthening(*motion)
     aside = turning(*motion)
-    return Rays(
+    return Contributions(
         amplitude=amplitude,
-        length_m=exact.length + nearest.extra,
-        rate_m_per_s=rate,
-        acceleration_m_per_s2=acceleration,
+        delay_s=(exact.length + nearest.extra) / speed_of_light,
+        delay_rate=rate / speed_of_light,
+        delay_acceleration_per_s=acceleration / speed_of_light,
         departure=exact.departure,
         arrival=exact.back,
         object=none,
@@ -77,7 +79,7 @@ class Way:
 
 def point_echoes(
     s: TracingContext, targets: Sequence[Target], anchor_m: Array, obstacles: Screens | None = None
-) -> tuple[Rays, list[Way]]:
+) -> tuple[Contributions, list[Way]]:
     """Declared points over every pair of images, and over edges of obstacles: amplitude per
     wavelength; ``object`` counts the ways that are told beside them.
     """
@@ -86,7 +88,7 @@ def point_echoes(
     strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
     legs = [legs_to(s, obstacles, i, places, np.zeros_like(places)) for i in range(s.n_sources)]
     legs = [(way, at) for way, at in legs if len(at)]  # most images see none of them
-    found: list[Rays] = []
+    found: list[Contributions] = []
     ways: list[Way] = []
     for out, out_at in legs:
         for home, home_at in legs:
@@ -102,4 +104,4 @@ def point_echoes(
             number = len(ways) + np.arange(len(at))
             ways += [Way(*way) for way in zip(at, one.over, other.over, strict=True)]
             found.append(between(one, other, amplitude, velocity[at], number))
-    return Rays.joined(found), ways
+    return Contributions.joined(found), ways

@@ -1,23 +1,25 @@
-"""The rungs of the radar: who finds a scene's echoes, a user's own model among them."""
+"""The radar's propagation models: one protocol, the bundled ones by name, and a user's own."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from hardware.own_functions import OwnFunction
 from twin.errors import InputError
 from twin.fidelity import Fidelity, own_solver
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.by_optics import echoes
+from twin.radar.propagation.facets.earlier import Traced
 from twin.radar.propagation.free_space import straight_paths
-from twin.radar.propagation.result import Propagation, contributions_of_paths
+from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.sionna.paths import sionna_paths
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene
 
 
 class PropagationModel(Protocol):
-    """A user's own propagation model: from a scene and a radar to echoes.
+    """A propagation model, a user's own among them: from a scene and a radar to echoes.
 
     It returns `Contributions`, or a whole `Propagation` where it has single paths by name,
     assumptions and warnings to tell. `prepare_scene`, which the bundled models build on, is there
@@ -31,7 +33,7 @@ class PropagationModel(Protocol):
     ...     amplitude = 1e-4 * np.array([1, -0.5], complex)
     ...     return Contributions.ahead(amplitude, 2 * np.array([20.0, 21.0]) / 3e8, np.zeros(2))
     >>> found = trace(load_scene("yard"), load_radar("hybrid-79"), fidelity=Fidelity(radar=two_ray))
-    >>> len(found.echoes.delay_s), found.assumptions
+    >>> len(found.contributions), found.assumptions
     (2, ('echoes by two_ray, a propagation model of the user',))
     """
 
@@ -39,6 +41,84 @@ class PropagationModel(Protocol):
         self, scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int
     ) -> Contributions | Propagation:
         """Echoes of a scene at the pose of its rig."""
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A propagation model with what the rest of the chain must know of it.
+
+    ``label``: in figures. ``assumptions``: what it takes for granted in every scene.
+    ``is_seeded``: whether echoes depend on the seed. ``is_float32``: whether its rays may miss what
+    is small on large triangles. ``has_tolerance``: whether ``radar_tolerance`` bounds its errors.
+    ``reusing``: the same model for frames of which later ones keep a part.
+    """
+
+    model: PropagationModel
+    label: str
+    assumptions: tuple[str, ...] = ()
+    is_seeded: bool = True
+    is_float32: bool = False
+    has_tolerance: bool = False
+    reusing: Callable[..., Propagation] | None = None
+
+
+_POINTS = "declared targets answer with a constant cross-section from one point"
+_SMOOTH = "surfaces are smooth and large against the Fresnel zone where they reflect"
+_MESHES = (
+    "meshes scatter by physical optics: no diffraction by edges, no creeping waves, so echoes of "
+    "what is smaller than some wavelengths or met at grazing are off"
+)
+
+
+def _straight(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> Propagation:
+    return straight_paths(scene, radar)
+
+
+def _sionna(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> Propagation:
+    return sionna_paths(scene, radar, table_nodes=fidelity.radar_table_nodes, seed=seed)
+
+
+#: The bundled ones, by what ``Fidelity.radar`` calls them.
+SOLVERS: dict[str, Solver] = {
+    "targets": Solver(_straight, "declared targets", (_POINTS,), is_seeded=False),
+    "paths": Solver(
+        _sionna,
+        "traced paths",
+        (
+            _POINTS,
+            f"{_SMOOTH}; nothing goes through them; objects that are neither only cast shadows",
+        ),
+        is_float32=True,
+    ),
+    "optics": Solver(
+        echoes,
+        "physical optics",
+        (_POINTS, _MESHES, _SMOOTH),
+        is_seeded=False,
+        has_tolerance=True,
+        reusing=echoes,
+    ),
+    "rough": Solver(
+        echoes,
+        "physical optics, rough surfaces",
+        (
+            _POINTS,
+            _MESHES,
+            "rough surfaces scatter from fixed points of random phase, reached by straight ways "
+            "alone",
+        ),
+        has_tolerance=True,
+        reusing=echoes,
+    ),
+}
+
+
+def solver_of(fidelity: Fidelity) -> Solver:
+    """The bundled solver, or a user's own, that ``fidelity.radar`` names or holds."""
+    own = own_solver(fidelity.radar)
+    if own is None:
+        return SOLVERS[str(fidelity.radar)]
+    return Solver(own.function, own.name)
 
 
 def trace(
@@ -57,7 +137,7 @@ def trace(
     scene, radar
         What is looked at, and with what.
     fidelity
-        Its ``radar`` rung decides who finds them.
+        Its ``radar`` decides which solver finds them.
     seed
         Of the rays that look for surfaces, and of rough ones.
     earlier, keep
@@ -69,38 +149,35 @@ def trace(
     own model gives no echoes.
     """
     fidelity = fidelity or Fidelity()
-    if (own := own_solver(fidelity.radar)) is not None:
-        return _solved(own, scene, radar, fidelity, seed)
-    if fidelity.radar == "targets":
-        return straight_paths(scene, radar)
-    if fidelity.radar == "paths":
-        return sionna_paths(scene, radar, table_nodes=fidelity.radar_table_nodes, seed=seed)
-    traced = None if earlier is None else earlier.traced
-    return echoes(scene, radar, fidelity, seed, traced, keep=keep)
+    solver = solver_of(fidelity)
+    if solver.reusing is not None:
+        traced: Traced | None = None if earlier is None else earlier.traced
+        return solver.reusing(scene, radar, fidelity, seed, traced, keep=keep)
+    result = solver.model(scene, radar, fidelity, seed)
+    if isinstance(result, Contributions):
+        said = f"echoes by {solver.label}, a propagation model of the user"
+        result = Propagation(result, assumptions=(said,))
+    if own_solver(fidelity.radar) is not None:
+        _check(result, solver.label)
+    return result
 
 
-def _solved(
-    own: OwnFunction, scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int
-) -> Propagation:
-    """Echoes by a user's own model. Raises InputError for what are none."""
-    found = own.function(scene, radar, fidelity, seed)
-    if isinstance(found, Contributions):
-        said = f"echoes by {own.name}, a propagation model of the user"
-        found = Propagation(paths=(), roles=(), assumptions=(said,), surfaces=found)
-    if not isinstance(found, Propagation):
+def _check(result: Propagation, name: str) -> None:
+    """Raises InputError for what are no echoes of a user's own model."""
+    if not isinstance(result, Propagation):
         raise InputError(
-            f"{own.name}: returned a {type(found).__name__}, expected Contributions or Propagation"
+            f"{name}: returned a {type(result).__name__}, expected Contributions or Propagation"
         )
-    parts = (found.surfaces, found.diffuse, contributions_of_paths(found.paths))
-    for values in (vars(part) for part in parts):
-        n = len(values["delay_s"])
-        for name, array in values.items():
-            ends = (n, 3) if name.startswith(("departure", "arrival")) else (n,)
-            if np.shape(array)[-len(ends) :] != ends or not np.isfinite(array).all():
-                raise InputError(
-                    f"{own.name}: {name} of shape {np.shape(array)}, expected finite numbers "
-                    f"(..., {', '.join(map(str, ends))})"
-                )
-        if n and np.min(values["delay_s"]) < 0:
-            raise InputError(f"{own.name}: delay_s: {np.min(values['delay_s'])} is negative")
-    return found
+    values = vars(result.contributions)
+    n = len(values["delay_s"])
+    for field, array in values.items():
+        ends = (n, 3) if field.startswith(("departure", "arrival")) else (n,)
+        if np.shape(array)[-len(ends) :] != ends or not np.isfinite(array).all():
+            raise InputError(
+                f"{name}: {field} of shape {np.shape(array)}, expected finite numbers "
+                f"(..., {', '.join(map(str, ends))})"
+            )
+    if n and np.min(values["delay_s"]) < 0:
+        raise InputError(f"{name}: delay_s: {np.min(values['delay_s'])} is negative")
+    if len(result.names) > n:
+        raise InputError(f"{name}: {len(result.names)} names of {n} contributions")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from twin.geometry import Geometry
 from twin.radar.propagation.one_way.path import LEVEL, OFF_SURFACE, TracingContext
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
-from twin.radar.propagation.one_way.rays import Rays, and_reversed
+from twin.radar.synthesis import Contributions
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ def clutter_echoes(
     surfaces: list[SurfaceClutter],
     wanted: int,
     seed: int,
-) -> Rays:
+) -> Contributions:
     """Contributions of all rough surfaces, without gains; what lies behind the radar is silent.
 
     Parameters
@@ -118,7 +118,7 @@ def clutter_echoes(
         kept = _kept(field, seen, share)
         for first in range(0, len(kept.index), _AT_ONCE):
             parts += _echoes(s, rough, kept.chosen(slice(first, first + _AT_ONCE)))
-    return Rays.joined(parts)
+    return Contributions.joined(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ def _kept(field: Field, seen: _Points, share: float) -> _Points:
     return weighted.chosen(np.flatnonzero(field.chance[seen.index] < keep))
 
 
-def _echoes(s: TracingContext, rough: SurfaceClutter, points: _Points) -> list[Rays]:
+def _echoes(s: TracingContext, rough: SurfaceClutter, points: _Points) -> list[Contributions]:
     """From image i to image j with i before j, and the same ways reversed, as rays do."""
     ways = [_ways(s, rough, points, source) for source in rough.sources]
     scale = float(s.wavelength[0]) / (4 * np.pi) ** 1.5
@@ -184,7 +184,7 @@ def _echoes(s: TracingContext, rough: SurfaceClutter, points: _Points) -> list[R
             one, other = out.chosen(at), home.chosen(at)
             amplitude *= np.sum(one.field * other.field, axis=1)
             number = np.full(len(at), rough.number)
-            found.append(and_reversed(between(one, other, amplitude, velocity, number)))
+            found.append(between(one, other, amplitude, velocity, number).and_reversed())
     return found
 
 

@@ -1,33 +1,56 @@
-"""Contributions to the channel, and the channel by its definition.
+"""Contributions to the channel: the one form of echoes, from the tracer to the synthesis.
 
 H[n, m] = sum_i a_i (fc / (fc + f_n))^p_i exp(-j 2 pi (fc + f_n) (tau_i + rate_i t_m
 + acceleration_i t_m^2 / 2))
+
+What depends on the carrier, beside the phase:
+
+- Within the band, ``falloff`` p_i: surfaces of facets answer alike at all frequencies (0), parts of
+  them as 1 / f (1, along an edge) and 1 / f^2 (2, from a corner). A carrier step changes these by
+  the same law.
+- From one carrier step to the next, ``wavelength_power`` besides: mirror images, declared points,
+  sharp edges and scatterers of rough surfaces answer in proportion to the wavelength (1), which
+  within the band is left out; surfaces and tables do not (0, the default).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Numbers = NDArray[np.uint32]
 
 
 @dataclass(frozen=True, eq=False)
 class Contributions:
-    """Echoes, each (n,): amplitude, delay in s, its rate in s/s (positive: receding) and the rate's
-    rate in 1/s: a target that crosses at v in R has 2 v^2 / (R c).
+    """Echoes, in order.
 
-    The amplitude is that of the wave relative to the sent one, without the phase of the delay; of a
-    radar that steps its carrier it may be (n_steps, n).
-    Delays belong to the middle of the interval and to the antenna's origin. ``departure`` and
-    ``arrival`` (n, 3) are unit vectors from the antenna towards where a path begins and whence it
-    comes back, in its own frame: x ahead, y left, z up; zero where the way does not depend on where
-    the antennas stand. ``departure_per_s`` and ``arrival_per_s`` (n, 3) are their derivatives in
-    time, 1/s: where a target crosses, elements of an array do not hear the same rate; default: 0.
-    ``falloff`` (n,): over the band the amplitude goes as the carrier over the frequency to this
-    power, one of few; default: 0.
+    amplitude : (n,), complex
+        Wave over the one sent, without the phase of the delay; of a radar that steps its carrier it
+        may be (n_steps, n).
+    delay_s, delay_rate, delay_acceleration_per_s : (n,)
+        Delay in the middle of the interval, of the antenna's origin, in s; its derivatives in s/s
+        (positive: receding) and 1/s: a target that crosses at v in R has 2 v^2 / (R c).
+    departure, arrival : (n, 3)
+        Unit vectors from the antenna towards where a path begins and whence it comes back, in its
+        own axes: x ahead, y left, z up; zero where the way does not depend on where antennas stand.
+    departure_per_s, arrival_per_s : (n, 3)
+        Their derivatives in time, 1/s: where a target crosses, elements of an array do not hear the
+        same rate.
+    falloff, wavelength_power : (n,)
+        What depends on the carrier, see above; of few values each.
+    object, first : (n,)
+        Numbers of the object that is met last, and of the facet that is met first.
+    source, receiver : (n,)
+        Numbers of the images by which the wave goes out and back.
+
+    From ``departure_per_s`` on all are 0 by default. While echoes are traced, amplitudes are
+    without the antenna's gain and the front end's losses, and vectors in the world's axes:
+    `physical_optics.at_antenna` makes of these what the synthesis takes.
     """
 
     amplitude: Complex
@@ -39,12 +62,23 @@ class Contributions:
     departure_per_s: Array = None  # type: ignore[assignment]
     arrival_per_s: Array = None  # type: ignore[assignment]
     falloff: Array = None  # type: ignore[assignment]
+    wavelength_power: Array = None  # type: ignore[assignment]
+    object: Numbers = None  # type: ignore[assignment]
+    source: Numbers = None  # type: ignore[assignment]
+    receiver: Numbers = None  # type: ignore[assignment]
+    first: Numbers = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = len(self.delay_s)
-        for name, shape in (("departure_per_s", (n, 3)), ("arrival_per_s", (n, 3)), ("falloff", n)):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, np.zeros(shape))
+        for field in fields(self)[6:]:
+            if getattr(self, field.name) is None:
+                shape = (n, 3) if field.name in ("departure_per_s", "arrival_per_s") else (n,)
+                is_number = field.name in ("object", "source", "receiver", "first")
+                zeros = np.zeros(shape, np.uint32 if is_number else np.float64)
+                object.__setattr__(self, field.name, zeros)
+
+    def __len__(self) -> int:
+        return len(self.delay_s)
 
     @staticmethod
     def ahead(
@@ -76,6 +110,32 @@ class Contributions:
         moved += self.delay_s
         return moved
 
+    def in_proportion_to_wavelength(self) -> "Contributions":
+        """The same echoes, of which each carrier step changes the amplitude as its wavelength."""
+        return replace(self, wavelength_power=np.ones(len(self)))
+
+    def and_reversed(self) -> "Contributions":
+        """The same ways walked the other way round, too, unless they end where they began."""
+        back = self.source != self.receiver
+        if not back.any():
+            return self
+        some = self.chosen(back)
+        reverse = replace(
+            some,
+            departure=some.arrival,
+            arrival=some.departure,
+            departure_per_s=some.arrival_per_s,
+            arrival_per_s=some.departure_per_s,
+            source=some.receiver,
+            receiver=some.source,
+        )
+        return Contributions.joined([self, reverse])
+
+    def chosen(self, which: Any) -> "Contributions":
+        """Only some of them, by index, mask or slice."""
+        others = (getattr(self, f.name)[which] for f in fields(Contributions)[1:])
+        return Contributions(self.amplitude[..., which], *others)
+
     @staticmethod
     def none() -> "Contributions":
         """No echo at all."""
@@ -84,9 +144,11 @@ class Contributions:
 
     @staticmethod
     def joined(parts: Sequence["Contributions"]) -> "Contributions":
-        """Echoes of all parts together."""
-        if len(some := [part for part in parts if len(part.delay_s)]) == 1:
+        """Echoes of all parts, one after the other."""
+        if len(some := [part for part in parts if len(part)]) == 1:
             return some[0]
+        if not parts:
+            return Contributions.none()
         amplitude = np.concatenate([part.amplitude for part in parts], axis=-1)
         others = (f.name for f in fields(Contributions) if f.name != "amplitude")
         return Contributions(
@@ -99,9 +161,8 @@ def direct_sum(
 ) -> Complex:
     """The definition, in float64, for chosen frequencies and times: the reference."""
     channel = np.zeros((len(frequencies_hz), len(times_s)), dtype=np.complex128)
-    for start in range(0, len(contributions.delay_s), 4096):
-        some = slice(start, start + 4096)
-        part = Contributions(*(getattr(contributions, f.name)[some] for f in fields(Contributions)))
+    for start in range(0, len(contributions), 4096):
+        part = contributions.chosen(slice(start, start + 4096))
         moved = np.stack([part.delays_at(time) for time in times_s], axis=1)
         for row, frequency in enumerate(frequencies_hz):
             cycles = (carrier_hz + frequency) * moved

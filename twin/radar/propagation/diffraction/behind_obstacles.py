@@ -19,8 +19,8 @@ from twin.radar.propagation.diffraction.around_edges import Screens, is_near_edg
 from twin.radar.propagation.diffraction.rims import loud, meeting
 from twin.radar.propagation.one_way.path import OFF_SURFACE
 from twin.radar.propagation.one_way.points import PointPaths, between
-from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
+from twin.radar.synthesis import Contributions
 from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
@@ -61,7 +61,9 @@ class _Facets:
         return _Facets(self.corners[which], self.object[which])
 
 
-def echoes_behind(obstacles: Screens, surface_of_object: NDArray[np.uint32], most: int) -> Rays:
+def echoes_behind(
+    obstacles: Screens, surface_of_object: NDArray[np.uint32], most: int
+) -> Contributions:
     """Contributions of bodies, without gains, of ``most`` facets in all, those that are brightest
     where nothing stands in the way; ways that are straight out and back are left to others.
     """
@@ -82,7 +84,7 @@ def echoes_behind(obstacles: Screens, surface_of_object: NDArray[np.uint32], mos
         bright = np.argsort(-_brightness(obstacles, facets), kind="stable")
         some = np.sort(bright[: max(most // len(bodies), 1)])
         found.append(_answers(obstacles, facets.chosen(some), body, surface_of_object))
-    return Rays.joined(found)
+    return Contributions.joined(found)
 
 
 def _brightness(obstacles: Screens, facets: _Facets) -> Array:
@@ -113,7 +115,7 @@ def _facets(obstacles: Screens, members: Indices) -> _Facets:
 
 def _answers(
     obstacles: Screens, facets: _Facets, body: int, surface_of_object: NDArray[np.uint32]
-) -> Rays:
+) -> Contributions:
     """From the radar and back, straight at most on one of both ways."""
     middle, across = facets.middle, facets.across
     side = np.sign(np.sum((obstacles.stage.images[0].place - middle) * across, axis=1))
@@ -129,7 +131,7 @@ def _answers(
     heard &= (legs.over[there] >= 0) | (legs.over[back] >= 0)
     out, home, rows = legs.chosen(there[heard]), legs.chosen(back[heard]), at[there[heard]]
     if not len(rows):
-        return Rays.joined([])
+        return Contributions.none()
     velocity = np.array([item.velocity_m_per_s for item in obstacles.items])
     objects = facets.object[rows]
     amplitude = _radiated(obstacles, facets.chosen(rows), out, home, surface_of_object)

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from twin.geometry import Geometry
 from twin.radar.propagation.one_way.path import OFF_SURFACE, TracingContext
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
-from twin.radar.propagation.one_way.rays import Rays, and_reversed
 from twin.radar.scattering.diffraction import EdgeQuality, Pieces, fringe_moment, outside, pieces
 from twin.radar.scattering.edges import Edges, sharp_edges
 from twin.radar.scattering.target import Target
+from twin.radar.synthesis import Contributions
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def _edges_of(
 
 def edge_echoes(
     s: TracingContext, bodies: Sequence[Sharp], wavelength_m: float, most: int
-) -> tuple[Rays, float]:
+) -> tuple[Contributions, float]:
     """Contributions of all edges, without gains, and how many times longer than asked for pieces
     are: with every image, about ``most`` at most.
     """
@@ -87,10 +87,12 @@ def edge_echoes(
         for first in range(0, len(cut.edge), _AT_ONCE):
             part = cut.chosen(slice(first, first + _AT_ONCE))
             found += _diffracted(s, body, part, wavelength_m)
-    return Rays.joined(found), longest / asked
+    return Contributions.joined(found), longest / asked
 
 
-def _diffracted(s: TracingContext, body: Sharp, cut: Pieces, wavelength_m: float) -> list[Rays]:
+def _diffracted(
+    s: TracingContext, body: Sharp, cut: Pieces, wavelength_m: float
+) -> list[Contributions]:
     """From image i to image j with i before j, and the same ways reversed, as rays do."""
     places = np.array(s.positions).reshape(-1, 3)
     legs = [
@@ -106,7 +108,7 @@ def _diffracted(s: TracingContext, body: Sharp, cut: Pieces, wavelength_m: float
             ways = out.chosen(at), home.chosen(at)
             amplitude = _amplitude(body, cut.chosen(at), *ways, wavelength_m)
             echo = between(*ways, amplitude, body.velocity, body.object[cut.edge[at]])
-            found.append(and_reversed(echo.chosen(echo.amplitude != 0)))
+            found.append(echo.chosen(echo.amplitude != 0).and_reversed())
     return found
 
 

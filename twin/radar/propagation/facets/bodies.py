@@ -17,14 +17,14 @@ from twin.radar.propagation.facets.earlier import Found, Landings, Sums
 from twin.radar.propagation.facets.escapes import meeting
 from twin.radar.propagation.facets.facing import Facing, facing, largest, lit_by, portions
 from twin.radar.propagation.facets.parts import parted, spacing_of
-from twin.radar.propagation.facets.pieces import rays_of
+from twin.radar.propagation.facets.pieces import contributions_of
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, quartered
 from twin.radar.propagation.facets.tubes import Tubes, heard, reflected_on
 from twin.radar.propagation.facets.validity import Valid
 from twin.radar.propagation.one_way.path import TracingContext
-from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.scene.images import Image
+from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
 
@@ -105,19 +105,23 @@ def scattered_by(
             asked = wave_numbers, tolerance, bounces, floor
             return scattered_by(s, scatterers, images, *asked)
         error = np.hypot(error, valid.error)
-    rays = [
-        Rays.joined([rays_of(s, scatterers, part.chosen(rows)) for rows in portions(part.rows)])
+    contributions = [
+        Contributions.joined(
+            [contributions_of(s, scatterers, part.chosen(rows)) for rows in portions(part.rows)]
+        )
         for part in leaves
     ]
     return Found(
-        rays=tuple(rays) if valid is None else (valid.rays, *rays),
+        contributions=tuple(contributions)
+        if valid is None
+        else (valid.contributions, *contributions),
         sums=tuple(map(Sums.of, leaves)) if with_landings else (),
         is_direct=tuple(part.triangles.waves is None for part in leaves),
         error=error,
         level=budget.level,
         landings=tuple(search.landings or ()),
         spacing_m=(budget.spacing_m, spacing_m),
-        kept=0 if valid is None else len(valid.rays.length_m),
+        kept=0 if valid is None else len(valid.contributions),
     )
 
 

@@ -14,6 +14,7 @@ from twin.radar.propagation.facets.triangles import (
     Triangles,
     incident_on,
 )
+from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.one_way.path import (
     Leg,
     TracingContext,
@@ -22,7 +23,6 @@ from twin.radar.propagation.one_way.path import (
     mirrored_axes,
     turning,
 )
-from twin.radar.propagation.one_way.rays import NEAREST_M
 from twin.radar.propagation.scene.slabs import SlabTransmission
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.scattering.triangle import bend, largest, mean_over, node, span

@@ -14,11 +14,11 @@ from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import origin_of
 from twin.radar.propagation.facets.tubes import Tubes
 from twin.radar.propagation.one_way.path import TracingContext
-from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.scattering.surface import TABLE_STEPS
+from twin.radar.synthesis import Contributions
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ class Found:
     those lit from images and of those that begin tubes; how many contributions are ``kept``.
     """
 
-    rays: tuple[Rays, ...]
+    contributions: tuple[Contributions, ...]
     sums: tuple[Sums, ...]
     is_direct: tuple[bool, ...]
     error: Array

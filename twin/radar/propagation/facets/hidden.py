@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from twin.radar.propagation.facets.borders import odd_one
 from twin.radar.propagation.facets.currents import normal_of
 from twin.radar.propagation.facets.triangles import Triangles, origin_of
+from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.one_way.path import LEVEL, WINDOW, TracingContext, offset
-from twin.radar.propagation.one_way.rays import NEAREST_M
 from twin.transfer import aligned
 
 _BEFORE = 1e-4  # of a way: what is met so near its end may be what it leads to

@@ -15,11 +15,16 @@ from typing import Any
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
 from twin.radar.propagation.facets.currents import level_at
 from twin.radar.propagation.facets.division import Leaves
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, incident_on
+from twin.radar.propagation.one_way.internal_reflections import (
+    InternalReflections,
+    with_internal_reflections,
+)
 from twin.radar.propagation.one_way.path import (
     TracingContext,
     along,
@@ -28,12 +33,7 @@ from twin.radar.propagation.one_way.path import (
     mirrored_axes,
     turning,
 )
-from twin.radar.propagation.one_way.rays import (
-    InternalReflections,
-    Rays,
-    and_reversed,
-    with_internal_reflections,
-)
+from twin.radar.synthesis import Contributions
 from twin.transfer import aligned, host
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ Complex = NDArray[np.complex128]
 _CLOSE_RAD = 1.0
 
 
-def rays_of(s: TracingContext, scatterers: Scatterers, leaves: Leaves) -> Rays:
+def contributions_of(s: TracingContext, scatterers: Scatterers, leaves: Leaves) -> Contributions:
     """Contributions of triangles; of those lit directly that have another receiver than source one
     for each direction, alike by reciprocity, which physical optics keeps in their mean only.
     """
@@ -64,12 +64,12 @@ def rays_of(s: TracingContext, scatterers: Scatterers, leaves: Leaves) -> Rays:
         leaves.echoes.mean * np.exp(-1j * (wave_number * leaves.echoes.length_m % (2 * np.pi))),
         wave_number,
     )
-    return _rays(s, scatterers, lit.taken(pieces.row), pieces, whole[pieces.row])
+    return _contributions(s, scatterers, lit.taken(pieces.row), pieces, whole[pieces.row])
 
 
-def _rays(
+def _contributions(
     s: TracingContext, scatterers: Scatterers, lit: Triangles, pieces: "Pieces", whole: Complex
-) -> Rays:
+) -> Contributions:
     """By the triangle of every contribution."""
     mi, n, wave = s.mi, len(whole), incident_on(s, lit)
     shares = (mi.Float64(aligned(np.ascontiguousarray(column))) for column in pieces.place.T)
@@ -95,11 +95,12 @@ def _rays(
     for p in (wave.passage, home.passage):
         values += [p.rho_re, p.rho_im, p.lag]
     extra, rate, acceleration, departure, arrival, *found = host(values, n)
-    one = Rays(
+    length_m = pieces.length_m + extra
+    one = Contributions(
         amplitude=pieces.amplitude * whole,
-        length_m=pieces.length_m + extra,
-        rate_m_per_s=rate,
-        acceleration_m_per_s2=acceleration,
+        delay_s=length_m / speed_of_light,
+        delay_rate=rate / speed_of_light,
+        delay_acceleration_per_s=acceleration / speed_of_light,
         departure=departure,
         arrival=arrival,
         object=found[2],
@@ -112,13 +113,12 @@ def _rays(
     )
     if s.walls is not None:
         alike = (one.source == one.receiver) & (lit.waves is None)
-        one = with_internal_reflections(
-            one, InternalReflections.of(*found[5:8]), InternalReflections.of(*found[8:]), alike
-        )
+        rings = InternalReflections.of(*found[5:8]), InternalReflections.of(*found[8:])
+        one = with_internal_reflections(one, length_m, *rings, alike)
     if lit.waves is not None:
         return one
     halves = np.where(one.source == one.receiver, 1.0, 0.5)
-    return and_reversed(replace(one, amplitude=one.amplitude * halves))
+    return replace(one, amplitude=one.amplitude * halves).and_reversed()
 
 
 @dataclass(frozen=True, eq=False)

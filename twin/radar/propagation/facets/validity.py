@@ -26,10 +26,10 @@ from twin.radar.propagation.facets.earlier import Landings, Setting, Sums, Trace
 from twin.radar.propagation.facets.facing import lit_facets, portions
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.one_way.path import TracingContext, image_place
-from twin.radar.propagation.one_way.rays import Rays
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
+from twin.radar.synthesis import Contributions
 from twin.scene import SceneObject
 from twin.scene.boxes import boxes_of
 from twin.transfer import aligned
@@ -51,7 +51,7 @@ class Valid:
     begin there. ``spacing_m`` as of `Found`.
     """
 
-    rays: Rays
+    contributions: Contributions
     sums: Sums
     error: Array
     level: Array
@@ -88,7 +88,7 @@ def still_valid(
     else:
         tubes |= legs
 
-    def holding(part: Rays | Sums, is_direct: bool) -> Any:
+    def holding(part: Contributions | Sums, is_direct: bool) -> Any:
         source, receiver = image[part.source], image[part.receiver]
         anew = tubes[source, part.first]
         if is_direct:
@@ -100,7 +100,9 @@ def still_valid(
     sums = Sums.joined(list(map(holding, found.sums, found.is_direct)))
     error, level = _of_bodies(earlier, now, sums)
     return Valid(
-        rays=Rays.joined(list(map(holding, found.rays, found.is_direct))),
+        contributions=Contributions.joined(
+            list(map(holding, found.contributions, found.is_direct))
+        ),
         sums=sums,
         error=error,
         level=level,

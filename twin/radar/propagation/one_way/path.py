@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.one_way.rays import NEAREST_M
+from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.scene.images import Image, in_plane
 from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene
 from twin.radar.propagation.scene.slabs import SlabTransmission, Walls, cross, no_slab

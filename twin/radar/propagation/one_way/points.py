@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
-from twin.radar.propagation.one_way.path import TracingContext, leg
-from twin.radar.propagation.one_way.rays import (
+from twin.radar.propagation.one_way.internal_reflections import (
     InternalReflections,
-    Rays,
-    lengthening,
-    turning,
     with_internal_reflections,
 )
+from twin.radar.propagation.one_way.motion import lengthening, turning
+from twin.radar.propagation.one_way.path import TracingContext, leg
+from twin.radar.synthesis import Contributions
 from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ def between(
     amplitude: NDArray[np.complex128],
     velocity: Array,
     number: NDArray[np.integer],
-) -> Rays:
+) -> Contributions:
     """Echoes out by one leg and home by another, walls' internal echoes included.
 
     Parameters
@@ -130,11 +130,13 @@ def between(
         np.einsum("nij,nj->ni", leg.axes, turning(*motion))
         for leg, motion in zip(legs, moved, strict=True)
     ]
-    once = Rays(
+    length_m = out.length + out.extra + home.length + home.extra
+    rate_m_per_s = ways[0][0] + ways[1][0] + out.rate + home.rate
+    once = Contributions(
         amplitude=amplitude / (out.length * home.length),
-        length_m=out.length + out.extra + home.length + home.extra,
-        rate_m_per_s=ways[0][0] + ways[1][0] + out.rate + home.rate,
-        acceleration_m_per_s2=ways[0][1] + ways[1][1],
+        delay_s=length_m / speed_of_light,
+        delay_rate=rate_m_per_s / speed_of_light,
+        delay_acceleration_per_s=(ways[0][1] + ways[1][1]) / speed_of_light,
         departure=out.departure,
         arrival=home.departure,
         object=np.asarray(number, dtype=np.uint32),
@@ -143,4 +145,5 @@ def between(
         departure_per_s=turns[0],
         arrival_per_s=turns[1],
     )
-    return with_internal_reflections(once, out.ring, home.ring, out.source == home.source)
+    alike = out.source == home.source
+    return with_internal_reflections(once, length_m, out.ring, home.ring, alike)

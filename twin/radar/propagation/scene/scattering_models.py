@@ -68,12 +68,13 @@ class Assignment:
 
 
 def assign_scattering_models(
-    scene: Scene, wavelength_m: float, rung: object = "paths"
+    scene: Scene, wavelength_m: float, *, with_optics: bool = False
 ) -> list[Assignment]:
-    """Role of every object, as the rule of this module has it."""
+    """Role of every object, as the rule of this module has it; ``with_optics`` where meshes scatter
+    by physical optics.
+    """
     declared = {target.object for target in scene.targets if target.object}
     origin = scene.rig.position_m + scene.rig.device("radar")[0]
-    with_optics = rung not in ("targets", "paths")
     distances = np.maximum(distances_m(boxes_of(scene.objects), origin), wavelength_m)
     part_of_declared = set() if with_optics else _beside(scene, declared)
     found = []

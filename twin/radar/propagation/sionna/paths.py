@@ -9,7 +9,7 @@ Higher rungs leave Sionna aside: `twin.radar.propagation.by_optics`.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -20,8 +20,8 @@ from hardware.waveform import C_M_PER_S
 from twin.engine import sionna
 from twin.geometry import mitsuba_mesh, planes
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.one_way.rays import lengthening, turning
-from twin.radar.propagation.result import Heard, Path, Propagation, contributions_of_paths
+from twin.radar.propagation.one_way.motion import lengthening, turning
+from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
 from twin.radar.propagation.scene.materials import radio_properties, surface_of
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.radar.propagation.sionna.raw import TARGET, RawPath
@@ -34,6 +34,7 @@ from twin.radar.propagation.tabulated import (
     tabulated,
     warning,
 )
+from twin.radar.synthesis import Contributions
 from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
@@ -67,26 +68,42 @@ def sionna_paths(
     mirrors = world.environment(max_depth, seed)
     points, dense = world.targets(max_depth, seed)
     loss = 10 ** (-radar.front_end.losses_db.value / 20)
-    paths, dense = (
-        [replace(p, amplitude=p.amplitude * loss) for p in found if p.amplitude]
-        for found in ([*mirrors, *points], dense)
+    names, paths = by_delay(
+        [p.name for p in (*mirrors, *points)], _received((*mirrors, *points), loss)
     )
+    dense = [p for p in dense if p.echo.amplitude[0]]
+    echoes = _received(dense, loss)
     return Propagation(
-        paths=tuple(sorted(paths, key=lambda p: p.delay_s)),
+        Contributions.joined([paths, echoes]),
+        names,
         roles=tuple(world.roles),
         assumptions=tuple(dict.fromkeys(world.assumptions)),
-        surfaces=contributions_of_paths(dense),
-        heard=_heard(dense, radar.ofdm.carrier_hz),
+        heard=_heard([p.name for p in dense], echoes, radar.ofdm.carrier_hz),
         warnings=tuple(world.warnings),
     )
 
 
-def _heard(dense: Sequence[Path], carrier_hz: float) -> tuple[Heard, ...]:
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """A path with its contribution, one row, before the front end's losses."""
+
+    name: PathName
+    echo: Contributions
+
+
+def _received(paths: Sequence[_Refined], loss: float) -> Contributions:
+    echoes = Contributions.joined([path.echo for path in paths])
+    return replace(echoes, amplitude=echoes.amplitude * loss)
+
+
+def _heard(
+    names: Sequence[PathName], echoes: Contributions, carrier_hz: float
+) -> tuple[Heard, ...]:
     """Echoes summed up per object that answers from a table."""
+    turns = np.exp(-2j * np.pi * (carrier_hz * echoes.delay_s % 1.0))
     waves: dict[str, list[complex]] = {}
-    for path in dense:
-        turn = np.exp(-2j * np.pi * (carrier_hz * path.delay_s % 1.0))
-        waves.setdefault(str(path.target), []).append(path.amplitude * turn)
+    for name, wave in zip(names, (echoes.amplitude * turns).tolist(), strict=True):
+        waves.setdefault(str(name.target), []).append(wave)
     return tuple(Heard(name, len(w), float(abs(sum(w)) ** 2)) for name, w in waves.items())
 
 
@@ -215,7 +232,7 @@ class _RadioWorld:
                 thing = SensingTarget(name=name, scattering_model=model, mi_mesh=mesh)
             self.world.add(thing)
 
-    def environment(self, max_depth: int, seed: int) -> list[Path]:
+    def environment(self, max_depth: int, seed: int) -> list[_Refined]:
         """Mirror images of the radar in large surfaces."""
         if not self.surfaces:
             return []
@@ -232,7 +249,7 @@ class _RadioWorld:
         )
         return [path for raw in RawPath.unpack(solved) if (path := self._refined(raw))]
 
-    def targets(self, max_depth: int, seed: int) -> tuple[list[Path], list[Path]]:
+    def targets(self, max_depth: int, seed: int) -> tuple[list[_Refined], list[_Refined]]:
         """Ways to every target and back, directly and over surfaces: to declared ones, and to
         those that answer from tables.
         """
@@ -246,8 +263,8 @@ class _RadioWorld:
             refraction=False,
             seed=seed,
         )
-        points: list[Path] = []
-        ways: list[list[tuple[RawPath, Path]]] = [[] for _ in self.tables]
+        points: list[_Refined] = []
+        ways: list[list[tuple[RawPath, _Refined]]] = [[] for _ in self.tables]
         for raw in RawPath.unpack(solved):
             path = self._refined(raw)
             if path is None:
@@ -262,7 +279,7 @@ class _RadioWorld:
             echo for thing, found in pairs if found for echo in self._told(thing, found)
         ]
 
-    def _told(self, thing: Tabulated, ways: list[tuple[RawPath, Path]]) -> list[Path]:
+    def _told(self, thing: Tabulated, ways: list[tuple[RawPath, _Refined]]) -> list[_Refined]:
         """Ways to one target with what its table answers, in place of the 1 m^2 it stood for."""
         legs = []
         for raw, _ in ways:
@@ -273,10 +290,13 @@ class _RadioWorld:
         wavelength = self.radar.ofdm.wavelength_m
         amplitude, delay = answers(thing, legs, wavelength)
         return [
-            replace(
-                path,
-                amplitude=complex(amplitude[i] * self._gain(path.departure, path.arrival)),
-                delay_s=path.delay_s + float(delay[i]),
+            _Refined(
+                path.name,
+                replace(
+                    path.echo,
+                    amplitude=np.array([complex(amplitude[i] * self._gain(path.echo))]),
+                    delay_s=path.echo.delay_s + delay[i],
+                ),
             )
             for i, (_, path) in enumerate(ways)
         ]
@@ -293,11 +313,12 @@ class _RadioWorld:
         point = np.asarray(thing.point.position_m) - self.origin
         return leg(point, planes, surfaces, self.axes, carrier)
 
-    def _gain(self, *directions: tuple[float, float, float]) -> float:
+    def _gain(self, echo: Contributions) -> float:
         """Of the antenna's amplitude, there and back."""
-        return float(np.sqrt(np.prod(self.radar.antenna.gain(np.array(directions)))))
+        directions = np.concatenate([echo.departure, echo.arrival])
+        return float(np.sqrt(np.prod(self.radar.antenna.gain(directions))))
 
-    def _refined(self, raw: RawPath) -> Path | None:
+    def _refined(self, raw: RawPath) -> _Refined | None:
         """The same path with its length in float64; None for one over an obstacle."""
         # Sionna counts sensing targets by themselves. Both kinds have a name and a velocity.
         met: list[SceneObject | Target] = [
@@ -328,27 +349,27 @@ class _RadioWorld:
         turns = [_mirrored_back(turn, p) for (_, turn), p in zip(ways, legs, strict=True)]
         # The radar's own image is where the last way comes from.
         turns = [*turns, -ways[0][1]][:2]
-        departure, arrival = self._direction(vertices[0]), self._direction(vertices[-1])
-        return Path(
-            via=tuple(m.name for m in met),
-            target=None if at is None else met[at].name,
-            amplitude=complex(raw.amplitude * self._gain(departure, arrival)),
-            delay_s=float(length) / C_M_PER_S,
-            delay_rate=float(rate) / C_M_PER_S,
-            delay_acceleration_per_s=float(acceleration) / C_M_PER_S,
-            departure=departure,
-            arrival=arrival,
+        name = PathName(tuple(m.name for m in met), None if at is None else met[at].name)
+        echo = Contributions(
+            amplitude=np.array([complex(raw.amplitude)]),
+            delay_s=np.array([length / C_M_PER_S]),
+            delay_rate=np.array([rate / C_M_PER_S]),
+            delay_acceleration_per_s=np.array([acceleration / C_M_PER_S]),
+            departure=self._direction(vertices[0]),
+            arrival=self._direction(vertices[-1]),
             departure_per_s=self._in_antenna(turns[0]),
             arrival_per_s=self._in_antenna(turns[1]),
         )
+        amplitude = np.array([complex(raw.amplitude * self._gain(echo))])
+        return _Refined(name, replace(echo, amplitude=amplitude))
 
-    def _direction(self, towards: Array) -> tuple[float, float, float]:
-        """Unit vector in the antenna's frame."""
+    def _direction(self, towards: Array) -> Array:
+        """Unit vector in the antenna's frame, (1, 3)."""
         return self._in_antenna(towards / np.linalg.norm(towards))
 
-    def _in_antenna(self, vector: Array) -> tuple[float, float, float]:
-        x, y, z = self.axes @ vector
-        return float(x), float(y), float(z)
+    def _in_antenna(self, vector: Array) -> Array:
+        turned: Array = (self.axes @ vector).reshape(1, 3)
+        return turned
 
     def _plane(self, item: SceneObject, primitive: int) -> tuple[Array, Array]:
         """A point and the unit normal of a triangle, relative to the radar, in float64."""
