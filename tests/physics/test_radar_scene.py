@@ -121,7 +121,7 @@ def test_who_scatters_is_a_rule_that_a_scene_can_override() -> None:
     )
     assert (one.role, one.declared) == (ScatteringModel.OBSTACLE, True)
     # The cheap rung knows no physical optics.
-    (one,) = assign_scattering_models(world(replace(small, radar="optics")), WAVELENGTH_M, "paths")
+    (one,) = assign_scattering_models(world(replace(small, radar="optics")), WAVELENGTH_M)
     assert one.role is ScatteringModel.OBSTACLE
 
 

@@ -25,6 +25,7 @@ from twin.radar.propagation.facets.shadows import sampled
 from twin.radar.propagation.facets.triangles import Triangles, incident_on
 from twin.radar.propagation.one_way.beams import AntennaGain
 from twin.radar.propagation.one_way.path import TracingContext
+from twin.radar.scattering.arrays import ComplexVector3, Index, Mask, Vector3
 from twin.radar.scattering.kernel import turned
 from twin.radar.scattering.surface import table
 from twin.radar.scattering.target import Target
@@ -67,8 +68,8 @@ class _Radars(TracingContext):
 
     antennas: Any = None
 
-    def sent(self, source: Any, departure: Any) -> tuple[Any, Any]:
-        """The field of amplitude 1 (Re, Im) in a direction."""
+    def sent(self, source: Index, departure: Vector3) -> ComplexVector3:
+        """The field of amplitude 1 in a direction."""
         here, re, im = (
             self.mi.Vector3d(
                 *(
@@ -78,9 +79,9 @@ class _Radars(TracingContext):
             )
             for k in range(3)
         )
-        return turned(re, here, departure), turned(im, here, departure)
+        return ComplexVector3(turned(re, here, departure), turned(im, here, departure))
 
-    def both_ways(self, source: Any, receiver: Any) -> Any:
+    def both_ways(self, source: Index, receiver: Index) -> Mask:
         """Never: one place sends, others receive."""
         return self.mi.Bool(False)
 
@@ -112,10 +113,10 @@ def _radars(
         world=subject.world,
         order=0,
         n_sources=count,
-        place=None,
-        boresight=None,
-        vertical=None,
-        patch_of_face=None,
+        place=mi.Vector3d(0),  # of one antenna, as what follows
+        boresight=mi.Vector3d(0),
+        vertical=mi.Vector3d(0),
+        patch_of_face=mi.UInt32(0),
         table=mi.Float64(aligned(table(target.surfaces, material_hz))),
         orders=mi.UInt32(aligned(np.zeros(count, dtype=np.uint32))),
         positions=mi.Float64(aligned(np.stack(places, axis=1))),
@@ -215,7 +216,7 @@ def _answers(
             lit = replace(lit, source=first + (_FIRST_SENT + number))
         for port in range(2):
             heard = replace(lit, receiver=first + port)
-            re, im, _ = amplitude_of(at, scatterers, heard, incident_on(at, heard))
+            (re, im), _ = amplitude_of(at, scatterers, heard, incident_on(at, heard))
             echo = wave * (np.array(re) + 1j * np.array(im))
             found[:, number, port] = np.bincount(body, echo.real, n)
             found[:, number, port] += 1j * np.bincount(body, echo.imag, n)

@@ -1,20 +1,22 @@
 """The kernel of the ray tracer: rays out, currents on every further facet they meet, echo back.
 
 Everything is an array on the device, one element per ray; vectors are float64 but for what meets
-triangles. Re and Im are apart, ``_im`` marks the latter.
+triangles.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
 
+from twin.radar.scattering.arrays import ComplexVector3, Index, Mask, Real, Vector3
 from twin.radar.scattering.surface import TABLE_STEPS
 from twin.radar.scattering.target import TargetScene
 
 _PASSED, _STOPPED = 0.5, 0.9  # cycles of phase from tube to tube
 
 
-def launch(mi: Any, setting: dict[str, Any], index: Any) -> tuple[Any, ...]:
+def launch(mi: Any, setting: dict[str, Any], index: Index) -> tuple[Any, ...]:
     """Start of the rays of a grid by index: point, direction, path so far, weight, tube, field.
 
     Points are relative to the mesh's centre, paths to the distance of the target's origin.
@@ -38,7 +40,7 @@ def launch(mi: Any, setting: dict[str, Any], index: Any) -> tuple[Any, ...]:
     return x - direction * back, direction, path - back, weight, *tube, field
 
 
-def turned(e: Any, u: Any, direction: Any) -> Any:
+def turned(e: Vector3, u: Vector3, direction: Vector3) -> Vector3:
     """Polarisation ``e`` of the boresight -u, in another direction of the antenna's field."""
     return e - dr.dot(e, direction) / dr.maximum(1 - dr.dot(u, direction), 1e-9) * (direction - u)
 
@@ -48,16 +50,16 @@ def trace(
     mi: Any,
     engine: TargetScene,
     setting: dict[str, Any],
-    coefficients: Any,
-    max_bounces: Any,
-    origin: Any,
-    direction: Any,
-    path: Any,
-    weight: Any,
-    tube_a: Any,
-    tube_b: Any,
-    field: Any,
-) -> Any:
+    coefficients: Real,
+    max_bounces: Index,
+    origin: Vector3,
+    direction: Vector3,
+    path: Real,
+    weight: Real,
+    tube_a: Vector3,
+    tube_b: Vector3,
+    sent: Vector3,
+) -> tuple[Real, ...]:
     """Follow every ray. Six numbers for each: its echo after two and more reflections in V and H
     (Re, Im each); its weight where it hits, and where it is unfinished.
 
@@ -65,7 +67,7 @@ def trace(
     """
     u, q, radius = setting["listener"], setting["inverse_distance"], setting["radius"]
     wavelength = setting["wavelength"]
-    field_im = mi.Vector3d(0)
+    field = ComplexVector3(mi.Vector3d(sent), mi.Vector3d(0))
     vertical, horizontal = mi.Vector2d(0), mi.Vector2d(0)  # Re and Im
     lit, unfinished = mi.Float64(0), mi.Float64(0)
     bounce = mi.UInt32(0)
@@ -83,7 +85,7 @@ def trace(
         surface = dr.gather(mi.UInt32, engine.surface_of_face, face, active)
         row = coefficients_at(mi, coefficients, surface, cosine, active)
         away = direction + 2 * cosine * normal
-        out, out_im = reflected(field, field_im, direction, normal, row)
+        out = reflected(field, direction, normal, row)
 
         # Back to the receiver: unit vector, distance over and minus that of the origin.
         place = origin + setting["center_of_mesh"]
@@ -106,19 +108,18 @@ def trace(
         turn_re *= amplitude
         turn_im *= amplitude
         current = radiating(field, out, direction, away, normal, back)
-        current_im = radiating(field_im, out_im, direction, away, normal, back)
         for e, echo in ((setting["vertical"], vertical), (setting["horizontal"], horizontal)):
             received = turned(e, u, -back)
-            re, im = dr.dot(received, current), dr.dot(received, current_im)
+            re, im = dr.dot(received, current.re), dr.dot(received, current.im)
             echo.x += dr.select(sees, re * turn_re - im * turn_im, 0)
             echo.y += dr.select(sees, re * turn_im + im * turn_re, 0)
         lit += dr.select(bounce == 0, weight, 0)
 
-        field, field_im, direction = out, out_im, away
+        field, direction = out, away
         tube_a -= 2 * dr.dot(normal, tube_a) * normal
         tube_b -= 2 * dr.dot(normal, tube_b) * normal
         bounce += 1
-        active &= dr.squared_norm(field) + dr.squared_norm(field_im) > 1e-12
+        active &= dr.squared_norm(field.re) + dr.squared_norm(field.im) > 1e-12
         following = mi.Ray3f(mi.Point3f(origin + offset), mi.Vector3f(direction))
         struck = engine.scene.ray_intersect_preliminary(following, active=active)
         face, coarse = struck.prim_index, mi.Float64(struck.t)
@@ -129,8 +130,8 @@ def trace(
 
 
 def plane(
-    mi: Any, engine: Any, face: Any, origin: Any, direction: Any, active: Any
-) -> tuple[Any, Any]:
+    mi: Any, engine: Any, face: Index, origin: Vector3, direction: Vector3, active: Mask
+) -> tuple[Vector3, Real]:
     """Normal against the ray, and the float64 distance along it to the facet's plane."""
     x, y, z, a, b, c = (
         dr.gather(mi.Float64, engine.planes, 6 * face + i, active) for i in range(6)
@@ -142,8 +143,8 @@ def plane(
 
 
 def coefficients_at(
-    mi: Any, coefficients: Any, surface: Any, cosine: Any, active: Any, columns: int = 4
-) -> list[Any]:
+    mi: Any, coefficients: Real, surface: Index, cosine: Real, active: Mask, columns: int = 4
+) -> list[Real]:
     """Re and Im of a surface's coefficients TE and TM, between two rows of the table."""
     at = dr.clip(cosine, 0, 1) * TABLE_STEPS
     below = dr.minimum(mi.UInt32(at), TABLE_STEPS - 1)
@@ -157,9 +158,9 @@ def coefficients_at(
 
 
 def reflected(
-    field: Any, field_im: Any, direction: Any, normal: Any, coefficients: Any
-) -> tuple[Any, Any]:
-    """Reflected field, Re and Im, by the Re and Im of TE and TM.
+    field: ComplexVector3, direction: Vector3, normal: Vector3, coefficients: Sequence[Real]
+) -> ComplexVector3:
+    """Reflected field by the Re and Im of TE and TM.
 
     A conductor's mirror image times TM, and what TE differs from it across the plane of incidence.
     That difference vanishes at normal incidence, where "across" has no meaning.
@@ -168,26 +169,42 @@ def reflected(
     across = dr.cross(direction, normal)
     across_norm = dr.maximum(dr.squared_norm(across), 1e-30)
     image, part = [], []
-    for real in (field, field_im):
+    for real in (field.re, field.im):
         image.append(2 * dr.dot(normal, real) * normal - real)
         part.append(across * (dr.dot(across, real) / across_norm))
     more_re, more_im = te_re + tm_re, te_im + tm_im
-    return (
+    return ComplexVector3(
         tm_re * image[0] - tm_im * image[1] + more_re * part[0] - more_im * part[1],
         tm_im * image[0] + tm_re * image[1] + more_im * part[0] + more_re * part[1],
     )
 
 
-def radiating(field: Any, out: Any, direction: Any, away: Any, normal: Any, back: Any) -> Any:
+def radiating(
+    field: ComplexVector3,
+    out: ComplexVector3,
+    direction: Vector3,
+    away: Vector3,
+    normal: Vector3,
+    back: Vector3,
+) -> ComplexVector3:
     """J + M x s, with the impedance of free space taken out."""
-    magnetic = dr.cross(direction, field) + dr.cross(away, out)
-    current = dr.cross(normal, magnetic)
-    return current - dr.cross(dr.cross(normal, field + out), back)
+
+    def of(field: Vector3, out: Vector3) -> Vector3:
+        magnetic = dr.cross(direction, field) + dr.cross(away, out)
+        current = dr.cross(normal, magnetic)
+        return current - dr.cross(dr.cross(normal, field + out), back)
+
+    return ComplexVector3(of(field.re, out.re), of(field.im, out.im))
 
 
 def followed(
-    side: Any, step: Any, direction: Any, normal: Any, cosine: Any, wavelength: Any
-) -> Any:
+    side: Vector3,
+    step: Vector3,
+    direction: Vector3,
+    normal: Vector3,
+    cosine: Real,
+    wavelength: Real,
+) -> Real:
     """1 while neighbouring tubes follow the phase on the facet, smoothly to 0 before they alias."""
     along = side + direction * (dr.dot(normal, side) / dr.maximum(cosine, 1e-9))
     cycles = dr.abs(dr.dot(step, along)) / wavelength

@@ -15,21 +15,21 @@ from typing import Any
 
 import drjit as dr
 
-_CLOSE = 0.2  # of x, below which a series is exact to 1e-8 and a quotient may not be
+from twin.radar.scattering.arrays import Complex, Real
 
-Complex = tuple[Any, Any]
+_CLOSE = 0.2  # of x, below which a series is exact to 1e-8 and a quotient may not be
 
 
 @dataclass(frozen=True)
 class Node:
     """A wave at a point: phase, logarithm of the amplitude, and its value."""
 
-    phase: Any
-    log: Any
+    phase: Real
+    log: Real
     value: Complex
 
 
-def node(phase: Any, log: Any) -> Node:
+def node(phase: Real, log: Real) -> Node:
     """A wave at a point by its phase and the logarithm of its amplitude."""
     im, re = dr.sincos(phase)
     level = dr.exp(log)

@@ -19,6 +19,7 @@ from twin.radar.propagation.diffraction.around_edges import Screens, is_near_edg
 from twin.radar.propagation.diffraction.rims import loud, meeting
 from twin.radar.propagation.one_way.path import OFF_SURFACE
 from twin.radar.propagation.one_way.points import PointPaths, between
+from twin.radar.scattering.arrays import ComplexVector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.synthesis import Contributions
 from twin.transfer import aligned, host, vector
@@ -155,18 +156,11 @@ def _radiated(
     cosine = -(travel.x * normal.x + travel.y * normal.y + travel.z * normal.z)
     surface = mi.UInt32(aligned(surface_of_object[facets.object].astype(np.uint32)))
     row = coefficients_at(mi, s.table, surface, cosine, mi.Bool(True))
-    re, im = (
-        vector(mi, np.ascontiguousarray(v), "Vector3d") for v in (out.field.real, out.field.imag)
-    )
+    parts = (out.field.real, out.field.imag)
+    field = ComplexVector3(*(vector(mi, np.ascontiguousarray(v), "Vector3d") for v in parts))
     off = travel + 2 * cosine * normal
-    off_re, off_im = reflected(re, im, travel, normal, row)
-    current_re, current_im = host(
-        [
-            radiating(re, off_re, travel, off, normal, back),
-            radiating(im, off_im, travel, off, normal, back),
-        ],
-        n,
-    )
+    current = radiating(field, reflected(field, travel, normal, row), travel, off, normal, back)
+    current_re, current_im = host([current.re, current.im], n)
     received = np.sum(home.field * (current_re + 1j * current_im), axis=1)
     slope = 2 * np.pi / obstacles.stage.wavelength_m * (out.back + home.back)
     amplitude: Complex = -1j / (8 * np.pi) * area * received * _mean(facets.phase(slope))

@@ -16,6 +16,7 @@ from twin.radar.propagation.facets.triangles import (
 )
 from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.one_way.path import (
+    Axes,
     Leg,
     TracingContext,
     along,
@@ -24,11 +25,12 @@ from twin.radar.propagation.one_way.path import (
     turning,
 )
 from twin.radar.propagation.scene.slabs import SlabTransmission
+from twin.radar.scattering.arrays import Complex, ComplexVector3, Index, Real, Vector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.scattering.triangle import bend, largest, mean_over, node, span
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+ComplexArray = NDArray[np.complex128]
 
 _BENT = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
 _OBLIQUE = 8.0  # rad across a triangle from which its corners answer one by one
@@ -53,15 +55,15 @@ class Echoes:
     Both directions of a way that goes out by one image and home by another count as one echo.
     """
 
-    amplitude: Complex
-    mean: Complex
+    amplitude: ComplexArray
+    mean: ComplexArray
     length_m: Array
     gain: Array
     strength: Array
     curved: Array
 
     @property
-    def total(self) -> Complex:
+    def total(self) -> ComplexArray:
         """With the antenna's gain, less the phase of the path."""
         return self.amplitude * self.mean
 
@@ -76,7 +78,7 @@ class Echoes:
         return Echoes(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
-def plane_of(s: TracingContext, face: Any) -> tuple[Any, Any]:
+def plane_of(s: TracingContext, face: Index) -> tuple[Vector3, Vector3]:
     """A point of a facet's plane, and its normal."""
     point, normal = (
         s.mi.Vector3d(
@@ -87,7 +89,7 @@ def plane_of(s: TracingContext, face: Any) -> tuple[Any, Any]:
     return point, normal
 
 
-def normal_of(s: TracingContext, face: Any, place: Any, towards: Any) -> Any:
+def normal_of(s: TracingContext, face: Index, place: Vector3, towards: Vector3) -> Vector3:
     """A facet's normal on the side of a point."""
     _, normal = plane_of(s, face)
     return normal * dr.select(dr.dot(normal, towards - place) < 0, -1.0, 1.0)
@@ -95,38 +97,36 @@ def normal_of(s: TracingContext, face: Any, place: Any, towards: Any) -> Any:
 
 def reflection(
     s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
-) -> tuple[Any, Any, Any, Any, Any]:
-    """At the centroid: direction of the wave, the normal against it, direction and field (Re, Im)
-    of the reflected wave.
+) -> tuple[Vector3, Vector3, Vector3, ComplexVector3]:
+    """At the centroid: direction of the wave, the normal against it, direction and field of the
+    reflected wave.
     """
     direction = dr.normalize(lit.center - wave.origin)
     normal = normal_of(s, lit.face, lit.center, wave.origin)
-    field = wave.field, wave.field_im
-    away, out, out_im = _mirrored(s, scatterers, lit, direction, normal, field)
-    return direction, normal, away, out, out_im
+    away, out = _mirrored(s, scatterers, lit, direction, normal, wave.field)
+    return direction, normal, away, out
 
 
 def _mirrored(
     s: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
-    direction: Any,
-    normal: Any,
-    field: tuple[Any, Any],
-) -> tuple[Any, Any, Any]:
-    """Direction and field (Re, Im) of what facets reflect of a wave."""
+    direction: Vector3,
+    normal: Vector3,
+    field: ComplexVector3,
+) -> tuple[Vector3, ComplexVector3]:
+    """Direction and field of what facets reflect of a wave."""
     cosine = -dr.dot(normal, direction)
     number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
     surface = dr.gather(s.mi.UInt32, scatterers.surface, number)
     row = coefficients_at(s.mi, s.table, surface, cosine, s.mi.Bool(True))
-    out, out_im = reflected(*field, direction, normal, row)
-    return direction + 2 * cosine * normal, out, out_im
+    return direction + 2 * cosine * normal, reflected(field, direction, normal, row)
 
 
 def amplitude_of(
     s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
-) -> tuple[Any, Any, Leg]:
-    """Echo of all currents in phase (Re, Im), without the antenna's gain, and the leg home.
+) -> tuple[Complex, Leg]:
+    """Echo of all currents in phase, without the antenna's gain, and the leg home.
 
     Of triangles lit directly that answer to another image than they are lit from, both directions
     of the way together. Currents of physical optics are not reciprocal: each direction has its own.
@@ -134,45 +134,40 @@ def amplitude_of(
     place = lit.center
     normal = normal_of(s, lit.face, place, wave.origin)
     home = leg(s, lit.receiver, place, normal * 0, s.mi.Bool(True), tested=False)
-    there = dr.normalize(place - wave.origin), (wave.field, wave.field_im)
-    back = -home.back, (home.field, home.field_im)
+    there = dr.normalize(place - wave.origin), wave.field
+    back = -home.back, home.field
     re, im = _induced(s, scatterers, lit, normal, there, back)
     if lit.waves is None:
         more = _induced(s, scatterers, lit, normal, back, there)
         both = s.both_ways(lit.source, lit.receiver)
-        re, im = (a + dr.select(both, b, 0) for a, b in zip((re, im), more, strict=True))
+        re, im = re + dr.select(both, more[0], 0), im + dr.select(both, more[1], 0)
     a, b, c = lit.corners
     area = dr.norm(dr.cross(b - a, c - a)) / 2
     # a = -j / (8 pi) times the sum.
     scale = area / (8 * dr.pi * dr.norm(place - wave.origin) * home.length)
-    return scale * im, -scale * re, home
+    return (scale * im, -scale * re), home
 
 
 def _induced(
     s: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
-    normal: Any,
-    wave: tuple[Any, tuple[Any, Any]],
-    heard: tuple[Any, tuple[Any, Any]],
-) -> tuple[Any, Any]:
-    """What one wave's currents at centroids are worth to another one's source (Re, Im); each by its
+    normal: Vector3,
+    wave: tuple[Vector3, ComplexVector3],
+    heard: tuple[Vector3, ComplexVector3],
+) -> Complex:
+    """What one wave's currents at centroids are worth to another one's source; each by its
     direction and field.
     """
     direction, field = wave
     towards, kept = heard
-    away, out, out_im = _mirrored(s, scatterers, lit, direction, normal, field)
-    current = radiating(field[0], out, direction, away, normal, -towards)
-    current_im = radiating(field[1], out_im, direction, away, normal, -towards)
-    return (
-        dr.dot(kept[0], current) - dr.dot(kept[1], current_im),
-        dr.dot(kept[0], current_im) + dr.dot(kept[1], current),
-    )
+    away, out = _mirrored(s, scatterers, lit, direction, normal, field)
+    return kept.dot(radiating(field, out, direction, away, normal, -towards))
 
 
 def level_at(
-    scatterers: Scatterers, wave: Incident, point: Any, receiver: Any, axes: tuple[Any, Any, Any]
-) -> tuple[Any, Any, Any]:
+    scatterers: Scatterers, wave: Incident, point: Vector3, receiver: Vector3, axes: Axes
+) -> tuple[Real, Real, Real]:
     """At points of triangles: logarithms of the antenna's gain out and back, and of what spreading
     and obliqueness make of a wave, and the length of the way, walls apart.
 
@@ -189,7 +184,7 @@ def level_at(
 def echoes_of(s: TracingContext, scatterers: Scatterers, lit: Triangles) -> Echoes:
     """What each triangle returns if all of it is seen."""
     wave = incident_on(s, lit)
-    re, im, home = amplitude_of(s, scatterers, lit, wave)
+    (re, im), home = amplitude_of(s, scatterers, lit, wave)
     a, b, c = lit.corners
     receiver = lit.center + home.back * home.length
     axes = mirrored_axes(s, lit.receiver)
@@ -222,13 +217,11 @@ def echoes_of(s: TracingContext, scatterers: Scatterers, lit: Triangles) -> Echo
     mean = [fine + more for fine, more in zip(finer, change, strict=True)]
     values = (re, im, *mean, length, dr.exp(gain), strength, curved)
     dr.eval(values)
-    re, im, mean_re, mean_im, *rest = (
-        np.broadcast_to(np.array(value), len(lit)) for value in values
-    )
-    return Echoes(re + 1j * im, mean_re + 1j * mean_im, *rest)
+    columns = [np.broadcast_to(np.array(value), len(lit)) for value in values]
+    return Echoes(columns[0] + 1j * columns[1], columns[2] + 1j * columns[3], *columns[4:])
 
 
-def _again(passage: SlabTransmission) -> Any:
+def _again(passage: SlabTransmission) -> Real:
     """All round trips within a wall over the first way through, in amplitude, in phase."""
     share = dr.sqrt(dr.square(passage.rho_re) + dr.square(passage.rho_im))
     return dr.minimum(share, _MOST_AGAIN) / (1 - dr.minimum(share, _MOST_AGAIN))
@@ -236,7 +229,7 @@ def _again(passage: SlabTransmission) -> Any:
 
 def _turning(
     s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident, home: Leg
-) -> Any:
+) -> Real:
     """How fast the difference of the ways by two corners grows, at most, in m/s."""
     number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
     own = s.mi.Vector3d(
@@ -256,19 +249,20 @@ def _most(
     scatterers: Scatterers,
     lit: Triangles,
     wave: Incident,
-    receiver: Any,
-    axes: Any,
-    logs: Sequence[Any],
-) -> Any:
+    receiver: Vector3,
+    axes: Axes,
+    logs: Sequence[Real],
+) -> Real:
     """Bound of the antenna's gain and of spreading over triangles, over the latter at centroids."""
     place = lit.center
     a, b, c = (dr.squared_norm(point - place) for point in lit.corners)
-    size = dr.sqrt(dr.maximum(a, dr.maximum(b, c)))
-    most, widest = 1, 0
+    size: Real = dr.sqrt(dr.maximum(a, dr.maximum(b, c)))
+    most: Real = type(size)(1)
+    widest: Real = type(size)(0)
     for begin, shown in ((wave.origin, wave.axes), (receiver, axes)):
         way = place - begin
         length = dr.norm(way)
-        ratio = size / length
+        ratio: Real = size / length
         cone = dr.select(ratio < 1, dr.safe_asin(ratio), dr.pi)
         most *= scatterers.antenna.most(along(way / length, shown), cone)
         most *= (1 / dr.maximum(1 - ratio, _NEAREST)) ** 1.5

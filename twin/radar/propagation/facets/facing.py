@@ -172,12 +172,13 @@ def lit_facets(
     """Whole facets, each lit directly from one image and heard at another."""
     mi, world = s.mi, s.world
     at = world.vertices[world.faces[face]]
+    a, b, c = (vector(mi, at[:, k], "Vector3d") for k in range(3))
     return Triangles(
-        corners=tuple(vector(mi, at[:, k], "Vector3d") for k in range(3)),
+        corners=(a, b, c),
         face=mi.UInt32(aligned(face.astype(np.uint32))),
         source=mi.UInt32(aligned(source.astype(np.uint32))),
         receiver=mi.UInt32(aligned(receiver.astype(np.uint32))),
-        wave=None,
+        wave=mi.UInt32(0),
         waves=None,
         body=scatterers.body[face],
         is_ray=np.zeros(len(face), dtype=bool),

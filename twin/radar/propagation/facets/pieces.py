@@ -88,9 +88,9 @@ def _contributions(
     there, again = (lengthening(*way) for way in moved)
     shown = wave.axes, mirrored_axes(s, lit.receiver)
     turns = [along(turning(*way), axes) for way, axes in zip(moved, shown, strict=True)]
-    departure = along(towards / out_length, wave.axes)
-    values = [wave.passage.extra + home.passage.extra]
-    values += [there[0] + again[0], there[1] + again[1], departure, home.departure]
+    values: list[Any] = [wave.passage.extra + home.passage.extra]
+    values += [there[0] + again[0], there[1] + again[1]]
+    values += [along(towards / out_length, wave.axes), home.departure]
     values += [*turns, number, lit.source, lit.receiver]
     for p in (wave.passage, home.passage):
         values += [p.rho_re, p.rho_im, p.lag]

@@ -13,8 +13,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.one_way.path import TracingContext, image_place, leg, mirrored_axes
+from twin.radar.propagation.one_way.path import (
+    Axes,
+    TracingContext,
+    image_place,
+    leg,
+    mirrored_axes,
+)
 from twin.radar.propagation.scene.slabs import SlabTransmission
+from twin.radar.scattering.arrays import ComplexVector3, Index, Real, Vector3
 from twin.transfer import aligned, concatenated
 
 Array = NDArray[np.float64]
@@ -31,12 +38,11 @@ class Incident:
     world's as mirrors and facets show them.
     """
 
-    origin: Any
-    velocity: Any
-    axes: tuple[Any, Any, Any]
-    field: Any
-    field_im: Any
-    departure: Any
+    origin: Vector3
+    velocity: Vector3
+    axes: Axes
+    field: ComplexVector3
+    departure: Vector3
     passage: SlabTransmission
 
 
@@ -47,26 +53,27 @@ class Waves:
     """
 
     incident: Incident
-    spot: Any
-    lift: Any
+    spot: Vector3
+    lift: Real
 
     def columns(self) -> list[Any]:
         """All numbers, in order."""
         w = self.incident
-        vectors = (w.origin, w.velocity, *w.axes, w.field, w.field_im, w.departure, self.spot)
+        vectors = (w.origin, w.velocity, *w.axes, w.field.re, w.field.im, w.departure, self.spot)
         return [*(axis for v in vectors for axis in v), *vars(w.passage).values(), self.lift]
 
     @staticmethod
     def of(columns: Sequence[Any], vector: Any) -> "Waves":
         """From the same numbers."""
-        origin, velocity, x, y, z, field, field_im, departure, spot = (
+        origin, velocity, x, y, z, re, im, departure, spot = (
             vector(*columns[i : i + 3]) for i in range(0, 27, 3)
         )
         passage = SlabTransmission(*columns[27:31])
-        incident = Incident(origin, velocity, (x, y, z), field, field_im, departure, passage)
+        field = ComplexVector3(re, im)
+        incident = Incident(origin, velocity, (x, y, z), field, departure, passage)
         return Waves(incident, spot, columns[31])
 
-    def at(self, index: Any) -> "Waves":
+    def at(self, index: Index) -> "Waves":
         """Those of some triangles, by number."""
         columns = [dr.gather(type(value), value, index) for value in self.columns()]
         return Waves.of(columns, type(self.spot))
@@ -82,11 +89,11 @@ class Triangles:
     the spot of the wave stands for all of it; ``first``: the facet that the way meets first.
     """
 
-    corners: tuple[Any, Any, Any]
-    face: Any
-    source: Any
-    receiver: Any
-    wave: Any
+    corners: tuple[Vector3, Vector3, Vector3]
+    face: Index
+    source: Index
+    receiver: Index
+    wave: Index
     waves: Waves | None
     body: NDArray[np.intp]
     is_ray: NDArray[np.bool_]
@@ -96,18 +103,18 @@ class Triangles:
         return len(self.body)
 
     @property
-    def center(self) -> Any:
+    def center(self) -> Vector3:
         """Centroids."""
         a, b, c = self.corners
         return (a + b + c) / 3
 
     @property
-    def lift(self) -> Any:
+    def lift(self) -> Real | float:
         """How far from their plane surfaces may be that they stand for, in m."""
         return 0.0 if self.waves is None else dr.gather(_number(self), self.waves.lift, self.wave)
 
     @property
-    def spot(self) -> Any:
+    def spot(self) -> Vector3:
         """A point of each that is lit if any is."""
         if self.waves is None:
             return self.center
@@ -166,8 +173,8 @@ class Triangles:
         """The same with other numbers."""
         vector = type(self.corners[0])
         a, b, c = (vector(*columns[i : i + 3]) for i in (0, 3, 6))
-        face, source, receiver, *wave = columns[9:]
-        wave = wave[0] if wave else self.wave
+        face, source, receiver, *rest = columns[9:]
+        wave = rest[0] if rest else self.wave
         return replace(
             self, corners=(a, b, c), face=face, source=source, receiver=receiver, wave=wave
         )
@@ -186,7 +193,7 @@ def _all_waves(waves: Sequence[Any]) -> tuple[Waves, list[Any]]:
     return Waves.of(concatenated(columns, sizes), type(waves[0].spot)), begin
 
 
-def origin_of(s: TracingContext, lit: Triangles) -> Any:
+def origin_of(s: TracingContext, lit: Triangles) -> Vector3:
     """The point from which the wave spreads that lights each."""
     if lit.waves is None:
         return image_place(s, lit.source)
@@ -206,7 +213,6 @@ def incident_on(s: TracingContext, lit: Triangles) -> Incident:
         velocity=way.velocity,
         axes=mirrored_axes(s, lit.source),
         field=way.field,
-        field_im=way.field_im,
         departure=way.departure,
         passage=way.passage,
     )

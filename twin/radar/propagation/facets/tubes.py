@@ -35,6 +35,7 @@ from twin.radar.propagation.facets.triangles import (
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.scene.images import Image
 from twin.radar.propagation.scene.slabs import SlabTransmission
+from twin.radar.scattering.arrays import ComplexVector3, Vector3
 from twin.transfer import aligned, host
 
 Array = NDArray[np.float64]
@@ -255,7 +256,7 @@ def _quarters(s: TracingContext, tubes: Triangles) -> Triangles:
     a, b, c = four.corners
     middles = (b + c) / 2, (c + a) / 2, (a + b) / 2
     # Of the quarter at a corner the other two corners are the middles of the edges there.
-    corners = tuple(
+    p, q, r = (
         dr.select(number == i, corner, dr.select(number == 3, middles[i], other))
         for i, corner, other in (
             (0, a, dr.select(number == 1, middles[2], middles[1])),
@@ -263,7 +264,7 @@ def _quarters(s: TracingContext, tubes: Triangles) -> Triangles:
             (2, c, dr.select(number == 0, middles[1], middles[0])),
         )
     )
-    return replace(four, corners=corners).evaluated()
+    return replace(four, corners=(p, q, r)).evaluated()
 
 
 def _landed(s: TracingContext, scatterers: Scatterers, found: Sequence[_Meeting]) -> Tubes:
@@ -287,7 +288,7 @@ def _lit_on(
     """The triangles that tubes light on the planes of facets."""
     mi, wide = s.mi, dr.zeros(s.mi.Float64, len(face))
     wave = incident_on(s, some)
-    _, normal, _, out, out_im = reflection(s, scatterers, some, wave)
+    _, normal, _, out = reflection(s, scatterers, some, wave)
     number = dr.gather(mi.UInt32, s.world.object_index, some.face)
     own = mi.Vector3d(
         *(dr.gather(mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
@@ -297,7 +298,7 @@ def _lit_on(
     new = mi.UInt32(aligned(face.astype(np.uint32)))
     point, across = plane_of(s, new)
 
-    def onto(place: Any) -> Any:
+    def onto(place: Vector3) -> Vector3:
         way = place - origin
         slope = dr.dot(across, way)
         return origin + way * (dr.dot(across, point - origin) / dr.select(slope != 0, slope, 1.0))
@@ -309,19 +310,21 @@ def _lit_on(
     slope = dr.dot(across, direction)
     slope = dr.select(slope < 0, -1.0, 1.0) * dr.maximum(dr.abs(slope), _LEAST_SLOPE)
 
-    def around(place: Any) -> Any:
+    def around(place: Vector3) -> Vector3:
         """As if all rays were parallel: others of the tube may pass by the plane."""
         aside = (place - begin) * wider
         aside -= direction * (dr.dot(across, aside) / slope)
         return spot + aside - across * dr.dot(across, aside)
 
-    axes = tuple(axis - 2 * dr.dot(axis, normal) * normal for axis in wave.axes)
+    x, y, z = (axis - 2 * dr.dot(axis, normal) * normal for axis in wave.axes)
     passage = SlabTransmission(*(value + wide for value in vars(wave.passage).values()))
-    incident = Incident(origin, velocity, axes, out, out_im + wide, wave.departure, passage)
+    field = ComplexVector3(out.re, out.im + wide)
+    incident = Incident(origin, velocity, (x, y, z), field, wave.departure, passage)
     waves = Waves(incident, spot, mi.Float64(aligned(lift_m)))
+    a, b, c = (dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners)
     found = replace(
         some,
-        corners=tuple(dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners),
+        corners=(a, b, c),
         face=new,
         wave=dr.arange(mi.UInt32, len(face)),
         waves=waves,

@@ -2,7 +2,7 @@
 directions, since the way out is the way back.
 
 Everything is an array on the device, one element per ray; ``source`` numbers the images of
-`twin.radar.propagation.scene.images`. Re and Im are apart.
+`twin.radar.propagation.scene.images`.
 """
 
 from collections.abc import Sequence
@@ -17,10 +17,13 @@ from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.scene.images import Image, in_plane
 from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene
 from twin.radar.propagation.scene.slabs import SlabTransmission, Walls, cross, no_slab
+from twin.radar.scattering.arrays import ComplexVector3, Index, Mask, Real, Vector3
 from twin.radar.scattering.kernel import coefficients_at, reflected, turned
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
+#: The world's axes as an image shows them.
+Axes = tuple[Vector3, Vector3, Vector3]
 
 #: Rays start this far off a surface, over the distance from the anchor: 16 steps of float32. Twice
 #: as much loses 0.4 dB of a corner reflector of 8 cm at 1 km.
@@ -48,26 +51,27 @@ class TracingContext:
     world: MeshScene
     order: int
     n_sources: int
-    place: Any
-    boresight: Any
-    vertical: Any
-    patch_of_face: Any
-    table: Any
-    orders: Any
-    positions: Any
-    velocities: Any
-    axes: Any
-    levels: Any
-    marks: Any
-    windows: Any
-    wavelength: Any
+    place: Vector3
+    boresight: Vector3
+    vertical: Vector3
+    patch_of_face: Index
+    table: Real
+    orders: Index
+    positions: Real
+    velocities: Real
+    axes: Real
+    levels: Real
+    marks: Index
+    windows: Real
+    wavelength: Real
     walls: Walls | None
 
-    def sent(self, source: Any, departure: Any) -> tuple[Any, Any]:
-        """The antenna's field of amplitude 1 (Re, Im) in a direction, by way of images."""
-        return turned(self.vertical, -self.boresight, departure), self.mi.Vector3d(0)
+    def sent(self, source: Index, departure: Vector3) -> ComplexVector3:
+        """The antenna's field of amplitude 1 in a direction, by way of images."""
+        field = turned(self.vertical, -self.boresight, departure)
+        return ComplexVector3(field, self.mi.Vector3d(0))
 
-    def both_ways(self, source: Any, receiver: Any) -> Any:
+    def both_ways(self, source: Index, receiver: Index) -> Mask:
         """Whether the same antenna also hears what takes a way in the other direction."""
         return source != receiver
 
@@ -79,8 +83,8 @@ def station(
     boresight: Array,
     vertical: Array,
     wavelength_m: float,
-    patch_of_face: Any,
-    table: Any,
+    patch_of_face: Index,
+    table: Real,
     walls: Walls | None,
 ) -> TracingContext:
     """Put all of it on the device; the radar alone, without images."""
@@ -174,7 +178,7 @@ def _axes(images: Sequence[Image], flats: Flats) -> Array:
     return found
 
 
-def _vector(mi: Any, value: Array) -> Any:
+def _vector(mi: Any, value: Array) -> Vector3:
     return mi.Vector3d(*(dr.opaque(mi.Float64, float(v)) for v in value))
 
 
@@ -183,27 +187,26 @@ class Leg:
     """A way from the radar to points, seen from them.
 
     ``back`` and ``length``: unit vector and distance to the image; ``departure``: unit vector from
-    the radar; ``field`` and ``field_im``: what a wave of amplitude 1 has become, apart from its
-    spreading and phase; ``velocity``: that of the image, which moving mirrors move; ``clear``; and
+    the radar; ``field``: what a wave of amplitude 1 has become, apart from its spreading and
+    phase; ``velocity``: that of the image, which moving mirrors move; ``clear``; and
     what the walls that it crosses do.
     """
 
-    back: Any
-    length: Any
-    departure: Any
-    field: Any
-    field_im: Any
-    velocity: Any
-    clear: Any
+    back: Vector3
+    length: Real
+    departure: Vector3
+    field: ComplexVector3
+    velocity: Vector3
+    clear: Mask
     passage: SlabTransmission
 
 
 def leg(
     at_station: TracingContext,
-    source: Any,
-    place: Any,
-    off: Any,
-    active: Any,
+    source: Index,
+    place: Vector3,
+    off: Vector3,
+    active: Mask,
     unshadowed: bool = False,
     tested: bool = True,
 ) -> Leg:
@@ -263,70 +266,68 @@ def leg(
         clear &= ~s.world.scene.ray_test(shadow, active=mi.Bool(clear))
 
     departure = -home
-    field, field_im = s.sent(source, departure)
+    field = s.sent(source, departure)
     travel = departure
     passage = no_slab(mi)
 
-    def cross_walls(begin: Any, along: Any, segment: Any, where: Any) -> None:
-        nonlocal field, field_im
+    def cross_walls(begin: Vector3, along: Vector3, segment: Real, where: Mask) -> None:
+        nonlocal field
         if s.walls is not None:
-            both = (field, field_im)
             way = (begin, along, segment, length, s.wavelength, where)
-            field, field_im = cross(mi, s.walls, passage, both, *way)
+            field = cross(mi, s.walls, passage, field, *way)
 
     cross_walls(aim + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
     for (has, direction), normal, surface, segment in zip(
         inwards[::-1], normals[::-1], surfaces[::-1], segments[::-1], strict=True
     ):
         cosine = -dr.dot(normal, travel)
-        row = coefficients_at(mi, s.table, surface, cosine, has)
-        out, out_im = reflected(field, field_im, travel, normal, row)
-        field, field_im = dr.select(has, out, field), dr.select(has, out_im, field_im)
+        coefficients = coefficients_at(mi, s.table, surface, cosine, has)
+        field = reflected(field, travel, normal, coefficients).where(has, field)
         travel = dr.select(has, -direction, travel)
         _, mirror, along, way_on = segment
         cross_walls(mirror, along, way_on, has & clear)
     velocity = _gathered(mi, s.velocities, 3 * source, active)
-    return Leg(back, length, departure, field, field_im, velocity, clear, passage)
+    return Leg(back, length, departure, field, velocity, clear, passage)
 
 
-def lengthening(velocity: Any, direction: Any, length: Any) -> tuple[Any, Any]:
-    """As `rays.lengthening`, on the device."""
+def lengthening(velocity: Vector3, direction: Vector3, length: Real) -> tuple[Real, Real]:
+    """As `motion.lengthening`, on the device."""
     rate = dr.dot(velocity, direction)
     across = velocity - rate * direction
     return rate, dr.squared_norm(across) / dr.maximum(length, NEAREST_M)
 
 
-def turning(velocity: Any, direction: Any, length: Any) -> Any:
-    """As `rays.turning`, on the device."""
+def turning(velocity: Vector3, direction: Vector3, length: Real) -> Vector3:
+    """As `motion.turning`, on the device."""
     across = velocity - dr.dot(velocity, direction) * direction
     return across / dr.maximum(length, NEAREST_M)
 
 
-def image_place(s: TracingContext, source: Any) -> Any:
+def image_place(s: TracingContext, source: Index) -> Vector3:
     """Where images stand."""
     return _gathered(s.mi, s.positions, 3 * source, True)
 
 
-def mirrored_axes(s: TracingContext, source: Any) -> tuple[Any, Any, Any]:
+def mirrored_axes(s: TracingContext, source: Index) -> Axes:
     """The world's axes as an image shows them."""
     x, y, z = (_gathered(s.mi, s.axes, 9 * source + 3 * i, True) for i in range(3))
     return x, y, z
 
 
-def along(vector: Any, axes: tuple[Any, Any, Any]) -> Any:
+def along(vector: Vector3, axes: Axes) -> Vector3:
     """What a vector before mirrors, that show these axes, is at the radar."""
     return type(vector)(*(dr.dot(vector, axis) for axis in axes))
 
 
 def _first_meets(
     s: TracingContext,
-    start: Any,
-    direction: Any,
-    distance: Any,
-    number: Any,
-    of_wall: Any,
-    active: Any,
-) -> Any:
+    start: Vector3,
+    direction: Vector3,
+    distance: Real,
+    number: Index,
+    of_wall: Mask,
+    active: Mask,
+) -> Mask:
     """Whether rays first meet the patch asked for: of something solid, or of a wall."""
     mi = s.mi
     ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
@@ -341,10 +342,10 @@ def _first_meets(
     return dr.select(of_wall, free & hit.is_valid() & (met == number), solid)
 
 
-def offset(place: Any) -> Any:
+def offset(place: Vector3) -> Real:
     """How far off a surface rays start there."""
     return OFF_SURFACE * (dr.norm(place) + 1e-3)
 
 
-def _gathered(mi: Any, values: Any, index: Any, active: Any) -> Any:
+def _gathered(mi: Any, values: Real, index: Index, active: Mask | bool) -> Vector3:
     return mi.Vector3d(*(dr.gather(mi.Float64, values, index + i, active) for i in range(3)))

@@ -85,7 +85,7 @@ def paths_to_points(
     way = leg(s, numbers, place, aside, mi.Bool(True), unshadowed=unshadowed)
     p = way.passage
     back, length, extra, departure, re, im, clear, *rings = host(
-        [way.back, way.length, p.extra, way.departure, way.field, way.field_im, way.clear]
+        [way.back, way.length, p.extra, way.departure, way.field.re, way.field.im, way.clear]
         + [p.rho_re, p.rho_im, p.lag],
         n,
     )

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.scene.mesh_scene import MeshScene
+from twin.radar.scattering.arrays import ComplexVector3, Index, Mask, Real, Vector3
 from twin.radar.scattering.kernel import coefficients_at, plane
 from twin.radar.scattering.surface import TABLE_STEPS, Surface
 
@@ -34,9 +35,9 @@ class Walls:
     """All of them as one mesh, and per wall its thickness (0: as the mesh has it) and table."""
 
     mesh: MeshScene
-    thickness: Any
-    table: Any
-    patch_of_face: Any
+    thickness: Real
+    table: Real
+    patch_of_face: Index
 
 
 @dataclass(eq=False)
@@ -47,10 +48,10 @@ class SlabTransmission:
     echo over the one before, and how much longer its path is, 0 where no wall was crossed.
     """
 
-    extra: Any
-    rho_re: Any
-    rho_im: Any
-    lag: Any
+    extra: Real
+    rho_re: Real
+    rho_im: Real
+    lag: Real
 
 
 def lets_through(permittivity: complex, thickness_m: float, wavelength_m: float) -> bool:
@@ -96,20 +97,19 @@ def cross(
     mi: Any,
     through: Walls,
     passage: SlabTransmission,
-    field: tuple[Any, Any],
-    begin: Any,
-    direction: Any,
-    segment: Any,
-    length: Any,
-    wavelength: Any,
-    active: Any,
-) -> tuple[Any, Any]:
+    field: ComplexVector3,
+    begin: Vector3,
+    direction: Vector3,
+    segment: Real,
+    length: Real,
+    wavelength: Real,
+    active: Mask,
+) -> ComplexVector3:
     """Take a field along a straight segment of a leg of some length; the passage grows by it."""
     k = 2 * dr.pi / wavelength
     at, rest = mi.Vector3d(begin), mi.Float64(segment)
     entry, entry_cosine, inside = mi.Float64(0), mi.Float64(1), mi.Bool(False)
     travelled = mi.Float64(0)
-    real, imaginary = field
     active = mi.Bool(active)
     for _ in range(_CROSSINGS):
         step = 4e-6 * (dr.norm(at) + 1e-3)
@@ -129,29 +129,29 @@ def cross(
         done = active & (inside | (sheet > 0))
         depth = dr.select(sheet > 0, sheet, (travelled - entry) * cosine)
         row = coefficients_at(mi, through.table, number, cosine, done, _COLUMNS)
-        real, imaginary = _through_slab(
-            mi, passage, (real, imaginary), direction, normal, cosine, depth, row, length, k, done
+        field = _through_slab(
+            mi, passage, field, direction, normal, cosine, depth, row, length, k, done
         )
         enters = active & ~done
         entry = dr.select(enters, travelled, entry)
         entry_cosine = dr.select(enters, cosine, entry_cosine)
         inside = enters
-    return real, imaginary
+    return field
 
 
 def _through_slab(
     mi: Any,
     passage: SlabTransmission,
-    field: tuple[Any, Any],
-    direction: Any,
-    normal: Any,
-    cosine: Any,
-    depth: Any,
-    row: list[Any],
-    length: Any,
-    k: Any,
-    done: Any,
-) -> tuple[Any, Any]:
+    field: ComplexVector3,
+    direction: Vector3,
+    normal: Vector3,
+    cosine: Real,
+    depth: Real,
+    row: list[Real],
+    length: Real,
+    k: Real,
+    done: Mask,
+) -> ComplexVector3:
     te_re, te_im, tm_re, tm_im, q_re, q_im, r2_re, r2_im = row
     cosine = dr.maximum(cosine, 1e-3)
     sine2 = dr.maximum(1 - cosine * cosine, 0)
@@ -165,11 +165,11 @@ def _through_slab(
     weight = fade * length / dr.sqrt(within * across)
     side = dr.cross(direction, normal)
     norm = dr.maximum(dr.squared_norm(side), 1e-30)
-    parts = [side * (dr.dot(side, f) / norm) for f in field]
+    part = field.parts(lambda f: side * (dr.dot(side, f) / norm))
     more_re, more_im = te_re - tm_re, te_im - tm_im
-    real = weight * (tm_re * field[0] - tm_im * field[1] + more_re * parts[0] - more_im * parts[1])
-    imaginary = weight * (
-        tm_im * field[0] + tm_re * field[1] + more_im * parts[0] + more_re * parts[1]
+    beyond = ComplexVector3(
+        weight * (tm_re * field.re - tm_im * field.im + more_re * part.re - more_im * part.im),
+        weight * (tm_im * field.re + tm_re * field.im + more_im * part.re + more_re * part.im),
     )
     passage.extra += dr.select(done, extra, 0)
     rho_re, rho_im = r2_re * fade * fade, r2_im * fade * fade
@@ -179,4 +179,4 @@ def _through_slab(
     passage.rho_re = dr.select(strongest, rho_re, passage.rho_re)
     passage.rho_im = dr.select(strongest, rho_im, passage.rho_im)
     passage.lag = dr.select(strongest, 2 * depth * q_re, passage.lag)
-    return dr.select(done, real, field[0]), dr.select(done, imaginary, field[1])
+    return beyond.where(done, field)
