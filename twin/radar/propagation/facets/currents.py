@@ -256,17 +256,18 @@ def _most(
     """Bound of the antenna's gain and of spreading over triangles, over the latter at centroids."""
     place = lit.center
     a, b, c = (dr.squared_norm(point - place) for point in lit.corners)
-    size: Real = dr.sqrt(dr.maximum(a, dr.maximum(b, c)))
+    size = dr.sqrt(dr.maximum(a, dr.maximum(b, c)))
     most: Real = type(size)(1)
     widest: Real = type(size)(0)
     for begin, shown in ((wave.origin, wave.axes), (receiver, axes)):
         way = place - begin
         length = dr.norm(way)
-        ratio: Real = size / length
+        ratio = size / length
         cone = dr.select(ratio < 1, dr.safe_asin(ratio), dr.pi)
         most *= scatterers.antenna.most(along(way / length, shown), cone)
         most *= (1 / dr.maximum(1 - ratio, _NEAREST)) ** 1.5
         widest = dr.maximum(widest, ratio)
-    highest = dr.maximum(dr.maximum(logs[0], logs[1]), dr.maximum(logs[2], logs[3]))
-    highest = dr.maximum(highest, dr.maximum(logs[4], logs[5]))
+    pairs: list[Real] = [dr.maximum(logs[i], logs[i + 1]) for i in (0, 2, 4)]
+    highest: Real = dr.maximum(pairs[0], pairs[1])
+    highest = dr.maximum(highest, pairs[2])
     return dr.select(widest < _NARROW, dr.exp(highest), most)
