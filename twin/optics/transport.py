@@ -27,7 +27,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CellLight:
-    """Light of each cell of a grid, (rows, columns), with its standard error."""
+    """Light of each cell of a grid, (rows, columns), with its standard error.
+
+    The standard error is that of as many independent paths. They are stratified, so that on smooth
+    surfaces the true one is smaller, by 30 times on a plane with 1024 paths. But it knows nothing
+    of what all paths of a cell miss, an edge or a rare bright bounce: in the yard at 8 x 8 cells
+    with 64 paths 2.2 % of cells are off by more than 5 stated errors, by 80 at most. Compare seeds
+    where single cells matter.
+    """
 
     direct: Array
     indirect: Array
