@@ -9,9 +9,9 @@ import shutil
 import stat
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from hardware.errors import InputError
 
@@ -116,6 +116,31 @@ def naming(path: str | Path) -> Iterator[None]:
         if error.errno is None or error.filename is not None:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def hold(file: IO[Any]) -> None:
+    """Mark an open file as being written, for every process, until it is closed or this one ends.
+
+    Where neither the system nor the file system knows locks it is not marked.
+    """
+    with suppress(ImportError, OSError):
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX)
+
+
+def is_held(path: str | Path) -> bool:
+    """Whether a file is marked by `hold`."""
+    try:
+        import fcntl
+
+        with Path(path).open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except (ImportError, OSError):
+        pass
+    return False
 
 
 def said(error: OSError) -> str:

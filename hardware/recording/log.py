@@ -3,6 +3,7 @@
 MCAP: mcap.dev/spec. Chunks are closed every half second, so that a crash loses no more than that.
 """
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from hardware.drivers.clock import ClockModel
 from hardware.errors import InputError
-from hardware.files import naming
+from hardware.files import hold, naming
 from hardware.recording import ros
 from hardware.recording.kinds import Record, kind_of
 from hardware.recording.ros import Definition
@@ -24,7 +25,10 @@ _CHUNK_BYTES = 1 << 20
 
 
 class Log:
-    """A file being written.
+    """A file being written, locked meanwhile: `recover` refuses it.
+
+    Writing raises InputError once the file is removed or another is put in its place, closing it
+    also where it was moved.
 
     Parameters
     ----------
@@ -49,6 +53,7 @@ class Log:
         }
         self.path = Path(path)
         self._file = self.path.open("xb")
+        hold(self._file)
         self._writer = Writer(self._file, _CHUNK_BYTES, CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="ugv")
         self._flush_s, self._flushed_s = flush_s, time.monotonic()
@@ -131,6 +136,11 @@ class Log:
         """Close the chunk and write it to the file."""
         with naming(self.path):
             self._writer.flush()  # type: ignore[no-untyped-call]
+            if os.fstat(self._file.fileno()).st_nlink == 0:
+                raise InputError(
+                    f"{self.path}: was removed or replaced while it was written; its messages are "
+                    "lost"
+                )
         self._flushed_s = time.monotonic()
 
     def close(self) -> None:
@@ -140,8 +150,11 @@ class Log:
         with naming(self.path):
             try:
                 self._writer.finish()  # type: ignore[no-untyped-call]
+                written = os.fstat(self._file.fileno())
             finally:
                 self._file.close()
+        if not (self.path.exists() and os.path.samestat(written, self.path.stat())):
+            raise InputError(f"{self.path}: was moved, removed or replaced while it was written")
 
     def _schema(self, definition: Definition) -> int:
         if definition.name not in self._schemas:

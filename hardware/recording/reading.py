@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from hardware.drivers.clock import ClockModel
 from hardware.errors import InputError
-from hardware.files import place_beside
+from hardware.files import is_held, place_beside
 from hardware.recording.chunks import (
     MOST_CHUNK_BYTES,
     RefusedError,
@@ -65,11 +65,14 @@ class Ending:
         In broken or truncated chunks and messages; the rest is read.
     lost_messages
         In those, as far as the index behind each broken chunk contains their number.
+    being_written
+        Its writer still had it open when reading began, so that its end is none yet.
     """
 
     fault: str | None = None
     lost_bytes: int = 0
     lost_messages: int = 0
+    being_written: bool = False
 
     @property
     def lost(self) -> str:
@@ -82,6 +85,8 @@ class Ending:
         """Fault of the log at a path, and the command that recovers it."""
         if self.lost:
             return f"damaged: {self.fault}; {self.lost}; `ugv recover {path}` keeps the rest"
+        if self.being_written:
+            return "still being written: read as far as it was"
         return f"not finished: {self.fault}; `ugv recover {path}` finishes it"
 
 
@@ -97,6 +102,7 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
     with path.open("rb") as file:
         if not _MAGIC.startswith(file.read(len(_MAGIC))):
             raise InputError(f"{path}: no MCAP file")
+        ending.being_written = is_held(path)
         reader, n = _LogReader(file, path.stat().st_size, ending), 0
         for message in reader.messages():
             n += 1
@@ -151,7 +157,7 @@ class _LogReader:
                 break
             if not whole:
                 self._end = "it ends within a record"
-                if kind not in _WITHOUT_MESSAGES:
+                if kind not in _WITHOUT_MESSAGES and not self._ending.being_written:
                     self._ending.lost_bytes += self._size - at
                 break
             if kind == Opcode.MESSAGE_INDEX:
@@ -339,10 +345,12 @@ def recover(path: str | Path, out: str | Path | None = None) -> RecoveryResult:
     The new file replaces the log (or ``out``) at the end. Where data are lost, the original file is
     kept beside it as NAME-damaged. A log without faults is not changed.
 
-    Raises as `read_messages`, and InputError where no message can be read; the file is not changed
-    then.
+    Raises as `read_messages`, and InputError where no message can be read, or where the log is still
+    being written; the file is not changed then.
     """
     path, ending = Path(path), Ending()
+    if is_held(path):
+        raise InputError(f"{path}: still being written; expected a log whose writer has ended")
     target = Path(out) if out else path
     original = None
     with place_beside(target) as partial:

@@ -17,6 +17,7 @@ from mcap.writer import Writer
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers.clock import ClockModel
+from hardware.errors import InputError
 from hardware.recording import Log, read_messages, read_records, recover, ros
 from hardware.recording.kinds import KINDS, kind_of
 from hardware.recording.reading import Ending
@@ -463,6 +464,52 @@ def test_a_kill_takes_no_more_than_a_second(tmp_path: Path, times: int) -> None:
     rng = np.random.default_rng(0)
     for _ in range(times):
         kill_once(tmp_path, float(rng.uniform(0, 2.5)))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locks and SIGKILL are POSIX")
+def test_a_log_that_is_being_written_is_not_recovered(tmp_path: Path) -> None:
+    """Another process writes: recovery refuses and leaves the file, reading loses nothing and does
+    not advise it. Once the writer is killed the log is recovered.
+    """
+    path, ending = tmp_path / "run.mcap", Ending()
+    program = WRITER.format(tests=str(Path(__file__).parent), path=str(path))
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        for _ in range(400):
+            process.stdout.readline()
+        file = path.stat().st_ino
+        for out in (None, tmp_path / "copy.mcap"):
+            with pytest.raises(InputError, match=r"run\.mcap: still being written"):
+                recover(path, out)
+        assert path.stat().st_ino == file
+        assert list(read_records(path, ending))
+        assert (ending.being_written, ending.lost) == (True, "")
+        assert "recover" not in ending.advice(path)
+        process.kill()
+    assert recover(path).ending.fault
+
+
+def test_a_writer_notices_that_its_log_is_gone(tmp_path: Path) -> None:
+    """Removed or replaced: the next flush raises. Moved: it is written to its end, and told."""
+    for change, at_flush in (("unlink", True), ("replace", True), ("rename", False)):
+        path, other = tmp_path / f"{change}.mcap", tmp_path / "other.mcap"
+        log = Log(path, flush_s=1e9)
+        log.record("/spi/record", camera_record(), host_ns=0)
+        if change == "unlink":
+            path.unlink()
+        elif change == "replace":
+            other.write_bytes(b"")
+            other.replace(path)
+        else:
+            path.rename(other)
+        if at_flush:
+            with pytest.raises(InputError, match="removed or replaced while it was written"):
+                log.flush()
+        else:
+            log.flush()
+        with pytest.raises(InputError, match="removed or replaced while it was written"):
+            log.close()
+    assert len(list(read_records(other))) == 1
 
 
 @pytest.mark.slow
