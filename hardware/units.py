@@ -88,8 +88,10 @@ _PLAIN = {
 }
 _PER_CENT = {"%": -2, "ppm": -6}
 
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
-_POWER = re.compile(r"([^\d^-]+|1)(?:\^?(-?[1-9]))?")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?", re.ASCII)
+_POWER = re.compile(r"([^\d^-]+|1$)(?:\^?(-?[1-9]))?")
+#: Of a unit; a number has none, and no other digits beyond ASCII are read.
+_SUPERSCRIPTS = str.maketrans("⁻¹²³⁴⁵⁶⁷⁸⁹", "-123456789")
 _PRODUCT = re.compile(r"[^\s*·/]+(?:(?:\s*[*·/]\s*|\s+)[^\s*·/]+)*")
 _LONGEST = 64
 
@@ -118,7 +120,7 @@ def quantity(text: str, unit: str | None, *, bare: bool = False) -> float:
     Traceback (most recent call last):
     hardware.errors.InputError: expected a number or a quantity in m; 'klx' is of another dimension
     """
-    text = unicodedata.normalize("NFKC", text.strip())
+    text = text.strip()
     match = _NUMBER.match(text) if len(text) <= _LONGEST else None
     if match is None:
         raise _wrong(unit)
@@ -127,6 +129,9 @@ def quantity(text: str, unit: str | None, *, bare: bool = False) -> float:
         if bare:
             return float(number)
         raise _wrong(unit, "the unit is missing")
+    if any(c.isnumeric() and not c.isascii() for c in given[0] + given.translate(_SUPERSCRIPTS)):
+        raise _wrong(unit, f"digits of a number are 0 to 9, as in 1e3; not {given!r:.20}")
+    given = unicodedata.normalize("NFKC", given.translate(_SUPERSCRIPTS))
     try:
         value = _converted(number, given, unit)
     except OverflowError:

@@ -1,6 +1,7 @@
 """Text with a unit: the double nearest to the exact value, of the right dimension, or an error."""
 
 import math
+import sys
 from contextlib import suppress
 
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware.drivers.settings import read_settings
+from hardware.errors import InputError
 from hardware.units import quantity, unit_of
 
 
@@ -52,6 +54,26 @@ def test_quantities_are_exact(text: str, unit: str | None, value: float) -> None
     """But for rad and levels, whose factors are no decimal fractions."""
     found = quantity(text, unit)
     assert found == (pytest.approx(value, rel=1e-14) if "rad" in text or "dB" in text else value)
+
+
+def test_no_digit_beyond_ascii_is_read_as_one_of_a_number() -> None:
+    """Of every numeral of Unicode, in and behind a number and, but for superscripts, in a unit:
+    "10³ Hz" is neither 103 Hz nor anything else. A number behind the number is no unit.
+    """
+    numerals = [c for c in map(chr, range(128, sys.maxunicode + 1)) if c.isnumeric()]
+    assert len(numerals) > 1000
+    for c in numerals:
+        texts = [f"10{c} Hz", f"1{c}0 Hz", f"{c} Hz", f"1e3{c} Hz", f"10 {c} Hz", f"10.{c} Hz"]
+        for text in texts + ([] if c in "¹²³⁴⁵⁶⁷⁸⁹" else [f"10 Hz{c}"]):
+            with pytest.raises(InputError, match="expected a number"):
+                quantity(text, "Hz", bare=True)
+        with pytest.raises(InputError, match="expected a number"):
+            quantity(f"1{c} %", None, bare=True)
+        with pytest.raises(InputError, match="expected a number"):
+            quantity(f"1{c}", "Hz", bare=True)
+    for text in ("10 12 Hz", "10 1^3 Hz", "10 2 Hz"):
+        with pytest.raises(InputError, match="no known unit"):
+            quantity(text, "Hz")
 
 
 @pytest.mark.parametrize(
