@@ -17,6 +17,9 @@ subtracted with its own rate, the other one is detected with its own.
 
 Where one span migrates by less than about a cell, this cannot resolve the ambiguity; the phases
 across an array with time-division multiplexing may (`hardware.radar.angles`).
+
+Where a rate would move a target through more range cells than there are blocks, the blocks smear
+its echo, and it cannot be tested: `fastest_resolved_m_per_s`.
 """
 
 from collections.abc import Sequence
@@ -50,6 +53,8 @@ CERTAIN = float(np.log(1e3))
 _USUAL_M_PER_S = 10.0  # standard deviation of range rates before anything is measured
 _MODEL = 0.1  # of the likeliest rate's level: what an extended target may add to a wrong rate
 _FARTHEST = 9  # cells to each side that are searched: a quarter of the blocks' own reach
+_FARTHEST_MOVED = 64  # range cells within a burst: as many as blocks along an axis at most
+_MOST_SPANS = 256  # either way: of more the map tells nothing, and the list has no reader
 _COARSE = 32  # blocks along each axis of the search; a target at its edge loses 1.2 dB
 _SEARCHED = (2 * _FARTHEST + 1) ** 2  # cells
 _SMEAR_FACTOR = 1.3  # see `_may_hide_another`
@@ -106,6 +111,16 @@ def ambiguous_rates(
     return np.asarray(rates[np.argsort(np.abs(rates), kind="stable")])
 
 
+def fastest_resolved_m_per_s(waveform: OfdmWaveform, fastest_m_per_s: float) -> float:
+    """Up to which speed range rates are tested: ``fastest_m_per_s``, or less where targets would
+    cross too many range cells within a burst, or too many rates fold to one.
+    """
+    migration = (
+        _FARTHEST_MOVED * waveform.range_cell_m / (waveform.n_slots * waveform.slot_period_s)
+    )
+    return min(fastest_m_per_s, migration, 2 * _MOST_SPANS * waveform.max_velocity_m_per_s)
+
+
 def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateEvidence:
     """Likelihood of range rates from the migration that each would cause.
 
@@ -160,15 +175,16 @@ def resolve_range_rates(
 
     Parameters
     ----------
-    channel, waveform, found
+    channel, waveform, echoes
         Input and result of `detect_echoes`.
     noise_w
         Mean noise power of a cell without a window.
     fastest_m_per_s
-        Up to which targets may approach or recede.
+        Up to which targets may approach or recede; see `fastest_resolved_m_per_s`.
     """
     from scipy.special import gammainccinv
 
+    fastest_m_per_s = fastest_resolved_m_per_s(waveform, fastest_m_per_s)
     one_rate = len(ambiguous_rates(waveform, 0.0, fastest_m_per_s)) == 1
     if waveform.n_slots == 1 or one_rate or not echoes:
         return list(echoes)

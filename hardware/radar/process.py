@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.ambiguity import resolve_range_rates
+from hardware.radar.ambiguity import fastest_resolved_m_per_s, resolve_range_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
@@ -64,6 +64,7 @@ class Processing:
         resolved, or alternatives are listed, see `resolve_range_rates`. An echo must first be
         detected on a map without compensation of its migration: a target that moves by n range
         cells within a burst is 20 log10 n dB weaker there, see `OfdmWaveform.migration_gain`.
+        Beyond 64 of them rates are not tested, which a warning tells.
     detection
         A user's own detection in place of CFAR and all refinement: a function of (channel,
         waveform, image), ``file.py:function``, or an installed name, see `detection_of`.
@@ -219,6 +220,7 @@ def _detections(
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
     echoes = resolve_range_rates(channel, interval.waveform, echoes, noise_w, how.fastest_m_per_s)
     warnings = _warnings(burst, len(echoes), image.n_channels, how, clutter)
+    warnings += _untested(interval.waveform, how) if echoes else []
     echoes = echoes[: how.at_most]
     if how.resolve:
         echoes = _split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
@@ -312,6 +314,18 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
         return [point]
     still = compensate_motion(amplitude, interval, bearing.range_rate_m_per_s)
     return [replace(point, azimuth_rad=float(a)) for a in music(still, interval, per_cell)]
+
+
+def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
+    """A warning of range rates that cannot be told from slower ones."""
+    fastest = fastest_resolved_m_per_s(waveform, how.fastest_m_per_s)
+    if fastest == how.fastest_m_per_s or waveform.max_velocity_m_per_s > how.fastest_m_per_s:
+        return []
+    return [
+        f"range rate: beyond {fastest:.3g} m/s none is told from slower ones, of the "
+        f"{how.fastest_m_per_s:g} m/s asked for (fastest_m_per_s): "
+        f"{waveform.n_slots} slots every {waveform.slot_period_s:g} s are too slow"
+    ]
 
 
 def _ambiguous(points: list[Detection]) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware.processing import cloud
-from hardware.radar.ambiguity import ambiguous_rates, rate_evidence
+from hardware.radar.ambiguity import ambiguous_rates, fastest_resolved_m_per_s, rate_evidence
 from hardware.radar.process import process
 from hardware.radar.refinement import blocks_about
 from hardware.waveform import OfdmWaveform
@@ -213,3 +213,20 @@ def test_a_cloud_holds_every_alternative() -> None:
         np.testing.assert_array_equal(
             columns[f"range_rate_alternative_{k}_m_per_s"], [rate, np.nan]
         )
+
+
+def test_slots_far_apart_bound_the_rates_that_are_tried() -> None:
+    """64 slots in 6.4 s: at 50 m/s a target would cross 8200 cells, and 52 000 rates fold to one,
+    of which at most 64 cells' worth are tried: 21. Both echoes are found with their rates.
+    """
+    wave = replace(WIDE, slot_period_s=0.1)
+    still, slow = Echo((5.0, 0, 0)), Echo((7.0, 0, 0), velocity_m_per_s=(0.006, 0, 0))
+    frame = process(cube(wave, [still, slow], noise_w=1e-8))
+    told = sorted((d.range_m, d.range_rate_m_per_s) for d in frame.detections)
+    np.testing.assert_allclose(told, [(5.0, 0.0), (7.0, 0.006)], atol=1e-3)
+    assert "beyond 0.39 m/s none is told from slower ones" in frame.warnings[0]
+    rates = ambiguous_rates(wave, 0.0, fastest_resolved_m_per_s(wave, 50.0))
+    assert len(rates) < 64
+    # Of a narrow band no target crosses a cell: the number of rates is the bound.
+    narrow = replace(NARROW, slot_period_s=10.0)
+    assert len(ambiguous_rates(narrow, 0.0, fastest_resolved_m_per_s(narrow, 50.0))) < 520
