@@ -15,6 +15,8 @@ from pathlib import Path
 from types import CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
+import numpy as np
+
 from hardware.errors import InputError
 
 
@@ -26,8 +28,8 @@ class OwnFunctionError(InputError):
 class OwnFunction:
     """A function with its name and the SHA-256 of its source.
 
-    Of a function from a file the digest is that of the file and of the modules beside it that it
-    imports; of an object that of its own source, defaults and enclosed values.
+    Of a function from a file the digest is that of the file and of the modules beside it that its
+    import statements name; of an object see `digest_of`.
     """
 
     function: Callable[..., Any]
@@ -94,7 +96,11 @@ def own_function(
 
 
 def digest_of(function: Callable[..., Any]) -> str:
-    """SHA-256 of a callable's source, code, defaults and enclosed values; not of what it calls."""
+    """SHA-256 of a callable's source, code, defaults, enclosed values, and of what it names of its
+    module: constants (numbers, text, arrays, tuples of them), and functions, classes and modules of
+    its own folder. Lists, dictionaries and other objects, which may change as it runs, do not
+    count, nor does what is imported by any other way than an import statement.
+    """
     found = sha256()
     for piece in _pieces(function, set()):
         found.update(len(piece).to_bytes(8, "little") + piece)
@@ -128,8 +134,12 @@ def _pieces(value: Any, seen: set[int]) -> Iterator[bytes]:
             *_enclosed(value),
             *(value.__defaults__ or ()),
             *(value.__kwdefaults__ or {}).items(),
+            *_named(value),
         ):
             yield from _pieces(part, seen)
+    elif isinstance(value, ModuleType):
+        for file in sorted(_files(Path(str(value.__file__))).values()):
+            yield file.read_bytes()
     elif isinstance(value, tuple):
         for part in value:
             yield from _pieces(part, seen)
@@ -151,6 +161,38 @@ def _code(code: CodeType) -> Iterator[bytes]:
             yield from _code(constant)
         elif not isinstance(constant, frozenset):  # whose order is not fixed
             yield repr(constant).encode()
+
+
+def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """Constants of its module that a function names, and code of its folder, see `digest_of`."""
+    for name in sorted(set(_names(function.__code__)) & function.__globals__.keys()):
+        value = function.__globals__[name]
+        if isinstance(value, FunctionType | ModuleType | type):
+            if _folder(value) == _folder(function) is not None:
+                yield name, value
+        elif _is_constant(value):
+            yield name, value
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+def _is_constant(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_is_constant, value))
+    return isinstance(value, int | float | complex | str | bytes | np.generic | np.ndarray | None)
+
+
+def _folder(code: Any) -> Path | None:
+    """Where code stands; of what stands in no file, such as a notebook's, nowhere but there."""
+    try:
+        return Path(inspect.getfile(code)).resolve().parent
+    except (OSError, TypeError):
+        return None
 
 
 def _enclosed(function: FunctionType) -> Iterator[Any]:
@@ -184,7 +226,7 @@ def _from_file(given: str, folder: Path) -> OwnFunction:
         for other in sorted(files.values()):
             source.update(sha256(other.read_bytes()).digest())
         module = _module(path, files, source.hexdigest())
-    except Exception as error:  # a user's file may fail in any way
+    except (Exception, SystemExit) as error:  # a user's file may fail in any way
         raise OwnFunctionError(f"{path}: {type(error).__name__}: {error}") from error
     function = getattr(module, name, None)
     if not callable(function):

@@ -17,6 +17,12 @@ from hardware.waveform import OfdmWaveform
 Detect: TypeAlias = Callable[[Complex, OfdmWaveform, RangeDopplerMap], Sequence[Detection]]
 
 _ARGUMENTS = ("channel", "waveform", "image")
+#: Of fields that cannot be negative.
+_LEAST = {
+    name: 0.0
+    for name in Detection.__dataclass_fields__
+    if name in ("range_m", "power_w", "rcs_m2") or "_error_" in name
+}
 #: Entry points by which installed packages offer a detection.
 GROUP = "ugv.detection"
 
@@ -44,15 +50,33 @@ class OwnDetection:
                     f"{self.own.name}: item {i} is a {type(detection).__name__}, expected a "
                     "hardware.Detection"
                 )
-            if not np.isfinite([detection.power_w, detection.snr_db]).all():
-                raise OwnFunctionError(
-                    f"{self.own.name}: item {i}: power_w or snr_db is not finite"
-                )
+            if wrong := _wrong(detection, waveform):
+                raise OwnFunctionError(f"{self.own.name}: item {i}: {wrong}")
             if np.isnan(detection.range_m) and np.isnan(detection.range_rate_m_per_s):
                 raise OwnFunctionError(
                     f"{self.own.name}: item {i} has neither range nor range rate"
                 )
         return tuple(sorted(detections, key=lambda detection: -detection.power_w))
+
+
+def _wrong(detection: Detection, waveform: OfdmWaveform) -> str:
+    """What is no value of its field; NaN, not measured, is one of all but power and SNR."""
+    for name, value in vars(detection).items():
+        if name == "range_rate_alternatives_m_per_s":
+            continue
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            return f"{name} = {value!r:.60}: expected a number"
+        if name in ("power_w", "snr_db") and np.isnan(value):
+            return "power_w or snr_db is not finite"
+        least = _LEAST.get(name, -np.inf)
+        least -= (
+            waveform.range_cell_m if name == "range_m" else 0
+        )  # an echo at no distance, refined
+        if np.isinf(value) or value < least:
+            return f"{name} = {value}: expected a finite number" + (
+                f" from {least:.3g} up" if np.isfinite(least) else ""
+            )
+    return ""
 
 
 def detection_of(

@@ -345,7 +345,7 @@ def recover(path: str | Path, out: str | Path | None = None) -> RecoveryResult:
     The new file replaces the log (or ``out``) at the end. Where data are lost, the original file is
     kept beside it as NAME-damaged. A log without faults is not changed.
 
-    Raises as `read_messages`, and InputError where no message can be read, or where the log is still
+    Raises as `read_messages`, and InputError where no message can be read, or the log is still
     being written; the file is not changed then.
     """
     path, ending = Path(path), Ending()

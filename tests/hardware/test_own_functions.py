@@ -117,6 +117,37 @@ def test_a_changed_source_is_another_function(own_file: Path) -> None:
     assert digest_of(_scaled(1.0)) == digest_of(_scaled(1.0))
 
 
+def test_what_a_function_names_of_its_module_counts(tmp_path: Path) -> None:
+    """Constants and arrays, functions that call others, a module beside it; not what the function
+    does not name, and not the objects that it fills as it runs.
+    """
+    text = (
+        "import beside, json\nimport numpy as np\nG, OTHER, W = 1.0, 1, np.ones(2)\nSEEN = []\n"
+        "def inner(x): return 1 * x\ndef outer(x): return inner(x)\n"
+        "def f(values, noise_variance, sensing):\n"
+        "    SEEN.append(json)\n    return [outer(v) * G * W + beside.A for v in values]\n"
+    )
+    variants = (
+        text,
+        text.replace("W = 1.0", "W = 2.0"),
+        text.replace("np.ones", "np.zeros"),
+        text.replace("return 1 * x", "return 2 * x"),
+        text.replace("W = 1.0, 1,", "W = 1.0, 2,"),
+    )
+    digests = []
+    for number, (content, value) in enumerate([*((v, 1) for v in variants), (text, 2), (text, 1)]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "beside.py").write_text(f"A = {value}\n")
+        (folder / "own.py").write_text(content)
+        function = own_function(f"{folder / 'own.py'}:f", ARGUMENTS).function
+        digests.append(digest_of(function))
+        function([1], 0, 0)
+        assert digest_of(function) == digests[-1]
+    assert len(set(digests[:4] + digests[5:6])) == 5
+    assert digests[0] == digests[4] == digests[6]
+
+
 def test_a_function_without_a_source_file_counts_by_its_code() -> None:
     made = []
     for text in ("2 * values", "3 * values", "2 * values"):
@@ -153,6 +184,7 @@ def test_two_files_of_one_name_do_not_mix(tmp_path: Path) -> None:
         ("mine.py:np", "has no function 'np'"),
         ("broken.py:f", "broken.py: SyntaxError"),
         ("raises.py:f", "raises.py: ZeroDivisionError"),
+        ("leaves.py:f", "leaves.py: SystemExit: 0"),
         ("two.py:f", r"takes \(a, b\), expected a function of \(values, noise_variance, sensing\)"),
     ],
 )
@@ -160,6 +192,7 @@ def test_what_is_wrong_with_a_file_is_said(own_file: Path, text: str, told: str)
     folder = own_file.parent
     (folder / "broken.py").write_text("def f(:\n")
     (folder / "raises.py").write_text("1 / 0\n")
+    (folder / "leaves.py").write_text("import sys\nsys.exit(0)\n")
     (folder / "two.py").write_text("def f(a, b): return a\n")
     with pytest.raises(OwnFunctionError, match=told):
         reconstruct(camera_record(), str(folder / text))
@@ -208,6 +241,14 @@ def test_own_detection_takes_the_place_of_cfar() -> None:
         ([1.0], "item 0 is a float"),
         ([Detection(1.0, 0.0, np.nan, 10.0, 0.1, 0.1)], "power_w or snr_db is not finite"),
         ([Detection(np.nan, np.nan, 1.0, 10.0, 0.1, 0.1)], "neither range nor range rate"),
+        ([Detection(-5.0, 0.0, 1.0, 10.0, 0.1, 0.1)], "range_m = -5.0: expected a finite number"),
+        ([Detection(np.inf, 0.0, 1.0, 10.0, 0.1, 0.1)], "range_m = inf: expected a finite"),
+        ([Detection("5", 0.0, 1.0, 10.0, 0.1, 0.1)], "range_m = '5': expected a number"),
+        ([Detection(5.0, np.inf, 1.0, 10.0, 0.1, 0.1)], "range_rate_m_per_s = inf: expected"),
+        ([Detection(5.0, 0.0, -1.0, 10.0, 0.1, 0.1)], "power_w = -1.0: expected .* from 0 up"),
+        ([Detection(5.0, 0.0, 1.0, 10.0, -0.1, 0.1)], "range_error_m = -0.1: expected .* from 0"),
+        ([Detection(5.0, 0.0, 1.0, 10.0, 0.1, 0.1, np.inf)], "azimuth_rad = inf: expected"),
+        ([Detection(5.0, 0.0, 1.0, 10.0, 0.1, 0.1, rcs_m2=-1.0)], "rcs_m2 = -1.0: expected"),
     ],
 )
 def test_a_result_that_is_no_detection_is_refused(result: object, told: str) -> None:

@@ -1,6 +1,6 @@
 """A user's own detector: a photon counter with dead time, against its closed form."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -159,3 +159,55 @@ def test_what_is_no_count_is_refused(bits: int, told: str) -> None:
 def test_what_is_no_detector_is_told_what_it_lacks() -> None:
     with pytest.raises(InputError, match="dict has no electrons_per_watt, dark_e"):
         capture(load_scene("table1"), load_system("workable"), fidelity=QUICK, detector={})
+
+
+@dataclass(frozen=True)
+class Counting(Spad):
+    """Counts Poisson events; may flag exposures, and tell a budget of its own."""
+
+    flag: int = 0
+    told_e: float | None = None
+
+    def expose(self, power_w, *, rng, noise="full"):
+        flags = np.full(len(power_w), self.flag, np.uint8)
+        return rng.poisson(self.mean_e(power_w)).astype(np.int32), flags
+
+    def noise_budget(self, signal_w, background_w, emitter_noise=0.0):
+        budget = super().noise_budget(signal_w, background_w, emitter_noise)
+        told = budget.total_noise_e if self.told_e is None else self.told_e
+        return replace(budget, noise_e={"my noise": told})
+
+
+def faint(**given) -> Counting:
+    """About half a count in the mean exposure of `table1`."""
+    scene, system = load_scene("table1"), load_system("workable")
+    power_w = capture(scene, system, seed=1, fidelity=QUICK).signal_w.mean()
+    spad = Counting(dark_rate_hz=0.0)
+    return replace(spad, efficiency=0.25 * 0.5 / (power_w * spad.electrons_per_watt), **given)
+
+
+def test_a_count_of_zero_is_a_reading_unless_the_detector_says_otherwise() -> None:
+    """Of a counter with half a count in the mean exposure most read 0: not black, not void. What it
+    flags is told without fields that it does not have.
+    """
+    scene, system = load_scene("table1"), load_system("workable").with_({"sky.part": "night"})
+    own = capture(scene, system, seed=1, fidelity=QUICK, detector=faint())
+    assert np.mean(own.record.counts == 0) > 0.5
+    assert not {w.kind for w in own.warnings} & {"black", "saturated"}
+    assert not own.void
+    flagged = capture(scene, system, seed=1, fidelity=QUICK, detector=faint(flag=Flag.SATURATED))
+    (told,) = [w for w in flagged.warnings if w.kind == "saturated"]
+    assert told.void
+    assert "are marked saturated by Counting" in told
+    assert "readout" not in told
+
+
+@pytest.mark.parametrize("told_e", [np.nan, -1.0, 0.0, np.inf])
+def test_a_budget_that_can_be_none_is_refused(told_e: float) -> None:
+    """NaN would stand as SNR, no noise as an infinite one. Contributions have any name."""
+    scene, system = load_scene("table1"), load_system("workable")
+    with pytest.raises(InputError, match=r"noise budget: .* e: expected a"):
+        capture(scene, system, fidelity=QUICK, detector=faint(told_e=told_e))
+    assert capture(scene, system, fidelity=QUICK, detector=faint()).noise.noise_e.keys() == {
+        "my noise"
+    }

@@ -171,3 +171,24 @@ def test_a_closed_study_may_vary_nothing(tmp_path: Path) -> None:
     values = [open_sweep(done.out).snr.values.ravel().tolist() for done in (one, same)]
     assert values[0] == values[1]
     assert len(values[0]) == 1
+
+
+def test_a_metric_changes_no_result_and_ends_no_sweep(tmp_path: Path) -> None:
+    """Metrics share a point's results: a write to one of their arrays, or `sys.exit`, is the
+    point's error, and the other point's figures are what they are without.
+    """
+
+    def writes(outcome) -> float:
+        if outcome.setup.system.name != "dark":
+            outcome.capture.truth.albedo[:] = 7
+        return 0.0
+
+    def leaves(outcome) -> float:
+        raise SystemExit(0)
+
+    dark = WORKABLE.with_({"emitter.radiant_intensity_w_per_sr": 1.0, "name": "dark"})
+    for own, failed, told in ((writes, 1, "read-only"), (leaves, 2, "SystemExit: 0")):
+        study = _study(metrics=[own, "psnr_db"], grid={"system": [WORKABLE, dark]})
+        done = run_sweep(study, out=tmp_path / own.__name__, workers=0)
+        assert done.n_failed == failed
+        assert told in str(done.reasons)

@@ -192,10 +192,11 @@ def measure(
     image_noise_e = np.median(cells_noise_e, axis=1)
     sky, depth_m = chain.sky, rendered.truth.depth_m
     record = chain.record(scene.rig.pose, counts, flags)
+    own = "" if type(chain.front_end) is FrontEnd else type(chain.front_end).__name__
     # At a rail the slope of the response is zero, and so is the SNR; as it is in cells that the
     # patterns do not measure.
     distortion = distortions(chain, power)
-    hidden = saturated_detectors(record) | distortion.total.hides(image_noise_e)
+    hidden = saturated_detectors(record, own) | distortion.total.hides(image_noise_e)
     signal_factor = np.maximum(distortion.total.signal_factor, 0)[:, None]
     noise_and_error_e = np.hypot(cells_noise_e, distortion.total.error_e[:, None])
     backscatter_e = to_e * power.backscatter_w.sum(axis=0)
@@ -207,7 +208,7 @@ def measure(
     )
     budget = chain.noise(signal_w, sun_w)
     record_warnings = (
-        *warnings_of_record(record, distortion.clipping, image_noise_e),
+        *warnings_of_record(record, distortion.clipping, image_noise_e, own),
         *lag_warnings(distortion.lag, image_noise_e, _lag_shares(system)),
     )
     return Capture(
@@ -224,7 +225,7 @@ def measure(
         sun_irradiance_w_per_m2=float(sky.sun_w_per_m2[0]),
         in_band_fraction=float(sky.emitter[0]),
         illuminance_lx=sky.illuminance_lx,
-        assumptions=(*_assumptions(scene, system), *_own(chain.front_end)),
+        assumptions=(*_assumptions(scene, system), *_own(own)),
         warnings=(
             *record_warnings,
             *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
@@ -237,10 +238,9 @@ def measure(
     )
 
 
-def _own(detector: Detector) -> tuple[str, ...]:
-    if type(detector) is FrontEnd:
-        return ()
-    return (f"detector: {type(detector).__name__} in place of the system's detector and readout",)
+def _own(detector: str) -> tuple[str, ...]:
+    told = f"detector: {detector} in place of the system's detector and readout"
+    return (told,) if detector else ()
 
 
 def _without(cells_e: Array, backscatter_e: Array) -> Array:

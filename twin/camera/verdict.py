@@ -101,14 +101,18 @@ def judge(
 
 
 def warnings_of_record(
-    record: SpiRecord, clipping: Distortion | None = None, noise_e: Array | None = None
+    record: SpiRecord,
+    clipping: Distortion | None = None,
+    noise_e: Array | None = None,
+    own: str = "",
 ) -> Iterator[CaptureWarning]:
     """Warnings from the counts and flags of a record.
 
     ``clipping``, ``noise_e`` (n_detectors,): distortion of the image by clipping, and its noise per
-    pixel, where known.
+    pixel, where known. ``own``: name of a user's own detector, whose flags alone say what is
+    saturated: 0 may be a good count.
     """
-    n, rails = len(record.counts), _Rails(record)
+    n, rails = len(record.counts), _Rails(record, own)
     blinded = bool((rails.blind_high | rails.blind_low).all())
     hidden, cost = np.zeros(record.counts.shape[1], np.bool_), ""
     if clipping is not None and noise_e is not None:
@@ -119,6 +123,8 @@ def warnings_of_record(
     too_high = f"saturate the ADC: readout: its gain is too high{cost}"
     too_low = "read 0: readout: adc_offset_v is too low, or the converter's step too coarse"
     full = f"fill the well: readout.full_well_e{cost}"
+    if own:
+        full = f"are marked saturated by {own}{cost}"
     causes: tuple[tuple[Kind, Bools, Bools, str], ...] = (
         ("saturated", rails.high, high, too_high),
         ("saturated", rails.full, high, full),
@@ -128,8 +134,9 @@ def warnings_of_record(
         if hits := int(at_rail.any(axis=1).sum()):
             of = _on_detectors(at_rail)
             yield CaptureWarning(kind, f"{hits} of {n} exposures{of} {text}", void=bool(lost.all()))
-    if n > 1 and not blinded and np.ptp(record.counts, axis=0).max() <= 1:
-        text = "the counts of all exposures differ by one step at most: too little light, or gain"
+    if n > 1 and not blinded and np.ptp(record.counts, axis=0).max() <= (0 if own else 1):
+        differ = "are the same" if own else "differ by one step at most"
+        text = f"the counts of all exposures {differ}: too little light, or gain"
         yield CaptureWarning("underexposed", text, void=True)
     flags: dict[Kind, Flag] = {"overrun": Flag.OVERRUN, "reset": Flag.RESET, "lost": Flag.LOST}
     for kind, flag in flags.items():
@@ -163,15 +170,17 @@ def combined_warnings(
         yield CaptureWarning("lag", text, void=True)
 
 
-def saturated_detectors(record: SpiRecord) -> Bools:
-    """Detectors (n_detectors,) saturated in so many exposures that they carry no information."""
-    rails = _Rails(record)
+def saturated_detectors(record: SpiRecord, own: str = "") -> Bools:
+    """Detectors (n_detectors,) saturated in so many exposures that they carry no information;
+    ``own`` as in `warnings_of_record`.
+    """
+    rails = _Rails(record, own)
     return np.asarray(rails.blind_high | rails.blind_low)
 
 
 def quantisation_warnings(noise: NoiseBudget) -> Iterator[CaptureWarning]:
     """Warning of a converter whose step is larger than the noise: smaller signals may be lost."""
-    quantisation = noise.noise_e["quantisation"]
+    quantisation = noise.noise_e.get("quantisation", 0.0)
     step = quantisation * np.sqrt(12.0)
     rest = np.sqrt(noise.total_noise_e**2 - quantisation**2)
     if step > _COARSE * rest:
@@ -209,10 +218,10 @@ class _Rails:
     detectors (n_detectors,) whose images are void because of them.
     """
 
-    def __init__(self, record: SpiRecord) -> None:
+    def __init__(self, record: SpiRecord, own: str = "") -> None:
         counts = record.counts
-        self.high = counts == 2**record.adc_bits - 1
-        self.low = counts == 0
+        self.high = (counts == 2**record.adc_bits - 1) & (not own)
+        self.low = (counts == 0) & (not own)
         flagged = (record.flags & Flag.SATURATED) != 0
         # A full well is below the converter's rail; the flag does not say which detector's it is.
         alone = flagged & ~(self.high | self.low).any(axis=1)

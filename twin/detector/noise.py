@@ -1,5 +1,6 @@
 """The noise budget of one exposure, and the noise of each pixel of the image."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.patterns import Patterns, PatternSet, fwht_in_place
 from hardware.reconstruction.sensing import Sensing
+from twin.errors import InputError
 
 if TYPE_CHECKING:
     from twin.detector.front_end import FrontEnd
@@ -17,17 +19,34 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NoiseBudget:
-    """Mean signal and root-mean-square noise of one average exposure, in electrons."""
+    """Mean signal and root-mean-square noise of one average exposure, in electrons.
+
+    ``noise_e``: contributions by any name; of them "quantisation", the converter's step over
+    sqrt(12), is compared with the others. Raises InputError for a number that is negative or not
+    finite, and for a signal without any noise.
+    """
 
     signal_e: float
     background_e: float
     dark_e: float
     noise_e: dict[str, float]
 
+    def __post_init__(self) -> None:
+        parts = {name: getattr(self, name) for name in ("signal_e", "background_e", "dark_e")}
+        for name, value in (parts | self.noise_e).items():
+            if not 0 <= value < np.inf:
+                raise InputError(f"noise budget: {name} = {value:g} e: expected a number from 0 up")
+        total = self.total_noise_e
+        if not total < np.inf or (total == 0 < self.signal_e):
+            raise InputError(
+                f"noise budget: {total:g} e in all with a signal of {self.signal_e:g} e: expected a "
+                "finite number above 0"
+            )
+
     @property
     def total_noise_e(self) -> float:
         """All contributions together."""
-        return float(np.sqrt(sum(value**2 for value in self.noise_e.values())))
+        return math.hypot(*self.noise_e.values())
 
     def pixel_noise_e(self, patterns: Patterns) -> float:
         """Noise of one pixel after the inverse transform of the patterns shown; of a user's own

@@ -91,7 +91,7 @@ def _rendered_points(study: Study, start: int, stop: int, inputs: Inputs) -> Chu
             _note(chunk, index, outcome)
         except ChangedError:
             raise
-        except Exception as error:  # any user's function may fail in any way
+        except (Exception, SystemExit) as error:  # any user's function may fail in any way
             chunk.errors[index] = f"{type(error).__name__}: {error}"
             for values in chunk.values.values():
                 values[index - start] = np.nan

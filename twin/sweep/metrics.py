@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,9 +17,11 @@ from twin.radar.evaluation import RadarEvaluation
 from twin.sweep.inputs import Inputs
 from twin.sweep.setup import Setup
 
+T = TypeVar("T")
+
 
 class Outcome:
-    """One point's results, each computed when a metric first asks for it."""
+    """One point's results, each computed when a metric first asks for it; arrays are read-only."""
 
     def __init__(
         self,
@@ -31,12 +35,12 @@ class Outcome:
     @cached_property
     def capture(self) -> Capture:
         """The camera's record, with what the twin knows about it."""
-        return self._capture()
+        return _read_only(self._capture())
 
     @cached_property
     def reconstruction(self) -> Reconstruction:
         """The image, by the point's method."""
-        return reconstruct(self.capture.record, self.setup.method)
+        return _read_only(reconstruct(self.capture.record, self.setup.method))
 
     @cached_property
     def score(self) -> Score:
@@ -46,7 +50,22 @@ class Outcome:
     @cached_property
     def radar(self) -> RadarEvaluation:
         """Detections and what they should have been."""
-        return self._radar()
+        return _read_only(self._radar())
+
+
+def _read_only(value: T) -> T:
+    """The same; arrays in it, and in what it holds, can no longer be written to: metrics share them
+    with each other and with other points.
+    """
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif is_dataclass(value):
+        for field in fields(value):
+            _read_only(getattr(value, field.name))
+    elif isinstance(value, tuple | list):
+        for item in value:
+            _read_only(item)
+    return value
 
 
 def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
