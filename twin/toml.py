@@ -6,6 +6,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
 
+import numpy as np
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -48,9 +49,13 @@ class Strict(BaseModel):
     ``alternatives``: groups of fields of which a section holds one or the other, each named by its
     first field. A file that gives the first of one group takes nothing of the others from its base
     or part.
+
+    ``limits``: least and largest value of sourced numbers that no device has, beside what a field's
+    own type says: within them products of several stay finite.
     """
 
     alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    limits: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -67,6 +72,14 @@ class Strict(BaseModel):
         if not holds_numbers(cls.model_fields[name].annotation):
             return value
         return _converted(value, unit_of(name))
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        for name, (least, most) in self.limits.items():
+            sourced = getattr(self, name)
+            if sourced is not None and not least <= sourced.value <= most:
+                raise InputError(f"{name} = {sourced.value:g}: expected {least:g} to {most:g}")
+        return self
 
     @classmethod
     def __get_pydantic_json_schema__(
@@ -129,8 +142,10 @@ def _holds_whole_numbers(annotation: Any) -> bool:
 
 
 def _integral(value: Any) -> Any:
-    """Whole numbers that are written with a point or an exponent, such as 1e6, as an int."""
-    if isinstance(value, float) and value.is_integer():
+    """Whole numbers that are NumPy's, or written with a point or an exponent, such as 1e6, as an
+    int.
+    """
+    if isinstance(value, np.integer) or (isinstance(value, float) and value.is_integer()):
         return int(value)
     if isinstance(value, dict) and "value" in value:
         return value | {"value": _integral(value["value"])}

@@ -192,3 +192,22 @@ def test_a_metric_changes_no_result_and_ends_no_sweep(tmp_path: Path) -> None:
         done = run_sweep(study, out=tmp_path / own.__name__, workers=0)
         assert done.n_failed == failed
         assert told in str(done.reasons)
+
+
+def test_a_closed_point_that_is_no_number_says_so(tmp_path: Path) -> None:
+    """Of two distances one is beyond what floats hold: its row has an error, the other none."""
+    study = Study(
+        name="near",
+        model="closed-form",
+        metrics=["snr"],
+        grid={"link.distance_m": [1e-200, 2.0]},
+    )
+    done = run_sweep(study, out=tmp_path / "out", workers=0)
+    assert done.n_failed == 1
+    assert "snr is not a number" in str(done.reasons)
+    with pytest.raises(InputError, match="a positive number up to"):
+        run_sweep(
+            Study(name="far", model="closed-form", metrics=["snr"], set={"link.distance_m": 1e300}),
+            out=tmp_path / "far",
+            workers=0,
+        )

@@ -2,6 +2,7 @@
 set, and names field, value and what was expected.
 """
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -62,7 +63,7 @@ def test_a_field_drops_its_alternatives() -> None:
         ({"optics": None}, "optics"),
         ({"detector.part": "clear-air"}, "this part has no detector"),
         ({"detector.part": "nope"}, "'nope'"),
-        ({"acquisition.n_patterns": 1e3}, "acquisition.n_patterns"),
+        ({"acquisition.n_patterns": 1000.5}, "acquisition.n_patterns"),
         # What must fit between sections.
         ({"detector.responsivity_a_per_w": 1.3}, "one electron a photon"),
         ({"acquisition.n_patterns": 5000}, "acquisition.n_patterns"),
@@ -167,3 +168,61 @@ def test_pieces_of_a_scene_check_themselves() -> None:
     item: SceneObject = load_scene("yard").objects[0]
     with pytest.raises(InputError, match=f"objects.{item.name}.reflectance = -0.1"):
         replace(item, reflectance=-0.1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"rig.x_m": 1e300}, r"scene.rig.x_m = 1e\+300: expected at most 1e\+09 m"),
+        ({"rig.x_m": 1e6}, r"objects.ground is then up to 1e\+06 m from the rig"),
+        ({"rig.yaw_deg": 1e300}, r"scene.rig.yaw_deg = 1e\+300: expected"),
+        ({"objects.wall.shift_x_m": 1e9}, r"objects.wall is then up to 1e\+09 m from the rig"),
+        ({"objects.*.shift_x_m": 1e300}, "expected at most 100000 m"),
+    ],
+)
+def test_a_scene_is_moved_no_farther_than_a_file_may(changes: dict, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        load_scene("yard").with_(changes)
+
+
+def test_a_scene_is_moved_as_a_whole() -> None:
+    moved = load_scene("yard").with_({"rig.x_m": 1e6, "objects.*.shift_x_m": 1e6})
+    assert moved.rig.position_m[0] == 1e6
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"optics.f_number": 1e300},
+        {"detector.dark_current_a": 1e300},
+        {"detector.width_m": 1e-300},
+        {"readout.read_noise_e": 1e300},
+        {"readout.bandwidth_hz": 5e-324},
+        {"readout.adc_full_scale_v": 1e300},
+        {"readout.transimpedance_ohm": 1e-300},
+    ],
+)
+def test_numbers_of_no_device_are_refused_where_they_are_set(changes: dict) -> None:
+    (field,) = changes
+    with pytest.raises(InputError, match=field.split(".")[1] + " = .*expected"):
+        load_system("workable").with_(changes)
+
+
+def test_whole_numbers_may_be_numpys() -> None:
+    assert load_system("workable").with_({"acquisition.n_patterns": np.int64(100)}) == (
+        load_system("workable").with_({"acquisition.n_patterns": 100})
+    )
+    radar = load_radar("hybrid-79").with_({"waveform.n_slots": np.int64(64)})
+    assert radar.waveform.n_slots.value == 64
+
+
+def test_scenes_of_one_content_are_equal() -> None:
+    """Loaded twice, pickled, changed alike; not where a reflectance or the rig differs."""
+    scene = load_scene("yard")
+    copies = [load_scene("yard"), pickle.loads(pickle.dumps(scene))]
+    assert all(copy == scene and hash(copy) == hash(scene) for copy in copies)
+    changes = [{"rig.x_m": 1.0}, {"objects.*.reflectance": 0.3}, {"objects.car.shift_x_m": 0.1}]
+    made = [scene, *(scene.with_(change) for change in changes)]
+    assert len(set(made)) == 4
+    assert scene.with_(changes[0]) == load_scene("yard").with_(changes[0])
+    assert scene != "yard"

@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 _PARTS = 64  # parts of the field along each side, over which the filter's shift is averaged
 _TIMES_S = (1e-9, 1e3)
 _DISTANCES_M = (1e-2, 1e6)
+_FARTHEST_M = 1e12  # that a row may ask for
 
 #: Effects that the closed form leaves out, by the field of the system.
 _LEFT_OUT = {
@@ -81,6 +82,8 @@ def wall_rows(
     system: System, distances_m: Sequence[float], reflectances: Sequence[float]
 ) -> list[WallRow]:
     """Rows for every distance and reflectance. Raises InputError where there is no light at all."""
+    if not all(0 < z <= _FARTHEST_M for z in distances_m):
+        raise InputError(f"distances: expected lengths above 0, up to {_FARTHEST_M:g} m")
     design = _SystemBudget.of(system)
     if not design.watt(1.0, 1.0):
         raise InputError("budget: no light of the emitter passes the filter, or it emits none")

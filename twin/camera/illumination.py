@@ -63,9 +63,8 @@ def residual_share(system: System) -> float:
     After a switch the light decays with exp(-t / tau), tau = t_10-90 / ln 9.
     """
     switching = system.emitter.switching_time_s
-    if switching is None or switching.value == 0:
-        return 0.0
-    return system.acquisition.residue(switching.value / math.log(9))
+    decay_s = switching.value / math.log(9) if switching else 0.0
+    return system.acquisition.residue(decay_s) if decay_s else 0.0
 
 
 def amplifier_residue(system: System) -> float:

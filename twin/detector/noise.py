@@ -39,8 +39,8 @@ class NoiseBudget:
         total = self.total_noise_e
         if not total < np.inf or (total == 0 < self.signal_e):
             raise InputError(
-                f"noise budget: {total:g} e in all with a signal of {self.signal_e:g} e: expected a "
-                "finite number above 0"
+                f"noise budget: {total:g} e in all, with a signal of {self.signal_e:g} e: "
+                "expected a finite number above 0"
             )
 
     @property

@@ -233,9 +233,10 @@ def _backward_share(backscatter: float, asymmetry: float, ratio: float) -> float
         return float(Air(1.0, 1.0, asymmetry, share).phase(-1.0)) - backscatter
 
     # Beyond this share nothing is left to keep the mean cosine.
-    most = (1 - asymmetry) / (1 - BACKWARD_ASYMMETRY) * (1 - 1e-9)
+    ends = ((1 + sign * asymmetry) / (1 + sign * BACKWARD_ASYMMETRY) for sign in (1, -1))
+    most = min(ends) * (1 - 1e-9)
     if excess(0.0) > 0 or excess(most) < 0:
-        low, high = (1 / (backscatter + excess(share)) for share in (most, 0.0))
+        low, high = (1 / float(Air(1.0, 1.0, asymmetry, s).phase(-1.0)) for s in (most, 0.0))
         factor = ratio * backscatter
         raise InputError(
             f"weather.lidar_ratio_sr = {ratio:g}: expected {low * factor:.3g} to "

@@ -10,6 +10,7 @@ import numpy as np
 from hardware.errors import InputError as VehicleInputError
 from hardware.units import quantity, unit_of
 from twin.files import InputError
+from twin.scene.model import FARTHEST_M, FARTHEST_ORIGIN_M
 from twin.toml import changed_name, no_such_field
 
 if TYPE_CHECKING:
@@ -52,7 +53,28 @@ def changed(scene: "Scene", changes: Mapping[str, Any]) -> "Scene":
     for name, value in changes.items():
         check_scene_name(name)
         scene = _with(scene, name, _in_unit(name, value))
+    _check_extent(scene, changes)
     return replace(scene, name=changed_name(scene.name))
+
+
+def _check_extent(scene: "Scene", changes: Mapping[str, Any]) -> None:
+    """Raise InputError for a rig or an object that changes have moved farther than files may."""
+    place = scene.rig.position_m
+    for axis, name in enumerate(("rig.x_m", "rig.y_m", "rig.z_m")):
+        if name in changes and abs(place[axis]) > FARTHEST_ORIGIN_M:
+            raise InputError(
+                f"scene.{name} = {place[axis]:g}: expected at most {FARTHEST_ORIGIN_M:g} m from "
+                "the origin"
+            )
+    if not any(name.startswith("rig.") or ".shift_" in name for name in changes):
+        return
+    for item in scene.objects:
+        distance = float(np.abs(item.box_m - place).max())
+        if distance > FARTHEST_M:
+            raise InputError(
+                f"scene.{', '.join(changes)}: objects.{item.name} is then up to {distance:.3g} m "
+                f"from the rig, expected at most {FARTHEST_M:g} m"
+            )
 
 
 def _in_unit(name: str, value: Any) -> Any:

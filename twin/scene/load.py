@@ -15,7 +15,16 @@ from twin.scene.defaults import default_pose, default_sun
 from twin.scene.enclosure import encloses
 from twin.scene.materials import find_materials, load_materials, row_of
 from twin.scene.meshes import primitive, read_mesh
-from twin.scene.model import IN_PLACE, Array, Pose, Rig, Scene, SceneObject
+from twin.scene.model import (
+    FARTHEST_M,
+    FARTHEST_ORIGIN_M,
+    IN_PLACE,
+    Array,
+    Pose,
+    Rig,
+    Scene,
+    SceneObject,
+)
 from twin.scene.settings import SceneSettings, load_settings
 from twin.scene.texture import Reflectance, Texture
 
@@ -23,12 +32,6 @@ _FALLBACK = "generic"
 
 _MESH_PLUGINS = ("ply", "obj", "stl")
 
-#: A vertex farther from the rig is taken for a fault of the file: float32 rays lose 0.3 % of the
-#: light on a wall of half-size 1e4 m and 27 % on one of 1e6 m.
-FARTHEST_M = 1e5
-
-#: A rig farther from the origin is taken for a fault: float64 has steps of 0.1 um there.
-FARTHEST_ORIGIN_M = 1e9
 _COARSE_M = 1e-3  # step of a mesh file's float32 coordinates that is warned of
 
 

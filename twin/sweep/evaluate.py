@@ -121,8 +121,14 @@ def _captures(outcome: Outcome) -> Iterator[tuple[str, Any]]:
 
 def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
     try:
-        values = closed_form(study, study.columns(start, stop), inputs)
-        return Chunk(start, stop, {name: np.asarray(v, np.float64) for name, v in values.items()})
+        with np.errstate(all="ignore"):  # told of by point
+            values = closed_form(study, study.columns(start, stop), inputs)
+        chunk = Chunk(start, stop, {n: np.asarray(v, np.float64) for n, v in values.items()})
+        for name, column in chunk.values.items():
+            for i in np.flatnonzero(np.isnan(column)):
+                why = f"InputError: {name} is not a number: values beyond what float64 holds"
+                chunk.errors.setdefault(start + int(i), why)
+        return chunk
     except ChangedError:
         raise
     except VehicleInputError as error:

@@ -26,7 +26,7 @@ from twin.toml import Entry
 Value = bool | int | float | str
 
 #: The closed form's own: whether each may be 0, and the most it may be.
-LINK = {"link.distance_m": (False, math.inf), "link.reflectance": (True, 1.0)}
+LINK = {"link.distance_m": (False, 1e12), "link.reflectance": (True, 1.0)}
 #: What a new render is not needed for.
 _LATER = re.compile(
     r"(system|weather|scene)?\.?(system\.)?("
@@ -80,6 +80,7 @@ def check_bounds(name: str, value: Value, may_be_zero: bool, most: float) -> Non
     within = math.isfinite(value) and 0 <= value <= most
     if not within or (value == 0 and not may_be_zero):
         wanted = "0 to 1" if most == 1 else "a positive number"
+        wanted += f" up to {most:g}" if 1 < most < math.inf else ""
         raise InputError(f"{name} = {value}: expected {wanted}")
 
 

@@ -32,6 +32,11 @@ class Detector(Strict):
     """
 
     alternatives: ClassVar = (("excess_noise_factor",), ("ionisation_ratio",))
+    limits: ClassVar = {
+        "width_m": (1e-12, 1e3),
+        "height_m": (1e-12, 1e3),
+        "dark_current_a": (0, 1e3),
+    }
 
     shape: Sourced[Literal["disc", "square", "rectangle"]]
     width_m: Sourced[Positive]
@@ -131,6 +136,13 @@ class Readout(Strict):
     """
 
     alternatives: ClassVar = (("transimpedance_ohm",), ("feedback_capacitance_f", "full_well_e"))
+    limits: ClassVar = {
+        "transimpedance_ohm": (1e-9, 1e18),
+        "feedback_capacitance_f": (1e-24, 1e3),
+        "read_noise_e": (0, 1e18),
+        "bandwidth_hz": (1e-9, 1e15),
+        "adc_full_scale_v": (1e-15, 1e9),
+    }
 
     transimpedance_ohm: Sourced[Positive] | None = None
     feedback_capacitance_f: Sourced[Positive] | None = None

@@ -1,6 +1,6 @@
 """Filter and lens."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -55,6 +55,8 @@ class Optics(Strict):
     position, in focus everywhere. Of surfaces nearer than 100 of its radii its area is taken into
     account by a form factor, whose error is warned of.
     """
+
+    limits: ClassVar = {"f_number": (FASTEST_F_NUMBER, 1e6)}
 
     f_number: Sourced[Annotated[Positive, Field(ge=FASTEST_F_NUMBER)]]
     transmission: Sourced[Fraction]
