@@ -18,7 +18,7 @@ from twin.fidelity import PRESETS, Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.acquisition import channel
 from twin.radar.propagation.result import Propagation
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import trace
 from twin.scene import Scene, load_scene
 from twin.trade.bodies import Bodies, echoes_by_body, errors_of, reference_bodies
@@ -60,7 +60,9 @@ def _times(
         return frame(_driven(scene, _STEP_M * next(step)))
 
     def synthesis() -> None:
-        channel(trace(scene, radar, fidelity=fidelity), radar, Air(), fidelity.nufft_tolerance)
+        channel(
+            trace(scene, radar, fidelity=fidelity), radar, Atmosphere(), fidelity.nufft_tolerance
+        )
 
     moved()  # warm
     finding = timed(lambda: trace(scene, radar, fidelity=fidelity), runs, warm_up=0)

@@ -16,7 +16,7 @@ from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import channel as received
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.free_space import straight_paths
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.scene import Pose, Rig, Scene, Sun, Target
 from twin.scene.settings import SceneSettings
 
@@ -73,7 +73,7 @@ def _echo(design: RadarDesign, scene: Scene, frequency_hz: float, time_s: float)
 def _channel(design: RadarDesign, scene: Scene) -> Found:
     """Synthesised channel against the sum, at corners, middle and in between; relative to rms."""
     wave = design.ofdm
-    found = received(straight_paths(scene, design), design, Air())[0, :, 0].T
+    found = received(straight_paths(scene, design), design, Atmosphere())[0, :, 0].T
     rows = sorted({0, wave.n_subcarriers // 3, wave.n_subcarriers - 1})
     columns = sorted({0, wave.n_slots // 2, wave.n_slots - 1})
     exact = np.array(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twin.radar.propagation.scene import itu_r
-from twin.radar.propagation.scene.atmosphere import Air, gas_db_per_km, rain_db_per_km
+from twin.radar.propagation.scene.atmosphere import Atmosphere, gas_db_per_km, rain_db_per_km
 from twin.system import Weather, load_part
 
 CLEAR, RAIN = load_part("clear-air").weather, load_part("rain-10").weather
@@ -60,11 +60,11 @@ def test_gases_have_p676s_peaks() -> None:
 
 def test_an_echo_pays_twice() -> None:
     one_way = rain_db_per_km(RAIN, 79e9, "vertical") + gas_db_per_km(RAIN, 79e9)
-    air, length = Air(RAIN), np.array(2 * 150.0)
+    air, length = Atmosphere(RAIN), np.array(2 * 150.0)
     lost = -20 * np.log10(air.amplitude(length, 79e9))
     assert lost == pytest.approx(0.3 * one_way)
     assert -20 * np.log10(air.amplitude(length, 2.45e9)) < lost / 100
-    assert Air().amplitude(length, 79e9) == 1
+    assert Atmosphere().amplitude(length, 79e9) == 1
 
 
 def test_dry_air_leaves_the_oxygen() -> None:
@@ -75,4 +75,4 @@ def test_dry_air_leaves_the_oxygen() -> None:
 
 def test_carriers_outside_the_recommendations_are_refused() -> None:
     with pytest.raises(ValueError, match="carrier_hz: 4e\\+11"):
-        Air(CLEAR).db_per_m(4e11)
+        Atmosphere(CLEAR).db_per_m(4e11)

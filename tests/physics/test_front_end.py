@@ -15,7 +15,7 @@ from twin.radar.device.design import Oscillator, RadarDesign
 from twin.radar.device.front_end import arriving, digitize, full_scale_w, image_rejection_db
 from twin.radar.device.oscillator import apply, draw, residual_rad
 from twin.radar.propagation.result import Propagation
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 
 NOTHING = Propagation()
 
@@ -141,7 +141,7 @@ def test_full_scale_is_the_strongest_tone_that_does_not_clip() -> None:
 
 def test_leakage_has_its_level_and_the_phase_of_its_delay() -> None:
     radar = small(leakage={"level_db": -33.0, "delay_s": 1.7e-9})
-    found = channel(NOTHING, radar, Air())
+    found = channel(NOTHING, radar, Atmosphere())
     f = radar.ofdm.carrier_hz + radar.ofdm.frequency_offsets_hz
     exact = 10 ** (-33 / 20) * np.exp(-2j * np.pi * f * 1.7e-9)
     np.testing.assert_allclose(
@@ -151,7 +151,9 @@ def test_leakage_has_its_level_and_the_phase_of_its_delay() -> None:
 
 def test_huge_leakage_clips_every_slot() -> None:
     radar = small(leakage={"level_db": 0.0, "delay_s": 0.0})
-    _, flags, _ = digitize(channel(NOTHING, radar, Air()), radar, rng=np.random.default_rng(0))
+    _, flags, _ = digitize(
+        channel(NOTHING, radar, Atmosphere()), radar, rng=np.random.default_rng(0)
+    )
     assert (flags == Flag.SATURATED).all()
 
 
@@ -165,7 +167,7 @@ def test_retunes_turn_each_step_by_a_phase_of_its_own() -> None:
     chance 1e-6. Same seed, same phases.
     """
     radar = design("prototype", oscillator=None)
-    found = channel(NOTHING, radar, Air())
+    found = channel(NOTHING, radar, Atmosphere())
     one, again, other = (
         arriving(found, radar, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
     )
@@ -182,7 +184,7 @@ def test_retunes_turn_each_step_by_a_phase_of_its_own() -> None:
 def test_timing_offsets_turn_subcarriers_in_proportion() -> None:
     """Slope of the phase over frequency in each step: normal with the declared rms (5 sigma)."""
     radar = design("prototype", oscillator=None, steps__timing_rms_s=2e-9, steps__count=400)
-    found = channel(NOTHING, radar, Air())
+    found = channel(NOTHING, radar, Atmosphere())
     sent = radar.ofdm.sent()
     seen = np.fft.fftshift(
         np.fft.fft(arriving(found, radar, rng=np.random.default_rng(3))), axes=-1

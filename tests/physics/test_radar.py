@@ -15,7 +15,7 @@ from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import contributions
 from twin.radar.device.design import RadarDesign
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.materials import radio_properties
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.radar.propagation.sionna.paths import sionna_paths
@@ -224,7 +224,7 @@ def test_a_slowly_approaching_targets_phase_is_a_line() -> None:
     phases = []
     for place in places:
         found = sionna_paths(world(targets=(target((place, 0, 0)),)), radar, max_depth=1)
-        echoes = radar.burst.seen(contributions(found, radar, Air()))
+        echoes = radar.burst.seen(contributions(found, radar, Atmosphere()))
         cycles = radar.ofdm.carrier_hz * echoes.delay_s[0] % 1.0
         phases.append(np.angle(echoes.amplitude[0] * np.exp(-2j * np.pi * cycles)))
     line = np.unwrap(phases)

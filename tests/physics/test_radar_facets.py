@@ -40,7 +40,7 @@ from twin.radar.cross_section import Quality, sweep
 from twin.radar.device.antenna import Antenna
 from twin.radar.propagation.facets.pieces import split
 from twin.radar.propagation.one_way.beams import antenna_gain
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import trace
 from twin.radar.scattering import Target
 from twin.radar.scattering.triangle import mean_over, node
@@ -362,7 +362,7 @@ def test_the_steps_of_a_carrier_are_held(turn_deg: float) -> None:
     square = replace(plate("p", (0.0, 0.0, 0.0), 1.0), pose=pose)
     fidelity = OPTICS.with_(radar_tolerance=0.03)
     found = trace(world(square), radar, fidelity=fidelity)
-    steps = contributions(found, radar, Air(None))
+    steps = contributions(found, radar, Atmosphere(None))
     carriers = radar.burst.carriers_hz
     cycles = carriers[:, None] * steps.delay_s % 1.0
     waves = (steps.amplitude * np.exp(-2j * np.pi * cycles))[:, :-1]  # the last is the leakage

@@ -27,7 +27,7 @@ from tests.physics.radar_worlds import (
 from twin.radar.acquisition import channel, radar_capture
 from twin.radar.device.burst import Burst, burst_channel
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis import Contributions, direct_sum
 from twin.scene import Pose, Target
@@ -66,7 +66,7 @@ def test_a_crossing_point(rung: str, distance: float, speed: float) -> None:
     """
     scene = world(targets=(target((distance, 0, 0), (0, speed, 0)),))
     found = trace(scene, RADAR, fidelity=OPTICS.with_(radar=rung))
-    received = channel(found, RADAR, Air())[0, :, 0].T
+    received = channel(found, RADAR, Atmosphere())[0, :, 0].T
     rows, t = np.linspace(0, WAVE.n_subcarriers - 1, 5).astype(int), WAVE.slot_times_s
     lengths = 2 * np.hypot(distance, speed * t)
     f = CARRIER_HZ + WAVE.frequency_offsets_hz[rows]

@@ -25,7 +25,7 @@ from twin.radar.acquisition import contributions
 from twin.radar.propagation.physical_optics import surface_clutter
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.result import Propagation
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.radar.propagation.surface_clutter import coherent
@@ -264,7 +264,9 @@ def test_points_answer_with_the_wavelength_of_each_step() -> None:
     diffuse = found.echoes.chosen(found.echoes.wavelength_power == 1)
     assert len(diffuse) > 100
     alone = Propagation(diffuse)
-    levels = np.abs(contributions(alone, radar, Air(None)).amplitude)[:, :-1]  # less the leakage
+    levels = np.abs(contributions(alone, radar, Atmosphere(None)).amplitude)[
+        :, :-1
+    ]  # less the leakage
     levels = levels[:, levels[0] > 0]
     ratio = radar.burst.carriers_hz[0] / radar.burst.carriers_hz[:, None]
     np.testing.assert_allclose(levels / levels[0], ratio * np.ones(levels.shape[1]))

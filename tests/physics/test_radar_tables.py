@@ -34,7 +34,7 @@ from twin.radar.cross_section import Quality, physical_optics
 from twin.radar.cross_section import table as tables
 from twin.radar.cross_section.bistatic import scattering_dyadics
 from twin.radar.cross_section.table import QUALITY, Table, table_of
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.radar.propagation.tabulated import leg
@@ -392,7 +392,7 @@ def test_a_table_stands_in_for_what_is_declared_of_its_object() -> None:
     found = trace(scene, RADAR, fidelity=PATHS)
     assert found.paths == ()
     assert [(h.name, h.contributions) for h in found.heard] == [("t", 1)]
-    (truth,) = true_targets(scene, RADAR, found, Air(None))
+    (truth,) = true_targets(scene, RADAR, found, Atmosphere(None))
     assert truth.visible
 
 

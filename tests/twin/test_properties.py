@@ -28,7 +28,7 @@ from twin.optics.problem import LightProblem
 from twin.radar import load_radar
 from twin.radar.acquisition import channel as received
 from twin.radar.propagation.free_space import straight_paths
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
@@ -232,7 +232,7 @@ def test_echoes_add(rate: float, other: float, range_m: float) -> None:
 
     def channel(*chosen: Target) -> np.ndarray:
         scene = replace(world(), targets=chosen)
-        return received(straight_paths(scene, radar), radar, Air())
+        return received(straight_paths(scene, radar), radar, Atmosphere())
 
     both, one, two = channel(*targets), channel(targets[0]), channel(targets[1])
     rms = math.sqrt(np.mean(np.abs(both) ** 2))

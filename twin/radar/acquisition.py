@@ -17,7 +17,7 @@ from twin.radar.device.burst import burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
 from twin.radar.propagation.result import Propagation
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import solver_of, trace
 from twin.radar.remarks import assumptions, warnings
 from twin.radar.synthesis import Complex, Contributions
@@ -43,7 +43,7 @@ class RadarCapture:
     record: RadarRecord
     truth: tuple[TrueTarget, ...]
     bursts: tuple[Propagation, ...]
-    air: Air
+    air: Atmosphere
     sample_noise_w: float
     assumptions: tuple[str, ...]
     warnings: tuple[CaptureWarning, ...]
@@ -70,7 +70,7 @@ class RadarEcho:
     worlds: tuple[Scene, ...]
     radar: RadarDesign
     bursts: tuple[Propagation, ...]
-    air: Air
+    air: Atmosphere
     interval_s: float
     noise_seed: np.random.SeedSequence
     fidelity: Fidelity
@@ -225,14 +225,16 @@ def radar_capture(
     )
 
 
-def contributions(found: Propagation, radar: RadarDesign, air: Air) -> Contributions:
+def contributions(found: Propagation, radar: RadarDesign, air: Atmosphere) -> Contributions:
     """Echoes as the synthesis takes them, with what air, averaging over a slot and a stepped
     carrier leave of each, and the leakage.
     """
     return Contributions.joined([_stepped(found.contributions, radar, air), _of_leakage(radar)])
 
 
-def channel(found: Propagation, radar: RadarDesign, air: Air, tolerance: float = 1e-6) -> Complex:
+def channel(
+    found: Propagation, radar: RadarDesign, air: Atmosphere, tolerance: float = 1e-6
+) -> Complex:
     """Received over sent wave of one burst, (n_steps, n_slots, n_receivers, n_subcarriers)."""
     return burst_channel(contributions(found, radar, air), radar.burst, tolerance)
 
@@ -243,7 +245,7 @@ def _seeds(seed: int) -> tuple[np.random.SeedSequence, np.random.SeedSequence]:
     return rays, noise
 
 
-def _stepped(echoes: Contributions, radar: RadarDesign, air: Air) -> Contributions:
+def _stepped(echoes: Contributions, radar: RadarDesign, air: Atmosphere) -> Contributions:
     """Echoes with their amplitudes at every carrier step, (n_steps, n)."""
     length, moving = C_M_PER_S * echoes.delay_s, np.flatnonzero(echoes.delay_rate)
     doppler, carriers = echoes.delay_rate[moving], radar.burst.carriers_hz
@@ -282,8 +284,8 @@ def _of_leakage(radar: RadarDesign) -> Contributions:
     )
 
 
-def _air(weather: Weather | None, radar: RadarDesign) -> Air:
-    air = Air(weather)
+def _air(weather: Weather | None, radar: RadarDesign) -> Atmosphere:
+    air = Atmosphere(weather)
     try:
         for carrier in radar.burst.carriers_hz[[0, -1]]:
             air.db_per_m(float(carrier))

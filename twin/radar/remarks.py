@@ -13,7 +13,7 @@ from twin.radar.device.oscillator import residual_rad
 from twin.radar.propagation.facets.convergence import BodyEcho, unconverged
 from twin.radar.propagation.one_way.motion import lengthening
 from twin.radar.propagation.result import Propagation
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.propagation.solvers import Solver
 from twin.radar.truth import TrueTarget
@@ -36,7 +36,7 @@ _ALWAYS = (
 
 
 def assumptions(
-    scene: Scene, radar: RadarDesign, found: Propagation, air: Air, solver: Solver
+    scene: Scene, radar: RadarDesign, found: Propagation, air: Atmosphere, solver: Solver
 ) -> tuple[str, ...]:
     """Everything that a capture takes for granted, the design's assumed values included."""
     values = [

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.one_way.motion import lengthening
 from twin.radar.propagation.result import Propagation
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.scene import Scene, Target
 
 Array = NDArray[np.float64]
@@ -55,14 +55,14 @@ class TrueTarget:
 
 
 def true_targets(
-    scene: Scene, radar: RadarDesign, found: Propagation, air: Air
+    scene: Scene, radar: RadarDesign, found: Propagation, air: Atmosphere
 ) -> tuple[TrueTarget, ...]:
     """All declared targets of a scene."""
     return tuple(_true(target, scene, radar, found, air) for target in scene.targets)
 
 
 def _true(
-    target: Target, scene: Scene, radar: RadarDesign, found: Propagation, air: Air
+    target: Target, scene: Scene, radar: RadarDesign, found: Propagation, air: Atmosphere
 ) -> TrueTarget:
     offset, axes = scene.rig.device("radar")
     towards = np.asarray(target.position_m) - scene.rig.position_m - offset

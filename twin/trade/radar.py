@@ -16,7 +16,7 @@ from twin.progress import OpenStage
 from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
 from twin.radar.propagation.result import Propagation
-from twin.radar.propagation.scene.atmosphere import Air
+from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import solver_of, trace
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
@@ -157,7 +157,7 @@ def _solver_name(level: Fidelity) -> str:
 
 def _echoes(propagation: Propagation, radar: RadarDesign) -> Contributions:
     """Echoes of the first step, transmitter and receiver, which represent the others."""
-    return radar.burst.seen(contributions(propagation, radar, Air()))
+    return radar.burst.seen(contributions(propagation, radar, Atmosphere()))
 
 
 def _noise(radar: RadarDesign) -> float:

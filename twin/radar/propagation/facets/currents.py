@@ -17,7 +17,7 @@ from twin.radar.propagation.facets.triangles import (
 from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.one_way.path import (
     Axes,
-    Leg,
+    OneWayPath,
     TracingContext,
     along,
     leg,
@@ -125,7 +125,7 @@ def _mirrored(
 
 def amplitude_of(
     s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
-) -> tuple[Complex, Leg]:
+) -> tuple[Complex, OneWayPath]:
     """Echo of all currents in phase, without the antenna's gain, and the leg home.
 
     Of triangles lit directly that answer to another image than they are lit from, both directions
@@ -228,7 +228,7 @@ def _again(passage: SlabTransmission) -> Real:
 
 
 def _turning(
-    s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident, home: Leg
+    s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident, home: OneWayPath
 ) -> Real:
     """How fast the difference of the ways by two corners grows, at most, in m/s."""
     number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)

@@ -32,7 +32,7 @@ _ON_HOST = "body", "is_ray", "first"  # what triangles have there
 
 @dataclass(frozen=True, eq=False)
 class Incident:
-    """Waves at points that they light, on the device; see `legs.Leg`.
+    """Waves at points that they light, on the device; see `path.OneWayPath`.
 
     ``origin`` is the point from which each spreads, ``velocity`` that of this point, ``axes`` the
     world's as mirrors and facets show them.

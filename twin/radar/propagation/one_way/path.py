@@ -183,7 +183,7 @@ def _vector(mi: Any, value: Array) -> Vector3:
 
 
 @dataclass(eq=False)
-class Leg:
+class OneWayPath:
     """A way from the radar to points, seen from them.
 
     ``back`` and ``length``: unit vector and distance to the image; ``departure``: unit vector from
@@ -209,7 +209,7 @@ def leg(
     active: Mask,
     unshadowed: bool = False,
     tested: bool = True,
-) -> Leg:
+) -> OneWayPath:
     """The leg to a point from which rays start at a distance ``off`` (vector) from the surface.
 
     ``unshadowed``: what stands between is ignored, and mirrors only have to be there;
@@ -287,7 +287,7 @@ def leg(
         _, mirror, along, way_on = segment
         cross_walls(mirror, along, way_on, has & clear)
     velocity = _gathered(mi, s.velocities, 3 * source, active)
-    return Leg(back, length, departure, field, velocity, clear, passage)
+    return OneWayPath(back, length, departure, field, velocity, clear, passage)
 
 
 def lengthening(velocity: Vector3, direction: Vector3, length: Real) -> tuple[Real, Real]:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PointPaths:
-    """Legs from images to points, (n,) or (n, 3), in the world's axes; see `legs.Leg`.
+    """Legs from images to points, (n,) or (n, 3), in the world's axes; see `path.OneWayPath`.
 
     ``length`` is that of the straight way, which spreading follows; ``extra`` what walls and ways
     round obstacles add; ``over`` the number of the obstacle, -1 for none, and ``rate`` what its

@@ -19,7 +19,7 @@ STANDARD_WATER_VAPOUR_KG_PER_M3 = 7.5e-3
 
 
 @dataclass(frozen=True)
-class Air:
+class Atmosphere:
     """The air of some weather, the same everywhere, on level paths; None: it does not attenuate.
 
     Fog and snow are left out: fog of 0.1 g/m^3 costs some 0.3 dB/km one way at 79 GHz (P.840),
