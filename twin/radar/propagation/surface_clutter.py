@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.geometry import Geometry
-from twin.radar.propagation.one_way.path import LEVEL, OFF_SURFACE, TracingContext
+from twin.radar.propagation.one_way.path import LEVEL, TracingContext, offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
 from twin.radar.synthesis import Contributions
 from twin.scene import SceneObject
@@ -195,7 +195,7 @@ def _ways(
     towards = np.array(s.positions).reshape(-1, 3)[source] - points.place
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     cosine = np.sum(towards * points.normal, axis=1)
-    step = OFF_SURFACE * (np.linalg.norm(points.place, axis=1, keepdims=True) + 1e-3)
+    step = offset_m(points.place)
     if order := int(np.array(s.orders)[source]):
         mirror = np.array(s.levels).reshape(s.n_sources, s.order, LEVEL)[source, order - 1]
         height = np.abs((points.place - mirror[3:6]) @ mirror[6:9])

@@ -28,7 +28,7 @@ from twin.radar.propagation.diffraction.rims import (
     successive,
 )
 from twin.radar.propagation.meshes.silhouettes import Outline, outline
-from twin.radar.propagation.one_way.path import OFF_SURFACE, TracingContext
+from twin.radar.propagation.one_way.path import TracingContext, offset_m
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image, mirrored
@@ -275,8 +275,7 @@ def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
         share = height / (height - beyond)
     share = np.where((share > 0) & (share < 1), share, np.nan)[:, None]
     place = begin + share * (aim - begin)
-    off = 2 * OFF_SURFACE * (np.linalg.norm(place, axis=1) + 1e-3) * np.sign(height)
-    met: Array = place + off[:, None] * flat.normal
+    met: Array = place + 2 * offset_m(place) * np.sign(height)[:, None] * flat.normal
     return met
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.around_edges import Screens, is_near_edges, legs_to
 from twin.radar.propagation.diffraction.rims import loud, meeting
-from twin.radar.propagation.one_way.path import OFF_SURFACE
+from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between
 from twin.radar.scattering.arrays import ComplexVector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
@@ -121,7 +121,7 @@ def _answers(
     middle, across = facets.middle, facets.across
     side = np.sign(np.sum((obstacles.stage.images[0].place - middle) * across, axis=1))
     normal = side[:, None] * across / np.linalg.norm(across, axis=1, keepdims=True)
-    off = OFF_SURFACE * (np.linalg.norm(middle, axis=1, keepdims=True) + 1e-3) * normal
+    off = offset_m(middle) * normal
     own = np.full(len(middle), body)
     legs, at = legs_to(obstacles.stage.station, obstacles, 0, middle, off, own)
     faces = np.sum(legs.back * normal[at], axis=1) > 0

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.geometry import Geometry
-from twin.radar.propagation.one_way.path import OFF_SURFACE, TracingContext
+from twin.radar.propagation.one_way.path import TracingContext, offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
 from twin.radar.scattering.diffraction import EdgeQuality, Pieces, fringe_moment, outside, pieces
 from twin.radar.scattering.edges import Edges, sharp_edges
@@ -120,8 +120,7 @@ def _off(edges: Edges, cut: Pieces, place: Array) -> Array:
         up = edges.upwards[cut.edge, side]
         off += np.where(np.sum(towards * up, axis=1, keepdims=True) > 0, up, 0)
     off /= np.maximum(np.linalg.norm(off, axis=1, keepdims=True), 1e-300)
-    away = np.linalg.norm(cut.middle_m, axis=1, keepdims=True) + 1e-3
-    return 2 * OFF_SURFACE * away * off
+    return 2 * offset_m(cut.middle_m) * off
 
 
 def _amplitude(

@@ -347,5 +347,10 @@ def offset(place: Vector3) -> Real:
     return OFF_SURFACE * (dr.norm(place) + 1e-3)
 
 
+def offset_m(place: Array) -> Array:
+    """As `offset`, on the host: of places (n, 3), (n, 1)."""
+    return OFF_SURFACE * (np.linalg.norm(place, axis=1, keepdims=True) + 1e-3)
+
+
 def _gathered(mi: Any, values: Real, index: Index, active: Mask | bool) -> Vector3:
     return mi.Vector3d(*(dr.gather(mi.Float64, values, index + i, active) for i in range(3)))
