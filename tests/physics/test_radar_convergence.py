@@ -24,13 +24,13 @@ from tests.physics.radar_worlds import (
 )
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
+from twin.radar.diagnostics import _unconverged
 from twin.radar.evaluation import evaluate_radar
+from twin.radar.propagation.facets.adaptive_subdivision import Budget
 from twin.radar.propagation.facets.convergence import BodyEcho, band_of, body_echoes, unconverged
-from twin.radar.propagation.facets.division import Budget
 from twin.radar.propagation.physical_optics import wave_numbers
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.solvers import trace
-from twin.radar.remarks import _unconverged
 from twin.report.radar_summary import radar_summary
 from twin.scene import Scene
 from twin.trade.bodies import echoes_by_body, reference_bodies
@@ -78,7 +78,7 @@ def test_estimates_are_of_the_size_of_the_errors(scene: Scene, tolerance: float)
 def test_what_is_divided_no_further_is_named(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """A screen whose border cuts nothing, but whose phase bends by more than a wavelength."""
     with monkeypatch.context() as patch:
-        patch.setattr("twin.radar.propagation.facets.bodies._DEEPEST", (1, 3))
+        patch.setattr("twin.radar.propagation.facets.body_scattering._DEEPEST", (1, 3))
         taken = radar_capture(scene, RADAR, fidelity=Fidelity())
     found = taken.propagation
     (screen,) = [body for body in found.bodies if not body.is_converged]
@@ -106,7 +106,7 @@ def test_doubts_of_tubes_count(monkeypatch: pytest.MonkeyPatch) -> None:
     corners = half * np.array(signs, dtype=float) @ turn.T + [10, 0.4, 0]
     scene = world(thing("dihedral", corners, [[0, 1, 2], [0, 2, 3], [1, 0, 5], [1, 5, 4]]))
     assert estimates(at(0.03, scene))["dihedral"] < 3 * 0.03
-    monkeypatch.setattr("twin.radar.propagation.facets.bodies._DEEPEST", (8, 0))
+    monkeypatch.setattr("twin.radar.propagation.facets.body_scattering._DEEPEST", (8, 0))
     assert estimates(at(0.03, scene))["dihedral"] > 3 * 0.03
 
 

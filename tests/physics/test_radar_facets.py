@@ -38,7 +38,7 @@ from twin.radar import RadarDesign, load_radar
 from twin.radar.acquisition import contributions
 from twin.radar.cross_section import Quality, sweep
 from twin.radar.device.antenna import Antenna
-from twin.radar.propagation.facets.pieces import split
+from twin.radar.propagation.facets.wideband import wideband_terms
 from twin.radar.propagation.one_way.beams import antenna_gain
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import trace
@@ -97,13 +97,13 @@ def test_contributions_of_triangles_hold_over_the_band() -> None:
     k = 2 * np.pi * CARRIER_HZ / speed_of_light
     level = np.zeros((4000, 3))
     at_carrier = _divided(-k * (paths - 10)) * np.exp(-10j * k)
-    pieces = split(paths, level, level, at_carrier, k)
-    assert len(pieces.row) < 2.5 * 4000
+    expansion = wideband_terms(paths, level, level, at_carrier, k)
+    assert len(expansion.row) < 2.5 * 4000
     for frequency in (77e9, 79e9, 81e9):
         scale = frequency / CARRIER_HZ
-        turn = np.exp(-1j * (k * scale * (pieces.length_m - 10)))
-        terms = pieces.amplitude * scale**-pieces.falloff * turn
-        row = pieces.row
+        turn = np.exp(-1j * (k * scale * (expansion.length_m - 10)))
+        terms = expansion.amplitude * scale**-expansion.falloff * turn
+        row = expansion.row
         found = np.bincount(row, terms.real, 4000) + 1j * np.bincount(row, terms.imag, 4000)
         phases = -k * scale * (paths - 10)
         exact = _divided(phases)

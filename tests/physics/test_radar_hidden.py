@@ -8,7 +8,7 @@ import trimesh
 
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, ground, quad, thing, world
 from twin.radar.propagation.facets.convexity import convex_parts
-from twin.radar.propagation.facets.facing import facing
+from twin.radar.propagation.facets.front_facets import bistatic_facets
 from twin.radar.propagation.facets.hidden import wholly_hidden
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.shadows import seen
@@ -54,7 +54,7 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
     )
     assert len(stage.images) == 3  # the radar, in the ground, in the mirror
     s, bodies = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
-    facets = facing(s, bodies, stage.images)
+    facets = bistatic_facets(s, bodies, stage.images)
     lit = facets.taken(facets.all)
     hidden = wholly_hidden(s, bodies.parts, lit)
     is_seen = np.zeros(len(lit), dtype=bool)

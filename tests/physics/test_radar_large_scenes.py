@@ -27,7 +27,7 @@ from tests.physics.radar_worlds import (
 )
 from twin.geometry import shape
 from twin.radar.propagation import prepared_scene
-from twin.radar.propagation.facets import bodies, division, facing
+from twin.radar.propagation.facets import adaptive_subdivision, body_scattering, front_facets
 from twin.radar.propagation.meshes import grouping
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene import culling, image_search
@@ -346,7 +346,7 @@ def test_portions_change_nothing(monkeypatch) -> None:
     scene = world(hills(30), corner, *balls, plate("mirror", (14, 0, 0), 6.0, radar="surface"))
     fidelity = OPTICS.with_(radar_tolerance=0.3, radar_bounces=3)
     whole = trace(scene, RADAR, fidelity=fidelity)
-    monkeypatch.setattr(facing, "AT_ONCE", 300)
+    monkeypatch.setattr(front_facets, "AT_ONCE", 300)
     parts = trace(scene, RADAR, fidelity=fidelity)
     assert len(parts.echoes.delay_s) == len(whole.echoes.delay_s) > 3000
     assert len(whole.bodies) >= 4
@@ -376,14 +376,14 @@ def test_no_more_triangles_are_looked_at_together_than_a_portion_holds(monkeypat
 
         monkeypatch.setattr(module, name, counting)
 
-    monkeypatch.setattr(facing, "AT_ONCE", 1000)
-    counted(facing, "echoes_of", 2)
-    counted(division, "echoes_of", 2)
-    counted(bodies, "echoes_of", 2)
-    counted(division, "sampled", 1)
-    counted(division, "quartered", 1)
-    counted(bodies, "reflected_on", 2)
-    counted(bodies, "rays_of", 2)
+    monkeypatch.setattr(front_facets, "AT_ONCE", 1000)
+    counted(front_facets, "echoes_of", 2)
+    counted(adaptive_subdivision, "echoes_of", 2)
+    counted(body_scattering, "echoes_of", 2)
+    counted(adaptive_subdivision, "sampled", 1)
+    counted(adaptive_subdivision, "quartered", 1)
+    counted(body_scattering, "reflected_on", 2)
+    counted(body_scattering, "rays_of", 2)
     scene = world(hills(100), trihedral("corner", (9, 1, 0)), ground(-2.0))
     found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_tolerance=0.3))
     assert len(found.surfaces.delay_s) > 1000
@@ -402,8 +402,8 @@ def test_errors_of_what_there_is_no_room_to_divide_are_told(monkeypatch) -> None
     walls = [quad(f"w{i}", way + [4, 0, 0]) for i, way in enumerate((corners, corners @ turned.T))]
     scene = world(*walls, ball("b", (3.9, 0.2, 0), 0.05, 3))
     whole = trace(scene, RADAR, fidelity=OPTICS)
-    monkeypatch.setattr(bodies, "MOST_ROOTS", 16)
-    monkeypatch.setattr(division, "MOST_TRIANGLES", 64)
+    monkeypatch.setattr(body_scattering, "MOST_ROOTS", 16)
+    monkeypatch.setattr(adaptive_subdivision, "MOST_TRIANGLES", 64)
     some = trace(scene, RADAR, fidelity=OPTICS)
     assert len(some.echoes.delay_s) < len(whole.echoes.delay_s) / 2
     known = {body.name: body.estimated_error for body in whole.bodies}

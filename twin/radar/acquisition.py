@@ -16,10 +16,10 @@ from twin.progress import OpenStage
 from twin.radar.device.burst import burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
+from twin.radar.diagnostics import assumptions, warnings
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import solver_of, trace
-from twin.radar.remarks import assumptions, warnings
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
 from twin.scene import Scene

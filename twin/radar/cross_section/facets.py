@@ -17,9 +17,9 @@ from scipy.constants import speed_of_light
 from twin.engine import mitsuba
 from twin.radar.cross_section.subject import Subject, are_within, bare, subject_of
 from twin.radar.cross_section.ways import Ways
+from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, settled
 from twin.radar.propagation.facets.currents import amplitude_of, echoes_of
-from twin.radar.propagation.facets.division import Budget, Leaves, settled
-from twin.radar.propagation.facets.facing import lit_facets
+from twin.radar.propagation.facets.front_facets import lit_facets
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.shadows import sampled
 from twin.radar.propagation.facets.triangles import Triangles, incident_on

@@ -2,7 +2,8 @@
 
 - `solvers`: the models by name, and who traces with which
 - `physical_optics`: what meshes echo (a car, a person), by `facets`, `diffraction` and
-  `surface_clutter`; `by_optics` adds images of the radar and declared points (`single_paths`)
+  `surface_clutter`; `physical_optics_solver` adds images of the radar and declared points
+  (`single_paths`)
 - `free_space`: declared targets alone; `sionna`: paths by Sionna RT; `tabulated`: far objects from
   tables of their scattering
 - `prepared_scene`, `scene`: the scene at one pose; materials, walls, images, rain and gases

@@ -12,7 +12,7 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.diffraction.behind_obstacles import echoes_behind
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
-from twin.radar.propagation.facets.bodies import scattered_by
+from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import Traced, setting_of
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.validity import still_valid

@@ -9,9 +9,9 @@ import numpy as np
 from twin.errors import InputError
 from twin.fidelity import Fidelity, own_solver
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.by_optics import echoes
 from twin.radar.propagation.facets.earlier import Traced
 from twin.radar.propagation.free_space import straight_paths
+from twin.radar.propagation.physical_optics_solver import echoes
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.sionna.paths import sionna_paths
 from twin.radar.synthesis import Contributions

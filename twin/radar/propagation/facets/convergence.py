@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.waveform import OfdmWaveform
-from twin.radar.propagation.facets.division import WEAKEST
+from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.facets.division import Leaves
+from twin.radar.propagation.facets.adaptive_subdivision import Leaves
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import origin_of
 from twin.radar.propagation.facets.tubes import Tubes

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.borders import border, odd_one
 from twin.radar.propagation.facets.currents import plane_of, reflection
-from twin.radar.propagation.facets.meetings import (
+from twin.radar.propagation.facets.ray_hits import (
     INSIDE,
-    Met,
+    RayHits,
     along,
     apart,
-    met_by,
     reflected_from,
+    reflected_ray_hits,
     samples_of,
 )
 from twin.radar.propagation.facets.scatterers import Scatterers
@@ -117,10 +117,10 @@ def reflected_on(s: TracingContext, scatterers: Scatterers, tubes: Tubes) -> Tub
     wide, rays = tubes.chosen(~tubes.triangles.is_ray), tubes.chosen(tubes.triangles.is_ray)
     found = _onto_planes(s, scatterers, wide)
     if len(rays.root):
-        met = met_by(s, scatterers, rays.triangles, 1)
-        hit = met.is_valid[0]
+        hits = reflected_ray_hits(s, scatterers, rays.triangles, 1)
+        hit = hits.is_valid[0]
         further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT)).chosen(hit)
-        found.append(_Meeting.of_rays(further, met.face[0, hit]))
+        found.append(_Meeting.of_rays(further, hits.face[0, hit]))
     found = [part for part in found if len(part.face)]
     return _landed(s, scatterers, found) if found else None
 
@@ -131,24 +131,24 @@ def _onto_planes(
     """Which facets tubes meet, in parts."""
     if not len(tubes.root):
         return []
-    met = met_by(s, scatterers, tubes.triangles, 4)
-    gap_m = met.gap_m[:3].max(axis=0)
+    hits = reflected_ray_hits(s, scatterers, tubes.triangles, 4)
+    gap_m = hits.gap_m[:3].max(axis=0)
     off = _phase_rad(s, gap_m)
     is_whole = off < _SMOOTH_RAD
     whole = tubes.chosen(is_whole)
     whole = replace(whole, doubt=whole.doubt + off[is_whole])
     no_ray = np.zeros(len(whole.root), dtype=bool)
-    found = [_Meeting(whole, met.face[3, is_whole], gap_m[is_whole], no_ray)]
-    rest = np.flatnonzero(~is_whole & met.is_valid.any(axis=0))
+    found = [_Meeting(whole, hits.face[3, is_whole], gap_m[is_whole], no_ray)]
+    rest = np.flatnonzero(~is_whole & hits.is_valid.any(axis=0))
     if may_cut and len(rest):
-        parts, is_cut = _cut(s, scatterers, tubes.chosen(rest), met.chosen(rest))
+        parts, is_cut = _cut(s, scatterers, tubes.chosen(rest), hits.chosen(rest))
         if parts is not None:
             found += _onto_planes(s, scatterers, parts, may_cut=False)
         rest = rest[~is_cut]
     if len(rest):
         # A quarter as large, curved surfaces part a fourth as much.
         doubt = np.minimum(off[rest] / 4, _DOUBT)
-        found += _by_quarters(s, scatterers, tubes.chosen(rest), met.chosen(rest), doubt)
+        found += _by_quarters(s, scatterers, tubes.chosen(rest), hits.chosen(rest), doubt)
     return found
 
 
@@ -160,13 +160,13 @@ def _phase_rad(s: TracingContext, gap_m: Array) -> Array:
 
 
 def _cut(
-    s: TracingContext, scatterers: Scatterers, tubes: Tubes, met: Met
+    s: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits
 ) -> tuple[Tubes | None, NDArray[np.bool_]]:
     """Parts of tubes that one border cuts, and which tubes these are: one corner meets something
     else than both others, the border is nearly straight, and the sample inside is on the right side
     of it.
     """
-    off, nothing = _phase_rad(s, apart(s, tubes.triangles, met)), ~met.is_valid
+    off, nothing = _phase_rad(s, apart(s, tubes.triangles, hits)), ~hits.is_valid
     off = np.maximum(off, off.swapaxes(0, 1))
     alike = (off < _SMOOTH_RAD) | nothing[:, None] & nothing
     is_cut, odd = odd_one(np.stack([alike[0, 1], alike[1, 2], alike[2, 0]]))
@@ -178,8 +178,8 @@ def _cut(
     if not len(rows):
         return None, is_cut
     odd, one = odd[rows], one[rows]
-    wanted = met.is_valid[odd, rows]
-    faces = np.where(wanted, met.face[odd, rows], met.face[one, rows])
+    wanted = hits.is_valid[odd, rows]
+    faces = np.where(wanted, hits.face[odd, rows], hits.face[one, rows])
     some = tubes.chosen(rows)
     at = border(
         s.mi,
@@ -214,8 +214,8 @@ def _like(
     limit = _SMOOTH_RAD / float(_phase_rad(s, np.ones(1))[0])
 
     def same(place: Any) -> Any:
-        active, met, direction = reflected_from(s, scatterers, tubes, place)
-        gap = along(s, met, place, direction) - along(s, known, place, direction)
+        active, hits, direction = reflected_from(s, scatterers, tubes, place)
+        gap = along(s, hits, place, direction) - along(s, known, place, direction)
         return (active & (dr.abs(gap) < limit)) == asked
 
     return same
@@ -229,15 +229,15 @@ def _part(s: TracingContext, tubes: Tubes, corners: tuple[Any, Any, Any], row: I
 
 
 def _by_quarters(
-    s: TracingContext, scatterers: Scatterers, tubes: Tubes, met: Met, doubt: Array
+    s: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits, doubt: Array
 ) -> list[_Meeting]:
     """Quarters of tubes as rays at their own centroids. Where that meets nothing but the tube's
     corner there does, or something that faces elsewhere, what the corner meets is not lit.
     """
     pieces = _quarters(s, tubes.triangles)
-    own = met_by(s, scatterers, pieces, 1)
+    own = reflected_ray_hits(s, scatterers, pieces, 1)
     is_lit, face = own.is_valid[0], own.face[0]
-    at_corner, known = met.face.T.ravel(), met.is_valid.T.ravel()
+    at_corner, known = hits.face.T.ravel(), hits.is_valid.T.ravel()
     normal = s.world.plane_table[:, 3:]
     is_other = np.abs(np.sum(normal[face] * normal[at_corner], axis=1)) < _ALIKE
     also = known & (~is_lit | is_other)

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from twin.radar.propagation.facets.crossing import as_mirrored, crossed, oriented
 from twin.radar.propagation.facets.currents import plane_of
 from twin.radar.propagation.facets.earlier import Landings, Setting, Sums, Traced
-from twin.radar.propagation.facets.facing import lit_facets, portions
+from twin.radar.propagation.facets.front_facets import lit_facets, portions
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.one_way.path import TracingContext, image_place
 from twin.radar.propagation.prepared_scene import PreparedScene

@@ -5,7 +5,7 @@ Sionna computes in float32, where 80 GHz times the delay of 150 m is off by 1.4 
 digit: so from its paths only the sequence of surfaces and the amplitude are taken, and lengths are
 measured anew on the scene's own planes in float64.
 
-Higher rungs leave Sionna aside: `twin.radar.propagation.by_optics`.
+Higher rungs leave Sionna aside: `twin.radar.propagation.physical_optics_solver`.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Echoes of triangles over the whole band: contributions with one delay each.
+"""Wideband echoes of triangles: contributions of faces, edges and corners with one delay each.
 
 A triangle that the wave meets obliquely has no single delay. With the phases of its corners sorted,
 a <= b <= c, the mean of exp(j phase) is 2 (e[b, c] - e[a, b]) / (j (c - a)), where e is the mean
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from twin.radar.propagation.facets.adaptive_subdivision import Leaves
 from twin.radar.propagation.facets.currents import level_at
-from twin.radar.propagation.facets.division import Leaves
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, incident_on
 from twin.radar.propagation.one_way.internal_reflections import (
@@ -57,22 +57,26 @@ def contributions_of(s: TracingContext, scatterers: Scatterers, leaves: Leaves) 
         values += [length, gain, spread - least]
     found, wave_number = host(values, n), 2 * np.pi / float(s.wavelength[0])
     whole = leaves.weight * leaves.echoes.amplitude
-    pieces = split(
+    terms = wideband_terms(
         np.stack(found[::3], axis=1),
         np.stack(found[1::3], axis=1),
         np.stack(found[2::3], axis=1),
         leaves.echoes.mean * np.exp(-1j * (wave_number * leaves.echoes.length_m % (2 * np.pi))),
         wave_number,
     )
-    return _contributions(s, scatterers, lit.taken(pieces.row), pieces, whole[pieces.row])
+    return _contributions(s, scatterers, lit.taken(terms.row), terms, whole[terms.row])
 
 
 def _contributions(
-    s: TracingContext, scatterers: Scatterers, lit: Triangles, pieces: "Pieces", whole: Complex
+    s: TracingContext,
+    scatterers: Scatterers,
+    lit: Triangles,
+    terms: "WidebandTerms",
+    whole: Complex,
 ) -> Contributions:
     """By the triangle of every contribution."""
     mi, n, wave = s.mi, len(whole), incident_on(s, lit)
-    shares = (mi.Float64(aligned(np.ascontiguousarray(column))) for column in pieces.place.T)
+    shares = (mi.Float64(aligned(np.ascontiguousarray(column))) for column in terms.place.T)
     place = sum(share * corner for share, corner in zip(shares, lit.corners, strict=True))
     home = leg(s, lit.receiver, place, mi.Vector3d(0), mi.Bool(True), tested=False)
     number = dr.gather(mi.UInt32, s.world.object_index, lit.face)
@@ -95,9 +99,9 @@ def _contributions(
     for p in (wave.passage, home.passage):
         values += [p.rho_re, p.rho_im, p.lag]
     extra, rate, acceleration, departure, arrival, *found = host(values, n)
-    length_m = pieces.length_m + extra
+    length_m = terms.length_m + extra
     one = Contributions(
-        amplitude=pieces.amplitude * whole,
+        amplitude=terms.amplitude * whole,
         delay_s=length_m / speed_of_light,
         delay_rate=rate / speed_of_light,
         delay_acceleration_per_s=acceleration / speed_of_light,
@@ -108,7 +112,7 @@ def _contributions(
         receiver=found[4],
         departure_per_s=found[0],
         arrival_per_s=found[1],
-        falloff=pieces.falloff,
+        falloff=terms.falloff,
         first=lit.first,
     )
     if s.walls is not None:
@@ -122,7 +126,7 @@ def _contributions(
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class WidebandTerms:
     """Contributions of triangles: ``row`` of the triangle, ``amplitude`` without the antenna's
     gain, ``length_m`` of the path, power of 1 / f in ``falloff``, each (n,), and ``place`` (n, 3),
     the corners' shares of where it comes from.
@@ -135,7 +139,9 @@ class Pieces:
     place: Array
 
 
-def split(paths_m: Array, gain: Array, spread: Array, mean: Complex, wave_number: float) -> Pieces:
+def wideband_terms(
+    paths_m: Array, gain: Array, spread: Array, mean: Complex, wave_number: float
+) -> WidebandTerms:
     """Contributions of triangles whose currents are 1 in all.
 
     Parameters
@@ -201,7 +207,7 @@ def split(paths_m: Array, gain: Array, spread: Array, mean: Complex, wave_number
     missing = mean - of_each(wave.real) - 1j * of_each(wave.imag)
     share = power / np.maximum(of_each(power), 1e-300)[row]
     amplitude = amplitude + missing[row] * share / (turn * np.maximum(strength, 1e-300))
-    return Pieces(row, amplitude, length, falloff, place)
+    return WidebandTerms(row, amplitude, length, falloff, place)
 
 
 def _of_points(x: Array, y: Array, z: Array, wave_number: float) -> Complex:

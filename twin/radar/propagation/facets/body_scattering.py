@@ -1,8 +1,8 @@
-"""Echoes of all bodies by physical optics: facets lit by the radar, then by each other.
+"""Scattering by all bodies: facets lit by the radar, and by reflections from one another.
 
-A first, coarse pass tells how strong every body answers; the second is as fine as this asks for,
-and is repeated where a body turns out to be far fainter. What still holds of an earlier frame
-counts as found in both.
+A first, coarse pass estimates how strong the echo of every body is; the second subdivides as finely
+as that asks for, and is repeated where an echo turns out to be far weaker. Contributions of an
+earlier frame that are still valid count in both.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,17 +11,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, settled
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
-from twin.radar.propagation.facets.division import Budget, Leaves, settled
 from twin.radar.propagation.facets.earlier import Found, Landings, Sums
-from twin.radar.propagation.facets.escapes import meeting
-from twin.radar.propagation.facets.facing import Facing, facing, largest, lit_by, portions
-from twin.radar.propagation.facets.parts import parted, spacing_of
-from twin.radar.propagation.facets.pieces import contributions_of
+from twin.radar.propagation.facets.front_facets import (
+    FrontFacets,
+    bistatic_facets,
+    illuminated_facets,
+    largest,
+    portions,
+)
+from twin.radar.propagation.facets.reflection_candidates import reflection_candidates
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, quartered
 from twin.radar.propagation.facets.tubes import Tubes, heard, reflected_on
+from twin.radar.propagation.facets.uniform_subdivision import spacing_of, subdivided
 from twin.radar.propagation.facets.validity import Valid
+from twin.radar.propagation.facets.wideband import contributions_of
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.scene.images import Image
 from twin.radar.synthesis import Contributions
@@ -72,7 +78,7 @@ def scattered_by(
         Whether later frames may keep what is found here.
     """
     count = int(scatterers.body.max()) + 1
-    facets = facing(s, scatterers, images, None if valid is None else valid.legs)
+    facets = bistatic_facets(s, scatterers, images, None if valid is None else valid.legs)
     search = _Search(s, scatterers, images, bounces, [] if with_landings else None)
     coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
     known = None
@@ -85,7 +91,7 @@ def scattered_by(
         coarse.consider([])
     tubes, spacing_m = None, 0.0
     if bounces > 1:
-        begin = lit_by(s, scatterers, images, None if valid is None else valid.tubes)
+        begin = illuminated_facets(s, scatterers, images, None if valid is None else valid.tubes)
         spacing_m = spacing_of(s, begin.sizes()) if valid is None else valid.spacing_m[1]
         tubes = search.begun(begin, spacing_m) if len(begin) else None
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
@@ -164,7 +170,7 @@ class _Search:
 
     def leaves(
         self,
-        whole: tuple[Facing, Echoes] | None,
+        whole: tuple[FrontFacets, Echoes] | None,
         tubes: "_Begun | None",
         budget: Budget,
         deepest: tuple[int, int],
@@ -180,13 +186,13 @@ class _Search:
                 found.append(settled(self.s, self.scatterers, *lit, budget, deepest[0]))
         return [Leaves.joined(parts) for parts in found if parts]
 
-    def begun(self, facets: Facing, spacing_m: float) -> "_Begun | None":
+    def begun(self, facets: FrontFacets, spacing_m: float) -> "_Begun | None":
         """Tubes of facets by which others may be seen, divided until what they may show lies
         between their rays.
         """
-        rows = meeting(self.s, self.scatterers, facets, spacing_m)
+        rows = reflection_candidates(self.s, self.scatterers, facets, spacing_m)
         wholes = (facets.taken(some) for some in portions(rows))
-        return self._begun(parted(self.s, whole, spacing_m)[0] for whole in wholes)
+        return self._begun(subdivided(self.s, whole, spacing_m)[0] for whole in wholes)
 
     def _begun(self, parts: Iterable[Triangles]) -> "_Begun | None":
         """Of all roots those whose tubes land anywhere, and where."""

@@ -1,7 +1,6 @@
-"""Whole facets that images of the radar face, by their numbers: triangles are made of portions.
+"""Facets that face images of the radar, held as indices; triangles are made of a batch at a time.
 
-What is computed of a triangle takes some kilobytes for a while. So facets are only numbered, and
-looked at in portions.
+Each triangle takes some kilobytes while its echo is computed, so all facets at once would not fit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
-from twin.radar.propagation.facets.parts import longest_edges
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles
+from twin.radar.propagation.facets.uniform_subdivision import longest_edges
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.scene.images import Image
 from twin.transfer import aligned, vector
@@ -42,7 +41,7 @@ def largest(values: Array, count: int) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True, eq=False)
-class Facing:
+class FrontFacets:
     """Whole facets of the world, each lit directly from an image and heard at one, (n,)."""
 
     s: TracingContext
@@ -66,10 +65,10 @@ class Facing:
         """Their rows."""
         return np.arange(len(self))
 
-    def chosen(self, rows: Rows) -> "Facing":
+    def chosen(self, rows: Rows) -> "FrontFacets":
         """Only some of them."""
         some = self.face[rows], self.source[rows], self.receiver[rows]
-        return Facing(self.s, self.scatterers, *some)
+        return FrontFacets(self.s, self.scatterers, *some)
 
     def taken(self, rows: Rows) -> Triangles:
         """Some of them as triangles, with the wave that lights them."""
@@ -91,22 +90,22 @@ class Facing:
         return found
 
     @staticmethod
-    def joined(parts: "Sequence[Facing]") -> "Facing":
+    def joined(parts: "Sequence[FrontFacets]") -> "FrontFacets":
         """One after the other."""
         columns = zip(*((p.face, p.source, p.receiver) for p in parts), strict=True)
-        return Facing(
+        return FrontFacets(
             parts[0].s, parts[0].scatterers, *(np.concatenate(column) for column in columns)
         )
 
 
-def facing(
+def bistatic_facets(
     s: TracingContext,
     scatterers: Scatterers,
     images: Sequence[Image],
     wanted: NDArray[np.bool_] | None = None,
-) -> Facing:
-    """All facets that both a source and a receiver see the same side of, whatever stands in
-    between, closed meshes from outside. ``wanted`` (n_images, n_facets): only those that are lit
+) -> FrontFacets:
+    """All facets of which a source and a receiver face the same side, occlusion not tested, closed
+    meshes from outside. ``wanted`` (n_images, n_facets): only those that are lit
     or heard by such an image.
     """
     b = scatterers
@@ -122,15 +121,15 @@ def facing(
             if wanted is not None:
                 both = both[wanted[i, both] | wanted[j, both]]
             found.append(_numbered(s, b, both, i, j))
-    return Facing.joined(found)
+    return FrontFacets.joined(found)
 
 
-def lit_by(
+def illuminated_facets(
     s: TracingContext,
     scatterers: Scatterers,
     images: Sequence[Image],
     wanted: NDArray[np.bool_] | None = None,
-) -> Facing:
+) -> FrontFacets:
     """All facets that a source faces, as their own receivers; ``wanted`` as of `facing`."""
     b = scatterers
     rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
@@ -140,14 +139,14 @@ def lit_by(
         if wanted is not None:
             lit &= wanted[i, rows]
         found.append(_numbered(s, b, rows[lit & b.heard[i, rows]], i, i))
-    return Facing.joined(found)
+    return FrontFacets.joined(found)
 
 
 def _numbered(
     s: TracingContext, scatterers: Scatterers, face: NDArray[np.intp], source: int, receiver: int
-) -> Facing:
+) -> FrontFacets:
     ends = (np.full(len(face), number, dtype=np.uint32) for number in (source, receiver))
-    return Facing(s, scatterers, face.astype(np.uint32), *ends)
+    return FrontFacets(s, scatterers, face.astype(np.uint32), *ends)
 
 
 def sides_of(

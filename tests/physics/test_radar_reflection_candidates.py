@@ -1,12 +1,12 @@
-"""Facets that see nothing by reflection, told by one ray each."""
+"""Facets from which something is hit by reflection, told by one ray each."""
 
 import numpy as np
 import pytest
 
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, reshaped, thing, world
-from twin.radar.propagation.facets.escapes import meeting
-from twin.radar.propagation.facets.facing import lit_by
-from twin.radar.propagation.facets.meetings import met_by
+from twin.radar.propagation.facets.front_facets import illuminated_facets
+from twin.radar.propagation.facets.ray_hits import reflected_ray_hits
+from twin.radar.propagation.facets.reflection_candidates import reflection_candidates
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.physical_optics import _bodies
 from twin.radar.propagation.prepared_scene import prepare_scene
@@ -43,11 +43,11 @@ def test_neighbours_of_what_sees_something_are_looked_at(is_loose: bool) -> None
         scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, with_optics=True), 0
     )
     s, b = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
-    facets = lit_by(s, b, stage.images)
+    facets = illuminated_facets(s, b, stage.images)
     lit = facets.taken(facets.all)
-    by_any = met_by(s, b, lit, 4).is_valid.any(axis=0)
-    by_own = met_by(s, b, lit, 1).is_valid[0]
-    found = np.isin(facets.all, meeting(s, b, facets, 1.0))
+    by_any = reflected_ray_hits(s, b, lit, 4).is_valid.any(axis=0)
+    by_own = reflected_ray_hits(s, b, lit, 1).is_valid[0]
+    found = np.isin(facets.all, reflection_candidates(s, b, facets, 1.0))
     of_mirror = lit.body == lit.body[0]
     assert np.count_nonzero(of_mirror & by_any & ~by_own) > 20
     assert not (of_mirror & by_any & ~found).any()

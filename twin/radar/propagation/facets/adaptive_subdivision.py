@@ -1,4 +1,4 @@
-"""Echoes of facets: which triangles are looked at, and how finely, for an error of every body.
+"""Adaptive subdivision: how finely facets are divided for the error that every body may have.
 
 Every facet that faces the source and the receiver is a triangle with an exact integral. It is
 divided where the curvature of the phase across it, or the border of a shadow on it, may change the
@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
-from twin.radar.propagation.facets.facing import Facing, largest, portions
+from twin.radar.propagation.facets.front_facets import FrontFacets, largest, portions
 from twin.radar.propagation.facets.hidden import wholly_hidden
-from twin.radar.propagation.facets.parts import parted, sizes, spacing_of
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.shadows import alike, cut, sampled
 from twin.radar.propagation.facets.triangles import Triangles, quartered
+from twin.radar.propagation.facets.uniform_subdivision import sizes, spacing_of, subdivided
 from twin.radar.propagation.one_way.path import TracingContext
 
 Array = NDArray[np.float64]
@@ -268,7 +268,7 @@ def _waves(phase_rad: Array) -> Complex:
 def settled(
     s: TracingContext,
     scatterers: Scatterers,
-    lit: Triangles | Facing,
+    lit: Triangles | FrontFacets,
     echoes: Echoes,
     budget: Budget,
     deepest: int = _DEEPEST,
@@ -333,16 +333,16 @@ def settled(
 
 
 def _partly_hidden(
-    s: TracingContext, lit: Triangles | Facing, rows: NDArray[np.intp], spacing_m: float | None
+    s: TracingContext, lit: Triangles | FrontFacets, rows: NDArray[np.intp], spacing_m: float | None
 ) -> tuple[NDArray[np.bool_], float]:
     """Which of some triangles have parts that are seen and others that are not, and how large parts
     are, in m: as asked for, or as the number of rays allows.
     """
-    size = lit.chosen(rows).sizes() if isinstance(lit, Facing) else sizes(lit.taken(rows))
+    size = lit.chosen(rows).sizes() if isinstance(lit, FrontFacets) else sizes(lit.taken(rows))
     spacing_m = spacing_of(s, size) if spacing_m is None else spacing_m
     found = np.zeros(len(rows), dtype=bool)
     for some in portions(np.flatnonzero(size > spacing_m), 4):
-        parts, row = parted(s, lit.taken(rows[some]), spacing_m)
+        parts, row = subdivided(s, lit.taken(rows[some]), spacing_m)
         clear = sampled(s, parts, np.zeros(len(parts), dtype=bool))[3]
         seen = np.bincount(row, clear, len(some))
         found[some] = (seen > 0) & (seen < np.bincount(row, minlength=len(some)))

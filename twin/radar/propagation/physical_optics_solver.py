@@ -1,4 +1,4 @@
-"""The rungs of physical optics: every echo of a scene, as paths by name and as dense echoes."""
+"""The solver of physical optics: all echoes of a scene, paths by name and dense ones."""
 
 from collections.abc import Sequence
 from dataclasses import replace

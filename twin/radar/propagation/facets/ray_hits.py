@@ -1,4 +1,4 @@
-"""What rays that facets reflect meet: at the corners of tubes and inside, or at a point alone."""
+"""Hits of reflected rays: from the corners of tubes and a point inside, or from a point alone."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,22 +22,24 @@ INSIDE = (0.38, 0.335, 0.285)
 
 
 @dataclass(frozen=True, eq=False)
-class Met:
-    """What reflected rays meet, (samples, n): whether they meet anything and the source sees where
-    they begin, the facet, and how far along the ray its plane is from that of the last sample's.
+class RayHits:
+    """Hits of reflected rays, (samples, n): whether a ray hits anything and the source sees where
+    it begins, the facet, and the distance along the ray from its plane to the last sample's.
     """
 
     is_valid: NDArray[np.bool_]
     face: Indices
     gap_m: Array
 
-    def chosen(self, row: Indices) -> "Met":
+    def chosen(self, row: Indices) -> "RayHits":
         """Of some tubes only."""
-        return Met(self.is_valid[:, row], self.face[:, row], self.gap_m[:, row])
+        return RayHits(self.is_valid[:, row], self.face[:, row], self.gap_m[:, row])
 
 
-def met_by(s: TracingContext, scatterers: Scatterers, tubes: Triangles, samples: int) -> Met:
-    """By rays at corners and at a point inside, or at the spot alone."""
+def reflected_ray_hits(
+    s: TracingContext, scatterers: Scatterers, tubes: Triangles, samples: int
+) -> RayHits:
+    """Of rays from the corners and a point inside, or from the spot alone."""
     mi, n = s.mi, len(tubes)
     many = tubes.repeated(samples) if samples > 1 else tubes
     index = dr.arange(mi.UInt32, samples * n)
@@ -51,14 +53,14 @@ def met_by(s: TracingContext, scatterers: Scatterers, tubes: Triangles, samples:
         both = active & dr.gather(mi.Bool, active, index | 3)
         gap = dr.select(both, dr.abs(own - last), np.inf)
     shape = (n, samples)
-    return Met(
+    return RayHits(
         np.array(active).reshape(shape).T,
         np.array(face).reshape(shape).T,
         np.broadcast_to(np.array(gap), n * samples).reshape(shape).T,
     )
 
 
-def apart(s: TracingContext, tubes: Triangles, met: Met) -> Array:
+def apart(s: TracingContext, tubes: Triangles, hits: RayHits) -> Array:
     """Distance along the rays of all samples between the planes that they meet and the plane that
     one of them meets, (4 planes, 4 samples, n); infinite where either meets none.
     """
@@ -67,12 +69,12 @@ def apart(s: TracingContext, tubes: Triangles, met: Met) -> Array:
     index = dr.arange(mi.UInt32, 4 * n)
     place = samples_of(many, index & 3)
     direction, _ = _mirrored(s, many, place)
-    faces = mi.UInt32(aligned(met.face.T.ravel().astype(np.uint32)))
+    faces = mi.UInt32(aligned(hits.face.T.ravel().astype(np.uint32)))
     own = along(s, faces, place, direction)
     found = np.empty((4, 4, n))
     for k in range(4):
         gap = along(s, dr.gather(mi.UInt32, faces, 4 * (index // 4) + k), place, direction) - own
-        valid = met.is_valid & met.is_valid[k]
+        valid = hits.is_valid & hits.is_valid[k]
         found[k] = np.where(valid, np.abs(np.array(gap).reshape(n, 4).T), np.inf)
     return found
 

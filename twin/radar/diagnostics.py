@@ -1,4 +1,4 @@
-"""What a capture takes for granted, and what its figures contradict."""
+"""Assumptions and warnings of a capture."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Parts of large facets, so that what is small before or beside them lies between few rays."""
+"""Uniform subdivision of large facets to the spacing of rays, which small obstacles then meet."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ _MORE = 80_000  # parts of facets, which keep rays wider apart
 _STEPS = 64  # of sizes, in an octave
 
 
-def parted(
+def subdivided(
     s: TracingContext, lit: Triangles, spacing_m: float
 ) -> tuple[Triangles, NDArray[np.intp]]:
     """Triangles in parts of at most this size, and the row that each is of."""

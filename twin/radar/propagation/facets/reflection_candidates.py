@@ -1,27 +1,27 @@
-"""Facets whose reflected rays surely meet nothing: known by a single ray each.
+"""Facets whose reflected rays may hit another surface, by one reflected ray for each facet.
 
 Facets that share a corner reflect there in about the same direction, so rays at every corner would
-tell little that the neighbours' own do not.
+add little to those of the neighbours.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.facets.facing import Facing, portions
-from twin.radar.propagation.facets.meetings import met_by
-from twin.radar.propagation.facets.parts import parted
+from twin.radar.propagation.facets.front_facets import FrontFacets, portions
+from twin.radar.propagation.facets.ray_hits import reflected_ray_hits
 from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.uniform_subdivision import subdivided
 from twin.radar.propagation.one_way.path import TracingContext
 
 Indices = NDArray[np.integer]
 
 
-def meeting(
-    s: TracingContext, scatterers: Scatterers, facets: Facing, spacing_m: float
+def reflection_candidates(
+    s: TracingContext, scatterers: Scatterers, facets: FrontFacets, spacing_m: float
 ) -> NDArray[np.intp]:
-    """Rows of facets by which something may be seen: a ray that is reflected at the centroid of one
-    of their parts of a size meets something, or that of a neighbour or of a neighbour's neighbour,
-    lit from the same source. Neighbours share a corner.
+    """Rows of facets from which something may be hit: the ray reflected at the centroid of the
+    facet, or of one of the parts into which it is divided, hits a surface, or that of a neighbour
+    or of a neighbour's neighbour does, lit from the same source. Neighbours share a corner.
     """
     corners, count = _corners(s)
 
@@ -30,10 +30,10 @@ def meeting(
 
     is_near = np.zeros(count * s.n_sources, dtype=bool)
     for rows in portions(facets.all):
-        parts, row = parted(s, facets.taken(rows), spacing_m)
+        parts, row = subdivided(s, facets.taken(rows), spacing_m)
         for some in portions(np.arange(len(parts))):
             part = parts if len(some) == len(parts) else parts.taken(some)
-            is_met = met_by(s, scatterers, part, 1).is_valid[0]
+            is_met = reflected_ray_hits(s, scatterers, part, 1).is_valid[0]
             is_near[own(rows[row[some[is_met]]])] = True
     is_nearby = np.zeros_like(is_near)
     for rows in portions(facets.all):
