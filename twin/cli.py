@@ -42,7 +42,6 @@ def _twin() -> None:
 
 def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
-    from hardware.errors import HardwareError
     from twin.errors import TwinError
 
     signal.signal(signal.SIGINT, _interrupt)
@@ -51,7 +50,7 @@ def main() -> None:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         if not interrupts:
             sys.exit(code)
-    except (TwinError, HardwareError) as error:
+    except TwinError as error:
         message = str(error)
     except OSError as error:
         from hardware.files import said

@@ -1,18 +1,14 @@
-"""Errors of the simulator, by kind.
+"""Errors of the simulator: the vehicle's own, by the same names, and that of the engine.
 
-`TwinError` is the root: what a command answers with one line. What is wrong with an input is also
-the vehicle's own error for that, so that ``ugv capture twin:SCENE`` answers it in the same way.
+What is wrong with an input is one error on both sides, so that ``except twin.InputError`` also
+catches what the vehicle's software, which the twin calls, finds wrong. `TwinError` is the root of
+all of them: what a command answers with one line.
 """
 
-from hardware.errors import InputError as VehicleInputError
+from hardware.errors import HardwareError as TwinError
+from hardware.errors import InputError
 
-
-class TwinError(Exception):
-    """What this package raises when something other than its own code is wrong."""
-
-
-class InputError(TwinError, VehicleInputError):
-    """What the user gave is wrong; the message names the file, the field and what was expected."""
+__all__ = ["EngineError", "InputError", "TwinError"]
 
 
 class EngineError(TwinError, RuntimeError):

@@ -168,7 +168,7 @@ class Knobs:
         True
         >>> Fidelity().with_(radar_tolerance=3)
         Traceback (most recent call last):
-        twin.errors.InputError: radar_tolerance: 3 is not in 0.001 to 1
+        hardware.errors.InputError: radar_tolerance: 3 is not in 0.001 to 1
         """
         new = {**(changes or {}), **knobs}
         unknown = new.keys() - {knob.name for knob in fields(self)}

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.radar.own_detection import Detect, OwnDetection
 from hardware.radar.process import Processing
 from hardware.reconstruction import Method, method_of
@@ -165,11 +164,8 @@ def _own(
     method: str | Method | Solve | None, detection: str | Detect | None
 ) -> tuple[Method | None, Processing]:
     """What the vehicle does with the records. Raises InputError."""
-    try:
-        solve = None if method is None else method_of(method)
-        return solve, Processing(detection=detection)
-    except VehicleInputError as error:
-        raise InputError(str(error)) from error
+    solve = None if method is None else method_of(method)
+    return solve, Processing(detection=detection)
 
 
 def _compute(

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.units import quantity
 from twin.files import InputError, whole_folder
 from twin.progress import Stages
@@ -88,7 +87,7 @@ def parse_range(text: str, name: str) -> Array:
     wanted = f"{name}: {text!r}: expected START:STOP:STEP in deg, or one number"
     try:
         numbers = [quantity(part, "deg", bare=True) for part in text.split(":")]
-    except VehicleInputError as error:
+    except InputError as error:
         raise InputError(wanted) from error
     if len(numbers) not in (1, 3):
         raise InputError(wanted)

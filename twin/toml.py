@@ -18,7 +18,6 @@ from pydantic import (
     model_validator,
 )
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.files import read_toml as read_checked
 from hardware.own_functions import is_file_function
 from hardware.units import quantity, unit_of
@@ -333,8 +332,6 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Content of a TOML file; InputError with line and column where it is malformed."""
     try:
         return read_checked(path)
-    except VehicleInputError as error:
-        raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{path}: can't be read ({error.strerror})") from error
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+import hardware
 import twin
-from hardware import DeviceError
-from hardware.errors import InputError as VehicleInputError
+from hardware import DeviceError, OwnFunctionError
 from twin import cli
 from twin.errors import EngineError, InputError, TwinError
 from twin.serve.source import records
@@ -19,7 +19,9 @@ from twin.sweep.workers import WorkerDiedError
 @pytest.mark.parametrize(
     ("error", "kind", "builtin"),
     [
-        (InputError, VehicleInputError, ValueError),
+        (InputError, TwinError, ValueError),
+        (OwnFunctionError, InputError, ValueError),
+        (DeviceError, TwinError, ValueError),
         (ChangedError, InputError, ValueError),
         (EngineError, TwinError, RuntimeError),
         (WorkerDiedError, EngineError, RuntimeError),
@@ -32,6 +34,14 @@ def test_every_error_has_its_kind(
     assert issubclass(error, builtin)
     assert issubclass(error, TwinError)
     assert (twin.InputError, twin.EngineError) == (InputError, EngineError)
+
+
+def test_what_the_vehicle_finds_wrong_is_the_twin_s_input_error() -> None:
+    """The twin makes the vehicle's records and runs its processing: one ``except`` is enough."""
+    assert twin.InputError is hardware.InputError
+    assert twin.TwinError is hardware.HardwareError
+    with pytest.raises(twin.InputError, match=r"prefix_s: -1 is negative"):
+        hardware.OfdmWaveform(79e9, 4, 1e6, 4, 1e-5, 1, -1)
 
 
 @pytest.mark.parametrize("error", [InputError("a: b"), EngineError("a: b"), DeviceError("a: b")])

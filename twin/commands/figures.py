@@ -91,13 +91,12 @@ def _own_design(
 
 def _numbers(name: str, text: str, unit: str | None, most: float = math.inf) -> list[float]:
     """Positive numbers between commas, each with a unit or in ``unit``. Raises InputError."""
-    from hardware.errors import InputError as VehicleInputError
     from hardware.units import quantity
     from twin.files import InputError
 
     try:
         found = [quantity(word, unit, bare=True) for word in text.split(",")]
-    except VehicleInputError as error:
+    except InputError as error:
         raise InputError(f"{name}: {text!r}: {error}") from None
     if not all(0 < number <= most and math.isfinite(number) for number in found):
         wanted = "positive numbers" if most == math.inf else f"numbers up to {most:g}"

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware import SpiRecord, reconstruct
-from hardware.errors import InputError as VehicleInputError
 from hardware.patterns import Patterns
 from hardware.radar import Detection
 from hardware.radar.process import Processing, process
@@ -59,10 +58,7 @@ def image_method(method: Method) -> Callable[[SpiRecord], Any]:
     """
     if not isinstance(method, str) and _takes_a_record(method):
         return lambda record: getattr(result := method(record), "picture", result)
-    try:
-        solve = method_of(method)
-    except VehicleInputError as error:
-        raise InputError(str(error)) from error
+    solve = method_of(method)
     return lambda record: reconstruct(record, solve).picture
 
 
@@ -70,10 +66,7 @@ def radar_detector(detector: Detector) -> Callable[[RadarRecord], Sequence[Detec
     """A detector as a function from a record to detections. Raises InputError as `image_method`."""
     if not isinstance(detector, str) and _takes_a_record(detector):
         return detector
-    try:
-        own = Processing(detection=detector)
-    except VehicleInputError as error:
-        raise InputError(str(error)) from error
+    own = Processing(detection=detector)
     return lambda record: process(record, how=own).detections
 
 

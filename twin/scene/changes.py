@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.units import quantity, unit_of
 from twin.files import InputError
 from twin.scene.model import FARTHEST_M, FARTHEST_ORIGIN_M
@@ -86,7 +85,7 @@ def _in_unit(name: str, value: Any) -> Any:
         return value
     try:
         return quantity(value, unit)
-    except VehicleInputError as error:
+    except InputError as error:
         raise InputError(f"scene.{name} = {value!r:.60}: {error}") from None
 
 

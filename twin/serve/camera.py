@@ -36,7 +36,6 @@ from hardware.drivers.messages import (
 )
 from hardware.drivers.settings import SpiSettings
 from hardware.drivers.table import patterns_in, table_bytes
-from hardware.errors import InputError as VehicleInputError
 from hardware.patterns import OwnPatterns, Patterns, PatternSet
 from hardware.records import Flag, SpiRecord
 from twin import __version__
@@ -204,7 +203,7 @@ class VirtualCamera:
                     raise _RefusedError(Refusal.UNKNOWN, "no request of the protocol")
         except _RefusedError as error:
             return Refused(*error.args)
-        except VehicleInputError as error:
+        except InputError as error:
             unknown = str(error).startswith("type ")
             return Refused(Refusal.UNKNOWN if unknown else Refusal.MALFORMED, str(error)[:150])
 
@@ -288,7 +287,7 @@ class VirtualCamera:
                 shutters=request.shutters,
             )
             return configure_system(self.system, settings)
-        except (VehicleInputError, ValidationError) as error:
+        except (InputError, ValidationError) as error:
             raise _RefusedError(Refusal.UNSUPPORTED, " ".join(str(error).split())[:150]) from error
 
     def _upload(self, offset: int, portion: bytes) -> Status:
@@ -316,7 +315,7 @@ class VirtualCamera:
         """The system that shows an uploaded table: by name where it is that of a named order."""
         asked = self._request
         mode = MODE_CODES[asked.mode]
-        with suppress(VehicleInputError):  # cells that are no power of two have no named order
+        with suppress(InputError):  # cells that are no power of two have no named order
             for code, name in enumerate(ORDER_CODES):
                 patterns = PatternSet(asked.rows, asked.columns, asked.count, name, mode)
                 first = replace(patterns, count=min(asked.count, _ENOUGH_PATTERNS))
@@ -324,7 +323,7 @@ class VirtualCamera:
                     return self._system_for(replace(asked, order=code))
         try:
             own = patterns_in(table, asked.rows, asked.columns, mode)
-        except VehicleInputError as error:
+        except InputError as error:
             raise _RefusedError(Refusal.TABLE, f"Arm: {error}"[:150]) from error
         return self._system_for(asked, own)
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from hardware.drivers.radio.interface import Radio, RadioError, Reception
 from hardware.drivers.radio.stream import parse_request, request
 from hardware.drivers.radio.zeromq import MOST_JSON, PROTOCOL_VERSION, to_samples
-from hardware.errors import InputError as VehicleInputError
 from twin.files import InputError
 from twin.serve.faults import RadioFaults
 
@@ -121,7 +120,7 @@ class RadioServer:
                 if self._happens(self._faults.stall):
                     time.sleep(self._faults.stall_s)
             answer, samples = self._execute(sender, command, frames[1:])
-        except (RadioError, VehicleInputError) as error:
+        except (RadioError, InputError) as error:
             answer = {"error": str(error)}
         number = command.get("number")
         answer["number"] = number if isinstance(number, int) else None
@@ -173,7 +172,7 @@ class RadioServer:
         self._asked = False
         try:
             samples = to_samples(message)
-        except VehicleInputError:
+        except InputError:
             return  # the convention has no way to refuse
         self._to_send = np.concatenate([self._to_send, samples])[-2 * self.n_samples :]
         while self._client is None and len(self._to_send) >= self.n_samples:

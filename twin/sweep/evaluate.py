@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.radar.process import Processing
 from twin.camera.acquisition import Capture, measure
 from twin.camera.light import RenderedLight, render
 from twin.camera.mounting import devices
 from twin.camera.reflectance_rescaling import can_rescale, render_unit_reflectance
+from twin.errors import InputError
 from twin.fidelity import RadarFidelity
 from twin.radar.acquisition import radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
@@ -131,7 +131,7 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
         return chunk
     except ChangedError:
         raise
-    except VehicleInputError as error:
+    except InputError as error:
         if stop - start == 1:
             return failed(study, start, f"{type(error).__name__}: {error}")
     # Some point can't be: halve until it stands alone.

@@ -10,7 +10,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.own_functions import OwnFunctionError, is_file_function, own_function
 from hardware.radar.own_detection import OwnDetection, detection_of
 from hardware.reconstruction import METHODS, Method, method_of
@@ -26,7 +25,7 @@ def own_method(name: str, folder: Path) -> tuple[str, Method]:
     """Digest and method of ``file.py:function``. Raises InputError for one that can't be found."""
     try:
         method = method_of(name, folder=folder)
-    except VehicleInputError as error:
+    except InputError as error:
         raise InputError(f"processing.method: {error}") from error
     return method.name, method
 

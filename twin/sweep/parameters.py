@@ -14,7 +14,6 @@ import re
 from dataclasses import fields
 from functools import lru_cache
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.units import quantity, unit_of
 from twin.errors import InputError
 from twin.fidelity import REPLACED, Fidelity
@@ -66,7 +65,7 @@ def check_value(name: str, value: Value) -> Value:
     if isinstance(value, str) and (unit_of(name) or value.rstrip().endswith("%")):
         try:
             value = quantity(value, unit_of(name))
-        except VehicleInputError as error:
+        except InputError as error:
             raise InputError(f"{name} = {value!r:.60}: {error}") from None
     if name in LINK:
         check_bounds(name, value, *LINK[name])

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from hardware.errors import InputError as VehicleInputError
 from twin.files import InputError
 from twin.sweep.methods import check_functions, check_methods
 from twin.sweep.names import check_metrics
@@ -208,7 +207,7 @@ def load_study(path: str | Path) -> Study:
         study = Study.model_validate({**content, "folder": path.resolve().parent})
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
-    except VehicleInputError as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
     if study.model == "rendered":
         methods, detections = (study.values_of(f"processing.{k}") for k in ("method", "detection"))

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.files import read_regular
 from twin.files import InputError
 from twin.system.detector import Detector
@@ -40,8 +39,6 @@ def curves(*files: Sourced[str] | None) -> tuple[bytes, ...]:
         return tuple(read_regular(file.value) for file in files if file is not None)
     except OSError as error:
         raise InputError(f"{error.filename}: can't be read ({error.strerror})") from error
-    except VehicleInputError as error:
-        raise InputError(str(error)) from error
 
 
 @lru_cache(maxsize=32)

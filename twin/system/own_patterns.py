@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, WithJsonSchema
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.patterns import Mode, OwnPatterns, own_patterns
 from twin.errors import InputError
 
@@ -39,12 +38,12 @@ def read_own_patterns(
     if isinstance(given, str):
         given = _of_file(given, _stamp(Path(given)))
     if (given.rows, given.columns) != shape:
-        raise VehicleInputError(
+        raise InputError(
             f"{given.rows} x {given.columns} cells, emitter.rows x columns are {shape[0]} x "
             f"{shape[1]}"
         )
     if count > given.count:
-        raise VehicleInputError(f"{given.count} patterns, acquisition.n_patterns = {count}")
+        raise InputError(f"{given.count} patterns, acquisition.n_patterns = {count}")
     return _shown(given, count, mode)
 
 

@@ -6,7 +6,6 @@ from typing import Any, Self
 
 from pydantic import model_validator
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.patterns import Patterns, PatternSet
 from twin.files import InputError, catalog_folder
 from twin.system.acquisition import Acquisition, TimeOfFlight
@@ -43,7 +42,7 @@ class System(Entry):
     def _patterns_exist(self) -> "System":
         try:
             _ = self.patterns
-        except (VehicleInputError, FileNotFoundError) as error:
+        except (InputError, FileNotFoundError) as error:
             if self.acquisition.patterns is not None:
                 raise InputError(f"acquisition.patterns: {error}") from None
             field, rest = str(error).split(":", 1)

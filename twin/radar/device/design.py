@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy import constants
 
-from hardware.errors import InputError as VehicleInputError
 from hardware.records import RadarFrontEnd
 from hardware.symbols import OwnSymbols, own_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform, Symbols
@@ -83,7 +82,7 @@ class Waveform(Strict):
         if self.symbols_file is not None:
             try:
                 return own_symbols(self.symbols_file.value)
-            except (VehicleInputError, FileNotFoundError) as error:
+            except (InputError, FileNotFoundError) as error:
                 raise InputError(f"waveform.symbols_file: {error}") from error
         if self.function is None:
             assert self.symbols is not None
@@ -91,7 +90,7 @@ class Waveform(Strict):
         own = own_part("waveform.function", self.function.value, "waveform")
         try:
             return own_symbols(own.function(self))
-        except VehicleInputError as error:
+        except InputError as error:
             raise InputError(f"waveform.function: {own.name}: {error}") from error
 
 
