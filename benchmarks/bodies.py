@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from benchmarks.timing import Figure
 from twin.geometry import Geometry
-from twin.radar.cross_section import Quality, Ways, scattered
-from twin.radar.scattering import PEC, Radar, Surface, Target
+from twin.radar.cross_section import Aspects, Quality, scattered
+from twin.radar.scattering import PEC, LayeredSurface, MeshTarget, Radar
 
 Array = NDArray[np.float64]
 
 _BODIES = Path(__file__).parents[1] / "scenes" / "bodies"
 _BAND_HZ = (76.5e9, 78e9, 79.5e9)
-_SKIN = Surface(backing=6.45 - 8.71j)
-_GLASS = Surface(backing=6.31 - 0.15j)
-_RUBBER = Surface(backing=4 - 0.2j)
+_SKIN = LayeredSurface(backing=6.45 - 8.71j)
+_GLASS = LayeredSurface(backing=6.31 - 0.15j)
+_RUBBER = LayeredSurface(backing=4 - 0.2j)
 #: What each part of a body is made of: scenes/materials.toml at 79 GHz.
 PARTS = {
     "car": {
@@ -58,7 +58,7 @@ def figures_at(tolerance: float) -> Iterator[Figure]:
             yield f"{place}: standard deviation", float(decibel.std()), "dB"
 
 
-def body(name: str, folder: Path = _BODIES) -> Target:
+def body(name: str, folder: Path = _BODIES) -> MeshTarget:
     """A body of several parts as one target, about its middle."""
     vertices, faces, kinds, first = [], [], [], 0
     surfaces = tuple(dict.fromkeys(PARTS[name].values()))
@@ -68,11 +68,13 @@ def body(name: str, folder: Path = _BODIES) -> Target:
         faces.append(np.asarray(mesh.faces) + first)
         kinds.append(np.full(len(mesh.faces), surfaces.index(surface), np.uint32))
         first += len(mesh.vertices)
-    return Target(Geometry(np.vstack(vertices), np.vstack(faces)), surfaces, np.concatenate(kinds))
+    return MeshTarget(
+        Geometry(np.vstack(vertices), np.vstack(faces)), surfaces, np.concatenate(kinds)
+    )
 
 
 def over_aspect(
-    target: Target,
+    target: MeshTarget,
     azimuth_deg: Array,
     distance_m: float,
     carriers_hz: tuple[float, ...],
@@ -80,10 +82,10 @@ def over_aspect(
 ) -> Array:
     """Cross-section in m^2 for V, (carriers, aspects)."""
     quality = Quality(tolerance, max_bounces=6)
-    ways = Ways.back_to([Radar.at(a, 0.0, distance_m) for a in azimuth_deg], "V")
+    aspects = Aspects.monostatic([Radar.at(a, 0.0, distance_m) for a in azimuth_deg], "V")
     return np.array(
         [
-            4 * np.pi * np.abs(scattered(target, ways, f, quality).amplitude[:, 0]) ** 2
+            4 * np.pi * np.abs(scattered(target, aspects, f, quality).amplitude[:, 0]) ** 2
             for f in carriers_hz
         ]
     )

@@ -13,7 +13,7 @@ from twin.radar import load_radar
 from twin.radar.cross_section.bistatic import scattering_dyadics
 from twin.radar.cross_section.table import QUALITY, Table
 from twin.radar.propagation.solvers import trace
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 from twin.scene import Scene, load_scene
 
 _NODES = Fidelity().radar_table_nodes
@@ -34,7 +34,7 @@ def _interpolation() -> Iterator[Figure]:
     """Of a plate of 10 wavelengths, between 200 ways around its mirror's direction."""
     carrier_hz, half = 79e9, 5 * speed_of_light / 79e9
     corners = half * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1.0]])
-    plate = Target(Geometry(corners, np.array([[0, 1, 2], [0, 2, 3]])))
+    plate = MeshTarget(Geometry(corners, np.array([[0, 1, 2], [0, 2, 3]])))
     rng = np.random.default_rng(0)
     ways = np.array([-1.0, 0, 0]) + 0.02 * rng.normal(size=(2, 200, 3))
     source, receiver = ways / np.linalg.norm(ways, axis=2, keepdims=True)
@@ -48,18 +48,18 @@ def _interpolation() -> Iterator[Figure]:
         yield f"table, {nodes} nodes a lobe: rms error of a plate", 100 * rms / peak, "% of peak"
 
 
-def _of(scene: Scene, name: str) -> Target:
+def _of(scene: Scene, name: str) -> MeshTarget:
     item = next(o for o in scene.objects if o.name == name)
-    return Target(Geometry(item.vertices_m, item.geometry.faces))
+    return MeshTarget(Geometry(item.vertices_m, item.geometry.faces))
 
 
-def _trihedral(leg_m: float) -> Target:
-    return Target(
+def _trihedral(leg_m: float) -> MeshTarget:
+    return MeshTarget(
         np.vstack([np.zeros(3), -leg_m * np.eye(3)]), np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1]])
     )
 
 
-def _table(what: str, target: Target, carrier_hz: float) -> Iterator[Figure]:
+def _table(what: str, target: MeshTarget, carrier_hz: float) -> Iterator[Figure]:
     table = Table(target, carrier_hz, _NODES)
     yield f"{what}: far field from", table.far_m, "m"
     yield f"{what}: nodes of a sphere", float(table.nodes), ""

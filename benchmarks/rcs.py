@@ -12,8 +12,16 @@ from scipy.constants import speed_of_light
 from benchmarks.cross_section_references import image_integral, mie_cross_section
 from benchmarks.timing import Figure, Timing, timed
 from twin.geometry import Geometry
-from twin.radar.cross_section import Quality, Ways, physical_optics, scattered
-from twin.radar.scattering import PEC, Layer, Radar, Surface, Target, edge_diffraction, sharp_edges
+from twin.radar.cross_section import Aspects, Quality, physical_optics, scattered
+from twin.radar.scattering import (
+    PEC,
+    Layer,
+    LayeredSurface,
+    MeshTarget,
+    Radar,
+    edge_diffraction,
+    sharp_edges,
+)
 
 _CARRIER = 79e9
 _WAVELENGTH = speed_of_light / _CARRIER
@@ -41,11 +49,11 @@ def _conductors() -> Iterator[Figure]:
 
     ball = _from(trimesh.creation.icosphere(6, radius=0.15))
     expected = 10 * math.log10(mie_cross_section(0.15, _WAVELENGTH))
-    aspects = [Radar.at(a, e) for a, e in ((0, 0), (13, 5), (77, -40), (120, 63), (200, 20))]
-    worst = max(abs(_echo(ball, radar) - expected) for radar in aspects)
+    radars = [Radar.at(a, e) for a, e in ((0, 0), (13, 5), (77, -40), (120, 63), (200, 20))]
+    worst = max(abs(_echo(ball, radar) - expected) for radar in radars)
     yield "sphere r 0.15 m, 81 920 facets: largest error of 5 aspects (Mie)", worst, "dB"
     yield "sphere: one aspect", _time(ball, Radar.at(13, 5)), ""
-    around = Ways.back_to([Radar.at(azimuth, 5) for azimuth in range(0, 360, 30)], "V")
+    around = Aspects.monostatic([Radar.at(azimuth, 5) for azimuth in range(0, 360, 30)], "V")
     yield "sphere: 12 aspects", timed(lambda: scattered(ball, around, _CARRIER), 3), ""
 
     fold = math.sqrt(0.5) * 0.2
@@ -67,7 +75,7 @@ def _conductors() -> Iterator[Figure]:
         yield f"trihedral at {distance:g} m: error to the integral", found - expected, "dB"
     yield "trihedral: one aspect", _time(_target(*trihedral), radar), ""
     corner = _target(*trihedral)
-    around = Ways.back_to([Radar.at(azimuth, 30.0) for azimuth in range(5, 86)], "V")
+    around = Aspects.monostatic([Radar.at(azimuth, 30.0) for azimuth in range(5, 86)], "V")
     yield "trihedral: 81 aspects", timed(lambda: scattered(corner, around, _CARRIER), 3), ""
 
     tube = _from(trimesh.creation.cylinder(0.08, 0.114, sections=720))
@@ -80,8 +88,8 @@ def _conductors() -> Iterator[Figure]:
 def _dielectrics() -> Iterator[Figure]:
     corners = _rectangle(0.2, 0.2)
     for name, surface in (
-        ("half-space 5.24 - 0.3j", Surface(backing=5.24 - 0.3j)),
-        ("slab 4.6 - 0.02j, 4.3 mm", Surface((Layer(4.6 - 0.02j, 4.3e-3),), backing=1)),
+        ("half-space 5.24 - 0.3j", LayeredSurface(backing=5.24 - 0.3j)),
+        ("slab 4.6 - 0.02j, 4.3 mm", LayeredSurface((Layer(4.6 - 0.02j, 4.3e-3),), backing=1)),
     ):
         found = _echo(_target(corners, surface=surface), Radar.at(0)) - _echo(
             _target(corners), Radar.at(0)
@@ -89,7 +97,7 @@ def _dielectrics() -> Iterator[Figure]:
         ((r,), _) = surface.reflection(np.ones(1), _CARRIER)
         yield f"plate of {name}: error to |r|^2", found - 20 * math.log10(abs(r)), "dB"
     radius, permittivity = 0.1, 6 - 3j
-    ball = _from(trimesh.creation.icosphere(6, radius=radius), Surface(backing=permittivity))
+    ball = _from(trimesh.creation.icosphere(6, radius=radius), LayeredSurface(backing=permittivity))
     index = np.sqrt(np.conj(permittivity))
     expected = 10 * math.log10(mie_cross_section(radius, _WAVELENGTH, index))
     yield "sphere of 6 - 3j, r 0.1 m: error (Mie)", _echo(ball, Radar.at(20, 10)) - expected, "dB"
@@ -124,11 +132,11 @@ def _plates() -> Iterator[Figure]:
         for port, sent in enumerate(("V", "H")):
             columns = np.loadtxt(_PLATES / f"ref_rcs.II.A.sx1.{name}.{sent}.txt")
             carrier, reference = float(columns[0, 0]), columns[:, 3]
-            aspects = [Radar.at(azimuth) for azimuth in columns[:, 2]]
-            ways = Ways.back_to(aspects, sent)
-            surface = scattered(target, ways, carrier).amplitude[:, port]
+            radars = [Radar.at(azimuth) for azimuth in columns[:, 2]]
+            aspects = Aspects.monostatic(radars, sent)
+            surface = scattered(target, aspects, carrier).amplitude[:, port]
             rim = np.array(
-                [edge_diffraction(target, edges, r, carrier, sent)[port] for r in aspects]
+                [edge_diffraction(target, edges, r, carrier, sent)[port] for r in radars]
             )
             floor, near = reference.max() - 80, reference > reference.max() - 20
             for how, amplitude in (("", surface), (" and edges", surface + rim)):
@@ -138,9 +146,9 @@ def _plates() -> Iterator[Figure]:
                 yield f"{title}, lobes", float(error[near].mean()), "dB"
                 yield f"{title}, all angles", float(error.mean()), "dB"
             if sent == "V":
-                work = timed(lambda w=ways, f=carrier: scattered(target, w, f))
+                work = timed(lambda w=aspects, f=carrier: scattered(target, w, f))
                 title = f"Austin plate, {carrier / 1e9:g} GHz, optics"
-                yield f"{title}, {len(aspects)} aspects", work, ""
+                yield f"{title}, {len(radars)} aspects", work, ""
     work = timed(lambda: edge_diffraction(target, edges, Radar.at(30), 10.2e9))
     yield "edges of a plate, one aspect", work, ""
 
@@ -156,24 +164,24 @@ def _rectangle(width_m: float, height_m: float) -> list[list[float]]:
     return [[0, -y, -z], [0, y, -z], [0, y, z], [0, -y, z]]
 
 
-def _target(*polygons: list, surface: Surface = PEC) -> Target:  # type: ignore[type-arg]
+def _target(*polygons: list, surface: LayeredSurface = PEC) -> MeshTarget:  # type: ignore[type-arg]
     vertices, faces = [], []
     for polygon in polygons:
         n = len(vertices)
         vertices += polygon
         faces += [[n, n + i, n + i + 1] for i in range(1, len(polygon) - 1)]
-    return Target(Geometry(np.array(vertices, dtype=np.float64), np.array(faces)), (surface,))
+    return MeshTarget(Geometry(np.array(vertices, dtype=np.float64), np.array(faces)), (surface,))
 
 
-def _from(mesh: trimesh.Trimesh, surface: Surface = PEC) -> Target:
-    return Target(Geometry(np.array(mesh.vertices), np.array(mesh.faces)), (surface,))
+def _from(mesh: trimesh.Trimesh, surface: LayeredSurface = PEC) -> MeshTarget:
+    return MeshTarget(Geometry(np.array(mesh.vertices), np.array(mesh.faces)), (surface,))
 
 
-def _echo(target: Target, radar: Radar) -> float:
+def _echo(target: MeshTarget, radar: Radar) -> float:
     return _decibel(physical_optics(target, radar, _CARRIER).amplitude[0])
 
 
-def _time(target: Target, radar: Radar) -> Timing:
+def _time(target: MeshTarget, radar: Radar) -> Timing:
     return timed(lambda: physical_optics(target, radar, _CARRIER))
 
 

@@ -20,7 +20,7 @@ from hardware.tracks import cloud as track_cloud
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RecordSummary:
     """What a record showed: a line for each message written, and what was wrong with it."""
 
     lines: tuple[str, ...]
@@ -37,7 +37,7 @@ def process(
     radar: RadarCalibration | None = None,
     tracks: RadarTracks | None = None,
     sliding: SlidingImages | None = None,
-) -> Outcome:
+) -> RecordSummary:
     """Append the image of a camera's record, or each burst's detections of a radar's.
 
     Images are in electrons or, with a calibration, reflectance at the target's distance; NaN where
@@ -65,7 +65,7 @@ def _image(
     sensor: str,
     method: str | Method | Solve,
     calibration: CameraCalibration | None,
-) -> Outcome:
+) -> RecordSummary:
     image = reconstruct(record, method)
     cells, unit = image.image, "e-"
     if calibration:
@@ -74,7 +74,7 @@ def _image(
     stamp = stamp_ns(received)
     picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
     log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
-    return Outcome(
+    return RecordSummary(
         (f"image {np.nanmin(cells):.3g} to {np.nanmax(cells):.3g} {unit}",), image.warnings
     )
 
@@ -86,7 +86,7 @@ def _images(
     sensor: str,
     sliding: SlidingImages,
     calibration: CameraCalibration | None,
-) -> Outcome:
+) -> RecordSummary:
     n = 0
     for time_ns, cells in sliding.update(sensor, record):
         if calibration:
@@ -95,7 +95,7 @@ def _images(
         picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
         log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
         n += 1
-    return Outcome((f"{n} images",))
+    return RecordSummary((f"{n} images",))
 
 
 def _detections(
@@ -106,7 +106,7 @@ def _detections(
     how: Processing | None,
     calibration: RadarCalibration | None,
     tracks: RadarTracks | None,
-) -> Outcome:
+) -> RecordSummary:
     lines: list[str] = []
     warnings: list[str] = []
     for frame in frames(record, how):
@@ -125,7 +125,7 @@ def _detections(
             followed = f", {len(confirmed)} tracks"
         lines.append(f"burst {frame.burst}: {len(found)} detections{frame.by}{strongest}{followed}")
         warnings += frame.warnings
-    return Outcome(tuple(lines), tuple(warnings))
+    return RecordSummary(tuple(lines), tuple(warnings))
 
 
 def calibrated(

@@ -20,7 +20,7 @@ from hardware.recording.reading import Ending, Received, read_records
 
 if TYPE_CHECKING:
     from hardware.drivers import SpiSettings
-    from hardware.drivers.radio import Radio, Schedule
+    from hardware.drivers.radio import RadioDriver, Schedule
     from hardware.records import RadarFrontEnd
 
 
@@ -131,7 +131,7 @@ def _radio(
             yield Received("/radar/record", record, host_ns, clock.model)
 
 
-def _exchange(radio: "Radio", clock: ClockFilter) -> None:
+def _exchange(radio: "RadioDriver", clock: ClockFilter) -> None:
     sent_ns, device_ns, returned_ns = time.time_ns(), radio.now_ns(), time.time_ns()
     if returned_ns >= sent_ns:  # unless the host's clock was set back meanwhile
         clock.add(sent_ns, device_ns, device_ns, returned_ns)

@@ -14,7 +14,7 @@ from twin.progress import Stages
 
 if TYPE_CHECKING:
     from twin.radar.cross_section import Sweep
-    from twin.radar.scattering import Surface, Target
+    from twin.radar.scattering import LayeredSurface, MeshTarget
 
 Array = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ def csv_lines(result: "Sweep") -> Iterator[str]:
         yield f"{azimuth:.10g},{elevation:.10g},{value:.4f}"
 
 
-def _compute(target: "Target", request: Request, azimuths: Array) -> "Sweep":
+def _compute(target: "MeshTarget", request: Request, azimuths: Array) -> "Sweep":
     from twin.radar.cross_section import Quality, sweep
     from twin.radar.cross_section.optics import portions
 
@@ -130,8 +130,8 @@ def _compute(target: "Target", request: Request, azimuths: Array) -> "Sweep":
         )
 
 
-def _load(request: Request, surface: "Surface") -> "Target":
-    from twin.radar.scattering import Target
+def _load(request: Request, surface: "LayeredSurface") -> "MeshTarget":
+    from twin.radar.scattering import MeshTarget
     from twin.scene.meshes import read_mesh
 
     place = str(request.mesh)
@@ -139,13 +139,13 @@ def _load(request: Request, surface: "Surface") -> "Target":
     scaled = mesh.transformed(np.diag([request.scale] * 3 + [1.0]), place)
     kept = scaled.without_empty_faces(place)
     try:
-        return Target(kept, (surface,))
+        return MeshTarget(kept, (surface,))
     except InputError as error:
         raise InputError(f"{request.mesh}: {error}; is --scale right?") from error
 
 
-def _surface(request: Request) -> "Surface":
-    from twin.radar.scattering import PEC, Layer, Surface
+def _surface(request: Request) -> "LayeredSurface":
+    from twin.radar.scattering import PEC, Layer, LayeredSurface
 
     if request.permittivity is None:
         if request.thickness_m is not None:
@@ -158,8 +158,8 @@ def _surface(request: Request) -> "Surface":
             f"permittivity: {request.permittivity!r}: expected a number such as 5.3-0.4j"
         ) from error
     if request.thickness_m is None:
-        return Surface(backing=value)
-    return Surface((Layer(value, request.thickness_m),), backing=1)
+        return LayeredSurface(backing=value)
+    return LayeredSurface((Layer(value, request.thickness_m),), backing=1)
 
 
 def _plot(request: Request, result: "Sweep", path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hardware.drivers.radio import (
     Fault,
-    Radio,
+    RadioDriver,
     RadioError,
     Reception,
     Schedule,
@@ -34,7 +34,7 @@ SCHEDULE = Schedule(PROTOTYPE, CARRIERS, step_period_s=2e-3)
 FRONT_END = RadarFrontEnd(root_watt_per_count=1e-9, transmit_power_w=0.01)
 
 
-class Cable(Radio):
+class Cable(RadioDriver):
     """Transmitter to receivers over a cable: gain and delay, a phase of its own at every tune."""
 
     device = "cable"

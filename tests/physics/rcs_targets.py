@@ -8,7 +8,7 @@ import trimesh
 from scipy.constants import speed_of_light
 
 from twin.geometry import Geometry
-from twin.radar.scattering import PEC, Surface, Target
+from twin.radar.scattering import PEC, LayeredSurface, MeshTarget
 
 CARRIER = 79e9
 WAVELENGTH = speed_of_light / CARRIER
@@ -20,8 +20,8 @@ def dbsm(amplitude) -> np.ndarray:
     return 10 * np.log10(np.maximum(4 * np.pi * np.abs(amplitude) ** 2, 1e-300))
 
 
-def as_target(mesh: trimesh.Trimesh, surface: Surface = PEC) -> Target:
-    return Target(Geometry(np.array(mesh.vertices), np.array(mesh.faces)), (surface,))
+def as_target(mesh: trimesh.Trimesh, surface: LayeredSurface = PEC) -> MeshTarget:
+    return MeshTarget(Geometry(np.array(mesh.vertices), np.array(mesh.faces)), (surface,))
 
 
 def polygons(*corners: Sequence[Sequence[float]]) -> trimesh.Trimesh:

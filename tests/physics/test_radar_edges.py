@@ -33,7 +33,7 @@ from twin.radar.propagation.physical_optics import diffracted, scattered
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
-from twin.radar.scattering import Radar, Target, edge_diffraction, sharp_edges
+from twin.radar.scattering import MeshTarget, Radar, edge_diffraction, sharp_edges
 from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject
 
@@ -95,7 +95,7 @@ def amplitude_m(rays: Contributions, distance_m: float) -> complex:
 def test_edges_alone_are_those_of_rcs(shape: str, distance: float) -> None:
     """Amplitude and phase to 1e-6 of the fringe field of a radar at that distance."""
     mesh = SHAPES[shape]
-    target = Target(Geometry(np.array(mesh.vertices), np.array(mesh.faces)))
+    target = MeshTarget(Geometry(np.array(mesh.vertices), np.array(mesh.faces)))
     for aspect in ASPECTS:
         radar = Radar.at(*aspect, distance)
         expected = edge_diffraction(target, sharp_edges(target, 25), radar, CARRIER_HZ)[0]
@@ -107,7 +107,7 @@ def test_edges_alone_are_those_of_rcs(shape: str, distance: float) -> None:
 def test_surfaces_and_edges_together_are_those_of_rcs(shape: str) -> None:
     """Within 0.1 dB at a tolerance of 1 %, 0.09 dB; edges change it by up to 11 dB."""
     distance, mesh = 0.5, SHAPES[shape]
-    target = Target(Geometry(np.array(mesh.vertices), np.array(mesh.faces)))
+    target = MeshTarget(Geometry(np.array(mesh.vertices), np.array(mesh.faces)))
     azimuths = np.array([2.0, 16.0, 30.0, 51.0])
     dense = Quality(tolerance=0.001)
     expected, alone = (
@@ -238,7 +238,7 @@ def test_delays_hold_over_the_band_and_rates_are_their_derivatives() -> None:
     """
     flat = SHAPES["box"].copy()
     flat.apply_scale(8.0)
-    target = Target(Geometry(np.array(flat.vertices), np.array(flat.faces)))
+    target = MeshTarget(Geometry(np.array(flat.vertices), np.array(flat.faces)))
     radar = Radar.at(33.0, 5.0, 5.0)
     rays = edges_of(world(turned(flat, radar, 5.0)))
     for frequency in (77e9, 81e9):

@@ -42,7 +42,7 @@ from twin.radar.propagation.facets.wideband import wideband_terms
 from twin.radar.propagation.one_way.beams import antenna_gain
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import trace
-from twin.radar.scattering import Target
+from twin.radar.scattering import MeshTarget
 from twin.radar.scattering.triangle import mean_over, node
 from twin.scene import Scene
 from twin.transfer import vector
@@ -285,7 +285,7 @@ def test_a_trihedral_by_its_tubes(distance: float, tolerance: float) -> None:
     leaves single and double bounces out.
     """
     corner = trihedral("t", (0.0, 0.0, 0.0))
-    target, dense = Target(corner.geometry), Quality(tolerance=0.001)
+    target, dense = MeshTarget(corner.geometry), Quality(tolerance=0.001)
     by_rays = sweep(target, CARRIER_HZ, np.array([180.0]), 0.0, distance_m=distance, quality=dense)
     expected = float(by_rays.cross_section_dbsm[0])
     assert expected == pytest.approx(10.0, abs=0.2)

@@ -31,7 +31,13 @@ from twin.radar.propagation.facets import adaptive_subdivision, body_scattering,
 from twin.radar.propagation.meshes import grouping
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene import culling, image_search
-from twin.radar.propagation.scene.culling import Beam, beam_of, shares, ways_of, worth_tracing
+from twin.radar.propagation.scene.culling import (
+    Beam,
+    beam_of,
+    image_antennas_of,
+    shares,
+    worth_tracing,
+)
 from twin.radar.propagation.scene.images import Image
 from twin.radar.propagation.scene.mesh_scene import Flats
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
@@ -167,7 +173,7 @@ def test_no_box_gets_more_power_than_its_bound(seed: int) -> None:
     middles = middles[np.linalg.norm(middles, axis=1) > 2]
     sizes = rng.uniform(0.3, 1.5, (len(middles), 3))
     boxes = np.stack([middles - sizes / 2, middles + sizes / 2], axis=1)
-    bound = shares(ways_of(images_of(flats, axis), flats, axis, beam), boxes, flats, beam)
+    bound = shares(image_antennas_of(images_of(flats, axis), flats, axis, beam), boxes, flats, beam)
 
     count = 20_000
     ray = rng.normal(size=(count, 3))
@@ -214,13 +220,13 @@ def test_what_is_left_out_stays_below_the_limit_and_is_the_most_that_does() -> N
         share = 10 ** rng.uniform(-20, -1, (5, 40)) * (rng.random((5, 40)) < 0.7)
         limit = 10 ** rng.uniform(-9, -2)
         worth = worth_tracing(share, limit)
-        lost = share[~worth.ways].sum()
+        lost = share[~worth.is_traced].sum()
         whole = min(1.0, share.sum())
-        assert not worth.ways[share == 0].any()
+        assert not worth.is_traced[share == 0].any()
         assert worth.left_out == pytest.approx(2 * np.sqrt(whole * lost), rel=1e-9)
         assert worth.left_out <= limit
-        if worth.ways.any():
-            assert 2 * np.sqrt(whole * (lost + share[worth.ways].min())) > limit
+        if worth.is_traced.any():
+            assert 2 * np.sqrt(whole * (lost + share[worth.is_traced].min())) > limit
 
 
 @pytest.mark.parametrize("seed", range(2))

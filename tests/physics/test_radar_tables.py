@@ -38,10 +38,9 @@ from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.radar.propagation.tabulated import leg
-from twin.radar.scattering import PEC, Radar, Surface, Target
+from twin.radar.scattering import PEC, LayeredSurface, MeshTarget, Radar
 from twin.radar.truth import true_targets
-from twin.scene import Pose, Rig, SceneObject
-from twin.scene import Target as Declared
+from twin.scene import Pose, Rig, SceneObject, Target
 
 PATHS = Fidelity(radar="paths")
 FINE = OPTICS.with_(radar_tolerance=0.03)
@@ -59,8 +58,8 @@ def around(direction, width_rad: float, n: int, seed: int) -> np.ndarray:
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
-def body(item: SceneObject, surface: Surface = PEC) -> Target:
-    return Target(Geometry(item.vertices_m, item.geometry.faces), (surface,))
+def body(item: SceneObject, surface: LayeredSurface = PEC) -> MeshTarget:
+    return MeshTarget(Geometry(item.vertices_m, item.geometry.faces), (surface,))
 
 
 def tabled(item: SceneObject) -> SceneObject:
@@ -115,8 +114,8 @@ def test_what_stands_before_the_receiver_hides() -> None:
     free, hidden = (
         abs(scattering_dyadics(target, source, receiver, carrier, QUALITY)[0, 0, 2, 2])
         for target in (
-            Target(Geometry(mirror, faces)),
-            Target(Geometry(np.vstack([mirror, screen]), np.vstack([faces, faces + 4]))),
+            MeshTarget(Geometry(mirror, faces)),
+            MeshTarget(Geometry(np.vstack([mirror, screen]), np.vstack([faces, faces + 4]))),
         )
     )
     area = (2 * HALF_M) ** 2 * cos
@@ -133,7 +132,7 @@ def test_a_sphere_between_two_directions_is_mies(apart_deg: float) -> None:
     radius = 0.06
     mesh = trimesh.creation.icosphere(6, radius=radius)
     source, receiver = towards((0, 0), (apart_deg, 0))[:, None]
-    target = Target(Geometry(mesh.vertices, mesh.faces))
+    target = MeshTarget(Geometry(mesh.vertices, mesh.faces))
     (found,) = contracted(
         scattering_dyadics(target, source, receiver, np.array([CARRIER_HZ]), QUALITY)[:, 0],
         receiver,
@@ -202,7 +201,7 @@ def test_a_sphere_answers_alike_all_over_and_from_its_front() -> None:
     """
     radius = 0.02
     mesh = trimesh.creation.icosphere(4, radius=radius)
-    found = Table(Target(Geometry(mesh.vertices + [3.0, 1, 0], mesh.faces)), CARRIER_HZ, 4)
+    found = Table(MeshTarget(Geometry(mesh.vertices + [3.0, 1, 0], mesh.faces)), CARRIER_HZ, 4)
     corners = np.array([[0, 0, 1.0], [0, 0, -1], [1, 1, 0], [1, 1, 1], [-1, 1, -1], [0, -1, 1]])
     direction = np.vstack(
         [corners / np.linalg.norm(corners, axis=1)[:, None], around([1, 0, 0], 1, 4, 3)]
@@ -223,7 +222,7 @@ def test_a_table_is_filled_once_in_memory_and_on_disk(tmp_path, monkeypatch) -> 
     assert table_of(body(replace(item)), CARRIER_HZ, 4).filled > 16
     assert table_of(body(plate("p", (9, 2, -7), 0.013)), CARRIER_HZ, 4).filled > 16
     assert table_of(body(plate("p", (0, 0, 0), 0.014)), CARRIER_HZ, 4).filled == 0
-    assert table_of(body(item, Surface(backing=4)), CARRIER_HZ, 4).filled == 0
+    assert table_of(body(item, LayeredSurface(backing=4)), CARRIER_HZ, 4).filled == 0
     (file,) = tmp_path.glob("*.npz")
     with monkeypatch.context() as closed:
         closed.setattr(tables, "scattering_dyadics", None)
@@ -263,7 +262,7 @@ def test_who_answers_from_a_table_is_a_rule_that_a_scene_can_override() -> None:
     assert role(tabled(near)) == (ScatteringModel.TABLE, True)
     assert role(plate("large", (5000, 0, 0), 0.2)) == (ScatteringModel.OBSTACLE, False)
     assert role(plate("tiny", (30, 0, 0), 0.005)) == (ScatteringModel.OBSTACLE, False)
-    declared = Declared("small", (30.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, "here", "small")
+    declared = Target("small", (30.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, "here", "small")
     assert role(small, targets=(declared,)) == (ScatteringModel.TARGET, False)
     assert role(tabled(small), targets=(declared,)) == (ScatteringModel.TABLE, True)
     part = replace(plate("part", (30, 0, 0), 0.03), name="part")
@@ -283,7 +282,7 @@ def test_legs_are_sionnas() -> None:
         ground(0, "concrete"),
         wall,
         rig=LIFTED,
-        targets=(Declared("t", tuple(where), (0.0, 0.0, 0.0), 1.0, "here"),),
+        targets=(Target("t", tuple(where), (0.0, 0.0, 0.0), 1.0, "here"),),
     )
     from twin.radar.propagation.scene.materials import surface_of
 
@@ -387,7 +386,7 @@ def test_the_echo_stands_where_the_corner_is() -> None:
 
 def test_a_table_stands_in_for_what_is_declared_of_its_object() -> None:
     corner = tabled(trihedral("t", (30, 0, 0)))
-    declared = Declared("corner", (30.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, "here", "t")
+    declared = Target("corner", (30.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, "here", "t")
     scene = world(corner, targets=(declared,))
     found = trace(scene, RADAR, fidelity=PATHS)
     assert found.paths == ()

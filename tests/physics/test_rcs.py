@@ -24,7 +24,7 @@ from tests.physics.rcs_targets import (
 )
 from twin.geometry import Geometry
 from twin.radar.cross_section import physical_optics
-from twin.radar.scattering import PEC, Layer, Radar, Surface, Target
+from twin.radar.scattering import PEC, Layer, LayeredSurface, MeshTarget, Radar
 
 
 def test_the_series_gives_the_published_efficiencies() -> None:
@@ -43,14 +43,14 @@ def test_the_series_gives_the_published_efficiencies() -> None:
 
 
 @pytest.fixture(scope="module")
-def ball() -> Target:
+def ball() -> MeshTarget:
     return as_target(trimesh.creation.icosphere(6, radius=0.15))
 
 
 @pytest.mark.parametrize(
     ("azimuth", "elevation", "sent"), [(0, 0, "V"), (13, 5, "H"), (77, -40, "V")]
 )
-def test_sphere_is_mies(ball: Target, azimuth, elevation, sent) -> None:
+def test_sphere_is_mies(ball: MeshTarget, azimuth, elevation, sent) -> None:
     """Within 0.2 dB from far away; at 10 m the specular point's nearness adds 0.13 dB."""
     expected = 10 * math.log10(mie_cross_section(0.15, WAVELENGTH))
     port = "VH".index(sent)
@@ -169,39 +169,41 @@ def test_reflection_is_fresnels_and_airys() -> None:
     """Half-space, Brewster's angle, slab, half-wave window, a slab cut in two, foam on metal."""
     cosine = np.linspace(0.02, 1, 50)
     glass = 6.25 - 0.3j
-    te, tm = Surface(backing=glass).reflection(cosine, CARRIER)
+    te, tm = LayeredSurface(backing=glass).reflection(cosine, CARRIER)
     root = np.sqrt(glass - 1 + cosine**2)
     np.testing.assert_allclose(te, (cosine - root) / (cosine + root))
     np.testing.assert_allclose(tm, (glass * cosine - root) / (glass * cosine + root))
     brewster = np.array([math.cos(math.atan(2.5))])
-    assert abs(Surface(backing=6.25).reflection(brewster, CARRIER)[1][0]) < 1e-12
+    assert abs(LayeredSurface(backing=6.25).reflection(brewster, CARRIER)[1][0]) < 1e-12
     thickness = 1.3e-3
-    slab = Surface((Layer(glass, thickness),), backing=1).reflection(cosine, CARRIER)
+    slab = LayeredSurface((Layer(glass, thickness),), backing=1).reflection(cosine, CARRIER)
     turn = np.exp(-2j * K * thickness * root)
     for found, r in zip(slab, (te, tm), strict=True):
         np.testing.assert_allclose(found, r * (1 - turn) / (1 - r**2 * turn))
     halves = (Layer(glass, 0.5e-3), Layer(glass, 0.8e-3))
-    np.testing.assert_allclose(Surface(halves, backing=1).reflection(cosine, CARRIER), slab)
-    window = Surface((Layer(4.0, WAVELENGTH / 4),), backing=1)
+    np.testing.assert_allclose(LayeredSurface(halves, backing=1).reflection(cosine, CARRIER), slab)
+    window = LayeredSurface((Layer(4.0, WAVELENGTH / 4),), backing=1)
     assert abs(window.reflection(np.ones(1), CARRIER)[0][0]) < 1e-12
     # Beyond the critical angle of a thinner medium the field in it decays, and turns by 90 deg.
-    plasma = Surface(backing=0.5).reflection(np.array([0.5]), CARRIER)
+    plasma = LayeredSurface(backing=0.5).reflection(np.array([0.5]), CARRIER)
     np.testing.assert_allclose(plasma[0], 1j, atol=1e-9)
-    foam = Surface((Layer(1.0, WAVELENGTH / 8),)).reflection(np.ones(1), CARRIER)
+    foam = LayeredSurface((Layer(1.0, WAVELENGTH / 8),)).reflection(np.ones(1), CARRIER)
     np.testing.assert_allclose(np.array(foam)[:, 0], [1j, -1j], atol=1e-12)
 
 
 @pytest.mark.parametrize(
     "surface",
     [
-        Surface(backing=5.24 - 0.3j),
-        Surface((Layer(4.6 - 0.02j, 4.3e-3),), backing=1),
-        Surface((Layer(6.0 - 0.1j, 6e-3), Layer(1.1, 20e-3), Layer(6.0 - 0.1j, 4e-3)), backing=1),
-        Surface((Layer(3.0 - 0.05j, 0.15e-3),)),
+        LayeredSurface(backing=5.24 - 0.3j),
+        LayeredSurface((Layer(4.6 - 0.02j, 4.3e-3),), backing=1),
+        LayeredSurface(
+            (Layer(6.0 - 0.1j, 6e-3), Layer(1.1, 20e-3), Layer(6.0 - 0.1j, 4e-3)), backing=1
+        ),
+        LayeredSurface((Layer(3.0 - 0.05j, 0.15e-3),)),
     ],
     ids=["half-space", "slab", "double glazing", "painted metal"],
 )
-def test_dielectric_plate_and_dihedral(surface: Surface) -> None:
+def test_dielectric_plate_and_dihedral(surface: LayeredSurface) -> None:
     """|r|^2 of the conductor at normal incidence, |r(45 deg)|^4 in a dihedral: within 0.1 dB."""
     plate, corner = polygons(rectangle(0.1, 0.1)), polygons(*dihedral(0.12))
     (straight,), _ = surface.reflection(np.ones(1), CARRIER)
@@ -218,7 +220,7 @@ def test_dielectric_plate_and_dihedral(surface: Surface) -> None:
 
 def test_lossy_sphere_is_mies() -> None:
     """Permittivity 6 - 3j, nothing comes through the sphere: within 0.2 dB."""
-    surface, radius = Surface(backing=6 - 3j), 0.1
+    surface, radius = LayeredSurface(backing=6 - 3j), 0.1
     mesh = trimesh.creation.icosphere(6, radius=radius)
     found = physical_optics(as_target(mesh, surface), Radar.at(20, 10), CARRIER).amplitude[0]
     expected = mie_cross_section(
@@ -229,9 +231,9 @@ def test_lossy_sphere_is_mies() -> None:
 
 def test_every_face_has_its_own_surface() -> None:
     """A dihedral of one metal and one dielectric face: |r(45 deg)|^2."""
-    mesh, surface = polygons(*dihedral(0.2)), Surface(backing=4.0)
+    mesh, surface = polygons(*dihedral(0.2)), LayeredSurface(backing=4.0)
     geometry = Geometry(mesh.vertices, mesh.faces)
-    target = Target(geometry, (PEC, surface), np.array([0, 0, 1, 1]))
+    target = MeshTarget(geometry, (PEC, surface), np.array([0, 0, 1, 1]))
     te, tm = surface.reflection(np.array([math.sqrt(0.5)]), CARRIER)
     for port, (sent, r) in enumerate((("V", te[0]), ("H", tm[0]))):
         found = physical_optics(target, Radar.at(0), CARRIER, sent).amplitude[port]

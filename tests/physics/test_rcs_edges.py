@@ -19,11 +19,11 @@ from tests.physics.rcs_targets import (
     rectangle,
 )
 from twin.geometry import Geometry
-from twin.radar.cross_section import Ways, physical_optics, scattered
+from twin.radar.cross_section import Aspects, physical_optics, scattered
 from twin.radar.scattering import (
     EdgeQuality,
+    MeshTarget,
     Radar,
-    Target,
     diffraction,
     edge_diffraction,
     sharp_edges,
@@ -39,7 +39,7 @@ def plate_errors(name: str, sent: str, step: int) -> list[tuple[float, float]]:
     carrier, reference = columns[0, 0], columns[:, 3]
     target, port = as_target(polygons(rectangle(0.2667, 0.1524))), "VH".index(sent)
     edges, radars = sharp_edges(target, 25), [Radar.at(azimuth) for azimuth in columns[:, 2]]
-    surface = scattered(target, Ways.back_to(radars, sent), carrier).amplitude[:, port]
+    surface = scattered(target, Aspects.monostatic(radars, sent), carrier).amplitude[:, port]
     rim = [edge_diffraction(target, edges, r, carrier, sent)[port] for r in radars]
     floor, near = reference.max() - 80, reference > reference.max() - 20
     errors = []
@@ -89,8 +89,8 @@ def test_edges_need_few_pieces(sent) -> None:
     """Phase runs up to a whole turn within the coarse pieces: 8 % rms."""
     target, port = as_target(polygons(rectangle(0.2667, 0.1524))), "VH".index(sent)
     edges, fields = sharp_edges(target, 25), []
-    for pieces in (2, 32):
-        quality = EdgeQuality(pieces_per_wavelength=pieces)
+    for segments in (2, 32):
+        quality = EdgeQuality(pieces_per_wavelength=segments)
         fields.append(
             [
                 edge_diffraction(target, edges, Radar.at(azimuth), 7e9, sent, quality)[port]
@@ -179,7 +179,7 @@ def test_fringe_and_physical_optics_make_kellers_coefficient(phi0: float, beta: 
     rim = int(np.argmin(strip.start_m[:, 0] + 9 * np.abs(strip.along[:, 0])))
     strip = replace(strip, patches=Endless())
     phi = np.array([0.4, 1.3, 2.0, 3.0, 4.4, 5.5])
-    one = diffraction.Pieces(np.full(6, rim), np.zeros((6, 3)), np.ones(6))
+    one = diffraction.EdgeSegments(np.full(6, rim), np.zeros((6, 3)), np.ones(6))
     direction = np.tile([-sine * np.cos(phi0), -sine * np.sin(phi0), cosine], (6, 1))
     towards = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.full(6, cosine)], axis=1)
     for angle in (0.0, 0.9, np.pi / 2):
@@ -220,7 +220,7 @@ def test_edges_of_solids_are_found_whatever_the_winding() -> None:
         faces = np.array(mesh.faces)
         flip = rng.random(len(faces)) < 0.5
         faces[flip] = faces[flip][:, ::-1]
-        edges = sharp_edges(Target(Geometry(np.array(mesh.vertices), faces)), 25)
+        edges = sharp_edges(MeshTarget(Geometry(np.array(mesh.vertices), faces)), 25)
         np.testing.assert_allclose(edges.wedge, 1.5)
         assert edges.length_m.sum() == pytest.approx(4 * 0.6)
         assert len(np.unique(edges.patch)) == 6
@@ -237,7 +237,9 @@ def test_ways_along_a_face_end_at_its_rim() -> None:
     outline = [(0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)]
     flat = np.array([(x, y, 0) for x, y in outline], dtype=float)
     turn = trimesh.transformations.euler_matrix(0.4, 1.1, -2.3)[:3, :3]
-    target = Target(Geometry(flat @ turn.T, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])))
+    target = MeshTarget(
+        Geometry(flat @ turn.T, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]))
+    )
     edges = sharp_edges(target, 25)
     assert edges.length_m.sum() == pytest.approx(14)
     starts = np.array([(3, 0, 0), (0.5, 0, 0), (0, 1.8, 0), (4, 0.5, 0)], dtype=float)

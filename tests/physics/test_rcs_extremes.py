@@ -23,15 +23,15 @@ from tests.physics.rcs_targets import (
 )
 from twin.engine import sionna
 from twin.geometry import Geometry
-from twin.radar.cross_section import Quality, Ways, physical_optics, sweep
+from twin.radar.cross_section import Aspects, Quality, physical_optics, sweep
 from twin.radar.cross_section.rays import Density, later_bounces
 from twin.radar.cross_section.subject import bare, subject_of
 from twin.radar.scattering import (
     EdgeQuality,
     Layer,
+    LayeredSurface,
+    MeshTarget,
     Radar,
-    Surface,
-    Target,
     edge_diffraction,
     sharp_edges,
 )
@@ -40,7 +40,7 @@ from twin.radar.scattering import (
 
 
 @pytest.fixture(scope="module")
-def ball() -> Target:
+def ball() -> MeshTarget:
     return as_target(trimesh.creation.icosphere(6, radius=0.15))
 
 
@@ -84,12 +84,12 @@ def test_errors_of_shadows_stay_within_the_tolerance(tilt_deg: float, tolerance:
     assert abs(found - expected) < tolerance * abs(expected)
 
 
-def test_a_body_without_edges_has_no_edge_diffraction(ball: Target) -> None:
+def test_a_body_without_edges_has_no_edge_diffraction(ball: MeshTarget) -> None:
     edges = sharp_edges(ball, 25)
     assert not edge_diffraction(ball, edges, Radar.at(0), CARRIER).any()
 
 
-def with_edges(target: Target, radar: Radar, carrier_hz: float = 20e9) -> np.ndarray:
+def with_edges(target: MeshTarget, radar: Radar, carrier_hz: float = 20e9) -> np.ndarray:
     edges, dense = sharp_edges(target, 25), Quality(tolerance=0.002)
     return physical_optics(target, radar, carrier_hz, "V", dense).amplitude + edge_diffraction(
         target, edges, radar, carrier_hz
@@ -113,13 +113,15 @@ def test_refining_moving_reordering_and_doubling_change_nothing() -> None:
     for target in (
         as_target(turned),
         as_target(refined),
-        Target(Geometry(vertices, flipped)),
-        Target(Geometry(vertices, doubled)),
-        Target(Geometry(vertices[flipped].reshape(-1, 3), np.arange(flipped.size).reshape(-1, 3))),
+        MeshTarget(Geometry(vertices, flipped)),
+        MeshTarget(Geometry(vertices, doubled)),
+        MeshTarget(
+            Geometry(vertices[flipped].reshape(-1, 3), np.arange(flipped.size).reshape(-1, 3))
+        ),
     ):
         np.testing.assert_allclose(with_edges(target, radar), reference, rtol=2e-3, atol=1e-4)
     shift = np.array([40.0, -25.0, 13.0])
-    moved = with_edges(Target(Geometry(vertices + shift, faces)), radar)
+    moved = with_edges(MeshTarget(Geometry(vertices + shift, faces)), radar)
     phase = np.exp(4j * np.pi * 20e9 / speed_of_light * (radar.direction @ shift))
     np.testing.assert_allclose(moved, reference * phase, rtol=2e-3, atol=1e-4)
 
@@ -212,7 +214,7 @@ def test_a_new_pose_compiles_nothing() -> None:
     """Pose, distance, carrier, polarisation, density and material are data for the kernel."""
     target = as_target(polygons(*dihedral(0.2)))
     physical_optics(target, Radar.at(0, 0, 12.0), CARRIER)
-    other = as_target(polygons(*dihedral(0.1)), Surface(backing=5 - 1j))
+    other = as_target(polygons(*dihedral(0.1)), LayeredSurface(backing=5 - 1j))
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         physical_optics(target, Radar.at(4.7, 1.0, 31.0), 2.5e9, "H", Quality(0.02, 3))
@@ -230,13 +232,13 @@ def test_sionnas_variant_in_between_does_no_harm() -> None:
     np.testing.assert_allclose(after, before, rtol=1e-12)
 
 
-def test_the_wavefront_that_rays_hit_is_the_silhouette(ball: Target) -> None:
+def test_the_wavefront_that_rays_hit_is_the_silhouette(ball: MeshTarget) -> None:
     """Far from a sphere pi a^2, all directions inside a box, and no direction twice."""
 
-    def lit_m2(target: Target, radar: Radar, carrier_hz: float, density: float) -> float:
-        ways, close = Ways.back_to([radar], "V"), Density(density, 2**15, 2**24)
+    def lit_m2(target: MeshTarget, radar: Radar, carrier_hz: float, density: float) -> float:
+        aspects, close = Aspects.monostatic([radar], "V"), Density(density, 2**15, 2**24)
         wavelength = speed_of_light / carrier_hz
-        return later_bounces(target, ways, wavelength, carrier_hz, 2, close).lit_m2[0]
+        return later_bounces(target, aspects, wavelength, carrier_hz, 2, close).lit_m2[0]
 
     found = lit_m2(ball, Radar.at(20, 30), CARRIER, 4.0)
     assert found == pytest.approx(math.pi * 0.15**2, rel=2e-3)
@@ -353,7 +355,7 @@ def test_nothing_comes_back_from_a_plate_edge_on() -> None:
 def test_zero_area_faces_never_get_to_the_rays() -> None:
     vertices = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 2, 0]], dtype=float)
     with pytest.raises(ValueError, match="1 faces have no area"):
-        Target(Geometry(vertices, np.array([[0, 1, 2], [0, 1, 3]])))
+        MeshTarget(Geometry(vertices, np.array([[0, 1, 2], [0, 1, 3]])))
 
 
 # Warnings
@@ -362,7 +364,7 @@ def test_zero_area_faces_never_get_to_the_rays() -> None:
 def test_what_physical_optics_cannot_do_is_said() -> None:
     """Each warning on its target, and none on one that is large, fine and seen well."""
 
-    def warned(target: Target, carrier_hz: float = CARRIER, **options) -> str:
+    def warned(target: MeshTarget, carrier_hz: float = CARRIER, **options) -> str:
         return " | ".join(sweep(target, carrier_hz, [0.0], **options).warnings)
 
     ball = trimesh.creation.icosphere(5, radius=0.02)
@@ -389,8 +391,8 @@ def test_bad_knobs_are_named() -> None:
         (lambda: EdgeQuality(sharp_angle_deg=0), "sharp_angle_deg"),
         (lambda: EdgeQuality(pieces_per_wavelength=0), "pieces_per_wavelength"),
         (lambda: Radar.at(0, 0, 0.0), "distance_m"),
-        (lambda: Surface(backing=2 + 1j), "permittivity"),
-        (lambda: Layer(2, 1) and Surface((Layer(2, 0),)), "thickness_m"),
+        (lambda: LayeredSurface(backing=2 + 1j), "permittivity"),
+        (lambda: Layer(2, 1) and LayeredSurface((Layer(2, 0),)), "thickness_m"),
     ):
         with pytest.raises(ValueError, match=name):
             build()

@@ -15,7 +15,7 @@ from twin.budget.link import (
 from twin.files import InputError
 from twin.optics.radiometry import cell_centres
 from twin.optics.spectra import in_band_fraction, responsivity_a_per_w, sun_in_band
-from twin.system import Detector, Part, System
+from twin.system import Part, Photodetector, System
 from twin.system.detector import check_has_closed_form
 
 #: Reflectance; then distance in m and integration time in s, as printed, per sensor.
@@ -101,7 +101,7 @@ def _share(system: System, over_field: bool) -> float:
     return float(np.mean(shares))
 
 
-def detector_of(part: Part) -> Detector:
+def detector_of(part: Part) -> Photodetector:
     """The detector of a part. Raises InputError where it is none."""
     if part.detector is None:
         raise InputError(f"part {part.name}: is a {part.kind}, expected a detector")

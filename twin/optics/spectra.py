@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from twin.errors import InputError
-from twin.system import Detector, Emitter, Filter, Sky
+from twin.system import Emitter, Filter, Photodetector, Sky
 from twin.system.curves import read_curve, read_responsivity, read_transmission
 
 Array = NDArray[np.float64]
@@ -131,7 +131,7 @@ def passband(band: Filter, wavelength_nm: Array, angle_deg: float = 0.0) -> Arra
     return (offset <= band.width_m.value / 2).astype(np.float64)
 
 
-def responsivity_a_per_w(detector: Detector, emitter: Emitter, band: Filter) -> float:
+def responsivity_a_per_w(detector: Photodetector, emitter: Emitter, band: Filter) -> float:
     """Responsivity over the part of the emitter's line that the filter passes."""
     if detector.responsivity_csv is None:
         return detector.responsivity_a_per_w.value

@@ -24,8 +24,8 @@ from twin.regression.baseline import (
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
 from twin.regression.pictures import draw_echoes, draw_images, echo_example, image_example, save
 from twin.regression.runs import (
-    Detector,
     Method,
+    RadarDetector,
     SeedResults,
     image_method,
     in_turn,
@@ -142,7 +142,7 @@ class Regression:
         scene: str | Path | Scene,
         radar: str | Path | RadarDesign = "hybrid-79",
         *,
-        detector: Detector = vehicle_detector,
+        detector: RadarDetector = vehicle_detector,
         seeds: int = 16,
         poses: Sequence[Pose] = (),
         fidelity: Fidelity | None = None,

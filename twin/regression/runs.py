@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 #: What `hardware.reconstruct` takes, or a function from a record to an image (rows, columns).
 Method = str | Callable[..., Any]
 #: From a record to detections, or what `hardware.Processing` takes.
-Detector = str | Callable[..., Any]
+RadarDetector = str | Callable[..., Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def image_method(method: Method) -> Callable[[SpiRecord], Any]:
     return lambda record: reconstruct(record, solve).picture
 
 
-def radar_detector(detector: Detector) -> Callable[[RadarRecord], Sequence[Detection]]:
+def radar_detector(detector: RadarDetector) -> Callable[[RadarRecord], Sequence[Detection]]:
     """A detector as a function from a record to detections. Raises InputError as `image_method`."""
     if not isinstance(detector, str) and _takes_a_record(detector):
         return detector
@@ -180,7 +180,7 @@ def _checked(image: Any, shape: tuple[int, ...]) -> Array:
 def run_radar(
     capture: RadarCapture,
     radar: RadarDesign,
-    detector: Detector,
+    detector: RadarDetector,
     seeds: Sequence[int],
     metrics: Sequence[Metric],
     nufft_tolerance: float,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hardware.drivers.radio.interface import (
     FULL_SCALE_COUNTS,
     Fault,
-    Radio,
+    RadioDriver,
     RadioError,
     Reception,
     Tuned,
@@ -33,7 +33,7 @@ _LATE_TOLD = 3  # late sweeps until it is said: the first may be chance
 _FAR_NS = 60_000_000_000  # nobody means to wait longer for a burst
 
 
-class VirtualRadio(Radio):
+class VirtualRadio(RadioDriver):
     """The twin as a radio.
 
     It returns the twin's own counts as samples: a record acquired through it is bit for bit the one
@@ -110,7 +110,7 @@ class VirtualRadio(Radio):
         )
 
     def tune(self, carrier_hz: float) -> Tuned:
-        """See `Radio.tune`; refuses what is none of the design's carriers."""
+        """See `RadioDriver.tune`; refuses what is none of the design's carriers."""
         steps = np.flatnonzero(np.abs(self.carriers_hz - carrier_hz) < 0.5)
         if not steps.size:
             raise RadioError(
@@ -123,11 +123,11 @@ class VirtualRadio(Radio):
         return Tuned(float(self.carriers_hz[self._step]), self.clock.now_ns())
 
     def now_ns(self) -> int:
-        """See `Radio.now_ns`."""
+        """See `RadioDriver.now_ns`."""
         return self.clock.now_ns()
 
     def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
-        """See `Radio.burst`; a burst is as long as the design's."""
+        """See `RadioDriver.burst`; a burst is as long as the design's."""
         expected = self.n_samples
         if len(samples) != expected:
             raise RadioError(f"{self.device}: burst of {len(samples)} samples, expected {expected}")

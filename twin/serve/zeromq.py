@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.radio.interface import Radio, RadioError, Reception
+from hardware.drivers.radio.interface import RadioDriver, RadioError, Reception
 from hardware.drivers.radio.stream import parse_request, request
 from hardware.drivers.radio.zeromq import MOST_JSON, PROTOCOL_VERSION, to_samples
 from twin.files import InputError
@@ -46,7 +46,7 @@ class RadioServer:
 
     def __init__(
         self,
-        radio: Radio,
+        radio: RadioDriver,
         host: str,
         port: int,
         *,

@@ -7,7 +7,7 @@ everything that the file leaves out from another system.
 """
 
 from twin.system.acquisition import Acquisition, TimeOfFlight
-from twin.system.detector import Detector, Readout
+from twin.system.detector import Photodetector, Readout
 from twin.system.emitter import Emitter
 from twin.system.environment import Sky, Weather
 from twin.system.optics import Filter, Optics
@@ -16,11 +16,11 @@ from twin.system.system import System, load_system, system_names
 
 __all__ = [
     "Acquisition",
-    "Detector",
     "Emitter",
     "Filter",
     "Optics",
     "Part",
+    "Photodetector",
     "Readout",
     "Sky",
     "System",

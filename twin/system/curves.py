@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hardware.files import read_regular
 from twin.files import InputError
-from twin.system.detector import Detector
+from twin.system.detector import Photodetector
 from twin.system.emitter import Emitter
 from twin.system.optics import Filter
 from twin.toml import Sourced
@@ -88,7 +88,7 @@ def read_transmission(path: Path) -> tuple[Array, Array]:
     return nm, values
 
 
-def read_responsivity(detector: Detector) -> tuple[Array, Array]:
+def read_responsivity(detector: Photodetector) -> tuple[Array, Array]:
     """Wavelengths in nm and A/W: the vendor's curve, or the one number over 900 to 1700 nm.
 
     Raises InputError for a curve above one electron a photon times the detector's gain.
@@ -105,7 +105,9 @@ def read_responsivity(detector: Detector) -> tuple[Array, Array]:
     return np.array([900.0, 1700.0]), np.full(2, detector.responsivity_a_per_w.value)
 
 
-def check_curves(emitter: Emitter | None, band: Filter | None, detector: Detector | None) -> None:
+def check_curves(
+    emitter: Emitter | None, band: Filter | None, detector: Photodetector | None
+) -> None:
     """Read every curve that parts name. Raises InputError for the first that can't be used."""
     if emitter and emitter.spectrum_csv:
         read_curve(Path(emitter.spectrum_csv.value))

@@ -12,7 +12,7 @@ from twin.own_parts import OwnCode
 from twin.toml import Count, Finite, NonNegative, Positive, Sourced, Strict
 
 
-class Detector(Strict):
+class Photodetector(Strict):
     """Photodiode, or one of the equal pixels of a sensor.
 
     ``width_m`` is the diameter of a disc or the side of a square; a rectangle has ``height_m`` too.
@@ -52,13 +52,13 @@ class Detector(Strict):
     function: Sourced[OwnCode] | None = None
 
     @model_validator(mode="after")
-    def _has_its_sides(self) -> "Detector":
+    def _has_its_sides(self) -> "Photodetector":
         if (self.shape.value == "rectangle") == (self.height_m is None):
             raise InputError("a rectangle has width_m and height_m, a disc or square width_m alone")
         return self
 
     @model_validator(mode="after")
-    def _says_what_gain_costs(self) -> "Detector":
+    def _says_what_gain_costs(self) -> "Photodetector":
         stated = [self.excess_noise_factor, self.ionisation_ratio]
         if self.gain is None and any(stated):
             raise InputError("excess_noise_factor and ionisation_ratio belong to a gain")
@@ -112,7 +112,7 @@ class Detector(Strict):
         return area * math.pi / 4 if self.shape.value == "disc" else area
 
 
-def check_has_closed_form(detector: Detector) -> None:
+def check_has_closed_form(detector: Photodetector) -> None:
     """Raise InputError for a user's own detector, of which closed formulas know nothing."""
     if detector.function is not None:
         raise InputError(

@@ -7,7 +7,7 @@ from pydantic import model_validator
 from twin.errors import InputError
 from twin.files import catalog_folder
 from twin.system.curves import check_curves
-from twin.system.detector import Detector, Readout
+from twin.system.detector import Photodetector, Readout
 from twin.system.emitter import Emitter
 from twin.system.environment import Sky, Weather
 from twin.system.optics import Filter, Optics
@@ -23,7 +23,7 @@ class Part(Entry):
     emitter: Emitter | None = None
     filter: Filter | None = None
     optics: Optics | None = None
-    detector: Detector | None = None
+    detector: Photodetector | None = None
     readout: Readout | None = None
     sky: Sky | None = None
     weather: Weather | None = None

@@ -10,7 +10,7 @@ from hardware.patterns import Patterns, PatternSet
 from twin.files import InputError, catalog_folder
 from twin.system.acquisition import Acquisition, TimeOfFlight
 from twin.system.curves import check_curves
-from twin.system.detector import Detector, Readout
+from twin.system.detector import Photodetector, Readout
 from twin.system.emitter import Emitter
 from twin.system.environment import Sky, Weather
 from twin.system.optics import Filter, Optics
@@ -31,7 +31,7 @@ class System(Entry):
     emitter: Emitter
     filter: Filter
     optics: Optics
-    detector: Detector
+    detector: Photodetector
     readout: Readout
     acquisition: Acquisition
     sky: Sky | None = None

@@ -49,7 +49,7 @@ def radar_stages() -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Bins:
+class _ReferenceBins:
     """Bins to compare, the reference channel there by direct sum in float64, and bodies."""
 
     rows: NDArray[np.intp]
@@ -90,7 +90,7 @@ def measure_radar(
     return measured
 
 
-def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
+def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _ReferenceBins:
     wave = radar.channel_waveform
     finest = trace(scene, radar, fidelity=_FINEST, seed=seed)
     bodies = reference_bodies(scene, radar, _FINEST, finest, seed)
@@ -102,11 +102,15 @@ def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _Bins:
         for n, most in ((wave.n_subcarriers, _ROWS), (wave.n_slots, _COLUMNS))
     )
     f, t = wave.frequency_offsets_hz[rows], wave.slot_times_s[columns]
-    return _Bins(rows, columns, direct_sum(echoes, f, t, wave.carrier_hz), bodies)
+    return _ReferenceBins(rows, columns, direct_sum(echoes, f, t, wave.carrier_hz), bodies)
 
 
 def _measure_level(
-    radar: RadarDesign, level: Fidelity, tracing_cost: Cost, propagation: Propagation, bins: _Bins
+    radar: RadarDesign,
+    level: Fidelity,
+    tracing_cost: Cost,
+    propagation: Propagation,
+    bins: _ReferenceBins,
 ) -> LevelMeasurement:
     wave = radar.channel_waveform
     echoes = _echoes(propagation, radar)
@@ -181,7 +185,7 @@ def _both(a: Cost, b: Cost) -> Cost:
     )
 
 
-def _sampled(bins: _Bins) -> Any:
+def _sampled(bins: _ReferenceBins) -> Any:
     return np.ix_(bins.rows, bins.columns)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.radio.interface import Radio, RadioError
+from hardware.drivers.radio.interface import RadioDriver, RadioError
 from hardware.drivers.radio.schedule import Schedule, acquire
 from hardware.radar import channel
 from hardware.records.container import Flag
@@ -28,7 +28,7 @@ class Calibration:
 
 
 def calibrate(
-    radio: Radio,
+    radio: RadioDriver,
     schedule: Schedule,
     front_end: RadarFrontEnd,
     *,

@@ -63,7 +63,7 @@ class Reception:
         return Reception(samples, np.zeros(n_samples, dtype=np.bool_), start_ns, faults)
 
 
-class Radio(ABC):
+class RadioDriver(ABC):
     """One transmitter and one or more receivers that share a clock and an oscillator.
 
     ``device`` identifies it; samples run at ``sample_rate_hz`` both ways.

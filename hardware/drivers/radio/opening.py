@@ -3,13 +3,13 @@
 import threading
 from urllib.parse import urlsplit
 
-from hardware.drivers.radio.interface import Radio
+from hardware.drivers.radio.interface import RadioDriver
 from hardware.errors import InputError
 
 
 def open_radio(
     url: str, *, sample_rate_hz: float | None = None, over: threading.Event | None = None
-) -> Radio:
+) -> RadioDriver:
     """Open a radio.
 
     Parameters

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from hardware.drivers.radio import samples
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
+from hardware.drivers.radio.interface import Fault, RadioDriver, RadioError, Reception, Tuned
 from hardware.errors import InputError
 from hardware.records.radar import RadarRecord
 from hardware.records.state import AT_ORIGIN, QuaternionPose, RadarFrontEnd
@@ -93,7 +93,7 @@ def carriers(
 
 
 def acquire(
-    radio: Radio,
+    radio: RadioDriver,
     schedule: Schedule,
     front_end: RadarFrontEnd,
     *,
@@ -151,7 +151,7 @@ def acquire(
     )
 
 
-def _tune(radio: Radio, carrier_hz: float) -> Tuned:
+def _tune(radio: RadioDriver, carrier_hz: float) -> Tuned:
     tuned = radio.tune(carrier_hz)
     if not abs(tuned.carrier_hz - carrier_hz) <= _MOST_OFF_HZ:
         raise RadioError(
@@ -160,7 +160,7 @@ def _tune(radio: Radio, carrier_hz: float) -> Tuned:
     return tuned
 
 
-def _check(radio: Radio, schedule: Schedule, front_end: RadarFrontEnd) -> None:
+def _check(radio: RadioDriver, schedule: Schedule, front_end: RadarFrontEnd) -> None:
     bandwidth = schedule.waveform.bandwidth_hz
     if abs(radio.sample_rate_hz - bandwidth) > 1e-6 * bandwidth:
         raise InputError(

@@ -11,7 +11,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
+from hardware.drivers.radio.interface import Fault, RadioDriver, RadioError, Reception, Tuned
 from hardware.drivers.radio.zeromq import to_samples
 from hardware.errors import InputError
 
@@ -33,7 +33,7 @@ def parse_request(message: bytes) -> int:
     return MOST_SAMPLES
 
 
-class StreamRadio(Radio):
+class StreamRadio(RadioDriver):
     """A virtual radio with a fixed carrier, whose only clock is the number of its samples.
 
     A burst starts with the next sample; its reception has the start time.
@@ -86,7 +86,7 @@ class StreamRadio(Radio):
             raise RadioError(f"{transmit}, {receive}: {error}") from error
 
     def tune(self, carrier_hz: float) -> Tuned:
-        """See `Radio.tune`; refuses another carrier than its own."""
+        """See `RadioDriver.tune`; refuses another carrier than its own."""
         if carrier_hz != self._carrier_hz:
             raise RadioError(
                 f"{self.device}: stands at {self._carrier_hz:.0f} Hz, asked for {carrier_hz:.0f} Hz"
@@ -94,11 +94,11 @@ class StreamRadio(Radio):
         return Tuned(carrier_hz, self.now_ns())
 
     def now_ns(self) -> int:
-        """See `Radio.now_ns`: the samples so far."""
+        """See `RadioDriver.now_ns`: the samples so far."""
         return round(1e9 * self._n_samples / self.sample_rate_hz)
 
     def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
-        """See `Radio.burst`."""
+        """See `RadioDriver.burst`."""
         import zmq
 
         started, left = self.now_ns(), np.asarray(samples, dtype="<c8")
@@ -126,7 +126,7 @@ class StreamRadio(Radio):
         return Reception(heard[None], np.ones(len(heard), dtype=np.bool_), started, Fault(0))
 
     def close(self) -> None:
-        """See `Radio.close`."""
+        """See `RadioDriver.close`."""
         self._context.destroy(linger=0)
 
     def _receive_samples(self, most: int) -> NDArray[np.complex64]:

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.drivers.radio.interface import Fault, Radio, RadioError, Reception, Tuned
+from hardware.drivers.radio.interface import Fault, RadioDriver, RadioError, Reception, Tuned
 
 _LOCK_S = 1.0  # within which an oscillator locks, or does not
 _RECEIVE_S = 0.5  # beyond the end of a burst, until its last samples are here
 _TICKS_HZ = 1e9
 
 
-class UhdRadio(Radio):
+class UhdRadio(RadioDriver):
     """A UHD radio: channel 0 transmits, channels 0 to ``n_receivers - 1`` receive.
 
     Parameters
@@ -79,8 +79,8 @@ class UhdRadio(Radio):
         self._usrp = usrp
 
     def tune(self, carrier_hz: float) -> Tuned:
-        """See `Radio.tune`. The B200 has separate oscillators of transmitter and receiver; both
-        must lock.
+        """See `RadioDriver.tune`. The B200 has separate oscillators of transmitter and receiver;
+        both must lock.
 
         The front end's oscillator cannot be tuned at a given time (only the digital mixer can,
         whose range is the sample rate), so it is tuned at once, with a wait for settling.
@@ -104,11 +104,11 @@ class UhdRadio(Radio):
         return Tuned(heard, locked_ns)
 
     def now_ns(self) -> int:
-        """See `Radio.now_ns`."""
+        """See `RadioDriver.now_ns`."""
         return to_ns(self._usrp.get_time_now())
 
     def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
-        """See `Radio.burst`."""
+        """See `RadioDriver.burst`."""
         types = self._uhd.types
         start = types.TimeSpec.from_ticks(int(start_ns), _TICKS_HZ)
         command = types.StreamCMD(types.StreamMode.num_done)
@@ -125,7 +125,7 @@ class UhdRadio(Radio):
         return Reception(heard.samples, heard.there, heard.start_ns, heard.faults | sent)
 
     def close(self) -> None:
-        """See `Radio.close`: UHD releases the device with the last reference."""
+        """See `RadioDriver.close`: UHD releases the device with the last reference."""
         self._transmit = self._receive = self._usrp = None
 
     def _stream_args(self, channels: list[int]) -> Any:

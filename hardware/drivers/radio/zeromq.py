@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.drivers.radio.answer import MOST_NS, Answer
-from hardware.drivers.radio.interface import Radio, RadioError, Reception, Tuned
+from hardware.drivers.radio.interface import RadioDriver, RadioError, Reception, Tuned
 from hardware.errors import InputError
 
 PROTOCOL_VERSION = 2
@@ -39,7 +39,7 @@ def to_samples(frame: bytes) -> NDArray[np.complex64]:
     return samples
 
 
-class ZeroMqRadio(Radio):
+class ZeroMqRadio(RadioDriver):
     """A radio that listens at a host and port.
 
     Parameters
@@ -88,17 +88,17 @@ class ZeroMqRadio(Radio):
             raise RadioError(str(error)) from error
 
     def tune(self, carrier_hz: float) -> Tuned:
-        """See `Radio.tune`."""
+        """See `RadioDriver.tune`."""
         answer, _ = self._command("tune", carrier_hz=carrier_hz)
         return Tuned(answer.positive("carrier_hz"), self._time_in(answer))
 
     def now_ns(self) -> int:
-        """See `Radio.now_ns`."""
+        """See `RadioDriver.now_ns`."""
         answer, _ = self._command("time")
         return self._time_in(answer)
 
     def burst(self, samples: NDArray[np.complex64], start_ns: int) -> Reception:
-        """See `Radio.burst`."""
+        """See `RadioDriver.burst`."""
         n = len(samples)
         # The timeout needs no exact clock, whose request would take a part of the step's time.
         known_ns = self.now_ns() if self._known_ns is None else self._known_ns
@@ -127,7 +127,7 @@ class ZeroMqRadio(Radio):
         return Reception(heard, there, started, faults)
 
     def close(self) -> None:
-        """See `Radio.close`."""
+        """See `RadioDriver.close`."""
         if self._context.closed:
             return
         try:

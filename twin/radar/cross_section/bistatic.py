@@ -7,16 +7,16 @@ optics has as a wave of its own, is left out.
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.cross_section.aspects import Aspects
 from twin.radar.cross_section.optics import Quality, dyadic
-from twin.radar.cross_section.ways import Ways
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
 def scattering_dyadics(
-    target: Target, source: Array, receiver: Array, frequency_hz: Array, quality: Quality
+    target: MeshTarget, source: Array, receiver: Array, frequency_hz: Array, quality: Quality
 ) -> Complex:
     """What turns the incident field at the target's origin into the scattered one.
 
@@ -34,8 +34,8 @@ def scattering_dyadics(
         polarisations the bistatic cross-section is 4 pi |e_r . D e_i|^2.
     """
     sent, heard = _transverse(source), _transverse(receiver)
-    ways = Ways(source, receiver, np.full(len(source), np.inf), sent, heard)
-    found = dyadic(target, ways, frequency_hz, quality).amplitude
+    aspects = Aspects(source, receiver, np.full(len(source), np.inf), sent, heard)
+    found = dyadic(target, aspects, frequency_hz, quality).amplitude
     return np.einsum("nfpq,nqx,npy->nfxy", found, heard, sent)
 
 

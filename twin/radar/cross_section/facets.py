@@ -1,9 +1,9 @@
 """What the facets of a mesh send straight back: exact integrals over flat triangles.
 
-The scene's own solver (`propagation.facets`) with one radar for each way: in the far field the
+The scene's own solver (`propagation.facets`) with one radar for each aspect: in the far field the
 phase across a facet is linear, and a facet with nothing before it is one integral however large it
 is. Where something may stand before it, or the phase is bent, it is divided until the echo of its
-way is within the tolerance.
+aspect is within the tolerance.
 """
 
 from dataclasses import dataclass, replace
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.engine import mitsuba
+from twin.radar.cross_section.aspects import Aspects
 from twin.radar.cross_section.subject import Subject, are_within, bare, subject_of
-from twin.radar.cross_section.ways import Ways
 from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, settled
 from twin.radar.propagation.facets.currents import amplitude_of, echoes_of
 from twin.radar.propagation.facets.front_facets import lit_facets
@@ -28,7 +28,7 @@ from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.scattering.arrays import ComplexVector3, Index, Mask, Vector3
 from twin.radar.scattering.kernel import turned
 from twin.radar.scattering.surface import table
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -41,8 +41,8 @@ _FAINT = 1e-3  # of the facets' echoes out of phase: what no error is counted be
 _ALIKE = 0.25  # of the tolerance near by: what bent phases leave of a facet's parts is alike, not
 # independent
 _EDGE_ON = 1e-12  # sine of the angle below which a facet shows no side
-_MOST_PAIRS = 2**17  # of facets, over all ways: 20 MB
-#: Images of a way: receivers of two polarisations, one of both, a transmitter of all, and one each.
+_MOST_PAIRS = 2**17  # of facets, over all aspects: 20 MB
+#: Images at an aspect: receivers of two polarisations, one of both, a transmitter of all, one each.
 _ALL_HEARD, _ALL_SENT, _FIRST_SENT = 2, 3, 4
 _GRAZING = 0.25881904510252074  # cosine of 75 deg
 
@@ -61,7 +61,7 @@ class _Isotropic(AntennaGain):
 
 @dataclass(frozen=True, eq=False)
 class _Radars(TracingContext):
-    """Three places to receive at for each way, and its transmitter: each an image of its own.
+    """Three places to receive at for each aspect, and its transmitter: each an image of its own.
 
     ``antennas`` (9 n): unit vector from the mesh, and the polarisation, Re and Im.
     """
@@ -88,26 +88,26 @@ class _Radars(TracingContext):
 
 def _radars(
     subject: Subject,
-    target: Target,
-    ways: Ways,
+    target: MeshTarget,
+    aspects: Aspects,
     distance_m: Array,
     wavelength_m: float,
     material_hz: float,
 ) -> _Radars:
-    """Images of every way in a row.
+    """Images at every aspect in a row.
 
     Two polarisations are sent at once along their diagonal and heard at once by a circular antenna:
     neither mirrors nor corners that cross polarisation are missed.
     """
-    mi, zero = mitsuba(), np.zeros((len(ways), 3))
-    heard, sent = ways.heard.swapaxes(0, 1), ways.sent.swapaxes(0, 1)
+    mi, zero = mitsuba(), np.zeros((len(aspects), 3))
+    heard, sent = aspects.heard.swapaxes(0, 1), aspects.sent.swapaxes(0, 1)
     fields = [(field, zero) for field in heard]
     fields += [(np.sqrt(0.5) * heard[0], np.sqrt(0.5) * heard[1])]
     fields += [(sent.sum(axis=0) / np.sqrt(len(sent)), zero)] + [(field, zero) for field in sent]
-    here = [ways.receiver] * _ALL_SENT + [ways.source] * (1 + len(sent))
+    here = [aspects.receiver] * _ALL_SENT + [aspects.source] * (1 + len(sent))
     antennas = [np.hstack([at, *field]) for at, field in zip(here, fields, strict=True)]
     places = [at * distance_m[:, None] - subject.anchor_m for at in here]
-    count = len(here) * len(ways)
+    count = len(here) * len(aspects)
     return _Radars(
         mi=mi,
         world=subject.world,
@@ -143,8 +143,8 @@ class Direct:
 
 
 def direct(
-    target: Target,
-    ways: Ways,
+    target: MeshTarget,
+    aspects: Aspects,
     frequency_hz: Array,
     tolerance: float,
     later: Complex,
@@ -160,35 +160,35 @@ def direct(
     material_hz
         The frequency at which surfaces reflect.
     """
-    subject, (n, m) = subject_of(target), ways.sent.shape[:2]
-    distance = np.minimum(ways.distance_m, _FAR * 2 * target.geometry.sphere[1])
+    subject, (n, m) = subject_of(target), aspects.sent.shape[:2]
+    distance = np.minimum(aspects.distance_m, _FAR * 2 * target.geometry.sphere[1])
     wave_numbers = 2 * np.pi * frequency_hz / speed_of_light
     k = float(wave_numbers.max())
-    s = _radars(subject, target, ways, distance, 2 * np.pi / k, material_hz)
+    s = _radars(subject, target, aspects, distance, 2 * np.pi / k, material_hz)
     scatterers = _scatterers(s, subject)
-    way, face, side = _facing(subject, ways, distance)
-    first = (_FIRST_SENT + m) * way
+    aspect, face, side = _facing(subject, aspects, distance)
+    first = (_FIRST_SENT + m) * aspect
     amplitude = np.zeros((n, len(frequency_hz), m, 2), dtype=np.complex128)
     if not len(face):
         return Direct(amplitude, np.zeros(n))
     lit = lit_facets(s, scatterers, face, first + _ALL_SENT, first + _ALL_HEARD)
-    lit = replace(lit, body=way)
+    lit = replace(lit, body=aspect)
     is_open = subject.is_open[(side < 0).astype(np.intp), face]
     if not is_open.all() and n * len(subject.world.faces) ** 2 <= _MOST_PAIRS:
-        is_bare = bare(subject, ways.source * distance[:, None])[way, face]
-        if not ways.are_back.all():
-            is_bare &= bare(subject, ways.receiver * distance[:, None])[way, face]
+        is_bare = bare(subject, aspects.source * distance[:, None])[aspect, face]
+        if not aspects.are_monostatic.all():
+            is_bare &= bare(subject, aspects.receiver * distance[:, None])[aspect, face]
         is_open |= is_bare
     # A wave of amplitude 1 at the origin, less the phase to it and back.
     both = later.sum(axis=1) / np.sqrt(m) @ np.array([1, 1j]) * np.sqrt(0.5)
     further = both * np.exp(-2j * (k * distance % np.pi)) / (2 * k * distance**2)
-    if np.isfinite(ways.distance_m).any():
+    if np.isfinite(aspects.distance_m).any():
         tolerance *= _ALIKE
     leaves, weight = _leaves(s, scatterers, lit, is_open, k, tolerance, further)
     for part in leaves:
         for row, other in enumerate(wave_numbers.tolist()):
             amplitude[:, row] += _answers(s, scatterers, part, other, other == k, distance, m)
-    return Direct(amplitude, _grazing(subject, ways, distance, way, face, weight))
+    return Direct(amplitude, _grazing(subject, aspects, distance, aspect, face, weight))
 
 
 def _answers(
@@ -232,7 +232,7 @@ def _leaves(
     tolerance: float,
     further: Complex,
 ) -> tuple[list[Leaves], Array]:
-    """Triangles fine enough for the echo of every way, and whether facets seem seen, (n,)."""
+    """Triangles fine enough for the echo at every aspect, and whether facets seem seen, (n,)."""
     echoes, n = echoes_of(s, scatterers, lit), len(further)
     free, rest = np.flatnonzero(is_open), np.flatnonzero(~is_open)
     weight = np.ones(len(lit))
@@ -262,28 +262,28 @@ def _leaves(
 
 
 def _facing(
-    subject: Subject, ways: Ways, distance_m: Array
+    subject: Subject, aspects: Aspects, distance_m: Array
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Facets the same side of which transmitter and receiver see, closed meshes from outside: the
-    way, the facet, and the side, 1 where its normal points to.
+    aspect, the facet, and the side, 1 where its normal points to.
     """
     point, normal = subject.world.plane_table[:, :3], subject.world.plane_table[:, 3:]
     level = np.sum(point * normal, axis=1)
     counts = ~subject.shape.is_double & normal.any(axis=1)
     sides = []
-    for direction in (ways.source, ways.receiver):
+    for direction in (aspects.source, aspects.receiver):
         place = direction * distance_m[:, None] - subject.anchor_m
         height = place @ normal.T - level
         edge_on = np.abs(height) < _EDGE_ON * distance_m[:, None]
         sides.append(np.where(edge_on, 0.0, np.sign(height)))
-        if ways.are_back.all():
+        if aspects.are_monostatic.all():
             break
     side = sides[0]
     lit = counts & (side != 0) & (side == sides[-1])
     inwards = subject.shape.outward * side < 0
-    lit &= ~(inwards & ~are_within(subject, ways)[:, None])
-    way, face = np.nonzero(lit)
-    return way, face, side[way, face]
+    lit &= ~(inwards & ~are_within(subject, aspects)[:, None])
+    aspect, face = np.nonzero(lit)
+    return aspect, face, side[aspect, face]
 
 
 def _scatterers(s: TracingContext, subject: Subject) -> Scatterers:
@@ -304,22 +304,22 @@ def _scatterers(s: TracingContext, subject: Subject) -> Scatterers:
 
 def _grazing(
     subject: Subject,
-    ways: Ways,
+    aspects: Aspects,
     distance_m: Array,
-    way: NDArray[np.intp],
+    aspect: NDArray[np.intp],
     face: NDArray[np.intp],
     weight: Array,
 ) -> Array:
     corners = subject.world.vertices[subject.world.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(across, axis=1) / 2
-    place = ways.source * distance_m[:, None] - subject.anchor_m
-    towards = place[way] - corners.mean(axis=1)[face]
+    place = aspects.source * distance_m[:, None] - subject.anchor_m
+    towards = place[aspect] - corners.mean(axis=1)[face]
     length = np.linalg.norm(towards, axis=1)
     normal = subject.world.plane_table[:, 3:]
     cosine = np.abs(np.sum(towards * normal[face], axis=1)) / length
-    lit = weight * area[face] * cosine * (distance_m[way] / length) ** 2
-    whole = np.bincount(way, lit, len(ways))
-    grazing = np.bincount(way, np.where(cosine < _GRAZING, lit, 0.0), len(ways))
+    lit = weight * area[face] * cosine * (distance_m[aspect] / length) ** 2
+    whole = np.bincount(aspect, lit, len(aspects))
+    grazing = np.bincount(aspect, np.where(cosine < _GRAZING, lit, 0.0), len(aspects))
     share: Array = grazing / np.maximum(whole, 1e-300)
     return share

@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.errors import InputError
+from twin.radar.cross_section.aspects import Aspects
 from twin.radar.cross_section.facets import direct
 from twin.radar.cross_section.rays import Density, Later, later_bounces, spread
 from twin.radar.cross_section.subject import is_seen_once, subject_of
-from twin.radar.cross_section.ways import Ways
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 from twin.radar.scattering.wave import Polarization, Radar
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _FACETS_AT_ONCE = 2**18  # 200 MB while they are looked at
-_MOST_AT_ONCE = 4096  # ways, whose progress is shown
-_SHADED_AT_ONCE = 32  # ways to a mesh that shades itself: what is divided
+_MOST_AT_ONCE = 4096  # aspects, whose progress is shown
+_SHADED_AT_ONCE = 32  # aspects of a mesh that shades itself: what is divided
 # Of rays within a mesh, by what they leave of the echo of a trihedral, 45 / rays, and of a box
 # beside a plate, 0.02 over the rays per wavelength.
 _RAYS = 50.0
@@ -41,7 +41,8 @@ class Quality:
     max_bounces
         What is reflected more often is lost.
     max_rays
-        Bounds time. Where it bites, tubes are wider than asked for: `Echo.undersampling`.
+        Bounds time. Where it bites, tubes are wider than asked for:
+        `ScatteringAmplitudes.undersampling`.
     """
 
     tolerance: float = 0.005
@@ -64,8 +65,8 @@ class Quality:
 
 
 @dataclass(frozen=True, eq=False)
-class Echo:
-    """What comes back by each of n ways, or by one, and what a reader should know about it.
+class ScatteringAmplitudes:
+    """Scattered amplitude at each of n aspects, or at one, and what a reader should know about it.
 
     ``amplitude`` (n, 2) is S in metres for reception in both polarisations, of a wave of amplitude
     1 at the mesh's origin: cross-section 4 pi |S|^2. Of the lit wavefront ``grazing`` (n,) is the
@@ -81,8 +82,8 @@ class Echo:
     rays: NDArray[np.int64]
 
 
-def portions(target: Target, count: int) -> Iterator[slice]:
-    """So many ways in parts that fit into memory."""
+def portions(target: MeshTarget, count: int) -> Iterator[slice]:
+    """Slices of so many aspects that fit into memory."""
     at_once = int(np.clip(_FACETS_AT_ONCE // len(target.geometry.faces), 1, _MOST_AT_ONCE))
     if not subject_of(target).is_convex:
         at_once = min(at_once, _SHADED_AT_ONCE)
@@ -90,23 +91,25 @@ def portions(target: Target, count: int) -> Iterator[slice]:
 
 
 def scattered(
-    target: Target, ways: Ways, frequency_hz: float, quality: Quality | None = None
-) -> Echo:
-    """Echoes of the first polarisation sent by each way."""
-    found = dyadic(target, ways, np.array([frequency_hz]), quality)
+    target: MeshTarget, aspects: Aspects, frequency_hz: float, quality: Quality | None = None
+) -> ScatteringAmplitudes:
+    """Echoes of the first polarisation sent at each aspect."""
+    found = dyadic(target, aspects, np.array([frequency_hz]), quality)
     return replace(found, amplitude=found.amplitude[:, 0, 0])
 
 
-def dyadic(target: Target, ways: Ways, frequency_hz: Array, quality: Quality | None = None) -> Echo:
+def dyadic(
+    target: MeshTarget, aspects: Aspects, frequency_hz: Array, quality: Quality | None = None
+) -> ScatteringAmplitudes:
     """Echoes of all polarisations sent, by several frequencies: amplitude (n, n_frequencies, m, 2).
 
     Surfaces reflect as at the first frequency; facets are divided for the highest.
     """
     quality = quality or Quality()
-    count, sent = len(frequency_hz), ways.sent.shape[1]
+    count, sent = len(frequency_hz), aspects.sent.shape[1]
     amplitude, grazing, further = [], [], []
-    for rows in portions(target, len(ways)):
-        part = ways.part(rows)
+    for rows in portions(target, len(aspects)):
+        part = aspects.part(rows)
         later = [Later.none(len(part), sent)] * count
         if quality.max_bounces > 1 and not is_seen_once(target, part):
             later = [
@@ -132,7 +135,7 @@ def dyadic(target: Target, ways: Ways, frequency_hz: Array, quality: Quality | N
         amplitude.append(facets.amplitude + np.stack([one.amplitude for one in later], axis=1))
         grazing.append(facets.grazing)
         further.append(highest)
-    return Echo(
+    return ScatteringAmplitudes(
         np.concatenate([np.zeros((0, count, sent, 2), np.complex128), *amplitude]),
         np.concatenate([np.zeros(0), *grazing]),
         np.concatenate([np.zeros(0), *(part.unfinished for part in further)]),
@@ -142,28 +145,29 @@ def dyadic(target: Target, ways: Ways, frequency_hz: Array, quality: Quality | N
 
 
 def physical_optics(
-    target: Target,
+    target: MeshTarget,
     radar: Radar,
     carrier_hz: float,
     polarization: Polarization = "V",
     quality: Quality | None = None,
-) -> Echo:
+) -> ScatteringAmplitudes:
     """Echo of a wave sent in ``polarization`` and received by the same radar in V and H: amplitude
     (2,). `scattered` takes many at once, in much less time.
     """
-    found = scattered(target, Ways.back_to([radar], polarization), carrier_hz, quality)
-    return Echo(*(getattr(found, f.name)[0] for f in fields(Echo)))
+    found = scattered(target, Aspects.monostatic([radar], polarization), carrier_hz, quality)
+    return ScatteringAmplitudes(*(getattr(found, f.name)[0] for f in fields(ScatteringAmplitudes)))
 
 
-def thinning(target: Target, frequency_hz: float, quality: Quality) -> float:
+def thinning(target: MeshTarget, frequency_hz: float, quality: Quality) -> float:
     """Factor by which ``max_rays`` sets rays wider apart than asked for; at least 1.
 
     That of the worst of the three sides of the target's box.
     """
     if subject_of(target).is_convex:
         return 1.0
-    sides = Ways.back_to([Radar(side) for side in np.eye(3)], "V")
+    sides = Aspects.monostatic([Radar(side) for side in np.eye(3)], "V")
     wavelength = speed_of_light / frequency_hz
     return max(
-        spread(target, sides, way, wavelength, quality.density).undersampling for way in range(3)
+        spread(target, sides, aspect, wavelength, quality.density).undersampling
+        for aspect in range(3)
     )

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.radar.cross_section.ways import Ways
+from twin.radar.cross_section.aspects import Aspects
 from twin.radar.scattering.kernel import launch, trace
 from twin.radar.scattering.surface import table
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -96,29 +96,29 @@ class Later:
 
 
 def later_bounces(
-    target: Target,
-    ways: Ways,
+    target: MeshTarget,
+    aspects: Aspects,
     wavelength_m: float,
     material_hz: float,
     max_bounces: int,
     density: Density,
 ) -> Later:
     """Scattered amplitudes of what facets of a mesh light of each other."""
-    n, m = ways.sent.shape[:2]
+    n, m = aspects.sent.shape[:2]
     sums, undersampling, rays = np.zeros((n, m, 6)), np.ones(n), np.zeros(n, dtype=np.int64)
     coefficients = table(target.surfaces, material_hz).ravel()
 
     def shoot(grids: list[_Grid]) -> None:
         found = _shot(target, coefficients, grids, wavelength_m, max_bounces)
-        np.add.at(sums, ([grid.way for grid in grids], [grid.sent for grid in grids]), found)
+        np.add.at(sums, ([grid.aspect for grid in grids], [grid.sent for grid in grids]), found)
 
     waiting: list[_Grid] = []
-    for way in range(n):
-        over = spread(target, ways, way, wavelength_m, density)
-        undersampling[way] = over.undersampling
+    for aspect in range(n):
+        over = spread(target, aspects, aspect, wavelength_m, density)
+        undersampling[aspect] = over.undersampling
         for patch in over.patches:
-            for grid in _grids(patch, over.spacing_m, ways, way):
-                rays[way] += grid.size
+            for grid in _grids(patch, over.spacing_m, aspects, aspect):
+                rays[aspect] += grid.size
                 if sum(other.size for other in waiting) + grid.size > _AT_ONCE:
                     shoot(waiting)
                     waiting = []
@@ -143,7 +143,7 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """How rays of a way are spread: over patches, so far apart, and by what factor that is wider
+    """How rays at an aspect are spread: patches, their spacing, and by what factor that is wider
     than asked for.
     """
 
@@ -154,29 +154,31 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Rays of a way and a polarisation that are launched together: how many, and the numbers of
+    """Rays at an aspect and a polarisation that are launched together: how many, and the numbers of
     `_COLUMNS`.
     """
 
-    way: int
+    aspect: int
     sent: int
     size: int
     numbers: dict[str, Any]
 
 
-def spread(target: Target, ways: Ways, way: int, wavelength_m: float, density: Density) -> Spread:
-    """Over the outline of a mesh as it is seen by a way."""
-    patches = _patches(target, ways, way)
+def spread(
+    target: MeshTarget, aspects: Aspects, aspect: int, wavelength_m: float, density: Density
+) -> Spread:
+    """Over the outline of a mesh as it is seen at an aspect."""
+    patches = _patches(target, aspects, aspect)
     area = sum(float(np.prod(patch.high - patch.low)) for patch in patches)
-    asked = wavelength_m / density.rays_per_wavelength * _shortening(target, ways, way)
+    asked = wavelength_m / density.rays_per_wavelength * _shortening(target, aspects, aspect)
     spacing = _spacing(patches, area, asked, density)
     return Spread(patches, spacing, max(1.0, spacing / asked))
 
 
-def _patches(target: Target, ways: Ways, way: int) -> list[Patch]:
+def _patches(target: MeshTarget, aspects: Aspects, aspect: int) -> list[Patch]:
     """One rectangle around the mesh's outline; six faces of a cube where the radar is close."""
     center, radius = target.geometry.sphere
-    u, q = ways.source[way], 1 / ways.distance_m[way]
+    u, q = aspects.source[aspect], 1 / aspects.distance_m[aspect]
     towards = center * q - u
     if np.linalg.norm(towards) < _CLOSE * radius * q:
         return _cube(u / q, float(np.linalg.norm(towards) / q + radius))
@@ -200,15 +202,15 @@ def _cube(here: Array, reach_m: float) -> list[Patch]:
     """The whole sphere of directions, for a radar inside the mesh or next to it."""
     half = np.full(2, reach_m)
     return [
-        Patch(here + reach_m * way, way, np.eye(3)[[i - 2, i - 1]], -half, half)
+        Patch(here + reach_m * direction, direction, np.eye(3)[[i - 2, i - 1]], -half, half)
         for i in range(3)
-        for way in (np.eye(3)[i], -np.eye(3)[i])
+        for direction in (np.eye(3)[i], -np.eye(3)[i])
     ]
 
 
-def _shortening(target: Target, ways: Ways, way: int) -> float:
+def _shortening(target: MeshTarget, aspects: Aspects, aspect: int) -> float:
     """By how much closer rays are for the sake of facets that are met obliquely."""
-    u, q = ways.source[way], 1 / ways.distance_m[way]
+    u, q = aspects.source[aspect], 1 / aspects.distance_m[aspect]
     towards = u - q * target.geometry.sphere[0]
     size = float(np.linalg.norm(towards))
     if size < _CLOSE * target.geometry.sphere[1] * q:
@@ -230,13 +232,13 @@ def _spacing(patches: list[Patch], area_m2: float, asked_m: float, density: Dens
     return spacing
 
 
-def _grids(patch: Patch, spacing: float, ways: Ways, way: int) -> Iterator[_Grid]:
+def _grids(patch: Patch, spacing: float, aspects: Aspects, aspect: int) -> Iterator[_Grid]:
     """Rows of the patch's grid, as many as fit into one launch."""
     extent = (patch.high - patch.low) / spacing
     columns, rows = np.maximum(np.ceil(extent - 1e-6), 1).astype(np.int64)
     left, bottom = patch.low / spacing + 0.5 + (extent - (columns, rows)) / 2
     per_block = max(1, _AT_ONCE // int(columns))
-    distance = ways.distance_m[way]
+    distance = aspects.distance_m[aspect]
     for top in range(0, int(rows), per_block):
         numbers = {
             "center": patch.center,
@@ -248,20 +250,20 @@ def _grids(patch: Patch, spacing: float, ways: Ways, way: int) -> Iterator[_Grid
             "spacing": spacing,
             "columns": columns,
             "begin": 0,
-            "towards": ways.source[way],
-            "listener": ways.receiver[way],
-            "vertical": ways.heard[way, 0],
-            "horizontal": ways.heard[way, 1],
+            "towards": aspects.source[aspect],
+            "listener": aspects.receiver[aspect],
+            "vertical": aspects.heard[aspect, 0],
+            "horizontal": aspects.heard[aspect, 1],
             "inverse_distance": 1 / distance,
             "distance": min(distance, 1e200),
         }
         size = int(columns) * min(per_block, int(rows) - top)
-        for number, field in enumerate(ways.sent[way]):
-            yield _Grid(way, number, size, numbers | {"sent": field})
+        for number, field in enumerate(aspects.sent[aspect]):
+            yield _Grid(aspect, number, size, numbers | {"sent": field})
 
 
 def _shot(
-    target: Target, coefficients: Array, grids: list[_Grid], wavelength_m: float, bounces: int
+    target: MeshTarget, coefficients: Array, grids: list[_Grid], wavelength_m: float, bounces: int
 ) -> Array:
     """Sums of what `trace` returns over every grid, (n, 6): one ray per lane."""
     mi, engine = mitsuba(), target.engine

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.geometry import Geometry, Shape
-from twin.radar.cross_section.ways import Ways
+from twin.radar.cross_section.aspects import Aspects
 from twin.radar.propagation.scene.mesh_scene import MeshScene
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
@@ -41,17 +41,17 @@ class Subject:
         )
 
 
-_subjects: WeakKeyDictionary[Target, Subject] = WeakKeyDictionary()
+_subjects: WeakKeyDictionary[MeshTarget, Subject] = WeakKeyDictionary()
 
 
-def subject_of(target: Target) -> Subject:
+def subject_of(target: MeshTarget) -> Subject:
     """Found once for a mesh."""
     if target not in _subjects:
         _subjects[target] = _subject(target)
     return _subjects[target]
 
 
-def _subject(target: Target) -> Subject:
+def _subject(target: MeshTarget) -> Subject:
     center, radius = target.geometry.sphere
     # Beside the mesh: rays start off a surface by a share of the distance from the anchor.
     anchor = center - radius
@@ -90,18 +90,18 @@ def _open(world: MeshScene, shape: Shape, rounded_m: float) -> NDArray[np.bool_]
     return found
 
 
-def is_seen_once(target: Target, ways: Ways) -> bool:
+def is_seen_once(target: MeshTarget, aspects: Aspects) -> bool:
     """Whether no facet lights another: of convex meshes seen from outside."""
     subject = subject_of(target)
-    return subject.is_convex and not are_within(subject, ways).any()
+    return subject.is_convex and not are_within(subject, aspects).any()
 
 
-def are_within(subject: Subject, ways: Ways) -> NDArray[np.bool_]:
+def are_within(subject: Subject, aspects: Aspects) -> NDArray[np.bool_]:
     """Whether transmitter or receiver stands within the mesh's box, (n,)."""
     low, high = subject.world.vertices.min(axis=0), subject.world.vertices.max(axis=0)
-    found = np.zeros(len(ways), dtype=bool)
-    for direction in (ways.source, ways.receiver):
-        reach = np.minimum(ways.distance_m, 1e30)[:, None]
+    found = np.zeros(len(aspects), dtype=bool)
+    for direction in (aspects.source, aspects.receiver):
+        reach = np.minimum(aspects.distance_m, 1e30)[:, None]
         place = direction * reach - subject.anchor_m
         found |= ((low <= place) & (place <= high)).all(axis=1)
     return found

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.radar.cross_section.optics import Echo, Quality, portions, scattered
-from twin.radar.cross_section.ways import Ways
+from twin.radar.cross_section.aspects import Aspects
+from twin.radar.cross_section.optics import Quality, ScatteringAmplitudes, portions, scattered
 from twin.radar.scattering.diffraction import EdgeQuality, edge_diffraction
 from twin.radar.scattering.edges import Edges, sharp_edges
 from twin.radar.scattering.surface import PEC
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 from twin.radar.scattering.wave import Polarization, Radar
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Sweep:
 
 
 def sweep(
-    target: Target,
+    target: MeshTarget,
     carrier_hz: float,
     azimuth_deg: Iterable[float],
     elevation_deg: float = 0.0,
@@ -87,8 +87,8 @@ def sweep(
     amplitudes, echoes = np.zeros(len(radars), dtype=np.complex128), []
     for rows in portions(target, len(radars)):
         with stage(_name(azimuths[rows])):
-            ways = Ways.back_to(radars[rows], transmit)
-            echoes.append(scattered(target, ways, carrier_hz, quality))
+            aspects = Aspects.monostatic(radars[rows], transmit)
+            echoes.append(scattered(target, aspects, carrier_hz, quality))
             amplitudes[rows] = echoes[-1].amplitude[:, port]
             if edges:
                 amplitudes[rows] += [
@@ -109,7 +109,7 @@ def sweep(
     )
 
 
-def _on_target(target: Target, edges: Edges, wavelength: float, diffraction: bool) -> list[str]:
+def _on_target(target: MeshTarget, edges: Edges, wavelength: float, diffraction: bool) -> list[str]:
     points = target.geometry.used_m - target.geometry.used_m.mean(axis=0)
     sizes = np.ptp(points @ np.linalg.svd(points, full_matrices=False)[2].T, axis=0) / wavelength
     sizes = np.sort(sizes)[::-1]
@@ -135,7 +135,7 @@ def _on_target(target: Target, edges: Edges, wavelength: float, diffraction: boo
     return remarks
 
 
-def _on_distance(target: Target, distance_m: float) -> list[str]:
+def _on_distance(target: MeshTarget, distance_m: float) -> list[str]:
     center, radius = target.geometry.sphere
     if distance_m < float(np.linalg.norm(center)) + radius:
         return ["the radar may stand within the target: the figure is an echo, no cross-section"]
@@ -143,7 +143,7 @@ def _on_distance(target: Target, distance_m: float) -> list[str]:
 
 
 def _on_aspects(
-    azimuths: Array, parts: list[Echo], quality: Quality, diffracting: bool
+    azimuths: Array, parts: list[ScatteringAmplitudes], quality: Quality, diffracting: bool
 ) -> list[str]:
     if not parts:
         return []

@@ -37,7 +37,7 @@ from twin.errors import InputError
 from twin.geometry import Geometry
 from twin.radar.cross_section.bistatic import scattering_dyadics
 from twin.radar.cross_section.optics import Quality, thinning
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -53,7 +53,9 @@ _SHIFT = 1 / 16  # of c / D: the second frequency, at which no part turns by mor
 _tables: "LRUCache[str, Table]" = LRUCache(64)
 
 
-def table_of(target: Target, carrier_hz: float, nodes: int, quality: Quality = QUALITY) -> "Table":
+def table_of(
+    target: MeshTarget, carrier_hz: float, nodes: int, quality: Quality = QUALITY
+) -> "Table":
     """The table of a mesh, the same for the same triangles, surfaces, carrier and quality.
 
     The folder named by the environment variable ``TWIN_TABLES`` keeps tables from one process to
@@ -85,7 +87,7 @@ class Table:
 
     def __init__(
         self,
-        target: Target,
+        target: MeshTarget,
         carrier_hz: float,
         nodes: int,
         quality: Quality = QUALITY,
@@ -204,7 +206,7 @@ class Table:
             _write(self._file, self._keys, self._values)
 
 
-def _key(target: Target, carrier_hz: float, nodes: int, quality: Quality) -> str:
+def _key(target: MeshTarget, carrier_hz: float, nodes: int, quality: Quality) -> str:
     """Digest of all that a table depends on, the source of the packages that fill it included."""
     # To 0.1 um: where the object stands leaves rounding errors in its shape.
     shape = np.round(target.geometry.vertices_m - target.geometry.sphere[0], 7) + 0.0

@@ -19,9 +19,9 @@ from twin.radar.propagation.scene.culling import (
     OF_NOISE,
     Beam,
     beam_of,
+    image_antennas_of,
     noise_amplitude,
     shares,
-    ways_of,
     worth_tracing,
 )
 from twin.radar.propagation.scene.image_search import Sight, closed, images
@@ -36,7 +36,7 @@ from twin.radar.propagation.scene.scattering_models import (
 )
 from twin.radar.propagation.scene.slabs import lets_through, walls
 from twin.radar.propagation.surface_clutter import coherent
-from twin.radar.scattering.surface import PEC, TABLE_STEPS, Surface, table
+from twin.radar.scattering.surface import PEC, TABLE_STEPS, LayeredSurface, table
 from twin.scene import Scene, SceneObject, Target
 from twin.scene.boxes import boxes_of, distances_m
 
@@ -176,22 +176,24 @@ def _culled(
         (ScatteringModel.OPTICS, ScatteringModel.SURFACE) if is_rough else (ScatteringModel.OPTICS,)
     )
     numbers = np.flatnonzero([role in echoing for role in stage.roles])
-    ways = ways_of(stage.all_images, stage.flats, stage.axes[0], beam)
+    antennas = image_antennas_of(stage.all_images, stage.flats, stage.axes[0], beam)
     boxes = boxes_of([stage.items[i] for i in numbers]) - stage.anchor_m
-    share = shares(ways, boxes, stage.flats, beam)
+    share = shares(antennas, boxes, stage.flats, beam)
     traced = worth_tracing(share, limit / 2)
     # Points cost next to nothing: only where there is no way to them they are not heard.
     places = np.array([t.position_m for t in points]).reshape(-1, 1, 3) - stage.anchor_m
-    to_points = shares(ways, np.repeat(places, 2, axis=1), stage.flats, beam, np.ones(len(points)))
-    heard = np.asarray(np.hstack([traced.ways, to_points > 0]).any(axis=1))
+    to_points = shares(
+        antennas, np.repeat(places, 2, axis=1), stage.flats, beam, np.ones(len(points))
+    )
+    heard = np.asarray(np.hstack([traced.is_traced, to_points > 0]).any(axis=1))
     heard[0] = True  # the radar itself
     worth = np.zeros((int(heard.sum()), len(stage.items)), dtype=bool)
-    worth[:, numbers] = traced.ways[heard]
+    worth[:, numbers] = traced.is_traced[heard]
     assumed = stage.assumptions
     if (left_out := faint + traced.left_out) > 0:
         level = 20 * np.log10(OF_NOISE * left_out / limit)
         assumed += (
-            f"too faint to be traced: {np.count_nonzero(~traced.ways & (share > 0))} of "
+            f"too faint to be traced: {np.count_nonzero(~traced.is_traced & (share > 0))} of "
             f"{np.count_nonzero(share)} ways to objects, and mirrors; all their echoes together "
             f"at most {level:.0f} dB of a cell's noise",
         )
@@ -205,9 +207,9 @@ def _surfaces(
     role_of: dict[str, ScatteringModel],
     carrier_hz: float,
     is_rough: bool,
-) -> tuple[tuple[tuple[Surface, float], ...], NDArray[np.uint32], tuple[str, ...]]:
+) -> tuple[tuple[tuple[LayeredSurface, float], ...], NDArray[np.uint32], tuple[str, ...]]:
     """Different surfaces with their roughness, which one each object has, and what is assumed."""
-    known: dict[tuple[Surface, float], int] = {(PEC, 0.0): 0}
+    known: dict[tuple[LayeredSurface, float], int] = {(PEC, 0.0): 0}
     assumed: dict[str, None] = {}
     numbers = np.zeros(len(items), dtype=np.uint32)
     for i, item in enumerate(items):
@@ -225,7 +227,7 @@ def _surfaces(
 
 
 @lru_cache(maxsize=64)
-def _rows(surface: Surface, rms_height_m: float, carrier_hz: float) -> Array:
+def _rows(surface: LayeredSurface, rms_height_m: float, carrier_hz: float) -> Array:
     """Coefficients of reflection, less what a rough surface scatters elsewhere."""
     cosine = np.linspace(0, 1, TABLE_STEPS + 1)
     left = coherent(rms_height_m, cosine, speed_of_light / carrier_hz)
@@ -233,7 +235,7 @@ def _rows(surface: Surface, rms_height_m: float, carrier_hz: float) -> Array:
     return rows
 
 
-def _table(surfaces: Sequence[tuple[Surface, float]], carrier_hz: float) -> Array:
+def _table(surfaces: Sequence[tuple[LayeredSurface, float]], carrier_hz: float) -> Array:
     return np.concatenate([_rows(surface, rms, carrier_hz) for surface, rms in surfaces])
 
 

@@ -24,8 +24,8 @@ from twin.geometry import Geometry
 from twin.radar.cross_section.table import Table, table_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.scene.materials import surface_of
-from twin.radar.scattering.surface import Surface
-from twin.radar.scattering.target import Target as Body
+from twin.radar.scattering.surface import LayeredSurface
+from twin.radar.scattering.target import MeshTarget
 from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -
     surface, assumed = surface_of(item, scene, carrier)
     place = f"objects.{item.name}"
     placed = Geometry(item.vertices_m, item.geometry.faces)
-    body = Body(placed.without_empty_faces(place), (surface,))
+    body = MeshTarget(placed.without_empty_faces(place), (surface,))
     x, y, z = body.geometry.sphere[0].tolist()
     try:
         table = table_of(body, carrier, nodes)
@@ -78,7 +78,7 @@ def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -
 def leg(
     point: Array,
     planes: Sequence[tuple[Array, Array]],
-    surfaces: Sequence[Surface],
+    surfaces: Sequence[LayeredSurface],
     axes: Array,
     carrier_hz: float,
 ) -> Leg:
@@ -164,7 +164,7 @@ def _range_cell(radar: RadarDesign) -> float:
 
 
 def _reflected(
-    field: Complex, direction: Array, normal: Array, surface: Surface, carrier_hz: float
+    field: Complex, direction: Array, normal: Array, surface: LayeredSurface, carrier_hz: float
 ) -> Complex:
     """A conductor's mirror image times TM, and what TE differs from it across the plane of
     incidence, as in the kernel of physical optics.

@@ -2,8 +2,8 @@
 
 from twin.radar.scattering.diffraction import EdgeQuality, edge_diffraction
 from twin.radar.scattering.edges import Edges, sharp_edges
-from twin.radar.scattering.surface import PEC, Layer, Surface
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.surface import PEC, Layer, LayeredSurface
+from twin.radar.scattering.target import MeshTarget
 from twin.radar.scattering.wave import Polarization, Radar
 
 __all__ = [
@@ -11,10 +11,10 @@ __all__ = [
     "EdgeQuality",
     "Edges",
     "Layer",
+    "LayeredSurface",
+    "MeshTarget",
     "Polarization",
     "Radar",
-    "Surface",
-    "Target",
     "edge_diffraction",
     "sharp_edges",
 ]

@@ -16,7 +16,7 @@ from twin.engine import mitsuba
 from twin.errors import InputError
 from twin.radar.scattering.edges import Edges
 from twin.radar.scattering.fringe import moment, observed
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 from twin.radar.scattering.wave import Polarization, Radar
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class EdgeQuality:
 
 
 def edge_diffraction(
-    target: Target,
+    target: MeshTarget,
     edges: Edges,
     radar: Radar,
     carrier_hz: float,
@@ -64,42 +64,44 @@ def edge_diffraction(
     quality = quality or EdgeQuality()
     wavelength = speed_of_light / carrier_hz
     k = 2 * np.pi / wavelength
-    cut = pieces(edges, wavelength / quality.pieces_per_wavelength)
-    cut = cut.chosen(_visible(target, radar, cut.middle_m, outside(edges)[cut.edge]))
-    wave = radar.wave_at(cut.middle_m, polarization)
-    radiating = fringe_moment(edges, cut, wave.direction, wave.field, -wave.direction, k)
+    segments = edge_segments(edges, wavelength / quality.pieces_per_wavelength)
+    segments = segments.chosen(
+        _visible(target, radar, segments.middle_m, outside(edges)[segments.edge])
+    )
+    wave = radar.wave_at(segments.middle_m, polarization)
+    radiating = fringe_moment(edges, segments, wave.direction, wave.field, -wave.direction, k)
     # Back and forth along a piece: the sinc of its linear phase.
-    slope = np.sum(wave.direction * edges.along[cut.edge], axis=1)
-    phase = np.exp(-2j * k * wave.detour_m) * np.sinc(k * cut.length_m * slope / np.pi)
-    factor = -1j * k / (4 * np.pi) * cut.length_m * phase / wave.scale**2
+    slope = np.sum(wave.direction * edges.along[segments.edge], axis=1)
+    phase = np.exp(-2j * k * wave.detour_m) * np.sinc(k * segments.length_m * slope / np.pi)
+    factor = -1j * k / (4 * np.pi) * segments.length_m * phase / wave.scale**2
     amplitude = [
-        np.sum(factor * np.sum(radar.wave_at(cut.middle_m, p).field * radiating, axis=1))
+        np.sum(factor * np.sum(radar.wave_at(segments.middle_m, p).field * radiating, axis=1))
         for p in ("V", "H")
     ]
     return np.array(amplitude)
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class EdgeSegments:
     """Edges cut into short pieces: number of the edge (m,), middle (m, 3), length (m,)."""
 
     edge: NDArray[np.int64]
     middle_m: Array
     length_m: Array
 
-    def chosen(self, which: Any) -> "Pieces":
+    def chosen(self, which: Any) -> "EdgeSegments":
         """Only some of them, by index or mask."""
-        return Pieces(self.edge[which], self.middle_m[which], self.length_m[which])
+        return EdgeSegments(self.edge[which], self.middle_m[which], self.length_m[which])
 
 
-def pieces(edges: Edges, longest_m: float) -> Pieces:
+def edge_segments(edges: Edges, longest_m: float) -> EdgeSegments:
     """Each edge in equal pieces, none longer than asked for."""
     count = np.maximum(np.ceil(edges.length_m / longest_m), 1).astype(np.int64)
     edge = np.repeat(np.arange(len(count)), count)
     number = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
     at = (number + 0.5) / count[edge] * edges.length_m[edge]
     middle = edges.start_m[edge] + at[:, None] * edges.along[edge]
-    return Pieces(edge, middle, (edges.length_m / count)[edge])
+    return EdgeSegments(edge, middle, (edges.length_m / count)[edge])
 
 
 def outside(edges: Edges) -> Array:
@@ -111,7 +113,7 @@ def outside(edges: Edges) -> Array:
 
 def fringe_moment(
     edges: Edges,
-    cut: Pieces,
+    segments: EdgeSegments,
     direction: Array,
     field: Array | Complex,
     towards: Array,
@@ -122,11 +124,13 @@ def fringe_moment(
     ``direction`` of travel and ``field`` of the wave at the pieces, ``towards`` the observer, all
     (m, 3).
     """
-    one, other = (_face(edges, cut, side, direction, field, towards, wavenumber) for side in (0, 1))
+    one, other = (
+        _face(edges, segments, side, direction, field, towards, wavenumber) for side in (0, 1)
+    )
     return one + other
 
 
-def _visible(target: Target, radar: Radar, points: Array, outside: Array) -> NDArray[np.bool_]:
+def _visible(target: MeshTarget, radar: Radar, points: Array, outside: Array) -> NDArray[np.bool_]:
     """Whether nothing stands between points on edges and the radar."""
     mi: Any = mitsuba()
     engine = target.engine
@@ -143,17 +147,17 @@ def _visible(target: Target, radar: Radar, points: Array, outside: Array) -> NDA
 
 def _face(
     edges: Edges,
-    cut: Pieces,
+    segments: EdgeSegments,
     side: int,
     direction: Array,
     field: Array | Complex,
     towards: Array,
     k: float,
 ) -> Complex:
-    x, y = edges.inwards[cut.edge, side], edges.upwards[cut.edge, side]
+    x, y = edges.inwards[segments.edge, side], edges.upwards[segments.edge, side]
     z = np.cross(x, y)
     phi0 = np.arctan2(-np.sum(direction * y, axis=1), -np.sum(direction * x, axis=1)) % (2 * np.pi)
-    n = edges.wedge[cut.edge]
+    n = edges.wedge[segments.edge]
     phi0 = np.where(phi0 > 2 * np.pi - 1e-9, 0.0, phi0)
     around = phi0 <= n * np.pi + 1e-9
     phi0 = np.where(around, np.minimum(phi0, n * np.pi), 1.0)
@@ -161,7 +165,7 @@ def _face(
     along = np.abs(cos_beta0) > 1 - 1e-8  # an edge met end on radiates nothing
     cos_beta0 = np.where(along, 0.0, cos_beta0)
     grazing = np.sqrt(1 - cos_beta0**2)[:, None] * x + cos_beta0[:, None] * z
-    way = edges.patches.reach(edges.patch[cut.edge, side], cut.middle_m, grazing)
+    way = edges.patches.reach(edges.patch[segments.edge, side], segments.middle_m, grazing)
     end = way * np.sqrt(1 - cos_beta0**2)
     seen_x, seen_z = np.sum(towards * x, axis=1), np.sum(towards * z, axis=1)
     e_z = np.sum(field * z, axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.geometry import Geometry, connected, doubles, edge_table
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -73,7 +73,7 @@ class Patches:
         return found
 
 
-def sharp_edges(target: Target, sharp_angle_deg: float) -> Edges:
+def sharp_edges(target: MeshTarget, sharp_angle_deg: float) -> Edges:
     """Edges where the surface ends, or turns by more than an angle.
 
     Orientation of the faces doesn't matter; faces that lie twice at the same place count once.

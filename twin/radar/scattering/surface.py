@@ -30,7 +30,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Surface:
+class LayeredSurface:
     """Layers from the front to the back, and the relative permittivity behind them.
 
     ``backing`` None is a perfect conductor, 1 is air (a sheet or wall), anything else fills the
@@ -76,10 +76,10 @@ class Surface:
 
 
 #: The perfect conductor, what a mesh without a material is made of.
-PEC = Surface()
+PEC = LayeredSurface()
 
 
-def table(surfaces: tuple[Surface, ...], carrier_hz: float) -> Array:
+def table(surfaces: tuple[LayeredSurface, ...], carrier_hz: float) -> Array:
     """Re and Im of TE and TM over ``TABLE_STEPS + 1`` cosines from 0 to 1: (n_surfaces, n, 4)."""
     cosine = np.linspace(0, 1, TABLE_STEPS + 1)
     rows = []

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin.engine import mitsuba
 from twin.errors import InputError
 from twin.geometry import Geometry, mitsuba_mesh
-from twin.radar.scattering.surface import PEC, Surface
+from twin.radar.scattering.surface import PEC, LayeredSurface
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ _LARGEST_M = 1e5  # as for scenes: beyond it float32 rays miss what they should 
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class MeshTarget:
     """A geometry, surfaces, and which of them each face has, (m,).
 
     Faces count from both sides; which way they wind does not matter. Phases and cross-sections
@@ -28,7 +28,7 @@ class Target:
     """
 
     geometry: Geometry
-    surfaces: tuple[Surface, ...] = (PEC,)
+    surfaces: tuple[LayeredSurface, ...] = (PEC,)
     surface_of_face: NDArray[np.integer] | None = None
 
     def __post_init__(self) -> None:
@@ -48,7 +48,7 @@ class Target:
 class TargetScene:
     """The mesh around its own centre as a Mitsuba scene in float32, its planes in float64."""
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: MeshTarget) -> None:
         mi = mitsuba()
         geometry = target.geometry
         center, self.radius_m = geometry.sphere

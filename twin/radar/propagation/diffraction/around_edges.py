@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.rims import (
-    Ways,
+    DiffractedPaths,
     bundled,
     farthest,
     near_edges,
@@ -117,14 +117,14 @@ def legs_to(
     clear, found, numbers = straight.clear.copy(), [], []
     for level in range(len(image.patches) + 1):
         segment = Segment(obstacles, image, level, places, off)
-        open_ways = list(segment.ways(through.clear, alone))
-        if open_ways:
-            ways = Ways.joined(open_ways)
-            _settle(clear, ways)
-            ways = bundled(ways, obstacles.wavenumber)
-            ways = ways.chosen(np.abs(ways.amplitude) >= obstacles.faintest)
-            found.append(_legs(obstacles, through.chosen(ways.point), ways, segment))
-            numbers.append(ways.point)
+        open_paths = list(segment.paths(through.clear, alone))
+        if open_paths:
+            paths = DiffractedPaths.joined(open_paths)
+            _settle(clear, paths)
+            paths = bundled(paths, obstacles.wavenumber)
+            paths = paths.chosen(np.abs(paths.amplitude) >= obstacles.faintest)
+            found.append(_legs(obstacles, through.chosen(paths.point), paths, segment))
+            numbers.append(paths.point)
     at = np.flatnonzero(clear)
     return PointPaths.joined([through.chosen(at), *found]), np.concatenate([at, *numbers])
 
@@ -144,7 +144,7 @@ class Segment:
         for number in reversed(image.patches[level:]):
             self.seen = mirrored(self.seen, obstacles.stage.flats[number])
 
-    def ways(self, active: NDArray[np.bool_], own: Indices) -> Iterator[Ways]:
+    def paths(self, active: NDArray[np.bool_], own: Indices) -> Iterator[DiffractedPaths]:
         """Open ways round every obstacle to active points, which are none of their own body."""
         for item in self.near_any(active):
             strange = (own < 0) | (own != self.obstacles.body[item])
@@ -168,10 +168,10 @@ class Segment:
         reach = np.linalg.norm(self.seen[rows] - middle, axis=1).max() + around_m
         return rim.chosen(near_edges(rim, middle - self.source, reach, o.wavenumber, o.faintest))
 
-    def turns(self, ways: Ways, edges: Array) -> Array:
+    def turns(self, paths: DiffractedPaths, edges: Array) -> Array:
         """Where ways turn, from the points to the radar, (m, n, 3); edges are at (n, 2, 3)."""
         stage = self.obstacles.stage
-        return _folded(stage, self.image, self.level, self.places[ways.point], edges)
+        return _folded(stage, self.image, self.level, self.places[paths.point], edges)
 
     def near_any(self, active: NDArray[np.bool_], around_m: float = 0.0) -> list[int]:
         """Obstacles that may reach into the ellipsoid of any way to an active point, or to what is
@@ -205,43 +205,47 @@ class Segment:
         beside: NDArray[np.bool_] = gap <= widest + around_m
         return beside
 
-    def _round(self, item: int, rim: Outline, rows: Indices) -> Iterator[Ways]:
-        ways = self._over(item, rim, rows)
-        is_open = self._is_open(ways)
-        two, alone, is_open = self._twice(item, rows, ways, is_open)
-        yield ways.chosen(is_open)
+    def _round(self, item: int, rim: Outline, rows: Indices) -> Iterator[DiffractedPaths]:
+        paths = self._over(item, rim, rows)
+        is_open = self._is_open(paths)
+        two, alone, is_open = self._twice(item, rows, paths, is_open)
+        yield paths.chosen(is_open)
         for more in (two, alone):
             yield more.chosen(self._is_open(more))
 
     def _over(
-        self, item: int, rim: Outline, rows: Indices, along: Callable[..., Ways] = over_rim
-    ) -> Ways:
+        self,
+        item: int,
+        rim: Outline,
+        rows: Indices,
+        along: Callable[..., DiffractedPaths] = over_rim,
+    ) -> DiffractedPaths:
         o = self.obstacles
-        ways = along(rim, self.source, self.seen[rows], o.wavenumber, o.faintest)
-        return replace(ways, point=rows[ways.point], item=np.full(len(ways.point), item))
+        paths = along(rim, self.source, self.seen[rows], o.wavenumber, o.faintest)
+        return replace(paths, point=rows[paths.point], item=np.full(len(paths.point), item))
 
     def _twice(
-        self, item: int, rows: Indices, ways: Ways, is_open: NDArray[np.bool_]
-    ) -> tuple[Ways, Ways, NDArray[np.bool_]]:
+        self, item: int, rows: Indices, paths: DiffractedPaths, is_open: NDArray[np.bool_]
+    ) -> tuple[DiffractedPaths, DiffractedPaths, NDArray[np.bool_]]:
         """Where an obstacle's edges seen from the points are others: ways over two of them, those
         over one of the others alone, and which of the ways are open, some then being replaced.
         """
         o, middle = self.obstacles, self.seen[rows].mean(axis=0)
         rim = o.outline(item, middle).from_elsewhere(self.source - middle)
         far = self._over(item, rim, rows, over_edges)
-        edges = np.flatnonzero(np.isfinite(ways.lit_m))
-        i, j = successive(ways.chosen(edges), far)
+        edges = np.flatnonzero(np.isfinite(paths.lit_m))
+        i, j = successive(paths.chosen(edges), far)
         i = edges[i]
-        one, other = ways.chosen(i), far.chosen(j)
+        one, other = paths.chosen(i), far.chosen(j)
         two, apart, alone = over_two(self.source, self.seen[one.point], one, other, o.wavenumber)
         matters = (apart > _ONE_EDGE) | (~is_open[i] & (one.lit_m <= 0))
         is_open = is_open.copy()
         is_open[i[matters & ~alone[:, 0]]] = False
         return two.chosen(matters), other.chosen(matters & alone[:, 1]), is_open
 
-    def _is_open(self, ways: Ways) -> NDArray[np.bool_]:
-        turns = self.turns(ways, ways.stops + ways.aside)
-        return _is_open(self.obstacles.stage, turns, self.off[ways.point])
+    def _is_open(self, paths: DiffractedPaths) -> NDArray[np.bool_]:
+        turns = self.turns(paths, paths.stops + paths.aside)
+        return _is_open(self.obstacles.stage, turns, self.off[paths.point])
 
 
 def _groups(rows: Indices, own: Indices) -> list[Indices]:
@@ -297,32 +301,34 @@ def _is_open(stage: PreparedScene, chain: Array, off: Array) -> NDArray[np.bool_
     return is_open
 
 
-def _settle(clear: NDArray[np.bool_], ways: Ways) -> None:
+def _settle(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:
     """Straight ways closer to an edge than rays can tell are clear as the edge has it."""
-    unsure = _UNSURE_M * (1 + 0.1 * np.linalg.norm(ways.stops[:, 0], axis=1))
-    close = np.abs(ways.lit_m) <= unsure
-    clear[ways.point[close]] = True
-    clear[ways.point[close & (ways.lit_m <= 0)]] = False
+    unsure = _UNSURE_M * (1 + 0.1 * np.linalg.norm(paths.stops[:, 0], axis=1))
+    close = np.abs(paths.lit_m) <= unsure
+    clear[paths.point[close]] = True
+    clear[paths.point[close & (paths.lit_m <= 0)]] = False
 
 
-def _legs(obstacles: Screens, through: PointPaths, ways: Ways, segment: "Segment") -> PointPaths:
+def _legs(
+    obstacles: Screens, through: PointPaths, paths: DiffractedPaths, segment: "Segment"
+) -> PointPaths:
     """Ways as legs: ``through`` are the straight ones, as if nothing stood in between."""
-    chain = segment.turns(ways, ways.stops)
+    chain = segment.turns(paths, paths.stops)
     last = len(chain) - 2 - segment.level
     # Edges move with their obstacle: the way gets shorter as both stops approach their neighbours.
     ends = (chain[1] - chain[0], chain[-2] - chain[-1])
     pulls = (chain[last - 1] - chain[last - 2], chain[last] - chain[last + 1])
     back, departure, one, other = (_unit(v) for v in (*ends, *pulls))
-    velocity = np.array([item.velocity_m_per_s for item in obstacles.items])[ways.item]
+    velocity = np.array([item.velocity_m_per_s for item in obstacles.items])[paths.item]
     return replace(
         through,
         back=back,
         departure=departure,
-        extra=through.extra + ways.longer_m,
-        field=through.field * ways.amplitude[:, None],
+        extra=through.extra + paths.longer_m,
+        field=through.field * paths.amplitude[:, None],
         rate=np.sum(velocity * (one + other), axis=1),
-        clear=np.ones(len(ways.point), dtype=bool),
-        over=ways.item,
+        clear=np.ones(len(paths.point), dtype=bool),
+        over=paths.item,
     )
 
 

@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 from twin.geometry import Geometry
 from twin.radar.propagation.one_way.path import TracingContext, offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
-from twin.radar.scattering.diffraction import EdgeQuality, Pieces, fringe_moment, outside, pieces
+from twin.radar.scattering.diffraction import (
+    EdgeQuality,
+    EdgeSegments,
+    edge_segments,
+    fringe_moment,
+    outside,
+)
 from twin.radar.scattering.edges import Edges, sharp_edges
-from twin.radar.scattering.target import Target
+from twin.radar.scattering.target import MeshTarget
 from twin.radar.synthesis import Contributions
 from twin.scene import SceneObject
 
@@ -67,7 +73,7 @@ def _edges_of(
         Geometry(item.vertices_m - anchor_m, item.geometry.without_empty_faces(item.name).faces)
         for item in items
     ]
-    edges = sharp_edges(Target(Geometry.joined(placed)), _QUALITY.sharp_angle_deg)
+    edges = sharp_edges(MeshTarget(Geometry.joined(placed)), _QUALITY.sharp_angle_deg)
     owner = np.repeat(np.arange(len(items)), [len(geometry.faces) for geometry in placed])
     return edges, owner[edges.face]
 
@@ -83,54 +89,54 @@ def edge_echoes(
     longest = max(asked, s.n_sources * total / most)
     found = []
     for body in bodies:
-        cut = pieces(body.edges, longest)
-        for first in range(0, len(cut.edge), _AT_ONCE):
-            part = cut.chosen(slice(first, first + _AT_ONCE))
+        segments = edge_segments(body.edges, longest)
+        for first in range(0, len(segments.edge), _AT_ONCE):
+            part = segments.chosen(slice(first, first + _AT_ONCE))
             found += _diffracted(s, body, part, wavelength_m)
     return Contributions.joined(found), longest / asked
 
 
 def _diffracted(
-    s: TracingContext, body: Sharp, cut: Pieces, wavelength_m: float
+    s: TracingContext, body: Sharp, segments: EdgeSegments, wavelength_m: float
 ) -> list[Contributions]:
     """From image i to image j with i before j, and the same ways reversed, as rays do."""
     places = np.array(s.positions).reshape(-1, 3)
     legs = [
-        paths_to_points(s, i, cut.middle_m, _off(body.edges, cut, place))
+        paths_to_points(s, i, segments.middle_m, _off(body.edges, segments, place))
         for i, place in enumerate(places)
     ]
     found = []
     for i, out in enumerate(legs):
         for home in legs[i:]:
             # A piece nearer than it is long is no point; one at the radar itself, nothing.
-            apart = np.minimum(out.length, home.length) > cut.length_m
+            apart = np.minimum(out.length, home.length) > segments.length_m
             at = np.flatnonzero(out.clear & home.clear & apart)
             ways = out.chosen(at), home.chosen(at)
-            amplitude = _amplitude(body, cut.chosen(at), *ways, wavelength_m)
-            echo = between(*ways, amplitude, body.velocity, body.object[cut.edge[at]])
+            amplitude = _amplitude(body, segments.chosen(at), *ways, wavelength_m)
+            echo = between(*ways, amplitude, body.velocity, body.object[segments.edge[at]])
             found.append(echo.chosen(echo.amplitude != 0).and_reversed())
     return found
 
 
-def _off(edges: Edges, cut: Pieces, place: Array) -> Array:
+def _off(edges: Edges, segments: EdgeSegments, place: Array) -> Array:
     """Where rays towards a place start: beyond the edge, and above the faces seen from there."""
-    towards = place - cut.middle_m
-    off = outside(edges)[cut.edge]
+    towards = place - segments.middle_m
+    off = outside(edges)[segments.edge]
     for side in (0, 1):
-        up = edges.upwards[cut.edge, side]
+        up = edges.upwards[segments.edge, side]
         off += np.where(np.sum(towards * up, axis=1, keepdims=True) > 0, up, 0)
     off /= np.maximum(np.linalg.norm(off, axis=1, keepdims=True), 1e-300)
-    return 2 * offset_m(cut.middle_m) * off
+    return 2 * offset_m(segments.middle_m) * off
 
 
 def _amplitude(
-    body: Sharp, cut: Pieces, out: PointPaths, home: PointPaths, wavelength_m: float
+    body: Sharp, segments: EdgeSegments, out: PointPaths, home: PointPaths, wavelength_m: float
 ) -> NDArray[np.complex128]:
     k = 2 * np.pi / wavelength_m
-    radiating = fringe_moment(body.edges, cut, -out.back, out.field, home.back, k)
+    radiating = fringe_moment(body.edges, segments, -out.back, out.field, home.back, k)
     # Out and back along a piece: the sinc of its linear phase.
-    slope = np.sum((out.back + home.back) * body.edges.along[cut.edge], axis=1)
-    length = cut.length_m * np.sinc(cut.length_m * slope / wavelength_m)
-    received = np.sum(home.field * radiating, axis=1) * body.reflection[cut.edge]
+    slope = np.sum((out.back + home.back) * body.edges.along[segments.edge], axis=1)
+    length = segments.length_m * np.sinc(segments.length_m * slope / wavelength_m)
+    received = np.sum(home.field * radiating, axis=1) * body.reflection[segments.edge]
     amplitude: NDArray[np.complex128] = -1j / (8 * np.pi) * length * received
     return amplitude

@@ -22,7 +22,7 @@ _ALIGNED = 0.9  # cosine from which two edges are passed as one after the other
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
+class DiffractedPaths:
     """Over edges, each (n, ...): to which point and over which obstacle; where it passes the edges,
     the one nearer to the source first, and which way these run; amplitude over the straight way's
     and length beyond it; how far off the edge the straight way passes in the light.
@@ -42,15 +42,15 @@ class Ways:
     longer_m: Array
     lit_m: Array
 
-    def chosen(self, which: NDArray[Any]) -> "Ways":
+    def chosen(self, which: NDArray[Any]) -> "DiffractedPaths":
         """Only some of them, by index or mask."""
-        return Ways(*(getattr(self, f.name)[which] for f in fields(Ways)))
+        return DiffractedPaths(*(getattr(self, f.name)[which] for f in fields(DiffractedPaths)))
 
     @staticmethod
-    def joined(parts: Sequence["Ways"]) -> "Ways":
+    def joined(parts: Sequence["DiffractedPaths"]) -> "DiffractedPaths":
         """One after the other."""
-        names = [f.name for f in fields(Ways)]
-        return Ways(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+        names = [f.name for f in fields(DiffractedPaths)]
+        return DiffractedPaths(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
 
 
 def farthest(faintest: float) -> float:
@@ -60,22 +60,22 @@ def farthest(faintest: float) -> float:
 
 def over_rim(
     rim: Outline, source: Array, places: Array, wavenumber: float, faintest: float
-) -> Ways:
+) -> DiffractedPaths:
     """What the outline of an obstacle, as seen from a source, adds at points (n, 3), down to an
     amplitude.
     """
     pairs = _pairs(rim, places - source, wavenumber, farthest(faintest))
     ends = [_past_end(rim, pairs, end, _UNHEARD * faintest) for end in (0, 1)]
-    ways = Ways.joined([_over_edge(rim, pairs), _summed(Ways.joined(ends))])
-    return replace(ways, stops=ways.stops + source)
+    paths = DiffractedPaths.joined([_over_edge(rim, pairs), _summed(DiffractedPaths.joined(ends))])
+    return replace(paths, stops=paths.stops + source)
 
 
 def over_edges(
     rim: Outline, source: Array, places: Array, wavenumber: float, faintest: float
-) -> Ways:
+) -> DiffractedPaths:
     """The same without the edges' ends."""
-    ways = _over_edge(rim, _pairs(rim, places - source, wavenumber, farthest(faintest)))
-    return replace(ways, stops=ways.stops + source)
+    paths = _over_edge(rim, _pairs(rim, places - source, wavenumber, farthest(faintest)))
+    return replace(paths, stops=paths.stops + source)
 
 
 def near_edges(
@@ -139,7 +139,7 @@ def _along(rim: Outline) -> tuple[Array, Array]:
     return side / length[:, None], length
 
 
-def _over_edge(rim: Outline, pairs: _Pairs) -> Ways:
+def _over_edge(rim: Outline, pairs: _Pairs) -> DiffractedPaths:
     """Over the edge itself, where the shortest way meets it."""
     along, length = (x[pairs.edge] for x in _along(rim))
     place = rim.ends[pairs.edge, 0] + pairs.at[:, None] * along
@@ -149,10 +149,10 @@ def _over_edge(rim: Outline, pairs: _Pairs) -> Ways:
     sign = np.where(pairs.lit_m[some] > 0, -1, 1)
     amplitude = sign * over_edge(pairs.q[some])
     lit_m = (pairs.lit_m * depth)[some]
-    return _ways(rim, pairs, some, place, pairs.q, along, amplitude, lit_m)
+    return _paths_by(rim, pairs, some, place, pairs.q, along, amplitude, lit_m)
 
 
-def _past_end(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> Ways:
+def _past_end(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
     """What is missing beyond one end of edges; the ends' numbers stand for the item."""
     place = rim.ends[pairs.edge, end]
     length = np.linalg.norm(pairs.way, axis=1)
@@ -166,11 +166,11 @@ def _past_end(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> Ways:
     turn = np.where(pairs.lit_m[some] > 0, 1, -1) * np.where(inwards[some] > 0, 1, -1)
     amplitude = turn * beyond_end(pairs.q[some], p[some])
     none, far = np.zeros_like(pairs.way), np.full(len(some), np.inf)
-    ways = _ways(rim, pairs, some, place, pairs.q + p, none, amplitude, far)
-    return replace(ways, item=rim.corner[pairs.edge[some], end])
+    paths = _paths_by(rim, pairs, some, place, pairs.q + p, none, amplitude, far)
+    return replace(paths, item=rim.corner[pairs.edge[some], end])
 
 
-def _ways(
+def _paths_by(
     rim: Outline,
     pairs: _Pairs,
     some: Indices,
@@ -179,12 +179,12 @@ def _ways(
     along: Array,
     amplitude: NDArray[np.complex128],
     lit_m: Array,
-) -> Ways:
+) -> DiffractedPaths:
     """Some of the pairs as ways by way of a place each."""
     there, back = (np.linalg.norm(x, axis=1)[some] for x in (place, pairs.way - place))
     zone = np.sqrt(2 * np.pi / pairs.wavenumber * there * back / (there + back))
     aside = _BESIDE * zone[:, None] * rim.lit[pairs.edge[some]]
-    return Ways(
+    return DiffractedPaths(
         point=pairs.point[some],
         item=np.zeros(len(some), dtype=np.int64),
         edge=rim.edge[pairs.edge[some]],
@@ -197,7 +197,7 @@ def _ways(
     )
 
 
-def _summed(ends: Ways) -> Ways:
+def _summed(ends: DiffractedPaths) -> DiffractedPaths:
     """Ends of edges that meet, added up."""
     corners = int(ends.item.max(initial=0)) + 1
     _, one, same = np.unique(
@@ -212,22 +212,22 @@ def _summed(ends: Ways) -> Ways:
     return replace(found, aside=aside, amplitude=amplitude, item=none)
 
 
-def bundled(ways: Ways, wavenumber: float) -> Ways:
+def bundled(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
     """Ways to a point that are alike in length and place as one: a curved outline has hundreds."""
     cells = np.hstack(
         [
-            ways.point[:, None],
-            np.floor(ways.longer_m / _ALIKE_M)[:, None],
-            np.floor(ways.stops[:, 0] / _TOGETHER_M),
+            paths.point[:, None],
+            np.floor(paths.longer_m / _ALIKE_M)[:, None],
+            np.floor(paths.stops[:, 0] / _TOGETHER_M),
         ]
     )
     _, same = np.unique(cells, axis=0, return_inverse=True)
-    order = np.lexsort((-np.abs(ways.amplitude), same))
+    order = np.lexsort((-np.abs(paths.amplitude), same))
     one = order[np.unique(same[order], return_index=True)[1]]
-    turn = np.exp(-1j * wavenumber * (ways.longer_m - ways.longer_m[one][same]))
+    turn = np.exp(-1j * wavenumber * (paths.longer_m - paths.longer_m[one][same]))
     amplitude = np.zeros(len(one), dtype=np.complex128)
-    np.add.at(amplitude, same, ways.amplitude * turn)
-    return replace(ways.chosen(one), amplitude=amplitude)
+    np.add.at(amplitude, same, paths.amplitude * turn)
+    return replace(paths.chosen(one), amplitude=amplitude)
 
 
 def loud(level: Array, group: Indices, faintest: float) -> NDArray[np.bool_]:
@@ -248,7 +248,7 @@ def meeting(one: Indices, other: Indices) -> tuple[Indices, Indices]:
     return rows, order[np.repeat(first, count) + within]
 
 
-def successive(near: Ways, far: Ways) -> tuple[Indices, Indices]:
+def successive(near: DiffractedPaths, far: DiffractedPaths) -> tuple[Indices, Indices]:
     """Ways over edges of ``near``, seen from the source, and of ``far``, seen from the points, that
     are met one after the other on the same side of an obstacle: one pair for each of ``near`` that
     is not seen from the point as well.
@@ -266,8 +266,8 @@ def successive(near: Ways, far: Ways) -> tuple[Indices, Indices]:
 
 
 def over_two(
-    source: Array, places: Array, near: Ways, far: Ways, wavenumber: float
-) -> tuple[Ways, Array, NDArray[np.bool_]]:
+    source: Array, places: Array, near: DiffractedPaths, far: DiffractedPaths, wavenumber: float
+) -> tuple[DiffractedPaths, Array, NDArray[np.bool_]]:
     """Ways over two edges from a source to points (n, 3), each over one of ``near`` and one of
     ``far``, (n,), whichever comes first, which are ways over them alone; 1 less the square of the
     edges' correlation, which is 0 for one edge; and which of the ways over one of them remain,
@@ -288,7 +288,7 @@ def over_two(
         np.stack([one.lit_m > 0, other.lit_m > 0], axis=1),
         correlation,
     )
-    ways = replace(
+    paths = replace(
         one,
         stops=np.stack([first, second], axis=1),
         aside=np.stack([one.aside[:, 0], other.aside[:, 0]], axis=1),
@@ -296,21 +296,25 @@ def over_two(
         longer_m=a + b + c - np.linalg.norm(places - source, axis=1),
         lit_m=np.full(len(a), np.inf),
     )
-    return ways, 1 - correlation**2, np.where(swap[:, None], alone[:, ::-1], alone)
+    return paths, 1 - correlation**2, np.where(swap[:, None], alone[:, ::-1], alone)
 
 
-def _reach(ways: Ways, source: Array) -> Array:
-    reach: Array = np.linalg.norm(ways.stops[:, 0] - source, axis=1)
+def _reach(paths: DiffractedPaths, source: Array) -> Array:
+    reach: Array = np.linalg.norm(paths.stops[:, 0] - source, axis=1)
     return reach
 
 
-def _either(which: NDArray[np.bool_], one: Ways, other: Ways) -> Ways:
+def _either(
+    which: NDArray[np.bool_], one: DiffractedPaths, other: DiffractedPaths
+) -> DiffractedPaths:
     """One where it holds, else the other."""
 
     def chosen(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
         return np.where(which.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
 
-    return Ways(*(chosen(getattr(one, f.name), getattr(other, f.name)) for f in fields(Ways)))
+    return DiffractedPaths(
+        *(chosen(getattr(one, f.name), getattr(other, f.name)) for f in fields(DiffractedPaths))
+    )
 
 
 def _shortest(begin: Array, end: Array, place: Array, along: Array) -> Array:

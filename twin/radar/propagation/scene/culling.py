@@ -1,17 +1,17 @@
-"""What need not be traced: ways that do not exist, and those that carry too little power.
+"""Culling: paths that do not exist, or carry too little power, are not traced.
 
-A way leads from the radar, directly or by its image in large surfaces, to a box around an object.
+A path leads from the radar, directly or by its image in large surfaces, to the box of an object.
 Two things are known before any ray is sent:
 
-- Over an image there is a way only to what stands beyond the last mirror, as seen from the image,
+- Over an image there is a path only to what stands beyond the last mirror, as seen from the image,
   and within the window that the mirror's patch is.
 - A box that is seen under a solid angle Omega, where the antenna's gain is at most G, meets the
   share G Omega / (4 pi) of the sent power. What it scatters is no stronger. By reciprocity the
-  share of the same box says how well the radar hears it, so an echo that goes out by a way of share
-  p and comes home by one of share q has at most the amplitude sqrt(p q) relative to the sent wave,
-  whatever happens in between (Cauchy and Schwarz; the scene is passive). All ways together share
-  at most the whole power. So all echoes that begin or end with ways of shares p_1, p_2 ... come to
-  at most 2 sqrt(p_1 + p_2 + ...), and ways are left out while that stays below a limit.
+  share of the same box says how well the radar hears it, so an echo with a forward path of share p
+  and a return path of share q has at most the amplitude sqrt(p q) relative to the sent wave,
+  whatever happens in between (Cauchy and Schwarz; the scene is passive). All paths together share
+  at most the whole power. So all echoes that begin or end with paths of shares p_1, p_2 ... come to
+  at most 2 sqrt(p_1 + p_2 + ...), and paths are left out while that stays below a limit.
 
 The bound holds for any number of bounces, any shape and any phase; it knows nothing of what hides
 in shadow, nor of where a surface reflects to. Echoes from beyond the unambiguous range are not left
@@ -39,7 +39,7 @@ _ROUNDED = 1e-9  # of the coordinates: nothing is left out for less
 #: Which end of a box each of its corners has along x, y, z.
 _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
 _STEP_DEG = 0.25  # of the antenna's pattern, off its axis; around it four times as far
-_AT_ONCE = 2**17  # ways whose corners are looked at together, 60 MB
+_AT_ONCE = 2**17  # paths to boxes whose corners are tested together, 60 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +77,8 @@ def noise_amplitude(radar: RadarDesign) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
-    """Where ways begin: the radar and its images, one row each.
+class ImageAntennas:
+    """The antenna and its mirror images, from which paths begin, one row each.
 
     ``place`` (n, 3); ``axis`` (n, 3) of the antenna as it is mirrored; ``gain`` (n,), its bound
     towards the first patch; ``last`` (n,), the number of the patch that is the window, -1 for none.
@@ -90,8 +90,10 @@ class Ways:
     last: NDArray[np.int64]
 
 
-def ways_of(images: Sequence[Image], flats: Flats, axis: Array, beam: Beam) -> Ways:
-    """Ways from the radar, whose antenna looks along ``axis``, and from its images."""
+def image_antennas_of(
+    images: Sequence[Image], flats: Flats, axis: Array, beam: Beam
+) -> ImageAntennas:
+    """Of the radar, whose antenna looks along ``axis``, and of its images."""
     mirrored = np.tile(axis, (len(images), 1))
     gain = np.full(len(images), beam.gain[0])
     last = np.array([i.patches[-1] if i.patches else -1 for i in images], dtype=np.int64)
@@ -102,13 +104,13 @@ def ways_of(images: Sequence[Image], flats: Flats, axis: Array, beam: Beam) -> W
         if image.patches:
             box = flats.box[image.patches[0]][None]
             gain[row] = _most_gain(beam, image.places[:1], axis[None], box)[0, 0]
-    return Ways(np.array([image.place for image in images]), mirrored, gain, last)
+    return ImageAntennas(np.array([image.place for image in images]), mirrored, gain, last)
 
 
 def shares(
-    ways: Ways, boxes: Array, flats: Flats, beam: Beam, area_m2: Array | None = None
+    antennas: ImageAntennas, boxes: Array, flats: Flats, beam: Beam, area_m2: Array | None = None
 ) -> Array:
-    """Bound of the share of the sent power that meets boxes (m, 2, 3) by every way, (n, m).
+    """Bound of the share of the sent power that meets boxes (m, 2, 3) from every antenna, (n, m).
 
     ``area_m2`` (m,): how much of the wave each takes up at most, if not what its box shades.
     """
@@ -116,11 +118,13 @@ def shares(
     if area_m2 is None:
         sides = size[:, [0, 1, 2]] * size[:, [1, 2, 0]]
         area_m2 = np.linalg.norm(sides, axis=1)  # of a box's shadow: nothing casts a larger one
-    found = np.zeros((len(ways.place), len(boxes)))
+    found = np.zeros((len(antennas.place), len(boxes)))
     rows = max(_AT_ONCE // max(len(boxes), 1), 1)
     for first in range(0, len(found), rows):
         part = slice(first, first + rows)
-        some = Ways(ways.place[part], ways.axis[part], ways.gain[part], ways.last[part])
+        some = ImageAntennas(
+            antennas.place[part], antennas.axis[part], antennas.gain[part], antennas.last[part]
+        )
         gain = np.minimum(_most_gain(beam, some.place, some.axis, boxes), some.gain[:, None])
         distance = np.stack([distances_m(boxes, place) for place in some.place])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -132,16 +136,16 @@ def shares(
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """Which ways to boxes are worth it, (n, m), and the bound of what the others come to: their
-    echoes' amplitude relative to the sent wave, before losses.
+    """Which paths to boxes are traced, (n, m), and the bound of the amplitude of all other echoes
+    relative to the sent wave, before losses.
     """
 
-    ways: Mask
+    is_traced: Mask
     left_out: float
 
 
 def worth_tracing(share: Array, limit: float) -> Worth:
-    """Ways that stay when the faintest are left out, whose echoes together stay below a limit.
+    """Paths that remain when the faintest are left out, whose echoes together stay below a limit.
 
     Parameters
     ----------
@@ -173,26 +177,26 @@ def _most_gain(beam: Beam, places: Array, axes: Array, boxes: Array) -> Array:
     return beam.most(np.maximum(np.arccos(np.clip(cosine, -1, 1)) - half, 0.0))
 
 
-def _in_sight(ways: Ways, boxes: Array, flats: Flats) -> Mask:
+def _in_sight(antennas: ImageAntennas, boxes: Array, flats: Flats) -> Mask:
     """Whether a part of each box stands beyond the last mirror and is seen through its patch."""
-    seen = np.ones((len(ways.place), len(boxes)), dtype=bool)
-    over = np.flatnonzero(ways.last >= 0)
+    seen = np.ones((len(antennas.place), len(boxes)), dtype=bool)
+    over = np.flatnonzero(antennas.last >= 0)
     if not len(over) or not len(boxes):
         return seen
-    patch = ways.last[over]
+    patch = antennas.last[over]
     away, point = flats.normal[patch], flats.point[patch]
-    height = np.einsum("ni,ni->n", point - ways.place[over], away)
+    height = np.einsum("ni,ni->n", point - antennas.place[over], away)
     away, height = away * np.where(height < 0, -1, 1)[:, None], np.abs(height)
     corners = boxes[:, _CORNERS, np.arange(3)]
     # Of every corner how far beyond the mirror's plane it stands, (n, m, 8).
     beyond = np.einsum("mci,ni->nmc", corners - boxes[:1, :1], away)
     beyond -= np.einsum("ni,ni->n", point - boxes[0, 0], away)[:, None, None]
-    scale = _ROUNDED * (np.abs(corners).max() + np.abs(ways.place).max())
+    scale = _ROUNDED * (np.abs(corners).max() + np.abs(antennas.place).max())
     seen[over] = (beyond > scale).any(axis=2)
     straddles = (beyond < 0).any(axis=2)
     shrink = height[:, None, None] / np.maximum(height[:, None, None] + beyond, 1e-300)
     for axis in in_plane(away):
-        here = np.einsum("ni,ni->n", ways.place[over], axis)[:, None, None]
+        here = np.einsum("ni,ni->n", antennas.place[over], axis)[:, None, None]
         there = np.einsum("mci,ni->nmc", corners, axis)
         # A corner beyond the mirror is seen through its plane at this coordinate; where the plane
         # cuts a box, the cut is no wider than the box.

@@ -8,7 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.scene.culling import Beam, shares, ways_of, worth_tracing
+from twin.radar.propagation.scene.culling import Beam, image_antennas_of, shares, worth_tracing
 from twin.radar.propagation.scene.images import Image, in_planes
 from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene
 from twin.radar.propagation.scene.slabs import Walls
@@ -82,7 +82,7 @@ def images(
     for _ in range(order):
         if not newest or not len(flats):
             break
-        share = shares(ways_of(newest, flats, axis, beam), flats.box, flats, beam)
+        share = shares(image_antennas_of(newest, flats, axis, beam), flats.box, flats, beam)
         places = np.array([image.place for image in newest])
         off = np.einsum("ni,pi->np", places, flats.normal)
         off -= np.einsum("pi,pi->p", flats.point, flats.normal)
@@ -91,7 +91,7 @@ def images(
             share[row, image.patches[-1:]] = 0
         worth = worth_tracing(share, limit / order)
         left_out += worth.left_out
-        rows, numbers = np.nonzero(worth.ways)
+        rows, numbers = np.nonzero(worth.is_traced)
         reached = _reached(sight, flats, newest, rows, numbers)
         newest = [
             _reflected(newest[row], number, flats)

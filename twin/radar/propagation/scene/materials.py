@@ -7,7 +7,7 @@ from scipy.constants import epsilon_0
 
 from twin.engine import sionna
 from twin.files import InputError
-from twin.radar.scattering.surface import PEC, Layer, Surface
+from twin.radar.scattering.surface import PEC, Layer, LayeredSurface
 from twin.scene import Scene, SceneObject
 from twin.scene.materials import Material
 
@@ -43,7 +43,9 @@ def radio_properties(
     )
 
 
-def surface_of(item: SceneObject, scene: Scene, carrier_hz: float) -> tuple[Surface, str | None]:
+def surface_of(
+    item: SceneObject, scene: Scene, carrier_hz: float
+) -> tuple[LayeredSurface, str | None]:
     """What an object's facets are made of at the carrier, and why that is assumed."""
     found = radio_properties(item.material, scene.materials[item.material], carrier_hz)
     permittivity, conductivity, assumed = found
@@ -51,8 +53,8 @@ def surface_of(item: SceneObject, scene: Scene, carrier_hz: float) -> tuple[Surf
         return PEC, assumed
     epsilon = permittivity - 1j * conductivity / (2 * np.pi * carrier_hz * epsilon_0)
     if item.thickness_m is None:
-        return Surface(backing=epsilon), assumed
-    return Surface((Layer(epsilon, item.thickness_m),), backing=1), assumed
+        return LayeredSurface(backing=epsilon), assumed
+    return LayeredSurface((Layer(epsilon, item.thickness_m),), backing=1), assumed
 
 
 @lru_cache(maxsize=256)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.scene.mesh_scene import MeshScene
 from twin.radar.scattering.arrays import ComplexVector3, Index, Mask, Real, Vector3
 from twin.radar.scattering.kernel import coefficients_at, plane
-from twin.radar.scattering.surface import TABLE_STEPS, Surface
+from twin.radar.scattering.surface import TABLE_STEPS, LayeredSurface
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def lets_through(permittivity: complex, thickness_m: float, wavelength_m: float)
 def wall_table(permittivity: complex, carrier_hz: float) -> Array:
     """1 - r^2 (TE and TM), q, and the mean r^2, Re and Im each, over the cosine of incidence."""
     cosine = np.linspace(0, 1, TABLE_STEPS + 1)
-    te, tm = Surface(backing=permittivity).reflection(cosine, carrier_hz)
+    te, tm = LayeredSurface(backing=permittivity).reflection(cosine, carrier_hz)
     q = np.sqrt(permittivity - (1 - cosine**2) + 0j)
     q = np.where(q.imag > 0, -q, q)
     columns = (1 - te**2, 1 - tm**2, q, (te**2 + tm**2) / 2)

@@ -1,4 +1,4 @@
-"""Waves that are sent at a mesh, and what is received of its echoes: many at once."""
+"""Aspects of a mesh: directions and polarisations of the transmitter and the receiver."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
+class Aspects:
     """One row each, in the frame of the mesh.
 
     ``source`` and ``receiver`` (n, 3): unit vectors from the mesh's origin; ``distance_m`` (n,) of
@@ -28,22 +28,22 @@ class Ways:
     def __len__(self) -> int:
         return len(self.source)
 
-    def part(self, which: slice) -> "Ways":
+    def part(self, which: slice) -> "Aspects":
         """Only some of them."""
         columns = (self.source, self.receiver, self.distance_m, self.sent, self.heard)
-        return Ways(*(column[which] for column in columns))
+        return Aspects(*(column[which] for column in columns))
 
     @property
-    def are_back(self) -> NDArray[np.bool_]:
+    def are_monostatic(self) -> NDArray[np.bool_]:
         """Whether receiver and transmitter are one, (n,)."""
         found: NDArray[np.bool_] = (self.source == self.receiver).all(axis=1)
         return found
 
     @staticmethod
-    def back_to(radars: "list[Radar]", polarization: Polarization) -> "Ways":
+    def monostatic(radars: "list[Radar]", polarization: Polarization) -> "Aspects":
         """To radars and back, received in V and H."""
         heard = np.array([radar.polarizations for radar in radars]).reshape(-1, 2, 3)
         direction = np.array([radar.direction for radar in radars]).reshape(-1, 3)
         distance = np.array([radar.distance_m for radar in radars], dtype=np.float64)
         sent = heard[:, :1] if polarization == "V" else heard[:, 1:]
-        return Ways(direction, direction, distance, sent, heard)
+        return Aspects(direction, direction, distance, sent, heard)
