@@ -64,27 +64,29 @@ def _of(name: str, scene: Scene) -> Iterator[Figure]:
     yield f"{name}: objects", float(len(scene.objects)), ""
     yield f"{name}: triangles", float(scene.triangles), ""
     start = time.perf_counter()
-    stage = _set_up(scene)
+    prepared = _set_up(scene)
     yield f"{name}: set-up, the first time", time.perf_counter() - start, "s"
     moved = iter(_moved(scene, None, 0.1 * step) for step in range(1, 99))
     yield f"{name}: set-up, one object moved", timed(lambda: _set_up(next(moved)), runs=5), ""
     scattering = [
-        o for o, r in zip(stage.items, stage.roles, strict=True) if r is ScatteringModel.OPTICS
+        o
+        for o, r in zip(prepared.items, prepared.roles, strict=True)
+        if r is ScatteringModel.OPTICS
     ]
     yield f"{name}: objects that scatter", float(len(scattering)), ""
-    yield f"{name}: images, with the radar", float(len(stage.images)), ""
-    yield f"{name}: ways worth tracing", float(stage.worth.sum()), ""
+    yield f"{name}: images, with the radar", float(len(prepared.images)), ""
+    yield f"{name}: ways worth tracing", float(prepared.worth.sum()), ""
 
 
 def _set_up(scene: Scene) -> PreparedScene:
     radar = load_radar("hybrid-79")
-    stage = prepare_scene(
+    prepared = prepare_scene(
         scene, radar, assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True), 1
     )
-    items = zip(stage.items, stage.roles, strict=True)
+    items = zip(prepared.items, prepared.roles, strict=True)
     bodies_of([item for item, role in items if role is ScatteringModel.OPTICS])
-    stage.seen_by_itself()
-    return stage
+    prepared.seen_by_itself()
+    return prepared
 
 
 def _moved(scene: Scene, name: str | None, metres: float) -> Scene:

@@ -1,4 +1,4 @@
-"""Sionna RT's ways against the twin's own legs: several reflections, a slab, an edge.
+"""Sionna RT's ways against the twin's own paths: several reflections, a slab, an edge.
 
 What decides which engine finds what: where both know a way, how far they differ in length and
 level, and how long they take; and what one of them does not know.
@@ -19,7 +19,7 @@ from benchmarks.timing import Figure, timed
 from twin.engine import mitsuba, sionna
 from twin.geometry import Geometry, mitsuba_mesh
 from twin.radar import load_radar
-from twin.radar.propagation.diffraction.around_edges import legs_to, screens
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, screens
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene.materials import radio_properties
@@ -100,21 +100,21 @@ class _Peer:
         ]
 
 
-def _stage(items: Sequence[SceneObject], begin: Array, order: int) -> PreparedScene:
+def _prepared(items: Sequence[SceneObject], begin: Array, order: int) -> PreparedScene:
     x, y, z = begin.tolist()
     rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((x, y, z)))
     sun = Sun(180.0, 30.0, 0.0)
     scene = Scene("peer", Path("peer"), "", tuple(items), rig, sun, (), materials=_MATERIALS)
     roles = assign_scattering_models(scene, _WAVELENGTH_M, with_optics=True)
-    stage = prepare_scene(scene, _RADAR, roles, order)
-    return stage.with_images(stage.all_images)  # those that no body is heard by, too
+    prepared = prepare_scene(scene, _RADAR, roles, order)
+    return prepared.with_images(prepared.all_images)  # those that no body is heard by, too
 
 
-def _received(legs: PointPaths) -> Complex:
+def _received(paths: PointPaths) -> Complex:
     """Amplitude in a vertical antenna, as Sionna has it."""
-    upwards = np.array([0, 0, 1.0]) - legs.back * legs.back[:, 2:]
+    upwards = np.array([0, 0, 1.0]) - paths.back * paths.back[:, 2:]
     upwards /= np.linalg.norm(upwards, axis=1, keepdims=True)
-    level: Complex = np.sum(legs.field * upwards, axis=1) / (2 * _K * legs.length)
+    level: Complex = np.sum(paths.field * upwards, axis=1) / (2 * _K * paths.length)
     return level
 
 
@@ -145,29 +145,31 @@ def _street() -> Iterator[Figure]:
     for order in (1, 2):
 
         def ours(order: int = order) -> list[PointPaths]:
-            stage = _stage(items, begin, order)
-            at, off = ends - stage.anchor_m, np.zeros_like(ends)
-            return [paths_to_points(stage.station, i, at, off) for i in range(len(stage.images))]
+            prepared = _prepared(items, begin, order)
+            at, off = ends - prepared.anchor_m, np.zeros_like(ends)
+            return [
+                paths_to_points(prepared.context, i, at, off) for i in range(len(prepared.images))
+            ]
 
         def theirs(order: int = order) -> list[tuple[Array, Complex]]:
             return peer.ways(order, specular_reflection=True)
 
-        legs, ways = ours(), theirs()
+        paths, ways = ours(), theirs()
         off_m, off_db, count = [], [], 0
         for row, (lengths, amplitudes) in enumerate(ways):
             count += len(lengths)
-            for leg in (one.chosen([row]) for one in legs if one.clear[row]):
-                nearest = np.abs(lengths - leg.length).argmin()
-                off_m.append(abs(lengths[nearest] - leg.length[0]))
-                ratio = abs(amplitudes[nearest] / _received(leg)[0])
+            for path in (one.chosen([row]) for one in paths if one.clear[row]):
+                nearest = np.abs(lengths - path.length).argmin()
+                off_m.append(abs(lengths[nearest] - path.length[0]))
+                ratio = abs(amplitudes[nearest] / _received(path)[0])
                 off_db.append(abs(20 * np.log10(ratio)))
         name = f"street canyon, up to {order} reflections"
         yield f"{name}: ways found by Sionna RT", float(count), ""
-        yield f"{name}: ways found by legs", float(len(off_m)), ""
+        yield f"{name}: paths compared", float(len(off_m)), ""
         yield f"{name}: largest difference of length", 1e3 * max(off_m), "mm"
         yield f"{name}: largest difference of level", max(off_db), "dB"
         yield f"{name}: Sionna RT", timed(theirs), ""
-        yield f"{name}: legs, the stage set up anew", timed(ours), ""
+        yield f"{name}: own paths, the scene prepared anew", timed(ours), ""
 
 
 def _rectangle(name: str, height: float, material: str, **more: Any) -> SceneObject:
@@ -192,11 +194,11 @@ def _pane() -> Iterator[Figure]:
         r = (cosine - q) / (cosine + q)
         turn = np.exp(-1j * _K * _PANE_M * q)
         due = (1 - r**2) * turn / (1 - (r * turn) ** 2) * np.exp(1j * _K * _PANE_M * cosine)
-        stage = _stage([item], begin, 0)
-        leg = paths_to_points(stage.station, 0, end - stage.anchor_m, np.zeros((1, 3)))
-        straight = 1 / (2 * _K * leg.length[0])
-        inside = leg.ring.rho[0] * np.exp(-1j * _K * leg.ring.lag_m[0])
-        ours = _received(leg)[0] / straight * np.exp(-1j * _K * leg.extra[0]) / (1 - inside)
+        prepared = _prepared([item], begin, 0)
+        path = paths_to_points(prepared.context, 0, end - prepared.anchor_m, np.zeros((1, 3)))
+        straight = 1 / (2 * _K * path.length[0])
+        inside = path.ring.rho[0] * np.exp(-1j * _K * path.ring.lag_m[0])
+        ours = _received(path)[0] / straight * np.exp(-1j * _K * path.extra[0]) / (1 - inside)
         peer = _Peer.of(
             [item],
             begin,
@@ -206,9 +208,9 @@ def _pane() -> Iterator[Figure]:
             thickness=_PANE_M,
         )
         lengths, amplitudes = peer.ways(1, refraction=True)[0]
-        theirs = np.sum(amplitudes * np.exp(-1j * _K * (lengths - leg.length[0]))) / straight
+        theirs = np.sum(amplitudes * np.exp(-1j * _K * (lengths - path.length[0]))) / straight
         name = f"pane of glass, 6 mm, at {angle:.0f} degrees"
-        for engine, value in (("Sionna RT", theirs), ("legs", ours)):
+        for engine, value in (("Sionna RT", theirs), ("own paths", ours)):
             yield f"{name}: error of level by {engine}", _db(value / due), "dB"
             late = -np.angle(value / due) / _K
             yield f"{name}: error of length by {engine}", 1e3 * float(late), "mm +- wavelengths"
@@ -224,25 +226,25 @@ def _edge() -> Iterator[Figure]:
         peer = _Peer.of(
             [item], begin, end, relative_permittivity=1.0, conductivity=1e7, thickness=0.1
         )
-        stage = _stage([item], begin, 0)
-        obstacles = screens(stage, 60.0)
+        prepared = _prepared([item], begin, 0)
+        obstacles = screens(prepared, 60.0)
 
         def theirs(peer: _Peer = peer) -> tuple[Array, Complex]:
             return peer.ways(1, diffraction=True, edge_diffraction=True)[0]
 
-        def ours(stage: PreparedScene = stage, obstacles: Any = obstacles) -> PointPaths:
+        def ours(prepared: PreparedScene = prepared, obstacles: Any = obstacles) -> PointPaths:
             mitsuba()  # or the other engine's kind of numbers
-            at = end - stage.anchor_m
-            return legs_to(stage.station, obstacles, 0, at, np.zeros((1, 3)))[0]
+            at = end - prepared.anchor_m
+            return all_paths_to_points(prepared.context, obstacles, 0, at, np.zeros((1, 3)))[0]
 
         lengths, amplitudes = theirs()
         level = np.sum(amplitudes * np.exp(-1j * _K * (lengths - 10)))
-        legs = ours()
-        own = np.sum(_received(legs) * np.exp(-1j * _K * legs.extra))
+        paths = ours()
+        own = np.sum(_received(paths) * np.exp(-1j * _K * paths.extra))
         yield f"3 cm behind {name}: Sionna RT", _db(2 * _K * 10 * level), "dB"
-        yield f"3 cm behind {name}: legs", _db(2 * _K * 10 * own), "dB"
+        yield f"3 cm behind {name}: own paths", _db(2 * _K * 10 * own), "dB"
         yield f"3 cm behind {name}: Sionna RT, time", timed(theirs), ""
-        yield f"3 cm behind {name}: legs, time", timed(ours), ""
+        yield f"3 cm behind {name}: own paths, time", timed(ours), ""
 
 
 def _thick(sheet: SceneObject) -> SceneObject:

@@ -149,14 +149,14 @@ def test_a_long_body_has_its_own_level(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two equal balls 1.5 m apart in range are of one body: over the band their power is twice that
     of one. Five frequencies 1 GHz apart, which hear both in step every 15 cm, say four times.
     """
-    stage = wave_numbers(RADAR, 1.5)
-    assert 40 <= len(stage) <= 64
+    band = wave_numbers(RADAR, 1.5)
+    assert 40 <= len(band) <= 64
     assert len(wave_numbers(RADAR, 0.05)) == 5
     assert len(wave_numbers(RADAR, 100.0)) == 64
     pair = np.array([0, 0], dtype=np.intp), np.ones(2, dtype=complex), np.array([10.0, 13.0])
     level = [
         np.sqrt(np.mean(np.abs(Budget(1, 0.1, numbers, 0.0).summed(*pair)) ** 2))
-        for numbers in (stage, wave_numbers(RADAR, 0.05))
+        for numbers in (band, wave_numbers(RADAR, 0.05))
     ]
     assert level[0] == pytest.approx(np.sqrt(2), rel=0.03)
     assert abs(level[1] / np.sqrt(2) - 1) > 0.15

@@ -66,9 +66,9 @@ def turned(mesh: trimesh.Trimesh, radar: Radar, distance_m: float) -> SceneObjec
 def rays_of(scene: Scene, **knobs) -> Contributions:
     """Of surfaces and edges, without the antenna's gain."""
     roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
-    stage, fidelity = prepare_scene(scene, RADAR, roles, 1), EDGES.with_(**knobs)
-    surfaces = scattered(stage, RADAR, fidelity).contributions
-    return Contributions.joined([surfaces, diffracted(stage, fidelity)[0]])
+    prepared, fidelity = prepare_scene(scene, RADAR, roles, 1), EDGES.with_(**knobs)
+    surfaces = scattered(prepared, RADAR, fidelity).contributions
+    return Contributions.joined([surfaces, diffracted(prepared, fidelity)[0]])
 
 
 def lengths_m(found: Contributions) -> np.ndarray:

@@ -49,12 +49,12 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
     """
     rng = np.random.default_rng(seed)
     scene = yard(rng)
-    stage = prepare_scene(
+    prepared = prepare_scene(
         scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, with_optics=True), 1
     )
-    assert len(stage.images) == 3  # the radar, in the ground, in the mirror
-    s, bodies = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
-    facets = bistatic_facets(s, bodies, stage.images)
+    assert len(prepared.images) == 3  # the radar, in the ground, in the mirror
+    s, bodies = prepared.context, scatterers(prepared, RADAR.antenna, _bodies(prepared))
+    facets = bistatic_facets(s, bodies, prepared.images)
     lit = facets.taken(facets.all)
     hidden = wholly_hidden(s, bodies.parts, lit)
     is_seen = np.zeros(len(lit), dtype=bool)

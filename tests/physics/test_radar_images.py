@@ -134,12 +134,12 @@ def test_echoes_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
     here = np.array([12.0, 3.0, 0.0])
     there = mirrored(mirrored(here, "ahead"), "side")
     scene = world(AHEAD, SIDE, ball("b", here))
-    stage = prepare_scene(
+    prepared = prepare_scene(
         scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, with_optics=True), 2
     )
-    twice = [n for n in range(len(stage.images)) if len(stage.via(n)) == 2]
-    assert {stage.via(n) for n in twice} == {("side", "ahead")}
-    rays = scattered(stage, RADAR, knobs).contributions
+    twice = [n for n in range(len(prepared.images)) if len(prepared.via(n)) == 2]
+    assert {prepared.via(n) for n in twice} == {("side", "ahead")}
+    rays = scattered(prepared, RADAR, knobs).contributions
     over = rays.chosen(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
     alone = world(ball("b", there))
     free = prepare_scene(

@@ -39,11 +39,11 @@ def test_neighbours_of_what_sees_something_are_looked_at(is_loose: bool) -> None
     """
     item = loose(mirror()) if is_loose else mirror()
     scene = world(item, ball("ball", (10.0, 1.5, 0.0), 0.1, level=3))
-    stage = prepare_scene(
+    prepared = prepare_scene(
         scene, RADAR, assign_scattering_models(scene, WAVELENGTH_M, with_optics=True), 0
     )
-    s, b = stage.station, scatterers(stage, RADAR.antenna, _bodies(stage))
-    facets = illuminated_facets(s, b, stage.images)
+    s, b = prepared.context, scatterers(prepared, RADAR.antenna, _bodies(prepared))
+    facets = illuminated_facets(s, b, prepared.images)
     lit = facets.taken(facets.all)
     by_any = reflected_ray_hits(s, b, lit, 4).is_valid.any(axis=0)
     by_own = reflected_ray_hits(s, b, lit, 1).is_valid[0]

@@ -205,13 +205,15 @@ def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
     """A rough wall, seen through or solid, and its image: no way from its points over itself."""
     panel = box("panel", (3.0, -15, -15), (3.0125, 15, 15), material)
     s = replace(scene(panel), materials=rough(material))
-    stage = prepare_scene(
+    prepared = prepare_scene(
         s, RADAR, assign_scattering_models(s, WAVELENGTH_M, with_optics=True), 1, is_rough=True
     )
-    assert {stage.via(n) for n in range(len(stage.images))} == {()}  # nothing else is heard over it
-    stage = stage.with_images(stage.all_images)
-    assert ("panel",) in {stage.via(n) for n in range(len(stage.images))}
-    rays = surface_clutter(s, stage, Fidelity(radar="rough"), 0)[0]
+    assert {prepared.via(n) for n in range(len(prepared.images))} == {
+        ()
+    }  # nothing else is heard over it
+    prepared = prepared.with_images(prepared.all_images)
+    assert ("panel",) in {prepared.via(n) for n in range(len(prepared.images))}
+    rays = surface_clutter(s, prepared, Fidelity(radar="rough"), 0)[0]
     assert len(rays.source) > 1000
     assert not rays.source.any()
     assert not rays.receiver.any()
@@ -225,8 +227,8 @@ def test_the_floor_behind_a_mirror() -> None:
     mirror = plate("mirror", (22.0, 0, 0), 60.0)
     s = scene(floor(), mirror)
     roles = assign_scattering_models(s, WAVELENGTH_M, with_optics=True)
-    stage = prepare_scene(s, RADAR, roles, 1, is_rough=True)
-    rays = surface_clutter(s, stage, Fidelity(radar="rough"), 0)[0]
+    prepared = prepare_scene(s, RADAR, roles, 1, is_rough=True)
+    rays = surface_clutter(s, prepared, Fidelity(radar="rough"), 0)[0]
     (number,) = {int(n) for n in rays.source if n}
     n = 1000
     x = 8 + 12 * (np.arange(n) + 0.5) / n

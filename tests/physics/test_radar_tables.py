@@ -37,7 +37,7 @@ from twin.radar.cross_section.table import QUALITY, Table, table_of
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.radar.propagation.solvers import trace
-from twin.radar.propagation.tabulated import leg
+from twin.radar.propagation.tabulated import specular_path
 from twin.radar.scattering import PEC, LayeredSurface, MeshTarget, Radar
 from twin.radar.truth import true_targets
 from twin.scene import Pose, Rig, SceneObject, Target
@@ -297,7 +297,7 @@ def test_legs_are_sionnas() -> None:
     for path in found:
         at = path.via.index("t")
         there, back = (
-            leg(
+            specular_path(
                 where - [0, 0, 1],
                 [planes[name] for name in names],
                 [surfaces[name] for name in names],

@@ -164,14 +164,14 @@ def direct(
     distance = np.minimum(aspects.distance_m, _FAR * 2 * target.geometry.sphere[1])
     wave_numbers = 2 * np.pi * frequency_hz / speed_of_light
     k = float(wave_numbers.max())
-    s = _radars(subject, target, aspects, distance, 2 * np.pi / k, material_hz)
-    scatterers = _scatterers(s, subject)
+    context = _radars(subject, target, aspects, distance, 2 * np.pi / k, material_hz)
+    scatterers = _scatterers(context, subject)
     aspect, face, side = _facing(subject, aspects, distance)
     first = (_FIRST_SENT + m) * aspect
     amplitude = np.zeros((n, len(frequency_hz), m, 2), dtype=np.complex128)
     if not len(face):
         return Direct(amplitude, np.zeros(n))
-    lit = lit_facets(s, scatterers, face, first + _ALL_SENT, first + _ALL_HEARD)
+    lit = lit_facets(context, scatterers, face, first + _ALL_SENT, first + _ALL_HEARD)
     lit = replace(lit, body=aspect)
     is_open = subject.is_open[(side < 0).astype(np.intp), face]
     if not is_open.all() and n * len(subject.world.faces) ** 2 <= _MOST_PAIRS:
@@ -184,15 +184,15 @@ def direct(
     further = both * np.exp(-2j * (k * distance % np.pi)) / (2 * k * distance**2)
     if np.isfinite(aspects.distance_m).any():
         tolerance *= _ALIKE
-    leaves, weight = _leaves(s, scatterers, lit, is_open, k, tolerance, further)
+    leaves, weight = _leaves(context, scatterers, lit, is_open, k, tolerance, further)
     for part in leaves:
         for row, other in enumerate(wave_numbers.tolist()):
-            amplitude[:, row] += _answers(s, scatterers, part, other, other == k, distance, m)
+            amplitude[:, row] += _answers(context, scatterers, part, other, other == k, distance, m)
     return Direct(amplitude, _grazing(subject, aspects, distance, aspect, face, weight))
 
 
 def _answers(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     leaves: Leaves,
     wave_number: float,
@@ -202,7 +202,7 @@ def _answers(
 ) -> Complex:
     """Amplitudes (n, m, 2) of triangles at a frequency, in metres."""
     body, n = leaves.body, len(distance_m)
-    at = replace(s, wavelength=dr.opaque(s.mi.Float64, 2 * np.pi / wave_number))
+    at = replace(context, wavelength=dr.opaque(context.mi.Float64, 2 * np.pi / wave_number))
     echoes = leaves.echoes if is_divided_for else echoes_of(at, scatterers, leaves.triangles)
     # A wave of amplitude 1 at the origin, less the phase to it and back.
     path = wave_number * (echoes.length_m - 2 * distance_m[body]) % (2 * np.pi)
@@ -224,7 +224,7 @@ def _answers(
 
 
 def _leaves(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
     is_open: NDArray[np.bool_],
@@ -233,12 +233,12 @@ def _leaves(
     further: Complex,
 ) -> tuple[list[Leaves], Array]:
     """Triangles fine enough for the echo at every aspect, and whether facets seem seen, (n,)."""
-    echoes, n = echoes_of(s, scatterers, lit), len(further)
+    echoes, n = echoes_of(context, scatterers, lit), len(further)
     free, rest = np.flatnonzero(is_open), np.flatnonzero(~is_open)
     weight = np.ones(len(lit))
     if len(rest):
         some = lit.taken(rest)
-        weight[rest] = sampled(s, some, np.zeros(len(rest), dtype=bool))[3]
+        weight[rest] = sampled(context, some, np.zeros(len(rest), dtype=bool))[3]
     out_of_phase = np.sqrt(np.bincount(lit.body, np.abs(echoes.total) ** 2, n)) + np.abs(further)
     floor = _FAINT * tolerance * out_of_phase
     wave_numbers = np.array([wave_number])
@@ -257,7 +257,7 @@ def _leaves(
             part = lit, echoes
             if len(rows) < len(lit):
                 part = lit.taken(rows), echoes.chosen(rows)
-            found += settled(s, scatterers, *part, budget, is_open=rows is free)
+            found += settled(context, scatterers, *part, budget, is_open=rows is free)
     return found, weight
 
 
@@ -286,19 +286,19 @@ def _facing(
     return aspect, face, side[aspect, face]
 
 
-def _scatterers(s: TracingContext, subject: Subject) -> Scatterers:
+def _scatterers(context: TracingContext, subject: Subject) -> Scatterers:
     count, kinds = len(subject.world.faces), len(subject.surface)
-    zero, one = s.mi.Vector3d(0), s.mi.Float64(1)
+    zero, one = context.mi.Vector3d(0), context.mi.Float64(1)
     return Scatterers(
         body=np.zeros(count, dtype=np.intp),
         counts=~subject.shape.is_double,
         outward=subject.shape.outward[None],
         heard=np.ones((1, count), dtype=bool),
-        antenna=_Isotropic(s.mi, (zero, zero, zero), None, one, one, one, 1),
-        answers=s.mi.Bool(aligned(np.ones(kinds, dtype=bool))),
-        surface=s.mi.UInt32(aligned(subject.surface)),
-        velocity=s.mi.Float64(aligned(np.zeros(3 * kinds))),
-        parts=dr.arange(s.mi.UInt32, count),
+        antenna=_Isotropic(context.mi, (zero, zero, zero), None, one, one, one, 1),
+        answers=context.mi.Bool(aligned(np.ones(kinds, dtype=bool))),
+        surface=context.mi.UInt32(aligned(subject.surface)),
+        velocity=context.mi.Float64(aligned(np.zeros(3 * kinds))),
+        parts=dr.arange(context.mi.UInt32, count),
     )
 
 

@@ -48,7 +48,7 @@ class Scattered:
 
 
 def scattered(
-    stage: PreparedScene,
+    prepared: PreparedScene,
     radar: RadarDesign,
     fidelity: Fidelity,
     earlier: Traced | None = None,
@@ -58,21 +58,21 @@ def scattered(
     """To ``fidelity.radar_tolerance``. What holds of an ``earlier`` frame is not found anew;
     ``keep``: whether later frames may keep this one, which then is traced in full.
     """
-    body = _bodies(stage)
-    if not (stage.worth & (body >= 0)).any():
+    body = _bodies(prepared)
+    if not (prepared.worth & (body >= 0)).any():
         return Scattered(Contributions.none(), body, np.zeros(body.max(initial=-1) + 1))
-    bodies = scatterers(stage, radar.antenna, body, radar.burst_s / 2)
+    bodies = scatterers(prepared, radar.antenna, body, radar.burst_s / 2)
     asked = fidelity.radar_tolerance, fidelity.radar_bounces
     setting, valid = None, None
     if keep or earlier is not None:
-        setting = setting_of(stage, bodies, radar, body, asked)
+        setting = setting_of(prepared, bodies, radar, body, asked)
     if earlier is not None and setting is not None and not keep:
-        valid = still_valid(stage.station, bodies, earlier, setting, stage)
+        valid = still_valid(prepared.context, bodies, earlier, setting, prepared)
     found = scattered_by(
-        stage.station,
+        prepared.context,
         bodies,
-        stage.images,
-        wave_numbers(radar, _extent_m(stage, body)),
+        prepared.images,
+        wave_numbers(radar, _extent_m(prepared, body)),
         *asked,
         OF_NOISE * noise_amplitude(radar) / loss_of(radar),
         valid,
@@ -100,12 +100,15 @@ def wave_numbers(radar: RadarDesign, extent_m: float) -> Array:
     return numbers
 
 
-def _extent_m(stage: PreparedScene, body: NDArray[np.int32]) -> float:
+def _extent_m(prepared: PreparedScene, body: NDArray[np.int32]) -> float:
     """The most that a body reaches from its nearest point to its farthest, as boxes tell."""
-    box = boxes_of([stage.originals[i] for i in np.flatnonzero(body >= 0)])
+    box = boxes_of([prepared.originals[i] for i in np.flatnonzero(body >= 0)])
     whose = body[body >= 0]
-    middle, half = box.mean(axis=1) - stage.anchor_m - stage.place, np.diff(box, axis=1)[:, 0] / 2
-    nearest = distances_m(box, stage.anchor_m + stage.place)
+    middle, half = (
+        box.mean(axis=1) - prepared.anchor_m - prepared.place,
+        np.diff(box, axis=1)[:, 0] / 2,
+    )
+    nearest = distances_m(box, prepared.anchor_m + prepared.place)
     farthest = np.linalg.norm(np.abs(middle) + half, axis=1)
     low, high = np.full(whose.max() + 1, np.inf), np.zeros(whose.max() + 1)
     np.minimum.at(low, whose, nearest)
@@ -113,44 +116,46 @@ def _extent_m(stage: PreparedScene, body: NDArray[np.int32]) -> float:
     return float((high - low).max())
 
 
-def diffracted(stage: PreparedScene, fidelity: Fidelity) -> tuple[Contributions, list[str]]:
+def diffracted(prepared: PreparedScene, fidelity: Fidelity) -> tuple[Contributions, list[str]]:
     """Contributions of the sharp edges of every such object; what about them is assumed or lost."""
-    if not fidelity.radar_edges or ScatteringModel.OPTICS not in stage.roles:
+    if not fidelity.radar_edges or ScatteringModel.OPTICS not in prepared.roles:
         return Contributions.none(), []
-    body = _bodies(stage)
-    sharp = _sharp(stage, body)
-    echoes, longer = edge_echoes(stage.station, sharp, stage.wavelength_m, fidelity.radar_edges)
-    return echoes, _on_edges(stage, sharp, longer)
+    body = _bodies(prepared)
+    sharp = _sharp(prepared, body)
+    echoes, longer = edge_echoes(
+        prepared.context, sharp, prepared.wavelength_m, fidelity.radar_edges
+    )
+    return echoes, _on_edges(prepared, sharp, longer)
 
 
-def behind(stage: PreparedScene, fidelity: Fidelity) -> Contributions:
+def behind(prepared: PreparedScene, fidelity: Fidelity) -> Contributions:
     """Contributions of such objects by ways round others."""
-    if not fidelity.radar_shadowed or ScatteringModel.OPTICS not in stage.roles:
+    if not fidelity.radar_shadowed or ScatteringModel.OPTICS not in prepared.roles:
         return Contributions.none()
     depth = min(fidelity.radar_shadow_db, _DEEPEST_DB)
-    obstacles = screens(stage, depth, _bodies(stage))
+    obstacles = screens(prepared, depth, _bodies(prepared))
     if obstacles is None:
         return Contributions.none()
-    return echoes_behind(obstacles, stage.surface_of_object, fidelity.radar_shadowed)
+    return echoes_behind(obstacles, prepared.surface_of_object, fidelity.radar_shadowed)
 
 
-def _sharp(stage: PreparedScene, body: NDArray[np.int32]) -> list[Sharp]:
+def _sharp(prepared: PreparedScene, body: NDArray[np.int32]) -> list[Sharp]:
     """The sharp edges of every body."""
-    rows = np.array(stage.station.table).reshape(-1, TABLE_STEPS + 1, 4)
+    rows = np.array(prepared.context.table).reshape(-1, TABLE_STEPS + 1, 4)
     # At normal incidence; a conductor's TE is -1.
-    reflection = -(rows[:, -1, 0] + 1j * rows[:, -1, 1])[stage.surface_of_object]
+    reflection = -(rows[:, -1, 0] + 1j * rows[:, -1, 1])[prepared.surface_of_object]
     found = []
     for number in range(body.max() + 1):
         members = np.flatnonzero(body == number)
-        items = tuple(stage.originals[i] for i in members)
-        edges, owner = edges_of(items, tuple(stage.anchor_m.tolist()))
+        items = tuple(prepared.originals[i] for i in members)
+        edges, owner = edges_of(items, tuple(prepared.anchor_m.tolist()))
         whose: NDArray[np.uint32] = members[owner].astype(np.uint32)
         velocity = np.array(items[0].velocity_m_per_s)
         found.append(Sharp(edges, whose, reflection[whose], velocity))
     return found
 
 
-def _on_edges(stage: PreparedScene, sharp: Sequence[Sharp], longer: float) -> list[str]:
+def _on_edges(prepared: PreparedScene, sharp: Sequence[Sharp], longer: float) -> list[str]:
     remarks = []
     if longer > 1:
         remarks.append(
@@ -158,7 +163,7 @@ def _on_edges(stage: PreparedScene, sharp: Sequence[Sharp], longer: float) -> li
             "right in phase at the carrier only, truncated at their middle (fidelity.radar_edges)"
         )
     partly = {
-        stage.items[i].material
+        prepared.items[i].material
         for body in sharp
         for i in np.unique(body.object[np.abs(body.reflection - 1) > 1e-6])
     }
@@ -174,11 +179,11 @@ def _on_edges(stage: PreparedScene, sharp: Sequence[Sharp], longer: float) -> li
 
 
 def surface_clutter(
-    scene: Scene, stage: PreparedScene, fidelity: Fidelity, seed: int
+    scene: Scene, prepared: PreparedScene, fidelity: Fidelity, seed: int
 ) -> tuple[Contributions, list[str]]:
     """Contributions of rough surfaces, and which ones have no gamma or one that is assumed."""
     found, remarks = [], []
-    for number, (item, role) in enumerate(zip(stage.items, stage.roles, strict=True)):
+    for number, (item, role) in enumerate(zip(prepared.items, prepared.roles, strict=True)):
         if role is not ScatteringModel.SURFACE:
             continue
         relief = scene.materials[item.material].surface
@@ -186,39 +191,41 @@ def surface_clutter(
         if gamma is None:
             remarks.append(f"{item.name}: {item.material} has no gamma, it does not scatter")
         elif gamma.value:
-            is_slab = number >= len(stage.world.items) and item.thickness_m is None
-            sources = tuple(np.flatnonzero(stage.worth[:, number]).tolist())
+            is_slab = number >= len(prepared.world.items) and item.thickness_m is None
+            sources = tuple(np.flatnonzero(prepared.worth[:, number]).tolist())
             found.append(SurfaceClutter(item, number, gamma.value, is_slab, sources))
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
     if not found:
         return Contributions.none(), remarks
-    echoes = clutter_echoes(stage.station, stage.anchor_m, found, fidelity.radar_scatterers, seed)
+    echoes = clutter_echoes(
+        prepared.context, prepared.anchor_m, found, fidelity.radar_scatterers, seed
+    )
     return echoes, list(dict.fromkeys(remarks))
 
 
-def at_antenna(traced: Contributions, stage: PreparedScene, radar: RadarDesign) -> Contributions:
+def at_antenna(traced: Contributions, prepared: PreparedScene, radar: RadarDesign) -> Contributions:
     """Contributions with the antenna's gains and the front end's losses, and in its axes, as the
     synthesis takes them.
     """
-    departure, arrival = traced.departure @ stage.axes.T, traced.arrival @ stage.axes.T
+    departure, arrival = traced.departure @ prepared.axes.T, traced.arrival @ prepared.axes.T
     gain = np.sqrt(radar.antenna.gain(departure) * radar.antenna.gain(arrival))
     return replace(
         traced,
         amplitude=traced.amplitude * gain * loss_of(radar),
         departure=departure,
         arrival=arrival,
-        departure_per_s=traced.departure_per_s @ stage.axes.T,
-        arrival_per_s=traced.arrival_per_s @ stage.axes.T,
+        departure_per_s=traced.departure_per_s @ prepared.axes.T,
+        arrival_per_s=traced.arrival_per_s @ prepared.axes.T,
     )
 
 
-def _bodies(stage: PreparedScene) -> NDArray[np.int32]:
+def _bodies(prepared: PreparedScene) -> NDArray[np.int32]:
     """Body of every object, -1 for what does not scatter.
 
     Objects that touch and move alike are one.
     """
-    scattering = [i for i, role in enumerate(stage.roles) if role is ScatteringModel.OPTICS]
-    body = np.full(len(stage.items), -1, dtype=np.int32)
-    body[scattering] = bodies_of([stage.items[i] for i in scattering])
+    scattering = [i for i, role in enumerate(prepared.roles) if role is ScatteringModel.OPTICS]
+    body = np.full(len(prepared.items), -1, dtype=np.int32)
+    body[scattering] = bodies_of([prepared.items[i] for i in scattering])
     return body

@@ -44,37 +44,37 @@ def echoes(
     *,
     keep: bool = False,
 ) -> Propagation:
-    """Mirror images, declared points and scattering meshes, all over the same legs; ``earlier`` and
-    ``keep`` as of `physical_optics.scattered`.
+    """Mirror images, declared points and scattering meshes, by the same one-way paths;
+    ``earlier`` and ``keep`` as of `physical_optics.scattered`.
 
     Raises InputError where a material has no data at the carrier.
     """
     is_rough = fidelity.radar == "rough"
     roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True)
-    stage = prepare_scene(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
-    of_bodies = scattered(stage, radar, fidelity, earlier, keep=keep)
-    traced = Contributions.joined([of_bodies.contributions, behind(stage, fidelity)])
-    surfaces = at_antenna(traced, stage, radar)
-    edges, on_edges = diffracted(stage, fidelity)
+    prepared = prepare_scene(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
+    of_bodies = scattered(prepared, radar, fidelity, earlier, keep=keep)
+    traced = Contributions.joined([of_bodies.contributions, behind(prepared, fidelity)])
+    surfaces = at_antenna(traced, prepared, radar)
+    edges, on_edges = diffracted(prepared, fidelity)
     clutter, on_clutter = Contributions.none(), list[str]()
     if is_rough:
-        clutter, on_clutter = surface_clutter(scene, stage, fidelity, seed)
-    diffuse = at_antenna(Contributions.joined([edges, clutter]), stage, radar)
+        clutter, on_clutter = surface_clutter(scene, prepared, fidelity, seed)
+    diffuse = at_antenna(Contributions.joined([edges, clutter]), prepared, radar)
     diffuse = diffuse.in_proportion_to_wavelength()
-    mirrors = _mirrors(stage, radar, fidelity)
-    points = _points(stage, radar, declared_alone(scene, roles), fidelity)
+    mirrors = _mirrors(prepared, radar, fidelity)
+    points = _points(prepared, radar, declared_alone(scene, roles), fidelity)
     names, paths = by_delay(
         [*mirrors[0], *points[0]], Contributions.joined([mirrors[1], points[1]])
     )
-    bodies = _converged(stage, radar, fidelity, of_bodies, surfaces)
+    bodies = _converged(prepared, radar, fidelity, of_bodies, surfaces)
     return Propagation(
         Contributions.joined([paths, diffuse, surfaces]),
         names,
         roles=tuple(roles),
-        assumptions=(*stage.assumptions, *on_edges, *on_clutter, *unconverged(bodies)),
-        heard=_heard(Contributions.joined([surfaces, diffuse]), stage, radar),
+        assumptions=(*prepared.assumptions, *on_edges, *on_clutter, *unconverged(bodies)),
+        heard=_heard(Contributions.joined([surfaces, diffuse]), prepared, radar),
         warnings=silent_objects(scene, radar, roles),
-        objects=tuple(item.name for item in stage.items),
+        objects=tuple(item.name for item in prepared.items),
         bodies=bodies,
         traced=of_bodies.traced,
         kept=of_bodies.kept,
@@ -82,7 +82,7 @@ def echoes(
 
 
 def _converged(
-    stage: PreparedScene,
+    prepared: PreparedScene,
     radar: RadarDesign,
     fidelity: Fidelity,
     of_bodies: Scattered,
@@ -93,7 +93,7 @@ def _converged(
     count = len(error)
     echo = summed_by(body[surfaces.object], count, surfaces, wave.carrier_hz, band_of(wave))
     return body_echoes(
-        [tuple(stage.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)],
+        [tuple(prepared.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)],
         echo,
         error * loss_of(radar),
         fidelity.radar_tolerance,
@@ -102,37 +102,37 @@ def _converged(
 
 
 def _mirrors(
-    stage: PreparedScene, radar: RadarDesign, fidelity: Fidelity
+    prepared: PreparedScene, radar: RadarDesign, fidelity: Fidelity
 ) -> tuple[list[PathName], Contributions]:
     """The radar's own images: as many reflections as out and back together."""
-    if fidelity.radar_images == 0 or len(stage.flats) == 0:
+    if fidelity.radar_images == 0 or len(prepared.flats) == 0:
         return [], Contributions.none()
-    further = stage.seen_by_itself()
-    return _paths(further, radar, mirror_echoes(further.station), [None], [()])
+    further = prepared.seen_by_itself()
+    return _paths(further, radar, mirror_echoes(further.context), [None], [()])
 
 
 def _points(
-    stage: PreparedScene, radar: RadarDesign, declared: Sequence[Target], fidelity: Fidelity
+    prepared: PreparedScene, radar: RadarDesign, declared: Sequence[Target], fidelity: Fidelity
 ) -> tuple[list[PathName], Contributions]:
     """Declared points; what passes an edge on the way is said to meet its obstacle."""
     if not declared:
         return [], Contributions.none()
-    obstacles = screens(stage, fidelity.radar_shadow_db)
-    echoes, ways = point_echoes(stage.station, declared, stage.anchor_m, obstacles)
+    obstacles = screens(prepared, fidelity.radar_shadow_db)
+    echoes, ways = point_echoes(prepared.context, declared, prepared.anchor_m, obstacles)
 
     def over(item: int) -> tuple[str, ...]:
-        return (stage.items[item].name,) if item >= 0 else ()
+        return (prepared.items[item].name,) if item >= 0 else ()
 
     names = [declared[way.target].name for way in ways]
     met = [
-        (*over(way.out_over), name, *over(way.home_over))
+        (*over(way.forward_obstacle), name, *over(way.return_obstacle))
         for way, name in zip(ways, names, strict=True)
     ]
-    return _paths(stage, radar, echoes, names, met)
+    return _paths(prepared, radar, echoes, names, met)
 
 
 def _paths(
-    stage: PreparedScene,
+    prepared: PreparedScene,
     radar: RadarDesign,
     traced: Contributions,
     targets: Sequence[str | None],
@@ -143,21 +143,21 @@ def _paths(
     """
     ends = zip(traced.object, traced.source, traced.receiver, strict=True)
     names = [
-        PathName((*stage.via(out), *met[row], *stage.via(home)[::-1]), targets[row])
-        for row, out, home in ends
+        PathName((*prepared.via(source), *met[row], *prepared.via(receiver)[::-1]), targets[row])
+        for row, source, receiver in ends
     ]
-    paths = at_antenna(traced, stage, radar)
-    return names, replace(paths, amplitude=paths.amplitude * stage.wavelength_m)
+    paths = at_antenna(traced, prepared, radar)
+    return names, replace(paths, amplitude=paths.amplitude * prepared.wavelength_m)
 
 
-def _heard(echoes: Contributions, stage: PreparedScene, radar: RadarDesign) -> tuple[Heard, ...]:
+def _heard(echoes: Contributions, prepared: PreparedScene, radar: RadarDesign) -> tuple[Heard, ...]:
     cycles = radar.ofdm.carrier_hz * echoes.delay_s % 1.0
     wave = echoes.amplitude * np.exp(-2j * np.pi * cycles)
-    n, owner = len(stage.items), echoes.object
+    n, owner = len(prepared.items), echoes.object
     count = np.bincount(owner, minlength=n)
     total = np.bincount(owner, wave.real, n) + 1j * np.bincount(owner, wave.imag, n)
     return tuple(
         Heard(item.name, int(count[i]), float(abs(total[i]) ** 2))
-        for i, item in enumerate(stage.items)
+        for i, item in enumerate(prepared.items)
         if count[i]
     )

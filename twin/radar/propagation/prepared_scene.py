@@ -1,4 +1,4 @@
-"""The scene set up for one pose of the radar: who is met and mirrors, and what all legs share.
+"""The scene set up for one pose of the radar: who is met and mirrors, and what all paths share.
 
 What depends on the meshes alone is kept between calls.
 """
@@ -14,7 +14,7 @@ from scipy.constants import speed_of_light
 from twin.engine import mitsuba
 from twin.geometry import shapes_of
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.one_way.path import TracingContext, station, with_images
+from twin.radar.propagation.one_way.path import TracingContext, tracing_context, with_images
 from twin.radar.propagation.scene.culling import (
     OF_NOISE,
     Beam,
@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PreparedScene:
-    """The scene set up for one pose: objects the rays meet, mirrors, and what all legs share.
+    """The scene set up for one pose: objects the rays meet, mirrors, and what all paths share.
 
     Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
     the objects as the scene has them, their large triangles undivided. ``images`` are those of
@@ -65,7 +65,7 @@ class PreparedScene:
     all_images: tuple[Image, ...]
     images: tuple[Image, ...]
     worth: NDArray[np.bool_]
-    station: TracingContext
+    context: TracingContext
     surface_of_object: NDArray[np.uint32]
     assumptions: tuple[str, ...]
 
@@ -78,9 +78,9 @@ class PreparedScene:
         velocities = np.array([item.velocity_m_per_s for item in self.items]).reshape(-1, 3)
         order = max(len(image.patches) for image in images)
         seen = with_images(
-            self.station, images, self.flats, velocities, self.surface_of_object, order
+            self.context, images, self.flats, velocities, self.surface_of_object, order
         )
-        return replace(self, images=tuple(images), station=seen)
+        return replace(self, images=tuple(images), context=seen)
 
     def via(self, image: int) -> tuple[str, ...]:
         """Names of the objects that make an image."""
@@ -98,7 +98,7 @@ def prepare_scene(
 ) -> PreparedScene:
     """Set a scene up for a radar at its pose.
 
-    ``order``: reflections at large surfaces on a leg, at most; ``is_rough``: they lose what
+    ``order``: reflections at large surfaces on a path, at most; ``is_rough``: they lose what
     roughness scatters, and scatter. Raises InputError where a material has no data at the carrier.
     """
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
@@ -127,7 +127,7 @@ def prepare_scene(
     limit, beam = _limit(radar), beam_of(radar.antenna)
     # Half of what may be left out are images, half ways to objects.
     found, faint = images(sight, mirrors, place, axes[0], beam, order, limit / 2)
-    stage = PreparedScene(
+    prepared = PreparedScene(
         anchor_m=anchor,
         axes=axes,
         place=place,
@@ -140,7 +140,7 @@ def prepare_scene(
         all_images=tuple(found),
         images=(),
         worth=np.zeros((0, len(items)), dtype=bool),
-        station=station(
+        context=tracing_context(
             mi,
             world,
             place,
@@ -154,7 +154,7 @@ def prepare_scene(
         surface_of_object=surface_of_object,
         assumptions=assumed,
     )
-    return _culled(stage, declared_alone(scene, roles), beam, is_rough, faint, limit)
+    return _culled(prepared, declared_alone(scene, roles), beam, is_rough, faint, limit)
 
 
 def _limit(radar: RadarDesign) -> float:
@@ -164,7 +164,7 @@ def _limit(radar: RadarDesign) -> float:
 
 
 def _culled(
-    stage: PreparedScene,
+    prepared: PreparedScene,
     points: Sequence[Target],
     beam: Beam,
     is_rough: bool,
@@ -175,21 +175,21 @@ def _culled(
     echoing = (
         (ScatteringModel.OPTICS, ScatteringModel.SURFACE) if is_rough else (ScatteringModel.OPTICS,)
     )
-    numbers = np.flatnonzero([role in echoing for role in stage.roles])
-    antennas = image_antennas_of(stage.all_images, stage.flats, stage.axes[0], beam)
-    boxes = boxes_of([stage.items[i] for i in numbers]) - stage.anchor_m
-    share = shares(antennas, boxes, stage.flats, beam)
+    numbers = np.flatnonzero([role in echoing for role in prepared.roles])
+    antennas = image_antennas_of(prepared.all_images, prepared.flats, prepared.axes[0], beam)
+    boxes = boxes_of([prepared.items[i] for i in numbers]) - prepared.anchor_m
+    share = shares(antennas, boxes, prepared.flats, beam)
     traced = worth_tracing(share, limit / 2)
     # Points cost next to nothing: only where there is no way to them they are not heard.
-    places = np.array([t.position_m for t in points]).reshape(-1, 1, 3) - stage.anchor_m
+    places = np.array([t.position_m for t in points]).reshape(-1, 1, 3) - prepared.anchor_m
     to_points = shares(
-        antennas, np.repeat(places, 2, axis=1), stage.flats, beam, np.ones(len(points))
+        antennas, np.repeat(places, 2, axis=1), prepared.flats, beam, np.ones(len(points))
     )
     heard = np.asarray(np.hstack([traced.is_traced, to_points > 0]).any(axis=1))
     heard[0] = True  # the radar itself
-    worth = np.zeros((int(heard.sum()), len(stage.items)), dtype=bool)
+    worth = np.zeros((int(heard.sum()), len(prepared.items)), dtype=bool)
     worth[:, numbers] = traced.is_traced[heard]
-    assumed = stage.assumptions
+    assumed = prepared.assumptions
     if (left_out := faint + traced.left_out) > 0:
         level = 20 * np.log10(OF_NOISE * left_out / limit)
         assumed += (
@@ -197,8 +197,8 @@ def _culled(
             f"{np.count_nonzero(share)} ways to objects, and mirrors; all their echoes together "
             f"at most {level:.0f} dB of a cell's noise",
         )
-    found = [image for image, is_heard in zip(stage.all_images, heard, strict=True) if is_heard]
-    return replace(stage.with_images(found), worth=worth, assumptions=assumed)
+    found = [image for image, is_heard in zip(prepared.all_images, heard, strict=True) if is_heard]
+    return replace(prepared.with_images(found), worth=worth, assumptions=assumed)
 
 
 def _surfaces(

@@ -1,6 +1,6 @@
 """Single paths in the scene of physical optics: mirror images of the radar, and declared points.
 
-The same legs as every other echo's, in float64; Sionna RT's image method is what they are tested
+The same paths as every other echo's, in float64; Sionna RT's image method is what they are tested
 against.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.radar.propagation.diffraction.around_edges import Screens, legs_to
+from twin.radar.propagation.diffraction.around_edges import Screens, all_paths_to_points
 from twin.radar.propagation.diffraction.rims import loud, meeting
 from twin.radar.propagation.one_way.motion import lengthening, turning
 from twin.radar.propagation.one_way.path import TracingContext
@@ -27,25 +27,31 @@ _ASIDE = 1e-4  # of an image's distance: far beyond float32's step, far below a 
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
 
 
-def mirror_echoes(s: TracingContext) -> Contributions:
+def mirror_echoes(context: TracingContext) -> Contributions:
     """Images in which the radar sees itself: amplitude per wavelength, no object.
 
     Over the images of even and odd order alike: wall, wall and ground, and so on. The image in a
     right-angled corner stands exactly behind the corner, where one order of its mirrors takes over
     from the other: each counts half, as does what stands at any border of sight.
     """
-    count = s.n_sources - 1
+    count = context.n_sources - 1
     if count == 0:
         return Contributions.none()
-    here, source = np.array(s.place).ravel(), 1 + np.arange(count)
-    way = here - np.array(s.positions).reshape(-1, 3)[source]
+    here, source = np.array(context.place).ravel(), 1 + np.arange(count)
+    way = here - np.array(context.positions).reshape(-1, 3)[source]
     aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(way, _OBLIQUE)).reshape(-1, 3)
-    legs = paths_to_points(s, np.tile(source, 3), here + aside, np.zeros_like(aside))
-    clear = legs.clear.reshape(3, count)
+    paths = paths_to_points(context, np.tile(source, 3), here + aside, np.zeros_like(aside))
+    clear = paths.clear.reshape(3, count)
     share = clear[1:].mean(axis=0)
     # Where the middle is hidden its field is not followed through walls: one beside it is.
-    exact, nearest = legs.chosen(source - 1), legs.chosen(clear.argmax(axis=0) * count + source - 1)
-    (heard,) = host([turned(s.vertical, -s.boresight, vector(s.mi, exact.back, "Vector3d"))], count)
+    exact, nearest = (
+        paths.chosen(source - 1),
+        paths.chosen(clear.argmax(axis=0) * count + source - 1),
+    )
+    (heard,) = host(
+        [turned(context.vertical, -context.boresight, vector(context.mi, exact.back, "Vector3d"))],
+        count,
+    )
     amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * heard, axis=1)
     none = np.zeros(count, dtype=np.uint32)
     motion = -exact.velocity, -exact.back, exact.length
@@ -67,41 +73,51 @@ def mirror_echoes(s: TracingContext) -> Contributions:
 
 
 @dataclass(frozen=True)
-class Way:
-    """To a declared point and back: its number, and of both legs the obstacle whose edge they pass,
-    -1 for none.
+class TwoWayPath:
+    """To a declared point and back: its number, and the obstacle whose edge the forward and the
+    return path pass, -1 for none.
     """
 
     target: int
-    out_over: int
-    home_over: int
+    forward_obstacle: int
+    return_obstacle: int
 
 
 def point_echoes(
-    s: TracingContext, targets: Sequence[Target], anchor_m: Array, obstacles: Screens | None = None
-) -> tuple[Contributions, list[Way]]:
+    context: TracingContext,
+    targets: Sequence[Target],
+    anchor_m: Array,
+    obstacles: Screens | None = None,
+) -> tuple[Contributions, list[TwoWayPath]]:
     """Declared points over every pair of images, and over edges of obstacles: amplitude per
     wavelength; ``object`` counts the ways that are told beside them.
     """
     places = np.array([t.position_m for t in targets]).reshape(-1, 3) - anchor_m
     velocity = np.array([t.velocity_m_per_s for t in targets]).reshape(-1, 3)
     strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
-    legs = [legs_to(s, obstacles, i, places, np.zeros_like(places)) for i in range(s.n_sources)]
-    legs = [(way, at) for way, at in legs if len(at)]  # most images see none of them
+    paths = [
+        all_paths_to_points(context, obstacles, i, places, np.zeros_like(places))
+        for i in range(context.n_sources)
+    ]
+    paths = [(way, at) for way, at in paths if len(at)]  # most images see none of them
     found: list[Contributions] = []
-    ways: list[Way] = []
-    for out, out_at in legs:
-        for home, home_at in legs:
-            there, back = meeting(out_at, home_at)
+    ways: list[TwoWayPath] = []
+    for forward_path, forward_points in paths:
+        for return_path, return_points in paths:
+            there, back = meeting(forward_points, return_points)
             if obstacles is not None:
-                level = out.level[there] * home.level[back]
-                heard = loud(level, out_at[there], obstacles.faintest)
+                level = forward_path.level[there] * return_path.level[back]
+                heard = loud(level, forward_points[there], obstacles.faintest)
                 there, back = there[heard], back[heard]
             if not len(there):
                 continue
-            one, other, at = out.chosen(there), home.chosen(back), out_at[there]
+            one, other, at = (
+                forward_path.chosen(there),
+                return_path.chosen(back),
+                forward_points[there],
+            )
             amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
             number = len(ways) + np.arange(len(at))
-            ways += [Way(*way) for way in zip(at, one.over, other.over, strict=True)]
+            ways += [TwoWayPath(*way) for way in zip(at, one.over, other.over, strict=True)]
             found.append(between(one, other, amplitude, velocity[at], number))
     return Contributions.joined(found), ways

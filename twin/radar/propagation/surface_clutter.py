@@ -6,7 +6,8 @@ They are many; near the radar all count, farther off each is kept by a number of
 probability p, and stands for A / p: so a moving radar hears the same points again.
 
 Points ahead of the radar are heard over its images, too; those behind it, which a mirror may show,
-are left out. Out one way and home another, cos(theta) is the geometric mean of both: an assumption.
+are left out. Where the forward and the return path differ, cos(theta) is the geometric mean of
+both: an assumption.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -88,7 +89,7 @@ def field_of(item: SceneObject, count: int, seed: int) -> Field:
 
 
 def clutter_echoes(
-    s: TracingContext,
+    context: TracingContext,
     anchor_m: Array,
     surfaces: list[SurfaceClutter],
     wanted: int,
@@ -105,7 +106,7 @@ def clutter_echoes(
     """
     areas = [float(r.item.geometry.areas_m2.sum()) for r in surfaces]
     whole = sum(areas)
-    place, boresight = (np.array(vector).ravel() for vector in (s.place, s.boresight))
+    place, boresight = (np.array(vector).ravel() for vector in (context.place, context.boresight))
     parts = []
     points = min(_MOST_POINTS, int(_PER_SCATTERER * wanted))
     for rough, area in zip(surfaces, areas, strict=True):
@@ -117,7 +118,7 @@ def clutter_echoes(
         share = max(wanted * area / whole, 1.0)
         kept = _kept(field, seen, share)
         for first in range(0, len(kept.index), _AT_ONCE):
-            parts += _echoes(s, rough, kept.chosen(slice(first, first + _AT_ONCE)))
+            parts += _echoes(context, rough, kept.chosen(slice(first, first + _AT_ONCE)))
     return Contributions.joined(parts)
 
 
@@ -167,21 +168,21 @@ def _kept(field: Field, seen: _Points, share: float) -> _Points:
     return weighted.chosen(np.flatnonzero(field.chance[seen.index] < keep))
 
 
-def _echoes(s: TracingContext, rough: SurfaceClutter, points: _Points) -> list[Contributions]:
+def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> list[Contributions]:
     """From image i to image j with i before j, and the same ways reversed, as rays do."""
-    ways = [_ways(s, rough, points, source) for source in rough.sources]
-    scale = float(s.wavelength[0]) / (4 * np.pi) ** 1.5
+    ways = [_ways(context, rough, points, source) for source in rough.sources]
+    scale = float(context.wavelength[0]) / (4 * np.pi) ** 1.5
     velocity = np.asarray(rough.item.velocity_m_per_s)
     found = []
-    for i, (out, falling) in enumerate(ways):
-        for home, rising in ways[i:]:
+    for i, (forward_path, falling) in enumerate(ways):
+        for return_path, rising in ways[i:]:
             # Both on one side of the surface; of two different angles the geometric mean.
-            at = np.flatnonzero(out.clear & home.clear & (falling * rising > 0))
+            at = np.flatnonzero(forward_path.clear & return_path.clear & (falling * rising > 0))
             if not len(at):
                 continue
             sigma = rough.gamma * np.sqrt(falling[at] * rising[at]) * points.area[at]
             amplitude = scale * np.sqrt(sigma) * np.exp(1j * points.phase[at])
-            one, other = out.chosen(at), home.chosen(at)
+            one, other = forward_path.chosen(at), return_path.chosen(at)
             amplitude *= np.sum(one.field * other.field, axis=1)
             number = np.full(len(at), rough.number)
             found.append(between(one, other, amplitude, velocity, number).and_reversed())
@@ -189,21 +190,23 @@ def _echoes(s: TracingContext, rough: SurfaceClutter, points: _Points) -> list[C
 
 
 def _ways(
-    s: TracingContext, rough: SurfaceClutter, points: _Points, source: int
+    context: TracingContext, rough: SurfaceClutter, points: _Points, source: int
 ) -> tuple[PointPaths, Array]:
-    """Legs to points from an image, and the cosines of incidence, negative from behind."""
-    towards = np.array(s.positions).reshape(-1, 3)[source] - points.place
+    """Paths to points from an image, and the cosines of incidence, negative from behind."""
+    towards = np.array(context.positions).reshape(-1, 3)[source] - points.place
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     cosine = np.sum(towards * points.normal, axis=1)
     step = offset_m(points.place)
-    if order := int(np.array(s.orders)[source]):
-        mirror = np.array(s.levels).reshape(s.n_sources, s.order, LEVEL)[source, order - 1]
+    if order := int(np.array(context.orders)[source]):
+        mirror = np.array(context.levels).reshape(context.n_sources, context.order, LEVEL)[
+            source, order - 1
+        ]
         height = np.abs((points.place - mirror[3:6]) @ mirror[6:9])
         cosine[height < 2 * _BEYOND * step[:, 0]] = 0  # the mirror's own points: no way over it
     off = 2 * step * points.normal * np.sign(cosine)[:, None]
     # The way to the far face of a slab ends beyond it, else it would end within.
     at = points.place - (_BEYOND * step * towards if rough.is_slab else 0)
-    return paths_to_points(s, source, at, off), cosine
+    return paths_to_points(context, source, at, off), cosine
 
 
 def _reach2(distance: Array, share: float) -> float:

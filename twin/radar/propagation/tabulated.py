@@ -44,7 +44,7 @@ class Tabulated:
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class SpecularPath:
     """From the radar, over planes, to a point, seen from there: unit vector (3,) to the radar's
     image and distance; ``field`` (3,) is what a wave of amplitude 1 has become, without its
     spreading and phase, after so many ``reflections``.
@@ -75,14 +75,14 @@ def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -
     return Tabulated(point, table, assumed)
 
 
-def leg(
+def specular_path(
     point: Array,
     planes: Sequence[tuple[Array, Array]],
     surfaces: Sequence[LayeredSurface],
     axes: Array,
     carrier_hz: float,
-) -> Leg:
-    """The leg from the radar, where coordinates begin, over planes (a point and the unit normal
+) -> SpecularPath:
+    """The path from the radar, where coordinates begin, over planes (a point and the unit normal
     each), the first one first.
 
     ``axes`` (3, 3) are the antenna's: forward, left, up. It is polarised along up, in Ludwig's
@@ -103,23 +103,24 @@ def leg(
     for (_, normal), surface in zip(planes, surfaces, strict=True):
         field = _reflected(field, direction, normal, surface, carrier_hz)
         direction = direction - 2 * (direction @ normal) * normal
-    return Leg(len(planes), -arriving, length, field)
+    return SpecularPath(len(planes), -arriving, length, field)
 
 
 def answers(
-    thing: Tabulated, ways: Sequence[tuple[Leg, Leg]], wavelength_m: float
+    thing: Tabulated, ways: Sequence[tuple[SpecularPath, SpecularPath]], wavelength_m: float
 ) -> tuple[Complex, Array]:
     """Of ways there and back: amplitude without the antenna's gains, delay beyond that of the
     middle; both (n,).
     """
     # As on the rung of physical optics, which is not reciprocal: a way and its reverse are both
-    # what comes in by the simpler leg.
+    # what comes in by the simpler path.
     there, back = zip(
-        *(sorted(way, key=lambda leg: (leg.reflections, leg.length_m)) for way in ways), strict=True
+        *(sorted(way, key=lambda path: (path.reflections, path.length_m)) for way in ways),
+        strict=True,
     )
     s, delay = thing.table.answers(
-        *(np.array([leg.back for leg in legs]) for legs in (there, back)),
-        *(np.array([leg.field for leg in legs]) for legs in (there, back)),
+        *(np.array([path.back for path in paths]) for paths in (there, back)),
+        *(np.array([path.field for path in paths]) for paths in (there, back)),
     )
     spread = np.array([a.length_m * b.length_m for a, b in ways])
     # Phases are told apart from the delay: at the carrier both together turn as S does.
@@ -173,5 +174,5 @@ def _reflected(
     te, tm = (complex(value[0]) for value in surface.reflection(cosine, carrier_hz))
     across = np.cross(direction, normal)
     part = across * ((across @ field) / max(float(across @ across), 1e-30))
-    out: Complex = tm * (2 * (normal @ field) * normal - field) + (te + tm) * part
-    return out
+    reflected: Complex = tm * (2 * (normal @ field) * normal - field) + (te + tm) * part
+    return reflected

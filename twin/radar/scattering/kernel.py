@@ -85,7 +85,7 @@ def trace(
         surface = dr.gather(mi.UInt32, engine.surface_of_face, face, active)
         row = coefficients_at(mi, coefficients, surface, cosine, active)
         away = direction + 2 * cosine * normal
-        out = reflected(field, direction, normal, row)
+        reflected_field = reflected(field, direction, normal, row)
 
         # Back to the receiver: unit vector, distance over and minus that of the origin.
         place = origin + setting["center_of_mesh"]
@@ -107,7 +107,7 @@ def trace(
         turn_im, turn_re = dr.sincos(2 * dr.pi * (dr.round(cycles) - cycles))
         turn_re *= amplitude
         turn_im *= amplitude
-        current = radiating(field, out, direction, away, normal, back)
+        current = radiating(field, reflected_field, direction, away, normal, back)
         for e, echo in ((setting["vertical"], vertical), (setting["horizontal"], horizontal)):
             received = turned(e, u, -back)
             re, im = dr.dot(received, current.re), dr.dot(received, current.im)
@@ -115,7 +115,7 @@ def trace(
             echo.y += dr.select(sees, re * turn_im + im * turn_re, 0)
         lit += dr.select(bounce == 0, weight, 0)
 
-        field, direction = out, away
+        field, direction = reflected_field, away
         tube_a -= 2 * dr.dot(normal, tube_a) * normal
         tube_b -= 2 * dr.dot(normal, tube_b) * normal
         bounce += 1
@@ -181,7 +181,7 @@ def reflected(
 
 def radiating(
     field: ComplexVector3,
-    out: ComplexVector3,
+    reflected_field: ComplexVector3,
     direction: Vector3,
     away: Vector3,
     normal: Vector3,
@@ -189,12 +189,12 @@ def radiating(
 ) -> ComplexVector3:
     """J + M x s, with the impedance of free space taken out."""
 
-    def of(field: Vector3, out: Vector3) -> Vector3:
-        magnetic = dr.cross(direction, field) + dr.cross(away, out)
+    def of(field: Vector3, reflected_field: Vector3) -> Vector3:
+        magnetic = dr.cross(direction, field) + dr.cross(away, reflected_field)
         current = dr.cross(normal, magnetic)
-        return current - dr.cross(dr.cross(normal, field + out), back)
+        return current - dr.cross(dr.cross(normal, field + reflected_field), back)
 
-    return ComplexVector3(of(field.re, out.re), of(field.im, out.im))
+    return ComplexVector3(of(field.re, reflected_field.re), of(field.im, reflected_field.im))
 
 
 def followed(

@@ -1,11 +1,11 @@
-"""Ways round obstacles: what reaches a point beside or behind an edge on its leg.
+"""Ways round obstacles: what reaches a point beside or behind an edge on its path.
 
-Along a leg the wave of geometrical optics is there or not; to it every edge of an obstacle's
+Along a path the wave of geometrical optics is there or not; to it every edge of an obstacle's
 outline adds what Kirchhoff's integral has of it (`knife_edge`): in the shadow all there is, on the
 lit side a ripple, at the border what makes both meet. Each has the length of its own way, over the
 edge or over an end of it, and is followed by rays that may meet nothing else. Where a way goes on
 into the obstacle itself it takes two edges, that seen from the radar and that seen from the point.
-A leg over mirrors is obstructed before each of them and behind the last.
+A path over mirrors is obstructed before each of them and behind the last.
 
 Obstacles are opaque and black, as for Kirchhoff. Left out are: what their material and the angle
 between their faces change, a third edge on the same way, and what creeps round curved surfaces.
@@ -55,7 +55,7 @@ class Screens:
     what is still told of a way, in amplitude over the straight one.
     """
 
-    stage: PreparedScene
+    prepared: PreparedScene
     items: tuple[SceneObject, ...]
     body: NDArray[np.int32]
     centers: Array
@@ -65,26 +65,26 @@ class Screens:
     @property
     def wavenumber(self) -> float:
         """At the carrier, rad/m."""
-        return 2 * np.pi / self.stage.wavelength_m
+        return 2 * np.pi / self.prepared.wavelength_m
 
     def outline(self, item: int, place: Array) -> Outline:
         """That of an obstacle from a place relative to the anchor."""
-        return outline(self.items[item], place + self.stage.anchor_m)
+        return outline(self.items[item], place + self.prepared.anchor_m)
 
 
 def screens(
-    stage: PreparedScene, shadow_db: float, body: NDArray[np.int32] | None = None
+    prepared: PreparedScene, shadow_db: float, body: NDArray[np.int32] | None = None
 ) -> Screens | None:
     """Everything opaque on a stage, for shadows down to a depth in dB; None where it is 0.
 
     ``body`` (n,) numbers the bodies that objects are parts of, -1 for none.
     """
-    items = stage.originals[: len(stage.world.face_ranges)]
+    items = prepared.originals[: len(prepared.world.face_ranges)]
     if shadow_db <= 0 or not items:
         return None
-    boxes = boxes_of(items) - stage.anchor_m
+    boxes = boxes_of(items) - prepared.anchor_m
     return Screens(
-        stage=stage,
+        prepared=prepared,
         items=items,
         body=np.full(len(items), -1, dtype=np.int32) if body is None else body[: len(items)],
         centers=boxes.mean(axis=1),
@@ -93,27 +93,27 @@ def screens(
     )
 
 
-def legs_to(
-    s: TracingContext,
+def all_paths_to_points(
+    context: TracingContext,
     obstacles: Screens | None,
     source: int,
     places: Array,
     off: Array,
     own: Indices | None = None,
 ) -> tuple[PointPaths, Indices]:
-    """Every leg from an image to points (n, 3), straight ones and those over edges of obstacles,
+    """Every path from an image to points (n, 3), straight ones and those over edges of obstacles,
     and which point each leads to.
 
     Rays start at a distance ``off`` (n, 3) from the points; ``own`` (n,) is the number of the body
     that each belongs to, whose outline is none of its obstacles, or -1.
     """
-    straight = paths_to_points(s, source, places, off)
+    straight = paths_to_points(context, source, places, off)
     if obstacles is None:
         seen = np.flatnonzero(straight.clear)
         return straight.chosen(seen), seen
-    through = paths_to_points(s, source, places, off, unshadowed=True)
+    through = paths_to_points(context, source, places, off, unshadowed=True)
     alone = np.full(len(places), -1) if own is None else own
-    image = obstacles.stage.images[source]
+    image = obstacles.prepared.images[source]
     clear, found, numbers = straight.clear.copy(), [], []
     for level in range(len(image.patches) + 1):
         segment = Segment(obstacles, image, level, places, off)
@@ -123,15 +123,15 @@ def legs_to(
             _settle(clear, paths)
             paths = bundled(paths, obstacles.wavenumber)
             paths = paths.chosen(np.abs(paths.amplitude) >= obstacles.faintest)
-            found.append(_legs(obstacles, through.chosen(paths.point), paths, segment))
+            found.append(_point_paths(obstacles, through.chosen(paths.point), paths, segment))
             numbers.append(paths.point)
     at = np.flatnonzero(clear)
     return PointPaths.joined([through.chosen(at), *found]), np.concatenate([at, *numbers])
 
 
 class Segment:
-    """The stretch of legs after so many of an image's mirrors: there the points (n, 3), seen in the
-    mirrors that follow, are lit from the radar's image in those before.
+    """The section of paths after so many of an image's mirrors: the points (n, 3), as seen in the
+    mirrors that follow, are lit there from the radar's image in those before.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class Segment:
         self.source = image.places[level]
         self.seen = places
         for number in reversed(image.patches[level:]):
-            self.seen = mirrored(self.seen, obstacles.stage.flats[number])
+            self.seen = mirrored(self.seen, obstacles.prepared.flats[number])
 
     def paths(self, active: NDArray[np.bool_], own: Indices) -> Iterator[DiffractedPaths]:
         """Open ways round every obstacle to active points, which are none of their own body."""
@@ -162,7 +162,7 @@ class Segment:
         """
         o = self.obstacles
         rim = o.outline(item, self.source)
-        if item in {o.stage.flats[number].object for number in self.image.patches}:
+        if item in {o.prepared.flats[number].object for number in self.image.patches}:
             return rim.chosen(np.zeros(0, dtype=np.intp))
         middle = self.seen[rows].mean(axis=0)
         reach = np.linalg.norm(self.seen[rows] - middle, axis=1).max() + around_m
@@ -170,8 +170,8 @@ class Segment:
 
     def turns(self, paths: DiffractedPaths, edges: Array) -> Array:
         """Where ways turn, from the points to the radar, (m, n, 3); edges are at (n, 2, 3)."""
-        stage = self.obstacles.stage
-        return _folded(stage, self.image, self.level, self.places[paths.point], edges)
+        prepared = self.obstacles.prepared
+        return _folded(prepared, self.image, self.level, self.places[paths.point], edges)
 
     def near_any(self, active: NDArray[np.bool_], around_m: float = 0.0) -> list[int]:
         """Obstacles that may reach into the ellipsoid of any way to an active point, or to what is
@@ -245,7 +245,7 @@ class Segment:
 
     def _is_open(self, paths: DiffractedPaths) -> NDArray[np.bool_]:
         turns = self.turns(paths, paths.stops + paths.aside)
-        return _is_open(self.obstacles.stage, turns, self.off[paths.point])
+        return _is_open(self.obstacles.prepared, turns, self.off[paths.point])
 
 
 def _groups(rows: Indices, own: Indices) -> list[Indices]:
@@ -255,11 +255,13 @@ def _groups(rows: Indices, own: Indices) -> list[Indices]:
     return [*bodies, *np.split(lone, np.arange(1, len(lone)))] if len(lone) else bodies
 
 
-def _folded(stage: PreparedScene, image: Image, level: int, places: Array, stops: Array) -> Array:
+def _folded(
+    prepared: PreparedScene, image: Image, level: int, places: Array, stops: Array
+) -> Array:
     """Stops (m, n, 3) of ways from points to the radar: mirrors, edges (n, 2, 3), mirrors, the
     radar; NaN where a mirror is not between its neighbours.
     """
-    patches = [stage.flats[number] for number in image.patches]
+    patches = [prepared.flats[number] for number in image.patches]
     aims = [stops[:, 1]]
     for flat in patches[level:]:
         aims.append(mirrored(aims[-1], flat))
@@ -283,9 +285,9 @@ def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
     return met
 
 
-def _is_open(stage: PreparedScene, chain: Array, off: Array) -> NDArray[np.bool_]:
+def _is_open(prepared: PreparedScene, chain: Array, off: Array) -> NDArray[np.bool_]:
     """Whether nothing stands between any two stops."""
-    mi, scene = stage.station.mi, stage.world.scene
+    mi, scene = prepared.context.mi, prepared.world.scene
     is_open = np.asarray(np.isfinite(chain).all(axis=(0, 2)))
     for k in range(len(chain) - 1):
         rows = np.flatnonzero(is_open)
@@ -309,10 +311,10 @@ def _settle(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:
     clear[paths.point[close & (paths.lit_m <= 0)]] = False
 
 
-def _legs(
+def _point_paths(
     obstacles: Screens, through: PointPaths, paths: DiffractedPaths, segment: "Segment"
 ) -> PointPaths:
-    """Ways as legs: ``through`` are the straight ones, as if nothing stood in between."""
+    """Ways as paths: ``through`` are the straight ones, as if nothing stood in between."""
     chain = segment.turns(paths, paths.stops)
     last = len(chain) - 2 - segment.level
     # Edges move with their obstacle: the way gets shorter as both stops approach their neighbours.

@@ -15,7 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.around_edges import Screens, is_near_edges, legs_to
+from twin.radar.propagation.diffraction.around_edges import (
+    Screens,
+    all_paths_to_points,
+    is_near_edges,
+)
 from twin.radar.propagation.diffraction.rims import loud, meeting
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between
@@ -68,7 +72,7 @@ def echoes_behind(
     """Contributions of bodies, without gains, of ``most`` facets in all, those that are brightest
     where nothing stands in the way; ways that are straight out and back are left to others.
     """
-    image, bodies = obstacles.stage.images[0], []
+    image, bodies = obstacles.prepared.images[0], []
     for body in np.unique(obstacles.body[obstacles.body >= 0]):
         members = np.flatnonzero(obstacles.body == body)
         items = [obstacles.items[i] for i in members]
@@ -76,7 +80,10 @@ def echoes_behind(
         low, high = (
             side([side(c, axis=(0, 1)) for c in corners], axis=0) for side in (np.min, np.max)
         )
-        place, radius = (low + high) / 2 - obstacles.stage.anchor_m, np.linalg.norm(high - low) / 2
+        place, radius = (
+            (low + high) / 2 - obstacles.prepared.anchor_m,
+            np.linalg.norm(high - low) / 2,
+        )
         if is_near_edges(obstacles, image, place, float(radius), int(body)):
             bodies.append((int(body), members))
     found = []
@@ -90,9 +97,9 @@ def echoes_behind(
 
 def _brightness(obstacles: Screens, facets: _Facets) -> Array:
     """Of facets (n,) seen from the radar straight on, as a conductor's."""
-    way = obstacles.stage.images[0].place - facets.middle
+    way = obstacles.prepared.images[0].place - facets.middle
     length = np.linalg.norm(way, axis=1, keepdims=True)
-    slope = 4 * np.pi / obstacles.stage.wavelength_m * way / length
+    slope = 4 * np.pi / obstacles.prepared.wavelength_m * way / length
     echo = np.sum(facets.across * slope, axis=1) / length[:, 0] ** 2
     bright: Array = np.abs(echo * _mean(facets.phase(slope)))
     return bright
@@ -108,7 +115,7 @@ def _facets(obstacles: Screens, members: Indices) -> _Facets:
         vertices, faces = subdivide_to_size(
             item.vertices_m, item.geometry.faces, _FINE_M, max_iter=16
         )
-        corners.append(vertices[faces] - obstacles.stage.anchor_m)
+        corners.append(vertices[faces] - obstacles.prepared.anchor_m)
         number.append(np.full(len(faces), i))
     facets = _Facets(np.concatenate(corners), np.concatenate(number))
     return facets.chosen(np.flatnonzero((facets.across != 0).any(axis=1)))
@@ -119,50 +126,60 @@ def _answers(
 ) -> Contributions:
     """From the radar and back, straight at most on one of both ways."""
     middle, across = facets.middle, facets.across
-    side = np.sign(np.sum((obstacles.stage.images[0].place - middle) * across, axis=1))
+    side = np.sign(np.sum((obstacles.prepared.images[0].place - middle) * across, axis=1))
     normal = side[:, None] * across / np.linalg.norm(across, axis=1, keepdims=True)
     off = offset_m(middle) * normal
     own = np.full(len(middle), body)
-    legs, at = legs_to(obstacles.stage.station, obstacles, 0, middle, off, own)
-    faces = np.sum(legs.back * normal[at], axis=1) > 0
-    legs, at = legs.chosen(faces), at[faces]
+    paths, at = all_paths_to_points(obstacles.prepared.context, obstacles, 0, middle, off, own)
+    faces = np.sum(paths.back * normal[at], axis=1) > 0
+    paths, at = paths.chosen(faces), at[faces]
     there, back = meeting(at, at)
     # All of a body's facets against the brightest one.
-    heard = loud(legs.level[there] * legs.level[back], 0 * there, obstacles.faintest)
-    heard &= (legs.over[there] >= 0) | (legs.over[back] >= 0)
-    out, home, rows = legs.chosen(there[heard]), legs.chosen(back[heard]), at[there[heard]]
+    heard = loud(paths.level[there] * paths.level[back], 0 * there, obstacles.faintest)
+    heard &= (paths.over[there] >= 0) | (paths.over[back] >= 0)
+    forward_path, return_path, rows = (
+        paths.chosen(there[heard]),
+        paths.chosen(back[heard]),
+        at[there[heard]],
+    )
     if not len(rows):
         return Contributions.none()
     velocity = np.array([item.velocity_m_per_s for item in obstacles.items])
     objects = facets.object[rows]
-    amplitude = _radiated(obstacles, facets.chosen(rows), out, home, surface_of_object)
-    return between(out, home, amplitude, velocity[objects], objects)
+    amplitude = _radiated(
+        obstacles, facets.chosen(rows), forward_path, return_path, surface_of_object
+    )
+    return between(forward_path, return_path, amplitude, velocity[objects], objects)
 
 
 def _radiated(
     obstacles: Screens,
     facets: _Facets,
-    out: PointPaths,
-    home: PointPaths,
+    forward_path: PointPaths,
+    return_path: PointPaths,
     surface_of_object: NDArray[np.uint32],
 ) -> Complex:
     """Amplitude of each facet but for the spreading: its currents, and their phases' mean."""
-    s, n = obstacles.stage.station, len(facets.object)
-    mi = s.mi
+    context, n = obstacles.prepared.context, len(facets.object)
+    mi = context.mi
     across = facets.across
     area = np.linalg.norm(across, axis=1)
-    facing = np.sign(np.sum(across * out.back, axis=1, keepdims=True)) * across / area[:, None]
-    travel, normal, back = (vector(mi, v, "Vector3d") for v in (-out.back, facing, home.back))
+    facing = (
+        np.sign(np.sum(across * forward_path.back, axis=1, keepdims=True)) * across / area[:, None]
+    )
+    travel, normal, back = (
+        vector(mi, v, "Vector3d") for v in (-forward_path.back, facing, return_path.back)
+    )
     cosine = -(travel.x * normal.x + travel.y * normal.y + travel.z * normal.z)
     surface = mi.UInt32(aligned(surface_of_object[facets.object].astype(np.uint32)))
-    row = coefficients_at(mi, s.table, surface, cosine, mi.Bool(True))
-    parts = (out.field.real, out.field.imag)
+    row = coefficients_at(mi, context.table, surface, cosine, mi.Bool(True))
+    parts = (forward_path.field.real, forward_path.field.imag)
     field = ComplexVector3(*(vector(mi, np.ascontiguousarray(v), "Vector3d") for v in parts))
     off = travel + 2 * cosine * normal
     current = radiating(field, reflected(field, travel, normal, row), travel, off, normal, back)
     current_re, current_im = host([current.re, current.im], n)
-    received = np.sum(home.field * (current_re + 1j * current_im), axis=1)
-    slope = 2 * np.pi / obstacles.stage.wavelength_m * (out.back + home.back)
+    received = np.sum(return_path.field * (current_re + 1j * current_im), axis=1)
+    slope = 2 * np.pi / obstacles.prepared.wavelength_m * (forward_path.back + return_path.back)
     amplitude: Complex = -1j / (8 * np.pi) * area * received * _mean(facets.phase(slope))
     return amplitude
 

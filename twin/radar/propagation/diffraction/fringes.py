@@ -1,4 +1,4 @@
-"""Sharp edges in the scene: fringe currents of `twin.radar.scattering.diffraction`, over its legs.
+"""Sharp edges in the scene: fringe currents of `twin.radar.scattering.diffraction`, over its paths.
 
 Short pieces of every edge, each a contribution with its own delay, out and back directly or by an
 image. What `twin rcs` leaves out is left out here: corners, waves diffracted twice, and what
@@ -79,39 +79,39 @@ def _edges_of(
 
 
 def edge_echoes(
-    s: TracingContext, bodies: Sequence[Sharp], wavelength_m: float, most: int
+    context: TracingContext, bodies: Sequence[Sharp], wavelength_m: float, most: int
 ) -> tuple[Contributions, float]:
     """Contributions of all edges, without gains, and how many times longer than asked for pieces
     are: with every image, about ``most`` at most.
     """
     asked = wavelength_m / _QUALITY.pieces_per_wavelength
     total = sum(float(body.edges.length_m.sum()) for body in bodies)
-    longest = max(asked, s.n_sources * total / most)
+    longest = max(asked, context.n_sources * total / most)
     found = []
     for body in bodies:
         segments = edge_segments(body.edges, longest)
         for first in range(0, len(segments.edge), _AT_ONCE):
             part = segments.chosen(slice(first, first + _AT_ONCE))
-            found += _diffracted(s, body, part, wavelength_m)
+            found += _diffracted(context, body, part, wavelength_m)
     return Contributions.joined(found), longest / asked
 
 
 def _diffracted(
-    s: TracingContext, body: Sharp, segments: EdgeSegments, wavelength_m: float
+    context: TracingContext, body: Sharp, segments: EdgeSegments, wavelength_m: float
 ) -> list[Contributions]:
     """From image i to image j with i before j, and the same ways reversed, as rays do."""
-    places = np.array(s.positions).reshape(-1, 3)
-    legs = [
-        paths_to_points(s, i, segments.middle_m, _off(body.edges, segments, place))
+    places = np.array(context.positions).reshape(-1, 3)
+    paths = [
+        paths_to_points(context, i, segments.middle_m, _off(body.edges, segments, place))
         for i, place in enumerate(places)
     ]
     found = []
-    for i, out in enumerate(legs):
-        for home in legs[i:]:
+    for i, forward_path in enumerate(paths):
+        for return_path in paths[i:]:
             # A piece nearer than it is long is no point; one at the radar itself, nothing.
-            apart = np.minimum(out.length, home.length) > segments.length_m
-            at = np.flatnonzero(out.clear & home.clear & apart)
-            ways = out.chosen(at), home.chosen(at)
+            apart = np.minimum(forward_path.length, return_path.length) > segments.length_m
+            at = np.flatnonzero(forward_path.clear & return_path.clear & apart)
+            ways = forward_path.chosen(at), return_path.chosen(at)
             amplitude = _amplitude(body, segments.chosen(at), *ways, wavelength_m)
             echo = between(*ways, amplitude, body.velocity, body.object[segments.edge[at]])
             found.append(echo.chosen(echo.amplitude != 0).and_reversed())
@@ -130,13 +130,19 @@ def _off(edges: Edges, segments: EdgeSegments, place: Array) -> Array:
 
 
 def _amplitude(
-    body: Sharp, segments: EdgeSegments, out: PointPaths, home: PointPaths, wavelength_m: float
+    body: Sharp,
+    segments: EdgeSegments,
+    forward_path: PointPaths,
+    return_path: PointPaths,
+    wavelength_m: float,
 ) -> NDArray[np.complex128]:
     k = 2 * np.pi / wavelength_m
-    radiating = fringe_moment(body.edges, segments, -out.back, out.field, home.back, k)
+    radiating = fringe_moment(
+        body.edges, segments, -forward_path.back, forward_path.field, return_path.back, k
+    )
     # Out and back along a piece: the sinc of its linear phase.
-    slope = np.sum((out.back + home.back) * body.edges.along[segments.edge], axis=1)
+    slope = np.sum((forward_path.back + return_path.back) * body.edges.along[segments.edge], axis=1)
     length = segments.length_m * np.sinc(segments.length_m * slope / wavelength_m)
-    received = np.sum(home.field * radiating, axis=1) * body.reflection[segments.edge]
+    received = np.sum(return_path.field * radiating, axis=1) * body.reflection[segments.edge]
     amplitude: NDArray[np.complex128] = -1j / (8 * np.pi) * length * received
     return amplitude

@@ -266,7 +266,7 @@ def _waves(phase_rad: Array) -> Complex:
 
 
 def settled(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     lit: Triangles | FrontFacets,
     echoes: Echoes,
@@ -285,18 +285,20 @@ def settled(
         return found
     partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
     if deepest and lit.waves is None and not is_open:
-        partly, spacing_m = _partly_hidden(s, lit, bright, budget.known_spacing_m)
+        partly, spacing_m = _partly_hidden(context, lit, bright, budget.known_spacing_m)
         budget.spacing_m = spacing_m
 
     def looked_at(some: Triangles, known: Echoes, is_partly: NDArray[np.bool_]) -> _Seen:
         if is_open:
             return _open(some, known)
-        return _looked_at(s, scatterers, some, known, budget, is_partly, spacing_m).answering()
+        return _looked_at(
+            context, scatterers, some, known, budget, is_partly, spacing_m
+        ).answering()
 
     def further(some: Triangles, is_partly: NDArray[np.bool_], times: int) -> _Seen:
         for _ in range(times):
-            some, is_partly = quartered(s, some), np.repeat(is_partly, 4)
-        return looked_at(some, echoes_of(s, scatterers, some), is_partly)
+            some, is_partly = quartered(context, some), np.repeat(is_partly, 4)
+        return looked_at(some, echoes_of(context, scatterers, some), is_partly)
 
     seen = _Seen.joined(
         [
@@ -333,17 +335,20 @@ def settled(
 
 
 def _partly_hidden(
-    s: TracingContext, lit: Triangles | FrontFacets, rows: NDArray[np.intp], spacing_m: float | None
+    context: TracingContext,
+    lit: Triangles | FrontFacets,
+    rows: NDArray[np.intp],
+    spacing_m: float | None,
 ) -> tuple[NDArray[np.bool_], float]:
     """Which of some triangles have parts that are seen and others that are not, and how large parts
     are, in m: as asked for, or as the number of rays allows.
     """
     size = lit.chosen(rows).sizes() if isinstance(lit, FrontFacets) else sizes(lit.taken(rows))
-    spacing_m = spacing_of(s, size) if spacing_m is None else spacing_m
+    spacing_m = spacing_of(context, size) if spacing_m is None else spacing_m
     found = np.zeros(len(rows), dtype=bool)
     for some in portions(np.flatnonzero(size > spacing_m), 4):
-        parts, row = subdivided(s, lit.taken(rows[some]), spacing_m)
-        clear = sampled(s, parts, np.zeros(len(parts), dtype=bool))[3]
+        parts, row = subdivided(context, lit.taken(rows[some]), spacing_m)
+        clear = sampled(context, parts, np.zeros(len(parts), dtype=bool))[3]
         seen = np.bincount(row, clear, len(some))
         found[some] = (seen > 0) & (seen < np.bincount(row, minlength=len(some)))
     return found, spacing_m
@@ -406,7 +411,7 @@ def _open(lit: Triangles, echoes: Echoes) -> _Seen:
 
 
 def _looked_at(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
     echoes: Echoes,
@@ -416,12 +421,12 @@ def _looked_at(
 ) -> _Seen:
     """``partly``: known to be hidden in part, as parts of this size tell."""
     allowed = budget.allowed(lit.body)
-    clear = sampled(s, lit, partly | (echoes.strength > _SAMPLED * allowed))
+    clear = sampled(context, lit, partly | (echoes.strength > _SAMPLED * allowed))
     corners = clear[:3].sum(axis=0)
     agree = (clear == clear[3]).all(axis=0)
     closer = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSER * allowed))
     if len(closer):
-        agree[closer] = alike(s, lit.taken(closer), clear[3, closer])
+        agree[closer] = alike(context, lit.taken(closer), clear[3, closer])
     weight = _SEEN[clear[3].astype(np.intp), corners]
     error = np.where(weight > 0, echoes.curved, 0.0)
     odd = (corners == 1) | (corners == 2)
@@ -432,16 +437,16 @@ def _looked_at(
     doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
     is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
     hidden = np.flatnonzero(is_doubtful & (corners == 0))
-    is_doubtful[hidden] = ~wholly_hidden(s, scatterers.parts, lit.taken(hidden))
+    is_doubtful[hidden] = ~wholly_hidden(context, scatterers.parts, lit.taken(hidden))
     leaves = Leaves(lit, echoes, weight)
     known = is_doubtful, partly, partly & (size > spacing_m)
     if not len(row):
         return _Seen(leaves, leaves.chosen(row), row, error, *known)
-    off = cut(s, lit.taken(row), clear[:3, row])
-    both = echoes_of(s, scatterers, Triangles.joined([off.parts, off.whole]))
+    off = cut(context, lit.taken(row), clear[:3, row])
+    both = echoes_of(context, scatterers, Triangles.joined([off.parts, off.whole]))
     parts = both.chosen(slice(2 * len(row)))
     # Against the triangle's own path.
-    wave = _turned(both, s).reshape(3, -1)
+    wave = _turned(both, context).reshape(3, -1)
     bent = np.abs(wave[0] + wave[1] - wave[2])
     error[row] += _BENT * bent - np.where(off.is_known, _MIXED, 0) * echoes.strength[row]
     error[row] += parts.curved[: len(row)] + parts.curved[len(row) :]
@@ -452,7 +457,7 @@ def _looked_at(
     )
 
 
-def _turned(echoes: Echoes, s: TracingContext) -> Complex:
-    wave_number = 2 * np.pi / float(s.wavelength[0])
+def _turned(echoes: Echoes, context: TracingContext) -> Complex:
+    wave_number = 2 * np.pi / float(context.wavelength[0])
     found: Complex = echoes.total * np.exp(-1j * (wave_number * echoes.length_m % (2 * np.pi)))
     return found

@@ -47,7 +47,7 @@ LEAST_FALL = 2.0
 
 
 def scattered_by(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     images: Sequence[Image],
     wave_numbers: Array,
@@ -78,8 +78,8 @@ def scattered_by(
         Whether later frames may keep what is found here.
     """
     count = int(scatterers.body.max()) + 1
-    facets = bistatic_facets(s, scatterers, images, None if valid is None else valid.legs)
-    search = _Search(s, scatterers, images, bounces, [] if with_landings else None)
+    facets = bistatic_facets(context, scatterers, images, None if valid is None else valid.paths)
+    search = _Search(context, scatterers, images, bounces, [] if with_landings else None)
     coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
     known = None
     if valid is not None:
@@ -91,8 +91,10 @@ def scattered_by(
         coarse.consider([])
     tubes, spacing_m = None, 0.0
     if bounces > 1:
-        begin = illuminated_facets(s, scatterers, images, None if valid is None else valid.tubes)
-        spacing_m = spacing_of(s, begin.sizes()) if valid is None else valid.spacing_m[1]
+        begin = illuminated_facets(
+            context, scatterers, images, None if valid is None else valid.tubes
+        )
+        spacing_m = spacing_of(context, begin.sizes()) if valid is None else valid.spacing_m[1]
         tubes = search.begun(begin, spacing_m) if len(begin) else None
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
     budget = Budget(count, tolerance, wave_numbers, floor, coarse, known=known)
@@ -109,11 +111,14 @@ def scattered_by(
         fallen = valid.level > LEAST_FALL * budget.level
         if (fallen & (valid.error > tolerance * budget.level)).any():
             asked = wave_numbers, tolerance, bounces, floor
-            return scattered_by(s, scatterers, images, *asked)
+            return scattered_by(context, scatterers, images, *asked)
         error = np.hypot(error, valid.error)
     contributions = [
         Contributions.joined(
-            [contributions_of(s, scatterers, part.chosen(rows)) for rows in portions(part.rows)]
+            [
+                contributions_of(context, scatterers, part.chosen(rows))
+                for rows in portions(part.rows)
+            ]
         )
         for part in leaves
     ]
@@ -162,7 +167,7 @@ class _Begun:
 class _Search:
     """For echoes of bodies, by up to some ``bounces``."""
 
-    s: TracingContext
+    context: TracingContext
     scatterers: Scatterers
     images: Sequence[Image]
     bounces: int
@@ -178,21 +183,21 @@ class _Search:
         """Those lit directly, and those lit by ``tubes``."""
         found = []
         if whole is not None:
-            found.append(settled(self.s, self.scatterers, *whole, budget, deepest[0]))
+            found.append(settled(self.context, self.scatterers, *whole, budget, deepest[0]))
         budget.end_direct()
         if tubes is not None:
             lit = self._lit_by_tubes(tubes, budget, deepest[1])
             if lit is not None:
-                found.append(settled(self.s, self.scatterers, *lit, budget, deepest[0]))
+                found.append(settled(self.context, self.scatterers, *lit, budget, deepest[0]))
         return [Leaves.joined(parts) for parts in found if parts]
 
     def begun(self, facets: FrontFacets, spacing_m: float) -> "_Begun | None":
         """Tubes of facets by which others may be seen, divided until what they may show lies
         between their rays.
         """
-        rows = reflection_candidates(self.s, self.scatterers, facets, spacing_m)
+        rows = reflection_candidates(self.context, self.scatterers, facets, spacing_m)
         wholes = (facets.taken(some) for some in portions(rows))
-        return self._begun(subdivided(self.s, whole, spacing_m)[0] for whole in wholes)
+        return self._begun(subdivided(self.context, whole, spacing_m)[0] for whole in wholes)
 
     def _begun(self, parts: Iterable[Triangles]) -> "_Begun | None":
         """Of all roots those whose tubes land anywhere, and where."""
@@ -215,22 +220,24 @@ class _Search:
         """Where the tubes of roots land, after every number of bounces; None where none does."""
         found = [Tubes.begin(roots)]
         for _ in range(1, self.bounces):
-            further = reflected_on(self.s, self.scatterers, found[-1])
+            further = reflected_on(self.context, self.scatterers, found[-1])
             if further is None:
                 break
             found.append(further)
         if len(found) == 1:
             return None
         tubes = Tubes.joined(found[1:])
-        lit, row = heard(self.s, self.scatterers, tubes.triangles, self.images)
+        lit, row = heard(self.context, self.scatterers, tubes.triangles, self.images)
         if self.landings is not None:
             times = np.repeat(np.arange(1, len(found)), [len(part.root) for part in found[1:]])
             goes_on = tubes.is_lit & (times < self.bounces - 1)
-            self.landings.append(Landings.of(self.s, tubes, goes_on, row, np.array(lit.receiver)))
+            self.landings.append(
+                Landings.of(self.context, tubes, goes_on, row, np.array(lit.receiver))
+            )
         if not len(row):
             return None
         parts = (lit.taken(rows) for rows in portions(np.arange(len(lit))))
-        echoes = Echoes.joined([echoes_of(self.s, self.scatterers, part) for part in parts])
+        echoes = Echoes.joined([echoes_of(self.context, self.scatterers, part) for part in parts])
         # What a ray stands for may lie on other planes than the one that it meets.
         most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
         error = most * tubes.doubt[row]
@@ -239,7 +246,7 @@ class _Search:
     def _divided(self, roots: Triangles, times: int) -> Triangles:
         """By four, some times."""
         for _ in range(times):
-            roots = quartered(self.s, roots)
+            roots = quartered(self.context, roots)
         return roots
 
     def _lit_by_tubes(

@@ -2,8 +2,8 @@
 
 It begins with the root of the sum of squares of all errors that the solver accepts: of triangles
 that are divided no further, within the tolerance or because the deepest division is reached, of
-tubes, and of faint triangles that are left out; both directions of ways out by one image and home
-by another, and what runs to and fro within walls, count. The median error is about half of
+tubes, and of faint triangles that are left out; both directions between two different images, and
+reflections within walls, count. The median error is about half of
 that. Errors of neighbouring tubes and shadows are alike, though, and what rays between their
 samples miss no sum knows: so what is told is three times as much, within which 95 % of bodies'
 errors are. `python -m benchmarks radar_estimates` measures that on random scenes.

@@ -20,8 +20,8 @@ from twin.radar.propagation.one_way.path import (
     OneWayPath,
     TracingContext,
     along,
-    leg,
     mirrored_axes,
+    one_way_path,
     turning,
 )
 from twin.radar.propagation.scene.slabs import SlabTransmission
@@ -52,7 +52,7 @@ class Echoes:
     ``length_m``, the path by the centroid, where ``gain`` is the antenna's, out and back, in
     amplitude. With the gain: ``strength``, a bound of what it or any part of it returns, and
     ``curved``, what the curvature of phase and amplitude may still change.
-    Both directions of a way that goes out by one image and home by another count as one echo.
+    Both directions between two different images count as one echo.
     """
 
     amplitude: ComplexArray
@@ -78,37 +78,40 @@ class Echoes:
         return Echoes(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
-def plane_of(s: TracingContext, face: Index) -> tuple[Vector3, Vector3]:
+def plane_of(context: TracingContext, face: Index) -> tuple[Vector3, Vector3]:
     """A point of a facet's plane, and its normal."""
     point, normal = (
-        s.mi.Vector3d(
-            *(dr.gather(s.mi.Float64, s.world.planes, 6 * face + k + i) for i in range(3))
+        context.mi.Vector3d(
+            *(
+                dr.gather(context.mi.Float64, context.world.planes, 6 * face + k + i)
+                for i in range(3)
+            )
         )
         for k in (0, 3)
     )
     return point, normal
 
 
-def normal_of(s: TracingContext, face: Index, place: Vector3, towards: Vector3) -> Vector3:
+def normal_of(context: TracingContext, face: Index, place: Vector3, towards: Vector3) -> Vector3:
     """A facet's normal on the side of a point."""
-    _, normal = plane_of(s, face)
+    _, normal = plane_of(context, face)
     return normal * dr.select(dr.dot(normal, towards - place) < 0, -1.0, 1.0)
 
 
 def reflection(
-    s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
+    context: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
 ) -> tuple[Vector3, Vector3, Vector3, ComplexVector3]:
     """At the centroid: direction of the wave, the normal against it, direction and field of the
     reflected wave.
     """
     direction = dr.normalize(lit.center - wave.origin)
-    normal = normal_of(s, lit.face, lit.center, wave.origin)
-    away, out = _mirrored(s, scatterers, lit, direction, normal, wave.field)
-    return direction, normal, away, out
+    normal = normal_of(context, lit.face, lit.center, wave.origin)
+    away, reflected_field = _mirrored(context, scatterers, lit, direction, normal, wave.field)
+    return direction, normal, away, reflected_field
 
 
 def _mirrored(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
     direction: Vector3,
@@ -117,39 +120,41 @@ def _mirrored(
 ) -> tuple[Vector3, ComplexVector3]:
     """Direction and field of what facets reflect of a wave."""
     cosine = -dr.dot(normal, direction)
-    number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
-    surface = dr.gather(s.mi.UInt32, scatterers.surface, number)
-    row = coefficients_at(s.mi, s.table, surface, cosine, s.mi.Bool(True))
+    number = dr.gather(context.mi.UInt32, context.world.object_index, lit.face)
+    surface = dr.gather(context.mi.UInt32, scatterers.surface, number)
+    row = coefficients_at(context.mi, context.table, surface, cosine, context.mi.Bool(True))
     return direction + 2 * cosine * normal, reflected(field, direction, normal, row)
 
 
 def amplitude_of(
-    s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
+    context: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
 ) -> tuple[Complex, OneWayPath]:
-    """Echo of all currents in phase, without the antenna's gain, and the leg home.
+    """Echo of all currents in phase, without the antenna's gain, and the return path.
 
     Of triangles lit directly that answer to another image than they are lit from, both directions
     of the way together. Currents of physical optics are not reciprocal: each direction has its own.
     """
     place = lit.center
-    normal = normal_of(s, lit.face, place, wave.origin)
-    home = leg(s, lit.receiver, place, normal * 0, s.mi.Bool(True), tested=False)
+    normal = normal_of(context, lit.face, place, wave.origin)
+    return_path = one_way_path(
+        context, lit.receiver, place, normal * 0, context.mi.Bool(True), tested=False
+    )
     there = dr.normalize(place - wave.origin), wave.field
-    back = -home.back, home.field
-    re, im = _induced(s, scatterers, lit, normal, there, back)
+    back = -return_path.back, return_path.field
+    re, im = _induced(context, scatterers, lit, normal, there, back)
     if lit.waves is None:
-        more = _induced(s, scatterers, lit, normal, back, there)
-        both = s.both_ways(lit.source, lit.receiver)
+        more = _induced(context, scatterers, lit, normal, back, there)
+        both = context.both_ways(lit.source, lit.receiver)
         re, im = re + dr.select(both, more[0], 0), im + dr.select(both, more[1], 0)
     a, b, c = lit.corners
     area = dr.norm(dr.cross(b - a, c - a)) / 2
     # a = -j / (8 pi) times the sum.
-    scale = area / (8 * dr.pi * dr.norm(place - wave.origin) * home.length)
-    return (scale * im, -scale * re), home
+    scale = area / (8 * dr.pi * dr.norm(place - wave.origin) * return_path.length)
+    return (scale * im, -scale * re), return_path
 
 
 def _induced(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
     normal: Vector3,
@@ -161,8 +166,8 @@ def _induced(
     """
     direction, field = wave
     towards, kept = heard
-    away, out = _mirrored(s, scatterers, lit, direction, normal, field)
-    return kept.dot(radiating(field, out, direction, away, normal, -towards))
+    away, reflected_field = _mirrored(context, scatterers, lit, direction, normal, field)
+    return kept.dot(radiating(field, reflected_field, direction, away, normal, -towards))
 
 
 def level_at(
@@ -171,24 +176,24 @@ def level_at(
     """At points of triangles: logarithms of the antenna's gain out and back, and of what spreading
     and obliqueness make of a wave, and the length of the way, walls apart.
 
-    A plane's cosines are its distance over the lengths of the legs: all of it goes with their -3/2
+    A plane's cosines are its distance over the lengths of the paths: all of it goes with their -3/2
     power.
     """
-    out, home = point - wave.origin, point - receiver
-    there, again = (dr.maximum(dr.norm(way), NEAREST_M) for way in (out, home))
-    gain = scatterers.antenna.log(along(out / there, wave.axes))
-    gain += scatterers.antenna.log(along(home / again, axes))
+    from_source, from_receiver = point - wave.origin, point - receiver
+    there, again = (dr.maximum(dr.norm(way), NEAREST_M) for way in (from_source, from_receiver))
+    gain = scatterers.antenna.log(along(from_source / there, wave.axes))
+    gain += scatterers.antenna.log(along(from_receiver / again, axes))
     return gain, -1.5 * dr.log(there * again), there + again
 
 
-def echoes_of(s: TracingContext, scatterers: Scatterers, lit: Triangles) -> Echoes:
+def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -> Echoes:
     """What each triangle returns if all of it is seen."""
-    wave = incident_on(s, lit)
-    (re, im), home = amplitude_of(s, scatterers, lit, wave)
+    wave = incident_on(context, lit)
+    (re, im), return_path = amplitude_of(context, scatterers, lit, wave)
     a, b, c = lit.corners
-    receiver = lit.center + home.back * home.length
-    axes = mirrored_axes(s, lit.receiver)
-    k = 2 * dr.pi / s.wavelength
+    receiver = lit.center + return_path.back * return_path.length
+    axes = mirrored_axes(context, lit.receiver)
+    k = 2 * dr.pi / context.wavelength
     gain, spread, length = level_at(scatterers, wave, lit.center, receiver, axes)
     nodes = []
     for point in (a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2):
@@ -209,10 +214,10 @@ def echoes_of(s: TracingContext, scatterers: Scatterers, lit: Triangles) -> Echo
     bent = dr.maximum(bent, bend([value.log for value in nodes]))
     curved = dr.select(bent < _BENT, curved, strength)  # else two sizes of parts tell nothing
     if scatterers.half_time_s:
-        turned = scatterers.half_time_s * k * _turning(s, scatterers, lit, wave, home)
+        turned = scatterers.half_time_s * k * _turning(context, scatterers, lit, wave, return_path)
         curved += strength * dr.minimum(_TURNED * turned * strength / most, 1)
-    if s.walls is not None:  # what runs to and fro within walls comes again
-        again = 1 + _again(wave.passage) + _again(home.passage)
+    if context.walls is not None:  # what runs to and fro within walls comes again
+        again = 1 + _again(wave.passage) + _again(return_path.passage)
         strength, curved = strength * again, curved * again
     mean = [fine + more for fine, more in zip(finer, change, strict=True)]
     values = (re, im, *mean, length, dr.exp(gain), strength, curved)
@@ -228,12 +233,16 @@ def _again(passage: SlabTransmission) -> Real:
 
 
 def _turning(
-    s: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident, home: OneWayPath
+    context: TracingContext,
+    scatterers: Scatterers,
+    lit: Triangles,
+    wave: Incident,
+    return_path: OneWayPath,
 ) -> Real:
     """How fast the difference of the ways by two corners grows, at most, in m/s."""
-    number = dr.gather(s.mi.UInt32, s.world.object_index, lit.face)
-    own = s.mi.Vector3d(
-        *(dr.gather(s.mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
+    number = dr.gather(context.mi.UInt32, context.world.object_index, lit.face)
+    own = context.mi.Vector3d(
+        *(dr.gather(context.mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
     )
     way = lit.center - wave.origin
     length = dr.norm(way)
@@ -242,7 +251,9 @@ def _turning(
         dr.squared_norm(b - a), dr.maximum(dr.squared_norm(c - b), dr.squared_norm(a - c))
     )
     rate = dr.norm(turning(own - wave.velocity, way / length, length))
-    return dr.sqrt(size) * (rate + dr.norm(turning(own - home.velocity, -home.back, home.length)))
+    return dr.sqrt(size) * (
+        rate + dr.norm(turning(own - return_path.velocity, -return_path.back, return_path.length))
+    )
 
 
 def _most(

@@ -49,32 +49,32 @@ class Setting:
 
 
 def setting_of(
-    stage: PreparedScene,
+    prepared: PreparedScene,
     scatterers: Scatterers,
     radar: RadarDesign,
     body: Indices,
     asked: Sequence[float],
 ) -> Setting:
     """Of a stage; ``asked``: numbers that a frame depends on as well."""
-    flats, walls = stage.flats, stage.station.walls
+    flats, walls = prepared.flats, prepared.context.walls
     through = () if walls is None else (np.array(walls.thickness), np.array(walls.table))
     half_time = scatterers.half_time_s
     return Setting(
         radar=radar,
-        items=stage.originals,
-        roles=stage.roles,
-        surface=stage.surface_of_object,
-        table=np.array(stage.station.table).reshape(-1, 4 * (TABLE_STEPS + 1)),
+        items=prepared.originals,
+        roles=prepared.roles,
+        surface=prepared.surface_of_object,
+        table=np.array(prepared.context.table).reshape(-1, 4 * (TABLE_STEPS + 1)),
         body=body,
-        owner=stage.world.object_of_face,
-        images=stage.images,
+        owner=prepared.world.object_of_face,
+        images=prepared.images,
         heard=scatterers.heard,
         outward=scatterers.outward,
         fixed=(
-            np.array([*asked, half_time, stage.wavelength_m, len(stage.world.face_ranges)]),
-            stage.anchor_m,
-            stage.place,
-            stage.axes,
+            np.array([*asked, half_time, prepared.wavelength_m, len(prepared.world.face_ranges)]),
+            prepared.anchor_m,
+            prepared.place,
+            prepared.axes,
             flats.object,
             flats.point,
             flats.normal,
@@ -102,11 +102,11 @@ class Landings:
 
     @staticmethod
     def of(
-        s: TracingContext, tubes: Tubes, goes_on: Mask, row: Indices, receiver: Indices
+        context: TracingContext, tubes: Tubes, goes_on: Mask, row: Indices, receiver: Indices
     ) -> "Landings":
         """Of tubes, without the waves that they bring."""
         lit = tubes.triangles
-        origin = origin_of(s, lit)
+        origin = origin_of(context, lit)
         dr.eval(origin)
         source = np.array(lit.source).astype(np.int32)
         pairs = row.astype(np.int32), receiver.astype(np.int32)

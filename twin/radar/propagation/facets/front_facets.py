@@ -44,7 +44,7 @@ def largest(values: Array, count: int) -> NDArray[np.bool_]:
 class FrontFacets:
     """Whole facets of the world, each lit directly from an image and heard at one, (n,)."""
 
-    s: TracingContext
+    context: TracingContext
     scatterers: Scatterers
     face: NDArray[np.uint32]
     source: NDArray[np.uint32]
@@ -68,22 +68,25 @@ class FrontFacets:
     def chosen(self, rows: Rows) -> "FrontFacets":
         """Only some of them."""
         some = self.face[rows], self.source[rows], self.receiver[rows]
-        return FrontFacets(self.s, self.scatterers, *some)
+        return FrontFacets(self.context, self.scatterers, *some)
 
     def taken(self, rows: Rows) -> Triangles:
         """Some of them as triangles, with the wave that lights them."""
         some = self.chosen(rows)
-        return lit_facets(self.s, self.scatterers, some.face, some.source, some.receiver)
+        return lit_facets(self.context, self.scatterers, some.face, some.source, some.receiver)
 
     def echoes(self) -> Echoes:
         """What each returns if all of it is seen."""
         return Echoes.joined(
-            [echoes_of(self.s, self.scatterers, self.taken(rows)) for rows in portions(self.all)]
+            [
+                echoes_of(self.context, self.scatterers, self.taken(rows))
+                for rows in portions(self.all)
+            ]
         )
 
     def sizes(self) -> Array:
         """Longest edges in m, (n,)."""
-        world, found = self.s.world, np.empty(len(self))
+        world, found = self.context.world, np.empty(len(self))
         for rows in portions(self.all):
             at = world.vertices[world.faces[self.face[rows]]]
             found[rows] = longest_edges(at[:, 0], at[:, 1], at[:, 2])
@@ -94,12 +97,12 @@ class FrontFacets:
         """One after the other."""
         columns = zip(*((p.face, p.source, p.receiver) for p in parts), strict=True)
         return FrontFacets(
-            parts[0].s, parts[0].scatterers, *(np.concatenate(column) for column in columns)
+            parts[0].context, parts[0].scatterers, *(np.concatenate(column) for column in columns)
         )
 
 
 def bistatic_facets(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     images: Sequence[Image],
     wanted: NDArray[np.bool_] | None = None,
@@ -110,7 +113,7 @@ def bistatic_facets(
     """
     b = scatterers
     rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
-    sides = sides_of(s, images, rows)
+    sides = sides_of(context, images, rows)
     found = []
     for i, side in enumerate(sides):
         is_lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
@@ -120,12 +123,12 @@ def bistatic_facets(
             both = face[(sides[j][lit] == of_lit) & b.heard[j, face]]
             if wanted is not None:
                 both = both[wanted[i, both] | wanted[j, both]]
-            found.append(_numbered(s, b, both, i, j))
+            found.append(_numbered(context, b, both, i, j))
     return FrontFacets.joined(found)
 
 
 def illuminated_facets(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     images: Sequence[Image],
     wanted: NDArray[np.bool_] | None = None,
@@ -134,42 +137,46 @@ def illuminated_facets(
     b = scatterers
     rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
     found = []
-    for i, side in enumerate(sides_of(s, images, rows)):
+    for i, side in enumerate(sides_of(context, images, rows)):
         lit = (side != 0) & (b.outward[i, rows] * side >= 0)
         if wanted is not None:
             lit &= wanted[i, rows]
-        found.append(_numbered(s, b, rows[lit & b.heard[i, rows]], i, i))
+        found.append(_numbered(context, b, rows[lit & b.heard[i, rows]], i, i))
     return FrontFacets.joined(found)
 
 
 def _numbered(
-    s: TracingContext, scatterers: Scatterers, face: NDArray[np.intp], source: int, receiver: int
+    context: TracingContext,
+    scatterers: Scatterers,
+    face: NDArray[np.intp],
+    source: int,
+    receiver: int,
 ) -> FrontFacets:
     ends = (np.full(len(face), number, dtype=np.uint32) for number in (source, receiver))
-    return FrontFacets(s, scatterers, face.astype(np.uint32), *ends)
+    return FrontFacets(context, scatterers, face.astype(np.uint32), *ends)
 
 
 def sides_of(
-    s: TracingContext, images: Sequence[Image], rows: NDArray[np.intp]
+    context: TracingContext, images: Sequence[Image], rows: NDArray[np.intp]
 ) -> list[NDArray[np.int8]]:
     """On which side of some facets each image stands: 1 where their normal points to."""
     found = [np.empty(len(rows), dtype=np.int8) for _ in images]
     for some in portions(np.arange(len(rows))):
-        plane = s.world.plane_table[rows[some]]
+        plane = context.world.plane_table[rows[some]]
         for side, image in zip(found, images, strict=True):
             side[some] = np.sign(np.sum((image.place - plane[:, :3]) * plane[:, 3:], axis=1))
     return found
 
 
 def lit_facets(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     face: Rows,
     source: Rows,
     receiver: Rows,
 ) -> Triangles:
     """Whole facets, each lit directly from one image and heard at another."""
-    mi, world = s.mi, s.world
+    mi, world = context.mi, context.world
     at = world.vertices[world.faces[face]]
     a, b, c = (vector(mi, at[:, k], "Vector3d") for k in range(3))
     return Triangles(

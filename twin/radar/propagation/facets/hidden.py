@@ -29,7 +29,7 @@ _NEAR_M = 1e3  # from the anchor: radars of cross-sections stand farther away
 _BEYOND, _AT_SIDES, _PARTS = 1, 2, 6
 
 
-def wholly_hidden(s: TracingContext, parts: Any, lit: Triangles) -> NDArray[np.bool_]:
+def wholly_hidden(context: TracingContext, parts: Any, lit: Triangles) -> NDArray[np.bool_]:
     """Triangles that their receiver, or the source that lights them directly, surely sees nothing
     of, (n,); by the convex ``parts`` of the world, on the device.
     """
@@ -37,17 +37,19 @@ def wholly_hidden(s: TracingContext, parts: Any, lit: Triangles) -> NDArray[np.b
     for end in ("receiver", "source") if lit.waves is None else ("receiver",):
         rest = np.flatnonzero(~found)
         if len(rest):
-            found[rest] = _hidden_from(s, parts, lit.taken(rest), end)
+            found[rest] = _hidden_from(context, parts, lit.taken(rest), end)
     return found
 
 
-def _hidden_from(s: TracingContext, parts: Any, lit: Triangles, end: str) -> NDArray[np.bool_]:
-    mi, n = s.mi, len(lit)
+def _hidden_from(
+    context: TracingContext, parts: Any, lit: Triangles, end: str
+) -> NDArray[np.bool_]:
+    mi, n = context.mi, len(lit)
     many = lit.repeated(3)
     number = dr.arange(mi.UInt32, 3 * n) % 3
     place = dr.select(number == 0, many.corners[0], many.corners[1])
     place = dr.select(number == 2, many.corners[2], place)
-    by = np.array(_hidden_by(s, parts, many, end, place + _INSET * (many.center - place)))
+    by = np.array(_hidden_by(context, parts, many, end, place + _INSET * (many.center - place)))
     by = by.reshape(n, 3).T
     is_known = (by != 0).all(axis=0)
     alike = by == by[[1, 2, 0]]
@@ -55,12 +57,12 @@ def _hidden_from(s: TracingContext, parts: Any, lit: Triangles, end: str) -> NDA
     is_odd, odd = odd_one(alike)
     row = np.flatnonzero(is_known & is_odd)
     if len(row):
-        found[row] = _are_joined(s, parts, lit.taken(row), end, by[:, row], odd[row])
+        found[row] = _are_joined(context, parts, lit.taken(row), end, by[:, row], odd[row])
     return found
 
 
 def _are_joined(
-    s: TracingContext,
+    context: TracingContext,
     parts: Any,
     lit: Triangles,
     end: str,
@@ -70,7 +72,7 @@ def _are_joined(
     """Whether on both edges from the corner that is hidden by something else than both others, one
     begins where the other ends.
     """
-    mi, n, column = s.mi, len(lit), np.arange(len(lit))
+    mi, n, column = context.mi, len(lit), np.arange(len(lit))
     many = lit.repeated(2)
     corners = [p + _INSET * (many.center - p) for p in many.corners]
 
@@ -85,7 +87,7 @@ def _are_joined(
 
     def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
         middle = (low + high) / 2
-        same = _hidden_by(s, parts, many, end, tip + middle * (other - tip)) == own
+        same = _hidden_by(context, parts, many, end, tip + middle * (other - tip)) == own
         return step + 1, dr.select(same, middle, low), dr.select(same, high, middle)
 
     begin = dr.zeros(mi.UInt32, 2 * n), dr.zeros(mi.Float64, 2 * n), dr.ones(mi.Float64, 2 * n)
@@ -93,26 +95,26 @@ def _are_joined(
         begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
     )
     dr.eval(high)
-    beyond = np.array(_hidden_by(s, parts, many, end, tip + high * (other - tip)))
+    beyond = np.array(_hidden_by(context, parts, many, end, tip + high * (other - tip)))
     wanted = np.repeat(by[(odd + 1) % 3, column], 2)
     joined: NDArray[np.bool_] = (beyond == wanted).reshape(n, 2).all(axis=1)
     return joined
 
 
-def _hidden_by(s: TracingContext, parts: Any, lit: Triangles, end: str, place: Any) -> Any:
+def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, place: Any) -> Any:
     """What hides points of triangles: a number, or 0 where that is nothing convex, or nothing.
 
     Everything that the number stands for hides a convex part of a plane.
     """
-    mi, scene, source = s.mi, s.world.scene, getattr(lit, end)
-    off = normal_of(s, lit.face, place, origin_of(s, lit)) * (offset(place) + lit.lift)
-    order = dr.gather(mi.UInt32, s.orders, source)
-    at, aim, start = place, _gathered(mi, s.positions, 3 * source), place + off
+    mi, scene, source = context.mi, context.world.scene, getattr(lit, end)
+    off = normal_of(context, lit.face, place, origin_of(context, lit)) * (offset(place) + lit.lift)
+    order = dr.gather(mi.UInt32, context.orders, source)
+    at, aim, start = place, _gathered(mi, context.positions, 3 * source), place + off
     found, exists = dr.zeros(mi.UInt32, dr.width(place)), mi.Bool(True)
 
     def note(kind: Any, where: Any, level: int) -> None:
         nonlocal found
-        number = kind * (s.order + 1) + level
+        number = kind * (context.order + 1) + level
         found = dr.select((found == 0) & where & (kind > 0), number, found)
 
     def met(begin: Any, direction: Any, reach: Any, where: Any, mirror: Any = None) -> Any:
@@ -122,13 +124,15 @@ def _hidden_by(s: TracingContext, parts: Any, lit: Triangles, end: str, place: A
         is_met = where & hit.is_valid()
         number = dr.gather(mi.UInt32, parts, hit.prim_index, is_met) + _PARTS
         if mirror is not None:
-            is_met &= dr.gather(mi.UInt32, s.patch_of_face, hit.prim_index, is_met) != mirror
+            is_met &= dr.gather(mi.UInt32, context.patch_of_face, hit.prim_index, is_met) != mirror
         return dr.select(is_met, number, 0)
 
-    for level in reversed(range(s.order)):
+    for level in reversed(range(context.order)):
         has = exists & (order > level)
-        row = source * s.order + level
-        before, point, normal = (_gathered(mi, s.levels, LEVEL * row + 3 * i) for i in range(3))
+        row = source * context.order + level
+        before, point, normal = (
+            _gathered(mi, context.levels, LEVEL * row + 3 * i) for i in range(3)
+        )
         way = aim - at
         distance = dr.norm(way)
         direction = way / dr.maximum(distance, NEAREST_M)
@@ -139,8 +143,8 @@ def _hidden_by(s: TracingContext, parts: Any, lit: Triangles, end: str, place: A
         note(mi.UInt32(_BEYOND), is_beyond, level)
         exists &= ~is_beyond
         has &= exists
-        note(_side(s, row, mirror), has, level)
-        patch = dr.gather(mi.UInt32, s.marks, 3 * row, has)
+        note(_side(context, row, mirror), has, level)
+        patch = dr.gather(mi.UInt32, context.marks, 3 * row, has)
         rays = start, direction, t * (1 - _BEFORE), has & (found == 0)
         note(met(*rays, patch), has, level)
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
@@ -151,17 +155,19 @@ def _hidden_by(s: TracingContext, parts: Any, lit: Triangles, end: str, place: A
     begin, back = dr.select(is_near, aim, start), dr.select(is_near, start, aim)
     way = back - begin
     last = met(begin, dr.normalize(way), dr.norm(way) * (1 - _BEFORE), exists & (found == 0))
-    note(last, mi.Bool(True), s.order)
+    note(last, mi.Bool(True), context.order)
     return found
 
 
-def _side(s: TracingContext, row: Any, place: Any) -> Any:
+def _side(context: TracingContext, row: Any, place: Any) -> Any:
     """Beyond which side of a mirror's window a place in its plane lies; 0 of none."""
-    mi = s.mi
+    mi = context.mi
     slack, found = _BESIDE * dr.norm(place), mi.UInt32(0)
     for k in range(2):
-        axis = _gathered(mi, s.windows, WINDOW * row + 5 * k)
-        low, high = (dr.gather(mi.Float64, s.windows, WINDOW * row + 5 * k + i) for i in (3, 4))
+        axis = _gathered(mi, context.windows, WINDOW * row + 5 * k)
+        low, high = (
+            dr.gather(mi.Float64, context.windows, WINDOW * row + 5 * k + i) for i in (3, 4)
+        )
         along = dr.dot(axis, place)
         found = dr.select(along < low - slack, mi.UInt32(_AT_SIDES + 2 * k), found)
         found = dr.select(along > high + slack, mi.UInt32(_AT_SIDES + 2 * k + 1), found)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.facets.currents import normal_of, plane_of
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, origin_of
-from twin.radar.propagation.one_way.path import TracingContext, leg, offset
+from twin.radar.propagation.one_way.path import TracingContext, offset, one_way_path
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -37,19 +37,19 @@ class RayHits:
 
 
 def reflected_ray_hits(
-    s: TracingContext, scatterers: Scatterers, tubes: Triangles, samples: int
+    context: TracingContext, scatterers: Scatterers, tubes: Triangles, samples: int
 ) -> RayHits:
     """Of rays from the corners and a point inside, or from the spot alone."""
-    mi, n = s.mi, len(tubes)
+    mi, n = context.mi, len(tubes)
     many = tubes.repeated(samples) if samples > 1 else tubes
     index = dr.arange(mi.UInt32, samples * n)
     place = samples_of(many, index & 3) if samples > 1 else many.spot
-    active, face, direction = reflected_from(s, scatterers, many, place)
+    active, face, direction = reflected_from(context, scatterers, many, place)
     dr.eval(active, face)
     gap = mi.Float64(0)
     if samples > 1:
-        own = along(s, face, place, direction)
-        last = along(s, dr.gather(mi.UInt32, face, index | 3), place, direction)
+        own = along(context, face, place, direction)
+        last = along(context, dr.gather(mi.UInt32, face, index | 3), place, direction)
         both = active & dr.gather(mi.Bool, active, index | 3)
         gap = dr.select(both, dr.abs(own - last), np.inf)
     shape = (n, samples)
@@ -60,57 +60,60 @@ def reflected_ray_hits(
     )
 
 
-def apart(s: TracingContext, tubes: Triangles, hits: RayHits) -> Array:
+def apart(context: TracingContext, tubes: Triangles, hits: RayHits) -> Array:
     """Distance along the rays of all samples between the planes that they meet and the plane that
     one of them meets, (4 planes, 4 samples, n); infinite where either meets none.
     """
-    mi, n = s.mi, len(tubes)
+    mi, n = context.mi, len(tubes)
     many = tubes.repeated(4)
     index = dr.arange(mi.UInt32, 4 * n)
     place = samples_of(many, index & 3)
-    direction, _ = _mirrored(s, many, place)
+    direction, _ = _mirrored(context, many, place)
     faces = mi.UInt32(aligned(hits.face.T.ravel().astype(np.uint32)))
-    own = along(s, faces, place, direction)
+    own = along(context, faces, place, direction)
     found = np.empty((4, 4, n))
     for k in range(4):
-        gap = along(s, dr.gather(mi.UInt32, faces, 4 * (index // 4) + k), place, direction) - own
+        gap = (
+            along(context, dr.gather(mi.UInt32, faces, 4 * (index // 4) + k), place, direction)
+            - own
+        )
         valid = hits.is_valid & hits.is_valid[k]
         found[k] = np.where(valid, np.abs(np.array(gap).reshape(n, 4).T), np.inf)
     return found
 
 
-def _mirrored(s: TracingContext, tubes: Triangles, place: Any) -> tuple[Any, Any]:
+def _mirrored(context: TracingContext, tubes: Triangles, place: Any) -> tuple[Any, Any]:
     """Direction of rays after their reflection at a place of a tube, and the normal there."""
-    origin = origin_of(s, tubes)
-    normal = normal_of(s, tubes.face, tubes.center, origin)
+    origin = origin_of(context, tubes)
+    normal = normal_of(context, tubes.face, tubes.center, origin)
     direction = dr.normalize(place - origin)
     return direction - 2 * dr.dot(direction, normal) * normal, normal
 
 
 def reflected_from(
-    s: TracingContext, scatterers: Scatterers, tubes: Triangles, place: Any
+    context: TracingContext, scatterers: Scatterers, tubes: Triangles, place: Any
 ) -> tuple[Any, Any, Any]:
     """Whether rays from there meet what scatters, on which facet (else 0), and their direction."""
-    mi = s.mi
-    direction, normal = _mirrored(s, tubes, place)
+    mi = context.mi
+    direction, normal = _mirrored(context, tubes, place)
     off = normal * (offset(place) + tubes.lift)
     active = mi.Bool(True)
     if tubes.waves is None:  # what lies in shadow reflects nothing
-        active = leg(s, tubes.source, place, off, active).clear
+        active = one_way_path(context, tubes.source, place, off, active).clear
     ray = mi.Ray3f(mi.Point3f(place + off), mi.Vector3f(direction))
-    hit = s.world.scene.ray_intersect_preliminary(ray, active=active)
+    hit = context.world.scene.ray_intersect_preliminary(ray, active=active)
     active &= hit.is_valid()
-    number = dr.gather(mi.UInt32, s.world.object_index, hit.prim_index, active)
+    number = dr.gather(mi.UInt32, context.world.object_index, hit.prim_index, active)
     active &= dr.gather(mi.Bool, scatterers.answers, number, active)
-    if s.walls is not None:  # between bodies no wall lets through
+    if context.walls is not None:  # between bodies no wall lets through
         ray.maxt = hit.t
-        active &= ~s.walls.mesh.scene.ray_test(ray, active=active)
+        active &= ~context.walls.mesh.scene.ray_test(ray, active=active)
     return active, dr.select(active, hit.prim_index, 0), direction
 
 
-def along(s: TracingContext, face: Any, place: Any, direction: Any) -> Any:
+def along(context: TracingContext, face: Any, place: Any, direction: Any) -> Any:
     """Distance from places to the planes of facets along directions."""
-    point, normal = plane_of(s, face)
+    point, normal = plane_of(context, face)
     slope = dr.dot(normal, direction)
     return dr.dot(normal, point - place) / dr.select(slope != 0, slope, 1.0)
 

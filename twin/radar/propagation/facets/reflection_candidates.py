@@ -17,23 +17,23 @@ Indices = NDArray[np.integer]
 
 
 def reflection_candidates(
-    s: TracingContext, scatterers: Scatterers, facets: FrontFacets, spacing_m: float
+    context: TracingContext, scatterers: Scatterers, facets: FrontFacets, spacing_m: float
 ) -> NDArray[np.intp]:
     """Rows of facets from which something may be hit: the ray reflected at the centroid of the
     facet, or of one of the parts into which it is divided, hits a surface, or that of a neighbour
     or of a neighbour's neighbour does, lit from the same source. Neighbours share a corner.
     """
-    corners, count = _corners(s)
+    corners, count = _corners(context)
 
     def own(rows: Indices) -> Indices:
         return corners[facets.face[rows]] + count * facets.source[rows, None].astype(np.int64)
 
-    is_near = np.zeros(count * s.n_sources, dtype=bool)
+    is_near = np.zeros(count * context.n_sources, dtype=bool)
     for rows in portions(facets.all):
-        parts, row = subdivided(s, facets.taken(rows), spacing_m)
+        parts, row = subdivided(context, facets.taken(rows), spacing_m)
         for some in portions(np.arange(len(parts))):
             part = parts if len(some) == len(parts) else parts.taken(some)
-            is_met = reflected_ray_hits(s, scatterers, part, 1).is_valid[0]
+            is_met = reflected_ray_hits(context, scatterers, part, 1).is_valid[0]
             is_near[own(rows[row[some[is_met]]])] = True
     is_nearby = np.zeros_like(is_near)
     for rows in portions(facets.all):
@@ -43,9 +43,9 @@ def reflection_candidates(
     return np.concatenate([np.zeros(0, dtype=np.intp), *found])
 
 
-def _corners(s: TracingContext) -> tuple[Indices, int]:
+def _corners(context: TracingContext) -> tuple[Indices, int]:
     """Numbers of all facets' corners, one for each place of a mesh, (m, 3); how many at most."""
-    world = s.world
+    world = context.world
     found = world.faces.astype(np.int64)
     items = [item for item in world.items if item is not None]
     for item, rows, own in zip(items, world.face_ranges, world.vertex_ranges, strict=True):

@@ -40,10 +40,10 @@ class Scatterers:
 
 
 def scatterers(
-    stage: PreparedScene, antenna: Antenna, body: NDArray[np.int32], half_time_s: float = 0.0
+    prepared: PreparedScene, antenna: Antenna, body: NDArray[np.int32], half_time_s: float = 0.0
 ) -> Scatterers:
     """By the body of every object, -1 where it does not scatter."""
-    world, mi = stage.world, stage.station.mi
+    world, mi = prepared.world, prepared.context.mi
     count = len(world.faces)
     outward = np.zeros(count, dtype=np.int8)
     counts = world.plane_table[:, 3:].any(axis=1) & (body[world.object_of_face] >= 0)
@@ -53,43 +53,43 @@ def scatterers(
         shape = item.geometry.shape
         counts[rows] &= ~shape.is_double
         outward[rows] = shape.outward
-    velocities = np.array([item.velocity_m_per_s for item in stage.items], dtype=np.float64)
+    velocities = np.array([item.velocity_m_per_s for item in prepared.items], dtype=np.float64)
     return Scatterers(
         body=body[world.object_of_face].astype(np.intp),
         counts=counts,
-        outward=np.where(_within(stage)[:, world.object_of_face], np.int8(0), outward),
-        heard=_heard(stage, antenna),
-        antenna=antenna_gain(mi, antenna, stage.axes),
+        outward=np.where(_within(prepared)[:, world.object_of_face], np.int8(0), outward),
+        heard=_heard(prepared, antenna),
+        antenna=antenna_gain(mi, antenna, prepared.axes),
         answers=mi.Bool(aligned(body >= 0)),
-        surface=mi.UInt32(stage.surface_of_object),
+        surface=mi.UInt32(prepared.surface_of_object),
         velocity=mi.Float64(velocities.ravel()),
         parts=mi.UInt32(aligned(convex_parts(world))),
         half_time_s=half_time_s if velocities.any() else 0.0,
     )
 
 
-def _within(stage: PreparedScene) -> NDArray[np.bool_]:
+def _within(prepared: PreparedScene) -> NDArray[np.bool_]:
     """Whether images stand in the boxes around objects, (n_images, n_objects)."""
-    world = stage.world
+    world = prepared.world
     first = [rows.start for rows in world.vertex_ranges]
     low, high = (end.reduceat(world.vertices, first) for end in (np.minimum, np.maximum))
-    places = np.array([image.place for image in stage.images])[:, None]
+    places = np.array([image.place for image in prepared.images])[:, None]
     return np.asarray(((low <= places) & (places <= high)).all(axis=2))
 
 
-def _heard(stage: PreparedScene, antenna: Antenna) -> NDArray[np.bool_]:
-    worth: NDArray[np.bool_] = stage.worth[:, stage.world.object_of_face]
-    return worth if antenna.gain_dbi is None else worth & _before(stage)
+def _heard(prepared: PreparedScene, antenna: Antenna) -> NDArray[np.bool_]:
+    worth: NDArray[np.bool_] = prepared.worth[:, prepared.world.object_of_face]
+    return worth if antenna.gain_dbi is None else worth & _before(prepared)
 
 
-def _before(stage: PreparedScene) -> NDArray[np.bool_]:
+def _before(prepared: PreparedScene) -> NDArray[np.bool_]:
     """Facets with a corner ahead of the antenna, by way of every image, (n_images, n_facets)."""
-    world = stage.world
+    world = prepared.world
     found = []
-    for image in stage.images:
-        axis = stage.axes[0]
+    for image in prepared.images:
+        axis = prepared.axes[0]
         for patch in image.patches:
-            normal = stage.flats.normal[patch]
+            normal = prepared.flats.normal[patch]
             axis = axis - 2 * (axis @ normal) * normal
         found.append((((world.vertices - image.place) @ axis) > 0)[world.faces].any(axis=1))
     return np.array(found)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.currents import normal_of
 from twin.radar.propagation.facets.triangles import Triangles, origin_of
-from twin.radar.propagation.one_way.path import TracingContext, leg, offset
+from twin.radar.propagation.one_way.path import TracingContext, offset, one_way_path
 from twin.transfer import aligned
 
 _INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
@@ -30,19 +30,21 @@ _DRAWN_IN = 3 * _INSET  # lines on which borders are searched for, likewise
 _HALVINGS = 12  # of a line until a border is found on it: 2.4e-4 of its length
 
 
-def seen(s: TracingContext, lit: Triangles, place: Any) -> Any:
+def seen(context: TracingContext, lit: Triangles, place: Any) -> Any:
     """Whether points of triangles are seen by source and receiver."""
-    mi = s.mi
-    normal = normal_of(s, lit.face, place, origin_of(s, lit))
+    mi = context.mi
+    normal = normal_of(context, lit.face, place, origin_of(context, lit))
     off = normal * (offset(place) + lit.lift)
-    clear = leg(s, lit.receiver, place, off, mi.Bool(True)).clear
+    clear = one_way_path(context, lit.receiver, place, off, mi.Bool(True)).clear
     if lit.waves is None:
         apart = clear & (lit.source != lit.receiver)
-        clear &= leg(s, lit.source, place, off, apart).clear | ~apart
+        clear &= one_way_path(context, lit.source, place, off, apart).clear | ~apart
     return clear
 
 
-def sampled(s: TracingContext, lit: Triangles, thoroughly: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def sampled(
+    context: TracingContext, lit: Triangles, thoroughly: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Whether corners and a point inside are seen, (4, n); where not ``thoroughly`` the latter
     stands for all.
     """
@@ -50,25 +52,25 @@ def sampled(s: TracingContext, lit: Triangles, thoroughly: NDArray[np.bool_]) ->
     index = np.concatenate([np.arange(n), np.tile(often, 3)])
     corner = np.concatenate([np.full(n, 3), np.repeat(np.arange(3), len(often))])
     some = lit.gathered(index)
-    which = s.mi.UInt32(aligned(corner.astype(np.uint32)))
+    which = context.mi.UInt32(aligned(corner.astype(np.uint32)))
     place = some.spot
     for number, point in enumerate(some.corners):
         place = dr.select(which == number, point + _INSET * (some.center - point), place)
-    clear = np.array(seen(s, some, place))
+    clear = np.array(seen(context, some, place))
     found = np.tile(clear[:n], (4, 1))
     found[:3, often] = clear[n:].reshape(3, -1)
     return found
 
 
-def alike(s: TracingContext, lit: Triangles, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def alike(context: TracingContext, lit: Triangles, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Whether triangles are seen, or not, as ``wanted``, (n,), at six more points: in the middles
     of edges and towards corners.
     """
     n, share = len(lit), np.array(_BETWEEN).T
     some, number = lit.repeated(len(_BETWEEN)), np.tile(np.arange(len(_BETWEEN)), n)
-    weights = [s.mi.Float64(aligned(column[number])) for column in share]
+    weights = [context.mi.Float64(aligned(column[number])) for column in share]
     place = sum(w * corner for w, corner in zip(weights, some.corners, strict=True))
-    clear = np.array(seen(s, some, place)).reshape(n, -1)
+    clear = np.array(seen(context, some, place)).reshape(n, -1)
     found: NDArray[np.bool_] = (clear == wanted[:, None]).all(axis=1)
     return found
 
@@ -87,11 +89,14 @@ class Cut:
     is_known: NDArray[np.bool_]
 
 
-def cut(s: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
+def cut(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
     """Cut triangles one corner of which differs from both others in what is seen, (3, n)."""
     odd = np.where(corners[0] == corners[1], 2, np.where(corners[0] == corners[2], 1, 0))
     is_seen = corners[odd, np.arange(len(lit))]
-    number, wanted = s.mi.UInt32(aligned(odd.astype(np.uint32))), s.mi.Bool(aligned(is_seen))
+    number, wanted = (
+        context.mi.UInt32(aligned(odd.astype(np.uint32))),
+        context.mi.Bool(aligned(is_seen)),
+    )
 
     def ordered(points: Any) -> Any:
         """The odd corner first, the sense of rotation kept."""
@@ -108,13 +113,13 @@ def cut(s: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
 
         def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
             middle = (low + high) / 2
-            same = seen(s, lit, tip + middle * (end - tip)) == wanted
+            same = seen(context, lit, tip + middle * (end - tip)) == wanted
             return step + 1, dr.select(same, middle, low), dr.select(same, high, middle)
 
         begin = (
-            dr.zeros(s.mi.UInt32, len(lit)),
-            dr.zeros(s.mi.Float64, len(lit)),
-            dr.ones(s.mi.Float64, len(lit)),
+            dr.zeros(context.mi.UInt32, len(lit)),
+            dr.zeros(context.mi.Float64, len(lit)),
+            dr.ones(context.mi.Float64, len(lit)),
         )
         _, low, high = dr.while_loop(
             begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
@@ -146,10 +151,10 @@ def cut(s: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
         (bend, right, right_at),
     ]
     beyond += [(left, right), (left_at, left), (right_at, right)]
-    is_known = s.mi.Bool(True)
+    is_known = context.mi.Bool(True)
     for part, expected in (*((p, wanted) for p in near_by), *((p, ~wanted) for p in beyond)):
         middle = sum(part) / len(part)
-        is_known &= seen(s, lit, middle + _INSET * (lit.center - middle)) == expected
+        is_known &= seen(context, lit, middle + _INSET * (lit.center - middle)) == expected
     parts = Triangles.joined([replace(lit, corners=part) for part in near_by])
     whole = replace(lit, corners=(tip, left_at, right_at))
     return Cut(parts.evaluated(), whole.evaluated(), is_seen, np.array(is_known))

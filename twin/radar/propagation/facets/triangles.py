@@ -17,8 +17,8 @@ from twin.radar.propagation.one_way.path import (
     Axes,
     TracingContext,
     image_place,
-    leg,
     mirrored_axes,
+    one_way_path,
 )
 from twin.radar.propagation.scene.slabs import SlabTransmission
 from twin.radar.scattering.arrays import ComplexVector3, Index, Real, Vector3
@@ -193,36 +193,36 @@ def _all_waves(waves: Sequence[Any]) -> tuple[Waves, list[Any]]:
     return Waves.of(concatenated(columns, sizes), type(waves[0].spot)), begin
 
 
-def origin_of(s: TracingContext, lit: Triangles) -> Vector3:
+def origin_of(context: TracingContext, lit: Triangles) -> Vector3:
     """The point from which the wave spreads that lights each."""
     if lit.waves is None:
-        return image_place(s, lit.source)
-    return dr.gather(s.mi.Vector3d, lit.waves.incident.origin, lit.wave)
+        return image_place(context, lit.source)
+    return dr.gather(context.mi.Vector3d, lit.waves.incident.origin, lit.wave)
 
 
-def incident_on(s: TracingContext, lit: Triangles) -> Incident:
+def incident_on(context: TracingContext, lit: Triangles) -> Incident:
     """The wave that lights each triangle, at its centroid; of what lights it directly it is not
     looked at what stands in between.
     """
     if lit.waves is not None:
         return lit.waves.at(lit.wave).incident
-    mi = s.mi
-    way = leg(s, lit.source, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False)
+    mi = context.mi
+    way = one_way_path(context, lit.source, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False)
     return Incident(
-        origin=image_place(s, lit.source),
+        origin=image_place(context, lit.source),
         velocity=way.velocity,
-        axes=mirrored_axes(s, lit.source),
+        axes=mirrored_axes(context, lit.source),
         field=way.field,
         departure=way.departure,
         passage=way.passage,
     )
 
 
-def quartered(s: TracingContext, triangles: Triangles) -> Triangles:
+def quartered(context: TracingContext, triangles: Triangles) -> Triangles:
     """Each in four, by two cuts across the longest edge."""
     corners = triangles.corners
     four = triangles.repeated(4)
-    number = dr.arange(s.mi.UInt32, len(four))
+    number = dr.arange(context.mi.UInt32, len(four))
     for cut in (2, 1):
         a, b, c = four.corners if cut == 2 else corners
         ab, bc, ca = (dr.squared_norm(q - p) for p, q in ((a, b), (b, c), (c, a)))

@@ -107,7 +107,7 @@ class _Meeting:
         return _Meeting(tubes, face, np.zeros(len(face)), np.ones(len(face), dtype=bool))
 
 
-def reflected_on(s: TracingContext, scatterers: Scatterers, tubes: Tubes) -> Tubes | None:
+def reflected_on(context: TracingContext, scatterers: Scatterers, tubes: Tubes) -> Tubes | None:
     """Tubes where they land after the next reflection; None where they meet nothing.
 
     A tube whose rays meet facets so nearly in one plane that phases hardly differ stays whole. One
@@ -115,25 +115,25 @@ def reflected_on(s: TracingContext, scatterers: Scatterers, tubes: Tubes) -> Tub
     """
     tubes = tubes.chosen(tubes.is_lit)
     wide, rays = tubes.chosen(~tubes.triangles.is_ray), tubes.chosen(tubes.triangles.is_ray)
-    found = _onto_planes(s, scatterers, wide)
+    found = _onto_planes(context, scatterers, wide)
     if len(rays.root):
-        hits = reflected_ray_hits(s, scatterers, rays.triangles, 1)
+        hits = reflected_ray_hits(context, scatterers, rays.triangles, 1)
         hit = hits.is_valid[0]
         further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT)).chosen(hit)
         found.append(_Meeting.of_rays(further, hits.face[0, hit]))
     found = [part for part in found if len(part.face)]
-    return _landed(s, scatterers, found) if found else None
+    return _landed(context, scatterers, found) if found else None
 
 
 def _onto_planes(
-    s: TracingContext, scatterers: Scatterers, tubes: Tubes, may_cut: bool = True
+    context: TracingContext, scatterers: Scatterers, tubes: Tubes, may_cut: bool = True
 ) -> list[_Meeting]:
     """Which facets tubes meet, in parts."""
     if not len(tubes.root):
         return []
-    hits = reflected_ray_hits(s, scatterers, tubes.triangles, 4)
+    hits = reflected_ray_hits(context, scatterers, tubes.triangles, 4)
     gap_m = hits.gap_m[:3].max(axis=0)
-    off = _phase_rad(s, gap_m)
+    off = _phase_rad(context, gap_m)
     is_whole = off < _SMOOTH_RAD
     whole = tubes.chosen(is_whole)
     whole = replace(whole, doubt=whole.doubt + off[is_whole])
@@ -141,32 +141,32 @@ def _onto_planes(
     found = [_Meeting(whole, hits.face[3, is_whole], gap_m[is_whole], no_ray)]
     rest = np.flatnonzero(~is_whole & hits.is_valid.any(axis=0))
     if may_cut and len(rest):
-        parts, is_cut = _cut(s, scatterers, tubes.chosen(rest), hits.chosen(rest))
+        parts, is_cut = _cut(context, scatterers, tubes.chosen(rest), hits.chosen(rest))
         if parts is not None:
-            found += _onto_planes(s, scatterers, parts, may_cut=False)
+            found += _onto_planes(context, scatterers, parts, may_cut=False)
         rest = rest[~is_cut]
     if len(rest):
         # A quarter as large, curved surfaces part a fourth as much.
         doubt = np.minimum(off[rest] / 4, _DOUBT)
-        found += _by_quarters(s, scatterers, tubes.chosen(rest), hits.chosen(rest), doubt)
+        found += _by_quarters(context, scatterers, tubes.chosen(rest), hits.chosen(rest), doubt)
     return found
 
 
-def _phase_rad(s: TracingContext, gap_m: Array) -> Array:
+def _phase_rad(context: TracingContext, gap_m: Array) -> Array:
     """By which planes that far apart change an echo: both ways, and a third of what corners are
     off by is the mean.
     """
-    return 2 / 3 * 2 * np.pi / float(s.wavelength[0]) * gap_m
+    return 2 / 3 * 2 * np.pi / float(context.wavelength[0]) * gap_m
 
 
 def _cut(
-    s: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits
+    context: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits
 ) -> tuple[Tubes | None, NDArray[np.bool_]]:
     """Parts of tubes that one border cuts, and which tubes these are: one corner meets something
     else than both others, the border is nearly straight, and the sample inside is on the right side
     of it.
     """
-    off, nothing = _phase_rad(s, apart(s, tubes.triangles, hits)), ~hits.is_valid
+    off, nothing = _phase_rad(context, apart(context, tubes.triangles, hits)), ~hits.is_valid
     off = np.maximum(off, off.swapaxes(0, 1))
     alike = (off < _SMOOTH_RAD) | nothing[:, None] & nothing
     is_cut, odd = odd_one(np.stack([alike[0, 1], alike[1, 2], alike[2, 0]]))
@@ -182,10 +182,10 @@ def _cut(
     faces = np.where(wanted, hits.face[odd, rows], hits.face[one, rows])
     some = tubes.chosen(rows)
     at = border(
-        s.mi,
+        context.mi,
         some.triangles.corners,
-        s.mi.UInt32(aligned(odd)),
-        _like(s, scatterers, some.triangles, faces, wanted),
+        context.mi.UInt32(aligned(odd)),
+        _like(context, scatterers, some.triangles, faces, wanted),
     )
     bent = np.array(at.bent)
     inner = sum(INSIDE[1] / np.maximum(np.array(share), 1e-9) for share in at.shares)
@@ -196,12 +196,12 @@ def _cut(
     if not len(row):
         return None, is_cut
     # What meets nothing as well: there may be more than that border.
-    parts = [_part(s, some, corners, row) for corners in (*at.near, *at.far)]
+    parts = [_part(context, some, corners, row) for corners in (*at.near, *at.far)]
     return Tubes.joined(parts), is_cut
 
 
 def _like(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     tubes: Triangles,
     face: Indices,
@@ -210,35 +210,40 @@ def _like(
     """Test of places on tubes: whether the ray from there meets about the plane of a facet, or,
     where that is not wanted, does not.
     """
-    known, asked = s.mi.UInt32(aligned(face.astype(np.uint32))), s.mi.Bool(aligned(wanted))
-    limit = _SMOOTH_RAD / float(_phase_rad(s, np.ones(1))[0])
+    known, asked = (
+        context.mi.UInt32(aligned(face.astype(np.uint32))),
+        context.mi.Bool(aligned(wanted)),
+    )
+    limit = _SMOOTH_RAD / float(_phase_rad(context, np.ones(1))[0])
 
     def same(place: Any) -> Any:
-        active, hits, direction = reflected_from(s, scatterers, tubes, place)
-        gap = along(s, hits, place, direction) - along(s, known, place, direction)
+        active, hits, direction = reflected_from(context, scatterers, tubes, place)
+        gap = along(context, hits, place, direction) - along(context, known, place, direction)
         return (active & (dr.abs(gap) < limit)) == asked
 
     return same
 
 
-def _part(s: TracingContext, tubes: Tubes, corners: tuple[Any, Any, Any], row: Indices) -> Tubes:
+def _part(
+    context: TracingContext, tubes: Tubes, corners: tuple[Any, Any, Any], row: Indices
+) -> Tubes:
     """Parts of some of the tubes."""
-    some, index = tubes.chosen(row), s.mi.UInt32(aligned(row.astype(np.uint32)))
-    a, b, c = (dr.gather(s.mi.Vector3d, corner, index) for corner in corners)
+    some, index = tubes.chosen(row), context.mi.UInt32(aligned(row.astype(np.uint32)))
+    a, b, c = (dr.gather(context.mi.Vector3d, corner, index) for corner in corners)
     return replace(some, triangles=replace(some.triangles, corners=(a, b, c)).evaluated())
 
 
 def _by_quarters(
-    s: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits, doubt: Array
+    context: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits, doubt: Array
 ) -> list[_Meeting]:
     """Quarters of tubes as rays at their own centroids. Where that meets nothing but the tube's
     corner there does, or something that faces elsewhere, what the corner meets is not lit.
     """
-    pieces = _quarters(s, tubes.triangles)
-    own = reflected_ray_hits(s, scatterers, pieces, 1)
+    pieces = _quarters(context, tubes.triangles)
+    own = reflected_ray_hits(context, scatterers, pieces, 1)
     is_lit, face = own.is_valid[0], own.face[0]
     at_corner, known = hits.face.T.ravel(), hits.is_valid.T.ravel()
-    normal = s.world.plane_table[:, 3:]
+    normal = context.world.plane_table[:, 3:]
     is_other = np.abs(np.sum(normal[face] * normal[at_corner], axis=1)) < _ALIKE
     also = known & (~is_lit | is_other)
     found = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
@@ -249,10 +254,10 @@ def _by_quarters(
     ]
 
 
-def _quarters(s: TracingContext, tubes: Triangles) -> Triangles:
+def _quarters(context: TracingContext, tubes: Triangles) -> Triangles:
     """At the three corners and in the middle, as rays."""
     four = tubes.repeated(4)
-    number = dr.arange(s.mi.UInt32, len(four)) & 3
+    number = dr.arange(context.mi.UInt32, len(four)) & 3
     a, b, c = four.corners
     middles = (b + c) / 2, (c + a) / 2, (a + b) / 2
     # Of the quarter at a corner the other two corners are the middles of the edges there.
@@ -267,18 +272,20 @@ def _quarters(s: TracingContext, tubes: Triangles) -> Triangles:
     return replace(four, corners=(p, q, r)).evaluated()
 
 
-def _landed(s: TracingContext, scatterers: Scatterers, found: Sequence[_Meeting]) -> Tubes:
+def _landed(context: TracingContext, scatterers: Scatterers, found: Sequence[_Meeting]) -> Tubes:
     """Tubes on the planes of the facets that they meet."""
     tubes = Tubes.joined([part.tubes for part in found])
     face, lift_m, is_ray = (
         np.concatenate(column)
         for column in zip(*((p.face, p.lift_m, p.goes_on_as_ray) for p in found), strict=True)
     )
-    return replace(tubes, triangles=_lit_on(s, scatterers, tubes.triangles, face, lift_m, is_ray))
+    return replace(
+        tubes, triangles=_lit_on(context, scatterers, tubes.triangles, face, lift_m, is_ray)
+    )
 
 
 def _lit_on(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     some: Triangles,
     face: Indices,
@@ -286,17 +293,17 @@ def _lit_on(
     becomes_ray: NDArray[np.bool_],
 ) -> Triangles:
     """The triangles that tubes light on the planes of facets."""
-    mi, wide = s.mi, dr.zeros(s.mi.Float64, len(face))
-    wave = incident_on(s, some)
-    _, normal, _, out = reflection(s, scatterers, some, wave)
-    number = dr.gather(mi.UInt32, s.world.object_index, some.face)
+    mi, wide = context.mi, dr.zeros(context.mi.Float64, len(face))
+    wave = incident_on(context, some)
+    _, normal, _, reflected_field = reflection(context, scatterers, some, wave)
+    number = dr.gather(mi.UInt32, context.world.object_index, some.face)
     own = mi.Vector3d(
         *(dr.gather(mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
     )
     origin = wave.origin - 2 * dr.dot(wave.origin - some.center, normal) * normal
     velocity = wave.velocity - 2 * dr.dot(wave.velocity - own, normal) * normal
     new = mi.UInt32(aligned(face.astype(np.uint32)))
-    point, across = plane_of(s, new)
+    point, across = plane_of(context, new)
 
     def onto(place: Vector3) -> Vector3:
         way = place - origin
@@ -318,7 +325,7 @@ def _lit_on(
 
     x, y, z = (axis - 2 * dr.dot(axis, normal) * normal for axis in wave.axes)
     passage = SlabTransmission(*(value + wide for value in vars(wave.passage).values()))
-    field = ComplexVector3(out.re, out.im + wide)
+    field = ComplexVector3(reflected_field.re, reflected_field.im + wide)
     incident = Incident(origin, velocity, (x, y, z), field, wave.departure, passage)
     waves = Waves(incident, spot, mi.Float64(aligned(lift_m)))
     a, b, c = (dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners)
@@ -336,16 +343,16 @@ def _lit_on(
 
 
 def heard(
-    s: TracingContext, scatterers: Scatterers, landed: Triangles, images: Sequence[Image]
+    context: TracingContext, scatterers: Scatterers, landed: Triangles, images: Sequence[Image]
 ) -> tuple[Triangles, NDArray[np.intp]]:
     """Lit triangles with every image that sees their side as receiver, and the row of each.
 
-    What goes out by one image and home by another is a way of its own in each direction, met on
+    An echo between two different images is a path of its own in each direction, met on
     other facets last.
     """
     face = np.array(landed.face).astype(np.intp)
-    (origin,) = host([origin_of(s, landed)], len(landed))
-    point, normal = s.world.plane_table[face, :3], s.world.plane_table[face, 3:]
+    (origin,) = host([origin_of(context, landed)], len(landed))
+    point, normal = context.world.plane_table[face, :3], context.world.plane_table[face, 3:]
     side = np.sum((origin - point) * normal, axis=1)
     rows, receivers = [], []
     for number, image in enumerate(images):
@@ -355,4 +362,4 @@ def heard(
         receivers.append(np.full(len(some), number))
     row, receiver = np.concatenate(rows), np.concatenate(receivers)
     lit = landed.taken(row)
-    return replace(lit, receiver=s.mi.UInt32(aligned(receiver.astype(np.uint32)))), row
+    return replace(lit, receiver=context.mi.UInt32(aligned(receiver.astype(np.uint32)))), row

@@ -15,14 +15,17 @@ _STEPS = 64  # of sizes, in an octave
 
 
 def subdivided(
-    s: TracingContext, lit: Triangles, spacing_m: float
+    context: TracingContext, lit: Triangles, spacing_m: float
 ) -> tuple[Triangles, NDArray[np.intp]]:
     """Triangles in parts of at most this size, and the row that each is of."""
     found, rows, row = [], [], np.arange(len(lit))
     while (is_wide := sizes(lit) > spacing_m).any():
         found.append(lit.taken(np.flatnonzero(~is_wide)))
         rows.append(row[~is_wide])
-        lit, row = quartered(s, lit.taken(np.flatnonzero(is_wide))), np.repeat(row[is_wide], 4)
+        lit, row = (
+            quartered(context, lit.taken(np.flatnonzero(is_wide))),
+            np.repeat(row[is_wide], 4),
+        )
     return Triangles.joined([*found, lit]), np.concatenate([*rows, row])
 
 
@@ -38,11 +41,11 @@ def longest_edges(a: Array, b: Array, c: Array) -> Array:
     )
 
 
-def spacing_of(s: TracingContext, size_m: Array) -> float:
+def spacing_of(context: TracingContext, size_m: Array) -> float:
     """The most of the sizes of parts in m, of triangles of sizes (n,): half a wavelength, or what
     some eighty thousand more of them allow. What is larger by any share becomes four.
     """
-    closest_m = _CLOSEST * float(s.wavelength[0])
+    closest_m = _CLOSEST * float(context.wavelength[0])
     wide = size_m[size_m > closest_m]
     if not len(wide):
         return closest_m

@@ -1,10 +1,10 @@
-"""What of an earlier frame still holds where objects have moved: ways that meet none of them.
+"""Which echoes of an earlier frame are still valid where objects have moved: paths that hit none.
 
-A way is kept as a whole: from the radar to the facet that it meets first, on to what that lights,
+A path is kept as a whole: from the radar to the facet that it meets first, on to what that lights,
 and back. It holds where no box around anything that changed, as it stood then or stands now, is
 crossed by the pyramid between the radar, or an image of it, and that facet, by those that tubes
-from there were reflected in, and by those home; and where images and what they hear are as they
-were. All else is traced anew, with the errors that the level of every body now allows.
+from there were reflected in, and by those to the receiver; and where images and what they hear are
+as they were. All else is traced anew, with the errors that the level of every body now allows.
 
 Nothing is kept where the radar, its antenna, a mirror, a wall that it sees through, or a material
 has changed, nor where what has moved stands in more than `MOST_BOXES` places.
@@ -47,7 +47,7 @@ class Valid:
     """What still holds of an earlier frame: contributions and echoes, and per body the error that
     was accepted and the level that it was accepted for.
 
-    Anew, by image and facet (n_images, n_facets): ``legs``, ways there and back, and ``tubes`` that
+    Anew, by image and facet (n_images, n_facets): ``paths`` to it and back, and ``tubes`` that
     begin there. ``spacing_m`` as of `Found`.
     """
 
@@ -55,13 +55,17 @@ class Valid:
     sums: Sums
     error: Array
     level: Array
-    legs: Mask
+    paths: Mask
     tubes: Mask
     spacing_m: tuple[float, float]
 
 
 def still_valid(
-    s: TracingContext, scatterers: Scatterers, earlier: Traced, now: Setting, stage: PreparedScene
+    context: TracingContext,
+    scatterers: Scatterers,
+    earlier: Traced,
+    now: Setting,
+    prepared: PreparedScene,
 ) -> Valid | None:
     """What still holds; None where nothing can."""
     before, found = earlier.setting, earlier.found
@@ -70,29 +74,29 @@ def still_valid(
         return None
     numbers = np.flatnonzero(changed)
     sides = [boxes_of([side.items[i] for i in numbers]) for side in (before, now)]
-    boxes = _united(np.concatenate(sides) - stage.anchor_m)
+    boxes = _united(np.concatenate(sides) - prepared.anchor_m)
     if len(boxes) > MOST_BOXES:
         return None
     image = _numbers_of(before.images, now.images)
     differs = _differs(before, now, image)
-    legs, tubes = differs | changed[now.owner], np.zeros_like(differs)
+    paths, tubes = differs | changed[now.owner], np.zeros_like(differs)
     if len(boxes):
-        standing = as_mirrored(oriented(boxes), now.images, stage.flats)
-        _cross(s, scatterers, now, standing, legs, tubes)
-        tubes |= legs
+        standing = as_mirrored(oriented(boxes), now.images, prepared.flats)
+        _cross(context, scatterers, now, standing, paths, tubes)
+        tubes |= paths
         lands_anew = differs.any(axis=0) | changed[now.owner]
         for landings in found.landings:
-            is_crossed = _crossing(s, landings, standing, lands_anew, image)
+            is_crossed = _crossing(context, landings, standing, lands_anew, image)
             source, first = image[landings.source[is_crossed]], landings.first[is_crossed]
             tubes[source[source >= 0], first[source >= 0]] = True
     else:
-        tubes |= legs
+        tubes |= paths
 
     def holding(part: Contributions | Sums, is_direct: bool) -> Any:
         source, receiver = image[part.source], image[part.receiver]
         anew = tubes[source, part.first]
         if is_direct:
-            anew = legs[source, part.first] | legs[receiver, part.first]
+            anew = paths[source, part.first] | paths[receiver, part.first]
         rows = np.flatnonzero((source >= 0) & (receiver >= 0) & ~anew)
         ends = source[rows].astype(np.uint32), receiver[rows].astype(np.uint32)
         return replace(part.chosen(rows), source=ends[0], receiver=ends[1])
@@ -106,7 +110,7 @@ def still_valid(
         sums=sums,
         error=error,
         level=level,
-        legs=legs,
+        paths=paths,
         tubes=tubes,
         spacing_m=found.spacing_m,
     )
@@ -179,42 +183,46 @@ def _differs(before: Setting, now: Setting, image: NDArray[np.intp]) -> Mask:
 
 
 def _cross(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     now: Setting,
     standing: Array,
-    legs: Mask,
+    paths: Mask,
     tubes: Mask,
 ) -> None:
-    """Note ways from images to facets that are crossed in ``legs``, and in ``tubes`` those that
+    """Note ways from images to facets that are crossed in ``paths``, and in ``tubes`` those that
     facets reflect.
     """
-    images, faces = np.nonzero(now.heard & scatterers.counts & ~legs)
+    images, faces = np.nonzero(now.heard & scatterers.counts & ~paths)
     for some in portions(np.arange(len(faces))):
         image, face = images[some], faces[some]
-        lit = lit_facets(s, scatterers, face, image, image)
-        tip = image_place(s, lit.source)
-        legs[image, face] = _on_the_way(s, tip, lit.corners, standing, lit.source)
-        tip, none = _behind(s, tip, lit.face), s.mi.UInt32(0)
-        tubes[image, face] = crossed(s.mi, tip, lit.corners, standing[:1, 0], none, beyond=True)
+        lit = lit_facets(context, scatterers, face, image, image)
+        tip = image_place(context, lit.source)
+        paths[image, face] = _on_the_way(context, tip, lit.corners, standing, lit.source)
+        tip, none = _behind(context, tip, lit.face), context.mi.UInt32(0)
+        tubes[image, face] = crossed(
+            context.mi, tip, lit.corners, standing[:1, 0], none, beyond=True
+        )
 
 
-def _on_the_way(s: TracingContext, tip: Any, corners: Any, standing: Array, image: Any) -> Mask:
+def _on_the_way(
+    context: TracingContext, tip: Any, corners: Any, standing: Array, image: Any
+) -> Mask:
     """Whether ways from images to triangles may be crossed, (n,)."""
     found = np.zeros(dr.width(corners[0]), dtype=bool)
     for level in range(standing.shape[1]):
-        found |= crossed(s.mi, tip, corners, standing[:, level], image, beyond=False)
+        found |= crossed(context.mi, tip, corners, standing[:, level], image, beyond=False)
     return found
 
 
-def _behind(s: TracingContext, origin: Any, face: Any) -> Any:
+def _behind(context: TracingContext, origin: Any, face: Any) -> Any:
     """Mirror images of points in the planes of facets."""
-    point, normal = plane_of(s, face)
+    point, normal = plane_of(context, face)
     return origin - 2 * dr.dot(origin - point, normal) * normal
 
 
 def _crossing(
-    s: TracingContext,
+    context: TracingContext,
     landings: Landings,
     standing: Array,
     lands_anew: Mask,
@@ -223,23 +231,23 @@ def _crossing(
     """Landings of which tubes, on their way on or home, may be crossed, or that are heard
     otherwise.
     """
-    mi = s.mi
+    mi = context.mi
     found = lands_anew[np.array(landings.face)]
     on = np.flatnonzero(landings.goes_on & ~found)
     row, receiver = landings.row, image[landings.receiver]
-    home = np.flatnonzero((receiver >= 0) & ~found[row])
-    for rows, heard_at in ((on, None), (row[home], receiver[home])):
+    to_receiver = np.flatnonzero((receiver >= 0) & ~found[row])
+    for rows, heard_at in ((on, None), (row[to_receiver], receiver[to_receiver])):
         for some in portions(np.arange(len(rows))):
             index = mi.UInt32(aligned(rows[some].astype(np.uint32)))
             corners = tuple(dr.gather(mi.Vector3d, c, index) for c in landings.corners)
             if heard_at is None:
                 origin = dr.gather(mi.Vector3d, landings.origin, index)
-                tip = _behind(s, origin, dr.gather(mi.UInt32, landings.face, index))
+                tip = _behind(context, origin, dr.gather(mi.UInt32, landings.face, index))
                 first = mi.UInt32(0)
                 hit = crossed(mi, tip, corners, standing[:1, 0], first, beyond=True)
             else:
                 number = mi.UInt32(aligned(heard_at[some].astype(np.uint32)))
-                hit = _on_the_way(s, image_place(s, number), corners, standing, number)
+                hit = _on_the_way(context, image_place(context, number), corners, standing, number)
             found[rows[some][hit]] = True
     return found
 

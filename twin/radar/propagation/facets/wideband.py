@@ -28,9 +28,9 @@ from twin.radar.propagation.one_way.internal_reflections import (
 from twin.radar.propagation.one_way.path import (
     TracingContext,
     along,
-    leg,
     lengthening,
     mirrored_axes,
+    one_way_path,
     turning,
 )
 from twin.radar.synthesis import Contributions
@@ -42,20 +42,27 @@ Complex = NDArray[np.complex128]
 _CLOSE_RAD = 1.0
 
 
-def contributions_of(s: TracingContext, scatterers: Scatterers, leaves: Leaves) -> Contributions:
+def contributions_of(
+    context: TracingContext, scatterers: Scatterers, leaves: Leaves
+) -> Contributions:
     """Contributions of triangles; of those lit directly that have another receiver than source one
     for each direction, alike by reciprocity, which physical optics keeps in their mean only.
     """
-    mi, lit, n = s.mi, leaves.triangles, len(leaves.weight)
-    home = leg(s, lit.receiver, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False)
-    receiver, axes = lit.center + home.back * home.length, mirrored_axes(s, lit.receiver)
-    wave = incident_on(s, lit)
+    mi, lit, n = context.mi, leaves.triangles, len(leaves.weight)
+    return_path = one_way_path(
+        context, lit.receiver, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False
+    )
+    receiver, axes = (
+        lit.center + return_path.back * return_path.length,
+        mirrored_axes(context, lit.receiver),
+    )
+    wave = incident_on(context, lit)
     _, least, _ = level_at(scatterers, wave, lit.center, receiver, axes)
     values = []
     for corner in lit.corners:
         gain, spread, length = level_at(scatterers, wave, corner, receiver, axes)
         values += [length, gain, spread - least]
-    found, wave_number = host(values, n), 2 * np.pi / float(s.wavelength[0])
+    found, wave_number = host(values, n), 2 * np.pi / float(context.wavelength[0])
     whole = leaves.weight * leaves.echoes.amplitude
     terms = wideband_terms(
         np.stack(found[::3], axis=1),
@@ -64,39 +71,41 @@ def contributions_of(s: TracingContext, scatterers: Scatterers, leaves: Leaves) 
         leaves.echoes.mean * np.exp(-1j * (wave_number * leaves.echoes.length_m % (2 * np.pi))),
         wave_number,
     )
-    return _contributions(s, scatterers, lit.taken(terms.row), terms, whole[terms.row])
+    return _contributions(context, scatterers, lit.taken(terms.row), terms, whole[terms.row])
 
 
 def _contributions(
-    s: TracingContext,
+    context: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
     terms: "WidebandTerms",
     whole: Complex,
 ) -> Contributions:
     """By the triangle of every contribution."""
-    mi, n, wave = s.mi, len(whole), incident_on(s, lit)
+    mi, n, wave = context.mi, len(whole), incident_on(context, lit)
     shares = (mi.Float64(aligned(np.ascontiguousarray(column))) for column in terms.place.T)
     place = sum(share * corner for share, corner in zip(shares, lit.corners, strict=True))
-    home = leg(s, lit.receiver, place, mi.Vector3d(0), mi.Bool(True), tested=False)
-    number = dr.gather(mi.UInt32, s.world.object_index, lit.face)
+    return_path = one_way_path(
+        context, lit.receiver, place, mi.Vector3d(0), mi.Bool(True), tested=False
+    )
+    number = dr.gather(mi.UInt32, context.world.object_index, lit.face)
     own = mi.Vector3d(
         *(dr.gather(mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
     )
     towards = place - wave.origin
-    out_length = dr.norm(towards)
+    forward_length = dr.norm(towards)
     moved = (
-        (own - wave.velocity, towards / out_length, out_length),
-        (own - home.velocity, -home.back, home.length),
+        (own - wave.velocity, towards / forward_length, forward_length),
+        (own - return_path.velocity, -return_path.back, return_path.length),
     )
     there, again = (lengthening(*way) for way in moved)
-    shown = wave.axes, mirrored_axes(s, lit.receiver)
+    shown = wave.axes, mirrored_axes(context, lit.receiver)
     turns = [along(turning(*way), axes) for way, axes in zip(moved, shown, strict=True)]
-    values: list[Any] = [wave.passage.extra + home.passage.extra]
+    values: list[Any] = [wave.passage.extra + return_path.passage.extra]
     values += [there[0] + again[0], there[1] + again[1]]
-    values += [along(towards / out_length, wave.axes), home.departure]
+    values += [along(towards / forward_length, wave.axes), return_path.departure]
     values += [*turns, number, lit.source, lit.receiver]
-    for p in (wave.passage, home.passage):
+    for p in (wave.passage, return_path.passage):
         values += [p.rho_re, p.rho_im, p.lag]
     extra, rate, acceleration, departure, arrival, *found = host(values, n)
     length_m = terms.length_m + extra
@@ -115,7 +124,7 @@ def _contributions(
         falloff=terms.falloff,
         first=lit.first,
     )
-    if s.walls is not None:
+    if context.walls is not None:
         alike = (one.source == one.receiver) & (lit.waves is None)
         rings = InternalReflections.of(*found[5:8]), InternalReflections.of(*found[8:])
         one = with_internal_reflections(one, length_m, *rings, alike)

@@ -16,7 +16,7 @@ _FAINTEST = 3e-3  # of the first: 0.03 dB
 
 @dataclass(frozen=True, eq=False)
 class InternalReflections:
-    """The internal echoes of the wall on a leg, each (n,): one over the one before, and how much
+    """The internal echoes of the wall on a path, each (n,): one over the one before, and how much
     longer its path is; 0 where there is no wall.
     """
 
@@ -25,37 +25,41 @@ class InternalReflections:
 
     @staticmethod
     def of(rho_re: Array, rho_im: Array, lag_m: Array) -> "InternalReflections":
-        """From what legs tell of it (`walls.SlabTransmission`)."""
+        """From what paths tell of it (`walls.SlabTransmission`)."""
         return InternalReflections(rho_re + 1j * rho_im, lag_m)
 
 
 def with_internal_reflections(
     once: Contributions,
     length_m: Array,
-    out: InternalReflections,
-    home: InternalReflections,
+    on_forward: InternalReflections,
+    on_return: InternalReflections,
     alike: NDArray[np.bool_],
 ) -> Contributions:
     """Contributions with those that run to and fro within walls, each one by itself.
 
     ``length_m`` (n,): path lengths of ``once``, which is not rounded as its delays are. Of
-    ``alike`` ones both legs are the same: p round trips in all come p + 1 times.
+    ``alike`` ones both paths are the same: p round trips in all come p + 1 times.
     """
     rows, amplitudes = [np.arange(len(once))], [once.amplitude]
     lengths = [length_m]
-    strongest = float(max(np.abs(out.rho).max(initial=0.0), np.abs(home.rho).max(initial=0.0)))
+    strongest = float(
+        max(np.abs(on_forward.rho).max(initial=0.0), np.abs(on_return.rho).max(initial=0.0))
+    )
     for trips in range(1, _MOST_TRIPS + 1):
         if (trips + 1) * strongest**trips < _FAINTEST:
             break
         for p in range(trips + 1):
             q = trips - p
-            rings = (out.lag_m > 0) | (p == 0), (home.lag_m > 0) | (q == 0)
+            rings = (on_forward.lag_m > 0) | (p == 0), (on_return.lag_m > 0) | (q == 0)
             chosen = np.flatnonzero(rings[0] & rings[1] & (~alike | (q == 0)))
             times = np.where(alike[chosen], trips + 1, 1)
-            weaker = out.rho[chosen] ** p * home.rho[chosen] ** q
+            weaker = on_forward.rho[chosen] ** p * on_return.rho[chosen] ** q
             rows.append(chosen)
             amplitudes.append(once.amplitude[chosen] * times * weaker)
-            lengths.append(length_m[chosen] + (p * out.lag_m[chosen] + q * home.lag_m[chosen]))
+            lengths.append(
+                length_m[chosen] + (p * on_forward.lag_m[chosen] + q * on_return.lag_m[chosen])
+            )
     if sum(map(len, rows)) == len(once):
         return once
     return replace(

@@ -1,5 +1,5 @@
-"""The way between the radar and a point, straight or over large flat surfaces: one kernel for both
-directions, since the way out is the way back.
+"""The one-way path between the radar and a point, direct or reflected by large flat surfaces: one
+kernel for both directions, since the forward path is the return path.
 
 Everything is an array on the device, one element per ray; ``source`` numbers the images of
 `twin.radar.propagation.scene.images`.
@@ -40,7 +40,7 @@ _JUST_BEFORE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class TracingContext:
-    """What all legs share: the world, the antenna, the images, the coefficients of reflection.
+    """What all paths share: the world, the antenna, the images, the coefficients of reflection.
 
     ``order`` is the largest number of reflections; ``table`` that of `scattering.surface`;
     ``positions`` and ``velocities`` (3 n) are those of the images, ``axes`` (9 n) the world's
@@ -76,7 +76,7 @@ class TracingContext:
         return source != receiver
 
 
-def station(
+def tracing_context(
     mi: Any,
     world: MeshScene,
     place: Array,
@@ -111,7 +111,7 @@ def station(
 
 
 def with_images(
-    s: TracingContext,
+    context: TracingContext,
     images: Sequence[Image],
     flats: Flats,
     velocities: Array,
@@ -121,9 +121,9 @@ def with_images(
     """The radar and its images of up to ``order`` reflections, in patches of objects with
     velocities (n, 3) and surfaces (n,).
     """
-    mi = s.mi
+    mi = context.mi
     levels = np.zeros((len(images), order, LEVEL))
-    levels[:, :, 6:9] = np.array(s.boresight).T  # any unit vector where there is no plane
+    levels[:, :, 6:9] = np.array(context.boresight).T  # any unit vector where there is no plane
     marks = np.zeros((len(images), order, 3), dtype=np.uint32)
     windows = np.zeros((len(images), order, WINDOW))
     at = [(row, k) for row, image in enumerate(images) for k in range(len(image.patches))]
@@ -138,7 +138,7 @@ def with_images(
             levels[row, level, 6:9] = flats.normal[number]
             marks[row, level] = number, surface_of_object[owner], flats.is_wall[number]
     return replace(
-        s,
+        context,
         order=order,
         n_sources=len(images),
         orders=mi.UInt32(aligned(np.array([len(i.patches) for i in images], dtype=np.uint32))),
@@ -184,7 +184,7 @@ def _vector(mi: Any, value: Array) -> Vector3:
 
 @dataclass(eq=False)
 class OneWayPath:
-    """A way from the radar to points, seen from them.
+    """A path from the radar to points, seen from them.
 
     ``back`` and ``length``: unit vector and distance to the image; ``departure``: unit vector from
     the radar; ``field``: what a wave of amplitude 1 has become, apart from its spreading and
@@ -201,8 +201,8 @@ class OneWayPath:
     passage: SlabTransmission
 
 
-def leg(
-    at_station: TracingContext,
+def one_way_path(
+    context: TracingContext,
     source: Index,
     place: Vector3,
     off: Vector3,
@@ -210,14 +210,14 @@ def leg(
     unshadowed: bool = False,
     tested: bool = True,
 ) -> OneWayPath:
-    """The leg to a point from which rays start at a distance ``off`` (vector) from the surface.
+    """The path to a point from which rays start at a distance ``off`` (vector) from the surface.
 
     ``unshadowed``: what stands between is ignored, and mirrors only have to be there;
     ``tested``: whether any rays are sent at all.
     """
-    s, mi = at_station, at_station.mi
-    order = dr.gather(mi.UInt32, s.orders, source, active)
-    image = _gathered(mi, s.positions, 3 * source, active)
+    mi = context.mi
+    order = dr.gather(mi.UInt32, context.orders, source, active)
+    image = _gathered(mi, context.positions, 3 * source, active)
     towards = image - place
     length = dr.norm(towards)
     back = towards / dr.maximum(length, NEAREST_M)
@@ -225,11 +225,11 @@ def leg(
 
     at, aim, start = place, image, place + off
     inwards, normals, surfaces, segments = [], [], [], []
-    for level in reversed(range(s.order)):
+    for level in reversed(range(context.order)):
         has = active & (order > level)
-        row = source * s.order + level
+        row = source * context.order + level
         before, point, normal = (
-            _gathered(mi, s.levels, LEVEL * row + 3 * i, has) for i in range(3)
+            _gathered(mi, context.levels, LEVEL * row + 3 * i, has) for i in range(3)
         )
         way = aim - at
         distance = dr.norm(way)
@@ -238,7 +238,7 @@ def leg(
         t = dr.dot(normal, point - at) / dr.select(slope != 0, slope, 1.0)
         mirror = at + t * direction
         number, surface, of_wall = (
-            dr.gather(mi.UInt32, s.marks, 3 * row + i, has) for i in range(3)
+            dr.gather(mi.UInt32, context.marks, 3 * row + i, has) for i in range(3)
         )
         clear &= ~has | ((t > 0) & (t < distance))
         begin, way_to = start, t
@@ -246,7 +246,7 @@ def leg(
             near = _JUST_BEFORE * t
             begin, way_to = at + (t - near) * direction, near
         if tested:
-            met = _first_meets(s, begin, direction, way_to, number, of_wall > 0, has & clear)
+            met = _first_meets(context, begin, direction, way_to, number, of_wall > 0, has & clear)
             clear &= ~has | met
         segments.append((has, mirror, -direction, t))
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
@@ -259,34 +259,34 @@ def leg(
 
     way = aim - at
     distance = dr.norm(way)
-    home = way / dr.maximum(distance, NEAREST_M)
+    towards_radar = way / dr.maximum(distance, NEAREST_M)
     reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
-    shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(home), reach, 0.0, [])
+    shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(towards_radar), reach, 0.0, [])
     if tested and not unshadowed:
-        clear &= ~s.world.scene.ray_test(shadow, active=mi.Bool(clear))
+        clear &= ~context.world.scene.ray_test(shadow, active=mi.Bool(clear))
 
-    departure = -home
-    field = s.sent(source, departure)
+    departure = -towards_radar
+    field = context.sent(source, departure)
     travel = departure
     passage = no_slab(mi)
 
     def cross_walls(begin: Vector3, along: Vector3, segment: Real, where: Mask) -> None:
         nonlocal field
-        if s.walls is not None:
-            way = (begin, along, segment, length, s.wavelength, where)
-            field = cross(mi, s.walls, passage, field, *way)
+        if context.walls is not None:
+            way = (begin, along, segment, length, context.wavelength, where)
+            field = cross(mi, context.walls, passage, field, *way)
 
     cross_walls(aim + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
     for (has, direction), normal, surface, segment in zip(
         inwards[::-1], normals[::-1], surfaces[::-1], segments[::-1], strict=True
     ):
         cosine = -dr.dot(normal, travel)
-        coefficients = coefficients_at(mi, s.table, surface, cosine, has)
+        coefficients = coefficients_at(mi, context.table, surface, cosine, has)
         field = reflected(field, travel, normal, coefficients).where(has, field)
         travel = dr.select(has, -direction, travel)
         _, mirror, along, way_on = segment
         cross_walls(mirror, along, way_on, has & clear)
-    velocity = _gathered(mi, s.velocities, 3 * source, active)
+    velocity = _gathered(mi, context.velocities, 3 * source, active)
     return OneWayPath(back, length, departure, field, velocity, clear, passage)
 
 
@@ -303,14 +303,14 @@ def turning(velocity: Vector3, direction: Vector3, length: Real) -> Vector3:
     return across / dr.maximum(length, NEAREST_M)
 
 
-def image_place(s: TracingContext, source: Index) -> Vector3:
+def image_place(context: TracingContext, source: Index) -> Vector3:
     """Where images stand."""
-    return _gathered(s.mi, s.positions, 3 * source, True)
+    return _gathered(context.mi, context.positions, 3 * source, True)
 
 
-def mirrored_axes(s: TracingContext, source: Index) -> Axes:
+def mirrored_axes(context: TracingContext, source: Index) -> Axes:
     """The world's axes as an image shows them."""
-    x, y, z = (_gathered(s.mi, s.axes, 9 * source + 3 * i, True) for i in range(3))
+    x, y, z = (_gathered(context.mi, context.axes, 9 * source + 3 * i, True) for i in range(3))
     return x, y, z
 
 
@@ -320,7 +320,7 @@ def along(vector: Vector3, axes: Axes) -> Vector3:
 
 
 def _first_meets(
-    s: TracingContext,
+    context: TracingContext,
     start: Vector3,
     direction: Vector3,
     distance: Real,
@@ -329,16 +329,16 @@ def _first_meets(
     active: Mask,
 ) -> Mask:
     """Whether rays first meet the patch asked for: of something solid, or of a wall."""
-    mi = s.mi
+    mi = context.mi
     ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
-    hit = s.world.scene.ray_intersect_preliminary(ray, active=active)
-    met = dr.gather(mi.UInt32, s.patch_of_face, hit.prim_index, active & hit.is_valid())
+    hit = context.world.scene.ray_intersect_preliminary(ray, active=active)
+    met = dr.gather(mi.UInt32, context.patch_of_face, hit.prim_index, active & hit.is_valid())
     solid = hit.is_valid() & (met == number)
-    if s.walls is None:
+    if context.walls is None:
         return solid
     free = ~hit.is_valid() | (mi.Float64(hit.t) > distance * (1 - 1e-5))
-    hit = s.walls.mesh.scene.ray_intersect_preliminary(ray, active=active & of_wall)
-    met = dr.gather(mi.UInt32, s.walls.patch_of_face, hit.prim_index, active & hit.is_valid())
+    hit = context.walls.mesh.scene.ray_intersect_preliminary(ray, active=active & of_wall)
+    met = dr.gather(mi.UInt32, context.walls.patch_of_face, hit.prim_index, active & hit.is_valid())
     return dr.select(of_wall, free & hit.is_valid() & (met == number), solid)
 
 

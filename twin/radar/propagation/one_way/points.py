@@ -1,4 +1,4 @@
-"""Echoes of points: legs between them and every image of the radar, brought to the host."""
+"""Echoes of points: paths between them and every image of the radar, brought to the host."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -13,7 +13,7 @@ from twin.radar.propagation.one_way.internal_reflections import (
     with_internal_reflections,
 )
 from twin.radar.propagation.one_way.motion import lengthening, turning
-from twin.radar.propagation.one_way.path import TracingContext, leg
+from twin.radar.propagation.one_way.path import TracingContext, one_way_path
 from twin.radar.synthesis import Contributions
 from twin.transfer import aligned, host, vector
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PointPaths:
-    """Legs from images to points, (n,) or (n, 3), in the world's axes; see `path.OneWayPath`.
+    """Paths from images to points, (n,) or (n, 3), in the world's axes; see `path.OneWayPath`.
 
     ``length`` is that of the straight way, which spreading follows; ``extra`` what walls and ways
     round obstacles add; ``over`` the number of the obstacle, -1 for none, and ``rate`` what its
@@ -69,28 +69,28 @@ class PointPaths:
 
 
 def paths_to_points(
-    s: TracingContext,
+    context: TracingContext,
     source: int | NDArray[np.integer],
     places: Array,
     off: Array,
     unshadowed: bool = False,
 ) -> PointPaths:
-    """Legs from one image, or one for each, to points (n, 3), from which rays start at a distance
+    """Paths from one image, or one for each, to points (n, 3), from which rays start at a distance
     ``off`` (n, 3); ``unshadowed`` as if nothing stood in between.
     """
-    mi, n = s.mi, len(places)
+    mi, n = context.mi, len(places)
     sources = np.full(n, source, dtype=np.uint32)
     place, aside = (vector(mi, rows, "Vector3d") for rows in (places, off))
     numbers = mi.UInt32(aligned(sources))
-    way = leg(s, numbers, place, aside, mi.Bool(True), unshadowed=unshadowed)
-    p = way.passage
+    path = one_way_path(context, numbers, place, aside, mi.Bool(True), unshadowed=unshadowed)
+    p = path.passage
     back, length, extra, departure, re, im, clear, *rings = host(
-        [way.back, way.length, p.extra, way.departure, way.field.re, way.field.im, way.clear]
+        [path.back, path.length, p.extra, path.departure, path.field.re, path.field.im, path.clear]
         + [p.rho_re, p.rho_im, p.lag],
         n,
     )
-    field, velocity = re + 1j * im, np.array(s.velocities).reshape(-1, 3)[sources]
-    axes = np.array(s.axes).reshape(-1, 3, 3)[sources]
+    field, velocity = re + 1j * im, np.array(context.velocities).reshape(-1, 3)[sources]
+    axes = np.array(context.axes).reshape(-1, 3, 3)[sources]
     return PointPaths(
         source=sources,
         back=back,
@@ -108,13 +108,13 @@ def paths_to_points(
 
 
 def between(
-    out: PointPaths,
-    home: PointPaths,
+    forward_path: PointPaths,
+    return_path: PointPaths,
     amplitude: NDArray[np.complex128],
     velocity: Array,
     number: NDArray[np.integer],
 ) -> Contributions:
-    """Echoes out by one leg and home by another, walls' internal echoes included.
+    """Echoes of a forward and a return path, internal echoes of walls included.
 
     Parameters
     ----------
@@ -123,27 +123,27 @@ def between(
     velocity, number
         Of the points, (n, 3) or (3,), and of the objects that they belong to, (n,).
     """
-    legs = (out, home)
-    moved = [(velocity - leg.velocity, -leg.back, leg.length) for leg in legs]
+    paths = (forward_path, return_path)
+    moved = [(velocity - path.velocity, -path.back, path.length) for path in paths]
     ways = [lengthening(*motion) for motion in moved]
     turns = [
-        np.einsum("nij,nj->ni", leg.axes, turning(*motion))
-        for leg, motion in zip(legs, moved, strict=True)
+        np.einsum("nij,nj->ni", path.axes, turning(*motion))
+        for path, motion in zip(paths, moved, strict=True)
     ]
-    length_m = out.length + out.extra + home.length + home.extra
-    rate_m_per_s = ways[0][0] + ways[1][0] + out.rate + home.rate
+    length_m = forward_path.length + forward_path.extra + return_path.length + return_path.extra
+    rate_m_per_s = ways[0][0] + ways[1][0] + forward_path.rate + return_path.rate
     once = Contributions(
-        amplitude=amplitude / (out.length * home.length),
+        amplitude=amplitude / (forward_path.length * return_path.length),
         delay_s=length_m / speed_of_light,
         delay_rate=rate_m_per_s / speed_of_light,
         delay_acceleration_per_s=(ways[0][1] + ways[1][1]) / speed_of_light,
-        departure=out.departure,
-        arrival=home.departure,
+        departure=forward_path.departure,
+        arrival=return_path.departure,
         object=np.asarray(number, dtype=np.uint32),
-        source=out.source,
-        receiver=home.source,
+        source=forward_path.source,
+        receiver=return_path.source,
         departure_per_s=turns[0],
         arrival_per_s=turns[1],
     )
-    alike = out.source == home.source
-    return with_internal_reflections(once, length_m, out.ring, home.ring, alike)
+    alike = forward_path.source == return_path.source
+    return with_internal_reflections(once, length_m, forward_path.ring, return_path.ring, alike)

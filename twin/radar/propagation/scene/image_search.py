@@ -195,7 +195,7 @@ def _arrive(
     way: Indices = np.repeat(np.arange(len(points)), points.shape[1])
     at: Array = points.reshape(-1, 3)
     wanted = wanted[way]
-    # From the far end: each leg aims at the image before, and must meet the patch in between.
+    # From the far end: each path aims at the image before, and must meet the patch in between.
     for level in range(patches.shape[1], -1, -1):
         begin: Array = places[way, level]
         before = wanted

@@ -1,4 +1,4 @@
-"""Walls that the radar sees through: what a slab does to a leg that crosses it.
+"""Walls that the radar sees through: what a slab does to a path that crosses it.
 
 Rays go straight on; phase, level and spreading are those of the refracted way between the same two
 points, by stationary phase (exact to second order in the sideways shift). The two interfaces let
@@ -42,7 +42,7 @@ class Walls:
 
 @dataclass(eq=False)
 class SlabTransmission:
-    """What walls did to a leg.
+    """What walls did to a path.
 
     ``extra``: path longer than in air, in m; ``rho`` (Re, Im) and ``lag``: the strongest internal
     echo over the one before, and how much longer its path is, 0 where no wall was crossed.
@@ -89,7 +89,7 @@ def walls(
 
 
 def no_slab(mi: Any) -> SlabTransmission:
-    """A leg in air."""
+    """A path in air."""
     return SlabTransmission(mi.Float64(0), mi.Float64(0), mi.Float64(0), mi.Float64(0))
 
 
@@ -105,7 +105,7 @@ def cross(
     wavelength: Real,
     active: Mask,
 ) -> ComplexVector3:
-    """Take a field along a straight segment of a leg of some length; the passage grows by it."""
+    """Take a field along a straight segment of a path of some length; the passage grows by it."""
     k = 2 * dr.pi / wavelength
     at, rest = mi.Vector3d(begin), mi.Float64(segment)
     entry, entry_cosine, inside = mi.Float64(0), mi.Float64(1), mi.Bool(False)

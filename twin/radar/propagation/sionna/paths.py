@@ -26,11 +26,11 @@ from twin.radar.propagation.scene.materials import radio_properties, surface_of
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.radar.propagation.sionna.raw import TARGET, RawPath
 from twin.radar.propagation.tabulated import (
-    Leg,
+    SpecularPath,
     Tabulated,
     answers,
     assumptions,
-    leg,
+    specular_path,
     tabulated,
     warning,
 )
@@ -281,14 +281,16 @@ class _RadioWorld:
 
     def _told(self, thing: Tabulated, ways: list[tuple[RawPath, _Refined]]) -> list[_Refined]:
         """Ways to one target with what its table answers, in place of the 1 m^2 it stood for."""
-        legs = []
+        path_pairs = []
         for raw, _ in ways:
             at = raw.kinds.index(TARGET)
             there = zip(raw.objects[:at], raw.primitives[:at], strict=True)
             back = zip(raw.objects[:at:-1], raw.primitives[:at:-1], strict=True)
-            legs.append((self._leg(thing, list(there)), self._leg(thing, list(back))))
+            path_pairs.append(
+                (self._specular_path(thing, list(there)), self._specular_path(thing, list(back)))
+            )
         wavelength = self.radar.ofdm.wavelength_m
-        amplitude, delay = answers(thing, legs, wavelength)
+        amplitude, delay = answers(thing, path_pairs, wavelength)
         return [
             _Refined(
                 path.name,
@@ -301,8 +303,8 @@ class _RadioWorld:
             for i, (_, path) in enumerate(ways)
         ]
 
-    def _leg(self, thing: Tabulated, met: list[tuple[int, int]]) -> Leg:
-        """The leg from the radar to a target over triangles of surfaces, by object and number."""
+    def _specular_path(self, thing: Tabulated, met: list[tuple[int, int]]) -> SpecularPath:
+        """The path from the radar to a target over triangles of surfaces, by object and number."""
         carrier = self.radar.ofdm.carrier_hz
         items = [self.meshes_met[number] for number, _ in met]
         planes = [self._plane(item, n) for item, (_, n) in zip(items, met, strict=True)]
@@ -311,7 +313,7 @@ class _RadioWorld:
             surface_of(replace(item, thickness_m=None), self.scene, carrier)[0] for item in items
         ]
         point = np.asarray(thing.point.position_m) - self.origin
-        return leg(point, planes, surfaces, self.axes, carrier)
+        return specular_path(point, planes, surfaces, self.axes, carrier)
 
     def _gain(self, echo: Contributions) -> float:
         """Of the antenna's amplitude, there and back."""
@@ -337,16 +339,16 @@ class _RadioWorld:
         at = next((i for i, m in enumerate(met) if isinstance(m, Target)), None)
         if at is None:
             place, velocity = np.zeros(3), np.zeros(3)
-            legs = [planes]
+            sections = [planes]
         else:
             place = np.asarray(self.targets_met[raw.objects[at]].position_m) - self.origin
             velocity = np.array(met[at].velocity_m_per_s)
             vertices[at] = place
-            legs = [planes[:at], planes[:at:-1]]
-        ways = [_leg_motion(place, velocity, p) for p in legs]
-        # Length with its first and second derivative, of both legs together.
+            sections = [planes[:at], planes[:at:-1]]
+        ways = [_path_motion(place, velocity, p) for p in sections]
+        # Length with its first and second derivative, of both paths together.
         length, rate, acceleration = np.sum([way for way, _ in ways], axis=0)
-        turns = [_mirrored_back(turn, p) for (_, turn), p in zip(ways, legs, strict=True)]
+        turns = [_mirrored_back(turn, p) for (_, turn), p in zip(ways, sections, strict=True)]
         # The radar's own image is where the last way comes from.
         turns = [*turns, -ways[0][1]][:2]
         name = PathName(tuple(m.name for m in met), None if at is None else met[at].name)
@@ -378,7 +380,7 @@ class _RadioWorld:
         return plane[:3], plane[3:]
 
 
-def _leg_motion(
+def _path_motion(
     place: Array, velocity: Array, planes: "list[Any]"
 ) -> tuple[tuple[float, float, float], Array]:
     """Of the way from the radar, where coordinates begin, over planes that move (a point, the unit
