@@ -62,7 +62,7 @@ def reference_bodies(
     prepared = prepare_scene(scene, radar, finest.roles, 0)
     sampled = np.zeros(len(names), dtype=bool)
     numbers = {item.name: i for i, item in enumerate(prepared.items)}
-    if prepared.station.walls is None:  # brute force knows no panes
+    if prepared.context.walls is None:  # brute force knows no panes
         for i in np.flatnonzero(level >= _WEAKEST * level.max(initial=0.0)):
             members = [numbers[name] for name in names[i]]
             sampled[i] = level[i] > 0 and points_of(prepared, members) <= _MOST_POINTS

@@ -90,7 +90,7 @@ def _is_visible(
     prepared: PreparedScene, point: Array, normal: Array, away: Array, distance: Array
 ) -> Array:
     """1 where a ray from a point reaches the radar, else 0."""
-    mi = prepared.station.mi
+    mi = prepared.context.mi
     towards = np.sign(-np.sum(normal * away, axis=1))[:, None] * normal
     off = _OFF_SURFACE * (np.linalg.norm(point, axis=1) + 1e-3)
     start = point + off[:, None] * towards
