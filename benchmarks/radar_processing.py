@@ -12,8 +12,9 @@ from scipy import stats
 from benchmarks.timing import Figure, timed
 from hardware.radar import Cfar, MapNoise, OfdmWaveform, cfar_threshold, range_doppler
 from hardware.radar.burst import demodulate
-from hardware.radar.detection import detect_echoes, standard_errors
+from hardware.radar.detection import detect_echoes
 from hardware.radar.imaging import image
+from hardware.radar.measurement import standard_errors
 from hardware.radar.process import Processing, process
 from tests.hardware.radar_cubes import (
     CARRIERS,
@@ -107,17 +108,17 @@ def rmse(
     f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
     snr = 10 ** (snr_db / 10)
     bounds = np.array(standard_errors(wave, "boxcar", snr))
-    cells = np.array([wave.range_cell_m, wave.velocity_cell_m_per_s])
+    cells = np.array([wave.delay_cell_s, wave.delay_rate_cell])
     errors = []
     for _ in range(runs):
-        range_m = rng.uniform(0.1, 0.9) * wave.max_range_m
-        rate = rng.uniform(-0.4, 0.4) * wave.max_velocity_m_per_s
-        delay = 2 / C * (range_m + rate * t)
+        delay_s = rng.uniform(0.1, 0.9) * wave.max_delay_s
+        delay_rate = rng.uniform(-0.4, 0.4) * wave.max_delay_rate
+        delay = delay_s + delay_rate * t
         channel = np.exp(-2j * np.pi * (wave.carrier_hz * delay % 1.0 + f * delay))
         noise = rng.normal(size=(n, m, 2)).view(np.complex128)[..., 0]
         channel += noise * np.sqrt(n * m / snr / 2)
-        for found, _ in detect_echoes(channel, wave, range_doppler(channel, wave), Cfar()):
-            off = np.array([found.range_m - range_m, found.range_rate_m_per_s - rate])
+        for echo in detect_echoes(channel, wave, range_doppler(channel, wave), Cfar()):
+            off = np.array([echo.delay_s - delay_s, echo.delay_rate - delay_rate])
             if np.all(np.abs(off) < 2 * cells):
                 errors.append(off)
                 break
@@ -270,8 +271,8 @@ def _found(wave: OfdmWaveform, snr: float, rng: np.random.Generator) -> bool:
     channel = np.exp(-2j * np.pi * (wave.carrier_hz * delay % 1.0 + f * delay))
     channel += rng.normal(size=(n, m, 2)).view(np.complex128)[..., 0] * np.sqrt(n * m / snr / 2)
     map_ = range_doppler(channel, wave)
-    found = detect_echoes(channel, wave, map_, Cfar(1e-6), at_most=4)
-    return any(abs(d.range_m - range_m) < wave.range_cell_m for d, _ in found)
+    echoes = detect_echoes(channel, wave, map_, Cfar(1e-6), at_most=4)
+    return any(abs(echo.delay_s - 2 / C * range_m) < wave.delay_cell_s for echo in echoes)
 
 
 def _cylinders() -> Iterator[Figure]:

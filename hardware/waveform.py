@@ -107,6 +107,26 @@ class OfdmWaveform:
         return C_M_PER_S / self.carrier_hz
 
     @property
+    def delay_cell_s(self) -> float:
+        """1 / (N df)."""
+        return 1 / self.bandwidth_hz
+
+    @property
+    def max_delay_s(self) -> float:
+        """Unambiguous delay 1 / df."""
+        return 1 / self.subcarrier_spacing_hz
+
+    @property
+    def delay_rate_cell(self) -> float:
+        """1 / (fc M T), in s/s."""
+        return 1 / (self.carrier_hz * self.n_slots * self.slot_period_s)
+
+    @property
+    def max_delay_rate(self) -> float:
+        """Unambiguous to +/- 1 / (2 fc T), in s/s."""
+        return 1 / (2 * self.carrier_hz * self.slot_period_s)
+
+    @property
     def range_cell_m(self) -> float:
         """C / (2 N df)."""
         return C_M_PER_S / (2 * self.bandwidth_hz)

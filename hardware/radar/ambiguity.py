@@ -1,11 +1,11 @@
-"""Doppler ambiguity of range rates, resolved by the target's range migration.
+"""Doppler ambiguity of delay rates, resolved by the migration of the target's delay.
 
-Slots with the period T determine the Doppler shift modulo 1 / T: range rates that differ by the
-unambiguous span lambda / (2 T) have the same phase. They differ in migration: within the interval
+Slots with the period T determine the Doppler shift modulo 1 / T: delay rates that differ by the
+unambiguous span 1 / (fc T) have the same phase. They differ in migration: within the interval
 of M slots one span moves a target by M B / fc range cells (B the bandwidth, fc the carrier). So
 every rate that folds to the measured one is tested as a hypothesis on the channel itself. With the
 true rate the echo is focused in one cell. With another rate it is smeared over as many cells of
-range and rate as the two differ in migration, and a detection is one fragment of the smear. So each
+delay and rate as the two differ in migration, and a detection is one fragment of the smear. So each
 rate is tested over all cells over which its echo may be smeared. (Keystone and hypothesis tests:
 Perry, DiPietro and Fante, IEEE Trans. Aerosp. Electron. Syst. 35, 1999.)
 
@@ -19,7 +19,7 @@ Where one span migrates by less than about a cell, this cannot resolve the ambig
 across an array with time-division multiplexing may (`hardware.radar.angles`).
 
 Where a rate would move a target through more range cells than there are blocks, the blocks smear
-its echo, and it cannot be tested: `fastest_resolved_m_per_s`.
+its echo, and it cannot be tested: `fastest_resolved`.
 """
 
 from collections.abc import Sequence
@@ -29,12 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.detection import (
-    Detection,
-    EchoMeasurement,
-    echo_measurement,
-    without_duplicates,
-)
+from hardware.radar.measurement import EchoMeasurement, echo_measurement, without_duplicates
 from hardware.radar.refinement import (
     Blocks,
     block_responses,
@@ -50,7 +45,7 @@ Array = NDArray[np.float64]
 
 #: Log-likelihood ratio above which a rate counts as certain: one error in a thousand.
 CERTAIN = float(np.log(1e3))
-_USUAL_M_PER_S = 10.0  # standard deviation of range rates before anything is measured
+_USUAL_RATE = 2 * 10.0 / C_M_PER_S  # standard deviation before anything is measured: of 10 m/s
 _MODEL = 0.1  # of the likeliest rate's level: what an extended target may add to a wrong rate
 _FARTHEST = 9  # cells to each side that are searched: a quarter of the blocks' own reach
 _FARTHEST_MOVED = 64  # range cells within a burst: as many as blocks along an axis at most
@@ -65,15 +60,15 @@ _NEGLIGIBLE = 0.1  # of a cell's noise: contributions of other echoes that need 
 
 @dataclass(frozen=True, eq=False)
 class RateEvidence:
-    """Likelihood of each of the range rates that fold to the measured one.
+    """Likelihood of each of the delay rates that fold to the measured one.
 
-    ``range_rate_m_per_s`` (n_rates,). ``log_likelihood`` (n_rates,): of a point target in white
+    ``delay_rate`` (n_rates,), in s/s. ``log_likelihood`` (n_rates,): of a point target in white
     noise anywhere in the cells searched, up to a constant. ``level`` (n_rates,): signal over noise
     in the best row of one rate, which is largest for the true rate also of an extended target.
     ``step`` (n_rates, 2): cells of delay and rate to the highest power.
     """
 
-    range_rate_m_per_s: Array
+    delay_rate: Array
     log_likelihood: Array
     level: Array
     step: Array
@@ -83,8 +78,8 @@ class RateEvidence:
         """Indices (n,) of the rates that the data cannot exclude, likeliest first; where the data
         hardly distinguish them, that is the slowest.
         """
-        rates, likelihood = self.range_rate_m_per_s, self.log_likelihood
-        likeliest = np.argsort((rates / _USUAL_M_PER_S) ** 2 / 2 - likelihood, kind="stable")
+        rates, likelihood = self.delay_rate, self.log_likelihood
+        likeliest = np.argsort((rates / _USUAL_RATE) ** 2 / 2 - likelihood, kind="stable")
         return np.asarray(likeliest[self.possible[likeliest]])
 
     @property
@@ -96,45 +91,43 @@ class RateEvidence:
         return np.asarray(~(unlikely & weak))
 
 
-def ambiguous_rates(
-    waveform: OfdmWaveform, range_rate_m_per_s: float, fastest_m_per_s: float
-) -> Array:
-    """Range rates (n_rates,) of the same folded Doppler shift, slowest first.
+def ambiguous_rates(waveform: OfdmWaveform, delay_rate: float, fastest: float) -> Array:
+    """Delay rates (n_rates,) of the same folded Doppler shift, slowest first.
 
-    Those up to ``fastest_m_per_s`` either way; at least the nearest.
+    Those up to ``fastest``, in s/s, either way; at least the nearest.
     """
-    span = 2 * waveform.max_velocity_m_per_s
-    nearest = range_rate_m_per_s - span * np.rint(range_rate_m_per_s / span)
-    reach = int(np.ceil(fastest_m_per_s / span)) + 1
+    span = 2 * waveform.max_delay_rate
+    nearest = delay_rate - span * np.rint(delay_rate / span)
+    reach = int(np.ceil(fastest / span)) + 1
     rates = nearest + span * np.arange(-reach, reach + 1)
-    rates = rates[(np.abs(rates) <= fastest_m_per_s) | (rates == nearest)]
+    rates = rates[(np.abs(rates) <= fastest) | (rates == nearest)]
     return np.asarray(rates[np.argsort(np.abs(rates), kind="stable")])
 
 
-def fastest_resolved_m_per_s(waveform: OfdmWaveform, fastest_m_per_s: float) -> float:
-    """Up to which speed range rates are tested: ``fastest_m_per_s``, or less where targets would
-    cross too many range cells within a burst, or too many rates fold to one.
+def fastest_resolved(waveform: OfdmWaveform, fastest: float) -> float:
+    """Up to which delay rate others are tested: ``fastest``, or less where targets would cross too
+    many range cells within a burst, or too many rates fold to one.
     """
     migration = (
-        _FARTHEST_MOVED * waveform.range_cell_m / (waveform.n_slots * waveform.slot_period_s)
+        _FARTHEST_MOVED * waveform.delay_cell_s / (waveform.n_slots * waveform.slot_period_s)
     )
-    return min(fastest_m_per_s, migration, 2 * _MOST_SPANS * waveform.max_velocity_m_per_s)
+    return min(fastest, migration, 2 * _MOST_SPANS * waveform.max_delay_rate)
 
 
-def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateEvidence:
-    """Likelihood of range rates from the migration that each would cause.
+def rate_evidence(blocks: Blocks, delay_rates: Array, noise_w: float) -> RateEvidence:
+    """Likelihood of delay rates from the migration that each would cause.
 
     Parameters
     ----------
     blocks
-        The channel about the detection without a window, see `blocks_about`, at one of the rates.
-    rates_m_per_s : (n_rates,)
-        Range rates a multiple of the Doppler ambiguity's span from the blocks' own.
+        The channel about the echo without a window, see `blocks_about`, at one of the rates.
+    delay_rates : (n_rates,)
+        Rates a multiple of the Doppler ambiguity's span from the blocks' own.
     noise_w
         Mean noise power of a cell.
     """
     sums, f_hz, t_s = blocks.sums, blocks.grid.f_hz, blocks.grid.t_s
-    extra = 2 / C_M_PER_S * rates_m_per_s - blocks.delay_rate
+    extra = delay_rates - blocks.delay_rate
     duration = 1 / (blocks.grid.cell[1] * blocks.grid.carrier_hz)
     smeared = np.abs(extra).max() * duration / blocks.grid.cell[0] / 2
     reach = int(min(np.ceil(smeared) + 1, _FARTHEST))
@@ -160,17 +153,17 @@ def rate_evidence(blocks: Blocks, rates_m_per_s: Array, noise_w: float) -> RateE
     spread = np.log(np.sum(np.exp((flat - highest_w) / noise), axis=1))
     rows = np.maximum(power / noise[..., None] - len(sums), 0).sum(axis=1)
     step = steps[np.stack(np.divmod(at, len(steps)), axis=-1)]
-    return RateEvidence(rates_m_per_s, (highest_w / noise)[:, 0] + spread, rows.max(axis=1), step)
+    return RateEvidence(delay_rates, (highest_w / noise)[:, 0] + spread, rows.max(axis=1), step)
 
 
-def resolve_range_rates(
+def resolve_delay_rates(
     channel: Complex,
     waveform: OfdmWaveform,
     echoes: Sequence[EchoMeasurement],
     noise_w: float,
-    fastest_m_per_s: float,
+    fastest: float,
 ) -> list[EchoMeasurement]:
-    """Detections with the likeliest of the range rates that fold to theirs, strongest first; other
+    """Echoes with the likeliest of the delay rates that fold to theirs, strongest first; other
     rates that the channel leaves open stand with them as alternatives.
 
     Parameters
@@ -179,90 +172,93 @@ def resolve_range_rates(
         Input and result of `detect_echoes`.
     noise_w
         Mean noise power of a cell without a window.
-    fastest_m_per_s
-        Up to which targets may approach or recede; see `fastest_resolved_m_per_s`.
+    fastest
+        Largest delay rate, in s/s, of approaching or receding targets; see `fastest_resolved`.
     """
     from scipy.special import gammainccinv
 
-    fastest_m_per_s = fastest_resolved_m_per_s(waveform, fastest_m_per_s)
-    one_rate = len(ambiguous_rates(waveform, 0.0, fastest_m_per_s)) == 1
+    fastest = fastest_resolved(waveform, fastest)
+    one_rate = len(ambiguous_rates(waveform, 0.0, fastest)) == 1
     if waveform.n_slots == 1 or one_rate or not echoes:
         return list(echoes)
-    range_m = np.array([one.range_m for one, _ in echoes])
-    rate_m_per_s = np.array([one.range_rate_m_per_s for one, _ in echoes])
-    about = blocks_about(channel, waveform, "boxcar", range_m, rate_m_per_s, _COARSE)
-    looks = len(echoes[0][1])
+    delay_s = np.array([echo.delay_s for echo in echoes])
+    delay_rate = np.array([echo.delay_rate for echo in echoes])
+    about = blocks_about(channel, waveform, "boxcar", delay_s, delay_rate, _COARSE)
+    looks = len(echoes[0].amplitude)
     least_w = noise_w * float(gammainccinv(looks, np.exp(-CERTAIN) / _SEARCHED)) / looks
-    kept: list[EchoMeasurement] = []
-    moved: list[EchoMeasurement] = []
-    for one, blocks in zip(echoes, about, strict=True):
-        if moved and _is_explained(blocks, one, moved):
+    resolved: list[EchoMeasurement] = []
+    unfolded: list[EchoMeasurement] = []  # at another rate than the one that was measured
+    for echo, blocks in zip(echoes, about, strict=True):
+        if unfolded and _is_explained(blocks, echo, unfolded):
             continue  # a fragment of an echo that is focused elsewhere with its own rate
-        free = _subtract_echoes(blocks, kept, noise_w)
-        solved, evidence = _with_likeliest_rate(
-            channel, waveform, one, free, kept, noise_w, fastest_m_per_s
+        remainder = _subtract_echoes(blocks, resolved, noise_w)
+        likeliest, evidence = _with_likeliest_rate(
+            channel, waveform, echo, remainder, resolved, noise_w, fastest
         )
-        if _is_other_fold(solved[0].range_rate_m_per_s, one[0], waveform):
-            if solved[0].power_w < least_w:
+        if _is_other_fold(likeliest.delay_rate, echo, waveform):
+            if likeliest.power_w < least_w:
                 continue  # not an echo but a remainder of the preceding ones
-            moved.append(solved)
+            unfolded.append(likeliest)
         if _may_hide_another(evidence, waveform):
-            beneath = _second_body(
-                channel, waveform, one, solved, blocks, kept, noise_w=noise_w, evidence=evidence
+            second = _second_body(
+                channel,
+                waveform,
+                echo,
+                likeliest,
+                blocks,
+                resolved,
+                noise_w=noise_w,
+                evidence=evidence,
             )
-            if beneath and beneath[0].power_w >= least_w:
-                moved.append(beneath)
-                kept.append(beneath)
-                free = _subtract_echoes(blocks, kept, noise_w)
-                solved, _ = _with_likeliest_rate(
-                    channel, waveform, one, free, kept, noise_w, fastest_m_per_s
+            if second and second.power_w >= least_w:
+                unfolded.append(second)
+                resolved.append(second)
+                remainder = _subtract_echoes(blocks, resolved, noise_w)
+                likeliest, _ = _with_likeliest_rate(
+                    channel, waveform, echo, remainder, resolved, noise_w, fastest
                 )
-        kept.append(solved)
-    return without_duplicates(kept, waveform, folded=False)
+        resolved.append(likeliest)
+    return without_duplicates(resolved, waveform, folded=False)
 
 
 def _with_likeliest_rate(
     channel: Complex,
     waveform: OfdmWaveform,
-    one: EchoMeasurement,
+    echo: EchoMeasurement,
     blocks: Blocks,
     others: Sequence[EchoMeasurement],
     noise_w: float,
-    fastest_m_per_s: float,
+    fastest: float,
 ) -> tuple[EchoMeasurement, RateEvidence]:
-    """A detection with its likeliest range rate, measured again where that is another one, and the
+    """An echo with its likeliest delay rate, measured again where that is another one, and the
     likelihood of each rate; the ``others`` are already subtracted from ``blocks``.
     """
-    rates = ambiguous_rates(waveform, one[0].range_rate_m_per_s, fastest_m_per_s)
+    rates = ambiguous_rates(waveform, echo.delay_rate, fastest)
     evidence = rate_evidence(blocks, rates, noise_w)
     best, *rest = evidence.candidates
-    detection, amplitude = one
-    if _is_other_fold(float(rates[best]), detection, waveform):
-        detection, amplitude = _measure_at(
-            channel, waveform, one[0], evidence, int(best), others, noise_w
-        )
-    alternatives = detection.range_rate_m_per_s + (rates[rest] - rates[best])
-    told = tuple(float(rate) for rate in alternatives)
-    return (replace(detection, range_rate_alternatives_m_per_s=told), amplitude), evidence
+    if _is_other_fold(float(rates[best]), echo, waveform):
+        echo = _measure_at(channel, waveform, echo, evidence, int(best), others, noise_w)
+    alternatives = echo.delay_rate + (rates[rest] - rates[best])
+    return replace(echo, delay_rate_alternatives=tuple(alternatives.tolist())), evidence
 
 
 def _measure_at(
     channel: Complex,
     waveform: OfdmWaveform,
-    detection: Detection,
+    echo: EchoMeasurement,
     evidence: RateEvidence,
     number: int,
     others: Sequence[EchoMeasurement],
     noise_w: float,
 ) -> EchoMeasurement:
-    """The echo near a detection with one of the rates, given by its index."""
-    delays, rates = evidence.step[number] * [waveform.range_cell_m, waveform.velocity_cell_m_per_s]
+    """The echo near another one with one of the rates, given by its index."""
+    cells_of_delay, cells_of_rate = evidence.step[number]
     (blocks,) = blocks_about(
         channel,
         waveform,
         "boxcar",
-        np.array([detection.range_m + delays]),
-        np.array([evidence.range_rate_m_per_s[number] + rates]),
+        np.array([echo.delay_s + cells_of_delay * waveform.delay_cell_s]),
+        np.array([evidence.delay_rate[number] + cells_of_rate * waveform.delay_rate_cell]),
     )
     blocks = _subtract_echoes(blocks, others, noise_w)
     (step,) = peak_offsets([blocks])
@@ -281,8 +277,8 @@ def _may_hide_another(evidence: RateEvidence, waveform: OfdmWaveform) -> bool:
     """Whether another rate has more power than the smear of the likeliest one's echo explains: in
     one cell 1.3 of the echo's power over the square of the number of cells of the smear.
     """
-    span = 2 * waveform.max_velocity_m_per_s
-    crossed = span * waveform.n_slots * waveform.slot_period_s / waveform.range_cell_m
+    span = 2 * waveform.max_delay_rate
+    crossed = span * waveform.n_slots * waveform.slot_period_s / waveform.delay_cell_s
     likelihood = np.sort(evidence.log_likelihood)
     left = max(_SMEAR_FACTOR / crossed**2, _WEAKEST)
     return bool(crossed > _LEAST_MIGRATION and likelihood[-2] > left * likelihood[-1])
@@ -291,8 +287,8 @@ def _may_hide_another(evidence: RateEvidence, waveform: OfdmWaveform) -> bool:
 def _second_body(
     channel: Complex,
     waveform: OfdmWaveform,
-    one: EchoMeasurement,
-    solved: EchoMeasurement,
+    echo: EchoMeasurement,
+    likeliest: EchoMeasurement,
     blocks: Blocks,
     others: Sequence[EchoMeasurement],
     *,
@@ -302,43 +298,42 @@ def _second_body(
     """A second body in the same cell of the map, whose rate differs by whole spans: the strongest
     echo after subtraction of the first, unless the rate of the first explains it.
     """
-    rates = evidence.range_rate_m_per_s
-    others = [*others, solved]
+    rates = evidence.delay_rate
+    others = [*others, likeliest]
     left = rate_evidence(_subtract_echoes(blocks, others, noise_w), rates, noise_w)
-    own = int(np.argmin(np.abs(rates - solved[0].range_rate_m_per_s)))
+    own = int(np.argmin(np.abs(rates - likeliest.delay_rate)))
     best = int(left.candidates[0])
     if best == own or left.possible[own]:
         return None
-    second = _measure_at(channel, waveform, one[0], left, best, others, noise_w)
-    return second if _is_other_fold(second[0].range_rate_m_per_s, solved[0], waveform) else None
+    second = _measure_at(channel, waveform, echo, left, best, others, noise_w)
+    return second if _is_other_fold(second.delay_rate, likeliest, waveform) else None
 
 
-def _is_other_fold(rate_m_per_s: float, detection: Detection, waveform: OfdmWaveform) -> bool:
-    """Whether a rate differs from a detection's by more than half a span."""
-    return abs(rate_m_per_s - detection.range_rate_m_per_s) > waveform.max_velocity_m_per_s
+def _is_other_fold(delay_rate: float, echo: EchoMeasurement, waveform: OfdmWaveform) -> bool:
+    """Whether a rate differs from an echo's by more than half a span."""
+    return abs(delay_rate - echo.delay_rate) > waveform.max_delay_rate
 
 
 def _subtract_echoes(blocks: Blocks, others: Sequence[EchoMeasurement], noise_w: float) -> Blocks:
     """Blocks after subtraction of other echoes."""
     if not others:
         return blocks
-    steps = np.array([_steps(one, blocks) for one, _ in others])
+    steps = np.array([_steps(other, blocks) for other in others])
     along_f, along_t = block_responses(blocks, steps)
-    amplitude = np.array([amplitude for _, amplitude in others])
+    amplitude = np.array([other.amplitude for other in others])
     most = np.abs(along_f).sum(axis=1) * np.abs(along_t).sum(axis=1)
     felt = np.mean(np.abs(amplitude) ** 2, axis=1) * most**2 > _NEGLIGIBLE * noise_w
     echoes = unit_echoes(blocks, steps[felt])
     return replace(blocks, sums=blocks.sums - np.tensordot(amplitude[felt].T, echoes, 1))
 
 
-def _is_explained(blocks: Blocks, one: EchoMeasurement, moved: Sequence[EchoMeasurement]) -> bool:
-    """Whether most of an echo disappears when echoes with a new rate are subtracted."""
-    left = echo_amplitudes(_subtract_echoes(blocks, moved, 0.0), np.array(_steps(one[0], blocks)))
-    return bool(np.mean(np.abs(left) ** 2) < 0.25 * one[0].power_w)
+def _is_explained(blocks: Blocks, echo: EchoMeasurement, others: Sequence[EchoMeasurement]) -> bool:
+    """Whether most of an echo disappears when others are subtracted."""
+    left = echo_amplitudes(_subtract_echoes(blocks, others, 0.0), np.array(_steps(echo, blocks)))
+    return bool(np.mean(np.abs(left) ** 2) < 0.25 * echo.power_w)
 
 
-def _steps(one: Detection, blocks: Blocks) -> tuple[float, float]:
+def _steps(echo: EchoMeasurement, blocks: Blocks) -> tuple[float, float]:
     """Cells of delay and rate from the middle of blocks to an echo."""
-    delay = 2 / C_M_PER_S * one.range_m - blocks.delay_s
-    rate = 2 / C_M_PER_S * one.range_rate_m_per_s - blocks.delay_rate
-    return delay / blocks.grid.cell[0], rate / blocks.grid.cell[1]
+    delay_s, delay_rate = echo.delay_s - blocks.delay_s, echo.delay_rate - blocks.delay_rate
+    return delay_s / blocks.grid.cell[0], delay_rate / blocks.grid.cell[1]

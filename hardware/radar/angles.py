@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hardware.radar.ambiguity import CERTAIN
 from hardware.radar.burst import DemodulatedBurst
-from hardware.waveform import C_M_PER_S
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -23,19 +22,19 @@ _UNEVEN = 1e-3  # power that calibration errors of the channels take from a sing
 
 @dataclass(frozen=True)
 class Direction:
-    """Direction cosines to the left and up, their standard errors, and the range rate.
+    """Direction cosines to the left and up, their standard errors, and the delay rate.
 
-    NaN along an axis on which the array has no extent. ``alternatives_m_per_s``: range rates that
-    the phases across the TDM schedule cannot exclude, likeliest first; the direction holds for
-    ``range_rate_m_per_s``.
+    NaN along an axis on which the array has no extent. ``delay_rate_alternatives``: rates that the
+    phases across the TDM schedule cannot exclude, likeliest first; the direction holds for
+    ``delay_rate``.
     """
 
     left: float
     up: float
     left_error: float
     up_error: float
-    range_rate_m_per_s: float
-    alternatives_m_per_s: tuple[float, ...] = ()
+    delay_rate: float
+    delay_rate_alternatives: tuple[float, ...] = ()
 
     @property
     def elevation_rad(self) -> float:
@@ -61,7 +60,7 @@ class Direction:
 
 
 def direction(
-    amplitude: Complex, burst: DemodulatedBurst, rates_m_per_s: ArrayLike, snr: float
+    amplitude: Complex, burst: DemodulatedBurst, delay_rates: ArrayLike, snr: float
 ) -> Direction:
     """Direction of a single target by beamforming: maximum likelihood in white noise.
 
@@ -71,12 +70,12 @@ def direction(
         Of the target, from `detect_echoes`.
     burst
         Places and TDM offsets of the channels.
-    rates_m_per_s : (n_rates,) or one
-        Range rates that the target may have, likeliest first.
+    delay_rates : (n_rates,) or one
+        Rates that the target's delay may have, in s/s, likeliest first.
     snr
         Of the target on one channel, after all processing.
     """
-    rates = np.atleast_1d(np.asarray(rates_m_per_s, dtype=np.float64))
+    rates = np.atleast_1d(np.asarray(delay_rates, dtype=np.float64))
     places = virtual_array(burst)[:, 1:] / burst.waveform.wavelength_m
     seen = extents(places) > 1e-3
     cosines = np.empty((len(rates), 2))
@@ -137,12 +136,10 @@ def steering(places: Array, cosines: Array) -> Complex:
     return np.asarray(np.exp(2j * np.pi * (cosines @ places.T)))
 
 
-def compensate_motion(
-    amplitude: Complex, burst: DemodulatedBurst, range_rate_m_per_s: float
-) -> Complex:
+def compensate_motion(amplitude: Complex, burst: DemodulatedBurst, delay_rate: float) -> Complex:
     """Amplitudes as if all transmitters had sent at the same time."""
-    doppler = 2 * range_rate_m_per_s * burst.waveform.carrier_hz / C_M_PER_S
-    return np.asarray(amplitude * np.exp(2j * np.pi * doppler * burst.tdm_offset_s))
+    cycles = burst.waveform.carrier_hz * delay_rate * burst.tdm_offset_s
+    return np.asarray(amplitude * np.exp(2j * np.pi * cycles))
 
 
 def _beam_maximum(amplitude: Complex, places: Array, seen: NDArray[np.bool_]) -> Array:

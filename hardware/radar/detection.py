@@ -9,6 +9,12 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.radar.cfar_rule import Cfar
 from hardware.radar.demodulation import Complex
+from hardware.radar.measurement import (
+    EchoMeasurement,
+    cells_apart,
+    echo_measurement,
+    without_duplicates,
+)
 from hardware.radar.peaks import Peaks, peaks_above
 from hardware.radar.range_doppler import RangeDopplerMap, check_channel
 from hardware.radar.refinement import (
@@ -54,9 +60,21 @@ class Detection:
     rcs_m2: float = float("nan")
     range_rate_alternatives_m_per_s: tuple[float, ...] = ()
 
-
-#: A detection, and its amplitude on every channel, (n_channels,), in root watts.
-EchoMeasurement = tuple[Detection, NDArray[np.complex128]]
+    @classmethod
+    def of(cls, echo: EchoMeasurement) -> "Detection":
+        """The detection of an echo: its delay and delay rate times c / 2."""
+        half_c = C_M_PER_S / 2
+        return cls(
+            range_m=half_c * echo.delay_s,
+            range_rate_m_per_s=half_c * echo.delay_rate,
+            power_w=echo.power_w,
+            snr_db=echo.snr_db,
+            range_error_m=half_c * echo.delay_error_s,
+            range_rate_error_m_per_s=half_c * echo.delay_rate_error,
+            range_rate_alternatives_m_per_s=tuple(
+                half_c * rate for rate in echo.delay_rate_alternatives
+            ),
+        )
 
 
 def detect(
@@ -84,9 +102,8 @@ def detect(
         Largest number of detections.
     """
     cfar = Cfar(false_alarm, guard=guard, training=training)
-    return [
-        detection for detection, _ in detect_echoes(channel, waveform, image, cfar, window, at_most)
-    ]
+    echoes = detect_echoes(channel, waveform, image, cfar, window, at_most)
+    return [Detection.of(echo) for echo in echoes]
 
 
 def detect_echoes(
@@ -97,7 +114,7 @@ def detect_echoes(
     window: str = "blackmanharris",
     at_most: int = 64,
 ) -> list[EchoMeasurement]:
-    """Find targets, strongest first, each with its amplitude on every channel, (n_channels,).
+    """Find echoes, strongest first, each with its amplitude on every channel.
 
     The map with a window shows strong echoes and weak ones beside them; isolated weak echoes are
     detected on the map without a window, see `weak_echoes`. The two share the probability of false
@@ -120,10 +137,9 @@ def detect_echoes(
     weak = weak.strongest(at_most)
     tapered = replace(cfar, false_alarm=cfar.false_alarm - share * untapered.false_alarm)
     strong = peaks_above(image, tapered, window).strongest(at_most)
-    range_m, rate_m_per_s = (
-        np.concatenate(place) for place in zip(strong.places, weak.places, strict=True)
-    )
-    blocks = blocks_about(channel, waveform, "boxcar", range_m, rate_m_per_s)
+    delay_s = np.concatenate([strong.delay_s, weak.delay_s])
+    delay_rate = np.concatenate([strong.delay_rate, weak.delay_rate])
+    blocks = blocks_about(channel, waveform, "boxcar", delay_s, delay_rate)
     echoes, crowded = _isolated(blocks[: len(strong)], waveform, window, strong, noise_w)
     echoes += _measurements_at(channel, waveform, window, crowded, image.noise_w)
     echoes += _weak_measurements(blocks[len(strong) :], waveform, noise_w, echoes)
@@ -157,8 +173,7 @@ def _measurements_at(
 
     An echo that the window does not separate is in no training cell, but in the residual power.
     """
-    range_m, rate_m_per_s = peaks.places
-    blocks = blocks_about(channel, waveform, window, range_m, rate_m_per_s)
+    blocks = blocks_about(channel, waveform, window, peaks.delay_s, peaks.delay_rate)
     echoes = []
     for about, step, cfar_w in zip(blocks, peak_offsets(blocks), peaks.noise_w, strict=True):
         around_w = max(float(cfar_w), residual_power(about, step, _WITHIN))
@@ -174,15 +189,15 @@ def _weak_measurements(
 ) -> list[EchoMeasurement]:
     """Weak echoes, strongest first, less those that may be side lobes of stronger ones."""
     cells = np.array([waveform.n_subcarriers, waveform.n_slots])
-    kept: list[EchoMeasurement] = []
+    echoes: list[EchoMeasurement] = []
     for about, step in zip(blocks, peak_offsets(blocks), strict=True):
         weak = _measurement(about, step, waveform, noise_w, "boxcar", residual_power(about, step))
-        others = [other for other, _ in (*strong, *kept)]
-        lobes = np.prod(side_lobe(_cells_apart([weak[0]], others, waveform)[0], cells), axis=-1)
+        others = [*strong, *echoes]
+        lobes = np.prod(side_lobe(cells_apart([weak], others, waveform)[0], cells), axis=-1)
         lobes_w = float(lobes @ [other.power_w for other in others])
-        if weak[0].power_w > _OVER_LOBES * lobes_w:
-            kept.append(weak)
-    return kept
+        if weak.power_w > _OVER_LOBES * lobes_w:
+            echoes.append(weak)
+    return echoes
 
 
 def _measurement(
@@ -195,90 +210,6 @@ def _measurement(
 ) -> EchoMeasurement:
     return echo_measurement(
         blocks, step, echo_amplitudes(blocks, step), waveform, noise_w, window, around_w
-    )
-
-
-def echo_measurement(
-    blocks: Blocks,
-    step: Array,
-    amplitude: NDArray[np.complex128],
-    waveform: OfdmWaveform,
-    noise_w: float,
-    window: str,
-    around_w: float = 0.0,
-) -> EchoMeasurement:
-    """A detection ``step`` cells from the middle of blocks.
-
-    ``noise_w``: of the map, for the SNR; ``around_w``: power around the echo, used in its errors
-    if it exceeds the noise. Along an axis of one sample nothing is measured: NaN.
-    """
-    power = float(np.mean(np.abs(amplitude) ** 2))
-    snr = power / noise_w if noise_w else np.inf
-    disturbed = power / max(noise_w, around_w) if noise_w else np.inf
-    range_error, rate_error = standard_errors(waveform, window, disturbed * len(amplitude))
-    delay = blocks.delay_s + step[0] * blocks.grid.cell[0]
-    rate = C_M_PER_S / 2 * (blocks.delay_rate + step[1] * blocks.grid.cell[1])
-    detection = Detection(
-        range_m=float(C_M_PER_S / 2 * delay) % waveform.max_range_m
-        if waveform.n_subcarriers > 1
-        else float("nan"),
-        range_rate_m_per_s=float(rate) if waveform.n_slots > 1 else float("nan"),
-        power_w=power,
-        snr_db=float(10 * np.log10(snr)) if snr else -np.inf,
-        range_error_m=range_error,
-        range_rate_error_m_per_s=rate_error,
-    )
-    return detection, amplitude
-
-
-def without_duplicates(
-    echoes: Sequence[EchoMeasurement], waveform: OfdmWaveform, *, folded: bool = True
-) -> list[EchoMeasurement]:
-    """Strongest first, without duplicates of the same peak, nearer than 0.3 cells.
-
-    ``folded``: rates that differ by whole spans of the Doppler ambiguity count as equal.
-    """
-    falling = sorted(echoes, key=lambda pair: -pair[0].power_w)
-    targets = [one for one, _ in falling]
-    near = _cells_apart(targets, targets, waveform).max(axis=-1) <= 0.3
-    if not folded:
-        rates = np.array([one.range_rate_m_per_s for one in targets])
-        near &= ~(np.abs(rates[:, None] - rates) > waveform.max_velocity_m_per_s)
-    kept: list[int] = []
-    for i in range(len(falling)):
-        if not near[i, kept].any():
-            kept.append(i)
-    return [falling[i] for i in kept]
-
-
-def _cells_apart(some: Sequence[Detection], others: Sequence[Detection], w: OfdmWaveform) -> Array:
-    """Cells between detections along range and rate (n_some, n_others, 2); 0 along what is not
-    measured.
-    """
-    here, there = (
-        np.array([(one.range_m, one.range_rate_m_per_s) for one in all_]).reshape(-1, 2)
-        for all_ in (some, others)
-    )
-    cell = np.array([w.range_cell_m, w.velocity_cell_m_per_s])
-    sizes = np.array([w.n_subcarriers, w.n_slots])
-    cells = np.abs(np.nan_to_num((here[:, None] - there) / cell)) % sizes
-    return np.minimum(cells, np.abs(sizes - cells))  # the map wraps around
-
-
-def standard_errors(waveform: OfdmWaveform, window: str, snr: float) -> tuple[float, float]:
-    """Standard errors of range and range rate at an image SNR (after all processing).
-
-    NaN along an axis of one sample.
-    """
-    if not snr:
-        return float("inf"), float("inf")
-    spread = [
-        np.sqrt(frequency_variance(normalised_window(window, n)) / snr) if n > 1 else np.nan
-        for n in (waveform.n_subcarriers, waveform.n_slots)
-    ]
-    return (
-        float(C_M_PER_S / (4 * np.pi * waveform.subcarrier_spacing_hz) * spread[0]),
-        float(waveform.wavelength_m / (4 * np.pi * waveform.slot_period_s) * spread[1]),
     )
 
 

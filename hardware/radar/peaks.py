@@ -16,17 +16,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """Peaks, (n,) each: range, range rate, power, and mean noise around them."""
+    """Peaks, (n,) each: delay, delay rate, power, and mean noise around them."""
 
-    range_m: Array
-    range_rate_m_per_s: Array
+    delay_s: Array
+    delay_rate: Array
     power_w: NDArray[np.floating[Any]]
     noise_w: Array
-
-    @property
-    def places(self) -> tuple[Array, Array]:
-        """Ranges and rates."""
-        return self.range_m, self.range_rate_m_per_s
 
     def __len__(self) -> int:
         return len(self.power_w)
@@ -50,8 +45,8 @@ def peaks_above(image: RangeDopplerMap, cfar: Cfar, window: str) -> Peaks:
     above = power[rows, columns] > threshold
     rows, columns, threshold = rows[above], columns[above], threshold[above]
     return Peaks(
-        range_m=image.range_m[rows],
-        range_rate_m_per_s=image.range_rate_m_per_s[columns],
+        delay_s=image.delay_s[rows],
+        delay_rate=image.delay_rate[columns],
         power_w=power[rows, columns],
         noise_w=threshold / white_threshold(power.shape, cfar, noise),
     )

@@ -7,28 +7,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.ambiguity import fastest_resolved_m_per_s, resolve_range_rates
+from hardware.radar.ambiguity import fastest_resolved, resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
 from hardware.radar.cfar_rule import Cfar
 from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Complex, Precision
-from hardware.radar.detection import (
-    Detection,
-    EchoMeasurement,
-    detect_echoes,
-    with_cross_section,
-    without_duplicates,
-)
+from hardware.radar.detection import Detection, detect_echoes, with_cross_section
 from hardware.radar.k_distribution import ClutterFit, fit
+from hardware.radar.measurement import EchoMeasurement, without_duplicates
 from hardware.radar.music import music
 from hardware.radar.own_detection import Detect, OwnDetection, detection_of
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.superresolution import resolve
 from hardware.radar.windows import noise_gain
-from hardware.waveform import OfdmWaveform
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
@@ -61,7 +56,7 @@ class Processing:
         For carrier steps, see `stitch`.
     fastest_m_per_s
         Highest speed of approaching or receding targets, up to which the Doppler ambiguity is
-        resolved, or alternatives are listed, see `resolve_range_rates`. An echo must first be
+        resolved, or alternatives are listed, see `resolve_delay_rates`. An echo must first be
         detected on a map without compensation of its migration: a target that moves by n range
         cells within a burst is 20 log10 n dB weaker there, see `OfdmWaveform.migration_gain`.
         Beyond 64 of them rates are not tested, which a warning tells.
@@ -218,34 +213,35 @@ def _detections(
     # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
     echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
-    echoes = resolve_range_rates(channel, interval.waveform, echoes, noise_w, how.fastest_m_per_s)
+    fastest = 2 / C_M_PER_S * how.fastest_m_per_s
+    echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
     warnings = _warnings(burst, len(echoes), image.n_channels, how, clutter)
     warnings += _untested(interval.waveform, how) if echoes else []
     echoes = echoes[: how.at_most]
     if how.resolve:
         echoes = _split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
-    points = [point for one in echoes for point in _points(one, interval, how.per_cell)]
+    points = [point for echo in echoes for point in _points(echo, interval, how.per_cell)]
     return points, [*warnings, *_ambiguous(points)]
 
 
 def _warnings(
-    burst: int, n_found: int, n_channels: int, how: Processing, clutter: ClutterFit
+    burst: int, n_detections: int, n_channels: int, how: Processing, clutter: ClutterFit
 ) -> list[str]:
     """Warnings of too many detections and of clutter."""
-    told = _cut(burst, n_found, how)
+    warnings = _cut(burst, n_detections, how)
     if not clutter.is_noise and how.cfar.shape == float("inf"):
-        told.append(
+        warnings.append(
             f"burst {burst}: the map contains clutter: {clutter.exceedance:.2g} times as many "
             "cells as in noise are far above their median, as in K-distributed clutter of shape "
             f"{clutter.shape:.2g}; the rate of false alarms is "
             f"{clutter.false_alarms(how.cfar.false_alarm, n_channels):.2g} times the one set "
             "(a CFAR with fitted shape keeps it)"
         )
-    return told
+    return warnings
 
 
-def _cut(burst: int, n_found: int, how: Processing) -> list[str]:
-    if n_found <= how.at_most:
+def _cut(burst: int, n_detections: int, how: Processing) -> list[str]:
+    if n_detections <= how.at_most:
         return []
     return [
         f"burst {burst}: more than {how.at_most} detections; the strongest {how.at_most} are "
@@ -277,34 +273,37 @@ def _split_targets(
     noise_w: float,
     false_alarm: float,
 ) -> list[EchoMeasurement]:
-    """Targets that each detection consists of, with the detection's alternative range rates."""
+    """Echoes of the targets that each consists of, with its alternative rates."""
     parts: list[EchoMeasurement] = []
-    for i, (one, _) in enumerate(echoes):
-        others = [other for other, _ in echoes[:i] + echoes[i + 1 :]]
-        split = resolve(channel, waveform, one, noise_w, false_alarm=false_alarm, others=others)
-        alternatives = one.range_rate_alternatives_m_per_s
+    for i, echo in enumerate(echoes):
+        others = echoes[:i] + echoes[i + 1 :]
+        alternatives = echo.delay_rate_alternatives
         parts += [
-            (replace(part, range_rate_alternatives_m_per_s=alternatives), amplitude)
-            for part, amplitude in split
+            replace(part, delay_rate_alternatives=alternatives)
+            for part in resolve(
+                channel, waveform, echo, noise_w, false_alarm=false_alarm, others=others
+            )
         ]
     return without_duplicates(parts, waveform, folded=False)
 
 
 def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) -> list[Detection]:
-    """A detection with its direction, or several from `music`.
+    """The detection of an echo with its direction, or several from `music`.
 
-    The array may exclude range rates that migration cannot.
+    The array may exclude rates that migration cannot.
     """
-    point, amplitude = echo
     if not np.any(extents(virtual_array(interval))[1:] > 0):
-        return [point]
-    measured = not np.isnan(point.range_rate_m_per_s)
-    rates = (point.range_rate_m_per_s if measured else 0.0, *point.range_rate_alternatives_m_per_s)
-    bearing = direction(amplitude, interval, rates, 10 ** (point.snr_db / 10))
+        return [Detection.of(echo)]
+    measured = not np.isnan(echo.delay_rate)
+    rates = (echo.delay_rate if measured else 0.0, *echo.delay_rate_alternatives)
+    bearing = direction(echo.amplitude, interval, rates, 10 ** (echo.snr_db / 10))
+    echo = replace(
+        echo,
+        delay_rate=bearing.delay_rate if measured else float("nan"),
+        delay_rate_alternatives=bearing.delay_rate_alternatives,
+    )
     point = replace(
-        point,
-        range_rate_m_per_s=bearing.range_rate_m_per_s if measured else float("nan"),
-        range_rate_alternatives_m_per_s=bearing.alternatives_m_per_s,
+        Detection.of(echo),
         azimuth_rad=bearing.azimuth_rad,
         azimuth_error_rad=bearing.azimuth_error_rad,
         elevation_rad=bearing.elevation_rad,
@@ -312,18 +311,19 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
     )
     if per_cell == 1:
         return [point]
-    still = compensate_motion(amplitude, interval, bearing.range_rate_m_per_s)
+    still = compensate_motion(echo.amplitude, interval, bearing.delay_rate)
     return [replace(point, azimuth_rad=float(a)) for a in music(still, interval, per_cell)]
 
 
 def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
     """A warning of range rates that cannot be told from slower ones."""
-    fastest = fastest_resolved_m_per_s(waveform, how.fastest_m_per_s)
-    if fastest == how.fastest_m_per_s or waveform.max_velocity_m_per_s > how.fastest_m_per_s:
+    fastest = 2 / C_M_PER_S * how.fastest_m_per_s
+    resolved = fastest_resolved(waveform, fastest)
+    if resolved == fastest or waveform.max_velocity_m_per_s > how.fastest_m_per_s:
         return []
     return [
-        f"range rate: beyond {fastest:.3g} m/s none is told from slower ones, of the "
-        f"{how.fastest_m_per_s:g} m/s asked for (fastest_m_per_s): "
+        f"range rate: beyond {C_M_PER_S / 2 * resolved:.3g} m/s none is told from slower ones, "
+        f"of the {how.fastest_m_per_s:g} m/s asked for (fastest_m_per_s): "
         f"{waveform.n_slots} slots every {waveform.slot_period_s:g} s are too slow"
     ]
 

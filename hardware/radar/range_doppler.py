@@ -5,6 +5,7 @@ A two-dimensional transform of the channel (Sturm and Wiesbeck, Proc. IEEE 99, 2
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from hardware.errors import InputError
 from hardware.radar.demodulation import Complex
 from hardware.radar.whitening import whiten
 from hardware.radar.windows import normalised_window
-from hardware.waveform import OfdmWaveform
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 Power = NDArray[np.floating[Any]]
@@ -22,12 +23,13 @@ Power = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, eq=False)
 class RangeDopplerMap:
-    """Received power by range and range rate.
+    """Received power by delay and delay rate, that is by range and range rate.
 
     ``power_w`` (n_ranges, n_rates): a single target at a cell's centre has the power that one
-    antenna received from it, mean over ``n_channels``. ``range_m`` ascends from 0;
-    ``range_rate_m_per_s`` ascends, positive when the target recedes. ``noise_w``: mean noise power
-    of a cell. ``oversampling``: cells per resolution cell along each axis.
+    antenna received from it, mean over ``n_channels``. ``delay_s`` and ``range_m`` (n_ranges,)
+    ascend from 0; ``delay_rate``, in s/s, and ``range_rate_m_per_s`` (n_rates,) ascend, positive
+    when the target recedes. ``noise_w``: mean noise power of a cell. ``oversampling``: cells per
+    resolution cell along each axis.
 
     ``effective_looks``: number of independent channels with the same variance of the noise. Where
     it is less than ``n_channels``, the channels were whitened, see `whiten`: ``power_w`` of an
@@ -37,13 +39,23 @@ class RangeDopplerMap:
     """
 
     power_w: Power
-    range_m: Array
-    range_rate_m_per_s: Array
+    delay_s: Array
+    delay_rate: Array
     noise_w: float
     n_channels: int = 1
     oversampling: int = 1
     effective_looks: float = 1.0
     relative_noise: Array | None = None
+
+    @cached_property
+    def range_m(self) -> Array:
+        """Range of each row (n_ranges,)."""
+        return C_M_PER_S / 2 * self.delay_s
+
+    @cached_property
+    def range_rate_m_per_s(self) -> Array:
+        """Range rate of each column (n_rates,)."""
+        return C_M_PER_S / 2 * self.delay_rate
 
 
 def range_doppler(
@@ -80,11 +92,11 @@ def range_doppler(
     parts = channel.reshape(-1, n, m)
     images, looks = whiten([complex_map(part, window, oversampling) for part in parts])
     power = mean_power(images)
-    rates = (np.arange(along) - (along - 1) // 2) / (along * waveform.slot_period_s)
     return RangeDopplerMap(
         power_w=power,
-        range_m=np.arange(across) * (waveform.range_cell_m / oversampling),
-        range_rate_m_per_s=rates * waveform.wavelength_m / 2,
+        delay_s=np.arange(across) * (waveform.delay_cell_s / oversampling),
+        delay_rate=(np.arange(along) - (along - 1) // 2)
+        * (waveform.delay_rate_cell / oversampling),
         noise_w=noise_level(power, len(parts)),
         n_channels=len(parts),
         oversampling=oversampling,

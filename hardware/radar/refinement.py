@@ -1,4 +1,4 @@
-"""Range and rate of a single target to a fraction of a cell: maximum likelihood by Newton's method.
+"""Delay and delay rate of one target to a fraction of a cell: maximum likelihood, Newton's method.
 
 The model is exact: exp(-j 2 pi (fc + f) (tau + rate t)), with the range migration of a fast target
 within the interval. The phase of the target's cell is first removed from the channel, which is then
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
 from hardware.radar.windows import normalised_window
-from hardware.waveform import C_M_PER_S, OfdmWaveform
+from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 
@@ -141,22 +141,21 @@ def blocks_about(
     channel: Complex,
     waveform: OfdmWaveform,
     window: str,
-    range_m: Array,
-    rate_m_per_s: Array,
+    delay_s: Array,
+    delay_rate: Array,
     at_most: int = _BLOCKS,
 ) -> list[Blocks]:
-    """Blocks about each of several ranges and rates, (n,) each, from one pass over the channel.
+    """Blocks about each of several delays and rates, (n,) each, from one pass over the channel.
 
     ``channel`` (..., n_subcarriers, n_slots) has no window. Sums are scaled so that an echo of
-    power P at the middle has a total of sqrt(P). Ranges or rates that are not measured (NaN) count
+    power P at the middle has a total of sqrt(P). Delays or rates that are not measured (NaN) count
     as 0. ``at_most``: blocks along each axis; an echo at half as many cells from the middle loses
     3.9 dB.
     """
-    if not len(range_m):
+    if not len(delay_s):
         return []
     n, m = channel.shape[-2:]
-    delay = 2 / C_M_PER_S * np.nan_to_num(range_m)
-    rate = 2 / C_M_PER_S * np.nan_to_num(rate_m_per_s)
+    delay, rate = np.nan_to_num(delay_s), np.nan_to_num(delay_rate)
     f, t = waveform.frequency_offsets_hz, waveform.slot_times_s
     windows = normalised_window(window, n), normalised_window(window, m)
     along_f = _phasors(delay, f) * (windows[0] / n)
@@ -178,7 +177,7 @@ def blocks_about(
         np.add.reduceat(windows[0], edges_f[:-1]) / np.diff(edges_f),
         np.add.reduceat(windows[1], edges_t[:-1]) / np.diff(edges_t),
         waveform.carrier_hz,
-        np.array([1 / waveform.bandwidth_hz, 2 * waveform.velocity_cell_m_per_s / C_M_PER_S]),
+        np.array([waveform.delay_cell_s, waveform.delay_rate_cell]),
     )
     return [
         # Migration through range cells couples frequency and time.

@@ -100,8 +100,8 @@ def weak_echoes(
     clear = level > threshold + factor * lobes
     rows, columns, level, threshold = rows[clear], columns[clear], level[clear], threshold[clear]
     peaks = Peaks(
-        range_m=np.asarray(rows * waveform.range_cell_m, dtype=np.float64),
-        range_rate_m_per_s=(columns - (m - 1) // 2) * waveform.velocity_cell_m_per_s,
+        delay_s=np.asarray(rows * waveform.delay_cell_s, dtype=np.float64),
+        delay_rate=(columns - (m - 1) // 2) * waveform.delay_rate_cell,
         power_w=level * uneven[rows, columns],
         noise_w=threshold * uneven[rows, columns] / white_threshold(power.shape, cfar, noise),
     )

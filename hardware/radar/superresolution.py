@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
-from hardware.radar.detection import Detection, echo_measurement
+from hardware.radar.measurement import EchoMeasurement, echo_measurement
 from hardware.radar.refinement import Blocks, blocks_about, unit_echoes
-from hardware.waveform import C_M_PER_S, OfdmWaveform
+from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 
@@ -25,45 +25,38 @@ _CLOSEST = 0.3  # cells
 def resolve(
     channel: Complex,
     waveform: OfdmWaveform,
-    detection: Detection,
+    echo: EchoMeasurement,
     noise_w: float,
     *,
     false_alarm: float = 1e-6,
     reach: float = 3.0,
     at_most: int = 4,
-    others: Sequence[Detection] = (),
-) -> list[tuple[Detection, NDArray[np.complex128]]]:
-    """Split a detection into the targets that it consists of, nearest first.
+    others: Sequence[EchoMeasurement] = (),
+) -> list[EchoMeasurement]:
+    """Split an echo into those of the targets that it consists of, nearest first.
 
     Parameters
     ----------
     channel, waveform
         As for `detect`.
-    found
-        The detection to split.
+    echo
+        What is to be split.
     noise_w
         Mean noise power of a cell without a window.
     false_alarm
         Probability of a false target per cell searched.
     reach
-        Cells searched to each side in range, and a third of it in rate.
+        Cells searched to each side in delay, and a third of it in rate.
     at_most
         Largest number of targets.
     others
-        Detections elsewhere, whose side lobes are fitted as well.
+        Echoes elsewhere, whose side lobes are fitted as well.
 
     Two targets closer than 0.3 cells are never resolved: such a pair would fit the error of the
     model, which is 60 dB and more below a target because of single precision and the blocks.
-
-    Returns each target with its amplitude on every channel.
     """
-    blocks = blocks_about(
-        channel,
-        waveform,
-        "boxcar",
-        np.array([detection.range_m]),
-        np.array([detection.range_rate_m_per_s]),
-    )[0]
+    place = np.array([echo.delay_s]), np.array([echo.delay_rate])
+    (blocks,) = blocks_about(channel, waveform, "boxcar", *place)
     reached = reach, max(reach / 3, 1.0)
     fixed = _steps_of(others, blocks)
     known = unit_echoes(blocks, fixed)
@@ -85,11 +78,11 @@ def resolve(
             np.concatenate([unit_echoes(blocks, steps), known]), blocks.sums
         )
         amplitudes, rest = every[: len(steps)], blocks.sums - explained
-    results = [
+    parts = [
         echo_measurement(blocks, step, amplitude, waveform, noise_w, "boxcar")
         for step, amplitude in zip(steps, amplitudes, strict=True)
     ]
-    return sorted(results, key=lambda pair: pair[0].range_m)
+    return sorted(parts, key=lambda part: part.delay_s)
 
 
 def _threshold(false_alarm: float, n_channels: int) -> float:
@@ -116,10 +109,10 @@ def _strongest(
     return float(power[row, column]), np.array([axes[0][row], axes[1][column]])
 
 
-def _steps_of(others: Sequence[Detection], blocks: Blocks) -> Array:
-    """Cells (n, 2) from the middle of blocks to other detections."""
-    delay = np.array([2 * detection.range_m / C_M_PER_S for detection in others])
-    rate = np.array([2 * detection.range_rate_m_per_s / C_M_PER_S for detection in others])
+def _steps_of(others: Sequence[EchoMeasurement], blocks: Blocks) -> Array:
+    """Cells (n, 2) from the middle of blocks to other echoes."""
+    delay = np.array([echo.delay_s for echo in others])
+    rate = np.array([echo.delay_rate for echo in others])
     off = np.stack([delay - blocks.delay_s, rate - blocks.delay_rate], axis=-1)
     return np.nan_to_num(off / blocks.grid.cell)  # NaN is not measured
 

@@ -108,27 +108,29 @@ class Tracker:
         from scipy.optimize import linear_sum_assignment
 
         antenna = _antenna(pose, velocity_m_per_s)
-        seen = [_measurements(estimate) for estimate in detections]
-        seen = [readings for readings in seen if readings[0].known[0]]
+        every = [_measurements(detection) for detection in detections]
+        ranged = [readings for readings in every if readings[0].known[0]]
         predictions = [self._predicted(track, elapsed_s) for track in self.tracks]
-        updates = self._updates(predictions, seen, antenna)
-        cost = np.full((len(predictions), len(seen)), _NEVER)
+        updates = self._updates(predictions, ranged, antenna)
+        cost = np.full((len(predictions), len(ranged)), _NEVER)
         for pair, (update, _) in updates.items():
             cost[pair] = update.cost
         pairs = zip(*(axis.tolist() for axis in linear_sum_assignment(cost)), strict=True)
         partner = {i: j for i, j in pairs if (i, j) in updates}
-        kept: list[TargetTrack] = []
+        continued: list[TargetTrack] = []
         for i, track in enumerate(predictions):
             if i in partner:
                 update, measured = updates[i, partner[i]]
                 estimate = update.estimate
                 if measured.known[1] and not estimate.has_position:  # its first azimuth
                     estimate = initial_estimate(measured, antenna, self.first_speed_m_per_s)
-                kept.append(replace(track.with_estimate(estimate), hits=track.hits + 1, missed=0))
+                continued.append(
+                    replace(track.with_estimate(estimate), hits=track.hits + 1, missed=0)
+                )
             elif track.missed + 1 < self.lose and track.hits >= self.confirm:
-                kept.append(replace(track, missed=track.missed + 1))
-        free = sorted(set(range(len(seen))) - set(partner.values()))
-        self.tracks = kept + [self._new(seen[j], antenna) for j in free]
+                continued.append(replace(track, missed=track.missed + 1))
+        free = sorted(set(range(len(ranged))) - set(partner.values()))
+        self.tracks = continued + [self._new(ranged[j], antenna) for j in free]
         return [track for track in self.tracks if track.hits >= self.confirm]
 
     def _predicted(self, track: TargetTrack, elapsed_s: float) -> TargetTrack:
@@ -143,7 +145,7 @@ class Tracker:
         )
 
     def _updates(
-        self, tracks: Sequence[TargetTrack], seen: Sequence[Readings], antenna: AntennaState
+        self, tracks: Sequence[TargetTrack], ranged: Sequence[Readings], antenna: AntennaState
     ) -> dict[tuple[int, int], tuple[Update, TargetMeasurement]]:
         """Updates of all pairs of track and detection within the gate, each with the measurement
         used.
@@ -152,16 +154,16 @@ class Tracker:
 
         # Quantiles of chi-squared with 1, 2 and 3 degrees of freedom.
         limits = (2 * gammaincinv(np.arange(1, 4) / 2, self.gate)).tolist()
-        ranges = np.array([(one[0].value[0], one[0].variance[0]) for one in seen]).reshape(-1, 2)
+        ranges = np.array([(one[0].value[0], one[0].variance[0]) for one in ranged]).reshape(-1, 2)
         gated = {}
         for i, track in enumerate(tracks):
             for j in np.flatnonzero(_near(track.estimate, ranges, antenna, limits[-1])).tolist():
-                pairs = [(update_estimate(track.estimate, one, antenna), one) for one in seen[j]]
+                pairs = [(update_estimate(track.estimate, one, antenna), one) for one in ranged[j]]
                 fitting = [
                     pair for pair in pairs if pair[0].distance <= limits[pair[0].n_measured - 1]
                 ]
                 if len(fitting) > 1:  # still open
-                    least = _range_alone(seen[j])
+                    least = _range_alone(ranged[j])
                     fitting = [(update_estimate(track.estimate, least, antenna), least)]
                 if fitting:
                     gated[i, j] = fitting[0]

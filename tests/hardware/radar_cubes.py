@@ -147,12 +147,12 @@ def resolved(channel: np.ndarray, wave: OfdmWaveform, ranges: np.ndarray) -> boo
 
     By default but for `resolve`, which a user asks for.
     """
-    found = detect_echoes(channel, wave, range_doppler(channel, wave), Cfar(1e-6))
-    if not found:
+    echoes = detect_echoes(channel, wave, range_doppler(channel, wave), Cfar(1e-6))
+    if not echoes:
         return False
-    parts = resolve(channel, wave, found[0][0], range_doppler(channel, wave, "boxcar").noise_w)
-    off = [abs(p.range_m - r) for (p, _), r in zip(parts, ranges, strict=False)]
-    return len(parts) == 2 and max(off) < wave.range_cell_m / 2
+    parts = resolve(channel, wave, echoes[0], range_doppler(channel, wave, "boxcar").noise_w)
+    off_s = [abs(p.delay_s - 2 / C * r) for p, r in zip(parts, ranges, strict=False)]
+    return len(parts) == 2 and max(off_s) < wave.delay_cell_s / 2
 
 
 def track(n: int, length_m: float, origin=(0.0, 0.0, 0.0)) -> np.ndarray:

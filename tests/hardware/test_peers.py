@@ -12,7 +12,7 @@ from scipy.linalg import hadamard
 
 from hardware import PatternSet
 from hardware.patterns import fwht
-from hardware.radar import Cfar, OfdmWaveform, cfar_threshold, range_doppler
+from hardware.radar import Cfar, Detection, OfdmWaveform, cfar_threshold, range_doppler
 from hardware.radar.detection import detect_echoes
 from hardware.reconstruction import Sensing
 from hardware.reconstruction.cosine import dct_matrix
@@ -194,6 +194,6 @@ def test_the_same_map_as_hermespys_ofdm_radar(range_m: float, rate: float) -> No
     np.testing.assert_allclose(
         image.power_w / image.power_w.max(), expected / expected.max(), atol=1e-12
     )
-    found, _ = detect_echoes(ratio, ours, image, Cfar(1e-6), "boxcar", 1)[0]
+    found = Detection.of(detect_echoes(ratio, ours, image, Cfar(1e-6), "boxcar", 1)[0])
     assert found.range_m == pytest.approx(range_m, abs=ours.range_cell_m)
     assert -found.range_rate_m_per_s == pytest.approx(rate, abs=0.02)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware.processing import cloud
-from hardware.radar.ambiguity import ambiguous_rates, fastest_resolved_m_per_s, rate_evidence
+from hardware.radar.ambiguity import ambiguous_rates, fastest_resolved, rate_evidence
 from hardware.radar.process import process
 from hardware.radar.refinement import blocks_about
 from hardware.waveform import OfdmWaveform
@@ -41,19 +41,18 @@ def test_a_wrong_rate_leaves_what_the_smear_leaves() -> None:
     """Against the sum over all subcarriers and slots, the highest of cells around the target: the
     mean of exp(2 pi j f (t 2 span / c + delay) + 2 pi j t doppler).
     """
-    rates = ambiguous_rates(SLOW, 3.0, 40.0)
-    assert 3.0 in np.round(rates, 9)
-    np.testing.assert_allclose(
-        np.sort(rates), 3.0 + 2 * SLOW.max_velocity_m_per_s * np.arange(-3, 4), rtol=1e-12
-    )
+    own = 2 / C * 3.0
+    rates = ambiguous_rates(SLOW, own, 2 / C * 40.0)
+    expected = own + 2 * SLOW.max_delay_rate * np.arange(-3, 4)
+    np.testing.assert_allclose(np.sort(rates), expected, rtol=1e-12)
     channel = echoes(SLOW, [5.0], 3.0, np.ones((1, 1)))
-    (blocks,) = blocks_about(channel, SLOW, "boxcar", np.array([5.0]), np.array([3.0]))
+    (blocks,) = blocks_about(channel, SLOW, "boxcar", np.array([2 / C * 5.0]), np.array([own]))
     seen = rate_evidence(blocks, rates, 1e-3)  # 30 dB
     f, t = SLOW.frequency_offsets_hz, SLOW.slot_times_s
     cells = np.arange(-8, 9) / 2
     left = []
     for rate in rates:
-        smear = np.exp(2j * np.pi * f[:, None] * 2 / C * (rate - 3.0) * t)
+        smear = np.exp(2j * np.pi * f[:, None] * (rate - own) * t)
         by_delay = np.exp(2j * np.pi * np.outer(cells / SLOW.bandwidth_hz, f)) / len(f)
         by_rate = np.exp(2j * np.pi * np.outer(t, cells / (len(t) * SLOW.slot_period_s))) / len(t)
         left.append(np.max(np.abs(by_delay @ smear @ by_rate) ** 2))
@@ -78,9 +77,9 @@ def test_no_rate_is_given_wrongly(n_points: int, n_channels: int) -> None:
         strengths = strengths if n_points > 1 else strengths / np.abs(strengths)
         channel, cell = noisy(echoes(SLOW, ranges, rate, strengths), 16.0, rng)
         near = ranges[np.argmax(np.abs(strengths).sum(axis=0))]
-        rates = ambiguous_rates(SLOW, rate, 50.0)
-        (blocks,) = blocks_about(channel, SLOW, "boxcar", np.array([near]), rates[:1])
-        possible = rates[rate_evidence(blocks, rates, cell).candidates]
+        rates = ambiguous_rates(SLOW, 2 / C * rate, 2 / C * 50.0)
+        (blocks,) = blocks_about(channel, SLOW, "boxcar", np.array([2 / C * near]), rates[:1])
+        possible = C / 2 * rates[rate_evidence(blocks, rates, cell).candidates]
         wrong += np.abs(possible - rate).min() > 1
         candidates += len(possible) > 1
     assert wrong == 0
@@ -176,7 +175,8 @@ def test_what_cannot_be_told_apart_is_listed() -> None:
     record = cube(NARROW, [Echo((50.0, 0, 0), velocity_m_per_s=(15.0, 0, 0))], noise_w=1e-8)
     found = process(record).detections[0]
     told = np.sort([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
-    np.testing.assert_allclose(told, np.sort(ambiguous_rates(NARROW, 15.0, 50.0)), atol=0.05)
+    expected = C / 2 * np.sort(ambiguous_rates(NARROW, 2 / C * 15.0, 2 / C * 50.0))
+    np.testing.assert_allclose(told, expected, atol=0.05)
     assert np.abs(told - 15.0).min() < 0.05
 
 
@@ -225,8 +225,7 @@ def test_slots_far_apart_bound_the_rates_that_are_tried() -> None:
     told = sorted((d.range_m, d.range_rate_m_per_s) for d in frame.detections)
     np.testing.assert_allclose(told, [(5.0, 0.0), (7.0, 0.006)], atol=1e-3)
     assert "beyond 0.39 m/s none is told from slower ones" in frame.warnings[0]
-    rates = ambiguous_rates(wave, 0.0, fastest_resolved_m_per_s(wave, 50.0))
-    assert len(rates) < 64
+    assert len(ambiguous_rates(wave, 0.0, fastest_resolved(wave, 2 / C * 50.0))) < 64
     # Of a narrow band no target crosses a cell: the number of rates is the bound.
     narrow = replace(NARROW, slot_period_s=10.0)
-    assert len(ambiguous_rates(narrow, 0.0, fastest_resolved_m_per_s(narrow, 50.0))) < 520
+    assert len(ambiguous_rates(narrow, 0.0, fastest_resolved(narrow, 2 / C * 50.0))) < 520

@@ -216,11 +216,11 @@ def test_standard_errors_hold_the_windows_loss(window: str) -> None:
         echo = np.exp(-2j * np.pi * (79e9 * delay % 1.0 + f[:, None] * delay))
         noise = rng.normal(size=(256, 64, 2)).view(np.complex128)[..., 0] * np.sqrt(8.0)
         image = range_doppler(echo + noise, WIDE, window)
-        found = detect_echoes(echo + noise, WIDE, image, Cfar(1e-6), window, 1)[0][0]
+        measured = detect_echoes(echo + noise, WIDE, image, Cfar(1e-6), window, 1)[0]
         pulls.append(
             [
-                (found.range_m - range_m) / found.range_error_m,
-                (found.range_rate_m_per_s - rate) / found.range_rate_error_m_per_s,
+                (measured.delay_s - 2 / C * range_m) / measured.delay_error_s,
+                (measured.delay_rate - 2 / C * rate) / measured.delay_rate_error,
             ]
         )
     spread = np.std(pulls, axis=0)
@@ -262,7 +262,7 @@ def test_angle_errors_reach_the_cramer_rao_bound() -> None:
         echo = np.exp(2j * np.pi * (places * sine + rng.uniform()))
         noise = rng.normal(size=(8, 2)).view(np.complex128)[..., 0] / np.sqrt(200)
         way = direction(echo + noise, burst, 0.0, 100.0)
-        if way.range_rate_m_per_s == 0:
+        if way.delay_rate == 0:
             errors.append(way.left - sine)
             told.append(way.left_error)
     assert len(errors) > 290
@@ -406,9 +406,9 @@ def test_one_target_stays_one() -> None:
     for _ in range(40):
         channel, _ = two_targets(rng, wave, 24.0, 0.0)
         image = range_doppler(channel, wave, "boxcar", oversampling=2)
-        found = detect_echoes(channel, wave, image, Cfar(1e-6, guard=(8, 4)), "boxcar", 1)
-        if found:  # random phases may cancel
-            assert len(resolve(channel, wave, found[0][0], image.noise_w)) == 1
+        echoes = detect_echoes(channel, wave, image, Cfar(1e-6, guard=(8, 4)), "boxcar", 1)
+        if echoes:  # random phases may cancel
+            assert len(resolve(channel, wave, echoes[0], image.noise_w)) == 1
 
 
 # Cross-section.
@@ -429,8 +429,8 @@ def test_angles_and_turns_agree_with_what_was_compensated() -> None:
     """A target of 5 m/s gives the amplitudes of a standing one once its rate is taken out."""
     burst = demodulate(cube(WIDE, [from_above(4.0, 0.2, 5.0)], **MIMO))
     image = range_doppler(burst.channel, burst.waveform)
-    found, amplitude = detect_echoes(burst.channel, burst.waveform, image, Cfar())[0]
-    still = compensate_motion(amplitude, burst, found.range_rate_m_per_s)
+    echo = detect_echoes(burst.channel, burst.waveform, image, Cfar())[0]
+    still = compensate_motion(echo.amplitude, burst, echo.delay_rate)
     phase = np.unwrap(np.angle(still[np.argsort((burst.transmitter_m + burst.receiver_m)[:, 1])]))
     np.testing.assert_allclose(np.diff(phase), np.pi * np.sin(0.2), atol=0.02)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from radar_cubes import WIDE, C
+from radar_cubes import WIDE
 from scipy.optimize import minimize
 
 from hardware.radar.refinement import blocks_about, peak_offsets, unit_echoes
@@ -32,13 +32,13 @@ def test_migration_is_the_exponential(phase: float) -> None:
 @pytest.mark.parametrize("n_slots", [48, 1])
 def test_peaks_are_those_of_a_search(n_slots: int) -> None:
     """Of three echoes cells apart on two channels, climbed all at once: against SciPy's Nelder and
-    Mead on the power by its definition; with one slot, of the range alone.
+    Mead on the power by its definition; with one slot, of the delay alone.
     """
     rng = np.random.default_rng(4)
     wave = replace(WIDE, n_subcarriers=64, n_slots=n_slots)
     f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
     places = np.array([[20.3, 5.2], [33.7, -11.4], [41.1, 7.9]]) * [1, n_slots > 1]  # cells
-    cell = np.array([wave.range_cell_m, wave.velocity_cell_m_per_s]) * 2 / C
+    cell = np.array([wave.delay_cell_s, wave.delay_rate_cell])
     strength = rng.normal(size=(2, 3, 2)).view(complex)[..., 0] + 2
 
     def turn(place: np.ndarray) -> np.ndarray:
@@ -47,7 +47,7 @@ def test_peaks_are_those_of_a_search(n_slots: int) -> None:
 
     channel = np.tensordot(strength, [turn(place) for place in places], 1)
     near = np.rint(places)
-    steps = peak_offsets(blocks_about(channel, wave, "boxcar", *(near * cell * C / 2).T))
+    steps = peak_offsets(blocks_about(channel, wave, "boxcar", *(near * cell).T))
 
     def loss(place: np.ndarray) -> float:
         power = np.abs(np.sum(channel * turn(place).conj(), axis=(1, 2))) ** 2
@@ -67,10 +67,10 @@ def test_echoes_of_another_fold_are_modelled(window: str) -> None:
     """
     wave = replace(WIDE, slot_period_s=156.25e-6)
     f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
-    rate = 0.3 + 2 * wave.max_velocity_m_per_s * np.arange(3)
+    delay_s, rate = 33e-9, 2e-9 + 2 * wave.max_delay_rate * np.arange(3)
     for own in rate:
-        cycles = 2 / C * own * t * (wave.carrier_hz + f) + f * 2 / C * 5.02
+        cycles = own * t * (wave.carrier_hz + f) + f * (delay_s + 0.13e-9)
         channel = np.exp(-2j * np.pi * cycles)
-        (blocks,) = blocks_about(channel, wave, window, np.array([5.0]), rate[:1], 32)
-        steps = np.array([[0.02, own - rate[0]]]) * 2 / C / blocks.grid.cell
+        (blocks,) = blocks_about(channel, wave, window, np.array([delay_s]), rate[:1], 32)
+        steps = np.array([[0.13e-9, own - rate[0]]]) / blocks.grid.cell
         np.testing.assert_allclose(unit_echoes(blocks, steps), blocks.sums, atol=4e-5)

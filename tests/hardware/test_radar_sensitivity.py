@@ -10,7 +10,8 @@ from radar_cubes import WIDE, C, Echo, cube
 from scipy import stats
 
 from hardware.radar import Cfar, Detection, OfdmWaveform, range_doppler
-from hardware.radar.detection import detect_echoes, standard_errors
+from hardware.radar.detection import detect_echoes
+from hardware.radar.measurement import standard_errors
 from hardware.radar.output import table_rows, write_detections
 from hardware.radar.process import Processing, process
 from hardware.radar.sensitivity import on_a_cell, side_lobe
@@ -40,7 +41,8 @@ def anywhere(wave: OfdmWaveform, rng: np.random.Generator) -> np.ndarray:
 
 def by_default(channel: np.ndarray, wave: OfdmWaveform, false_alarm: float) -> list[Detection]:
     image = range_doppler(channel, wave)
-    return [d for d, _ in detect_echoes(channel, wave, image, Cfar(false_alarm), at_most=10**6)]
+    echoes = detect_echoes(channel, wave, image, Cfar(false_alarm), at_most=10**6)
+    return [Detection.of(echo) for echo in echoes]
 
 
 def at(found: list[Detection], place, cells: float = 2.0) -> list[Detection]:
@@ -64,7 +66,7 @@ def test_the_default_reaches_the_cramer_rao_bound(snr_db: float) -> None:
         assert len(found) == 1
         errors.append([found[0].range_m, found[0].range_rate_m_per_s] - place)
         claimed.append([found[0].range_error_m, found[0].range_rate_error_m_per_s])
-    bound = standard_errors(SMALL, "boxcar", 10 ** (snr_db / 10))
+    bound = C / 2 * np.array(standard_errors(SMALL, "boxcar", 10 ** (snr_db / 10)))
     most = np.sqrt(stats.chi2.isf(5e-5, 150) / 150)
     assert np.all(np.sqrt(np.mean(np.square(errors), axis=0)) / bound < 1.1 * most)
     assert np.all(np.abs(np.std(np.divide(errors, claimed), axis=0) - 1) < 0.25)
@@ -259,7 +261,7 @@ def test_errors_tell_of_an_echo_that_is_not_told_apart() -> None:
         phases = np.exp(2j * np.pi * rng.uniform(size=2))
         channel = phases[0] * echoes[0] + phases[1] * echoes[1] + white(SMALL, rng)
         image = range_doppler(channel, SMALL)
-        for one, _ in detect_echoes(channel, SMALL, image, Cfar()):
+        for one in map(Detection.of, detect_echoes(channel, SMALL, image, Cfar())):
             off = np.array([one.range_m, one.range_rate_m_per_s]) - places * CELL
             near = off[np.argmin(np.abs(off / CELL).max(axis=1))]
             errors = [one.range_error_m, one.range_rate_error_m_per_s]

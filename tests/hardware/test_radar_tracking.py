@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hardware.radar.detection import Detection, standard_errors
+from hardware.radar.detection import Detection
+from hardware.radar.measurement import standard_errors
 from hardware.radar.tracking import TargetTrack, Tracker
 from hardware.records import QuaternionPose
-from hardware.waveform import OfdmWaveform
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 #: One transmitter of three, of a radar at 79 GHz with 12 antennas half a wavelength apart.
 RADAR = OfdmWaveform(79e9, 4096, 976562.5, 85, 3 * 39.0625e-6, 37, 1.024e-6)
@@ -29,9 +30,9 @@ Course = Callable[[np.random.Generator, float], np.ndarray]
 def errors(snr_db: float) -> np.ndarray:
     """Standard errors of range, azimuth and range rate at an image SNR of one antenna."""
     snr = 10 ** (snr_db / 10)
-    along = standard_errors(RADAR, "blackmanharris", snr * len(PLACES))
+    delay_error_s, rate_error = standard_errors(RADAR, "blackmanharris", snr * len(PLACES))
     azimuth = 1 / np.sqrt(2 * snr * np.sum((2 * np.pi * PLACES) ** 2))
-    return np.array([along[0], azimuth, along[1]])
+    return np.array([C_M_PER_S / 2 * delay_error_s, azimuth, C_M_PER_S / 2 * rate_error])
 
 
 def exact(state: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import QuaternionPose, RadarRecord
-from hardware.waveform import C_M_PER_S
 from twin import __version__
 from twin.fidelity import Fidelity
 from twin.files import InputError
@@ -247,9 +246,9 @@ def _seeds(seed: int) -> tuple[np.random.SeedSequence, np.random.SeedSequence]:
 
 def _stepped(echoes: Contributions, radar: RadarDesign, air: Atmosphere) -> Contributions:
     """Echoes with their amplitudes at every carrier step, (n_steps, n)."""
-    length, moving = C_M_PER_S * echoes.delay_s, np.flatnonzero(echoes.delay_rate)
+    moving = np.flatnonzero(echoes.delay_rate)
     doppler, carriers = echoes.delay_rate[moving], radar.burst.carriers_hz
-    amplitude = np.empty((len(carriers), len(length)), dtype=np.complex128)
+    amplitude = np.empty((len(carriers), len(echoes.delay_s)), dtype=np.complex128)
     powers = [
         (power, of_each == power)
         for of_each in (echoes.wavelength_power, echoes.falloff)
@@ -257,13 +256,13 @@ def _stepped(echoes: Contributions, radar: RadarDesign, air: Atmosphere) -> Cont
         if power
     ]
     for row, carrier in zip(amplitude, carriers, strict=True):
-        level = np.ones(len(length))
+        level = np.ones(len(echoes.delay_s))
         if carrier != carriers[0]:
             for power, which in powers:
                 level[which] *= (carriers[0] / carrier) ** power
         level[moving] *= radar.ofdm.slot_gain(carrier * doppler)
         if air.weather is not None:
-            level *= air.amplitude(length, carrier)
+            level *= air.amplitude(echoes.delay_s, carrier)
         np.multiply(echoes.amplitude, level, out=row)
     return replace(echoes, amplitude=amplitude)
 

@@ -6,6 +6,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.waveform import C_M_PER_S
 from twin.errors import InputError
 from twin.optics.weather import own_weather
 from twin.radar.propagation.scene import itu_r
@@ -46,9 +47,10 @@ class Atmosphere:
         rain = rain_db_per_km(self.weather, carrier_hz, self.polarization)
         return (rain + gas_db_per_km(self.weather, carrier_hz)) / 1e3
 
-    def amplitude(self, length_m: NDArray[np.float64], carrier_hz: float) -> NDArray[np.float64]:
-        """What is left of a wave's amplitude after a way, there and back for an echo."""
-        return np.asarray(10 ** (-self.db_per_m(carrier_hz) * length_m / 20), dtype=np.float64)
+    def amplitude(self, delay_s: NDArray[np.float64], carrier_hz: float) -> NDArray[np.float64]:
+        """What is left of a wave's amplitude after a delay, there and back for an echo."""
+        db_per_s = C_M_PER_S * self.db_per_m(carrier_hz)
+        return np.asarray(10 ** (-db_per_s * delay_s / 20), dtype=np.float64)
 
     def describe(self, carrier_hz: float) -> str:
         """What the air does, in words."""
