@@ -109,10 +109,10 @@ class RadarCalibration:
     def of(cls, device: str, detections: Sequence[Detection], target: CalibrationTarget) -> Self:
         """From the strongest detection near the target. Raises InputError where there is none."""
         away = target.distance_m
-        near = [found for found in detections if abs(found.range_m - away) < _NEAR_M]
+        near = [detection for detection in detections if abs(detection.range_m - away) < _NEAR_M]
         if not near:
             raise InputError(f"detections: none within {_NEAR_M:g} m of the target at {away:g} m")
-        best = max(near, key=lambda found: found.power_w)
+        best = max(near, key=lambda detection: detection.power_w)
         constant = best.power_w * away**4 / target.size
         return cls(device, time.time_ns(), best.range_m - away, constant, target)
 
@@ -124,8 +124,12 @@ class RadarCalibration:
         """
         range_m = detection.range_m - self.range_offset_m
         rate = detection.range_rate_m_per_s if np.isfinite(detection.range_rate_m_per_s) else 0.0
-        kept = float(waveform.slot_gain(np.array(2 * rate / waveform.wavelength_m))) ** 2
-        rcs_m2 = detection.power_w * range_m**4 / (self.constant_w_m2 * kept) if kept else math.nan
+        slot_gain = float(waveform.slot_gain(np.array(2 * rate / waveform.wavelength_m))) ** 2
+        rcs_m2 = (
+            detection.power_w * range_m**4 / (self.constant_w_m2 * slot_gain)
+            if slot_gain
+            else math.nan
+        )
         return replace(detection, range_m=range_m, rcs_m2=rcs_m2)
 
 
@@ -173,13 +177,13 @@ def read_calibration(path: str | Path, *, max_age_s: float = math.inf) -> Calibr
         except InputError as error:
             faults.append(str(error))
             continue
-        found: Calibration = kind(**fields, target=CalibrationTarget(**target))
-        age_s = (time.time_ns() - found.made_ns) * 1e-9
+        calibration: Calibration = kind(**fields, target=CalibrationTarget(**target))
+        age_s = (time.time_ns() - calibration.made_ns) * 1e-9
         if age_s > max_age_s:
             raise InputError(
                 f"{path}: {age_s / 86400:.3g} days old, at most {max_age_s / 86400:.3g} are allowed"
             )
-        return found
+        return calibration
     raise InputError("; ".join(faults))
 
 

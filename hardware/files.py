@@ -158,10 +158,10 @@ def partial_path(path: Path) -> Path:
 def _remove_leftovers(path: Path) -> None:
     """Remove what processes of this machine that run no more left at their `partial_path`."""
     ours = re.compile(re.escape(f".{path.name}.{_machine()}-") + r"(\d+)\.partial")
-    for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
-        found = ours.fullmatch(left.name)
-        if found and not _runs(int(found[1])):
-            _remove(left)
+    for partial in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
+        match = ours.fullmatch(partial.name)
+        if match and not _runs(int(match[1])):
+            _remove(partial)
 
 
 def _remove(path: Path) -> None:

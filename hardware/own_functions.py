@@ -77,22 +77,22 @@ def own_function(
     'brightest'
     """
     if callable(given):
-        found = OwnFunction(given, _name(given), digest_of(given))
+        own = OwnFunction(given, _name(given), digest_of(given))
     elif is_file_function(given):
-        found = _from_file(given, folder or Path())
+        own = _from_file(given, folder or Path())
     else:
-        found = _installed(given, group)
+        own = _installed(given, group)
     try:
-        inspect.signature(found.function).bind(*arguments)
+        inspect.signature(own.function).bind(*arguments)
     except TypeError:
-        told = given if isinstance(given, str) else found.name
+        name = given if isinstance(given, str) else own.name
         raise OwnFunctionError(
-            f"{told}: takes {inspect.signature(found.function)}, expected a function of "
+            f"{name}: takes {inspect.signature(own.function)}, expected a function of "
             f"({', '.join(arguments)})"
         ) from None
     except ValueError:  # a compiled function that does not say what it takes
         pass
-    return found
+    return own
 
 
 def digest_of(function: Callable[..., Any]) -> str:
@@ -101,10 +101,10 @@ def digest_of(function: Callable[..., Any]) -> str:
     its own folder. Lists, dictionaries and other objects, which may change as it runs, do not
     count, nor does what is imported by any other way than an import statement.
     """
-    found = sha256()
+    digest = sha256()
     for piece in _pieces(function, set()):
-        found.update(len(piece).to_bytes(8, "little") + piece)
-    return found.hexdigest()
+        digest.update(len(piece).to_bytes(8, "little") + piece)
+    return digest.hexdigest()
 
 
 def digest_of_given(given: str | Callable[..., Any]) -> str:

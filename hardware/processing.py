@@ -110,20 +110,22 @@ def _detections(
     lines: list[str] = []
     warnings: list[str] = []
     for frame in frames(record, how):
-        found = calibrated(frame, record, calibration)
+        detections = calibrated(frame, record, calibration)
         stamp = stamp_ns(received, frame.burst)
-        points = ros.points(cloud(found), stamp, sensor.strip("/"))
+        points = ros.points(cloud(detections), stamp, sensor.strip("/"))
         log.message(f"{sensor}/detections", ros.POINTS, points, received.host_ns, stamp)
-        ranged = bool(found) and not np.isnan(found[0].range_m)
-        strongest = f", the strongest at {found[0].range_m:.3f} m" if ranged else ""
+        ranged = bool(detections) and not np.isnan(detections[0].range_m)
+        strongest = f", the strongest at {detections[0].range_m:.3f} m" if ranged else ""
         followed = ""
         if tracks:
             time_ns = int(record.device_time_ns[frame.burst].flat[0])
-            confirmed = tracks.update(sensor, found, time_ns, record.pose[frame.burst])
+            confirmed = tracks.update(sensor, detections, time_ns, record.pose[frame.burst])
             points = ros.points(track_cloud(confirmed), stamp, "world")
             log.message(f"{sensor}/tracks", ros.POINTS, points, received.host_ns, stamp)
             followed = f", {len(confirmed)} tracks"
-        lines.append(f"burst {frame.burst}: {len(found)} detections{frame.by}{strongest}{followed}")
+        lines.append(
+            f"burst {frame.burst}: {len(detections)} detections{frame.by}{strongest}{followed}"
+        )
         warnings += frame.warnings
     return RecordSummary(tuple(lines), tuple(warnings))
 

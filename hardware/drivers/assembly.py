@@ -85,9 +85,12 @@ class Assembly:
 
     def _fits(self, frame: Measurement) -> bool:
         """Whether the frame has the exposures expected from its sequence number."""
-        made = self.configured
-        first = frame.sequence % self._frames_per_set * made.exposures_per_frame
-        shape = (min(made.exposures_per_frame, made.exposures - first), made.detectors)
+        configured = self.configured
+        first = frame.sequence % self._frames_per_set * configured.exposures_per_frame
+        shape = (
+            min(configured.exposures_per_frame, configured.exposures - first),
+            configured.detectors,
+        )
         if frame.first != first or frame.counts.shape != shape:
             return False
         return bool(frame.counts.min() >= 0 and frame.counts.max() <= self._top)

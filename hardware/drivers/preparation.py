@@ -53,18 +53,20 @@ def prepare(device: RequestClient, identity: Identity, settings: SpiSettings) ->
         )
     table = table_bytes(patterns)
     crc = zlib.crc32(table)
-    made = device.ask(request, Configured)
-    if not _possible(made, identity, patterns.n_exposures * len(settings.shutters), len(table)):
-        raise DeviceError(f"{device.url}: the device cannot mean {made}")
+    configured = device.ask(request, Configured)
+    if not _possible(
+        configured, identity, patterns.n_exposures * len(settings.shutters), len(table)
+    ):
+        raise DeviceError(f"{device.url}: the device cannot mean {configured}")
     if request.order == UPLOADED:
         _upload(device, table, crc)
-    elif made.table_crc != crc:
+    elif configured.table_crc != crc:
         raise DeviceError(
             f"{device.url}: the device's patterns {patterns.order!r} have the CRC-32 "
-            f"{made.table_crc:#010x}, expected {crc:#010x}"
+            f"{configured.table_crc:#010x}, expected {crc:#010x}"
         )
     device.ask(Arm(crc), Status)
-    return made
+    return configured
 
 
 def _request(device: RequestClient, identity: Identity, settings: SpiSettings) -> Configure:
@@ -91,16 +93,21 @@ def _request(device: RequestClient, identity: Identity, settings: SpiSettings) -
     )
 
 
-def _possible(made: Configured, identity: Identity, exposures: int, size: int) -> bool:
-    positive = (made.integration_time_s, made.pattern_period_s, made.electrons_per_count)
+def _possible(configured: Configured, identity: Identity, exposures: int, size: int) -> bool:
+    positive = (
+        configured.integration_time_s,
+        configured.pattern_period_s,
+        configured.electrons_per_count,
+    )
     return bool(
-        made.exposures == exposures
-        and made.table_bytes == size
-        and 1 <= made.exposures_per_frame <= Measurement.most_exposures(identity.detectors)
-        and made.detectors == identity.detectors
+        configured.exposures == exposures
+        and configured.table_bytes == size
+        and 1 <= configured.exposures_per_frame <= Measurement.most_exposures(identity.detectors)
+        and configured.detectors == identity.detectors
         and all(0 < value < _MOST for value in positive)
-        and made.exposures * made.pattern_period_s < _MOST  # device times are whole ns in 64 bits
-        and abs(made.offset_counts) < _MOST
+        and configured.exposures * configured.pattern_period_s
+        < _MOST  # device times are whole ns in 64 bits
+        and abs(configured.offset_counts) < _MOST
     )
 
 

@@ -124,12 +124,12 @@ class SpiCamera:
     def _start(self, sets: int) -> None:
         """Configure the device and start the run."""
         number = self._free_run_number()
-        made = prepare(self._device, self.identity, self.settings)
-        assembly = Assembly(number, made, self.identity.adc_bits, self._lost)
+        configured = prepare(self._device, self.identity, self.settings)
+        assembly = Assembly(number, configured, self.identity.adc_bits, self._lost)
         self._device.inbox.clear()
         self._device.synchronize(_FIRST_SYNCS)
         self._sets = sets
-        self._run = _Run(number, assembly, made)
+        self._run = _Run(number, assembly, configured)
         self._device.ask(Start(number, sets), Status)
 
     def _free_run_number(self) -> int:
@@ -161,9 +161,12 @@ class SpiCamera:
             self._device.reconnect()
             return self._handle_status(self.status())
 
-    def _silence_s(self, made: Configured) -> float:
+    def _silence_s(self, configured: Configured) -> float:
         """Timeout of silence: the time of three frames and of a reply."""
-        return self._device.patience.reply_s + 3 * made.exposures_per_frame * made.pattern_period_s
+        return (
+            self._device.patience.reply_s
+            + 3 * configured.exposures_per_frame * configured.pattern_period_s
+        )
 
     def _handle_status(self, status: Status) -> list[ExposureSet]:
         """Continue, end or restart the run, according to the status of the device."""
@@ -218,7 +221,7 @@ class SpiCamera:
         except (LinkError, DeviceError) as error:
             _log.warning("%s: not stopped: %s", self.url, error)
 
-    def _record(self, exposures: ExposureSet, made: Configured) -> SpiRecord:
+    def _record(self, exposures: ExposureSet, configured: Configured) -> SpiRecord:
         settings = self.settings
         return SpiRecord(
             counts=exposures.counts,
@@ -226,9 +229,9 @@ class SpiCamera:
             sequence=exposures.sequence,
             flags=exposures.flags,
             patterns=settings.patterns,
-            integration_time_s=made.integration_time_s,
-            electrons_per_count=made.electrons_per_count,
-            offset_counts=made.offset_counts,
+            integration_time_s=configured.integration_time_s,
+            electrons_per_count=configured.electrons_per_count,
+            offset_counts=configured.offset_counts,
             adc_bits=self.identity.adc_bits,
             device=self.identity.device,
             pose=settings.pose,

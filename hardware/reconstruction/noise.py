@@ -54,8 +54,8 @@ def noise_of_sums(constant: Array, *, in_turn: bool) -> Array:
     if not in_turn or len(constant) <= 2 * _LAG:
         return successive
     share = (_SUCCESSIVE - _IN_PAIR) / (_APART - _SUCCESSIVE)
-    found = successive - share * (_half_square(constant, _LAG) - successive)
-    return np.asarray(np.maximum(found, _IN_PAIR / _SUCCESSIVE * successive))  # all of it 1/f
+    in_pair = successive - share * (_half_square(constant, _LAG) - successive)
+    return np.asarray(np.maximum(in_pair, _IN_PAIR / _SUCCESSIVE * successive))  # all of it 1/f
 
 
 def _half_square(constant: Array, lag: int) -> Array:

@@ -69,18 +69,18 @@ def _descend_arrays(x: Array, p: Array, down: float, along: float, out: Array) -
 
 def _ascend_loops(x: Any, p: Any, down: float, along: float, relaxation: float) -> None:
     rows, columns = x.shape
-    kept = 1 - relaxation
+    previous_weight = 1 - relaxation
     for i in range(rows):
         below = min(i + 1, rows - 1)
         for j in range(columns - 1):
             a = p[0, i, j] + down * (x[below, j] - x[i, j])
             b = p[1, i, j] + along * (x[i, j + 1] - x[i, j])
             scale = relaxation / np.sqrt(max(a * a + b * b, 1.0))
-            p[0, i, j] = kept * p[0, i, j] + a * scale
-            p[1, i, j] = kept * p[1, i, j] + b * scale
+            p[0, i, j] = previous_weight * p[0, i, j] + a * scale
+            p[1, i, j] = previous_weight * p[1, i, j] + b * scale
         j = columns - 1
         a = p[0, i, j] + down * (x[below, j] - x[i, j])
-        p[0, i, j] = kept * p[0, i, j] + relaxation * min(max(a, -1.0), 1.0)
+        p[0, i, j] = previous_weight * p[0, i, j] + relaxation * min(max(a, -1.0), 1.0)
 
 
 def _descend_loops(x: Any, p: Any, down: float, along: float, out: Any) -> None:

@@ -85,10 +85,10 @@ class _MixedProjection:
 
     def __init__(self, values: Array, radius: Array, sensing: Sensing) -> None:
         u, size, self.vt = _singular_vectors(sensing)
-        kept = size > 1e-9 * size[0]
-        self.size, self.vt, rotated = size[kept], self.vt[kept], u.T @ values
-        self.values = rotated[kept]
-        outside = np.sum(rotated[~kept] ** 2, axis=0) + np.sum(values**2, axis=0)
+        nonzero = size > 1e-9 * size[0]
+        self.size, self.vt, rotated = size[nonzero], self.vt[nonzero], u.T @ values
+        self.values = rotated[nonzero]
+        outside = np.sum(rotated[~nonzero] ** 2, axis=0) + np.sum(values**2, axis=0)
         outside -= np.sum(rotated**2, axis=0)  # no image explains this part
         self.radius = np.sqrt(np.maximum(radius**2 - outside, 0.0))
 

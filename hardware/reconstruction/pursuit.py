@@ -47,11 +47,11 @@ def batch_omp(
     residual = np.array(correlations, dtype=np.float64)
     select = compiled.kernel(_select_loops) if compiled.available() else _select_arrays
     k = select(gram, residual, float(energy), float(tolerance), support, basis, scores)
-    chosen = support[:k]
+    atoms = support[:k]
     if k == 0:
-        return chosen, np.empty(0)
-    factor = basis[:k, chosen]  # upper triangular: gram[chosen][:, chosen] = factor^T factor
-    return chosen, np.asarray(_back_substitution(factor, scores[:k]))
+        return atoms, np.empty(0)
+    factor = basis[:k, atoms]  # upper triangular: gram[atoms][:, atoms] = factor^T factor
+    return atoms, np.asarray(_back_substitution(factor, scores[:k]))
 
 
 def _back_substitution(upper: Array, right: Array) -> Array:

@@ -78,22 +78,22 @@ def range_image(
     if modulated:
         list(_phase_systems(record.shutters))  # refuses what no image could mend
     solve = method_of(method)
-    taken = [reconstruct(part, solve, mixing=mixing) for part in record.by_shutter]
-    images = np.stack([found.image for found in taken])
-    errors = np.stack([_error(found, record.patterns.count) for found in taken])
-    told = np.isfinite(images[0])
-    unsure = told & np.isnan(errors).any(axis=0)
+    by_shutter = [reconstruct(part, solve, mixing=mixing) for part in record.by_shutter]
+    images = np.stack([one.image for one in by_shutter])
+    errors = np.stack([_error(one, record.patterns.count) for one in by_shutter])
+    measured = np.isfinite(images[0])
+    unsure = measured & np.isnan(errors).any(axis=0)
     images, errors = np.nan_to_num(images), np.nan_to_num(errors)  # no light: no distance
-    found = distances(record, images, errors, solve.name)
-    level = tuple(warning for warning in taken[0].warnings if warning == LEVEL_UNKNOWN)
+    ranges = distances(record, images, errors, solve.name)
+    level = tuple(warning for warning in by_shutter[0].warnings if warning == LEVEL_UNKNOWN)
     blind = _blind(record)
     unknown = blind[:, None, None] | unsure
     return replace(
-        found,
-        amplitude=np.where(told, found.amplitude, np.nan),
-        standard_error_m=np.where(unknown, np.inf, found.standard_error_m),
-        confidence=np.where(unknown, 0.0, found.confidence),
-        warnings=(*found.warnings, *level, *((AT_RAIL,) if blind.any() else ())),
+        ranges,
+        amplitude=np.where(measured, ranges.amplitude, np.nan),
+        standard_error_m=np.where(unknown, np.inf, ranges.standard_error_m),
+        confidence=np.where(unknown, 0.0, ranges.confidence),
+        warnings=(*ranges.warnings, *level, *((AT_RAIL,) if blind.any() else ())),
     )
 
 
@@ -117,15 +117,16 @@ def _blind(record: SpiRecord) -> NDArray[np.bool_]:
     return np.asarray(at_rail.mean(axis=0) > 0.5)
 
 
-def _error(found: Reconstruction, count: int) -> Array:
+def _error(reconstruction: Reconstruction, count: int) -> Array:
     """Standard error of each cell: the method's own, else what noise does to the plain inverse."""
-    if found.standard_error is not None:
-        return found.standard_error
-    n_cells = found.image[0].size
+    if reconstruction.standard_error is not None:
+        return reconstruction.standard_error
+    n_cells = reconstruction.image[0].size
     each = np.hypot(
-        found.most_noise_electrons * np.sqrt(count) / n_cells, found.level_error_electrons
+        reconstruction.most_noise_electrons * np.sqrt(count) / n_cells,
+        reconstruction.level_error_electrons,
     )
-    return np.broadcast_to(each[:, None, None], found.image.shape)
+    return np.broadcast_to(each[:, None, None], reconstruction.image.shape)
 
 
 def _phase_systems(
@@ -161,14 +162,14 @@ def _from_phases(
         phasors.append((real + 1j * imaginary).ravel())
         # Of both parts alike: their mean variance.
         noise.append(np.sqrt(np.tensordot((solve**2).mean(axis=0), errors[phases] ** 2, 1)).ravel())
-    found = depth(np.stack(phasors), [system[0] for system in systems], np.stack(noise))
+    depths = depth(np.stack(phasors), [system[0] for system in systems], np.stack(noise))
     return RangeImage(
         method=method,
-        amplitude=found.amplitude.reshape(shape),
-        distance_m=found.distance_m.reshape(shape),
-        standard_error_m=found.standard_error_m.reshape(shape),
-        confidence=found.confidence.reshape(shape),
-        longest_m=found.longest_m,
+        amplitude=depths.amplitude.reshape(shape),
+        distance_m=depths.distance_m.reshape(shape),
+        standard_error_m=depths.standard_error_m.reshape(shape),
+        confidence=depths.confidence.reshape(shape),
+        longest_m=depths.longest_m,
     )
 
 
@@ -176,15 +177,15 @@ def _from_gates(method: str, images: Array, errors: Array, record: SpiRecord) ->
     gates = np.array([(one.gate_delay_s, one.gate_width_s) for one in record.shutters])
     stated = record.pulse_width_s > 0
     flat = images.reshape(len(images), -1), errors.reshape(len(images), -1)
-    found = echo(*flat, gates, record.pulse_width_s) if stated else _brightest(*flat, gates)
-    lit = found.amplitude > 0
+    echoes = echo(*flat, gates, record.pulse_width_s) if stated else _brightest(*flat, gates)
+    lit = echoes.amplitude > 0
     distance, error, confidence, amplitude = (
         values.reshape(images.shape[1:])
         for values in (
-            np.where(lit, C_M_PER_S / 2 * found.delay_s, np.nan),
-            np.where(lit, C_M_PER_S / 2 * found.error_s, np.inf),
-            np.where(lit, found.confidence, 0.0),
-            found.amplitude,
+            np.where(lit, C_M_PER_S / 2 * echoes.delay_s, np.nan),
+            np.where(lit, C_M_PER_S / 2 * echoes.error_s, np.inf),
+            np.where(lit, echoes.confidence, 0.0),
+            echoes.amplitude,
         )
     )
     return RangeImage(

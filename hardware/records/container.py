@@ -187,9 +187,9 @@ def check_positive(record: Any, *names: str) -> None:
 
 def _check(layout: Layout, file: Any) -> int:
     """The file's schema version, if it can be read."""
-    found = _value(file, "format") if "format" in file.attrs else None
-    if found != layout.format:
-        raise InputError(f"not a {layout.format}: its format is {found!r:.60}")
+    format_name = _value(file, "format") if "format" in file.attrs else None
+    if format_name != layout.format:
+        raise InputError(f"not a {layout.format}: its format is {format_name!r:.60}")
     version = _value(file, "schema_version")
     if not isinstance(version, int):
         raise InputError(f"schema_version: {version!r:.40} is no whole number")
@@ -211,18 +211,18 @@ def _array(group: Any, name: str, dtype: "np.dtype[Any]") -> Any:
     """An array of a type, if the file holds it: neither empty promises nor another file's bytes."""
     import h5py
 
-    found = _inside(group, name)
-    if not isinstance(found, h5py.Dataset) or not np.can_cast(found.dtype, dtype, "same_kind"):
-        kind = getattr(found, "dtype", "a group")
+    dataset = _inside(group, name)
+    if not isinstance(dataset, h5py.Dataset) or not np.can_cast(dataset.dtype, dtype, "same_kind"):
+        kind = getattr(dataset, "dtype", "a group")
         raise InputError(f"{name}: {kind}, expected an array of {dtype}")
-    if found.is_virtual or found.external:
+    if dataset.is_virtual or dataset.external:
         raise InputError(f"{name}: stands in another file, expected it in this one")
-    held = min(found.id.get_storage_size(), found.file.id.get_filesize())
-    if found.nbytes > _MOST_RATIO * held:
+    held = min(dataset.id.get_storage_size(), dataset.file.id.get_filesize())
+    if dataset.nbytes > _MOST_RATIO * held:
         raise InputError(
-            f"{name}: {found.nbytes} bytes of shape {found.shape}, but the file holds {held}"
+            f"{name}: {dataset.nbytes} bytes of shape {dataset.shape}, but the file holds {held}"
         )
-    return found[()].astype(dtype)
+    return dataset[()].astype(dtype)
 
 
 def _value(group: Any, name: str) -> Any:

@@ -107,14 +107,14 @@ class SpiRecord:
         here = ((self.flags & Flag.LOST) == 0).reshape(-1, n_shutters).all(axis=1)
         head = 2 if patterns.mode == "reference" else 0
         each = 2 if patterns.mode == "differential" else 1
-        kept = here[head:].reshape(patterns.count, each).all(axis=1)
-        if not (here[:head].all() and kept.any()):
+        whole = here[head:].reshape(patterns.count, each).all(axis=1)
+        if not (here[:head].all() and whole.any()):
             raise InputError("flags: exposures are lost without which nothing can be measured")
-        exposures = np.concatenate([here[:head], np.repeat(kept, each)])
+        exposures = np.concatenate([here[:head], np.repeat(whole, each)])
         rows = np.repeat(exposures, n_shutters)
         return replace(
             self,
-            patterns=patterns.take(kept),
+            patterns=patterns.take(whole),
             **{name: getattr(self, name)[rows] for name in _BY_EXPOSURE},
         )
 

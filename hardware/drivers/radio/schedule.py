@@ -132,12 +132,12 @@ def acquire(
             settled = locked_ns + round(1e9 * schedule.settling_s)
             starts = starts or schedule.starts_ns(settled + round(1e9 * schedule.lead_s))
             if settled <= starts[step]:
-                heard = radio.burst(sent, starts[step])
+                reception = radio.burst(sent, starts[step])
             else:  # sent later, it would not fit the times of the sweep
                 n = radio.n_receivers
-                heard = Reception.nothing(n, len(sent), starts[step], Fault.LATE)
-            iq[burst, step], flags[burst, step] = samples.counts(heard, wave)
-            times[burst, step] = heard.start_ns + slots
+                reception = Reception.nothing(n, len(sent), starts[step], Fault.LATE)
+            iq[burst, step], flags[burst, step] = samples.counts(reception, wave)
+            times[burst, step] = reception.start_ns + slots
     return RadarRecord(
         iq=iq,
         device_time_ns=times,

@@ -102,11 +102,11 @@ class StreamRadio(RadioDriver):
         import zmq
 
         started, left = self.now_ns(), np.asarray(samples, dtype="<c8")
-        heard = np.empty(len(left), dtype=np.complex64)
+        received = np.empty(len(left), dtype=np.complex64)
         there, until = 0, time.monotonic() + self.timeout_s
-        while there < len(heard):
+        while there < len(received):
             if not self._asked:
-                self._receive.send(request(len(heard) - there))
+                self._receive.send(request(len(received) - there))
                 self._asked = True
             sockets = [self._receive, *([self._transmit] if len(left) else [])]
             ready = zmq.select(sockets, [], [], max(0.0, until - time.monotonic()))[0]
@@ -117,13 +117,13 @@ class StreamRadio(RadioDriver):
                 self._transmit.send(left[:n].tobytes())
                 left = left[n:]
             if self._receive in ready:
-                part = self._receive_samples(len(heard) - there)
-                heard[there : there + len(part)] = part
+                part = self._receive_samples(len(received) - there)
+                received[there : there + len(part)] = part
                 there += len(part)
                 if len(part):
                     until = time.monotonic() + self.timeout_s
-        self._n_samples += len(heard)
-        return Reception(heard[None], np.ones(len(heard), dtype=np.bool_), started, Fault(0))
+        self._n_samples += len(received)
+        return Reception(received[None], np.ones(len(received), dtype=np.bool_), started, Fault(0))
 
     def close(self) -> None:
         """See `RadioDriver.close`."""

@@ -96,12 +96,14 @@ class UhdRadio(RadioDriver):
                     raise RadioError(f"{self.device}: no lock at {carrier_hz:.0f} Hz")
                 time.sleep(1e-4)
             locked_ns = self.now_ns()
-            sent, heard = float(usrp.get_tx_freq(0)), float(usrp.get_rx_freq(0))
+            transmit_hz, receive_hz = float(usrp.get_tx_freq(0)), float(usrp.get_rx_freq(0))
         except RuntimeError as error:
             raise RadioError(f"{self.device}: {_one_line(error)}") from error
-        if abs(sent - heard) > 1:
-            raise RadioError(f"{self.device}: sends at {sent:.0f} Hz, receives at {heard:.0f} Hz")
-        return Tuned(heard, locked_ns)
+        if abs(transmit_hz - receive_hz) > 1:
+            raise RadioError(
+                f"{self.device}: sends at {transmit_hz:.0f} Hz, receives at {receive_hz:.0f} Hz"
+            )
+        return Tuned(receive_hz, locked_ns)
 
     def now_ns(self) -> int:
         """See `RadioDriver.now_ns`."""
@@ -117,12 +119,14 @@ class UhdRadio(RadioDriver):
             with ThreadPoolExecutor(1) as beside:
                 self._receive.issue_stream_cmd(command)
                 sending = beside.submit(self._send, samples, start)
-                heard = self._heard(len(samples), start_ns)
+                reception = self._heard(len(samples), start_ns)
                 sending.result()
         except RuntimeError as error:
             raise RadioError(f"{self.device}: {_one_line(error)}") from error
         sent = self._sent()
-        return Reception(heard.samples, heard.there, heard.start_ns, heard.faults | sent)
+        return Reception(
+            reception.samples, reception.there, reception.start_ns, reception.faults | sent
+        )
 
     def close(self) -> None:
         """See `RadioDriver.close`: UHD releases the device with the last reference."""
@@ -154,7 +158,7 @@ class UhdRadio(RadioDriver):
 
     def _heard(self, n_samples: int, start_ns: int) -> Reception:
         """Received chunks, each placed by its time stamp."""
-        heard = Reception.nothing(self.n_receivers, n_samples, start_ns, Fault(0))
+        reception = Reception.nothing(self.n_receivers, n_samples, start_ns, Fault(0))
         faults = Fault(0)
         size = self._receive.get_max_num_samps()
         buffer = np.empty((self.n_receivers, size), dtype=np.complex64)
@@ -171,13 +175,13 @@ class UhdRadio(RadioDriver):
                 place = round(since_ns * self.sample_rate_hz / _TICKS_HZ)
             fits = slice(max(place, 0), min(place + n, n_samples))
             if fits.stop > fits.start:
-                heard.samples[:, fits] = buffer[:, fits.start - place : fits.stop - place]
-                heard.there[fits] = True
+                reception.samples[:, fits] = buffer[:, fits.start - place : fits.stop - place]
+                reception.there[fits] = True
             place += n
             if faults & (Fault.LATE | Fault.TIMEOUT) or metadata.end_of_burst:
                 break
             patience = _RECEIVE_S
-        return Reception(heard.samples, heard.there, start_ns, faults)
+        return Reception(reception.samples, reception.there, start_ns, faults)
 
     def _sent(self) -> Fault:
         """Faults of the transmitted burst, from messages up to the acknowledgement of its end."""

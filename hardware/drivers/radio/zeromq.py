@@ -111,20 +111,20 @@ class ZeroMqRadio(RadioDriver):
         started = answer.whole("start_ns", int(start_ns), int(start_ns))
         faults, there = answer.faults(), answer.there(n)
         try:
-            heard = to_samples(b"".join(frames))
+            received = to_samples(b"".join(frames))
         except InputError as error:
             raise RadioError(f"{self.device}: burst: {error}") from error
-        if not heard.size:
+        if not received.size:
             return Reception.nothing(self.n_receivers, n, started, faults)
-        if len(frames) != 1 or heard.size != self.n_receivers * n:
+        if len(frames) != 1 or received.size != self.n_receivers * n:
             raise RadioError(
-                f"{self.device}: burst: {heard.size} samples came back in {len(frames)} frames, "
+                f"{self.device}: burst: {received.size} samples came back in {len(frames)} frames, "
                 f"expected {self.n_receivers} x {n} in one"
             )
-        heard = heard.reshape(self.n_receivers, n)
+        received = received.reshape(self.n_receivers, n)
         if not there.all():
-            heard = np.where(there, heard, np.complex64(0))
-        return Reception(heard, there, started, faults)
+            received = np.where(there, received, np.complex64(0))
+        return Reception(received, there, started, faults)
 
     def close(self) -> None:
         """See `RadioDriver.close`."""

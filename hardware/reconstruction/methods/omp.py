@@ -49,14 +49,14 @@ def omp_haar(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Ar
 class OmpPlan:
     """Atoms as measured (count, n), less the flat image's direction, and their Gram matrix.
 
-    ``bases`` make an image from coefficients, of which ``kept`` take part with their ``weights``;
+    ``bases`` make an image from coefficients, of which ``candidates`` take part with ``weights``;
     ``flat`` (count,) is the flat image as measured.
     """
 
     atoms: Array
     gram: Array
     bases: tuple[Array, Array]
-    kept: NDArray[np.intp]
+    candidates: NDArray[np.intp]
     weights: Array
     flat: Array
     n_atoms: int
@@ -77,12 +77,14 @@ def omp_plan(sensing: Sensing, dictionary: str) -> OmpPlan:
         energy -= along_flat**2 / power
         along_flat /= power
     n = min(ATOMS_PER_MEASUREMENT * sensing.count, MOST_ATOMS, sensing.n_cells)
-    kept = np.argsort(-energy * weights**2, kind="stable")[:n]
+    candidates = np.argsort(-energy * weights**2, kind="stable")[:n]
     atoms = np.empty((sensing.count, n))
     for some, rows_seen in _measured(sensing, bases):
-        atoms[some] = (rows_seen[:, kept] - np.outer(flat[some], along_flat[kept])) * weights[kept]
+        atoms[some] = (
+            rows_seen[:, candidates] - np.outer(flat[some], along_flat[candidates])
+        ) * weights[candidates]
     n_atoms = min(int(np.ceil(CHOSEN_PER_MEASUREMENT * sensing.count)), MOST_CHOSEN)
-    return OmpPlan(atoms, atoms.T @ atoms, bases, kept, weights[kept], flat, n_atoms)
+    return OmpPlan(atoms, atoms.T @ atoms, bases, candidates, weights[candidates], flat, n_atoms)
 
 
 def _measured(sensing: Sensing, bases: tuple[Array, Array]) -> Iterator[tuple[slice, Array]]:
@@ -108,7 +110,7 @@ def _pursue(values: Array, noise_variance: float, sensing: Sensing, dictionary: 
     )
     down, along = plan.bases
     coefficients = np.zeros(len(down) * len(along))
-    coefficients[plan.kept[support]] = x * plan.weights[support]
+    coefficients[plan.candidates[support]] = x * plan.weights[support]
     cells = (down.T @ coefficients.reshape(len(down), -1) @ along).ravel()
     if power:  # what the atoms leave of the flat image's direction is the mean
         cells += float(plan.flat @ (values - sensing.forward(cells))) / power
