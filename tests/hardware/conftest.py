@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from hardware import compiled
+
 _HERE = Path(__file__).parent
 
 sys.path.insert(0, str(_HERE))
@@ -26,3 +28,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for name in libraries:
             missing = find_spec(name) is None
             item.add_marker(pytest.mark.skipif(missing, reason=f"{name} is not installed"))
+
+
+@pytest.fixture(params=[pytest.param("compiled", marks=pytest.mark.library("numba")), "NumPy"])
+def path(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both paths of everything that has a compiled one."""
+    if request.param == "NumPy":
+        monkeypatch.setattr(compiled, "available", lambda: False)

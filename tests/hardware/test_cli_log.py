@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from log_records import radar_record
 from radar_cubes import WIDE, Echo, cube
 from ugv_command import SETTINGS, ugv
 
@@ -214,16 +215,7 @@ def test_each_burst_becomes_a_cloud_of_its_own_time(tmp_path: Path) -> None:
 
 @pytest.mark.library("sigmf")
 def test_export_writes_one_capture_a_step(tmp_path: Path) -> None:
-    import importlib.util
-
-    spec = importlib.util.spec_from_file_location(
-        "recording_tests", Path(__file__).parent / "test_recording.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    tests = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tests)
-    made = tests.radar_record()
+    made = radar_record()
     with Log(tmp_path / "run.mcap") as log:
         log.record("/../radar/record", made)
     done = ugv("export", tmp_path / "run.mcap", "-o", tmp_path / "iq")

@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import fft, integrate, stats
+from spi_records import record_of, scene
 
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.reconstruction import METHODS, measurements, noise, range_image
 from hardware.reconstruction.imaging import LEVEL_UNKNOWN
 from hardware.records import Flag, Shutter
-
-from .test_methods import record_of, scene
 
 UNPAIRED = ("plain", "reference", "s-matrix")
 
