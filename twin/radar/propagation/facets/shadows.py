@@ -124,7 +124,9 @@ def cut(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> 
         _, low, high = dr.while_loop(
             begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
         )
-        return (low + high) / 2
+        share = (low + high) / 2
+        dr.eval(share)  # all that follows would search again
+        return share
 
     share_left, share_right = found(left), found(right)
     across = 2 / dr.maximum(share_left + share_right, 1e-9)
