@@ -8,11 +8,11 @@ triangles, taken as independent, add up to the tolerance.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.facets.band_sums import band_sums
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
 from twin.radar.propagation.facets.front_facets import FrontFacets, largest, portions
 from twin.radar.propagation.facets.hidden import wholly_hidden
@@ -47,7 +47,6 @@ _MIXED = 0.25  # of its strength: error of a triangle that is partly seen
 _SEEN = np.array([[0.0, 0.1, 0.3, 0.45], [0.7, 0.7, 0.85, 1.0]])
 _BENT = 1.0  # of what a bent border changes: what is left then
 _FALLEN = 2.0  # level of a body and errors that it may have: from which another pass is needed
-_AT_ONCE = 8192  # echoes that are summed together, which the processor's cache holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,31 +154,7 @@ class Budget:
     ) -> Complex:
         """Sum of echoes, the phase of whose path they lack, (count, n_frequencies)."""
         count = len(self.level) if count is None else count
-        n = len(self._wave_numbers)
-        found = np.zeros((count, n), dtype=np.complex128)
-        lowest = self._wave_numbers[0]
-        step = self._wave_numbers[min(1, n - 1)] - lowest
-        # Frequency a + p b by a product of matrices: turned by a steps, times turned by p b steps.
-        p = int(np.ceil(np.sqrt(n)))
-        q = -(-n // p)
-        order = np.argsort(body.astype(np.uint16) if count < 2**16 else body, kind="stable")
-        for begin in range(0, len(order), _AT_ONCE):
-            some = order[begin : begin + _AT_ONCE]
-            turn, whose = _waves(step * length_m[some]), body[some]
-            fine = np.empty((p, len(some)), dtype=np.complex128)
-            fine[0] = echo[some] * _waves(lowest * length_m[some])
-            far = turn.copy()
-            for i in range(1, p):
-                np.multiply(fine[i - 1], turn, out=fine[i])
-                far *= turn
-            wide = np.ones((q, len(some)), dtype=np.complex128)
-            for i in range(1, q):
-                np.multiply(wide[i - 1], far, out=wide[i])
-            ends = [0, *(np.flatnonzero(np.diff(whose)) + 1).tolist(), len(some)]
-            for first, last in pairwise(ends):
-                sums = wide[:, first:last] @ fine[:, first:last].T
-                found[whose[first]] += sums.ravel()[:n]
-        return found
+        return band_sums(body, count, echo, length_m, self._wave_numbers)
 
     def consider(self, parts: "Sequence[Leaves]") -> None:
         """Take what is settled and what is not for the echo of each body."""
@@ -252,17 +227,6 @@ class Budget:
         found = np.empty(len(body), dtype=bool)
         found[order] = total - before[body[order]] <= most[body[order]]
         return found
-
-
-def _waves(phase_rad: Array) -> Complex:
-    """exp(-j phase)."""
-    cycles = phase_rad / (2 * np.pi)
-    cycles -= np.floor(cycles)
-    cycles *= -2 * np.pi
-    found = np.empty(len(cycles), dtype=np.complex128)
-    np.cos(cycles, out=found.real)
-    np.sin(cycles, out=found.imag)
-    return found
 
 
 def settled(

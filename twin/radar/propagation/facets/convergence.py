@@ -14,9 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
 from hardware.waveform import OfdmWaveform
 from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
+from twin.radar.propagation.facets.band_sums import band_sums
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -130,13 +132,10 @@ def summed_by(
     frequencies equally spaced.
     """
     total = np.zeros((count, len(frequencies_hz)), dtype=np.complex128)
+    wave_numbers = 2 * np.pi / speed_of_light * frequencies_hz
     for power in np.unique(echoes.falloff):
         some = np.flatnonzero((echoes.falloff == power) & (owner >= 0))
-        delay, whose = echoes.delay_s[some], owner[some]
-        wave = echoes.amplitude[some] * np.exp(-2j * np.pi * (frequencies_hz[0] * delay % 1.0))
-        step = np.exp(-2j * np.pi * ((frequencies_hz[1] - frequencies_hz[0]) * delay % 1.0))
-        for k, frequency in enumerate(frequencies_hz):
-            sums = np.bincount(whose, wave.real, count) + 1j * np.bincount(whose, wave.imag, count)
-            total[:, k] += (carrier_hz / frequency) ** power * sums
-            wave *= step
+        length_m = speed_of_light * echoes.delay_s[some]
+        sums = band_sums(owner[some], count, echoes.amplitude[some], length_m, wave_numbers)
+        total += (carrier_hz / frequencies_hz) ** power * sums
     return total
