@@ -164,7 +164,8 @@ def sides_of(
     for some in portions(np.arange(len(rows))):
         plane = context.world.plane_table[rows[some]]
         for side, image in zip(found, images, strict=True):
-            side[some] = np.sign(np.sum((image.place - plane[:, :3]) * plane[:, 3:], axis=1))
+            height = np.einsum("ij,ij->i", image.place - plane[:, :3], plane[:, 3:])
+            side[some] = np.sign(height)
     return found
 
 

@@ -244,7 +244,7 @@ def _by_quarters(
     is_lit, face = own.is_valid[0], own.face[0]
     at_corner, known = hits.face.T.ravel(), hits.is_valid.T.ravel()
     normal = context.world.plane_table[:, 3:]
-    is_other = np.abs(np.sum(normal[face] * normal[at_corner], axis=1)) < _ALIKE
+    is_other = np.abs(np.einsum("ij,ij->i", normal[face], normal[at_corner])) < _ALIKE
     also = known & (~is_lit | is_other)
     found = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
     near = replace(found, is_lit=np.zeros_like(is_lit))
@@ -353,10 +353,10 @@ def heard(
     face = np.array(landed.face).astype(np.intp)
     (origin,) = host([origin_of(context, landed)], len(landed))
     point, normal = context.world.plane_table[face, :3], context.world.plane_table[face, 3:]
-    side = np.sum((origin - point) * normal, axis=1)
+    side = np.einsum("ij,ij->i", origin - point, normal)
     rows, receivers = [], []
     for number, image in enumerate(images):
-        same = np.sum((image.place - point) * normal, axis=1) * side > 0
+        same = np.einsum("ij,ij->i", image.place - point, normal) * side > 0
         some = np.flatnonzero(same & scatterers.heard[number, face])
         rows.append(some)
         receivers.append(np.full(len(some), number))

@@ -1,5 +1,6 @@
 """Uniform subdivision of large facets to the spacing of rays, which small obstacles then meet."""
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,7 +32,10 @@ def subdivided(
 
 def sizes(lit: Triangles) -> Array:
     """Longest edges, (n,)."""
-    return longest_edges(*host(lit.corners, len(lit)))
+    a, b, c = lit.corners
+    square = dr.maximum(dr.squared_norm(b - a), dr.squared_norm(c - b))
+    (found,) = host([dr.sqrt(dr.maximum(square, dr.squared_norm(a - c)))], len(lit))
+    return found
 
 
 def longest_edges(a: Array, b: Array, c: Array) -> Array:
