@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.engine import mitsuba
 from twin.optics.tracer import Block, Bounce, Tracer
-from twin.optics.transport import CellLight, path_moments
+from twin.optics.transport import CellLight, path_moments, variance_of_mean
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,8 @@ class LightByObject:
         total = np.tensordot(self.mean, reflectance, axes=([1], [0]))
         # A path hits one object only, so squares add up as well.
         square = np.tensordot(self.square, reflectance**2, axes=([1], [0]))
-        variance = np.maximum(square - total**2, 0) / self.samples
+        moments = zip(total, square, strict=True)
+        variance = np.array([variance_of_mean(*each, self.samples) for each in moments])
         value = total.sum(axis=0)
         return CellLight(value, np.zeros_like(value), np.sqrt(variance.sum(axis=0)))
 

@@ -16,6 +16,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from twin.engine import mitsuba
 from twin.optics.paths import TracingQuality
@@ -24,16 +25,17 @@ from twin.optics.tracer import Block, Tracer
 
 Array = NDArray[np.float64]
 
+#: Of `variance_of_mean`: weight of the cells around, and standard deviation of their window.
+_NEIGHBOURS, _WINDOW_CELLS = 12, 1.5
+
 
 @dataclass(frozen=True, eq=False)
 class CellLight:
     """Light of each cell of a grid, (rows, columns), with its standard error.
 
-    The standard error is that of as many independent paths. They are stratified, so that on smooth
-    surfaces the true one is smaller, by 30 times on a plane with 1024 paths. But it knows nothing
-    of what all paths of a cell miss, an edge or a rare bright bounce: in the yard at 8 x 8 cells
-    with 64 paths 2.2 % of cells are off by more than 5 stated errors, by 80 at most. Compare seeds
-    where single cells matter.
+    For the standard error see `variance_of_mean`: it is that of independent paths, with a share of
+    the cells around. Paths are stratified, so that on smooth surfaces the true one is smaller, by
+    30 times on a plane with 1024 paths.
     """
 
     direct: Array
@@ -93,9 +95,26 @@ def _mean(tracer: Tracer, samples: int, trace: Callable[[Block], Any]) -> tuple[
     """Mean of each cell and its standard error, in blocks of rows that fit into memory."""
     moments = [path_moments(trace(block), samples) for block in tracer.blocks(samples)]
     mean, square = (np.concatenate(parts) for parts in zip(*moments, strict=True))
-    error = np.sqrt(np.maximum(square - mean**2, 0) / samples)
     shape = (tracer.start.rows, tracer.start.columns)
-    return mean.reshape(shape), error.reshape(shape)
+    mean, square = mean.reshape(shape), square.reshape(shape)
+    return mean, np.sqrt(variance_of_mean(mean, square, samples))
+
+
+def variance_of_mean(mean: Array, square: Array, samples: int) -> Array:
+    """Variance of each cell's mean, (rows, columns), from the means of its paths and their squares.
+
+    A cell whose paths all miss an edge or a rare bright bounce has too small a variance of its own,
+    but paths of cells around hit them: their mean variance, of a Gaussian window, stands for that
+    of 12 / n further paths of each cell, so that it matters where paths are few, and nowhere from
+    some hundred on. The sum over an image is kept. In the yard with 64 paths, off by more than 5
+    stated errors are 0.13, 0.17 and 1.3 % of 8 x 8, 16 x 16 and 64 x 64 cells, by 23 at most, in
+    place of 2.2, 5 and 11 %, by 80 to 2000; the median that is stated is 1.1 times the true one at
+    64 x 64 cells, in place of 0.7.
+    """
+    own = np.maximum(square - mean**2, 0)
+    around = gaussian_filter(own, _WINDOW_CELLS, mode="nearest")
+    further = _NEIGHBOURS / samples
+    return np.asarray((samples * own + further * around) / (samples + further) / samples)
 
 
 def path_moments(value: Any, samples: int) -> tuple[Array, Array]:
