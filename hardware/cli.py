@@ -27,9 +27,11 @@ def _ugv() -> None:
 def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
     try:
-        sys.exit(app(sys.argv[1:] or ["--help"], standalone_mode=False))
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except HardwareError as error:
         message = str(error)
+    except SystemExit as error:  # commands return; only a user's own code ends the program
+        message = f"code of one's own called sys.exit({error})"
     except OSError as error:
         message = said(error)
     except MemoryError as error:
@@ -41,5 +43,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("ugv: interrupted", file=sys.stderr)
         sys.exit(130)
+    else:
+        sys.exit(code)
     print(f"ugv: error: {one_line(message)}", file=sys.stderr)
     sys.exit(2)

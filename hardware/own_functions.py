@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import pickle
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hardware.errors import InputError
+from hardware.errors import HardwareError, InputError
 
 
 class OwnFunctionError(InputError):
@@ -36,10 +37,32 @@ class OwnFunction:
     name: str
     digest: str
 
+    def __call__(self, *arguments: Any) -> Any:
+        """Its result. Raises OwnFunctionError, with the line, for whatever it raises itself, an end
+        of the program by ``sys.exit`` too; errors of this package as they are.
+        """
+        try:
+            return self.function(*arguments)
+        except HardwareError:
+            raise
+        except (Exception, SystemExit) as error:  # a user's function may fail in any way
+            raise OwnFunctionError(f"{self.name}: {told_of(error)}") from error
+
     @property
     def label(self) -> str:
         """Name and digest: what results of this function are called."""
         return f"{self.name}-{self.digest[:8]}"
+
+
+def told_of(error: BaseException) -> str:
+    """An error of a user's own code in one line: its kind, text, and where it was raised.
+
+    >>> told_of(SystemExit(3))
+    'SystemExit: 3'
+    """
+    frames = [one for one in traceback.extract_tb(error.__traceback__) if one.filename != __file__]
+    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {error}{where}"
 
 
 def is_file_function(text: str) -> bool:
@@ -78,6 +101,8 @@ def own_function(
     """
     if callable(given):
         own = OwnFunction(given, _name(given), digest_of(given))
+    elif not isinstance(given, str):
+        raise OwnFunctionError(f"{given!r:.60}: expected file.py:function, or a callable")
     elif is_file_function(given):
         own = _from_file(given, folder or Path())
     else:

@@ -48,10 +48,10 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
-        if not interrupts:
-            sys.exit(code)
     except TwinError as error:
         message = str(error)
+    except SystemExit as error:  # commands return; only a user's own code ends the program
+        message = f"code of one's own called sys.exit({error})"
     except OSError as error:
         from hardware.files import said
 
@@ -65,6 +65,9 @@ def main() -> None:
             message = error.format_message()
     except KeyboardInterrupt:
         pass
+    else:
+        if not interrupts:
+            sys.exit(code)
     if interrupts:
         print("twin: interrupted, nothing half-written is left", file=sys.stderr)
         sys.stderr.flush()

@@ -36,7 +36,10 @@ def made_by(field: str, given: str | Callable[..., Any], section: Any, kind: typ
     no ``kind``, a protocol.
     """
     own = own_part(field, given, "section")
-    made = own.function(section)
+    try:
+        made = own(section)
+    except OwnFunctionError as error:
+        raise InputError(f"{field}: {error}") from error
     if isinstance(made, kind):
         return made
     names = (name for name in vars(kind) if not name.startswith("_"))

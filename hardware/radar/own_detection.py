@@ -38,7 +38,7 @@ class OwnDetection:
         self, channel: Complex, waveform: OfdmWaveform, image: RangeDopplerMap
     ) -> tuple[Detection, ...]:
         """Detections, strongest first. Raises OwnFunctionError for invalid ones."""
-        detections = self.own.function(channel, waveform, image)
+        detections = self.own(channel, waveform, image)
         if isinstance(detections, str | bytes) or not isinstance(detections, Sequence):
             raise OwnFunctionError(
                 f"{self.own.name}: returned a {type(detections).__name__}, expected a sequence of "

@@ -58,6 +58,8 @@ def method_of(given: str | Method | Solve, *, folder: Path | None = None) -> Met
                 f"method: {given!r} is none of {', '.join(METHODS)}, and no file.py:function"
             )
         return METHODS[given]
+    if not isinstance(given, str) and not callable(given):
+        raise InputError(f"method: {given!r:.60}: expected a name, file.py:function or a callable")
     own = own_function(given, _ARGUMENTS, folder=folder)
     summary = (getattr(own.function, "__doc__", None) or "").strip().split("\n")[0]
     return Method(own.label, summary, _checked(own), False, False, False, normal_errors)
@@ -65,7 +67,7 @@ def method_of(given: str | Method | Solve, *, folder: Path | None = None) -> Met
 
 def _checked(own: OwnFunction) -> Solve:
     def solve(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, Array | None]:
-        given = own.function(values.copy(), noise_variance, sensing)
+        given = own(values.copy(), noise_variance, sensing)
         cells, error = given if isinstance(given, tuple) and len(given) == 2 else (given, None)
         checked = _array(own.name, "cells", cells, sensing)
         if error is None:

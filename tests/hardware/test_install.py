@@ -73,3 +73,15 @@ def test_every_dependency_runs_on_aarch64(tmp_path: Path) -> None:
     assert wheels
     for name in wheels:
         assert name.endswith(("-none-any.whl", "aarch64.whl")), name
+
+
+def test_the_default_window_needs_no_scipy_signal() -> None:
+    """Whose import takes half a second: the boxcar is ones."""
+    code = (
+        "import sys\n"
+        "from hardware.radar.windows import normalised_window\n"
+        "assert (normalised_window('boxcar', 5) == 1).all()\n"
+        "assert 'scipy.signal' not in sys.modules\n"
+        "assert normalised_window('hann', 5)[0] == 0\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

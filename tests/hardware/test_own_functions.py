@@ -11,6 +11,7 @@ from ugv_command import ugv
 
 from hardware import (
     Detection,
+    InputError,
     Log,
     OwnFunctionError,
     PatternSet,
@@ -289,3 +290,24 @@ def test_ugv_takes_files(own_file: Path, tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "has no function 'absent'" in done.stderr
     assert not (tmp_path / "not.mcap").exists()
+
+
+def test_what_an_own_function_raises_is_an_error_with_its_line(tmp_path: Path) -> None:
+    """Its own faults, and an end of the program: not a traceback, and never exit status 0."""
+    (tmp_path / "own.py").write_text(
+        "import sys\ndef leaves(v, n, s): sys.exit(0)\ndef fails(v, n, s): return {}['a']\n"
+    )
+    write_record(camera_record(), tmp_path / "record.h5")
+    for name, told in (("leaves", "SystemExit: 0"), ("fails", "KeyError: 'a'")):
+        given = f"{tmp_path / 'own.py'}:{name}"
+        with pytest.raises(OwnFunctionError, match=rf"{name}: {told} \(.*own\.py, line \d\)"):
+            reconstruct(camera_record(), given)
+        ended = ugv("reconstruct", str(tmp_path / "record.h5"), "--method", given)
+        assert ended.returncode == 2
+        assert ended.stderr.startswith(f"ugv: error: {name}: {told}")
+
+
+@pytest.mark.parametrize("given", [5, None, [], np.mean])
+def test_what_is_no_method_is_an_error(given) -> None:
+    with pytest.raises(InputError, match=r"method: .* expected a name|mean: TypeError"):
+        reconstruct(camera_record(), given)

@@ -13,7 +13,6 @@ from scipy import constants, stats
 
 from hardware import reconstruct
 from twin.budget import link_of
-from twin.budget.design import wall_rows
 from twin.budget.link import maximum_distance_m, minimum_time_s, noise_e
 from twin.camera import capture
 from twin.detector import FrontEnd, expose, noise_budget
@@ -208,13 +207,12 @@ def test_what_physics_forbids_is_refused(system, text: str, expected: str) -> No
 
 
 def test_a_lens_is_focused_beyond_its_focal_length(system) -> None:
-    """An object nearer than that has no image: in budget and capture alike."""
+    """An object nearer than that has no image: refused where it is set, in files and objects."""
     focal_m = collection(system("")).focal_length_m
     assert collection(system(f"[optics]\nfocus_m = {1.01 * focal_m}\n")).focal_length_m == focal_m
-    near = system(f"[optics]\nfocus_m = {0.99 * focal_m}\n")
     for use in (
-        lambda: wall_rows(near, [10.0], [0.8]),
-        lambda: capture(load_scene("table1"), near, fidelity=Fidelity(1, 1)),
+        lambda: system(f"[optics]\nfocus_m = {0.99 * focal_m}\n"),
+        lambda: system("").with_({"optics.focus_m": 0.99 * focal_m}),
     ):
         with pytest.raises(InputError, match=r"optics\.focus_m = .* more than the focal length"):
             use()

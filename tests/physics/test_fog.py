@@ -22,11 +22,12 @@ from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import trace_paths
 from twin.optics.transport import sunlight, transport
-from twin.optics.weather import BACKWARD_ASYMMETRY, Air, air_of_system
+from twin.optics.weather import Air, air_of_system
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.scene.mitsuba import mitsuba_scene
 from twin.scene.texture import Texture
 from twin.system import System, load_system
+from twin.system.environment import BACKWARD_ASYMMETRY
 
 TAN = math.tan(math.radians(10))
 BASELINE_M = 0.05

@@ -211,3 +211,52 @@ def test_a_budget_that_can_be_none_is_refused(told_e: float) -> None:
     assert capture(scene, system, fidelity=QUICK, detector=faint()).noise.noise_e.keys() == {
         "my noise"
     }
+
+
+@dataclass(frozen=True)
+class Altered(Spad):
+    """A counter whose exposures are changed on their way out."""
+
+    change: object = None
+
+    def expose(self, power_w, *, rng, noise="full"):
+        counts = np.random.default_rng(0).integers(1, 100, power_w.shape)
+        return self.change(counts, np.zeros(len(power_w), int))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda counts, flags: None, "returned a NoneType, expected counts and flags"),
+        (lambda counts, flags: (counts, flags, flags), "returned a tuple, expected counts"),
+        (lambda counts, flags: (counts, flags + 256), "flags 256 to 256, expected bits"),
+        (lambda counts, flags: (counts, flags + 128), "flags 128 to 128, expected bits"),
+        (lambda counts, flags: (np.ma.masked_less(counts, 50), flags), "returned masked values"),
+    ],
+)
+def test_a_wrong_exposure_is_an_error(change, told: str) -> None:
+    with pytest.raises(InputError, match=rf"Altered\.expose: {told}"):
+        capture(
+            load_scene("table1"),
+            load_system("workable"),
+            fidelity=QUICK,
+            detector=Altered(change=change),
+        )
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("adc_bits", "8"), ("adc_bits", 3.5), ("adc_bits", 40), ("electrons_per_count", 0.0)],
+)
+def test_a_constant_that_no_detector_has_is_an_error(field: str, value: object) -> None:
+    wrong = replace(Spad(), **{field: value})
+    with pytest.raises(InputError, match=rf"Spad\.{field} = .*: expected a (whole )?number from"):
+        capture(load_scene("table1"), load_system("workable"), fidelity=QUICK, detector=wrong)
+
+
+def test_a_void_record_has_no_signal_over_noise() -> None:
+    """Whose exposures are all marked lost: the verdict says void, and SNR is 0 in every cell."""
+    lost = Altered(change=lambda counts, flags: (counts, flags + int(Flag.LOST)))
+    own = capture(load_scene("table1"), load_system("workable"), fidelity=QUICK, detector=lost)
+    assert own.void
+    assert not own.snr.any()

@@ -2,6 +2,8 @@
 integrals and Sionna RT.
 """
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -292,3 +294,24 @@ def test_the_same_again_has_the_same_bits() -> None:
     one, other = (trace(scene, RADAR, fidelity=OPTICS).echoes for _ in range(2))
     assert np.array_equal(one.amplitude, other.amplitude)
     assert np.array_equal(one.delay_s, other.delay_s)
+
+
+def test_materials_of_the_itu_are_read_without_the_engine() -> None:
+    """P.2040's rows at their limits and between, bit for bit as Sionna has them, while Sionna RT
+    itself is not imported for them.
+    """
+    code = (
+        "import sys\n"
+        "from twin.radar.propagation.scene.materials import _itu, _p2040\n"
+        "hz = {n: [1e9 * f for low, high in r for f in (low, (low + high) / 2, high)]"
+        " for n, r in _p2040().items()}\n"
+        "rows = {(n, f): _itu(n, f) for n in hz for f in hz[n]}\n"
+        "assert 'sionna' not in sys.modules and 'sionna.rt' not in sys.modules\n"
+        "from twin.engine import sionna\n"
+        "sionna()\n"
+        "from sionna.rt.radio_materials.itu import itu_material\n"
+        "assert len(rows) > 40\n"
+        "wrong = {k: v for k, v in rows.items() if v and v != itu_material(*k)}\n"
+        "assert not wrong, wrong\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -34,6 +34,7 @@ from twin.optics.weather import (
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, Weather, load_part, load_system, part_names
+from twin.system.environment import backward_phase, most_backward_share
 
 TAN = math.tan(math.radians(10))
 AHEAD = np.eye(3)
@@ -160,11 +161,29 @@ def test_a_system_has_the_air_of_its_part(tmp_path: Path) -> None:
 def test_an_impossible_lidar_ratio_says_what_is_possible() -> None:
     fog = load_part("fog-200m").weather
     for wrong in (0.1, 1e5):
-        bad = fog.model_copy(
-            update={"lidar_ratio_sr": type(fog.lidar_ratio_sr)(value=wrong, source="test")}
-        )
+        ratio = type(fog.lidar_ratio_sr)(value=wrong, source="test")
         with pytest.raises(InputError, match=r"lidar_ratio_sr = .*expected .* to "):
-            air_of(bad, 1550e-9)
+            fog.model_copy(update={"lidar_ratio_sr": ratio})
+    for asymmetry in (-0.85, -0.8, 0.999):
+        with pytest.raises(InputError, match=r"weather: lidar_ratio_sr = 18.8: expected"):
+            load_system("workable").with_(
+                {"weather.part": "fog-200m", "weather.asymmetry": asymmetry}
+            )
+
+
+@pytest.mark.parametrize("asymmetry", [-0.9, -0.5, 0.0, 0.85, 0.99])
+def test_every_lidar_ratio_that_is_taken_has_a_phase_function(asymmetry: float) -> None:
+    """Both ends of what the error says, and between: the air scatters back what the ratio says."""
+    fog = load_part("fog-200m").weather
+    low, high = (
+        1 / backward_phase(asymmetry, share) / fog.single_scattering_albedo.value
+        for share in (most_backward_share(asymmetry), 0.0)
+    )
+    low, high = min(low, high), max(low, high)
+    for ratio in (1.01 * low, (low * high) ** 0.5, high * (1 - 1e-9)):
+        given = {"asymmetry": asymmetry, "lidar_ratio_sr": ratio}
+        air = air_of(fog.model_copy(update=given), 1550e-9)
+        assert air.extinction_per_m / air.backscatter_per_m_sr == pytest.approx(ratio, rel=1e-3)
 
 
 @pytest.mark.parametrize("values", [(1.0, 2.0, 0.0), (-1.0, 0.0, 0.0), (1.0, 1.0, 1.0)])

@@ -70,7 +70,8 @@ class Capture:
     ``backscatter_e`` the part that the air scattered back, ``scene_e`` the rest, with which
     reconstructions are compared. ``snr`` is the signal of ``scene_e`` in a reconstructed pixel
     (inverse transform of the patterns shown) over its noise and distortion, which are the lag
-    between exposures and clipping (`Distortion`); 0 where the detector is saturated.
+    between exposures and clipping (`Distortion`); 0 where the detector is saturated, and everywhere
+    in a void record.
     ``range_error``: error of time-of-flight distances due to backscatter, None where there is none.
     ``background_w`` is the sun's power on one detector, mean over the detectors.
     """
@@ -211,13 +212,21 @@ def measure(
         *warnings_of_record(record, distortion.clipping, image_noise_e, own),
         *lag_warnings(distortion.lag, image_noise_e, _lag_shares(system)),
     )
+    warnings = (
+        *record_warnings,
+        *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
+        *_warnings(system, budget, float(sky.emitter.max()), scene_e, depth_m),
+        *_diffraction(system, chain.lens),
+        *(range_error.warnings if range_error else ()),
+        *rendered.warnings,
+    )
     return Capture(
         record=record,
         truth=rendered.truth,
         cells_e=_image(cells_e, system),
         cells_error_e=_image(to_e * power.error_w, system),
         backscatter_e=_image(backscatter_e, system),
-        snr=_image(snr, system),
+        snr=_image(np.zeros_like(snr) if is_void(warnings) else snr, system),
         noise=budget,
         lens=chain.lens,
         signal_w=signal_w.reshape(-1, signal_w.shape[-1]),
@@ -226,14 +235,7 @@ def measure(
         in_band_fraction=float(sky.emitter[0]),
         illuminance_lx=sky.illuminance_lx,
         assumptions=(*_assumptions(scene, system), *_own(own)),
-        warnings=(
-            *record_warnings,
-            *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
-            *_warnings(system, budget, float(sky.emitter.max()), scene_e, depth_m),
-            *_diffraction(system, chain.lens),
-            *(range_error.warnings if range_error else ()),
-            *rendered.warnings,
-        ),
+        warnings=warnings,
         range_error=range_error,
     )
 

@@ -44,23 +44,10 @@ class Collection:
 
 
 def collection(system: System) -> Collection:
-    """Lens, field stop and filter of a system, as one collector.
-
-    Raises InputError for a lens focused no farther than its focal length, where it has no image.
-    """
-    detector, optics = system.detector, system.optics
-    square = optics.field_stop.value == "matched" or detector.shape.value == "square"
-    outline: Outline = "square" if square else "disc"
+    """Lens, field stop and filter of a system, as one collector."""
+    optics, focal_length = system.optics, system.focal_length_m
+    outline: Outline = "square" if system.has_square_field else "disc"
     tangent = math.tan(math.radians(optics.field_of_view_deg.value) / 2)
-    field_area = (4 if square else math.pi) * tangent**2
-    # A line sensor sees the field with all its pixels together.
-    area = detector.area_m2 * (detector.pixels.value if detector.pixels else 1)
-    focal_length = math.sqrt(area / field_area)
-    if optics.focus_m is not None and optics.focus_m.value <= focal_length:
-        raise InputError(
-            f"system {system.name!r}: optics.focus_m = {optics.focus_m.value:g}: expected more "
-            f"than the focal length of its lens, {focal_length:.3g} m"
-        )
     n = optics.f_number.value
     return Collection(
         outline=outline,

@@ -14,7 +14,8 @@ from twin.errors import InputError
 from twin.optics.devices import Device
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import cell_centres
-from twin.optics.weather import BACKWARD_ASYMMETRY, Air
+from twin.optics.weather import Air
+from twin.system.environment import BACKWARD_ASYMMETRY
 
 _FILM = 64  # pixels along the detector's field
 _FINE = 4  # texels along a cell: cos^3 in steps that cost below 0.1 %

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from twin.engine import mitsuba
-from twin.optics.weather import BACKWARD_ASYMMETRY, Air
+from twin.optics.weather import Air
+from twin.system.environment import BACKWARD_ASYMMETRY
 
 
 class Medium:

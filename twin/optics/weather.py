@@ -15,12 +15,10 @@ from scipy.optimize import brentq
 from twin.files import InputError
 from twin.own_parts import made_by
 from twin.system import System, Weather
+from twin.system.environment import BACKWARD_ASYMMETRY, backward_phase, most_backward_share
 
 Array = NDArray[np.float64]
 
-#: Mean cosine of the lobe towards the light that stands for glory and internal reflection;
-#: assumed, with a half width of some 10 deg. Its weight comes from the lidar ratio.
-BACKWARD_ASYMMETRY = -0.8
 #: Mulholland and Croarkin, Fire and Materials 24 (2000) 227: 8.7 m^2/g at 633 nm, flaming fires.
 _SMOKE_M2_PER_KG = (8.7e3, 633e-9)
 _PER_M_FROM_DB_PER_KM = math.log(10) / 10 / 1e3
@@ -136,10 +134,7 @@ def _own_air(own: OwnWeather, wavelength_m: float) -> Air:
 
 
 def air_of(weather: Weather, wavelength_m: float) -> Air:
-    """Air of a weather at a wavelength; with a ``function``, what that says.
-
-    Raises InputError where lidar ratio, albedo and asymmetry contradict each other.
-    """
+    """Air of a weather at a wavelength; with a ``function``, what that says."""
     if (own := own_weather(weather)) is not None:
         return _own_air(own, wavelength_m)
     extinction = extinction_per_m(weather, wavelength_m)
@@ -147,7 +142,7 @@ def air_of(weather: Weather, wavelength_m: float) -> Air:
     ratio = weather.lidar_ratio_sr
     share = 0.0
     if ratio is not None and albedo > 0:
-        share = _backward_share(1 / (ratio.value * albedo), asymmetry, ratio.value)
+        share = _backward_share(1 / (ratio.value * albedo), asymmetry)
     return Air(extinction, albedo * extinction, asymmetry, share)
 
 
@@ -226,20 +221,15 @@ def henyey_greenstein(asymmetry: float, cosine: Any) -> Array:
     return (1 - g * g) / (4 * math.pi * base**1.5)
 
 
-def _backward_share(backscatter: float, asymmetry: float, ratio: float) -> float:
-    """Share of the backward lobe for this value of the phase function at 180 degrees, 1/sr."""
+def _backward_share(backscatter: float, asymmetry: float) -> float:
+    """Share of the backward lobe for this value of the phase function at 180 degrees, 1/sr, which
+    `Weather` has checked; where rounding leaves none, the nearest.
+    """
 
     def excess(share: float) -> float:
-        return float(Air(1.0, 1.0, asymmetry, share).phase(-1.0)) - backscatter
+        return backward_phase(asymmetry, share) - backscatter
 
-    # Beyond this share nothing is left to keep the mean cosine.
-    ends = ((1 + sign * asymmetry) / (1 + sign * BACKWARD_ASYMMETRY) for sign in (1, -1))
-    most = min(ends) * (1 - 1e-9)
-    if excess(0.0) > 0 or excess(most) < 0:
-        low, high = (1 / float(Air(1.0, 1.0, asymmetry, s).phase(-1.0)) for s in (most, 0.0))
-        factor = ratio * backscatter
-        raise InputError(
-            f"weather.lidar_ratio_sr = {ratio:g}: expected {low * factor:.3g} to "
-            f"{high * factor:.3g} with this asymmetry and single_scattering_albedo"
-        )
-    return float(brentq(excess, 0.0, most, xtol=1e-15))
+    most = most_backward_share(asymmetry)
+    if excess(0.0) >= 0:
+        return 0.0
+    return most if excess(most) <= 0 else float(brentq(excess, 0.0, most, xtol=1e-15))

@@ -12,6 +12,10 @@ from twin.toml import Finite, NonNegative, Positive, Sourced, Strict
 #: Above the atmosphere the sun gives some 1.3e5 lx.
 _Illuminance = Annotated[NonNegative, Field(le=1e7)]
 
+#: Mean cosine of the lobe towards the light that stands for glory and internal reflection;
+#: assumed, with a half width of some 10 deg. Its weight comes from the lidar ratio.
+BACKWARD_ASYMMETRY = -0.8
+
 _VAPOUR_J_PER_KG_K = 461.5
 #: Clouds are supersaturated by less than 1 per cent; the rest is for rounded figures.
 _SUPERSATURATED = 1.05
@@ -85,6 +89,21 @@ class Weather(Strict):
         return self
 
     @model_validator(mode="after")
+    def _scatters_back_what_it_may(self) -> "Weather":
+        albedo, ratio = self.single_scattering_albedo.value, self.lidar_ratio_sr
+        if ratio is None or albedo == 0:
+            return self
+        g = self.asymmetry.value
+        ends = (backward_phase(g, most_backward_share(g)), backward_phase(g))
+        low, high = (1 / end / albedo if end else math.inf for end in ends)
+        if not low <= ratio.value <= high:
+            raise InputError(
+                f"lidar_ratio_sr = {ratio.value:g}: expected {low:.3g} to {high:.3g} with this "
+                "asymmetry and single_scattering_albedo"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _holds_its_vapour(self) -> "Weather":
         if self.temperature_k is None or self.water_vapour_kg_per_m3 is None:
             return self
@@ -98,6 +117,21 @@ class Weather(Strict):
                 f"{most:.2g}"
             )
         return self
+
+
+def most_backward_share(asymmetry: float) -> float:
+    """Largest share of the backward lobe: beyond it nothing is left to keep the mean cosine."""
+    ends = ((1 + sign * asymmetry) / (1 + sign * BACKWARD_ASYMMETRY) for sign in (1, -1))
+    return min(*ends, 1.0) * (1 - 1e-6)
+
+
+def backward_phase(asymmetry: float, share: float = 0.0) -> float:
+    """Phase function at 180 degrees, 1/sr, of two lobes of Henyey and Greenstein (1941), of which
+    the one towards the light has this share, at the mean cosine of both together.
+    """
+    forward = (asymmetry - share * BACKWARD_ASYMMETRY) / (1 - share)
+    lobes = ((1 - share, forward), (share, BACKWARD_ASYMMETRY))
+    return sum(part * (1 - g) / (4 * math.pi * (1 + g) ** 2) for part, g in lobes)
 
 
 def saturated_kg_per_m3(temperature_k: float) -> float:

@@ -1,5 +1,6 @@
 """One complete optical system: its sections, and what must fit between them."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -110,6 +111,16 @@ class System(Entry):
         )
 
     @model_validator(mode="after")
+    def _lens_has_an_image(self) -> "System":
+        focus = self.optics.focus_m
+        if focus is not None and focus.value <= self.focal_length_m:
+            raise InputError(
+                f"optics.focus_m = {focus.value:g}: expected more than the focal length of the "
+                f"lens, {self.focal_length_m:.3g} m"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _line_sensor_fits(self) -> "System":
         if self.detector.pixels is None or self.detector.pixels.value == 1:
             columns = self.acquisition.columns
@@ -147,6 +158,19 @@ class System(Entry):
     def image_shape(self) -> tuple[int, int]:
         """Rows and columns of the virtual image, detectors side by side."""
         return self.emitter.rows.value, self.emitter.columns.value * self.n_detectors
+
+    @property
+    def focal_length_m(self) -> float:
+        """Of the lens that spreads the detector, a line sensor's whole, over the field."""
+        tangent = math.tan(math.radians(self.optics.field_of_view_deg.value) / 2)
+        field_area = (4 if self.has_square_field else math.pi) * tangent**2
+        pixels = self.detector.pixels.value if self.detector.pixels else 1
+        return math.sqrt(self.detector.area_m2 * pixels / field_area)
+
+    @property
+    def has_square_field(self) -> bool:
+        """Whether what the detector sees is a square, not a disc."""
+        return self.optics.field_stop.value == "matched" or self.detector.shape.value == "square"
 
     @property
     def pixels_per_detector(self) -> int:

@@ -89,7 +89,7 @@ class Waveform(Strict):
             return self.symbols.value
         own = own_part("waveform.function", self.function.value, "waveform")
         try:
-            return own_symbols(own.function(self))
+            return own_symbols(own(self))
         except InputError as error:
             raise InputError(f"waveform.function: {own.name}: {error}") from error
 

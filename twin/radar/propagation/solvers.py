@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -118,7 +118,8 @@ def solver_of(fidelity: Fidelity) -> Solver:
     own = own_solver(fidelity.radar)
     if own is None:
         return SOLVERS[str(fidelity.radar)]
-    return Solver(own.function, own.name)
+    model: Any = own
+    return Solver(model, own.name)
 
 
 def trace(

@@ -1,16 +1,19 @@
 """Materials at the carrier: ITU-R P.2040 where its row is valid, cited values elsewhere."""
 
+import ast
 from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 from scipy.constants import epsilon_0
 
-from twin.engine import sionna
 from twin.files import InputError
 from twin.radar.scattering.surface import PEC, Layer, LayeredSurface
 from twin.scene import Scene, SceneObject
 from twin.scene.materials import Material
 
+_ITU_TABLE = "ITU_MATERIALS_PROPERTIES"
 _CONDUCTOR = 1e5  # S/m: from here on a metal reflects all
 
 
@@ -57,19 +60,33 @@ def surface_of(
     return LayeredSurface((Layer(epsilon, item.thickness_m),), backing=1), assumed
 
 
-@lru_cache(maxsize=256)
 def _itu(name: str, carrier_hz: float) -> tuple[float, float] | None:
-    """Relative permittivity and conductivity of an ITU row; None where it does not hold.
-
-    Asked once: Sionna sets the engine's other variant. Raises KeyError with the rows that exist.
+    """Relative permittivity and conductivity of a row of ITU-R P.2040, equations (28) and (29);
+    None where it does not hold. Raises KeyError with the rows that exist.
     """
-    sionna()
-    from sionna.rt.radio_materials.itu import ITU_MATERIALS_PROPERTIES, itu_material
+    rows, ghz = _p2040(), carrier_hz / 1e9
+    if name not in rows:
+        raise KeyError(", ".join(rows))
+    for (low, high), (a, b, c, d) in rows[name].items():
+        if low <= ghz <= high:
+            return float(a * ghz**b), float(c * ghz**d)
+    return None
 
-    ranges = ITU_MATERIALS_PROPERTIES.get(name)
-    if ranges is None:
-        raise KeyError(", ".join(ITU_MATERIALS_PROPERTIES))
-    if not any(low <= carrier_hz / 1e9 <= high for low, high in ranges):
-        return None
-    permittivity, conductivity = itu_material(name, carrier_hz)
-    return float(permittivity), float(conductivity)
+
+@lru_cache(maxsize=1)
+def _p2040() -> dict[str, dict[tuple[float, float], tuple[float, float, float, float]]]:
+    """Sionna's table 3 of ITU-R P.2040, read from its source: Sionna RT takes most of a second to
+    import, and sets the engine's other variant.
+    """
+    engine = find_spec("sionna")
+    assert engine is not None
+    assert engine.origin is not None
+    source = (Path(engine.origin).parent / "rt" / "radio_materials" / "itu.py").read_text()
+    table = next(
+        statement.value
+        for statement in ast.parse(source).body
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == _ITU_TABLE
+    )
+    rows: dict[str, dict[tuple[float, float], tuple[float, float, float, float]]]
+    rows = ast.literal_eval(table)
+    return rows
