@@ -63,7 +63,7 @@ def open_source(
     Raises SourceError for a URL of no known kind, a camera without settings, a radio without a
     setup, a package that is not installed; what a driver or an installed package raises.
     """
-    scheme, _, rest = url.partition(":")
+    scheme, colon, rest = url.partition(":")
     if scheme == "replay":
         path, _, query = rest.partition("?")
         if query not in ("", "pace=fast", "pace=real"):
@@ -74,9 +74,9 @@ def open_source(
         if setup is None:
             raise SourceError(f"{url}: a radio needs a setup")
         return _radio(url, *setup, over or threading.Event())
-    if rest and (installed := _installed(scheme)):
+    if colon and (installed := _installed(scheme)):
         return installed(url, settings, over=over)
-    if rest and not scheme.startswith("/") and not rest.startswith("//"):
+    if colon and not scheme.startswith("/") and not rest.startswith("//"):
         raise SourceError(f"{url}: no installed package offers {scheme}:")
     if settings is None:
         raise SourceError(f"{url}: a camera needs settings")

@@ -113,7 +113,12 @@ class Strict(BaseModel):
         try:
             return type(self).model_validate(content)
         except ValidationError as error:
-            raise InputError(f"{type(self).__name__.lower()}: {describe(error)}") from error
+            raise InputError(f"{_label(self)}: {describe(error)}") from error
+
+
+def _label(entry: BaseModel) -> str:
+    """What it is called in messages: a system, a radar, a waveform; a value with its source."""
+    return type(entry).__name__.partition("[")[0].removesuffix("Design").lower()
 
 
 def plain(value: Any) -> Any:
@@ -251,6 +256,7 @@ class Entry(Strict):
         Without ``name``, the name says that something was changed. A field drops its alternatives,
         as in a file. Raises InputError naming field, value and what was expected.
         """
+        check_changes(changes)
         content = _fields_set(self) | {"name": changed_name(self.name)}
         given: dict[str, dict[str, Any]] = {}
         for name, value in changes.items():
@@ -287,12 +293,18 @@ class Entry(Strict):
         known = [f"{s}.{f}" for s, kind in sections.items() for f in (*kind.model_fields, "part")]
         name = f"{section}.{field}" if field else section
         if name not in known and name not in type(self).model_fields:
-            raise InputError(f"{type(self).__name__.lower()}: {name}: {no_such_field(name, known)}")
+            raise InputError(f"{_label(self)}: {name}: {no_such_field(name, known)}")
 
 
 M = TypeVar("M", bound=Entry)
 
 _CHANGED = " (changed)"
+
+
+def check_changes(changes: Any) -> None:
+    """Raise InputError for what is no mapping from dotted names."""
+    if not isinstance(changes, Mapping) or not all(isinstance(name, str) for name in changes):
+        raise InputError(f"changes = {changes!r:.60}: expected values by their dotted names")
 
 
 def changed_name(name: str) -> str:

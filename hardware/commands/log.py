@@ -67,7 +67,8 @@ def capture(
         list[str],
         typer.Argument(
             help="/dev/ttyACM0, socket:// or zmq://HOST:PORT, uhd:ARGS, replay:FILE, or "
-            "twin:SCENE where the simulator is installed."
+            "twin:SCENE?system=NAME&radar=NAME&seed=N&pace=fast (NAME: also a file, or none) "
+            "where the simulator is installed."
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="New log (MCAP).")],
@@ -79,7 +80,7 @@ def capture(
     duration: Annotated[
         float, typer.Option(help="Seconds; default: until Ctrl-C.", parser=quantity_of("s"))
     ] = math.inf,
-    records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
+    records: Annotated[int, typer.Option(min=0, help="So many records; 0: no limit.")] = 0,
 ) -> None:
     """Record the data of sensors. Exit status 1: everything received was recorded, but a log among
     the sources is damaged.
@@ -128,7 +129,7 @@ def process(
     radar_setup: _RadarSetup = None,
     calibration: _Calibrations = [],  # noqa: B006 (typer copies it)
     max_age: _MaxAge = 30.0,
-    records: Annotated[int, typer.Option(help="So many records; 0: no limit.")] = 0,
+    records: Annotated[int, typer.Option(min=0, help="So many records; 0: no limit.")] = 0,
     false_alarm: FalseAlarm = None,
     cfar: CfarMethod = None,
     clutter_shape: ClutterShape = None,
@@ -137,7 +138,10 @@ def process(
     moving_only: MovingOnly = False,
     tracks: Annotated[bool, typer.Option(help="Follow detections from burst to burst.")] = False,
     image_every: Annotated[
-        int, typer.Option(help="An image after so many patterns, from a sliding window; 0: a set.")
+        int,
+        typer.Option(
+            min=0, help="An image after so many patterns, from a sliding window; 0: a set."
+        ),
     ] = 0,
     detection: DetectionOption = None,
 ) -> None:

@@ -190,18 +190,8 @@ class PatternSet(Patterns):
         return self.indices, -plus if self.mode == "s-matrix" else plus
 
     def signal(self, cells: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Sum of the lit cells for every exposure, without forming a matrix.
-
-        Parameters
-        ----------
-        cells : (n_cells, ...) array
-            What each cell contributes when lit; any unit.
-
-        Returns
-        -------
-        (n_exposures, ...) array of the same unit. With H t from one fast transform, pattern and
-        complement are (sum(t) +/- H t) / 2. Complementary: (n_exposures, 2 n_detectors), the arms
-        that see the complements last.
+        """See `Patterns.signal`; no matrix is formed: with H t from one fast transform, pattern and
+        complement are (sum(t) +/- H t) / 2.
         """
         t = np.asarray(cells, dtype=np.float64)
         if t.shape[0] != self.n_cells:

@@ -301,3 +301,16 @@ def test_an_old_calibration_is_refused(tmp_path: Path) -> None:
     (tmp_path / "none.h5").write_bytes(b"none")
     with pytest.raises(ValueError, match=r"none\.h5"):
         read_calibration(tmp_path / "none.h5")
+
+
+def test_a_negative_number_of_records_or_patterns_is_an_error(tmp_path: Path) -> None:
+    """Records -1 never ended."""
+    out = str(tmp_path / "run.mcap")
+    for given in (
+        ("capture", "replay:none.mcap", "-o", out, "--records", "-1"),
+        ("process", "none.mcap", "-o", out, "--records", "-1"),
+        ("process", "none.mcap", "-o", out, "--image-every", "-1"),
+    ):
+        ended = ugv(*given)
+        assert ended.returncode == 2
+        assert "-1 is not in the range x>=0" in ended.stderr

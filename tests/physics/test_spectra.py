@@ -188,3 +188,22 @@ def test_plots_of_parts(tmp_path: Path) -> None:
         assert (tmp_path / f"{name}.png").stat().st_size > 5_000
     with pytest.raises(InputError, match="no spectral curve"):
         plot_part(load_part("tia-100m"))
+
+
+def test_a_band_outside_the_solar_table_is_an_error(tmp_path) -> None:
+    """Of a curve, where it passes more than a hundredth of its peak; and of a flat band that the
+    angle moves out.
+    """
+    sky, band = Sky(illuminance_lx=1e4), load_part("fb1550-30").filter
+    curve = tmp_path / "curve.csv"
+    curve.write_text("wavelength nm,transmission\n4100,0\n4200,0.9\n4300,0\n")
+    far = band.model_copy(update={"transmission_csv": str(curve)})
+    with pytest.raises(InputError, match=r"filter\.transmission_csv: its band.* ASTM G-173"):
+        sun_in_band(sky, far)
+    curve.write_text("wavelength nm,transmission\n200,0.001\n1500,0.001\n1550,0.9\n5000,0.001\n")
+    assert sun_in_band(sky, far).irradiance_w_per_m2 > 0
+    low = {"center_wavelength_m": 300e-9, "width_m": 30e-9, "effective_index": 1.5}
+    edge = band.model_copy(update=low)
+    assert sun_in_band(sky, edge).irradiance_w_per_m2 > 0
+    with pytest.raises(InputError, match="filter: its band, at some angles 27"):
+        sun_in_band(sky, edge, 20.0)

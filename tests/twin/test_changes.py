@@ -10,7 +10,7 @@ import pytest
 
 from twin.files import InputError
 from twin.radar import load_radar
-from twin.scene import Pose, SceneObject, Sun, load_scene
+from twin.scene import Pose, SceneObject, Sun, load_scene, parse_pose, parse_track
 from twin.system import Part, load_part, load_system
 
 WORKABLE = load_system("workable")
@@ -226,3 +226,39 @@ def test_scenes_of_one_content_are_equal() -> None:
     assert len(set(made)) == 4
     assert scene.with_(changes[0]) == load_scene("yard").with_(changes[0])
     assert scene != "yard"
+
+
+@pytest.mark.parametrize("changes", [None, [], 5, {5: 1}])
+def test_what_is_no_mapping_from_names_is_an_error(changes) -> None:
+    for entry in (WORKABLE, load_radar("hybrid-79"), load_scene("table1")):
+        with pytest.raises(InputError, match="expected values by their dotted names"):
+            entry.with_(changes)
+
+
+def test_messages_name_what_is_wrong_in_words_of_files(tmp_path) -> None:
+    """The field of a curve's file; a part by its name; a radar, not a class of the code."""
+    with pytest.raises(InputError, match=r"filter\.transmission_csv: .*nope\.csv: can't be read"):
+        WORKABLE.with_({"filter.transmission_csv": str(tmp_path / "nope.csv")})
+    with pytest.raises(InputError, match=r"^filter\.part = 'fga015': this part has no filter$"):
+        WORKABLE.with_({"filter.part": load_part("fga015")})
+    with pytest.raises(InputError, match=r"^radar: waveform\.n_slots"):
+        load_radar("hybrid-79").with_({"waveform.n_slots": 0})
+    with pytest.raises(InputError, match=r"^sourced: value"):
+        WORKABLE.optics.f_number.model_copy(update={"value": "x"})
+    with pytest.raises(InputError, match=r"scene\.rig\.x_m = array\(\[1\.\]\): expected a number"):
+        load_scene("table1").with_({"rig.x_m": np.array([1.0])})
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "told"),
+    [
+        (parse_pose, "1,2 m,3k", "z = '3k': .* 'k' is no known unit"),
+        (parse_pose, "1,2,3,4 m", "yaw = '4 m': .* another dimension"),
+        (parse_track, "1,2 lx,3,4", "dy = '2 lx': .* another dimension"),
+        (parse_track, "1,2,3,4,5 m", "interval = '5 m': .* another dimension"),
+        (parse_pose, "1,2", "expected x,y,z"),
+    ],
+)
+def test_a_pose_or_a_track_says_which_part_is_wrong(parse, text: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        parse(text)

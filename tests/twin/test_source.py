@@ -12,6 +12,7 @@ from virtual_camera import SETTINGS
 import twin
 from hardware import PatternSet
 from hardware.drivers import SpiSettings
+from hardware.sources import SourceError, open_source
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import load_radar, radar_capture
@@ -113,3 +114,10 @@ def test_both_sensors_in_the_order_of_time(system) -> None:
 def test_what_is_wrong_in_a_url_is_told_before_anything_is_computed(query: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
         records(f"twin:yard?{query}")
+
+
+def test_a_url_without_a_scene_says_what_is_missing() -> None:
+    with pytest.raises(InputError, match="twin:: expected a scene, twin:SCENE"):
+        open_source("twin:")
+    with pytest.raises(SourceError, match="no installed package offers nope:"):
+        open_source("nope:")

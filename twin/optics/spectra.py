@@ -20,6 +20,8 @@ from twin.system.curves import read_curve, read_responsivity, read_transmission
 Array = NDArray[np.float64]
 
 _LM_PER_W = 683.0  # maximum luminous efficacy of radiation
+#: Share of a curve's peak below which it blocks.
+_PASSES = 1e-2
 _FINE = 20_001  # points of a numerical integral over a line or a band
 
 #: Declared with every result that depends on it.
@@ -175,12 +177,25 @@ def _filtered_integral(nm: Array, spectrum: Array, band: Filter, angle_deg: floa
     shift = angle_shift(band, angle_deg)
     if band.transmission_csv is None:
         center, half = band.center_wavelength_m.value * 1e9, band.width_m.value * 1e9 / 2
+        _check_table(nm, "filter", (center - half) * shift, (center + half) * shift)
         return _integral(nm, spectrum, (center - half) * shift, (center + half) * shift)
     curve_nm, values = read_transmission(Path(band.transmission_csv.value))
     curve_nm = curve_nm * shift
+    passing = curve_nm[values > _PASSES * values.max()]
+    _check_table(nm, "filter.transmission_csv", passing[0], passing[-1])
     fine = np.union1d(nm[(nm > curve_nm[0]) & (nm < curve_nm[-1])], curve_nm)
     filtered = np.interp(fine, nm, spectrum) * np.interp(fine, curve_nm, values)
     return float(np.trapezoid(filtered, fine))
+
+
+def _check_table(nm: Array, field: str, low_nm: Any, high_nm: Any) -> None:
+    """Raise InputError for a band that leaves the solar table, with or without an angle."""
+    low, high = float(np.min(low_nm)), float(np.max(high_nm))
+    if not nm[0] * (1 - 1e-9) <= low <= high <= nm[-1] * (1 + 1e-9):
+        raise InputError(
+            f"{field}: its band, at some angles {low:.4g} to {high:.4g} nm, is outside the solar "
+            f"spectrum of ASTM G-173, {nm[0]:g} to {nm[-1]:g} nm"
+        )
 
 
 def _integral(nm: Array, spectrum: Array, low: Any, high: Any) -> Any:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from hardware.units import quantity, unit_of
 from twin.files import InputError
 from twin.scene.model import FARTHEST_M, FARTHEST_ORIGIN_M
-from twin.toml import changed_name, no_such_field
+from twin.toml import changed_name, check_changes, no_such_field
 
 if TYPE_CHECKING:
     from twin.scene.model import Pose, Scene, SceneObject, Target
@@ -47,6 +48,7 @@ def check_scene_name(name: str) -> None:
 
 def changed(scene: "Scene", changes: Mapping[str, Any]) -> "Scene":
     """See `Scene.with_`."""
+    check_changes(changes)
     if not changes:
         return scene
     for name, value in changes.items():
@@ -148,8 +150,11 @@ def _shifted(scene: "Scene", name: str, axis: int, by_m: float) -> "Scene":
 
 
 def _moved(pose: "Pose", what: str, value: Any) -> "Pose":
+    if not isinstance(value, Real):
+        raise InputError(f"scene.rig.{what} = {value!r:.60}: expected a number")
     if what in _ANGLES:
-        return replace(pose, **{what: value})
+        angle: dict[str, Any] = {what: float(value)}
+        return replace(pose, **angle)
     place = list(pose.position_m)
-    place["xyz".index(what[0])] = value
+    place["xyz".index(what[0])] = float(value)
     return replace(pose, position_m=(place[0], place[1], place[2]))

@@ -147,6 +147,10 @@ class Pose:
         return Pose((px, py, pz), float(yaw), float(pitch), float(roll))
 
 
+_POSE = {"x": "m", "y": "m", "z": "m", "yaw": "deg", "pitch": "deg", "roll": "deg"}
+_TRACK = {"dx": "m", "dy": "m", "dz": "m", "interval": "s"}
+
+
 def parse_pose(text: str) -> Pose:
     """Pose from ``x,y,z[,yaw_deg[,pitch_deg[,roll_deg]]]``; each may say its unit.
 
@@ -154,15 +158,28 @@ def parse_pose(text: str) -> Pose:
     (1.0, 0.0, 1.2)
     """
     try:
-        words, units = _words(text), ("m", "m", "m", "deg", "deg", "deg")
-        numbers = [quantity(w, unit, bare=True) for w, unit in zip(words, units, strict=False)]
+        words = _words(text)
         if not 3 <= len(words) <= 6:
             raise ValueError
-    except ValueError:
+        numbers = _quantities(words, _POSE)
+    except ValueError as error:
+        part = f"{error}; " if isinstance(error, InputError) else ""
         raise InputError(
-            f"pose: {text!r}: expected x,y,z[,yaw_deg[,pitch_deg[,roll_deg]]] in metres and degrees"
+            f"pose: {text!r}: {part}expected x,y,z[,yaw_deg[,pitch_deg[,roll_deg]]] in metres and "
+            "degrees"
         ) from None
     return Pose((numbers[0], numbers[1], numbers[2]), *numbers[3:])
+
+
+def _quantities(words: Sequence[str], units: Mapping[str, str]) -> list[float]:
+    """Numbers in their units. Raises InputError for the first part that is none."""
+    numbers = []
+    for word, (name, unit) in zip(words, units.items(), strict=False):
+        try:
+            numbers.append(quantity(word, unit, bare=True))
+        except InputError as error:
+            raise InputError(f"{name} = {word!r}: {error}") from None
+    return numbers
 
 
 def _words(text: str) -> list[str]:
@@ -215,17 +232,17 @@ class Track:
 def parse_track(text: str) -> Track:
     """Track from ``dx,dy,dz,count[,interval_s]``; lengths and the time may say their unit."""
     try:
-        words, units = _words(text), ("m", "m", "m", "s")
-        quantities = (*words[:3], *words[4:])
-        numbers = [quantity(w, unit, bare=True) for w, unit in zip(quantities, units, strict=False)]
+        words = _words(text)
         count = int(words[3])
         if len(words) > 5 or count < 1:
             raise ValueError
+        numbers = _quantities((*words[:3], *words[4:]), _TRACK)
         if len(numbers) == 4 and numbers[3] <= 0:
             raise ValueError
-    except (ValueError, IndexError):
+    except (ValueError, IndexError) as error:
+        part = f"{error}; " if isinstance(error, InputError) else ""
         raise InputError(
-            f"track: {text!r}: expected dx,dy,dz,count[,interval_s] in metres and seconds"
+            f"track: {text!r}: {part}expected dx,dy,dz,count[,interval_s] in metres and seconds"
         ) from None
     return Track((numbers[0], numbers[1], numbers[2]), count, *numbers[3:])
 

@@ -106,6 +106,8 @@ def _parsed(url: str) -> tuple[str, dict[str, str]]:
         raise InputError(f"{url}: {query!r}, expected OPTION=VALUE&OPTION=VALUE") from error
     if unknown := options.keys() - _OPTIONS.keys():
         raise InputError(f"{url}: option {min(unknown)!r} is none of {', '.join(_OPTIONS)}")
+    if not scene:
+        raise InputError(f"{url}: expected a scene, twin:SCENE?OPTION=VALUE&OPTION=VALUE")
     return unquote(scene), _OPTIONS | options
 
 

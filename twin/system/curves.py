@@ -108,10 +108,19 @@ def read_responsivity(detector: Photodetector) -> tuple[Array, Array]:
 def check_curves(
     emitter: Emitter | None, band: Filter | None, detector: Photodetector | None
 ) -> None:
-    """Read every curve that parts name. Raises InputError for the first that can't be used."""
-    if emitter and emitter.spectrum_csv:
-        read_curve(Path(emitter.spectrum_csv.value))
-    if band and band.transmission_csv:
-        read_transmission(Path(band.transmission_csv.value))
-    if detector and detector.responsivity_csv:
-        read_responsivity(detector)
+    """Read every curve that parts name. Raises InputError, with the field, for the first that can't
+    be used.
+    """
+    field = ""
+    try:
+        if emitter and emitter.spectrum_csv:
+            field = "emitter.spectrum_csv"
+            read_curve(Path(emitter.spectrum_csv.value))
+        if band and band.transmission_csv:
+            field = "filter.transmission_csv"
+            read_transmission(Path(band.transmission_csv.value))
+        if detector and detector.responsivity_csv:
+            field = "detector.responsivity_csv"
+            read_responsivity(detector)
+    except InputError as error:
+        raise InputError(f"{field}: {error}") from error

@@ -89,7 +89,8 @@ class System(Entry):
     def _section_of(self, section: str, part: str | Path | Part) -> Any:
         found = getattr(load_part(part), section, None)
         if found is None:
-            raise InputError(f"{section}.part = {part!r}: this part has no {section}")
+            name = part.name if isinstance(part, Part) else part
+            raise InputError(f"{section}.part = {str(name)!r}: this part has no {section}")
         return found
 
     @property
