@@ -14,6 +14,7 @@ from twin.scene import load_scene, parse_pose, parse_track
 from twin.scene.settings import SceneSettings
 from twin.sweep import load_study
 from twin.system import Part, System, load_system
+from twin.toml import Entry
 
 _SYSTEM = """base = "workable"
 [detector]
@@ -157,12 +158,13 @@ def test_the_command_line() -> None:
     ],
 )
 def test_schemas_know_both_forms(
-    model: type, section: str, field: str, good: list[object], bad: list[object]
+    model: type[Entry], section: str, field: str, good: list[object], bad: list[object]
 ) -> None:
     """With a source or without."""
     schema = model.model_json_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
-    part = next((v for k, v in schema["$defs"].items() if k.lower() == section), None)
+    kind = model.sections().get(section)
+    part = kind and schema["$defs"].get(kind.__name__)
     if part is None:
         assert not good
         return
