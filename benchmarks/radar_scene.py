@@ -75,7 +75,7 @@ def _times(
     def kept() -> float:
         return trace(
             _driven(scene, _STEP_M * next(step)), radar, fidelity=fidelity, earlier=first
-        ).kept
+        ).reused_share
 
     kept()  # warm
     yield f"{what}: echoes, car moved, with what holds of one frame", timed(kept, runs, 0), ""

@@ -158,7 +158,7 @@ def _street() -> Iterator[Figure]:
         off_m, off_db, count = [], [], 0
         for row, (lengths, amplitudes) in enumerate(ways):
             count += len(lengths)
-            for path in (one.chosen([row]) for one in paths if one.clear[row]):
+            for path in (one.take([row]) for one in paths if one.clear[row]):
                 nearest = np.abs(lengths - path.length).argmin()
                 off_m.append(abs(lengths[nearest] - path.length[0]))
                 ratio = abs(amplitudes[nearest] / _received(path)[0])

@@ -97,6 +97,6 @@ def paths_of(
     found: Propagation, is_wanted: Callable[[RadioPath], object] = lambda path: True
 ) -> Contributions:
     """Single paths as contributions, all or some."""
-    return found.contributions.chosen(
+    return found.contributions.take(
         np.array([k for k, path in enumerate(found.paths) if is_wanted(path)], dtype=int)
     )

@@ -68,7 +68,7 @@ def rays_of(scene: Scene, **knobs) -> Contributions:
     roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
     prepared, fidelity = prepare_scene(scene, RADAR, roles, 1), EDGES.with_(**knobs)
     surfaces = scattered(prepared, RADAR, fidelity).contributions
-    return Contributions.joined([surfaces, diffracted(prepared, fidelity)[0]])
+    return Contributions.concatenate([surfaces, diffracted(prepared, fidelity)[0]])
 
 
 def lengths_m(found: Contributions) -> np.ndarray:
@@ -209,11 +209,11 @@ def test_edges_over_the_ground_are_those_of_a_mirrored_world() -> None:
     down = -1.0
     over = edges_of(world(tilted(), ground(down)))
     direct, image = ((over.source == n) & (over.receiver == n) for n in (0, 1))
-    assert total(over.chosen(direct)) == pytest.approx(total(edges_of(world(tilted()))), rel=1e-6)
+    assert total(over.take(direct)) == pytest.approx(total(edges_of(world(tilted()))), rel=1e-6)
     below = tilted()
     below = reshaped(below, below.vertices_m * [1, 1, -1] + [0, 0, 2 * down])
-    assert total(over.chosen(image)) == pytest.approx(total(edges_of(world(below))), rel=1e-3)
-    out, back = (over.chosen((over.source == n) & (over.receiver == 1 - n)) for n in (0, 1))
+    assert total(over.take(image)) == pytest.approx(total(edges_of(world(below))), rel=1e-3)
+    out, back = (over.take((over.source == n) & (over.receiver == 1 - n)) for n in (0, 1))
     assert total(out) == pytest.approx(total(back), rel=1e-9)
     assert len(out.amplitude) > 100
     np.testing.assert_array_equal(out.departure, back.arrival)
@@ -264,7 +264,7 @@ def test_fewer_pieces_than_edges_ask_for_are_said_so() -> None:
     found = trace(scene, RADAR, fidelity=EDGES.with_(radar_edges=200))
     assert any("fidelity.radar_edges" in a for a in found.assumptions)
     every = edges_of(scene)
-    fewer = rays_of(scene, radar_edges=200).chosen(
+    fewer = rays_of(scene, radar_edges=200).take(
         slice(len(rays_of(scene, radar_edges=0).amplitude), None)
     )
     assert len(fewer.amplitude) < 220 < len(every.amplitude)

@@ -55,7 +55,7 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
     assert len(prepared.images) == 3  # the radar, in the ground, in the mirror
     s, bodies = prepared.context, scatterers(prepared, RADAR.antenna, _bodies(prepared))
     facets = bistatic_facets(s, bodies, prepared.images)
-    lit = facets.taken(facets.all)
+    lit = facets.take(facets.all)
     hidden = wholly_hidden(s, bodies.parts, lit)
     is_seen = np.zeros(len(lit), dtype=bool)
     for u, v in rng.random((150, 2)).tolist():

@@ -140,7 +140,7 @@ def test_echoes_over_two_mirrors_are_those_of_a_world_mirrored_twice() -> None:
     twice = [n for n in range(len(prepared.images)) if len(prepared.via(n)) == 2]
     assert {prepared.via(n) for n in twice} == {("side", "ahead")}
     rays = scattered(prepared, RADAR, knobs).contributions
-    over = rays.chosen(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
+    over = rays.take(np.isin(rays.source, twice) & np.isin(rays.receiver, twice))
     alone = world(ball("b", there))
     free = prepare_scene(
         alone, RADAR, assign_scattering_models(alone, WAVELENGTH_M, with_optics=True), 0

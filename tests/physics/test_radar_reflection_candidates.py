@@ -44,7 +44,7 @@ def test_neighbours_of_what_sees_something_are_looked_at(is_loose: bool) -> None
     )
     s, b = prepared.context, scatterers(prepared, RADAR.antenna, _bodies(prepared))
     facets = illuminated_facets(s, b, prepared.images)
-    lit = facets.taken(facets.all)
+    lit = facets.take(facets.all)
     by_any = reflected_ray_hits(s, b, lit, 4).is_valid.any(axis=0)
     by_own = reflected_ray_hits(s, b, lit, 1).is_valid[0]
     found = np.isin(facets.all, reflection_candidates(s, b, facets, 1.0))

@@ -85,7 +85,7 @@ def frames(before: Scene, after: Scene, fidelity=OPTICS) -> tuple[Propagation, P
 def test_where_nothing_moved_all_is_kept_bit_for_bit() -> None:
     scene = load_scene("street")
     alone, kept = frames(scene, scene)
-    assert kept.kept == 1
+    assert kept.reused_share == 1
     assert np.array_equal(np.sort(alone.surfaces.amplitude), np.sort(kept.surfaces.amplitude))
     assert np.array_equal(np.sort(alone.surfaces.delay_s), np.sort(kept.surfaces.delay_s))
     told = [[b.estimated_error for b in found.bodies] for found in (alone, kept)]
@@ -102,7 +102,7 @@ def test_a_car_that_drives_on(name: str, least: float) -> None:
     for step in (1, 30):
         after = moved(scene, "car", [0.0137 * step, 0, 0])
         alone, kept = trace(after, RADAR), trace(after, RADAR, earlier=earlier)
-        assert kept.kept > least
+        assert kept.reused_share > least
         assert agree(alone, kept)
         told = {b.objects: b.estimated_error for b in alone.bodies}
         for body in kept.bodies:
@@ -117,7 +117,7 @@ def test_what_comes_between_is_seen_and_so_is_what_leaves() -> None:
     for there, here in ((beside, before), (before, beside)):
         alone, kept = frames(there, here)
         assert agree(alone, kept)
-        assert kept.kept > 0.1  # the other ball
+        assert kept.reused_share > 0.1  # the other ball
         assert (("hidden",) in echoes(kept)) == (here is beside)
 
 
@@ -145,7 +145,7 @@ def test_a_body_that_appears_in_the_ground() -> None:
     alone, kept = frames(scene, moved(scene, "ball", [0, -6, 0]))
     assert agree(alone, kept)
     assert ("ball",) in echoes(kept)
-    assert kept.kept > 0.05
+    assert kept.reused_share > 0.05
 
 
 def test_a_bounce_between_bodies_is_a_way() -> None:
@@ -194,10 +194,10 @@ def test_nothing_is_kept_where_more_than_an_object_changed(what: str) -> None:
         radar = RADAR.with_({"waveform.n_slots": 128})
     else:
         after = moved(scene, "ground", [0, 0, -0.01])
-    assert trace(scene, RADAR, earlier=earlier).kept == 1
+    assert trace(scene, RADAR, earlier=earlier).reused_share == 1
     kept = trace(after, radar, fidelity=fidelity, earlier=earlier)
     alone = trace(after, radar, fidelity=fidelity)
-    assert kept.kept == 0
+    assert kept.reused_share == 0
     assert np.array_equal(kept.surfaces.amplitude, alone.surfaces.amplitude)
 
 
@@ -214,7 +214,7 @@ def test_rates_are_those_of_now() -> None:
         replace(o, velocity_m_per_s=(2.0, 0, 0)) if o.name == "ball" else o for o in scene.objects
     ]
     alone, kept = frames(replace(scene, objects=tuple(driving)), after)
-    assert kept.kept > 0
+    assert kept.reused_share > 0
     for found in (alone, kept):
         rates = C_M_PER_S * found.surfaces.delay_rate[found.surfaces.object == 1]
         assert found.objects[1] == "ball"

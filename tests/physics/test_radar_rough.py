@@ -184,7 +184,7 @@ def test_the_far_face_of_a_wall_lies_behind_it() -> None:
     s = replace(scene(panel), materials=rough("wood"))
     found = echoes(s, 4000)
     across = np.abs(found.departure[:, 1:] / found.departure[:, :1]).max(axis=1)
-    found = found.chosen(across < 0.095)  # without the slab's narrow sides
+    found = found.take(across < 0.095)  # without the slab's narrow sides
     x = found.delay_s * speed_of_light / 2 * found.departure[:, 0]
     near = np.abs(x - 5.0) < 2e-3
     later = np.real(np.sqrt(permittivity("wood"))) * 0.0125
@@ -194,7 +194,7 @@ def test_the_far_face_of_a_wall_lies_behind_it() -> None:
     rest = ~near & ~far
     trips = np.count_nonzero(rest) / far.sum()
     assert trips == round(trips)  # each within the slab, once more to and fro
-    sums = per_scatterer(found.chosen(~near), int(far.sum()))
+    sums = per_scatterer(found.take(~near), int(far.sum()))
     ratio = np.mean(np.abs(sums) ** 2) / np.mean(np.abs(found.amplitude[near]) ** 2)
     factor = abs(slab(permittivity("wood"), 0.0125, 0.0, CARRIER_HZ)[0]) ** 4
     assert 10 * np.log10(ratio / factor) == pytest.approx(0, abs=0.2)
@@ -263,7 +263,7 @@ def test_points_answer_with_the_wavelength_of_each_step() -> None:
     radar = load_radar("prototype")
     floor = world(ground(-1.0, "asphalt"), plate("p", (6, 0, 0), 1.0))
     found = trace(floor, radar, fidelity=Fidelity(radar="rough", radar_scatterers=1000))
-    diffuse = found.echoes.chosen(found.echoes.wavelength_power == 1)
+    diffuse = found.echoes.take(found.echoes.wavelength_power == 1)
     assert len(diffuse) > 100
     alone = Propagation(diffuse)
     levels = np.abs(contributions(alone, radar, Atmosphere(None)).amplitude)[

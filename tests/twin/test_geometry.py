@@ -180,14 +180,14 @@ def test_empty() -> None:
     assert none.normals.shape == (0, 3)
     assert none.areas_m2.sum() == 0
     assert not are_too_large(none.vertices_m, none.faces).any()
-    assert Geometry.joined([]).faces.shape == (0, 3)
+    assert Geometry.concatenate([]).faces.shape == (0, 3)
     with pytest.raises(InputError, match="has no faces"):
         shapes_of([cube(), none])
     pickle.loads(pickle.dumps(none))
 
 
 def test_joined_and_transformed() -> None:
-    both = Geometry.joined([cube(), cube((5, 0, 0))])
+    both = Geometry.concatenate([cube(), cube((5, 0, 0))])
     assert both.areas_m2.sum() == pytest.approx(48)
     assert len(both.vertices_m) == 16
     mirrored = cube().transformed(np.diag([-1.0, 1, 1, 1]))

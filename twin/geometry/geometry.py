@@ -65,7 +65,7 @@ class Geometry:
         return len(self.faces)
 
     @staticmethod
-    def joined(parts: "Sequence[Geometry]") -> "Geometry":
+    def concatenate(parts: "Sequence[Geometry]") -> "Geometry":
         """Several as one; with texture coordinates where all of them have some."""
         if len(parts) == 1:
             return parts[0]

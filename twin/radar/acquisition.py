@@ -100,16 +100,18 @@ class RadarEcho:
         # Spawning leaves its mark on a seed: the second record is drawn from the same one.
         seed = np.random.SeedSequence(self.noise_seed.entropy, spawn_key=self.noise_seed.spawn_key)
         rng = np.random.default_rng(seed)
-        taken = [
+        iq_bursts = [
             digitize(there, self.radar, rng=rng, noisy=self.fidelity.noise != "none", sent=sent)
             for there in self.channels or self._channels()
         ]
-        iq, flags = (np.stack([burst[k] for burst in taken]) for k in (0, 1))
-        return _record(self.worlds, self.radar, self.interval_s, iq, flags, taken[0][2])
+        iq, flags = (np.stack([burst[k] for burst in iq_bursts]) for k in (0, 1))
+        return _record(self.worlds, self.radar, self.interval_s, iq, flags, iq_bursts[0][2])
 
     def _channels(self) -> Iterator[Complex]:
         tolerance = self.fidelity.nufft_tolerance
-        return (channel(found, self.radar, self.air, tolerance) for found in self.bursts)
+        return (
+            channel(propagation, self.radar, self.air, tolerance) for propagation in self.bursts
+        )
 
 
 def radar_echo(
@@ -224,18 +226,20 @@ def radar_capture(
     )
 
 
-def contributions(found: Propagation, radar: RadarDesign, air: Atmosphere) -> Contributions:
+def contributions(propagation: Propagation, radar: RadarDesign, air: Atmosphere) -> Contributions:
     """Echoes as the synthesis takes them, with what air, averaging over a slot and a stepped
     carrier leave of each, and the leakage.
     """
-    return Contributions.joined([_stepped(found.contributions, radar, air), _of_leakage(radar)])
+    return Contributions.concatenate(
+        [_stepped(propagation.contributions, radar, air), _of_leakage(radar)]
+    )
 
 
 def channel(
-    found: Propagation, radar: RadarDesign, air: Atmosphere, tolerance: float = 1e-6
+    propagation: Propagation, radar: RadarDesign, air: Atmosphere, tolerance: float = 1e-6
 ) -> Complex:
     """Received over sent wave of one burst, (n_steps, n_slots, n_receivers, n_subcarriers)."""
-    return burst_channel(contributions(found, radar, air), radar.burst, tolerance)
+    return burst_channel(contributions(propagation, radar, air), radar.burst, tolerance)
 
 
 def _seeds(seed: int) -> tuple[np.random.SeedSequence, np.random.SeedSequence]:

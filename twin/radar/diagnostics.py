@@ -36,7 +36,7 @@ _ALWAYS = (
 
 
 def assumptions(
-    scene: Scene, radar: RadarDesign, found: Propagation, air: Atmosphere, solver: Solver
+    scene: Scene, radar: RadarDesign, propagation: Propagation, air: Atmosphere, solver: Solver
 ) -> tuple[str, ...]:
     """Everything that a capture takes for granted, the design's assumed values included."""
     values = [
@@ -56,7 +56,7 @@ def assumptions(
         *_steps(radar),
         *_front_end(radar),
         air.describe(radar.ofdm.carrier_hz),
-        *found.assumptions,
+        *propagation.assumptions,
         *values,
         *targets,
     )
@@ -73,15 +73,15 @@ def warnings(
     """What contradicts itself; the scene is that of the first burst."""
     farthest = max((t.range_m for t in truth), default=0.0)
     fastest = max((abs(t.range_rate_m_per_s) for t in truth), default=0.0)
-    found = radar.warnings(farthest, fastest)
+    messages = radar.warnings(farthest, fastest)
     place = scene.rig.position_m + scene.rig.device("radar")[0]
     inside = [item.name for item in scene.objects if encloses(item, place)]
     if inside:
         text = f"the radar stands inside {', '.join(inside)}"
-        found.append(CaptureWarning("design", text))
+        messages.append(CaptureWarning("design", text))
     hidden = [t.name for t in truth if not t.visible]
     if hidden:
-        found.append(CaptureWarning("hidden", f"no direct path to {', '.join(hidden)}"))
+        messages.append(CaptureWarning("hidden", f"no direct path to {', '.join(hidden)}"))
     surfaces = {a.name for a in bursts[0].roles if a.role is ScatteringModel.SURFACE}
     coarse = []
     if solver.is_float32:
@@ -91,22 +91,22 @@ def warnings(
             f"triangles of {', '.join(coarse)} are so large that float32 rays may lose their echo "
             "or count it again (off by up to 300 % in what was tried): divide them"
         )
-        found.append(CaptureWarning("rendering", text))
-    found += [CaptureWarning("model", text) for text in bursts[0].warnings]
-    found += [CaptureWarning("rendering", text) for text in _unconverged(bursts)]
-    found += _coarse(scene, radar, bursts[0])
-    found += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
-    found += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
-    found += _noise(radar, farthest)
+        messages.append(CaptureWarning("rendering", text))
+    messages += [CaptureWarning("model", text) for text in bursts[0].warnings]
+    messages += [CaptureWarning("rendering", text) for text in _unconverged(bursts)]
+    messages += _coarse(scene, radar, bursts[0])
+    messages += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
+    messages += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
+    messages += _noise(radar, farthest)
     if not any(len(burst.contributions) for burst in bursts):
         what = "noise and leakage" if radar.leakage else "noise"
         text = f"no echo at all: the record holds {what} only"
-        found.append(CaptureWarning("no-echo", text))
+        messages.append(CaptureWarning("no-echo", text))
     if flags.any():
         clipped = int(np.count_nonzero(flags))
         text = f"{clipped} of {flags.size} slots clip: lower front_end.noise_counts"
-        found.append(CaptureWarning("saturated", text, void=clipped == flags.size))
-    return tuple(found)
+        messages.append(CaptureWarning("saturated", text, void=clipped == flags.size))
+    return tuple(messages)
 
 
 def _unconverged(bursts: Sequence[Propagation]) -> list[str]:
@@ -154,8 +154,8 @@ def _front_end(radar: RadarDesign) -> list[str]:
         )
         if not there
     ]
-    found = ["; ".join(off)] if off else []
-    found.append(
+    lines = ["; ".join(off)] if off else []
+    lines.append(
         f"full scale {_dbm(full_scale_w(radar)):.1f} dBm at the receivers' ports"
         + (
             f", mirror images {image_rejection_db(radar):.1f} dB down"
@@ -164,11 +164,11 @@ def _front_end(radar: RadarDesign) -> list[str]:
         )
     )
     if radar.oscillator:
-        found.append(
+        lines.append(
             "phase noise beyond half the band is left out, of the rest its square; within a symbol "
             "it repeats with it"
         )
-    return found
+    return lines
 
 
 def _noise(radar: RadarDesign, farthest_m: float) -> list[CaptureWarning]:
@@ -229,9 +229,9 @@ def _bend(target: Target, place: Array, radar: RadarDesign) -> CaptureWarning | 
     )
 
 
-def _coarse(scene: Scene, radar: RadarDesign, found: Propagation) -> list[CaptureWarning]:
+def _coarse(scene: Scene, radar: RadarDesign, propagation: Propagation) -> list[CaptureWarning]:
     """Warning of meshes too coarse for the wavelength, with the error of the worst one's echo."""
-    scattering = {a.name for a in found.roles if a.role is ScatteringModel.OPTICS}
+    scattering = {a.name for a in propagation.roles if a.role is ScatteringModel.OPTICS}
     items = [item for item in scene.objects if item.name in scattering]
     wave_number = 2 * np.pi / radar.ofdm.wavelength_m
     shapes = shapes_of([item.geometry for item in items])

@@ -139,11 +139,13 @@ def match_detections(
     """
     free = list(truth)
     matches: list[TrueTarget | None] = []
-    for found in detections:
+    for detection in detections:
         best, nearest = None, _CELLS
         for target in free:
-            off_range = abs(found.range_m - target.wrapped_range_m) / waveform.range_cell_m
-            rates = np.array([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
+            off_range = abs(detection.range_m - target.wrapped_range_m) / waveform.range_cell_m
+            rates = np.array(
+                [detection.range_rate_m_per_s, *detection.range_rate_alternatives_m_per_s]
+            )
             off_rates = np.abs(rates - target.range_rate_m_per_s) - target.rate_change_m_per_s
             off_rate = max(float(off_rates.min()), 0.0)
             # What is not measured, NaN, tells nothing against a target.
@@ -154,8 +156,8 @@ def match_detections(
             free.remove(best)
         matches.append(best)
     for target in free:
-        for i, found in enumerate(detections):
-            if matches[i] is None and _within(found, target, waveform):
+        for i, detection in enumerate(detections):
+            if matches[i] is None and _within(detection, target, waveform):
                 matches[i] = target
                 break
     return tuple(matches)
@@ -171,9 +173,11 @@ def further_echoes(
     range and rate it lies, the nearest of several.
     """
     parts: list[TrueTarget | None] = []
-    for found, match in zip(detections, matches, strict=True):
-        near = [t for t in truth if match is None and _within(found, t, waveform)]
-        parts.append(min(near, key=lambda t: abs(found.range_m - t.wrapped_range_m), default=None))
+    for detection, match in zip(detections, matches, strict=True):
+        near = [t for t in truth if match is None and _within(detection, t, waveform)]
+        parts.append(
+            min(near, key=lambda t: abs(detection.range_m - t.wrapped_range_m), default=None)
+        )
     return tuple(parts)
 
 
@@ -190,10 +194,10 @@ def _kept(target: TrueTarget, waveform: OfdmWaveform, window: str) -> float:
     return float(np.max(np.abs(spectrum) ** 2))
 
 
-def _within(found: Detection, target: TrueTarget, waveform: OfdmWaveform) -> bool:
+def _within(detection: Detection, target: TrueTarget, waveform: OfdmWaveform) -> bool:
     """Whether a detection lies within two cells of a target's object."""
-    rates = np.array([found.range_rate_m_per_s, *found.range_rate_alternatives_m_per_s])
-    off_range, off_rate = target.beside(found.range_m, rates)
+    rates = np.array([detection.range_rate_m_per_s, *detection.range_rate_alternatives_m_per_s])
+    off_range, off_rate = target.beside(detection.range_m, rates)
     return (
         off_range <= _CELLS * waveform.range_cell_m
         and off_rate <= _CELLS * waveform.velocity_cell_m_per_s
@@ -206,11 +210,11 @@ def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
     """
     rows = (
         {
-            **{name: cell(value) for name, value in asdict(found).items()},
+            **{name: cell(value) for name, value in asdict(detection).items()},
             "target": target.name if target else "",
             "further_echo_of": part.name if part else "",
         }
-        for found, target, part in zip(
+        for detection, target, part in zip(
             evaluation.detections, evaluation.matches, evaluation.further, strict=True
         )
     )

@@ -56,14 +56,14 @@ class TrueTarget:
 
 
 def true_targets(
-    scene: Scene, radar: RadarDesign, found: Propagation, air: Atmosphere
+    scene: Scene, radar: RadarDesign, propagation: Propagation, air: Atmosphere
 ) -> tuple[TrueTarget, ...]:
     """All declared targets of a scene."""
-    return tuple(_true(target, scene, radar, found, air) for target in scene.targets)
+    return tuple(_true(target, scene, radar, propagation, air) for target in scene.targets)
 
 
 def _true(
-    target: Target, scene: Scene, radar: RadarDesign, found: Propagation, air: Atmosphere
+    target: Target, scene: Scene, radar: RadarDesign, propagation: Propagation, air: Atmosphere
 ) -> TrueTarget:
     offset, axes = scene.rig.device("radar")
     towards = np.asarray(target.position_m) - scene.rig.position_m - offset
@@ -85,8 +85,8 @@ def _true(
         azimuth_deg=float(np.degrees(np.arctan2(left, ahead))),
         rcs_m2=target.rcs_m2,
         received_w=power * gain**2,
-        visible=any(path.via == (target.name,) for path in found.paths)
-        or any(heard.name == target.object for heard in found.heard),
+        visible=any(path.via == (target.name,) for path in propagation.paths)
+        or any(heard.name == target.object for heard in propagation.heard),
         wrapped_range_m=distance % wave.max_range_m,
         nearer_m=max(0.0, distance - ranges[0]),
         farther_m=max(0.0, ranges[1] - distance),

@@ -40,7 +40,9 @@ def read_mesh(path: Path, place: str = "") -> Geometry:
     ]
     if not meshes:
         raise InputError(f"{path}: has no faces")
-    return Geometry.joined(meshes)  # trimesh would pack their pictures, and move the coordinates
+    return Geometry.concatenate(
+        meshes
+    )  # trimesh would pack their pictures, and move the coordinates
 
 
 def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:

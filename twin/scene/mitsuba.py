@@ -32,7 +32,7 @@ def first_hits(meshes: Sequence[Geometry], origins: Array, rays: Array) -> Array
     mi = mitsuba()
     start, along = (mi.Point3f(origins.T), mi.Vector3f(rays.T))
     # As one: a shape of its own for each of thousands takes seconds.
-    whole = Geometry.joined(meshes)
+    whole = Geometry.concatenate(meshes)
     scene = _assemble([(whole.vertices_m, whole.faces, None, 0.0)])
     hit = scene.ray_intersect(mi.Ray3f(start, along))
     return np.where(np.array(hit.is_valid()), np.array(hit.t, np.float64), np.inf)

@@ -36,8 +36,8 @@ class Aspects:
     @property
     def are_monostatic(self) -> NDArray[np.bool_]:
         """Whether receiver and transmitter are one, (n,)."""
-        found: NDArray[np.bool_] = (self.source == self.receiver).all(axis=1)
-        return found
+        is_same: NDArray[np.bool_] = (self.source == self.receiver).all(axis=1)
+        return is_same
 
     @staticmethod
     def monostatic(radars: "list[Radar]", polarization: Polarization) -> "Aspects":

@@ -35,8 +35,8 @@ def scattering_dyadics(
     """
     sent, heard = _transverse(source), _transverse(receiver)
     aspects = Aspects(source, receiver, np.full(len(source), np.inf), sent, heard)
-    found = dyadic(target, aspects, frequency_hz, quality).amplitude
-    return np.einsum("nfpq,nqx,npy->nfxy", found, heard, sent)
+    dyadics = dyadic(target, aspects, frequency_hz, quality).amplitude
+    return np.einsum("nfpq,nqx,npy->nfxy", dyadics, heard, sent)
 
 
 def _transverse(direction: Array) -> Array:

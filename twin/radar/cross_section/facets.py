@@ -209,7 +209,7 @@ def _answers(
     wave = 2 * wave_number * distance_m[body] ** 2 * leaves.weight * echoes.mean
     wave = wave * np.exp(-1j * path)
     first = leaves.triangles.source - _ALL_SENT
-    found = np.empty((n, sent, 2), dtype=np.complex128)
+    amplitude = np.empty((n, sent, 2), dtype=np.complex128)
     for number in range(sent):
         lit = leaves.triangles
         if sent > 1:
@@ -218,9 +218,9 @@ def _answers(
             heard = replace(lit, receiver=first + port)
             (re, im), _ = amplitude_of(at, scatterers, heard, incident_on(at, heard))
             echo = wave * (np.array(re) + 1j * np.array(im))
-            found[:, number, port] = np.bincount(body, echo.real, n)
-            found[:, number, port] += 1j * np.bincount(body, echo.imag, n)
-    return found
+            amplitude[:, number, port] = np.bincount(body, echo.real, n)
+            amplitude[:, number, port] += 1j * np.bincount(body, echo.imag, n)
+    return amplitude
 
 
 def _leaves(
@@ -237,7 +237,7 @@ def _leaves(
     free, rest = np.flatnonzero(is_open), np.flatnonzero(~is_open)
     weight = np.ones(len(lit))
     if len(rest):
-        some = lit.taken(rest)
+        some = lit.take(rest)
         weight[rest] = sampled(context, some, np.zeros(len(rest), dtype=bool))[3]
     out_of_phase = np.sqrt(np.bincount(lit.body, np.abs(echoes.total) ** 2, n)) + np.abs(further)
     floor = _FAINT * tolerance * out_of_phase
@@ -246,19 +246,19 @@ def _leaves(
     first.pending = further[:, None]
     first.consider([Leaves(lit, echoes, weight)])
     budget = Budget(n, tolerance, wave_numbers, floor, first, weakest=0.0)
-    found: list[Leaves] = []
+    leaves: list[Leaves] = []
     for rows, others in ((free, rest), (rest, rest[:0])):
         if len(rows):
-            hidden = echoes.chosen(others)
+            hidden = echoes.take(others)
             echo = weight[others] * hidden.total
             budget.pending = further[:, None] + budget.summed(
                 lit.body[others], echo, hidden.length_m
             )
             part = lit, echoes
             if len(rows) < len(lit):
-                part = lit.taken(rows), echoes.chosen(rows)
-            found += settled(context, scatterers, *part, budget, is_open=rows is free)
-    return found, weight
+                part = lit.take(rows), echoes.take(rows)
+            leaves += settled(context, scatterers, *part, budget, is_open=rows is free)
+    return leaves, weight
 
 
 def _facing(

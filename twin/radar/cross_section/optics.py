@@ -94,8 +94,8 @@ def scattered(
     target: MeshTarget, aspects: Aspects, frequency_hz: float, quality: Quality | None = None
 ) -> ScatteringAmplitudes:
     """Echoes of the first polarisation sent at each aspect."""
-    found = dyadic(target, aspects, np.array([frequency_hz]), quality)
-    return replace(found, amplitude=found.amplitude[:, 0, 0])
+    amplitudes = dyadic(target, aspects, np.array([frequency_hz]), quality)
+    return replace(amplitudes, amplitude=amplitudes.amplitude[:, 0, 0])
 
 
 def dyadic(
@@ -154,8 +154,10 @@ def physical_optics(
     """Echo of a wave sent in ``polarization`` and received by the same radar in V and H: amplitude
     (2,). `scattered` takes many at once, in much less time.
     """
-    found = scattered(target, Aspects.monostatic([radar], polarization), carrier_hz, quality)
-    return ScatteringAmplitudes(*(getattr(found, f.name)[0] for f in fields(ScatteringAmplitudes)))
+    amplitudes = scattered(target, Aspects.monostatic([radar], polarization), carrier_hz, quality)
+    return ScatteringAmplitudes(
+        *(getattr(amplitudes, f.name)[0] for f in fields(ScatteringAmplitudes))
+    )
 
 
 def thinning(target: MeshTarget, frequency_hz: float, quality: Quality) -> float:

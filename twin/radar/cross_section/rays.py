@@ -109,8 +109,8 @@ def later_bounces(
     coefficients = table(target.surfaces, material_hz).ravel()
 
     def shoot(grids: list[_Grid]) -> None:
-        found = _shot(target, coefficients, grids, wavelength_m, max_bounces)
-        np.add.at(sums, ([grid.aspect for grid in grids], [grid.sent for grid in grids]), found)
+        echoes = _shot(target, coefficients, grids, wavelength_m, max_bounces)
+        np.add.at(sums, ([grid.aspect for grid in grids], [grid.sent for grid in grids]), echoes)
 
     waiting: list[_Grid] = []
     for aspect in range(n):
@@ -279,8 +279,8 @@ def _shot(
     row = mi.UInt32(aligned(np.repeat(np.arange(len(grids), dtype=np.uint32), sizes)))
     setting, place = {}, row * dr.opaque(mi.UInt32, rows.shape[1])
     for name, count in _COLUMNS.items():
-        found = [dr.gather(mi.Float64, values, place + i) for i in range(count)]
-        setting[name] = mi.Vector3d(*found) if count == 3 else found[0]
+        columns = [dr.gather(mi.Float64, values, place + i) for i in range(count)]
+        setting[name] = mi.Vector3d(*columns) if count == 3 else columns[0]
         place = place + count
     setting["center_of_mesh"] = mi.Vector3d(*(dr.opaque(mi.Float64, x) for x in engine.center_m))
     setting["radius"] = dr.opaque(mi.Float64, 1.01 * engine.radius_m)

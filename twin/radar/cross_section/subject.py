@@ -82,12 +82,12 @@ def _open(world: MeshScene, shape: Shape, rounded_m: float) -> NDArray[np.bool_]
     if len(normal) * len(corners) > _MOST_COMPARED:
         return np.zeros((2, len(normal)), dtype=bool)
     level = np.sum(point * normal, axis=1)
-    found = np.empty((2, len(normal)), dtype=bool)
+    is_open = np.empty((2, len(normal)), dtype=bool)
     for rows in np.array_split(np.arange(len(normal)), len(normal) * len(corners) // 2**22 + 1):
         height = normal[rows] @ corners.T - level[rows, None]
-        found[0, rows] = height.max(axis=1) <= rounded_m
-        found[1, rows] = height.min(axis=1) >= -rounded_m
-    return found
+        is_open[0, rows] = height.max(axis=1) <= rounded_m
+        is_open[1, rows] = height.min(axis=1) >= -rounded_m
+    return is_open
 
 
 def is_seen_once(target: MeshTarget, aspects: Aspects) -> bool:
@@ -99,12 +99,12 @@ def is_seen_once(target: MeshTarget, aspects: Aspects) -> bool:
 def are_within(subject: Subject, aspects: Aspects) -> NDArray[np.bool_]:
     """Whether transmitter or receiver stands within the mesh's box, (n,)."""
     low, high = subject.world.vertices.min(axis=0), subject.world.vertices.max(axis=0)
-    found = np.zeros(len(aspects), dtype=bool)
+    is_within = np.zeros(len(aspects), dtype=bool)
     for direction in (aspects.source, aspects.receiver):
         reach = np.minimum(aspects.distance_m, 1e30)[:, None]
         place = direction * reach - subject.anchor_m
-        found |= ((low <= place) & (place <= high)).all(axis=1)
-    return found
+        is_within |= ((low <= place) & (place <= high)).all(axis=1)
+    return is_within
 
 
 def bare(subject: Subject, place_m: Array) -> NDArray[np.bool_]:
@@ -143,5 +143,5 @@ def bare(subject: Subject, place_m: Array) -> NDArray[np.bool_]:
     stands = (height.max(axis=2) > _ROUNDED * size) & (side > 0)[:, :, None]
     stands |= (height.min(axis=2) < -_ROUNDED * size) & (side < 0)[:, :, None]
     is_near = (depth <= _NEAR * length[:, None, None]).any(axis=(1, 2))
-    found: NDArray[np.bool_] = ~(stands & ~is_apart).any(axis=2) & ~is_near[:, None]
-    return found
+    is_bare: NDArray[np.bool_] = ~(stands & ~is_apart).any(axis=2) & ~is_near[:, None]
+    return is_bare

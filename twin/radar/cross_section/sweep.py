@@ -81,7 +81,7 @@ def sweep(
     quality = quality or Quality()
     edge_quality = edge_quality or EdgeQuality()
     azimuths = np.array(list(azimuth_deg), dtype=np.float64)
-    found = sharp_edges(target, edge_quality.sharp_angle_deg)
+    sharp = sharp_edges(target, edge_quality.sharp_angle_deg)
     port = 0 if (receive or transmit) == "V" else 1
     radars = [Radar.at(azimuth, elevation_deg, distance_m) for azimuth in azimuths]
     amplitudes, echoes = np.zeros(len(radars), dtype=np.complex128), []
@@ -92,12 +92,12 @@ def sweep(
             amplitudes[rows] = echoes[-1].amplitude[:, port]
             if edges:
                 amplitudes[rows] += [
-                    edge_diffraction(target, found, radar, carrier_hz, transmit, edge_quality)[port]
+                    edge_diffraction(target, sharp, radar, carrier_hz, transmit, edge_quality)[port]
                     for radar in radars[rows]
                 ]
-    diffracting = edges and len(found.length_m) > 0
+    diffracting = edges and len(sharp.length_m) > 0
     remarks = [
-        *_on_target(target, found, speed_of_light / carrier_hz, edges),
+        *_on_target(target, sharp, speed_of_light / carrier_hz, edges),
         *_on_distance(target, distance_m),
         *_on_aspects(azimuths, echoes, quality, diffracting),
     ]

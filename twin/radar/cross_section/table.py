@@ -137,9 +137,9 @@ class Table:
         one, other = np.where(turned, other, one), np.where(turned, one, other)
         keys = one * self.nodes + other
         self._fill(np.unique(keys))
-        found = self._values[np.searchsorted(self._keys, keys)]
-        found = np.where(turned[..., None, None, None], found.swapaxes(-1, -2), found)
-        return np.einsum("na,nb,nabfxy->nfxy", share_a, share_b, found)
+        values = self._values[np.searchsorted(self._keys, keys)]
+        values = np.where(turned[..., None, None, None], values.swapaxes(-1, -2), values)
+        return np.einsum("na,nb,nabfxy->nfxy", share_a, share_b, values)
 
     def answers(
         self, source: Array, receiver: Array, sent: Complex, heard: Complex
@@ -180,11 +180,11 @@ class Table:
         edge = self._side + 1
         face, i, j = nodes // edge**2, nodes // edge % edge, nodes % edge
         axis, rows = face // 2, np.arange(len(nodes))
-        found = np.empty((len(nodes), 3))
-        found[rows, axis] = 1.0 - 2.0 * (face % 2)
+        on_cube = np.empty((len(nodes), 3))
+        on_cube[rows, axis] = 1.0 - 2.0 * (face % 2)
         for step, k in ((1, i), (2, j)):
-            found[rows, (axis + step) % 3] = np.tan((k / self._side - 0.5) * (np.pi / 2))
-        unit: Array = found / np.linalg.norm(found, axis=1, keepdims=True)
+            on_cube[rows, (axis + step) % 3] = np.tan((k / self._side - 0.5) * (np.pi / 2))
+        unit: Array = on_cube / np.linalg.norm(on_cube, axis=1, keepdims=True)
         return unit
 
     def _fill(self, wanted: Nodes) -> None:
@@ -210,14 +210,14 @@ def _key(target: MeshTarget, carrier_hz: float, nodes: int, quality: Quality) ->
     """Digest of all that a table depends on, the source of the packages that fill it included."""
     # To 0.1 um: where the object stands leaves rounding errors in its shape.
     shape = np.round(target.geometry.vertices_m - target.geometry.sphere[0], 7) + 0.0
-    found = hashlib.sha256(shape.tobytes() + np.asarray(target.geometry.faces, np.int64).tobytes())
+    digest = hashlib.sha256(shape.tobytes() + np.asarray(target.geometry.faces, np.int64).tobytes())
     if target.surface_of_face is not None:
-        found.update(np.asarray(target.surface_of_face, np.int64).tobytes())
+        digest.update(np.asarray(target.surface_of_face, np.int64).tobytes())
     code = source_digest(
         *(_RADAR / room for room in ("cross_section", "propagation", "scattering"))
     )
-    found.update(repr((target.surfaces, carrier_hz, nodes, astuple(quality), code)).encode())
-    return found.hexdigest()
+    digest.update(repr((target.surfaces, carrier_hz, nodes, astuple(quality), code)).encode())
+    return digest.hexdigest()
 
 
 def _read(file: Path | None) -> tuple[Nodes, Complex]:

@@ -45,8 +45,8 @@ class Pattern:
         grid = (self.theta_deg, self.phi_deg)
         table = RegularGridInterpolator(grid, self.gain, bounds_error=False, fill_value=0.0)
         turned = self.phi_deg[0] + (phi_deg - self.phi_deg[0]) % 360
-        found = table(np.stack([theta_deg, turned], axis=-1))
-        return np.reshape(found, np.shape(theta_deg)).astype(np.float64)
+        values = table(np.stack([theta_deg, turned], axis=-1))
+        return np.reshape(values, np.shape(theta_deg)).astype(np.float64)
 
     @property
     def efficiency(self) -> float:
@@ -82,7 +82,7 @@ def _table(text: str, path: Path) -> Pattern:
     names = [name.strip().lower() for name in next(rows, [])]
     kinds = {"theta": "theta", "phi": "phi", "gain": "gain"}
     columns = {k: [i for i, name in enumerate(names) if w in name] for k, w in kinds.items()}
-    if any(len(found) != 1 for found in columns.values()):
+    if any(len(names) != 1 for names in columns.values()):
         raise InputError(
             f"{path}:1: columns {', '.join(names) or 'none'}: expected one theta, one phi and one "
             "gain (dBi)"
@@ -90,7 +90,7 @@ def _table(text: str, path: Path) -> Pattern:
     if "db" not in names[columns["gain"][0]]:
         raise InputError(f"{path}:1: column {names[columns['gain'][0]]!r}: expected a gain in dBi")
     order = [columns[kind][0] for kind in ("theta", "phi", "gain")]
-    found: dict[tuple[float, float], float] = {}
+    gain_at: dict[tuple[float, float], float] = {}
     for line, row in enumerate(rows, start=2):
         if not row:
             continue
@@ -100,13 +100,13 @@ def _table(text: str, path: Path) -> Pattern:
         if theta < 0:  # solvers sweep whole circles
             theta, phi = -theta, phi + 180
         key = round(theta, _DECIMALS), round(phi % 360, _DECIMALS) % 360
-        if abs(found.setdefault(key, gain) - gain) > 0.1 and 0 < theta < 180:
+        if abs(gain_at.setdefault(key, gain) - gain) > 0.1 and 0 < theta < 180:
             raise InputError(f"{path}:{line}: a second gain at theta {key[0]:g}, phi {key[1]:g}")
-    thetas, phis = (sorted({key[i] for key in found}) for i in (0, 1))
+    thetas, phis = (sorted({key[i] for key in gain_at}) for i in (0, 1))
     for pole in {0.0, 180.0} & set(thetas):  # one direction, whatever phi says
-        gain = next(value for (theta, _), value in found.items() if theta == pole)
-        found |= {(pole, phi): gain for phi in phis}
-    missing = next(((t, p) for t in thetas for p in phis if (t, p) not in found), None)
+        gain = next(value for (theta, _), value in gain_at.items() if theta == pole)
+        gain_at |= {(pole, phi): gain for phi in phis}
+    missing = next(((t, p) for t in thetas for p in phis if (t, p) not in gain_at), None)
     if missing or len(thetas) < 2 or len(phis) < 2:
         lacks = "too few points"
         if missing:
@@ -114,7 +114,7 @@ def _table(text: str, path: Path) -> Pattern:
         raise InputError(f"{path}: {lacks}: expected a full grid of thetas and phis")
     if np.diff([*phis, phis[0] + 360]).max() > 180:
         raise InputError(f"{path}: phi {phis[0]:g} to {phis[-1]:g} deg: expected a whole turn")
-    decibel = np.array([[found[t, p] for p in phis] for t in thetas])
+    decibel = np.array([[gain_at[t, p] for p in phis] for t in thetas])
     closed = np.column_stack([decibel, decibel[:, :1]])
     return Pattern(np.array(thetas), np.array([*phis, phis[0] + 360]), _power(closed))
 

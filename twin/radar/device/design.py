@@ -325,10 +325,10 @@ class RadarDesign(Entry):
         ]
 
     def _band_warnings(self) -> list[CaptureWarning]:
-        wave, carriers, found = self.ofdm, self.burst.carriers_hz, []
+        wave, carriers, warnings = self.ofdm, self.burst.carriers_hz, []
         low, high = carriers[0] - wave.bandwidth_hz / 2, carriers[-1] + wave.bandwidth_hz / 2
         if low < self.band.low_hz.value or high > self.band.high_hz.value:
-            found.append(
+            warnings.append(
                 CaptureWarning(
                     "design",
                     f"band: {low / 1e9:.2f}-{high / 1e9:.2f} GHz leaves "
@@ -336,19 +336,19 @@ class RadarDesign(Entry):
                 )
             )
         if self.steps and self.steps.spacing_hz.value > wave.bandwidth_hz * (1 + 1e-9):
-            found.append(
+            warnings.append(
                 CaptureWarning(
                     "design",
                     f"steps: {self.steps.spacing_hz.value / 1e6:g} MHz apart leave gaps between "
                     f"bands of {wave.bandwidth_hz / 1e6:g} MHz",
                 )
             )
-        return found
+        return warnings
 
     def _range_warnings(self, farthest_m: float) -> list[CaptureWarning]:
-        wave, found = self.ofdm, []
+        wave, warnings = self.ofdm, []
         if farthest_m > wave.max_range_m:
-            found.append(
+            warnings.append(
                 CaptureWarning(
                     "ambiguous",
                     f"range: {farthest_m:.1f} m is beyond the unambiguous {wave.max_range_m:.1f} m "
@@ -358,20 +358,20 @@ class RadarDesign(Entry):
         protected = C_M_PER_S * wave.prefix_s / 2
         reach = min(farthest_m, wave.max_range_m) if farthest_m else wave.max_range_m
         if protected < reach * (1 - 1e-9) - wave.range_cell_m:
-            found.append(
+            warnings.append(
                 CaptureWarning(
                     "design",
                     f"prefix: {wave.prefix_s * 1e6:.3g} us protects {protected:.1f} m of "
                     f"{reach:.1f} m",
                 )
             )
-        return found
+        return warnings
 
     def _rate_warnings(self, fastest_m_per_s: float) -> list[CaptureWarning]:
-        wave, found = self.ofdm, []
+        wave, warnings = self.ofdm, []
         unambiguous = self.channel_waveform.max_velocity_m_per_s
         if fastest_m_per_s > unambiguous:
-            found.append(
+            warnings.append(
                 CaptureWarning(
                     "ambiguous",
                     f"velocity: {fastest_m_per_s:.2f} m/s is beyond the unambiguous "
@@ -383,7 +383,7 @@ class RadarDesign(Entry):
         doppler = 2 * speed / wave.wavelength_m
         loss = 20 * math.log10(abs(float(wave.slot_gain(np.array(doppler)))))
         if loss < -1:
-            found.append(
+            warnings.append(
                 CaptureWarning(
                     "design",
                     f"slot: averaging {wave.repeats} repeats loses {-loss:.1f} dB at "
@@ -392,14 +392,14 @@ class RadarDesign(Entry):
             )
         smeared_db = -20 * np.log10(self.channel_waveform.migration_gain(fastest_m_per_s))
         if smeared_db > _SMEARED_DB:
-            found.append(
+            warnings.append(
                 CaptureWarning(
                     "design",
                     f"migration: at {fastest_m_per_s:.2f} m/s an echo crosses range cells within a "
                     f"burst; it is {smeared_db:.0f} dB weaker where detection looks for it",
                 )
             )
-        return found
+        return warnings
 
     def _antenna_warnings(self) -> list[CaptureWarning]:
         pattern = self.antenna.pattern

@@ -62,8 +62,8 @@ def draw(oscillator: Oscillator, wave: OfdmWaveform, rng: np.random.Generator) -
     lines = _lines(oscillator, offset, 1 / (symbols * wave.symbol_s), rng)
     starts = np.rint(np.arange(wave.n_slots) * wave.slot_period_s / wave.symbol_s).astype(int)
     # The symbol before the repeats comes first.
-    chosen = (starts[:, None] + np.arange(-1, repeats)) % symbols
-    mean, slope = (_series(part, symbols)[chosen] for part in (lines, 1j * offset * lines))
+    rows = (starts[:, None] + np.arange(-1, repeats)) % symbols
+    mean, slope = (_series(part, symbols)[rows] for part in (lines, 1j * offset * lines))
     raster = _raster_hz(wave)
     width = wave.subcarrier_spacing_hz / repeats
     n = _fine(wave)

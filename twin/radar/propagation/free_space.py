@@ -42,7 +42,7 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
                 arrival_per_s=turn,
             )
         )
-    sorted_names, contributions = by_delay(names, Contributions.joined(paths))
+    sorted_names, contributions = by_delay(names, Contributions.concatenate(paths))
     return Propagation(
         contributions,
         sorted_names,

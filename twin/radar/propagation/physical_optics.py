@@ -44,7 +44,7 @@ class Scattered:
     body: NDArray[np.int32]
     error: Array
     traced: Traced | None = None
-    kept: float = 0.0
+    reused_share: float = 0.0
 
 
 def scattered(
@@ -68,7 +68,7 @@ def scattered(
         setting = setting_of(prepared, bodies, radar, body, asked)
     if earlier is not None and setting is not None and not keep:
         valid = still_valid(prepared.context, bodies, earlier, setting, prepared)
-    found = scattered_by(
+    echoes = scattered_by(
         prepared.context,
         bodies,
         prepared.images,
@@ -78,10 +78,10 @@ def scattered(
         valid,
         with_landings=keep,
     )
-    traced = Traced(setting, found) if keep and setting is not None else None
-    contributions = Contributions.joined(found.contributions)
-    share = found.kept / max(len(contributions), 1)
-    return Scattered(contributions, body, found.error, traced, share)
+    traced = Traced(setting, echoes) if keep and setting is not None else None
+    contributions = Contributions.concatenate(echoes.contributions)
+    share = echoes.n_reused / max(len(contributions), 1)
+    return Scattered(contributions, body, echoes.error, traced, share)
 
 
 def loss_of(radar: RadarDesign) -> float:
@@ -144,15 +144,15 @@ def _sharp(prepared: PreparedScene, body: NDArray[np.int32]) -> list[Sharp]:
     rows = np.array(prepared.context.table).reshape(-1, TABLE_STEPS + 1, 4)
     # At normal incidence; a conductor's TE is -1.
     reflection = -(rows[:, -1, 0] + 1j * rows[:, -1, 1])[prepared.surface_of_object]
-    found = []
+    edges_of_bodies = []
     for number in range(body.max() + 1):
         members = np.flatnonzero(body == number)
         items = tuple(prepared.originals[i] for i in members)
         edges, owner = edges_of(items, tuple(prepared.anchor_m.tolist()))
         whose: NDArray[np.uint32] = members[owner].astype(np.uint32)
         velocity = np.array(items[0].velocity_m_per_s)
-        found.append(Sharp(edges, whose, reflection[whose], velocity))
-    return found
+        edges_of_bodies.append(Sharp(edges, whose, reflection[whose], velocity))
+    return edges_of_bodies
 
 
 def _on_edges(prepared: PreparedScene, sharp: Sequence[Sharp], longer: float) -> list[str]:
@@ -182,7 +182,7 @@ def surface_clutter(
     scene: Scene, prepared: PreparedScene, fidelity: Fidelity, seed: int
 ) -> tuple[Contributions, list[str]]:
     """Contributions of rough surfaces, and which ones have no gamma or one that is assumed."""
-    found, remarks = [], []
+    surfaces, remarks = [], []
     for number, (item, role) in enumerate(zip(prepared.items, prepared.roles, strict=True)):
         if role is not ScatteringModel.SURFACE:
             continue
@@ -193,13 +193,13 @@ def surface_clutter(
         elif gamma.value:
             is_slab = number >= len(prepared.world.items) and item.thickness_m is None
             sources = tuple(np.flatnonzero(prepared.worth[:, number]).tolist())
-            found.append(SurfaceClutter(item, number, gamma.value, is_slab, sources))
+            surfaces.append(SurfaceClutter(item, number, gamma.value, is_slab, sources))
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
-    if not found:
+    if not surfaces:
         return Contributions.none(), remarks
     echoes = clutter_echoes(
-        prepared.context, prepared.anchor_m, found, fidelity.radar_scatterers, seed
+        prepared.context, prepared.anchor_m, surfaces, fidelity.radar_scatterers, seed
     )
     return echoes, list(dict.fromkeys(remarks))
 

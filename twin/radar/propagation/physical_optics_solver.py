@@ -53,31 +53,31 @@ def echoes(
     roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True)
     prepared = prepare_scene(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
     of_bodies = scattered(prepared, radar, fidelity, earlier, keep=keep)
-    traced = Contributions.joined([of_bodies.contributions, behind(prepared, fidelity)])
+    traced = Contributions.concatenate([of_bodies.contributions, behind(prepared, fidelity)])
     surfaces = at_antenna(traced, prepared, radar)
     edges, on_edges = diffracted(prepared, fidelity)
     clutter, on_clutter = Contributions.none(), list[str]()
     if is_rough:
         clutter, on_clutter = surface_clutter(scene, prepared, fidelity, seed)
-    diffuse = at_antenna(Contributions.joined([edges, clutter]), prepared, radar)
+    diffuse = at_antenna(Contributions.concatenate([edges, clutter]), prepared, radar)
     diffuse = diffuse.in_proportion_to_wavelength()
     mirrors = _mirrors(prepared, radar, fidelity)
     points = _points(prepared, radar, declared_alone(scene, roles), fidelity)
     names, paths = by_delay(
-        [*mirrors[0], *points[0]], Contributions.joined([mirrors[1], points[1]])
+        [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
     )
     bodies = _converged(prepared, radar, fidelity, of_bodies, surfaces)
     return Propagation(
-        Contributions.joined([paths, diffuse, surfaces]),
+        Contributions.concatenate([paths, diffuse, surfaces]),
         names,
         roles=tuple(roles),
         assumptions=(*prepared.assumptions, *on_edges, *on_clutter, *unconverged(bodies)),
-        heard=_heard(Contributions.joined([surfaces, diffuse]), prepared, radar),
+        heard=_heard(Contributions.concatenate([surfaces, diffuse]), prepared, radar),
         warnings=silent_objects(scene, radar, roles),
         objects=tuple(item.name for item in prepared.items),
         bodies=bodies,
         traced=of_bodies.traced,
-        kept=of_bodies.kept,
+        reused_share=of_bodies.reused_share,
     )
 
 
@@ -124,11 +124,11 @@ def _points(
         return (prepared.items[item].name,) if item >= 0 else ()
 
     names = [declared[way.target].name for way in ways]
-    met = [
+    objects_on_path = [
         (*over(way.forward_obstacle), name, *over(way.return_obstacle))
         for way, name in zip(ways, names, strict=True)
     ]
-    return _paths(prepared, radar, echoes, names, met)
+    return _paths(prepared, radar, echoes, names, objects_on_path)
 
 
 def _paths(
@@ -136,14 +136,17 @@ def _paths(
     radar: RadarDesign,
     traced: Contributions,
     targets: Sequence[str | None],
-    met: Sequence[tuple[str, ...]],
+    objects_on_path: Sequence[tuple[str, ...]],
 ) -> tuple[list[PathName], Contributions]:
     """Paths with their names, by their ``object`` the target and what they meet between the large
     surfaces; ``traced`` per wavelength.
     """
     ends = zip(traced.object, traced.source, traced.receiver, strict=True)
     names = [
-        PathName((*prepared.via(source), *met[row], *prepared.via(receiver)[::-1]), targets[row])
+        PathName(
+            (*prepared.via(source), *objects_on_path[row], *prepared.via(receiver)[::-1]),
+            targets[row],
+        )
         for row, source, receiver in ends
     ]
     paths = at_antenna(traced, prepared, radar)

@@ -104,11 +104,13 @@ def prepare_scene(
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
     axes, anchor = scene.rig.device("radar")[1], anchor_of(place_m)
     role_of = {a.name: a.role for a in roles}
-    kept = [item for item in scene.objects if role_of[item.name] is not ScatteringModel.TARGET]
+    traced_items = [
+        item for item in scene.objects if role_of[item.name] is not ScatteringModel.TARGET
+    ]
     carrier = radar.ofdm.carrier_hz
-    slabs = _slabs(scene, kept, role_of, radar)
-    solid = [item for item in kept if item.name not in slabs]
-    clear = [item for item in kept if item.name in slabs]
+    slabs = _slabs(scene, traced_items, role_of, radar)
+    solid = [item for item in traced_items if item.name not in slabs]
+    clear = [item for item in traced_items if item.name in slabs]
     surfaces, surface_of_object, assumed = _surfaces(
         scene, [*solid, *clear], role_of, carrier, is_rough
     )
@@ -126,7 +128,7 @@ def prepare_scene(
     sight = Sight(mi, world, mi.UInt32(patch_of_face), through)
     limit, beam = _limit(radar), beam_of(radar.antenna)
     # Half of what may be left out are images, half ways to objects.
-    found, faint = images(sight, mirrors, place, axes[0], beam, order, limit / 2)
+    candidate_images, faint = images(sight, mirrors, place, axes[0], beam, order, limit / 2)
     prepared = PreparedScene(
         anchor_m=anchor,
         axes=axes,
@@ -137,7 +139,7 @@ def prepare_scene(
         roles=tuple(role_of[item.name] for item in items),
         world=world,
         flats=mirrors,
-        all_images=tuple(found),
+        all_images=tuple(candidate_images),
         images=(),
         worth=np.zeros((0, len(items)), dtype=bool),
         context=tracing_context(
@@ -197,8 +199,10 @@ def _culled(
             f"{np.count_nonzero(share)} ways to objects, and mirrors; all their echoes together "
             f"at most {level:.0f} dB of a cell's noise",
         )
-    found = [image for image, is_heard in zip(prepared.all_images, heard, strict=True) if is_heard]
-    return replace(prepared.with_images(found), worth=worth, assumptions=assumed)
+    heard_images = [
+        image for image, is_heard in zip(prepared.all_images, heard, strict=True) if is_heard
+    ]
+    return replace(prepared.with_images(heard_images), worth=worth, assumptions=assumed)
 
 
 def _surfaces(
@@ -248,7 +252,7 @@ def _slabs(
     """Large surfaces that the radar sees through: permittivity, and thickness where the mesh is
     open (0 where it shows it itself).
     """
-    found = {}
+    slabs = {}
     permittivity: dict[str, complex | None] = {}
     large = [item for item in items if role_of[item.name] is ScatteringModel.SURFACE]
     shapes = shapes_of([item.geometry for item in large])
@@ -261,8 +265,8 @@ def _slabs(
         if depth is None or epsilon is None:
             continue
         if lets_through(epsilon, depth, radar.ofdm.wavelength_m):
-            found[item.name] = (epsilon, item.thickness_m or 0.0)
-    return found
+            slabs[item.name] = (epsilon, item.thickness_m or 0.0)
+    return slabs
 
 
 def _zones(

@@ -59,7 +59,7 @@ class Propagation:
     up the others per object. ``objects`` names what ``object`` of the contributions numbers, but of
     paths. ``bodies``: those that scatter, the strongest first, with the errors estimated of their
     surfaces' echoes. ``traced``: what later frames may keep of this one, if that was asked for;
-    ``kept``: share of the contributions of surfaces that is an earlier frame's.
+    ``reused_share``: share of the contributions of surfaces that is an earlier frame's.
     """
 
     contributions: Contributions = field(default_factory=Contributions.none)
@@ -71,12 +71,12 @@ class Propagation:
     objects: tuple[str, ...] = ()
     bodies: tuple[BodyEcho, ...] = ()
     traced: Traced | None = None
-    kept: float = 0.0
+    reused_share: float = 0.0
 
     @cached_property
     def paths(self) -> tuple[Path, ...]:
         """Single paths, for tables and reports."""
-        c = self.contributions.chosen(slice(len(self.names)))
+        c = self.contributions.take(slice(len(self.names)))
         columns = (
             c.amplitude.tolist(),
             c.delay_s.tolist(),
@@ -91,12 +91,12 @@ class Propagation:
     @cached_property
     def echoes(self) -> Contributions:
         """All but the paths: of surfaces, of tables, of edges and of rough surfaces."""
-        return self.contributions.chosen(slice(len(self.names), None))
+        return self.contributions.take(slice(len(self.names), None))
 
     @cached_property
     def surfaces(self) -> Contributions:
         """Of these, what no carrier step changes in proportion to the wavelength."""
-        return self.echoes.chosen(np.flatnonzero(self.echoes.wavelength_power == 0))
+        return self.echoes.take(np.flatnonzero(self.echoes.wavelength_power == 0))
 
 
 def by_delay(
@@ -105,4 +105,4 @@ def by_delay(
     """Paths, the nearest first, without those of which nothing comes back."""
     some = np.flatnonzero(paths.amplitude)
     order = some[np.argsort(paths.delay_s[some], kind="stable")]
-    return tuple(names[k] for k in order), paths.chosen(order).in_proportion_to_wavelength()
+    return tuple(names[k] for k in order), paths.take(order).in_proportion_to_wavelength()

@@ -45,8 +45,8 @@ def mirror_echoes(context: TracingContext) -> Contributions:
     share = clear[1:].mean(axis=0)
     # Where the middle is hidden its field is not followed through walls: one beside it is.
     exact, nearest = (
-        paths.chosen(source - 1),
-        paths.chosen(clear.argmax(axis=0) * count + source - 1),
+        paths.take(source - 1),
+        paths.take(clear.argmax(axis=0) * count + source - 1),
     )
     (heard,) = host(
         [turned(context.vertical, -context.boresight, vector(context.mi, exact.back, "Vector3d"))],
@@ -69,7 +69,7 @@ def mirror_echoes(context: TracingContext) -> Contributions:
         receiver=none,
         departure_per_s=np.einsum("nij,nj->ni", exact.axes, aside),
         arrival_per_s=-aside,
-    ).chosen(np.flatnonzero(share))
+    ).take(np.flatnonzero(share))
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def point_echoes(
         for i in range(context.n_sources)
     ]
     paths = [(way, at) for way, at in paths if len(at)]  # most images see none of them
-    found: list[Contributions] = []
+    contributions: list[Contributions] = []
     ways: list[TwoWayPath] = []
     for forward_path, forward_points in paths:
         for return_path, return_points in paths:
@@ -112,12 +112,12 @@ def point_echoes(
             if not len(there):
                 continue
             one, other, at = (
-                forward_path.chosen(there),
-                return_path.chosen(back),
+                forward_path.take(there),
+                return_path.take(back),
                 forward_points[there],
             )
             amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
             number = len(ways) + np.arange(len(at))
             ways += [TwoWayPath(*way) for way in zip(at, one.over, other.over, strict=True)]
-            found.append(between(one, other, amplitude, velocity[at], number))
-    return Contributions.joined(found), ways
+            contributions.append(between(one, other, amplitude, velocity[at], number))
+    return Contributions.concatenate(contributions), ways

@@ -77,15 +77,15 @@ def field_of(item: SceneObject, count: int, seed: int) -> Field:
     face = np.minimum(np.searchsorted(np.cumsum(area) / area.sum(), at), len(area) - 1)
     u, v = rng.random((2, count))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    found = Field(
+    field = Field(
         face=face,
         weights=np.stack([1 - u - v, u, v], axis=1),
         phase=rng.uniform(0, 2 * np.pi, count),
         chance=rng.random(count),
         area_m2=float(area.sum()) / count,
     )
-    held[name] = seed, count, found
-    return found
+    held[name] = seed, count, field
+    return field
 
 
 def clutter_echoes(
@@ -116,10 +116,10 @@ def clutter_echoes(
         field = field_of(rough.item, count, seed)
         seen = _ahead(rough.item, field, anchor_m, place, boresight)
         share = max(wanted * area / whole, 1.0)
-        kept = _kept(field, seen, share)
-        for first in range(0, len(kept.index), _AT_ONCE):
-            parts += _echoes(context, rough, kept.chosen(slice(first, first + _AT_ONCE)))
-    return Contributions.joined(parts)
+        sample = _kept(field, seen, share)
+        for first in range(0, len(sample.index), _AT_ONCE):
+            parts += _echoes(context, rough, sample.take(slice(first, first + _AT_ONCE)))
+    return Contributions.concatenate(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ class _Points:
     phase: Array
     area: Array
 
-    def chosen(self, which: Any) -> "_Points":
+    def take(self, which: Any) -> "_Points":
         """Only some of them, by index or mask."""
         return _Points(*(getattr(self, f.name)[which] for f in fields(_Points)))
 
@@ -165,7 +165,7 @@ def _kept(field: Field, seen: _Points, share: float) -> _Points:
     """Those that are kept at their distance, each for as many as are not."""
     keep = np.minimum(_reach2(seen.distance, share) / seen.distance**2, 1.0)
     weighted = replace(seen, area=seen.area / keep)
-    return weighted.chosen(np.flatnonzero(field.chance[seen.index] < keep))
+    return weighted.take(np.flatnonzero(field.chance[seen.index] < keep))
 
 
 def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> list[Contributions]:
@@ -173,7 +173,7 @@ def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> 
     ways = [_ways(context, rough, points, source) for source in rough.sources]
     scale = float(context.wavelength[0]) / (4 * np.pi) ** 1.5
     velocity = np.asarray(rough.item.velocity_m_per_s)
-    found = []
+    contributions = []
     for i, (forward_path, falling) in enumerate(ways):
         for return_path, rising in ways[i:]:
             # Both on one side of the surface; of two different angles the geometric mean.
@@ -182,11 +182,11 @@ def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> 
                 continue
             sigma = rough.gamma * np.sqrt(falling[at] * rising[at]) * points.area[at]
             amplitude = scale * np.sqrt(sigma) * np.exp(1j * points.phase[at])
-            one, other = forward_path.chosen(at), return_path.chosen(at)
+            one, other = forward_path.take(at), return_path.take(at)
             amplitude *= np.sum(one.field * other.field, axis=1)
             number = np.full(len(at), rough.number)
-            found.append(between(one, other, amplitude, velocity, number).and_reversed())
-    return found
+            contributions.append(between(one, other, amplitude, velocity, number).and_reversed())
+    return contributions
 
 
 def _ways(

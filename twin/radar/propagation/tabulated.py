@@ -145,17 +145,17 @@ def warning(thing: Tabulated, distance_m: float) -> str | None:
 def assumptions(thing: Tabulated, material: str, radar: RadarDesign) -> list[str]:
     """What a table takes for granted."""
     name, table = thing.point.name, thing.table
-    found = [f"{name} answers from a table of physical optics, alone and from one point"]
+    lines = [f"{name} answers from a table of physical optics, alone and from one point"]
     if table.extent_m > _range_cell(radar):
-        found[0] += f": it measures {table.extent_m / _range_cell(radar):.3g} range cells"
+        lines[0] += f": it measures {table.extent_m / _range_cell(radar):.3g} range cells"
     if table.undersampling > 1:
-        found.append(
+        lines.append(
             f"rays of the table of {name} {table.undersampling:.2g} times wider apart than asked "
             "for: what its parts light of each other fades"
         )
     if thing.assumed:
-        found.append(f"radio properties of {material}: {thing.assumed}")
-    return found
+        lines.append(f"radio properties of {material}: {thing.assumed}")
+    return lines
 
 
 def _range_cell(radar: RadarDesign) -> float:

@@ -65,7 +65,7 @@ def edge_diffraction(
     wavelength = speed_of_light / carrier_hz
     k = 2 * np.pi / wavelength
     segments = edge_segments(edges, wavelength / quality.pieces_per_wavelength)
-    segments = segments.chosen(
+    segments = segments.take(
         _visible(target, radar, segments.middle_m, outside(edges)[segments.edge])
     )
     wave = radar.wave_at(segments.middle_m, polarization)
@@ -89,7 +89,7 @@ class EdgeSegments:
     middle_m: Array
     length_m: Array
 
-    def chosen(self, which: Any) -> "EdgeSegments":
+    def take(self, which: Any) -> "EdgeSegments":
         """Only some of them, by index or mask."""
         return EdgeSegments(self.edge[which], self.middle_m[which], self.length_m[which])
 

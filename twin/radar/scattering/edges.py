@@ -57,20 +57,20 @@ class Patches:
 
         On a curved surface: to the side of its box, an upper bound.
         """
-        found = np.empty(len(patch))
+        distance_m = np.empty(len(patch))
         order = np.argsort(patch, kind="stable")
         starts = np.flatnonzero(np.diff(patch[order], prepend=-1))
         for rows in np.split(order, starts)[1:]:
             which = patch[rows[0]]
             box = _through_box(self.low[which], self.high[which], origin_m[rows], direction[rows])
-            found[rows] = box
+            distance_m[rows] = box
             if np.isfinite(self.normal[which, 0]):
                 border = self.border[which]
                 at_once = max(1, 2**21 // len(border))
                 for part in np.split(rows, range(at_once, len(rows), at_once)):
                     way = _to_border(border, self.normal[which], origin_m[part], direction[part])
-                    found[part] = np.minimum(found[part], way)
-        return found
+                    distance_m[part] = np.minimum(distance_m[part], way)
+        return distance_m
 
 
 def sharp_edges(target: MeshTarget, sharp_angle_deg: float) -> Edges:
@@ -78,8 +78,8 @@ def sharp_edges(target: MeshTarget, sharp_angle_deg: float) -> Edges:
 
     Orientation of the faces doesn't matter; faces that lie twice at the same place count once.
     """
-    corners, faces, kept = _corners(target.geometry)
-    normals = target.geometry.normals[kept]
+    corners, faces, face_rows = _corners(target.geometry)
+    normals = target.geometry.normals[face_rows]
     table = edge_table(faces)
     regular = table.count <= 2
     first, count = table.first[regular], table.count[regular]
@@ -105,7 +105,7 @@ def sharp_edges(target: MeshTarget, sharp_angle_deg: float) -> Edges:
         inwards=inwards,
         upwards=_upwards(inwards, along, is_open[sharp]),
         patch=patch[pairs[sharp]],
-        face=kept[pairs[sharp, 0]],
+        face=face_rows[pairs[sharp, 0]],
         patches=_patches(corners, faces, normals, patch, patch[pairs[sharp]], ends),
         non_manifold=int(np.count_nonzero(~regular)),
         sagitta_m=float(bend.max()) if len(bend) else 0.0,
@@ -119,14 +119,14 @@ def _corners(geometry: Geometry) -> tuple[Array, Indices, Indices]:
     """
     faces = geometry.welded_faces
     a, b, c = faces.T
-    kept = np.flatnonzero((a != b) & (b != c) & (c != a) & ~doubles(faces))
-    used, index = np.unique(faces[kept], return_inverse=True)
+    face_rows = np.flatnonzero((a != b) & (b != c) & (c != a) & ~doubles(faces))
+    used, index = np.unique(faces[face_rows], return_inverse=True)
     corners = geometry.vertices_m[used]
     cells = np.round(corners / (_ALIKE * geometry.sphere[1]))
     order = np.lexsort(cells.T[::-1])
     number = np.empty(len(order), dtype=np.int64)
     number[order] = np.arange(len(order))
-    return corners[order], number[index].reshape(-1, 3), kept
+    return corners[order], number[index].reshape(-1, 3), face_rows
 
 
 def _into(

@@ -82,11 +82,11 @@ def bend(phases: list[Any]) -> Any:
     """By how much the phase in the middle of an edge differs from the mean of its ends, at most, by
     the phases at corners 0 to 2 and in the middles of edges 3 to 5.
     """
-    found = 0
+    largest = 0
     for first, second, middle in ((0, 1, 3), (1, 2, 4), (2, 0, 5)):
         off = phases[middle] - (phases[first] + phases[second]) / 2
-        found = dr.maximum(found, dr.abs(off))
-    return found
+        largest = dr.maximum(largest, dr.abs(off))
+    return largest
 
 
 def largest(phases: list[Any], bent: Any) -> Any:

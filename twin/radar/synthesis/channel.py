@@ -40,12 +40,12 @@ def synthesize(
     if out is None:
         out = np.empty((waveform.n_slots, waveform.n_subcarriers), dtype=np.complex128).T
     groups = groups_of(contributions, waveform, tolerance)
-    found = transforms(contributions, groups, waveform, tolerance)
+    channels = transforms(contributions, groups, waveform, tolerance)
     slots: Complex = out.T
     told = [k for k, group in enumerate(groups) if len(group.times_s) < waveform.n_slots]
-    _interpolated([groups[k] for k in told], [found[k] for k in told], waveform, slots)
+    _interpolated([groups[k] for k in told], [channels[k] for k in told], waveform, slots)
     for k in set(range(len(groups))) - set(told):
-        slots += found[k]
+        slots += channels[k]
     return out
 
 
@@ -98,8 +98,8 @@ class _Weights:
         """Of a few subcarriers, (n_times, n_slots)."""
         if self.before is None or self.after is None:
             return self.between
-        found: Complex = (self.before[number] * self.between) * self.after[number]
-        return found
+        weights: Complex = (self.before[number] * self.between) * self.after[number]
+        return weights
 
 
 def _weights(group: Group, waveform: OfdmWaveform) -> _Weights:

@@ -97,8 +97,8 @@ class Contributions:
     @property
     def moving(self) -> NDArray[np.bool_]:
         """Whether the delay of each changes at all, (n,)."""
-        found: NDArray[np.bool_] = (self.delay_rate != 0) | (self.delay_acceleration_per_s != 0)
-        return found
+        is_moving: NDArray[np.bool_] = (self.delay_rate != 0) | (self.delay_acceleration_per_s != 0)
+        return is_moving
 
     def delays_at(self, time_s: float) -> Array:
         """Delays at a time, (n,)."""
@@ -119,7 +119,7 @@ class Contributions:
         back = self.source != self.receiver
         if not back.any():
             return self
-        some = self.chosen(back)
+        some = self.take(back)
         reverse = replace(
             some,
             departure=some.arrival,
@@ -129,9 +129,9 @@ class Contributions:
             source=some.receiver,
             receiver=some.source,
         )
-        return Contributions.joined([self, reverse])
+        return Contributions.concatenate([self, reverse])
 
-    def chosen(self, which: Any) -> "Contributions":
+    def take(self, which: Any) -> "Contributions":
         """Only some of them, by index, mask or slice."""
         others = (getattr(self, f.name)[which] for f in fields(Contributions)[1:])
         return Contributions(self.amplitude[..., which], *others)
@@ -143,7 +143,7 @@ class Contributions:
         return Contributions.ahead(empty.astype(np.complex128), empty, empty)
 
     @staticmethod
-    def joined(parts: Sequence["Contributions"]) -> "Contributions":
+    def concatenate(parts: Sequence["Contributions"]) -> "Contributions":
         """Echoes of all parts, one after the other."""
         if len(some := [part for part in parts if len(part)]) == 1:
             return some[0]
@@ -162,7 +162,7 @@ def direct_sum(
     """The definition, in float64, for chosen frequencies and times: the reference."""
     channel = np.zeros((len(frequencies_hz), len(times_s)), dtype=np.complex128)
     for start in range(0, len(contributions), 4096):
-        part = contributions.chosen(slice(start, start + 4096))
+        part = contributions.take(slice(start, start + 4096))
         moved = np.stack([part.delays_at(time) for time in times_s], axis=1)
         for row, frequency in enumerate(frequencies_hz):
             cycles = (carrier_hz + frequency) * moved

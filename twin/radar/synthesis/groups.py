@@ -49,13 +49,13 @@ def groups_of(
 ) -> list[Group]:
     """What is at rest, and what moves, divided so that the whole takes least work."""
     moving = contributions.moving
-    found, movers = [], np.flatnonzero(moving)
+    all_groups, movers = [], np.flatnonzero(moving)
     if len(movers) < len(moving):
-        found.append(Group(np.flatnonzero(~moving), 0.0, 0.0, np.zeros(1)))
+        all_groups.append(Group(np.flatnonzero(~moving), 0.0, 0.0, np.zeros(1)))
     if len(movers):
         divisions = _divisions(contributions, movers, waveform, tolerance)
-        found += min(divisions, key=lambda groups: _work(groups, waveform))
-    return found
+        all_groups += min(divisions, key=lambda groups: _work(groups, waveform))
+    return all_groups
 
 
 def _work(groups: Iterable[Group], waveform: OfdmWaveform) -> float:

@@ -41,8 +41,8 @@ def interpolation(times: Array, wanted: Array) -> Array:
     k = np.arange(len(times))
     weights = (-1.0) ** k * np.sin(np.pi * (k + 0.5) / len(times))
     away = wanted - times[:, None]
-    met = np.abs(away) < 1e-14 * np.abs(times).max()
-    share = weights[:, None] / np.where(met, 1.0, away)
-    share = np.where(met.any(axis=0), met, share)
-    found: Array = share / share.sum(axis=0)
-    return found
+    is_node = np.abs(away) < 1e-14 * np.abs(times).max()
+    share = weights[:, None] / np.where(is_node, 1.0, away)
+    share = np.where(is_node.any(axis=0), is_node, share)
+    normalized: Array = share / share.sum(axis=0)
+    return normalized

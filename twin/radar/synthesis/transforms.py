@@ -23,7 +23,7 @@ def transforms(
 ) -> list[Complex]:
     """Of every group at its times, (n_times, n_subcarriers), exact in the motion."""
     pieces = list(_pieces(contributions, groups))
-    found = [np.zeros((len(g.times_s), waveform.n_subcarriers), np.complex128) for g in groups]
+    channels = [np.zeros((len(g.times_s), waveform.n_subcarriers), np.complex128) for g in groups]
     factors = {power: _factor(power, waveform) for power in {power for _, power, _ in pieces}}
 
     def of_piece(piece: tuple[int, float, Indices]) -> Complex:
@@ -32,8 +32,8 @@ def transforms(
         return factors[power] * _at_times(contributions, members, times, waveform, tolerance)
 
     for (number, _, _), channel in zip(pieces, side_by_side(of_piece, pieces), strict=True):
-        found[number] += channel
-    return found
+        channels[number] += channel
+    return channels
 
 
 def _pieces(

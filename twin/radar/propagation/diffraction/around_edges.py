@@ -110,23 +110,23 @@ def all_paths_to_points(
     straight = paths_to_points(context, source, places, off)
     if obstacles is None:
         seen = np.flatnonzero(straight.clear)
-        return straight.chosen(seen), seen
+        return straight.take(seen), seen
     through = paths_to_points(context, source, places, off, unshadowed=True)
     alone = np.full(len(places), -1) if own is None else own
     image = obstacles.prepared.images[source]
-    clear, found, numbers = straight.clear.copy(), [], []
+    clear, diffracted, numbers = straight.clear.copy(), [], []
     for level in range(len(image.patches) + 1):
         segment = Segment(obstacles, image, level, places, off)
         open_paths = list(segment.paths(through.clear, alone))
         if open_paths:
-            paths = DiffractedPaths.joined(open_paths)
+            paths = DiffractedPaths.concatenate(open_paths)
             _settle(clear, paths)
             paths = bundled(paths, obstacles.wavenumber)
-            paths = paths.chosen(np.abs(paths.amplitude) >= obstacles.faintest)
-            found.append(_point_paths(obstacles, through.chosen(paths.point), paths, segment))
+            paths = paths.take(np.abs(paths.amplitude) >= obstacles.faintest)
+            diffracted.append(_point_paths(obstacles, through.take(paths.point), paths, segment))
             numbers.append(paths.point)
     at = np.flatnonzero(clear)
-    return PointPaths.joined([through.chosen(at), *found]), np.concatenate([at, *numbers])
+    return PointPaths.concatenate([through.take(at), *diffracted]), np.concatenate([at, *numbers])
 
 
 class Segment:
@@ -163,10 +163,10 @@ class Segment:
         o = self.obstacles
         rim = o.outline(item, self.source)
         if item in {o.prepared.flats[number].object for number in self.image.patches}:
-            return rim.chosen(np.zeros(0, dtype=np.intp))
+            return rim.take(np.zeros(0, dtype=np.intp))
         middle = self.seen[rows].mean(axis=0)
         reach = np.linalg.norm(self.seen[rows] - middle, axis=1).max() + around_m
-        return rim.chosen(near_edges(rim, middle - self.source, reach, o.wavenumber, o.faintest))
+        return rim.take(near_edges(rim, middle - self.source, reach, o.wavenumber, o.faintest))
 
     def turns(self, paths: DiffractedPaths, edges: Array) -> Array:
         """Where ways turn, from the points to the radar, (m, n, 3); edges are at (n, 2, 3)."""
@@ -209,9 +209,9 @@ class Segment:
         paths = self._over(item, rim, rows)
         is_open = self._is_open(paths)
         two, alone, is_open = self._twice(item, rows, paths, is_open)
-        yield paths.chosen(is_open)
+        yield paths.take(is_open)
         for more in (two, alone):
-            yield more.chosen(self._is_open(more))
+            yield more.take(self._is_open(more))
 
     def _over(
         self,
@@ -234,14 +234,14 @@ class Segment:
         rim = o.outline(item, middle).from_elsewhere(self.source - middle)
         far = self._over(item, rim, rows, over_edges)
         edges = np.flatnonzero(np.isfinite(paths.lit_m))
-        i, j = successive(paths.chosen(edges), far)
+        i, j = successive(paths.take(edges), far)
         i = edges[i]
-        one, other = paths.chosen(i), far.chosen(j)
+        one, other = paths.take(i), far.take(j)
         two, apart, alone = over_two(self.source, self.seen[one.point], one, other, o.wavenumber)
         matters = (apart > _ONE_EDGE) | (~is_open[i] & (one.lit_m <= 0))
         is_open = is_open.copy()
         is_open[i[matters & ~alone[:, 0]]] = False
-        return two.chosen(matters), other.chosen(matters & alone[:, 1]), is_open
+        return two.take(matters), other.take(matters & alone[:, 1]), is_open
 
     def _is_open(self, paths: DiffractedPaths) -> NDArray[np.bool_]:
         turns = self.turns(paths, paths.stops + paths.aside)
@@ -281,8 +281,8 @@ def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
         share = height / (height - beyond)
     share = np.where((share > 0) & (share < 1), share, np.nan)[:, None]
     place = begin + share * (aim - begin)
-    met: Array = place + 2 * offset_m(place) * np.sign(height)[:, None] * flat.normal
-    return met
+    reflection_point: Array = place + 2 * offset_m(place) * np.sign(height)[:, None] * flat.normal
+    return reflection_point
 
 
 def _is_open(prepared: PreparedScene, chain: Array, off: Array) -> NDArray[np.bool_]:

@@ -61,7 +61,7 @@ class _Facets:
         phase: Array = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
         return phase
 
-    def chosen(self, which: Any) -> "_Facets":
+    def take(self, which: Any) -> "_Facets":
         """Only some of them, by index."""
         return _Facets(self.corners[which], self.object[which])
 
@@ -86,13 +86,13 @@ def echoes_behind(
         )
         if is_near_edges(obstacles, image, place, float(radius), int(body)):
             bodies.append((int(body), members))
-    found = []
+    contributions = []
     for body, members in bodies:
         facets = _facets(obstacles, members)
         bright = np.argsort(-_brightness(obstacles, facets), kind="stable")
         some = np.sort(bright[: max(most // len(bodies), 1)])
-        found.append(_answers(obstacles, facets.chosen(some), body, surface_of_object))
-    return Contributions.joined(found)
+        contributions.append(_answers(obstacles, facets.take(some), body, surface_of_object))
+    return Contributions.concatenate(contributions)
 
 
 def _brightness(obstacles: Screens, facets: _Facets) -> Array:
@@ -118,7 +118,7 @@ def _facets(obstacles: Screens, members: Indices) -> _Facets:
         corners.append(vertices[faces] - obstacles.prepared.anchor_m)
         number.append(np.full(len(faces), i))
     facets = _Facets(np.concatenate(corners), np.concatenate(number))
-    return facets.chosen(np.flatnonzero((facets.across != 0).any(axis=1)))
+    return facets.take(np.flatnonzero((facets.across != 0).any(axis=1)))
 
 
 def _answers(
@@ -132,14 +132,14 @@ def _answers(
     own = np.full(len(middle), body)
     paths, at = all_paths_to_points(obstacles.prepared.context, obstacles, 0, middle, off, own)
     faces = np.sum(paths.back * normal[at], axis=1) > 0
-    paths, at = paths.chosen(faces), at[faces]
+    paths, at = paths.take(faces), at[faces]
     there, back = meeting(at, at)
     # All of a body's facets against the brightest one.
     heard = loud(paths.level[there] * paths.level[back], 0 * there, obstacles.faintest)
     heard &= (paths.over[there] >= 0) | (paths.over[back] >= 0)
     forward_path, return_path, rows = (
-        paths.chosen(there[heard]),
-        paths.chosen(back[heard]),
+        paths.take(there[heard]),
+        paths.take(back[heard]),
         at[there[heard]],
     )
     if not len(rows):
@@ -147,7 +147,7 @@ def _answers(
     velocity = np.array([item.velocity_m_per_s for item in obstacles.items])
     objects = facets.object[rows]
     amplitude = _radiated(
-        obstacles, facets.chosen(rows), forward_path, return_path, surface_of_object
+        obstacles, facets.take(rows), forward_path, return_path, surface_of_object
     )
     return between(forward_path, return_path, amplitude, velocity[objects], objects)
 

@@ -73,7 +73,7 @@ def _edges_of(
         Geometry(item.vertices_m - anchor_m, item.geometry.without_empty_faces(item.name).faces)
         for item in items
     ]
-    edges = sharp_edges(MeshTarget(Geometry.joined(placed)), _QUALITY.sharp_angle_deg)
+    edges = sharp_edges(MeshTarget(Geometry.concatenate(placed)), _QUALITY.sharp_angle_deg)
     owner = np.repeat(np.arange(len(items)), [len(geometry.faces) for geometry in placed])
     return edges, owner[edges.face]
 
@@ -87,13 +87,13 @@ def edge_echoes(
     asked = wavelength_m / _QUALITY.pieces_per_wavelength
     total = sum(float(body.edges.length_m.sum()) for body in bodies)
     longest = max(asked, context.n_sources * total / most)
-    found = []
+    contributions = []
     for body in bodies:
         segments = edge_segments(body.edges, longest)
         for first in range(0, len(segments.edge), _AT_ONCE):
-            part = segments.chosen(slice(first, first + _AT_ONCE))
-            found += _diffracted(context, body, part, wavelength_m)
-    return Contributions.joined(found), longest / asked
+            part = segments.take(slice(first, first + _AT_ONCE))
+            contributions += _diffracted(context, body, part, wavelength_m)
+    return Contributions.concatenate(contributions), longest / asked
 
 
 def _diffracted(
@@ -105,17 +105,17 @@ def _diffracted(
         paths_to_points(context, i, segments.middle_m, _off(body.edges, segments, place))
         for i, place in enumerate(places)
     ]
-    found = []
+    contributions = []
     for i, forward_path in enumerate(paths):
         for return_path in paths[i:]:
             # A piece nearer than it is long is no point; one at the radar itself, nothing.
             apart = np.minimum(forward_path.length, return_path.length) > segments.length_m
             at = np.flatnonzero(forward_path.clear & return_path.clear & apart)
-            ways = forward_path.chosen(at), return_path.chosen(at)
-            amplitude = _amplitude(body, segments.chosen(at), *ways, wavelength_m)
+            ways = forward_path.take(at), return_path.take(at)
+            amplitude = _amplitude(body, segments.take(at), *ways, wavelength_m)
             echo = between(*ways, amplitude, body.velocity, body.object[segments.edge[at]])
-            found.append(echo.chosen(echo.amplitude != 0).and_reversed())
-    return found
+            contributions.append(echo.take(echo.amplitude != 0).and_reversed())
+    return contributions
 
 
 def _off(edges: Edges, segments: EdgeSegments, place: Array) -> Array:

@@ -38,19 +38,19 @@ def beyond_end(q: Array, p: Array) -> Complex:
     ``q`` and ``p`` (n,) are not negative.
     """
     swap = p > q
-    found = _beyond(np.where(swap, p, q), np.where(swap, q, p))
+    beyond = _beyond(np.where(swap, p, q), np.where(swap, q, p))
     # Owen's reflection of T: the two orders add up to a product of knife edges.
-    whole: Complex = np.where(swap, over_edge(q) * over_edge(p) - found, found)
+    whole: Complex = np.where(swap, over_edge(q) * over_edge(p) - beyond, beyond)
     return whole
 
 
 def _beyond(q: Array, p: Array) -> Complex:
     """For p up to q."""
-    found = np.empty(len(q), dtype=np.complex128)
+    amplitude = np.empty(len(q), dtype=np.complex128)
     near = q <= _FAR
-    found[near] = _to_end(q[near], p[near])
-    found[~near] = _down(q[~near], p[~near])
-    return found
+    amplitude[near] = _to_end(q[near], p[near])
+    amplitude[~near] = _down(q[~near], p[~near])
+    return amplitude
 
 
 def _to_end(q: Array, p: Array) -> Complex:
@@ -90,11 +90,11 @@ def over_two_edges(
     rest = np.maximum(1 - correlation**2, 1e-12)
     side = np.where(is_lit, -1.0, 1.0)
     height = side * np.sqrt(np.maximum(q, 1e-12))
-    found = np.zeros(len(q), dtype=np.complex128)
+    amplitude = np.zeros(len(q), dtype=np.complex128)
     alone = np.zeros(q.shape, dtype=np.bool_)
     for i in (0, 1):
         one = height[:, i]
         slope = height[:, 1 - i] / one - correlation
-        found += np.sign(slope) * beyond_end(one**2, (slope * one) ** 2 / rest)
+        amplitude += np.sign(slope) * beyond_end(one**2, (slope * one) ** 2 / rest)
         alone[:, i] = side[:, i] * slope < 0
-    return found, alone
+    return amplitude, alone

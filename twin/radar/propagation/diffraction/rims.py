@@ -42,12 +42,12 @@ class DiffractedPaths:
     longer_m: Array
     lit_m: Array
 
-    def chosen(self, which: NDArray[Any]) -> "DiffractedPaths":
+    def take(self, which: NDArray[Any]) -> "DiffractedPaths":
         """Only some of them, by index or mask."""
         return DiffractedPaths(*(getattr(self, f.name)[which] for f in fields(DiffractedPaths)))
 
     @staticmethod
-    def joined(parts: Sequence["DiffractedPaths"]) -> "DiffractedPaths":
+    def concatenate(parts: Sequence["DiffractedPaths"]) -> "DiffractedPaths":
         """One after the other."""
         names = [f.name for f in fields(DiffractedPaths)]
         return DiffractedPaths(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
@@ -66,7 +66,9 @@ def over_rim(
     """
     pairs = _pairs(rim, places - source, wavenumber, farthest(faintest))
     ends = [_past_end(rim, pairs, end, _UNHEARD * faintest) for end in (0, 1)]
-    paths = DiffractedPaths.joined([_over_edge(rim, pairs), _summed(DiffractedPaths.joined(ends))])
+    paths = DiffractedPaths.concatenate(
+        [_over_edge(rim, pairs), _summed(DiffractedPaths.concatenate(ends))]
+    )
     return replace(paths, stops=paths.stops + source)
 
 
@@ -206,10 +208,10 @@ def _summed(ends: DiffractedPaths) -> DiffractedPaths:
     amplitude, aside = np.zeros(len(one), dtype=np.complex128), np.zeros((len(one), 2, 3))
     np.add.at(amplitude, same, ends.amplitude)
     np.add.at(aside, same, ends.aside)
-    found = ends.chosen(one)
-    aside = _unit(aside) * np.linalg.norm(found.aside, axis=-1, keepdims=True)
+    strongest = ends.take(one)
+    aside = _unit(aside) * np.linalg.norm(strongest.aside, axis=-1, keepdims=True)
     none = np.zeros(len(one), dtype=np.int64)
-    return replace(found, aside=aside, amplitude=amplitude, item=none)
+    return replace(strongest, aside=aside, amplitude=amplitude, item=none)
 
 
 def bundled(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
@@ -227,15 +229,15 @@ def bundled(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
     turn = np.exp(-1j * wavenumber * (paths.longer_m - paths.longer_m[one][same]))
     amplitude = np.zeros(len(one), dtype=np.complex128)
     np.add.at(amplitude, same, paths.amplitude * turn)
-    return replace(paths.chosen(one), amplitude=amplitude)
+    return replace(paths.take(one), amplitude=amplitude)
 
 
 def loud(level: Array, group: Indices, faintest: float) -> NDArray[np.bool_]:
     """Levels (n,) that are not below so much of the strongest of their group."""
     strongest = np.zeros(int(group.max(initial=0)) + 1)
     np.maximum.at(strongest, group, level)
-    found: NDArray[np.bool_] = level >= faintest * strongest[group]
-    return found
+    is_loud: NDArray[np.bool_] = level >= faintest * strongest[group]
+    return is_loud
 
 
 def meeting(one: Indices, other: Indices) -> tuple[Indices, Indices]:
@@ -258,11 +260,11 @@ def successive(near: DiffractedPaths, far: DiffractedPaths) -> tuple[Indices, In
     same[i[near.edge[i] == far.edge[j]]] = True
     sides = np.sum(_unit(near.aside[i, 0]) * _unit(far.aside[j, 0]), axis=1)
     runs = np.abs(np.sum(near.along[i] * far.along[j], axis=1))
-    kept = np.flatnonzero(~same[i] & (np.minimum(sides, runs) > _ALIGNED))
-    best = np.round(np.minimum(sides, runs)[kept], 2)
-    kept = kept[np.lexsort((far.longer_m[j[kept]], -best, i[kept]))]
-    first = np.unique(i[kept], return_index=True)[1]
-    return i[kept][first], j[kept][first]
+    rows = np.flatnonzero(~same[i] & (np.minimum(sides, runs) > _ALIGNED))
+    best = np.round(np.minimum(sides, runs)[rows], 2)
+    rows = rows[np.lexsort((far.longer_m[j[rows]], -best, i[rows]))]
+    first = np.unique(i[rows], return_index=True)[1]
+    return i[rows][first], j[rows][first]
 
 
 def over_two(
@@ -309,11 +311,11 @@ def _either(
 ) -> DiffractedPaths:
     """One where it holds, else the other."""
 
-    def chosen(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+    def select(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
         return np.where(which.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
 
     return DiffractedPaths(
-        *(chosen(getattr(one, f.name), getattr(other, f.name)) for f in fields(DiffractedPaths))
+        *(select(getattr(one, f.name), getattr(other, f.name)) for f in fields(DiffractedPaths))
     )
 
 
@@ -325,8 +327,8 @@ def _shortest(begin: Array, end: Array, place: Array, along: Array) -> Array:
         at.append(np.sum(way * along, axis=1))
         off.append(np.linalg.norm(way - at[-1][:, None] * along, axis=1))
     share = (at[0] * off[1] + at[1] * off[0]) / np.maximum(off[0] + off[1], 1e-300)
-    met: Array = place + share[:, None] * along
-    return met
+    crossing: Array = place + share[:, None] * along
+    return crossing
 
 
 def _unit(way: Array) -> Array:

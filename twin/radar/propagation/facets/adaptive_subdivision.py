@@ -17,7 +17,7 @@ from twin.radar.propagation.facets.currents import Echoes, echoes_of
 from twin.radar.propagation.facets.front_facets import FrontFacets, largest, portions
 from twin.radar.propagation.facets.hidden import wholly_hidden
 from twin.radar.propagation.facets.scatterers import Scatterers
-from twin.radar.propagation.facets.shadows import alike, cut, sampled
+from twin.radar.propagation.facets.shadows import alike, clip, sampled
 from twin.radar.propagation.facets.triangles import Triangles, quartered
 from twin.radar.propagation.facets.uniform_subdivision import sizes, spacing_of, subdivided
 from twin.radar.propagation.one_way.path import TracingContext
@@ -70,17 +70,17 @@ class Leaves:
         return np.arange(len(self.weight))
 
     @staticmethod
-    def joined(parts: "Sequence[Leaves]") -> "Leaves":
+    def concatenate(parts: "Sequence[Leaves]") -> "Leaves":
         """One after the other; of equal bounces."""
         return Leaves(
-            Triangles.joined([part.triangles for part in parts]),
-            Echoes.joined([part.echoes for part in parts]),
+            Triangles.concatenate([part.triangles for part in parts]),
+            Echoes.concatenate([part.echoes for part in parts]),
             np.concatenate([part.weight for part in parts]),
         )
 
-    def chosen(self, which: NDArray[np.integer]) -> "Leaves":
+    def take(self, which: NDArray[np.integer]) -> "Leaves":
         """Only some of them, by index."""
-        return Leaves(self.triangles.taken(which), self.echoes.chosen(which), self.weight[which])
+        return Leaves(self.triangles.take(which), self.echoes.take(which), self.weight[which])
 
 
 class Budget:
@@ -211,11 +211,11 @@ class Budget:
         small = np.sqrt(lost) <= limit[:, None]
         small[:, 0] = False  # nothing that alone is more than that
         run = np.cumprod(small[:, ::-1], axis=1).sum(axis=1)  # unbroken from the faintest on
-        kept = _OCTAVES - run
+        first_negligible = _OCTAVES - run
         some = np.flatnonzero(run)
-        self._accepted[some] += lost[some, kept[some]]
-        found: NDArray[np.bool_] = octave >= kept[body]
-        return found
+        self._accepted[some] += lost[some, first_negligible[some]]
+        is_negligible: NDArray[np.bool_] = octave >= first_negligible[body]
+        return is_negligible
 
     def affordable(self, body: NDArray[np.intp], error: Array, share: float) -> NDArray[np.bool_]:
         """The smallest errors of every body that together stay within a level's share."""
@@ -224,9 +224,9 @@ class Budget:
         first = np.searchsorted(body[order], np.arange(len(self.level)))
         before = np.concatenate([[0.0], total])[first]
         most = share * (self.tolerance * self.level) ** 2
-        found = np.empty(len(body), dtype=bool)
-        found[order] = total - before[body[order]] <= most[body[order]]
-        return found
+        is_affordable = np.empty(len(body), dtype=bool)
+        is_affordable[order] = total - before[body[order]] <= most[body[order]]
+        return is_affordable
 
 
 def settled(
@@ -244,9 +244,9 @@ def settled(
     budget.expect(lit.body, np.abs(echoes.total))
     faint = budget.negligible(lit.body, echoes.total, echoes.strength, echoes.length_m)
     bright = np.flatnonzero(~faint)
-    found: list[Leaves] = []
+    settled_leaves: list[Leaves] = []
     if not len(bright):
-        return found
+        return settled_leaves
     partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
     if deepest and lit.waves is None and not is_open:
         partly, spacing_m = _partly_hidden(context, lit, bright, budget.known_spacing_m)
@@ -264,15 +264,15 @@ def settled(
             some, is_partly = quartered(context, some), np.repeat(is_partly, 4)
         return looked_at(some, echoes_of(context, scatterers, some), is_partly)
 
-    seen = _Seen.joined(
+    seen = _Seen.concatenate(
         [
-            looked_at(lit.taken(bright[rows]), echoes.chosen(bright[rows]), partly[rows])
+            looked_at(lit.take(bright[rows]), echoes.take(bright[rows]), partly[rows])
             for rows in portions(np.arange(len(bright)))
         ]
     )
     depth = 0
     while True:
-        budget.consider([seen.leaves, seen.cut])
+        budget.consider([seen.leaves, seen.fragments])
         done = budget.affordable(seen.leaves.body, seen.error, _PER_LEVEL) & ~seen.is_doubtful
         done &= ~seen.is_wide
         if depth == deepest:
@@ -282,20 +282,22 @@ def settled(
         done |= ~largest(np.where(done, 0.0, share), MOST_TRIANGLES // 4)
         doubt = np.where(seen.is_doubtful, _MIXED * known.echoes.strength, 0.0)
         budget.accept(known.body, seen.error + doubt, done)
-        for part, kept in ((seen.leaves, done), (seen.cut, done[seen.row])):
-            left = np.flatnonzero(kept & (part.weight != 0))
+        for part, is_final in ((seen.leaves, done), (seen.fragments, done[seen.row])):
+            left = np.flatnonzero(is_final & (part.weight != 0))
             if len(left):
-                found.append(part.chosen(left))
-                budget.settle(found[-1])
+                settled_leaves.append(part.take(left))
+                budget.settle(settled_leaves[-1])
         rest = np.flatnonzero(~done)
         if not len(rest):
             break
-        some, is_partly = seen.leaves.triangles.taken(rest), seen.is_partly[rest]
+        some, is_partly = seen.leaves.triangles.take(rest), seen.is_partly[rest]
         times = min(2 if len(rest) < _FEW else 1, deepest - depth)
         parts = portions(np.arange(len(rest)), 4**times)
-        seen = _Seen.joined([further(some.taken(rows), is_partly[rows], times) for rows in parts])
+        seen = _Seen.concatenate(
+            [further(some.take(rows), is_partly[rows], times) for rows in parts]
+        )
         depth += times
-    return found
+    return settled_leaves
 
 
 def _partly_hidden(
@@ -307,27 +309,27 @@ def _partly_hidden(
     """Which of some triangles have parts that are seen and others that are not, and how large parts
     are, in m: as asked for, or as the number of rays allows.
     """
-    size = lit.chosen(rows).sizes() if isinstance(lit, FrontFacets) else sizes(lit.taken(rows))
+    size = lit.subset(rows).sizes() if isinstance(lit, FrontFacets) else sizes(lit.take(rows))
     spacing_m = spacing_of(context, size) if spacing_m is None else spacing_m
-    found = np.zeros(len(rows), dtype=bool)
+    is_partly = np.zeros(len(rows), dtype=bool)
     for some in portions(np.flatnonzero(size > spacing_m), 4):
-        parts, row = subdivided(context, lit.taken(rows[some]), spacing_m)
+        parts, row = subdivided(context, lit.take(rows[some]), spacing_m)
         clear = sampled(context, parts, np.zeros(len(parts), dtype=bool))[3]
         seen = np.bincount(row, clear, len(some))
-        found[some] = (seen > 0) & (seen < np.bincount(row, minlength=len(some)))
-    return found, spacing_m
+        is_partly[some] = (seen > 0) & (seen < np.bincount(row, minlength=len(some)))
+    return is_partly, spacing_m
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Triangles with what is seen of them: ``leaves``, one for each, and ``cut``, parts that
+    """Triangles with what is seen of them: ``leaves``, one for each, and ``fragments``, parts that
     borders of shadows cut off, with the ``row`` of the triangle that they belong to; of each the
     ``error`` that it may have, whether shadows may pass between the rays, whether it ``is_partly``
     hidden, as rays at parts of the whole facet tell, and ``is_wide``: larger than these parts.
     """
 
     leaves: Leaves
-    cut: Leaves
+    fragments: Leaves
     row: NDArray[np.intp]
     error: Array
     is_doubtful: NDArray[np.bool_]
@@ -340,26 +342,26 @@ class _Seen:
         is_dark[self.row] = False
         if not is_dark.any():
             return self
-        kept = np.flatnonzero(~is_dark)
+        rows = np.flatnonzero(~is_dark)
         return _Seen(
-            self.leaves.chosen(kept),
-            self.cut,
+            self.leaves.take(rows),
+            self.fragments,
             (np.cumsum(~is_dark) - 1)[self.row],
-            self.error[kept],
-            self.is_doubtful[kept],
-            self.is_partly[kept],
-            self.is_wide[kept],
+            self.error[rows],
+            self.is_doubtful[rows],
+            self.is_partly[rows],
+            self.is_wide[rows],
         )
 
     @staticmethod
-    def joined(parts: "Sequence[_Seen]") -> "_Seen":
+    def concatenate(parts: "Sequence[_Seen]") -> "_Seen":
         """One after the other."""
         if len(parts) == 1:
             return parts[0]
         first = np.cumsum([0, *(len(part.error) for part in parts)])
         return _Seen(
-            Leaves.joined([part.leaves for part in parts]),
-            Leaves.joined([part.cut for part in parts]),
+            Leaves.concatenate([part.leaves for part in parts]),
+            Leaves.concatenate([part.fragments for part in parts]),
             np.concatenate([part.row + n for part, n in zip(parts, first, strict=False)]),
             np.concatenate([part.error for part in parts]),
             np.concatenate([part.is_doubtful for part in parts]),
@@ -371,7 +373,7 @@ class _Seen:
 def _open(lit: Triangles, echoes: Echoes) -> _Seen:
     none, leaves = np.zeros(0, dtype=np.intp), Leaves(lit, echoes, np.ones(len(lit)))
     no = np.zeros(len(lit), dtype=bool)
-    return _Seen(leaves, leaves.chosen(none), none, echoes.curved, no, no, no)
+    return _Seen(leaves, leaves.take(none), none, echoes.curved, no, no, no)
 
 
 def _looked_at(
@@ -390,7 +392,7 @@ def _looked_at(
     agree = (clear == clear[3]).all(axis=0)
     closer = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSER * allowed))
     if len(closer):
-        agree[closer] = alike(context, lit.taken(closer), clear[3, closer])
+        agree[closer] = alike(context, lit.take(closer), clear[3, closer])
     weight = _SEEN[clear[3].astype(np.intp), corners]
     error = np.where(weight > 0, echoes.curved, 0.0)
     odd = (corners == 1) | (corners == 2)
@@ -401,14 +403,14 @@ def _looked_at(
     doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
     is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
     hidden = np.flatnonzero(is_doubtful & (corners == 0))
-    is_doubtful[hidden] = ~wholly_hidden(context, scatterers.parts, lit.taken(hidden))
+    is_doubtful[hidden] = ~wholly_hidden(context, scatterers.parts, lit.take(hidden))
     leaves = Leaves(lit, echoes, weight)
     known = is_doubtful, partly, partly & (size > spacing_m)
     if not len(row):
-        return _Seen(leaves, leaves.chosen(row), row, error, *known)
-    off = cut(context, lit.taken(row), clear[:3, row])
-    both = echoes_of(context, scatterers, Triangles.joined([off.parts, off.whole]))
-    parts = both.chosen(slice(2 * len(row)))
+        return _Seen(leaves, leaves.take(row), row, error, *known)
+    off = clip(context, lit.take(row), clear[:3, row])
+    both = echoes_of(context, scatterers, Triangles.concatenate([off.parts, off.whole]))
+    parts = both.take(slice(2 * len(row)))
     # Against the triangle's own path.
     wave = _turned(both, context).reshape(3, -1)
     bent = np.abs(wave[0] + wave[1] - wave[2])
@@ -423,5 +425,5 @@ def _looked_at(
 
 def _turned(echoes: Echoes, context: TracingContext) -> Complex:
     wave_number = 2 * np.pi / float(context.wavelength[0])
-    found: Complex = echoes.total * np.exp(-1j * (wave_number * echoes.length_m % (2 * np.pi)))
-    return found
+    wave: Complex = echoes.total * np.exp(-1j * (wave_number * echoes.length_m % (2 * np.pi)))
+    return wave

@@ -18,7 +18,7 @@ def band_sums(
     spaced: to 1e-5 of the strongest, since levels and estimates of errors need no more.
     """
     n = len(wave_numbers)
-    found = np.zeros((count, n), dtype=np.complex128)
+    sums_of_owners = np.zeros((count, n), dtype=np.complex128)
     lowest = wave_numbers[0]
     step = wave_numbers[min(1, n - 1)] - lowest
     # Frequency a + p b by a product of matrices: turned by a steps, times turned by p b steps.
@@ -42,8 +42,8 @@ def band_sums(
         ends = [0, *(np.flatnonzero(np.diff(whose)) + 1).tolist(), len(some)]
         for first, last in pairwise(ends):
             sums = wide[:, first:last] @ fine[:, first:last].T
-            found[whose[first]] += sums.ravel()[:n]
-    return found
+            sums_of_owners[whose[first]] += sums.ravel()[:n]
+    return sums_of_owners
 
 
 def _waves(phase_rad: Array) -> NDArray[np.complex64]:
@@ -51,7 +51,7 @@ def _waves(phase_rad: Array) -> NDArray[np.complex64]:
     cycles = phase_rad / (2 * np.pi)
     cycles -= np.floor(cycles)
     rest = cycles.astype(np.float32) * np.float32(-2 * np.pi)
-    found = np.empty(len(rest), dtype=np.complex64)
-    np.cos(rest, out=found.real)
-    np.sin(rest, out=found.imag)
-    return found
+    wave = np.empty(len(rest), dtype=np.complex64)
+    np.cos(rest, out=wave.real)
+    np.sin(rest, out=wave.imag)
+    return wave

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, settled
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
-from twin.radar.propagation.facets.earlier import Found, Landings, Sums
+from twin.radar.propagation.facets.earlier import Landings, Sums, TracedEchoes
 from twin.radar.propagation.facets.front_facets import (
     FrontFacets,
     bistatic_facets,
@@ -57,7 +57,7 @@ def scattered_by(
     valid: Valid | None = None,
     *,
     with_landings: bool = False,
-) -> Found:
+) -> TracedEchoes:
     """Contributions of every body, and errors that their sums may have, with the antenna's gain.
 
     Parameters
@@ -99,13 +99,13 @@ def scattered_by(
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
     budget = Budget(count, tolerance, wave_numbers, floor, coarse, known=known)
     budget.known_spacing_m = (valid and valid.spacing_m[0]) or None
-    found = search.leaves(whole, tubes, budget, _DEEPEST)
+    parts = search.leaves(whole, tubes, budget, _DEEPEST)
     for _ in range(_MOST_PASSES):
         if (again := budget.renewed()) is None:
             break
         budget = again
-        found = search.leaves(whole, tubes, budget, _DEEPEST)
-    leaves = [_worth_it(part, budget) for part in found]
+        parts = search.leaves(whole, tubes, budget, _DEEPEST)
+    leaves = [_worth_it(part, budget) for part in parts]
     error = budget.accepted
     if valid is not None:
         fallen = valid.level > LEAST_FALL * budget.level
@@ -114,15 +114,12 @@ def scattered_by(
             return scattered_by(context, scatterers, images, *asked)
         error = np.hypot(error, valid.error)
     contributions = [
-        Contributions.joined(
-            [
-                contributions_of(context, scatterers, part.chosen(rows))
-                for rows in portions(part.rows)
-            ]
+        Contributions.concatenate(
+            [contributions_of(context, scatterers, part.take(rows)) for rows in portions(part.rows)]
         )
         for part in leaves
     ]
-    return Found(
+    return TracedEchoes(
         contributions=tuple(contributions)
         if valid is None
         else (valid.contributions, *contributions),
@@ -132,14 +129,14 @@ def scattered_by(
         level=budget.level,
         landings=tuple(search.landings or ()),
         spacing_m=(budget.spacing_m, spacing_m),
-        kept=0 if valid is None else len(valid.contributions),
+        n_reused=0 if valid is None else len(valid.contributions),
     )
 
 
 def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
     echo, known = leaves.weight * leaves.echoes.total, leaves.echoes
     faint = budget.negligible(leaves.body, echo, known.strength, known.length_m)
-    return leaves.chosen(np.flatnonzero(~faint))
+    return leaves.take(np.flatnonzero(~faint))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,22 +178,22 @@ class _Search:
         deepest: tuple[int, int],
     ) -> list[Leaves]:
         """Those lit directly, and those lit by ``tubes``."""
-        found = []
+        generations = []
         if whole is not None:
-            found.append(settled(self.context, self.scatterers, *whole, budget, deepest[0]))
+            generations.append(settled(self.context, self.scatterers, *whole, budget, deepest[0]))
         budget.end_direct()
         if tubes is not None:
             lit = self._lit_by_tubes(tubes, budget, deepest[1])
             if lit is not None:
-                found.append(settled(self.context, self.scatterers, *lit, budget, deepest[0]))
-        return [Leaves.joined(parts) for parts in found if parts]
+                generations.append(settled(self.context, self.scatterers, *lit, budget, deepest[0]))
+        return [Leaves.concatenate(parts) for parts in generations if parts]
 
     def begun(self, facets: FrontFacets, spacing_m: float) -> "_Begun | None":
         """Tubes of facets by which others may be seen, divided until what they may show lies
         between their rays.
         """
         rows = reflection_candidates(self.context, self.scatterers, facets, spacing_m)
-        wholes = (facets.taken(some) for some in portions(rows))
+        wholes = (facets.take(some) for some in portions(rows))
         return self._begun(subdivided(self.context, whole, spacing_m)[0] for whole in wholes)
 
     def _begun(self, parts: Iterable[Triangles]) -> "_Begun | None":
@@ -206,38 +203,42 @@ class _Search:
         count = 0
         for part in parts:
             for rows in portions(np.arange(len(part)), 4):  # which tubes may go on in
-                some = part if len(rows) == len(part) else part.taken(rows)
-                found = self.landed(some)
-                if found is None:
+                some = part if len(rows) == len(part) else part.take(rows)
+                footprints = self.landed(some)
+                if footprints is None:
                     continue
-                used, number = np.unique(found.root, return_inverse=True)
-                roots.append(some.taken(used))
-                landed.append(replace(found, root=count + number.reshape(-1)))
+                used, number = np.unique(footprints.root, return_inverse=True)
+                roots.append(some.take(used))
+                landed.append(replace(footprints, root=count + number.reshape(-1)))
                 count += len(used)
-        return _Begun(Triangles.joined(roots), landed) if roots else None
+        return _Begun(Triangles.concatenate(roots), landed) if roots else None
 
     def landed(self, roots: Triangles) -> "_Landed | None":
         """Where the tubes of roots land, after every number of bounces; None where none does."""
-        found = [Tubes.begin(roots)]
+        generations = [Tubes.begin(roots)]
         for _ in range(1, self.bounces):
-            further = reflected_on(self.context, self.scatterers, found[-1])
+            further = reflected_on(self.context, self.scatterers, generations[-1])
             if further is None:
                 break
-            found.append(further)
-        if len(found) == 1:
+            generations.append(further)
+        if len(generations) == 1:
             return None
-        tubes = Tubes.joined(found[1:])
+        tubes = Tubes.concatenate(generations[1:])
         lit, row = heard(self.context, self.scatterers, tubes.triangles, self.images)
         if self.landings is not None:
-            times = np.repeat(np.arange(1, len(found)), [len(part.root) for part in found[1:]])
+            times = np.repeat(
+                np.arange(1, len(generations)), [len(part.root) for part in generations[1:]]
+            )
             goes_on = tubes.is_lit & (times < self.bounces - 1)
             self.landings.append(
                 Landings.of(self.context, tubes, goes_on, row, np.array(lit.receiver))
             )
         if not len(row):
             return None
-        parts = (lit.taken(rows) for rows in portions(np.arange(len(lit))))
-        echoes = Echoes.joined([echoes_of(self.context, self.scatterers, part) for part in parts])
+        parts = (lit.take(rows) for rows in portions(np.arange(len(lit))))
+        echoes = Echoes.concatenate(
+            [echoes_of(self.context, self.scatterers, part) for part in parts]
+        )
         # What a ray stands for may lie on other planes than the one that it meets.
         most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
         error = most * tubes.doubt[row]
@@ -275,15 +276,15 @@ class _Search:
                 budget.accept(landed.lit.body, landed.error, ends)
                 some = np.flatnonzero(ends & landed.is_lit)
                 if len(some):
-                    lit.append((landed.lit.taken(some), landed.echoes.chosen(some)))
+                    lit.append((landed.lit.take(some), landed.echoes.take(some)))
             rest = np.flatnonzero(~done)
             if not len(rest):
                 break
             times = min(2 if len(rest) < _FEW else 1, deepest - depth)
-            divided = (roots.taken(rows) for rows in portions(rest, 4**times))
+            divided = (roots.take(rows) for rows in portions(rest, 4**times))
             begun = self._begun(self._divided(some, times) for some in divided)
             depth += times
         if not lit:
             return None
         triangles, echoes = zip(*lit, strict=True)
-        return Triangles.joined(triangles), Echoes.joined(echoes)
+        return Triangles.concatenate(triangles), Echoes.concatenate(echoes)

@@ -66,9 +66,9 @@ def border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> B
         _, low, high = dr.while_loop(
             begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
         )
-        found = (low + high) / 2
-        dr.eval(found)  # one kernel for all lines
-        return found
+        midpoint = (low + high) / 2
+        dr.eval(midpoint)  # one kernel for all lines
+        return midpoint
 
     on_left, on_right = share(left), share(right)
     # A line through the middle of the straight border, on which that lies at one half.

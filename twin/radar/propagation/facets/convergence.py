@@ -65,17 +65,17 @@ def percent(share: float) -> str:
 
 def unconverged(bodies: Iterable[BodyEcho]) -> list[str]:
     """A remark on the bodies that have not converged, if there are any."""
-    found = sorted(
+    worst = sorted(
         (body for body in bodies if not body.is_converged), key=lambda body: -body.estimated_error
     )
-    if not found:
+    if not worst:
         return []
-    named = ", ".join(body.name for body in found[:_NAMED])
-    errors = ", ".join(percent(body.estimated_error) for body in found[:_NAMED])
-    others = f" (and {len(found) - _NAMED} more, by less)" if len(found) > _NAMED else ""
+    named = ", ".join(body.name for body in worst[:_NAMED])
+    errors = ", ".join(percent(body.estimated_error) for body in worst[:_NAMED])
+    others = f" (and {len(worst) - _NAMED} more, by less)" if len(worst) > _NAMED else ""
     return [
-        f"{'echo' if len(found) == 1 else 'echoes'} of {named} converged to {errors} % only "
-        f"(in 95 of 100 cases){others}, asked for {percent(found[0].tolerance)} % "
+        f"{'echo' if len(worst) == 1 else 'echoes'} of {named} converged to {errors} % only "
+        f"(in 95 of 100 cases){others}, asked for {percent(worst[0].tolerance)} % "
         "(fidelity.radar_tolerance)"
     ]
 

@@ -23,7 +23,7 @@ def convex_parts(world: MeshScene) -> NDArray[np.uint32]:
     """Of every facet of the world a number that those of one convex part of a mesh share: all of a
     convex body, a flat convex patch, or the facet alone.
     """
-    found = np.zeros(len(world.faces), dtype=np.uint32)
+    label_of_facet = np.zeros(len(world.faces), dtype=np.uint32)
     geometries = [item.geometry for item in world.items if item is not None]
     new = [geometry for geometry in dict.fromkeys(geometries) if geometry not in _parts]
     if new:
@@ -31,9 +31,9 @@ def convex_parts(world: MeshScene) -> NDArray[np.uint32]:
     first = 0
     for geometry, rows in zip(geometries, world.face_ranges, strict=True):
         part, count = _parts[geometry]
-        found[rows] = part + first
+        label_of_facet[rows] = part + first
         first += count
-    return found
+    return label_of_facet
 
 
 def _of_meshes(geometries: Sequence[Geometry]) -> Iterator[tuple[Indices, int]]:
@@ -50,8 +50,8 @@ def _of_meshes(geometries: Sequence[Geometry]) -> Iterator[tuple[Indices, int]]:
         not s.is_convex and len(g.faces) <= _LARGEST_MESH
         for g, s in zip(geometries, shapes, strict=True)
     ]
-    joined = (sizes > 1) & (sizes <= _MOST_FACES) & np.repeat(is_asked, np.diff(first_patch))
-    rows = np.flatnonzero(joined[patch])
+    is_mergeable = (sizes > 1) & (sizes <= _MOST_FACES) & np.repeat(is_asked, np.diff(first_patch))
+    rows = np.flatnonzero(is_mergeable[patch])
     if len(rows):
         rows = rows[np.argsort(patch[rows], kind="stable")]
         mesh = np.repeat(np.arange(len(geometries)), np.diff(first_face))[rows]
@@ -62,8 +62,8 @@ def _of_meshes(geometries: Sequence[Geometry]) -> Iterator[tuple[Indices, int]]:
             for all_faces in zip(*((g.faces, g.welded_faces) for g in geometries), strict=True)
         )
         corners = np.unique(corners, return_inverse=True)[1].reshape(-1, 3)
-        joined &= _are_convex(points[faces], corners, patch[rows], len(sizes))
-    label = np.where(joined[patch], patch, len(sizes) + np.arange(len(patch)))
+        is_mergeable &= _are_convex(points[faces], corners, patch[rows], len(sizes))
+    label = np.where(is_mergeable[patch], patch, len(sizes) + np.arange(len(patch)))
     for (a, b), shape in zip(pairwise(first_face), shapes, strict=True):
         if shape.is_convex:
             yield np.zeros(b - a, dtype=np.int64), 1
@@ -98,5 +98,5 @@ def _are_convex(place: Array, corners: Indices, patch: Indices, count: int) -> N
 
 
 def _unit(vectors: Array) -> Array:
-    found: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
-    return found
+    units: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+    return units

@@ -38,15 +38,15 @@ def as_mirrored(boxes: Array, images: Sequence[Image], flats: Flats) -> Array:
     last ones again.
     """
     order = max(len(image.patches) for image in images)
-    found = np.empty((len(images), order + 1, *boxes.shape))
-    for row, image in zip(found, images, strict=True):
+    mirrored = np.empty((len(images), order + 1, *boxes.shape))
+    for row, image in zip(mirrored, images, strict=True):
         for level in range(order + 1):
             ends = np.concatenate([boxes[:, :1], boxes[:, :1] + boxes[:, 1:]], axis=1)
             count = min(level, len(image.patches))
             for patch in image.patches[len(image.patches) - count :]:
                 ends = in_planes(ends, flats.point[patch], flats.normal[patch])
             row[level] = np.concatenate([ends[:, :1], ends[:, 1:] - ends[:, :1]], axis=1)
-    return found
+    return mirrored
 
 
 def crossed(
@@ -66,7 +66,7 @@ def crossed(
     count = dr.width(corners[0])
     sets, many = boxes.shape[:2]
     table = mi.Float64(aligned(boxes))
-    found = dr.zeros(mi.Bool, count)
+    is_crossed = dr.zeros(mi.Bool, count)
     if not count or not sets:
         return np.zeros(count, dtype=bool)
     begin = which * dr.opaque(mi.UInt32, many)
@@ -77,9 +77,9 @@ def crossed(
             mi.Vector3d(*(dr.gather(mi.Float64, table, row + 3 * k + i) for i in range(3)))
             for k in range(4)
         )
-        found |= ~_apart(tip, corners, middle, half, beyond)
-        dr.eval(found)
-    return np.array(found)
+        is_crossed |= ~_apart(tip, corners, middle, half, beyond)
+        dr.eval(is_crossed)
+    return np.array(is_crossed)
 
 
 def _apart(tip: Any, corners: Corners, middle: Any, half: Sequence[Any], beyond: bool) -> Any:

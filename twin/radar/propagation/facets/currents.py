@@ -67,12 +67,12 @@ class Echoes:
         """With the antenna's gain, less the phase of the path."""
         return self.amplitude * self.mean
 
-    def chosen(self, which: Any) -> "Echoes":
+    def take(self, which: Any) -> "Echoes":
         """Only some of them, by index or mask."""
         return Echoes(*(getattr(self, f.name)[which] for f in fields(Echoes)))
 
     @staticmethod
-    def joined(parts: Sequence["Echoes"]) -> "Echoes":
+    def concatenate(parts: Sequence["Echoes"]) -> "Echoes":
         """One after the other."""
         names = [f.name for f in fields(Echoes)]
         return Echoes(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
@@ -165,9 +165,9 @@ def _induced(
     direction and field.
     """
     direction, field = wave
-    towards, kept = heard
+    towards, polarization = heard
     away, reflected_field = _mirrored(context, scatterers, lit, direction, normal, field)
-    return kept.dot(radiating(field, reflected_field, direction, away, normal, -towards))
+    return polarization.dot(radiating(field, reflected_field, direction, away, normal, -towards))
 
 
 def level_at(

@@ -140,22 +140,22 @@ class Sums:
         )
 
     @staticmethod
-    def joined(parts: "Sequence[Sums]") -> "Sums":
+    def concatenate(parts: "Sequence[Sums]") -> "Sums":
         """One after the other."""
         names = [f.name for f in fields(Sums)]
         return Sums(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
-    def chosen(self, which: Indices) -> "Sums":
+    def take(self, which: Indices) -> "Sums":
         """Only some of them, by index."""
         return Sums(*(getattr(self, f.name)[which] for f in fields(Sums)))
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class TracedEchoes:
     """Echoes of all bodies: contributions in parts, an earlier frame's first, ``sums`` of the
     others, and whether these ``is_direct``: lit from images, not by tubes; error accepted of every
     body, and the level that it was accepted for; landings of tubes; sizes of parts of facets, of
-    those lit from images and of those that begin tubes; how many contributions are ``kept``.
+    those lit from images and of those that begin tubes; how many contributions are ``n_reused``.
     """
 
     contributions: tuple[Contributions, ...]
@@ -165,7 +165,7 @@ class Found:
     level: Array
     landings: tuple[Landings, ...]
     spacing_m: tuple[float, float]
-    kept: int = 0
+    n_reused: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,4 +175,4 @@ class Traced:
     """
 
     setting: Setting
-    found: Found
+    echoes: TracedEchoes

@@ -33,11 +33,11 @@ def portions(rows: Rows, parts: int = 1) -> Iterator[Rows]:
 
 def largest(values: Array, count: int) -> NDArray[np.bool_]:
     """Which of some values, (n,), are the largest ones, as many as asked for, and not 0."""
-    found = values > 0
-    if np.count_nonzero(found) > count:
-        found[:] = False
-        found[np.argsort(-values, kind="stable")[:count]] = True
-    return found
+    is_largest = values > 0
+    if np.count_nonzero(is_largest) > count:
+        is_largest[:] = False
+        is_largest[np.argsort(-values, kind="stable")[:count]] = True
+    return is_largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,35 +65,35 @@ class FrontFacets:
         """Their rows."""
         return np.arange(len(self))
 
-    def chosen(self, rows: Rows) -> "FrontFacets":
+    def subset(self, rows: Rows) -> "FrontFacets":
         """Only some of them."""
         some = self.face[rows], self.source[rows], self.receiver[rows]
         return FrontFacets(self.context, self.scatterers, *some)
 
-    def taken(self, rows: Rows) -> Triangles:
+    def take(self, rows: Rows) -> Triangles:
         """Some of them as triangles, with the wave that lights them."""
-        some = self.chosen(rows)
+        some = self.subset(rows)
         return lit_facets(self.context, self.scatterers, some.face, some.source, some.receiver)
 
     def echoes(self) -> Echoes:
         """What each returns if all of it is seen."""
-        return Echoes.joined(
+        return Echoes.concatenate(
             [
-                echoes_of(self.context, self.scatterers, self.taken(rows))
+                echoes_of(self.context, self.scatterers, self.take(rows))
                 for rows in portions(self.all)
             ]
         )
 
     def sizes(self) -> Array:
         """Longest edges in m, (n,)."""
-        world, found = self.context.world, np.empty(len(self))
+        world, size_m = self.context.world, np.empty(len(self))
         for rows in portions(self.all):
             at = world.vertices[world.faces[self.face[rows]]]
-            found[rows] = longest_edges(at[:, 0], at[:, 1], at[:, 2])
-        return found
+            size_m[rows] = longest_edges(at[:, 0], at[:, 1], at[:, 2])
+        return size_m
 
     @staticmethod
-    def joined(parts: "Sequence[FrontFacets]") -> "FrontFacets":
+    def concatenate(parts: "Sequence[FrontFacets]") -> "FrontFacets":
         """One after the other."""
         columns = zip(*((p.face, p.source, p.receiver) for p in parts), strict=True)
         return FrontFacets(
@@ -114,7 +114,7 @@ def bistatic_facets(
     b = scatterers
     rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
     sides = sides_of(context, images, rows)
-    found = []
+    facets = []
     for i, side in enumerate(sides):
         is_lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
         lit = np.flatnonzero(is_lit)
@@ -123,8 +123,8 @@ def bistatic_facets(
             both = face[(sides[j][lit] == of_lit) & b.heard[j, face]]
             if wanted is not None:
                 both = both[wanted[i, both] | wanted[j, both]]
-            found.append(_numbered(context, b, both, i, j))
-    return FrontFacets.joined(found)
+            facets.append(_numbered(context, b, both, i, j))
+    return FrontFacets.concatenate(facets)
 
 
 def illuminated_facets(
@@ -136,13 +136,13 @@ def illuminated_facets(
     """All facets that a source faces, as their own receivers; ``wanted`` as of `facing`."""
     b = scatterers
     rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
-    found = []
+    facets = []
     for i, side in enumerate(sides_of(context, images, rows)):
         lit = (side != 0) & (b.outward[i, rows] * side >= 0)
         if wanted is not None:
             lit &= wanted[i, rows]
-        found.append(_numbered(context, b, rows[lit & b.heard[i, rows]], i, i))
-    return FrontFacets.joined(found)
+        facets.append(_numbered(context, b, rows[lit & b.heard[i, rows]], i, i))
+    return FrontFacets.concatenate(facets)
 
 
 def _numbered(
@@ -160,13 +160,13 @@ def sides_of(
     context: TracingContext, images: Sequence[Image], rows: NDArray[np.intp]
 ) -> list[NDArray[np.int8]]:
     """On which side of some facets each image stands: 1 where their normal points to."""
-    found = [np.empty(len(rows), dtype=np.int8) for _ in images]
+    sides = [np.empty(len(rows), dtype=np.int8) for _ in images]
     for some in portions(np.arange(len(rows))):
         plane = context.world.plane_table[rows[some]]
-        for side, image in zip(found, images, strict=True):
+        for side, image in zip(sides, images, strict=True):
             height = np.einsum("ij,ij->i", image.place - plane[:, :3], plane[:, 3:])
             side[some] = np.sign(height)
-    return found
+    return sides
 
 
 def lit_facets(

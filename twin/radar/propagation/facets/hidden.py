@@ -33,19 +33,19 @@ def wholly_hidden(context: TracingContext, parts: Any, lit: Triangles) -> NDArra
     """Triangles that their receiver, or the source that lights them directly, surely sees nothing
     of, (n,); by the convex ``parts`` of the world, on the device.
     """
-    found = np.zeros(len(lit), dtype=bool)
+    is_hidden = np.zeros(len(lit), dtype=bool)
     for end in ("receiver", "source") if lit.waves is None else ("receiver",):
-        rest = np.flatnonzero(~found)
+        rest = np.flatnonzero(~is_hidden)
         if len(rest):
-            found[rest] = _hidden_from(context, parts, lit.taken(rest), end)
-    return found
+            is_hidden[rest] = _hidden_from(context, parts, lit.take(rest), end)
+    return is_hidden
 
 
 def _hidden_from(
     context: TracingContext, parts: Any, lit: Triangles, end: str
 ) -> NDArray[np.bool_]:
     mi, n = context.mi, len(lit)
-    many = lit.repeated(3)
+    many = lit.repeat(3)
     number = dr.arange(mi.UInt32, 3 * n) % 3
     place = dr.select(number == 0, many.corners[0], many.corners[1])
     place = dr.select(number == 2, many.corners[2], place)
@@ -53,12 +53,12 @@ def _hidden_from(
     by = by.reshape(n, 3).T
     is_known = (by != 0).all(axis=0)
     alike = by == by[[1, 2, 0]]
-    found: NDArray[np.bool_] = is_known & alike.all(axis=0)
+    is_hidden: NDArray[np.bool_] = is_known & alike.all(axis=0)
     is_odd, odd = odd_one(alike)
     row = np.flatnonzero(is_known & is_odd)
     if len(row):
-        found[row] = _are_joined(context, parts, lit.taken(row), end, by[:, row], odd[row])
-    return found
+        is_hidden[row] = _are_joined(context, parts, lit.take(row), end, by[:, row], odd[row])
+    return is_hidden
 
 
 def _are_joined(
@@ -73,7 +73,7 @@ def _are_joined(
     begins where the other ends.
     """
     mi, n, column = context.mi, len(lit), np.arange(len(lit))
-    many = lit.repeated(2)
+    many = lit.repeat(2)
     corners = [p + _INSET * (many.center - p) for p in many.corners]
 
     def corner(which: NDArray[np.uint32]) -> Any:
@@ -97,8 +97,8 @@ def _are_joined(
     dr.eval(high)
     beyond = np.array(_hidden_by(context, parts, many, end, tip + high * (other - tip)))
     wanted = np.repeat(by[(odd + 1) % 3, column], 2)
-    joined: NDArray[np.bool_] = (beyond == wanted).reshape(n, 2).all(axis=1)
-    return joined
+    are_adjacent: NDArray[np.bool_] = (beyond == wanted).reshape(n, 2).all(axis=1)
+    return are_adjacent
 
 
 def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, place: Any) -> Any:
@@ -110,14 +110,14 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
     off = normal_of(context, lit.face, place, origin_of(context, lit)) * (offset(place) + lit.lift)
     order = dr.gather(mi.UInt32, context.orders, source)
     at, aim, start = place, _gathered(mi, context.positions, 3 * source), place + off
-    found, exists = dr.zeros(mi.UInt32, dr.width(place)), mi.Bool(True)
+    occluder, exists = dr.zeros(mi.UInt32, dr.width(place)), mi.Bool(True)
 
     def note(kind: Any, where: Any, level: int) -> None:
-        nonlocal found
+        nonlocal occluder
         number = kind * (context.order + 1) + level
-        found = dr.select((found == 0) & where & (kind > 0), number, found)
+        occluder = dr.select((occluder == 0) & where & (kind > 0), number, occluder)
 
-    def met(begin: Any, direction: Any, reach: Any, where: Any, mirror: Any = None) -> Any:
+    def first_hit(begin: Any, direction: Any, reach: Any, where: Any, mirror: Any = None) -> Any:
         """Number of the part that a ray meets; 0 of none, or of a mirror."""
         ray = mi.Ray3f(mi.Point3f(begin), mi.Vector3f(direction), mi.Float(reach), 0.0, [])
         hit = scene.ray_intersect_preliminary(ray, active=where)
@@ -145,8 +145,8 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
         has &= exists
         note(_side(context, row, mirror), has, level)
         patch = dr.gather(mi.UInt32, context.marks, 3 * row, has)
-        rays = start, direction, t * (1 - _BEFORE), has & (found == 0)
-        note(met(*rays, patch), has, level)
+        rays = start, direction, t * (1 - _BEFORE), has & (occluder == 0)
+        note(first_hit(*rays, patch), has, level)
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
         at, aim = dr.select(has, mirror, at), dr.select(has, before, aim)
         start = dr.select(has, mirror + facing * offset(mirror), start)
@@ -154,24 +154,26 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
     is_near = dr.norm(aim) < _NEAR_M
     begin, back = dr.select(is_near, aim, start), dr.select(is_near, start, aim)
     way = back - begin
-    last = met(begin, dr.normalize(way), dr.norm(way) * (1 - _BEFORE), exists & (found == 0))
+    last = first_hit(
+        begin, dr.normalize(way), dr.norm(way) * (1 - _BEFORE), exists & (occluder == 0)
+    )
     note(last, mi.Bool(True), context.order)
-    return found
+    return occluder
 
 
 def _side(context: TracingContext, row: Any, place: Any) -> Any:
     """Beyond which side of a mirror's window a place in its plane lies; 0 of none."""
     mi = context.mi
-    slack, found = _BESIDE * dr.norm(place), mi.UInt32(0)
+    slack, side = _BESIDE * dr.norm(place), mi.UInt32(0)
     for k in range(2):
         axis = _gathered(mi, context.windows, WINDOW * row + 5 * k)
         low, high = (
             dr.gather(mi.Float64, context.windows, WINDOW * row + 5 * k + i) for i in (3, 4)
         )
         along = dr.dot(axis, place)
-        found = dr.select(along < low - slack, mi.UInt32(_AT_SIDES + 2 * k), found)
-        found = dr.select(along > high + slack, mi.UInt32(_AT_SIDES + 2 * k + 1), found)
-    return found
+        side = dr.select(along < low - slack, mi.UInt32(_AT_SIDES + 2 * k), side)
+        side = dr.select(along > high + slack, mi.UInt32(_AT_SIDES + 2 * k + 1), side)
+    return side
 
 
 def _gathered(mi: Any, values: Any, index: Any) -> Any:

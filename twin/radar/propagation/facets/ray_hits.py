@@ -31,7 +31,7 @@ class RayHits:
     face: Indices
     gap_m: Array
 
-    def chosen(self, row: Indices) -> "RayHits":
+    def take(self, row: Indices) -> "RayHits":
         """Of some tubes only."""
         return RayHits(self.is_valid[:, row], self.face[:, row], self.gap_m[:, row])
 
@@ -41,7 +41,7 @@ def reflected_ray_hits(
 ) -> RayHits:
     """Of rays from the corners and a point inside, or from the spot alone."""
     mi, n = context.mi, len(tubes)
-    many = tubes.repeated(samples) if samples > 1 else tubes
+    many = tubes.repeat(samples) if samples > 1 else tubes
     index = dr.arange(mi.UInt32, samples * n)
     place = samples_of(many, index & 3) if samples > 1 else many.spot
     active, face, direction = reflected_from(context, scatterers, many, place)
@@ -65,21 +65,21 @@ def apart(context: TracingContext, tubes: Triangles, hits: RayHits) -> Array:
     one of them meets, (4 planes, 4 samples, n); infinite where either meets none.
     """
     mi, n = context.mi, len(tubes)
-    many = tubes.repeated(4)
+    many = tubes.repeat(4)
     index = dr.arange(mi.UInt32, 4 * n)
     place = samples_of(many, index & 3)
     direction, _ = _mirrored(context, many, place)
     faces = mi.UInt32(aligned(hits.face.T.ravel().astype(np.uint32)))
     own = along(context, faces, place, direction)
-    found = np.empty((4, 4, n))
+    distance_m = np.empty((4, 4, n))
     for k in range(4):
         gap = (
             along(context, dr.gather(mi.UInt32, faces, 4 * (index // 4) + k), place, direction)
             - own
         )
         valid = hits.is_valid & hits.is_valid[k]
-        found[k] = np.where(valid, np.abs(np.array(gap).reshape(n, 4).T), np.inf)
-    return found
+        distance_m[k] = np.where(valid, np.abs(np.array(gap).reshape(n, 4).T), np.inf)
+    return distance_m
 
 
 def _mirrored(context: TracingContext, tubes: Triangles, place: Any) -> tuple[Any, Any]:

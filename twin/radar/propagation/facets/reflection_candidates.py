@@ -30,24 +30,24 @@ def reflection_candidates(
 
     is_near = np.zeros(count * context.n_sources, dtype=bool)
     for rows in portions(facets.all):
-        parts, row = subdivided(context, facets.taken(rows), spacing_m)
+        parts, row = subdivided(context, facets.take(rows), spacing_m)
         for some in portions(np.arange(len(parts))):
-            part = parts if len(some) == len(parts) else parts.taken(some)
+            part = parts if len(some) == len(parts) else parts.take(some)
             is_met = reflected_ray_hits(context, scatterers, part, 1).is_valid[0]
             is_near[own(rows[row[some[is_met]]])] = True
     is_nearby = np.zeros_like(is_near)
     for rows in portions(facets.all):
         at = own(rows)
         is_nearby[at[is_near[at].any(axis=1)]] = True
-    found = [rows[is_nearby[own(rows)].any(axis=1)] for rows in portions(facets.all)]
-    return np.concatenate([np.zeros(0, dtype=np.intp), *found])
+    candidates = [rows[is_nearby[own(rows)].any(axis=1)] for rows in portions(facets.all)]
+    return np.concatenate([np.zeros(0, dtype=np.intp), *candidates])
 
 
 def _corners(context: TracingContext) -> tuple[Indices, int]:
     """Numbers of all facets' corners, one for each place of a mesh, (m, 3); how many at most."""
     world = context.world
-    found = world.faces.astype(np.int64)
+    corners = world.faces.astype(np.int64)
     items = [item for item in world.items if item is not None]
     for item, rows, own in zip(items, world.face_ranges, world.vertex_ranges, strict=True):
-        found[rows] = item.geometry.welded_faces + own.start
-    return found, len(world.vertices)
+        corners[rows] = item.geometry.welded_faces + own.start
+    return corners, len(world.vertices)

@@ -85,11 +85,11 @@ def _heard(prepared: PreparedScene, antenna: Antenna) -> NDArray[np.bool_]:
 def _before(prepared: PreparedScene) -> NDArray[np.bool_]:
     """Facets with a corner ahead of the antenna, by way of every image, (n_images, n_facets)."""
     world = prepared.world
-    found = []
+    is_ahead = []
     for image in prepared.images:
         axis = prepared.axes[0]
         for patch in image.patches:
             normal = prepared.flats.normal[patch]
             axis = axis - 2 * (axis @ normal) * normal
-        found.append((((world.vertices - image.place) @ axis) > 0)[world.faces].any(axis=1))
-    return np.array(found)
+        is_ahead.append((((world.vertices - image.place) @ axis) > 0)[world.faces].any(axis=1))
+    return np.array(is_ahead)

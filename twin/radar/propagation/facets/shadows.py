@@ -51,15 +51,15 @@ def sampled(
     n, often = len(lit), np.flatnonzero(thoroughly & ~lit.is_ray)
     index = np.concatenate([np.arange(n), np.tile(often, 3)])
     corner = np.concatenate([np.full(n, 3), np.repeat(np.arange(3), len(often))])
-    some = lit.gathered(index)
+    some = lit.gather(index)
     which = context.mi.UInt32(aligned(corner.astype(np.uint32)))
     place = some.spot
     for number, point in enumerate(some.corners):
         place = dr.select(which == number, point + _INSET * (some.center - point), place)
     clear = np.array(seen(context, some, place))
-    found = np.tile(clear[:n], (4, 1))
-    found[:3, often] = clear[n:].reshape(3, -1)
-    return found
+    is_clear = np.tile(clear[:n], (4, 1))
+    is_clear[:3, often] = clear[n:].reshape(3, -1)
+    return is_clear
 
 
 def alike(context: TracingContext, lit: Triangles, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -67,16 +67,16 @@ def alike(context: TracingContext, lit: Triangles, wanted: NDArray[np.bool_]) ->
     of edges and towards corners.
     """
     n, share = len(lit), np.array(_BETWEEN).T
-    some, number = lit.repeated(len(_BETWEEN)), np.tile(np.arange(len(_BETWEEN)), n)
+    some, number = lit.repeat(len(_BETWEEN)), np.tile(np.arange(len(_BETWEEN)), n)
     weights = [context.mi.Float64(aligned(column[number])) for column in share]
     place = sum(w * corner for w, corner in zip(weights, some.corners, strict=True))
     clear = np.array(seen(context, some, place)).reshape(n, -1)
-    found: NDArray[np.bool_] = (clear == wanted[:, None]).all(axis=1)
-    return found
+    is_alike: NDArray[np.bool_] = (clear == wanted[:, None]).all(axis=1)
+    return is_alike
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class Clipping:
     """Triangles cut by a shadow's border: the parts at the corner that differs from the others,
     bordered by two straight lines (``parts``, 2 n) and by one (``whole``, n); whether that corner
     ``is_seen``, and whether all of the border ``is_known``: points in the middle of what lies on
@@ -89,7 +89,7 @@ class Cut:
     is_known: NDArray[np.bool_]
 
 
-def cut(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Cut:
+def clip(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> Clipping:
     """Cut triangles one corner of which differs from both others in what is seen, (3, n)."""
     odd = np.where(corners[0] == corners[1], 2, np.where(corners[0] == corners[2], 1, 0))
     is_seen = corners[odd, np.arange(len(lit))]
@@ -108,7 +108,7 @@ def cut(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> 
     inset = [point + _DRAWN_IN * (lit.center - point) for point in lit.corners]
     tip, left, right = ordered(inset)
 
-    def found(end: Any) -> Any:
+    def lit_share(end: Any) -> Any:
         """Share of the way from the odd corner at which the border lies."""
 
         def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
@@ -128,7 +128,7 @@ def cut(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> 
         dr.eval(share)  # all that follows would search again
         return share
 
-    share_left, share_right = found(left), found(right)
+    share_left, share_right = lit_share(left), lit_share(right)
     across = 2 / dr.maximum(share_left + share_right, 1e-9)
 
     def through(begin: Any, one: Any, other: Any) -> Any:
@@ -137,7 +137,7 @@ def cut(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> 
         return begin + across * middle
 
     inner = through(tip, left, right)
-    share = found(inner)
+    share = lit_share(inner)
     bend = tip + share * (inner - tip)
     # From the lines searched, which run a little inside, on to the triangle's own edges.
     near = _DRAWN_IN / 3
@@ -157,9 +157,9 @@ def cut(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) -> 
     for part, expected in (*((p, wanted) for p in near_by), *((p, ~wanted) for p in beyond)):
         middle = sum(part) / len(part)
         is_known &= seen(context, lit, middle + _INSET * (lit.center - middle)) == expected
-    parts = Triangles.joined([replace(lit, corners=part) for part in near_by])
+    parts = Triangles.concatenate([replace(lit, corners=part) for part in near_by])
     whole = replace(lit, corners=(tip, left_at, right_at))
-    return Cut(parts.evaluated(), whole.evaluated(), is_seen, np.array(is_known))
+    return Clipping(parts.evaluate(), whole.evaluate(), is_seen, np.array(is_known))
 
 
 def _onwards(margin: float, away: Any) -> Any:

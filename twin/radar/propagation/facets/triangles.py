@@ -122,31 +122,31 @@ class Triangles:
         own = dr.gather(type(self.corners[0]), self.waves.spot, self.wave)
         return dr.select(is_ray, own, self.center)
 
-    def gathered(self, which: Indices) -> "Triangles":
+    def gather(self, which: Indices) -> "Triangles":
         """Only some of them, by index, to be computed where they are used."""
         index = type(self.face)(aligned(which.astype(np.uint32)))
         columns = [dr.gather(type(value), value, index) for value in self._columns()]
         body, is_ray, first = (getattr(self, name)[which] for name in _ON_HOST)
         return replace(self._of(columns), body=body, is_ray=is_ray, first=first)
 
-    def taken(self, which: Indices) -> "Triangles":
+    def take(self, which: Indices) -> "Triangles":
         """Only some of them, by index."""
-        return self.gathered(which).evaluated()
+        return self.gather(which).evaluate()
 
-    def repeated(self, times: int) -> "Triangles":
+    def repeat(self, times: int) -> "Triangles":
         """Each of them several times in a row."""
         index = dr.arange(type(self.face), times * len(self)) // times
         columns = [dr.gather(type(value), value, index) for value in self._columns()]
         body, is_ray, first = (np.repeat(getattr(self, name), times) for name in _ON_HOST)
         return replace(self._of(columns), body=body, is_ray=is_ray, first=first)
 
-    def evaluated(self) -> "Triangles":
+    def evaluate(self) -> "Triangles":
         """The same, computed."""
         dr.eval(self._columns())
         return self
 
     @staticmethod
-    def joined(parts: Sequence["Triangles"]) -> "Triangles":
+    def concatenate(parts: Sequence["Triangles"]) -> "Triangles":
         """One after the other; all lit directly, or none."""
         parts = [part for part in parts if len(part)] or list(parts[:1])
         if len(parts) == 1:
@@ -158,10 +158,10 @@ class Triangles:
             number = dict(zip(others, begin, strict=True))
             parts = [replace(p, wave=p.wave + number[id(p.waves)]) for p in parts]
         columns = list(zip(*(part._columns() for part in parts), strict=True))
-        found = first._of(concatenated(columns, [len(part) for part in parts]))
+        whole = first._of(concatenated(columns, [len(part) for part in parts]))
         own = (np.concatenate([getattr(part, name) for part in parts]) for name in _ON_HOST)
         body, is_ray, begun = own
-        return replace(found, waves=waves, body=body, is_ray=is_ray, first=begun)
+        return replace(whole, waves=waves, body=body, is_ray=is_ray, first=begun)
 
     def _columns(self) -> list[Any]:
         """All numbers, in order."""
@@ -221,15 +221,15 @@ def incident_on(context: TracingContext, lit: Triangles) -> Incident:
 def quartered(context: TracingContext, triangles: Triangles) -> Triangles:
     """Each in four, by two cuts across the longest edge."""
     corners = triangles.corners
-    four = triangles.repeated(4)
+    four = triangles.repeat(4)
     number = dr.arange(context.mi.UInt32, len(four))
-    for cut in (2, 1):
-        a, b, c = four.corners if cut == 2 else corners
+    for half in (2, 1):
+        a, b, c = four.corners if half == 2 else corners
         ab, bc, ca = (dr.squared_norm(q - p) for p, q in ((a, b), (b, c), (c, a)))
         first, second = (ab >= bc) & (ab >= ca), bc >= ca
         p = dr.select(first, a, dr.select(second, b, c))
         q = dr.select(first, b, dr.select(second, c, a))
         r = dr.select(first, c, dr.select(second, a, b))
-        is_later, middle = (number & cut) > 0, (p + q) / 2
+        is_later, middle = (number & half) > 0, (p + q) / 2
         corners = (dr.select(is_later, middle, p), dr.select(is_later, q, middle), r)
-    return replace(four, corners=corners).evaluated()
+    return replace(four, corners=corners).evaluate()

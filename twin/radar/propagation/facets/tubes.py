@@ -64,20 +64,20 @@ class Tubes:
     doubt: Array
     is_lit: NDArray[np.bool_]
 
-    def chosen(self, which: NDArray[Any]) -> "Tubes":
+    def take(self, which: NDArray[Any]) -> "Tubes":
         """Only some of them, by index or mask."""
         if which.dtype == bool and which.all():
             return self
         index = np.flatnonzero(which) if which.dtype == bool else which
         return Tubes(
-            self.triangles.taken(index), self.root[index], self.doubt[index], self.is_lit[index]
+            self.triangles.take(index), self.root[index], self.doubt[index], self.is_lit[index]
         )
 
     @staticmethod
-    def joined(parts: "Sequence[Tubes]") -> "Tubes":
+    def concatenate(parts: "Sequence[Tubes]") -> "Tubes":
         """One after the other."""
         return Tubes(
-            Triangles.joined([part.triangles for part in parts]),
+            Triangles.concatenate([part.triangles for part in parts]),
             np.concatenate([part.root for part in parts]),
             np.concatenate([part.doubt for part in parts]),
             np.concatenate([part.is_lit for part in parts]),
@@ -113,20 +113,20 @@ def reflected_on(context: TracingContext, scatterers: Scatterers, tubes: Tubes) 
     A tube whose rays meet facets so nearly in one plane that phases hardly differ stays whole. One
     that a border cuts in two goes on in parts, and of others each quarter as a mere ray.
     """
-    tubes = tubes.chosen(tubes.is_lit)
-    wide, rays = tubes.chosen(~tubes.triangles.is_ray), tubes.chosen(tubes.triangles.is_ray)
-    found = _onto_planes(context, scatterers, wide)
+    tubes = tubes.take(tubes.is_lit)
+    wide, rays = tubes.take(~tubes.triangles.is_ray), tubes.take(tubes.triangles.is_ray)
+    footprints = _onto_planes(context, scatterers, wide)
     if len(rays.root):
         hits = reflected_ray_hits(context, scatterers, rays.triangles, 1)
         hit = hits.is_valid[0]
-        further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT)).chosen(hit)
-        found.append(_Meeting.of_rays(further, hits.face[0, hit]))
-    found = [part for part in found if len(part.face)]
-    return _landed(context, scatterers, found) if found else None
+        further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT)).take(hit)
+        footprints.append(_Meeting.of_rays(further, hits.face[0, hit]))
+    footprints = [part for part in footprints if len(part.face)]
+    return _landed(context, scatterers, footprints) if footprints else None
 
 
 def _onto_planes(
-    context: TracingContext, scatterers: Scatterers, tubes: Tubes, may_cut: bool = True
+    context: TracingContext, scatterers: Scatterers, tubes: Tubes, may_clip: bool = True
 ) -> list[_Meeting]:
     """Which facets tubes meet, in parts."""
     if not len(tubes.root):
@@ -135,21 +135,21 @@ def _onto_planes(
     gap_m = hits.gap_m[:3].max(axis=0)
     off = _phase_rad(context, gap_m)
     is_whole = off < _SMOOTH_RAD
-    whole = tubes.chosen(is_whole)
+    whole = tubes.take(is_whole)
     whole = replace(whole, doubt=whole.doubt + off[is_whole])
     no_ray = np.zeros(len(whole.root), dtype=bool)
-    found = [_Meeting(whole, hits.face[3, is_whole], gap_m[is_whole], no_ray)]
+    footprints = [_Meeting(whole, hits.face[3, is_whole], gap_m[is_whole], no_ray)]
     rest = np.flatnonzero(~is_whole & hits.is_valid.any(axis=0))
-    if may_cut and len(rest):
-        parts, is_cut = _cut(context, scatterers, tubes.chosen(rest), hits.chosen(rest))
+    if may_clip and len(rest):
+        parts, is_clipped = _clip(context, scatterers, tubes.take(rest), hits.take(rest))
         if parts is not None:
-            found += _onto_planes(context, scatterers, parts, may_cut=False)
-        rest = rest[~is_cut]
+            footprints += _onto_planes(context, scatterers, parts, may_clip=False)
+        rest = rest[~is_clipped]
     if len(rest):
         # A quarter as large, curved surfaces part a fourth as much.
         doubt = np.minimum(off[rest] / 4, _DOUBT)
-        found += _by_quarters(context, scatterers, tubes.chosen(rest), hits.chosen(rest), doubt)
-    return found
+        footprints += _by_quarters(context, scatterers, tubes.take(rest), hits.take(rest), doubt)
+    return footprints
 
 
 def _phase_rad(context: TracingContext, gap_m: Array) -> Array:
@@ -159,7 +159,7 @@ def _phase_rad(context: TracingContext, gap_m: Array) -> Array:
     return 2 / 3 * 2 * np.pi / float(context.wavelength[0]) * gap_m
 
 
-def _cut(
+def _clip(
     context: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits
 ) -> tuple[Tubes | None, NDArray[np.bool_]]:
     """Parts of tubes that one border cuts, and which tubes these are: one corner meets something
@@ -169,18 +169,18 @@ def _cut(
     off, nothing = _phase_rad(context, apart(context, tubes.triangles, hits)), ~hits.is_valid
     off = np.maximum(off, off.swapaxes(0, 1))
     alike = (off < _SMOOTH_RAD) | nothing[:, None] & nothing
-    is_cut, odd = odd_one(np.stack([alike[0, 1], alike[1, 2], alike[2, 0]]))
+    is_clipped, odd = odd_one(np.stack([alike[0, 1], alike[1, 2], alike[2, 0]]))
     rows = np.arange(len(odd))
     one, two = (odd + 1) % 3, (odd + 2) % 3
-    is_cut &= alike[3, odd, rows] | alike[3, one, rows]
-    is_cut &= np.minimum(off[odd, one, rows], off[odd, two, rows]) > _STEP_RAD
-    rows = np.flatnonzero(is_cut)
+    is_clipped &= alike[3, odd, rows] | alike[3, one, rows]
+    is_clipped &= np.minimum(off[odd, one, rows], off[odd, two, rows]) > _STEP_RAD
+    rows = np.flatnonzero(is_clipped)
     if not len(rows):
-        return None, is_cut
+        return None, is_clipped
     odd, one = odd[rows], one[rows]
     wanted = hits.is_valid[odd, rows]
     faces = np.where(wanted, hits.face[odd, rows], hits.face[one, rows])
-    some = tubes.chosen(rows)
+    some = tubes.take(rows)
     at = border(
         context.mi,
         some.triangles.corners,
@@ -190,14 +190,14 @@ def _cut(
     bent = np.array(at.bent)
     inner = sum(INSIDE[1] / np.maximum(np.array(share), 1e-9) for share in at.shares)
     is_clear = (bent < _MOST_BENT) & ((inner < 1) == alike[3, odd, rows])
-    is_cut[rows] = is_clear
+    is_clipped[rows] = is_clear
     some = replace(some, doubt=some.doubt + _BENT * bent)
     row = np.flatnonzero(is_clear)
     if not len(row):
-        return None, is_cut
+        return None, is_clipped
     # What meets nothing as well: there may be more than that border.
     parts = [_part(context, some, corners, row) for corners in (*at.near, *at.far)]
-    return Tubes.joined(parts), is_cut
+    return Tubes.concatenate(parts), is_clipped
 
 
 def _like(
@@ -228,9 +228,9 @@ def _part(
     context: TracingContext, tubes: Tubes, corners: tuple[Any, Any, Any], row: Indices
 ) -> Tubes:
     """Parts of some of the tubes."""
-    some, index = tubes.chosen(row), context.mi.UInt32(aligned(row.astype(np.uint32)))
+    some, index = tubes.take(row), context.mi.UInt32(aligned(row.astype(np.uint32)))
     a, b, c = (dr.gather(context.mi.Vector3d, corner, index) for corner in corners)
-    return replace(some, triangles=replace(some.triangles, corners=(a, b, c)).evaluated())
+    return replace(some, triangles=replace(some.triangles, corners=(a, b, c)).evaluate())
 
 
 def _by_quarters(
@@ -246,17 +246,17 @@ def _by_quarters(
     normal = context.world.plane_table[:, 3:]
     is_other = np.abs(np.einsum("ij,ij->i", normal[face], normal[at_corner])) < _ALIKE
     also = known & (~is_lit | is_other)
-    found = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
-    near = replace(found, is_lit=np.zeros_like(is_lit))
+    quarters = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
+    near = replace(quarters, is_lit=np.zeros_like(is_lit))
     return [
-        _Meeting.of_rays(part.chosen(which), on[which])
-        for part, which, on in ((found, is_lit, face), (near, also, at_corner))
+        _Meeting.of_rays(part.take(which), on[which])
+        for part, which, on in ((quarters, is_lit, face), (near, also, at_corner))
     ]
 
 
 def _quarters(context: TracingContext, tubes: Triangles) -> Triangles:
     """At the three corners and in the middle, as rays."""
-    four = tubes.repeated(4)
+    four = tubes.repeat(4)
     number = dr.arange(context.mi.UInt32, len(four)) & 3
     a, b, c = four.corners
     middles = (b + c) / 2, (c + a) / 2, (a + b) / 2
@@ -269,15 +269,17 @@ def _quarters(context: TracingContext, tubes: Triangles) -> Triangles:
             (2, c, dr.select(number == 0, middles[1], middles[0])),
         )
     )
-    return replace(four, corners=(p, q, r)).evaluated()
+    return replace(four, corners=(p, q, r)).evaluate()
 
 
-def _landed(context: TracingContext, scatterers: Scatterers, found: Sequence[_Meeting]) -> Tubes:
+def _landed(
+    context: TracingContext, scatterers: Scatterers, footprints: Sequence[_Meeting]
+) -> Tubes:
     """Tubes on the planes of the facets that they meet."""
-    tubes = Tubes.joined([part.tubes for part in found])
+    tubes = Tubes.concatenate([part.tubes for part in footprints])
     face, lift_m, is_ray = (
         np.concatenate(column)
-        for column in zip(*((p.face, p.lift_m, p.goes_on_as_ray) for p in found), strict=True)
+        for column in zip(*((p.face, p.lift_m, p.goes_on_as_ray) for p in footprints), strict=True)
     )
     return replace(
         tubes, triangles=_lit_on(context, scatterers, tubes.triangles, face, lift_m, is_ray)
@@ -329,7 +331,7 @@ def _lit_on(
     incident = Incident(origin, velocity, (x, y, z), field, wave.departure, passage)
     waves = Waves(incident, spot, mi.Float64(aligned(lift_m)))
     a, b, c = (dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners)
-    found = replace(
+    triangles = replace(
         some,
         corners=(a, b, c),
         face=new,
@@ -338,8 +340,8 @@ def _lit_on(
         body=scatterers.body[face],
         is_ray=becomes_ray,
     )
-    dr.eval(waves.columns(), *found.corners, found.wave)
-    return found
+    dr.eval(waves.columns(), *triangles.corners, triangles.wave)
+    return triangles
 
 
 def heard(
@@ -361,5 +363,5 @@ def heard(
         rows.append(some)
         receivers.append(np.full(len(some), number))
     row, receiver = np.concatenate(rows), np.concatenate(receivers)
-    lit = landed.taken(row)
+    lit = landed.take(row)
     return replace(lit, receiver=context.mi.UInt32(aligned(receiver.astype(np.uint32)))), row

@@ -19,23 +19,23 @@ def subdivided(
     context: TracingContext, lit: Triangles, spacing_m: float
 ) -> tuple[Triangles, NDArray[np.intp]]:
     """Triangles in parts of at most this size, and the row that each is of."""
-    found, rows, row = [], [], np.arange(len(lit))
+    parts, rows, row = [], [], np.arange(len(lit))
     while (is_wide := sizes(lit) > spacing_m).any():
-        found.append(lit.taken(np.flatnonzero(~is_wide)))
+        parts.append(lit.take(np.flatnonzero(~is_wide)))
         rows.append(row[~is_wide])
         lit, row = (
-            quartered(context, lit.taken(np.flatnonzero(is_wide))),
+            quartered(context, lit.take(np.flatnonzero(is_wide))),
             np.repeat(row[is_wide], 4),
         )
-    return Triangles.joined([*found, lit]), np.concatenate([*rows, row])
+    return Triangles.concatenate([*parts, lit]), np.concatenate([*rows, row])
 
 
 def sizes(lit: Triangles) -> Array:
     """Longest edges, (n,)."""
     a, b, c = lit.corners
     square = dr.maximum(dr.squared_norm(b - a), dr.squared_norm(c - b))
-    (found,) = host([dr.sqrt(dr.maximum(square, dr.squared_norm(a - c)))], len(lit))
-    return found
+    (size_m,) = host([dr.sqrt(dr.maximum(square, dr.squared_norm(a - c)))], len(lit))
+    return size_m
 
 
 def longest_edges(a: Array, b: Array, c: Array) -> Array:

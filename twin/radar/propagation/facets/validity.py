@@ -48,7 +48,7 @@ class Valid:
     was accepted and the level that it was accepted for.
 
     Anew, by image and facet (n_images, n_facets): ``paths`` to it and back, and ``tubes`` that
-    begin there. ``spacing_m`` as of `Found`.
+    begin there. ``spacing_m`` as of `TracedEchoes`.
     """
 
     contributions: Contributions
@@ -68,7 +68,7 @@ def still_valid(
     prepared: PreparedScene,
 ) -> Valid | None:
     """What still holds; None where nothing can."""
-    before, found = earlier.setting, earlier.found
+    before, echoes = earlier.setting, earlier.echoes
     changed = _changed(before, now)
     if changed is None:
         return None
@@ -85,7 +85,7 @@ def still_valid(
         _cross(context, scatterers, now, standing, paths, tubes)
         tubes |= paths
         lands_anew = differs.any(axis=0) | changed[now.owner]
-        for landings in found.landings:
+        for landings in echoes.landings:
             is_crossed = _crossing(context, landings, standing, lands_anew, image)
             source, first = image[landings.source[is_crossed]], landings.first[is_crossed]
             tubes[source[source >= 0], first[source >= 0]] = True
@@ -99,20 +99,20 @@ def still_valid(
             anew = paths[source, part.first] | paths[receiver, part.first]
         rows = np.flatnonzero((source >= 0) & (receiver >= 0) & ~anew)
         ends = source[rows].astype(np.uint32), receiver[rows].astype(np.uint32)
-        return replace(part.chosen(rows), source=ends[0], receiver=ends[1])
+        return replace(part.take(rows), source=ends[0], receiver=ends[1])
 
-    sums = Sums.joined(list(map(holding, found.sums, found.is_direct)))
+    sums = Sums.concatenate(list(map(holding, echoes.sums, echoes.is_direct)))
     error, level = _of_bodies(earlier, now, sums)
     return Valid(
-        contributions=Contributions.joined(
-            list(map(holding, found.contributions, found.is_direct))
+        contributions=Contributions.concatenate(
+            list(map(holding, echoes.contributions, echoes.is_direct))
         ),
         sums=sums,
         error=error,
         level=level,
         paths=paths,
         tubes=tubes,
-        spacing_m=found.spacing_m,
+        spacing_m=echoes.spacing_m,
     )
 
 
@@ -175,11 +175,11 @@ def _differs(before: Setting, now: Setting, image: NDArray[np.intp]) -> Mask:
     """By which images now facets are heard that were not, or the other way round, or from another
     side, (n_images, n_facets).
     """
-    found, old = now.heard.copy(), np.flatnonzero(image >= 0)
+    is_changed, old = now.heard.copy(), np.flatnonzero(image >= 0)
     new = image[old]
-    found[new] = before.heard[old] != now.heard[new]
-    found[new] |= before.outward[old] != now.outward[new]
-    return found
+    is_changed[new] = before.heard[old] != now.heard[new]
+    is_changed[new] |= before.outward[old] != now.outward[new]
+    return is_changed
 
 
 def _cross(
@@ -209,10 +209,10 @@ def _on_the_way(
     context: TracingContext, tip: Any, corners: Any, standing: Array, image: Any
 ) -> Mask:
     """Whether ways from images to triangles may be crossed, (n,)."""
-    found = np.zeros(dr.width(corners[0]), dtype=bool)
+    is_crossed = np.zeros(dr.width(corners[0]), dtype=bool)
     for level in range(standing.shape[1]):
-        found |= crossed(context.mi, tip, corners, standing[:, level], image, beyond=False)
-    return found
+        is_crossed |= crossed(context.mi, tip, corners, standing[:, level], image, beyond=False)
+    return is_crossed
 
 
 def _behind(context: TracingContext, origin: Any, face: Any) -> Any:
@@ -232,10 +232,10 @@ def _crossing(
     otherwise.
     """
     mi = context.mi
-    found = lands_anew[np.array(landings.face)]
-    on = np.flatnonzero(landings.goes_on & ~found)
+    is_invalid = lands_anew[np.array(landings.face)]
+    on = np.flatnonzero(landings.goes_on & ~is_invalid)
     row, receiver = landings.row, image[landings.receiver]
-    to_receiver = np.flatnonzero((receiver >= 0) & ~found[row])
+    to_receiver = np.flatnonzero((receiver >= 0) & ~is_invalid[row])
     for rows, heard_at in ((on, None), (row[to_receiver], receiver[to_receiver])):
         for some in portions(np.arange(len(rows))):
             index = mi.UInt32(aligned(rows[some].astype(np.uint32)))
@@ -248,32 +248,35 @@ def _crossing(
             else:
                 number = mi.UInt32(aligned(heard_at[some].astype(np.uint32)))
                 hit = _on_the_way(context, image_place(context, number), corners, standing, number)
-            found[rows[some][hit]] = True
-    return found
+            is_invalid[rows[some][hit]] = True
+    return is_invalid
 
 
-def _of_bodies(earlier: Traced, now: Setting, kept: Sums) -> tuple[Array, Array]:
+def _of_bodies(earlier: Traced, now: Setting, valid_sums: Sums) -> tuple[Array, Array]:
     """Errors accepted for what is kept of the bodies of now, and the highest level for which; of a
     body's squared error that share which is kept of its triangles, or of their power if that is
     more.
     """
-    before, found = earlier.setting, earlier.found
-    count = len(found.error)
+    before, echoes = earlier.setting, earlier.echoes
+    count = len(echoes.error)
 
     def of_each(sums: Sums, weights: Array | None = None) -> Array:
         whose = before.body[before.owner[sums.face]]
         total: Array = np.bincount(whose, weights, count).astype(np.float64)
         return total
 
-    whole = Sums.joined(found.sums)
+    whole = Sums.concatenate(echoes.sums)
     shares = [
-        of_each(kept, part) / np.maximum(of_each(whole, all_of_it), 1e-300)
-        for part, all_of_it in ((None, None), (np.abs(kept.echo) ** 2, np.abs(whole.echo) ** 2))
+        of_each(valid_sums, part) / np.maximum(of_each(whole, all_of_it), 1e-300)
+        for part, all_of_it in (
+            (None, None),
+            (np.abs(valid_sums.echo) ** 2, np.abs(whole.echo) ** 2),
+        )
     ]
     share = np.maximum(*shares)
-    own = now.owner[kept.face]
+    own = now.owner[valid_sums.face]
     pairs = np.unique(np.stack([now.body[own], before.body[own]], axis=1), axis=0)
     error, level = (np.zeros(int(now.body.max(initial=-1)) + 1) for _ in range(2))
-    np.add.at(error, pairs[:, 0], (share * found.error**2)[pairs[:, 1]])
-    np.maximum.at(level, pairs[:, 0], found.level[pairs[:, 1]])
+    np.add.at(error, pairs[:, 0], (share * echoes.error**2)[pairs[:, 1]])
+    np.maximum.at(level, pairs[:, 0], echoes.level[pairs[:, 1]])
     return np.sqrt(error), level

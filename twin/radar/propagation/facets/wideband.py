@@ -62,16 +62,16 @@ def contributions_of(
     for corner in lit.corners:
         gain, spread, length = level_at(scatterers, wave, corner, receiver, axes)
         values += [length, gain, spread - least]
-    found, wave_number = host(values, n), 2 * np.pi / float(context.wavelength[0])
+    columns, wave_number = host(values, n), 2 * np.pi / float(context.wavelength[0])
     whole = leaves.weight * leaves.echoes.amplitude
     terms = wideband_terms(
-        np.stack(found[::3], axis=1),
-        np.stack(found[1::3], axis=1),
-        np.stack(found[2::3], axis=1),
+        np.stack(columns[::3], axis=1),
+        np.stack(columns[1::3], axis=1),
+        np.stack(columns[2::3], axis=1),
         leaves.echoes.mean * np.exp(-1j * (wave_number * leaves.echoes.length_m % (2 * np.pi))),
         wave_number,
     )
-    return _contributions(context, scatterers, lit.taken(terms.row), terms, whole[terms.row])
+    return _contributions(context, scatterers, lit.take(terms.row), terms, whole[terms.row])
 
 
 def _contributions(
@@ -107,7 +107,7 @@ def _contributions(
     values += [*turns, number, lit.source, lit.receiver]
     for p in (wave.passage, return_path.passage):
         values += [p.rho_re, p.rho_im, p.lag]
-    extra, rate, acceleration, departure, arrival, *found = host(values, n)
+    extra, rate, acceleration, departure, arrival, *columns = host(values, n)
     length_m = terms.length_m + extra
     one = Contributions(
         amplitude=terms.amplitude * whole,
@@ -116,17 +116,17 @@ def _contributions(
         delay_acceleration_per_s=acceleration / speed_of_light,
         departure=departure,
         arrival=arrival,
-        object=found[2],
-        source=found[3],
-        receiver=found[4],
-        departure_per_s=found[0],
-        arrival_per_s=found[1],
+        object=columns[2],
+        source=columns[3],
+        receiver=columns[4],
+        departure_per_s=columns[0],
+        arrival_per_s=columns[1],
         falloff=terms.falloff,
         first=lit.first,
     )
     if context.walls is not None:
         alike = (one.source == one.receiver) & (lit.waves is None)
-        rings = InternalReflections.of(*found[5:8]), InternalReflections.of(*found[8:])
+        rings = InternalReflections.of(*columns[5:8]), InternalReflections.of(*columns[8:])
         one = with_internal_reflections(one, length_m, *rings, alike)
     if lit.waves is not None:
         return one
@@ -223,5 +223,5 @@ def _of_points(x: Array, y: Array, z: Array, wave_number: float) -> Complex:
     """Mean of exp(-j k length) over triangles by moments of the corners' paths about their mean."""
     second = wave_number**2 * (x * x + y * y + z * z) / 12
     third = wave_number**3 * x * y * z
-    found: Complex = 1 - second / 2 + second**2 * (36 / 15 / 24) + 1j * third / 60
-    return found
+    mean: Complex = 1 - second / 2 + second**2 * (36 / 15 / 24) + 1j * third / 60
+    return mean

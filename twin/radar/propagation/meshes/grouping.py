@@ -55,7 +55,7 @@ def near_pairs(boxes: Array) -> tuple[Indices, int]:
     reach = size * (0.5 + _NEAR)
     # Boxes within a factor of two of each other share a tree: none is searched far beyond its own.
     octave = np.frexp(size)[1]
-    found, compared = [np.zeros((0, 2), dtype=np.int64)], 0
+    pairs, compared = [np.zeros((0, 2), dtype=np.int64)], 0
     for level in np.unique(octave):
         there, asking = np.flatnonzero(octave == level), np.flatnonzero(octave <= level)
         tree = cKDTree(middle[there])
@@ -70,5 +70,5 @@ def near_pairs(boxes: Array) -> tuple[Indices, int]:
         a, b = a[once], b[once]
         gap = np.maximum(low[a] - high[b], low[b] - high[a]).max(axis=1)
         near = gap <= _NEAR * np.maximum(size[a], size[b])
-        found.append(np.sort(np.stack([a[near], b[near]], axis=1), axis=1))
-    return np.concatenate(found), compared
+        pairs.append(np.sort(np.stack([a[near], b[near]], axis=1), axis=1))
+    return np.concatenate(pairs), compared

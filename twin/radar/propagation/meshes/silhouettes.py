@@ -29,7 +29,7 @@ class Outline:
     corner: Indices
     lit: Array
 
-    def chosen(self, which: NDArray[np.integer]) -> "Outline":
+    def take(self, which: NDArray[np.integer]) -> "Outline":
         """Only some of them, by index."""
         return Outline(self.ends[which], self.edge[which], self.corner[which], self.lit[which])
 

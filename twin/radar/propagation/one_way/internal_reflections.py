@@ -52,18 +52,19 @@ def with_internal_reflections(
         for p in range(trips + 1):
             q = trips - p
             rings = (on_forward.lag_m > 0) | (p == 0), (on_return.lag_m > 0) | (q == 0)
-            chosen = np.flatnonzero(rings[0] & rings[1] & (~alike | (q == 0)))
-            times = np.where(alike[chosen], trips + 1, 1)
-            weaker = on_forward.rho[chosen] ** p * on_return.rho[chosen] ** q
-            rows.append(chosen)
-            amplitudes.append(once.amplitude[chosen] * times * weaker)
+            active_rows = np.flatnonzero(rings[0] & rings[1] & (~alike | (q == 0)))
+            times = np.where(alike[active_rows], trips + 1, 1)
+            weaker = on_forward.rho[active_rows] ** p * on_return.rho[active_rows] ** q
+            rows.append(active_rows)
+            amplitudes.append(once.amplitude[active_rows] * times * weaker)
             lengths.append(
-                length_m[chosen] + (p * on_forward.lag_m[chosen] + q * on_return.lag_m[chosen])
+                length_m[active_rows]
+                + (p * on_forward.lag_m[active_rows] + q * on_return.lag_m[active_rows])
             )
     if sum(map(len, rows)) == len(once):
         return once
     return replace(
-        once.chosen(np.concatenate(rows)),
+        once.take(np.concatenate(rows)),
         amplitude=np.concatenate(amplitudes),
         delay_s=np.concatenate(lengths) / speed_of_light,
     )

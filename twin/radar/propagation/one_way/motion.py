@@ -26,5 +26,5 @@ def lengthening(velocity: Array, direction: Array, length_m: Array | float) -> t
 def turning(velocity: Array, direction: Array, length_m: Array | float) -> Array:
     """Derivative in time of ``direction`` (..., 3), in 1/s; parameters as of `lengthening`."""
     across = velocity - np.sum(velocity * direction, axis=-1, keepdims=True) * direction
-    found: Array = across / np.maximum(length_m, NEAREST_M)[..., None]
-    return found
+    rate_per_s: Array = across / np.maximum(length_m, NEAREST_M)[..., None]
+    return rate_per_s

@@ -161,21 +161,21 @@ def _windows(flats: Flats, patches: NDArray[np.int64]) -> Array:
 
 def _velocities(images: Sequence[Image], flats: Flats, velocities: Array) -> Array:
     """Of the images (n, 3), by those of the objects, whose patches keep their normals."""
-    found = np.zeros((len(images), 3))
-    for velocity, image in zip(found, images, strict=True):
+    of_images = np.zeros((len(images), 3))
+    for velocity, image in zip(of_images, images, strict=True):
         for number in image.patches:
             moving, normal = velocities[flats.object[number]], flats.normal[number]
             velocity -= 2 * ((velocity - moving) @ normal) * normal
-    return found
+    return of_images
 
 
 def _axes(images: Sequence[Image], flats: Flats) -> Array:
     """The world's axes as images show them, (n, 3 axes, 3)."""
-    found = np.tile(np.eye(3), (len(images), 1, 1))
-    for axes, image in zip(found, images, strict=True):
+    of_images = np.tile(np.eye(3), (len(images), 1, 1))
+    for axes, image in zip(of_images, images, strict=True):
         for flat in (flats[number] for number in image.patches):
             axes -= 2 * np.outer(axes @ flat.normal, flat.normal)
-    return found
+    return of_images
 
 
 def _vector(mi: Any, value: Array) -> Vector3:
@@ -246,8 +246,10 @@ def one_way_path(
             near = _JUST_BEFORE * t
             begin, way_to = at + (t - near) * direction, near
         if tested:
-            met = _first_meets(context, begin, direction, way_to, number, of_wall > 0, has & clear)
-            clear &= ~has | met
+            on_patch = _first_meets(
+                context, begin, direction, way_to, number, of_wall > 0, has & clear
+            )
+            clear &= ~has | on_patch
         segments.append((has, mirror, -direction, t))
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
         at = dr.select(has, mirror, at)
@@ -332,14 +334,16 @@ def _first_meets(
     mi = context.mi
     ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
     hit = context.world.scene.ray_intersect_preliminary(ray, active=active)
-    met = dr.gather(mi.UInt32, context.patch_of_face, hit.prim_index, active & hit.is_valid())
-    solid = hit.is_valid() & (met == number)
+    patch = dr.gather(mi.UInt32, context.patch_of_face, hit.prim_index, active & hit.is_valid())
+    solid = hit.is_valid() & (patch == number)
     if context.walls is None:
         return solid
     free = ~hit.is_valid() | (mi.Float64(hit.t) > distance * (1 - 1e-5))
     hit = context.walls.mesh.scene.ray_intersect_preliminary(ray, active=active & of_wall)
-    met = dr.gather(mi.UInt32, context.walls.patch_of_face, hit.prim_index, active & hit.is_valid())
-    return dr.select(of_wall, free & hit.is_valid() & (met == number), solid)
+    patch = dr.gather(
+        mi.UInt32, context.walls.patch_of_face, hit.prim_index, active & hit.is_valid()
+    )
+    return dr.select(of_wall, free & hit.is_valid() & (patch == number), solid)
 
 
 def offset(place: Vector3) -> Real:

@@ -49,7 +49,7 @@ class PointPaths:
         level: Array = np.linalg.norm(self.field, axis=1)
         return level
 
-    def chosen(self, which: Any) -> "PointPaths":
+    def take(self, which: Any) -> "PointPaths":
         """Only some of them, by index or mask."""
         own = {f.name: getattr(self, f.name)[which] for f in fields(self)[:-1]}
         return replace(
@@ -57,7 +57,7 @@ class PointPaths:
         )
 
     @staticmethod
-    def joined(parts: Sequence["PointPaths"]) -> "PointPaths":
+    def concatenate(parts: Sequence["PointPaths"]) -> "PointPaths":
         """One after the other."""
 
         def all_of(name: str) -> Any:

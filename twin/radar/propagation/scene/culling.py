@@ -118,9 +118,9 @@ def shares(
     if area_m2 is None:
         sides = size[:, [0, 1, 2]] * size[:, [1, 2, 0]]
         area_m2 = np.linalg.norm(sides, axis=1)  # of a box's shadow: nothing casts a larger one
-    found = np.zeros((len(antennas.place), len(boxes)))
+    share = np.zeros((len(antennas.place), len(boxes)))
     rows = max(_AT_ONCE // max(len(boxes), 1), 1)
-    for first in range(0, len(found), rows):
+    for first in range(0, len(share), rows):
         part = slice(first, first + rows)
         some = ImageAntennas(
             antennas.place[part], antennas.axis[part], antennas.gain[part], antennas.last[part]
@@ -129,9 +129,9 @@ def shares(
         distance = np.stack([distances_m(boxes, place) for place in some.place])
         with np.errstate(divide="ignore", invalid="ignore"):
             angle = np.where(distance > 0, area_m2 / distance**2, 4 * np.pi)
-        found[part] = gain * np.minimum(angle, 4 * np.pi) / (4 * np.pi)
-        found[part] *= _in_sight(some, boxes, flats)
-    return found
+        share[part] = gain * np.minimum(angle, 4 * np.pi) / (4 * np.pi)
+        share[part] *= _in_sight(some, boxes, flats)
+    return share
 
 
 @dataclass(frozen=True, eq=False)

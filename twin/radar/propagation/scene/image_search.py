@@ -45,13 +45,13 @@ class Sight:
             direction = np.nan_to_num(way / length[:, None])
         start = begin + direction * 4e-6 * (np.abs(begin).max(axis=1, keepdims=True) + 1)
         ray = mi.Ray3f(vector(mi, start, "Point3f"), vector(mi, direction, "Vector3f"))
-        met, distance = _first_hits(mi, self.world, self.patch_of_face, ray)
+        first_patch, distance = _first_hits(mi, self.world, self.patch_of_face, ray)
         clear = distance >= (length * (1 - 1e-4)).astype(np.float32)
         if of_wall.any():
             assert self.walls is not None
             behind = _first_hits(mi, self.walls.mesh, self.walls.patch_of_face, ray)[0]
-            met = np.where(of_wall, behind, met)
-        seen: NDArray[np.bool_] = clear & (met == patch)
+            first_patch = np.where(of_wall, behind, first_patch)
+        seen: NDArray[np.bool_] = clear & (first_patch == patch)
         return seen
 
 
@@ -61,11 +61,11 @@ def _first_hits(
     """Patch that each ray first meets, -1 for none, and the distance there, else infinite."""
     hit = mesh.scene.ray_intersect_preliminary(ray)
     is_hit = hit.is_valid()
-    met = mi.Int32(dr.gather(mi.UInt32, labels, hit.prim_index, is_hit))
-    met = dr.select(is_hit, met, -1)
+    label = mi.Int32(dr.gather(mi.UInt32, labels, hit.prim_index, is_hit))
+    label = dr.select(is_hit, label, -1)
     distance = dr.select(is_hit, hit.t, dr.inf)
-    dr.eval(met, distance)
-    return np.array(met).astype(np.int64), np.array(distance)
+    dr.eval(label, distance)
+    return np.array(label).astype(np.int64), np.array(distance)
 
 
 def images(
@@ -77,8 +77,8 @@ def images(
     below ``limit``, as amplitudes relative to the sent wave before losses. The second value is the
     bound of those.
     """
-    found = [Image((), radar[None])]
-    newest, left_out = found, 0.0
+    images_so_far = [Image((), radar[None])]
+    newest, left_out = images_so_far, 0.0
     for _ in range(order):
         if not newest or not len(flats):
             break
@@ -97,8 +97,8 @@ def images(
             _reflected(newest[row], number, flats)
             for row, number in zip(rows[reached].tolist(), numbers[reached].tolist(), strict=True)
         ]
-        found = found + newest
-    return found, left_out
+        images_so_far = images_so_far + newest
+    return images_so_far, left_out
 
 
 def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
@@ -108,7 +108,7 @@ def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
     of one image and another one reversed are tried. Of each the way back is straight in the
     mirrored world: it must pass through every patch's window, or close beside it.
     """
-    found = list(images[:1])
+    closure = list(images[:1])
     for longer, shorter in _halves(images):
         first = np.array([image.patches for image in longer], dtype=np.int64)
         last = np.array([image.patches[::-1] for image in shorter], dtype=np.int64)
@@ -116,10 +116,10 @@ def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
         for patches in first:
             sequences = np.hstack([np.tile(patches, (len(last), 1)), last])
             places, passes = _places(sequences, images[0].place, flats)
-            found += [
+            closure += [
                 Image(tuple(sequences[k].tolist()), places[k]) for k in np.flatnonzero(passes)
             ]
-    return found
+    return closure
 
 
 def _halves(images: Sequence[Image]) -> list[tuple[list[Image], list[Image]]]:
@@ -212,6 +212,6 @@ def _arrive(
         begin, wanted = begin[alive], wanted[alive]
         seen = sight.sees(begin, at[alive], wanted, flats.is_wall[wanted])
         way, at, wanted = way[alive][seen], begin[seen], before[alive][seen]
-    found = np.zeros(len(points), dtype=bool)
-    found[way] = True
-    return found
+    is_reached = np.zeros(len(points), dtype=bool)
+    is_reached[way] = True
+    return is_reached

@@ -50,8 +50,8 @@ def surface_of(
     item: SceneObject, scene: Scene, carrier_hz: float
 ) -> tuple[LayeredSurface, str | None]:
     """What an object's facets are made of at the carrier, and why that is assumed."""
-    found = radio_properties(item.material, scene.materials[item.material], carrier_hz)
-    permittivity, conductivity, assumed = found
+    properties = radio_properties(item.material, scene.materials[item.material], carrier_hz)
+    permittivity, conductivity, assumed = properties
     if conductivity >= _CONDUCTOR:
         return PEC, assumed
     epsilon = permittivity - 1j * conductivity / (2 * np.pi * carrier_hz * epsilon_0)

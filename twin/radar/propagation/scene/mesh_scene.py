@@ -223,13 +223,13 @@ def flats(world: MeshScene, large_m: Array) -> tuple[Flats, NDArray[np.uint32]]:
         item = world.items[number]
         assert item is not None
         shape = item.geometry.shape
-        chosen = np.flatnonzero(shape.plane_area_m2 >= large_m[number] ** 2)
-        if not len(chosen):
+        planes = np.flatnonzero(shape.plane_area_m2 >= large_m[number] ** 2)
+        if not len(planes):
             continue
         number_of = np.full(len(shape.plane_area_m2) + 1, -1, dtype=np.int64)  # of plane -1, too
-        number_of[chosen] = len(objects) + np.arange(len(chosen))
+        number_of[planes] = len(objects) + np.arange(len(planes))
         of_face[world.face_ranges[number]] = number_of[shape.plane_of_face]
-        objects += [number] * len(chosen)
+        objects += [number] * len(planes)
     rows = np.flatnonzero(of_face >= 0)
     rows = rows[np.argsort(of_face[rows], kind="stable")]
     first = np.searchsorted(of_face[rows], np.arange(len(objects) + 1))
@@ -239,7 +239,7 @@ def flats(world: MeshScene, large_m: Array) -> tuple[Flats, NDArray[np.uint32]]:
         reduce.reduceat(end, first[:-1]) if len(rows) else np.zeros((0, 3))
         for reduce, end in ((np.minimum, corners.min(axis=1)), (np.maximum, corners.max(axis=1)))
     )
-    found = Flats(
+    patches = Flats(
         object=np.array(objects, dtype=np.int64),
         point=plane[:, :3],
         normal=plane[:, 3:],
@@ -248,4 +248,4 @@ def flats(world: MeshScene, large_m: Array) -> tuple[Flats, NDArray[np.uint32]]:
         corners=corners,
         first=first,
     )
-    return found, np.where(of_face < 0, len(objects), of_face).astype(np.uint32)
+    return patches, np.where(of_face < 0, len(objects), of_face).astype(np.uint32)

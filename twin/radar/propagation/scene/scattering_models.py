@@ -77,7 +77,7 @@ def assign_scattering_models(
     origin = scene.rig.position_m + scene.rig.device("radar")[0]
     distances = np.maximum(distances_m(boxes_of(scene.objects), origin), wavelength_m)
     part_of_declared = set() if with_optics else _beside(scene, declared)
-    found = []
+    assignments = []
     shapes = shapes_of([item.geometry for item in scene.objects])
     for item, shape, distance in zip(scene.objects, shapes, distances.tolist(), strict=True):
         ratio = shape.largest_patch_m2**0.5 / (wavelength_m * distance) ** 0.5
@@ -96,8 +96,8 @@ def assign_scattering_models(
             whole = item.name not in part_of_declared
             whole &= _has_table(shape, distance, wavelength_m)
             role = ScatteringModel.TABLE if whole else ScatteringModel.OBSTACLE
-        found.append(Assignment(item.name, role, ratio, wanted is role))
-    return found
+        assignments.append(Assignment(item.name, role, ratio, wanted is role))
+    return assignments
 
 
 def declared_alone(scene: Scene, roles: Sequence[Assignment]) -> list[Target]:
@@ -111,11 +111,11 @@ def _beside(scene: Scene, declared: set[str]) -> set[str]:
     if not declared:
         return set()
     names = [item.name for item in scene.objects]
-    found = set()
+    neighbours = set()
     for i, j in touching(scene.objects).tolist():
-        found |= {names[i]} if names[j] in declared else set()
-        found |= {names[j]} if names[i] in declared else set()
-    return found
+        neighbours |= {names[i]} if names[j] in declared else set()
+        neighbours |= {names[j]} if names[i] in declared else set()
+    return neighbours
 
 
 def _by_size(

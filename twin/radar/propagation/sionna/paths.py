@@ -74,7 +74,7 @@ def sionna_paths(
     dense = [p for p in dense if p.echo.amplitude[0]]
     echoes = _received(dense, loss)
     return Propagation(
-        Contributions.joined([paths, echoes]),
+        Contributions.concatenate([paths, echoes]),
         names,
         roles=tuple(world.roles),
         assumptions=tuple(dict.fromkeys(world.assumptions)),
@@ -92,7 +92,7 @@ class _Refined:
 
 
 def _received(paths: Sequence[_Refined], loss: float) -> Contributions:
-    echoes = Contributions.joined([path.echo for path in paths])
+    echoes = Contributions.concatenate([path.echo for path in paths])
     return replace(echoes, amplitude=echoes.amplitude * loss)
 
 
@@ -154,17 +154,17 @@ class _RadioWorld:
         self.meshes_met = {int(mesh.object_id): self.objects[name] for name, mesh in meshes.items()}
 
     def _tables(self, scene: Scene, nodes: int) -> list[Tabulated]:
-        found = [
+        tables = [
             tabulated(scene, self.objects[a.name], self.radar, nodes)
             for a in self.roles
             if a.role is ScatteringModel.TABLE
         ]
-        for thing in found:
+        for thing in tables:
             item = self.objects[thing.point.name]
             distance = float(np.linalg.norm(np.asarray(thing.point.position_m) - self.origin))
             self.warnings += filter(None, [warning(thing, distance)])
             self.assumptions += assumptions(thing, item.material, self.radar)
-        return found
+        return tables
 
     def _add_meshes(self, scene: Scene) -> dict[str, Any]:
         """Surfaces with their material; obstacles as air that is opaque and reflects nothing."""
@@ -276,7 +276,10 @@ class _RadioWorld:
                 ways[number].append((raw, path))
         pairs = zip(self.tables, ways, strict=True)
         return points, [
-            echo for thing, found in pairs if found for echo in self._told(thing, found)
+            echo
+            for thing, paths_of_target in pairs
+            if paths_of_target
+            for echo in self._told(thing, paths_of_target)
         ]
 
     def _told(self, thing: Tabulated, ways: list[tuple[RawPath, _Refined]]) -> list[_Refined]:
@@ -303,11 +306,11 @@ class _RadioWorld:
             for i, (_, path) in enumerate(ways)
         ]
 
-    def _specular_path(self, thing: Tabulated, met: list[tuple[int, int]]) -> SpecularPath:
+    def _specular_path(self, thing: Tabulated, reflections: list[tuple[int, int]]) -> SpecularPath:
         """The path from the radar to a target over triangles of surfaces, by object and number."""
         carrier = self.radar.ofdm.carrier_hz
-        items = [self.meshes_met[number] for number, _ in met]
-        planes = [self._plane(item, n) for item, (_, n) in zip(items, met, strict=True)]
+        items = [self.meshes_met[number] for number, _ in reflections]
+        planes = [self._plane(item, n) for item, (_, n) in zip(items, reflections, strict=True)]
         # Nothing goes through surfaces on this rung: they have no thickness.
         surfaces = [
             surface_of(replace(item, thickness_m=None), self.scene, carrier)[0] for item in items
@@ -323,26 +326,26 @@ class _RadioWorld:
     def _refined(self, raw: RawPath) -> _Refined | None:
         """The same path with its length in float64; None for one over an obstacle."""
         # Sionna counts sensing targets by themselves. Both kinds have a name and a velocity.
-        met: list[SceneObject | Target] = [
+        interactions: list[SceneObject | Target] = [
             self.targets_met[i] if kind == TARGET else self.meshes_met[i]
             for i, kind in zip(raw.objects, raw.kinds, strict=True)
         ]
-        if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in met):
+        if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in interactions):
             return None
         planes = [
             (*self._plane(m, primitive), np.array(m.velocity_m_per_s))
             if isinstance(m, SceneObject)
             else None
-            for m, primitive in zip(met, raw.primitives, strict=True)
+            for m, primitive in zip(interactions, raw.primitives, strict=True)
         ]
         vertices = raw.vertices.copy()
-        at = next((i for i, m in enumerate(met) if isinstance(m, Target)), None)
+        at = next((i for i, m in enumerate(interactions) if isinstance(m, Target)), None)
         if at is None:
             place, velocity = np.zeros(3), np.zeros(3)
             sections = [planes]
         else:
             place = np.asarray(self.targets_met[raw.objects[at]].position_m) - self.origin
-            velocity = np.array(met[at].velocity_m_per_s)
+            velocity = np.array(interactions[at].velocity_m_per_s)
             vertices[at] = place
             sections = [planes[:at], planes[:at:-1]]
         ways = [_path_motion(place, velocity, p) for p in sections]
@@ -351,7 +354,9 @@ class _RadioWorld:
         turns = [_mirrored_back(turn, p) for (_, turn), p in zip(ways, sections, strict=True)]
         # The radar's own image is where the last way comes from.
         turns = [*turns, -ways[0][1]][:2]
-        name = PathName(tuple(m.name for m in met), None if at is None else met[at].name)
+        name = PathName(
+            tuple(m.name for m in interactions), None if at is None else interactions[at].name
+        )
         echo = Contributions(
             amplitude=np.array([complex(raw.amplitude)]),
             delay_s=np.array([length / C_M_PER_S]),

@@ -34,10 +34,10 @@ class RawPath:
         )
         vertices = np.array(solved.vertices, dtype=np.float64).reshape(len(kinds), n, 3)
         valid = np.array(solved.valid).ravel()
-        found = []
+        raw_paths = []
         for i in np.flatnonzero(valid):
             used = int(np.count_nonzero(kinds[:, i]))
-            found.append(
+            raw_paths.append(
                 RawPath(
                     kinds=tuple(int(k) for k in kinds[:used, i]),
                     objects=tuple(int(o) for o in objects[:used, i]),
@@ -46,4 +46,4 @@ class RawPath:
                     amplitude=complex(real[i], imaginary[i]),
                 )
             )
-        return found
+        return raw_paths
