@@ -76,6 +76,17 @@ def _tolerance(low: float, high: float) -> dict[str, Rule]:
     return {"rule": Rule(check, min)}
 
 
+def _optional_tolerance(low: float, high: float) -> dict[str, Rule]:
+    """A number, the stricter the less, or None, which leaves it to other knobs."""
+    rule = _tolerance(low, high)["rule"]
+
+    def stricter(one: Any, other: Any) -> Any:
+        given = [value for value in (one, other) if value is not None]
+        return min(given) if given else None
+
+    return {"rule": Rule(lambda value: "" if value is None else rule.check(value), stricter)}
+
+
 def _one_of(kind: Any, stricter: Callable[[Any, Any], Any] | None = None) -> dict[str, Rule]:
     """One of some words, the stricter the later it stands among them."""
     known = get_args(kind)
@@ -207,6 +218,12 @@ class LightFidelity(Knobs):
     start
         Side on which paths to a line sensor start: noise alone, for the same number of paths.
         ``auto`` is the side with more cells.
+    light_tolerance
+        Error that light transport may add to the image, root mean square over the cells, as a share
+        of the noise of a pixel: paths are added cell by cell until their own scatter says that it
+        is less, and bounces end by chance, so that no light is lost; ``samples``, ``max_depth`` and
+        ``indirect_samples`` then do not count. Line sensors and time of flight have as many paths
+        in every cell, and bounces up to ``max_depth``. None: as many paths as ``samples`` says.
     noise
         ``none``: counts of the mean, rounded. ``gaussian``: shot noise as a normal distribution,
         wrong in shape below some 100 electrons. ``full``: Poisson.
@@ -221,6 +238,7 @@ class LightFidelity(Knobs):
     max_depth: int = field(default=4, metadata=_whole(1))
     indirect_samples: int | None = field(default=None, metadata=_whole(1, optional=True))
     start: Start = field(default="auto", metadata=_one_of(Start, _named_side))
+    light_tolerance: float | None = field(default=None, metadata=_optional_tolerance(1e-4, 10.0))
     noise: Noise = field(default="full", metadata=_one_of(Noise))
     air_orders: int = field(default=12, metadata=_whole(0))
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,6 @@ from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
 from twin.camera.illumination import amplifier_residue, frame_signal, mean_signal
-from twin.camera.light import RenderedLight
 from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import Detector, FrontEnd, NoiseBudget
 from twin.detector.interface import check_detector, checked_exposure
@@ -24,6 +24,9 @@ from twin.own_parts import made_by
 from twin.scene import Pose, Sun
 from twin.system import Sky, System
 from twin.toml import Sourced
+
+if TYPE_CHECKING:
+    from twin.camera.light import RenderedLight
 
 Array = NDArray[np.float64]
 
@@ -83,7 +86,7 @@ class Chain:
         """Share of the time that the detector is open, by shutter."""
         return np.array([shutter.open_share for shutter in self.shutters])
 
-    def powers(self, rendered: RenderedLight) -> Powers:
+    def powers(self, rendered: "RenderedLight") -> Powers:
         """Power of the rendered light on the detectors."""
         system = self.system
         collected = self.lens.transmission * self.lens.pupil_area_m2

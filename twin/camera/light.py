@@ -13,22 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
+from twin.camera.chain import Chain
 from twin.camera.mounting import check_rig, field_points, light_problem, with_near_pupil
+from twin.camera.permitted_error import permitted_error
 from twin.camera.render_warnings import (
     forward_scattering_warnings,
     grazing_warnings,
     near_pupil_warnings,
+    tolerance_warnings,
     truncation_warnings,
     undersampling_warnings,
 )
 from twin.camera.truth import Truth, incidence_cosines, render_truth
 from twin.fidelity import Fidelity, Start
+from twin.optics.adaptive import gather_within
 from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
+from twin.optics.small_surfaces import MOST_ACROSS
 from twin.optics.time_of_flight import Paths, trace_paths
-from twin.optics.transport import sunlight, transport
+from twin.optics.transport import CellLight, sunlight, transport
 from twin.progress import OpenStage, silently
 from twin.scene import Scene
 from twin.system import System
@@ -37,6 +42,10 @@ from twin.warned import CaptureWarning
 Array = NDArray[np.float64]
 #: Of the field's height, and of its width for a bucket.
 SUN_PARTS = 32
+#: Relative error of the sun's light over the share of the noise that light may be off by.
+_SUN_SHARE = 0.05
+#: Paths of a cell where all cells have the same number: to begin with, and at most.
+FIRST_SAMPLES, _MOST_SAMPLES = 4, 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +97,7 @@ class RenderedLight:
 
 def stages(system: System) -> tuple[str, ...]:
     """Names of the stages of `render`."""
-    return ("scene", "truth", "transport", "sun", *(("air",) if system.weather else ()))
+    return ("scene", "truth", "sun", "transport", *(("air",) if system.weather else ()))
 
 
 def render(
@@ -106,8 +115,10 @@ def render(
         problem = light_problem(scene, system, mesh_scene)
     with stage("truth"):
         truth = render_truth(problem.scene, problem.emitter, system.image_shape)
-    rendered = render_light(problem, system, truth, fidelity, seed.spawn(2), stage=stage)
-    return replace(rendered, warnings=_uncertain(scene, problem, rendered, fidelity))
+    chain = Chain.of(system, scene.sun)
+    rendered = render_light(problem, chain, truth, fidelity, seed.spawn(2), stage=stage)
+    uncertain = _uncertain(scene, problem, rendered, fidelity)
+    return replace(rendered, warnings=(*rendered.warnings, *uncertain))
 
 
 def _uncertain(
@@ -118,18 +129,23 @@ def _uncertain(
     # Cells of a line sensor's detectors, side by side, are the cells of the image.
     image = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
     cosines = incidence_cosines(problem.scene, emitter, shape)
+    samples, max_depth = fidelity.samples, float(fidelity.max_depth)
+    if fidelity.light_tolerance is not None:
+        one_bucket = rendered.paths is None and len(light.cells) == 1
+        samples = MOST_ACROSS**2 if one_bucket else FIRST_SAMPLES
+        max_depth = math.inf if one_bucket else max_depth
     return (
-        *undersampling_warnings(scene, emitter, image.size * fidelity.samples),
+        *undersampling_warnings(scene, emitter, image.size * samples),
         *grazing_warnings(image, cosines),
         *near_pupil_warnings(image, cosines, truth.depth_m, emitter, rendered.detector),
-        *truncation_warnings(light.indirect_share, truth.albedo, fidelity.max_depth),
+        *truncation_warnings(light.indirect_share, truth.albedo, max_depth),
         *forward_scattering_warnings(problem.air, float(truth.depth_m.min()), fidelity.air_orders),
     )
 
 
 def render_light(
     problem: LightProblem,
-    system: System,
+    chain: Chain,
     truth: Truth,
     fidelity: Fidelity,
     seeds: Sequence[np.random.SeedSequence],
@@ -139,30 +155,118 @@ def render_light(
 ) -> RenderedLight:
     """Light of emitter and sun, drawn from two seeds; air needs the truth's depth.
 
-    ``sun_quality``: settings of the path tracer for the sun; default: those of ``fidelity``.
+    ``chain``: of the system; to its noise a tolerance of the light refers. ``sun_quality``:
+    settings of the path tracer for the sun; default: those of ``fidelity``.
     """
-    n = system.n_detectors
+    system = chain.system
     quality, sun_quality = (
         where_air_scatters(problem.air, truth.depth_m, q)
         for q in (fidelity.quality, sun_quality or fidelity.quality)
     )
     problem = with_near_pupil(problem, system, truth.depth_m)
-    shape = (system.emitter.rows.value, system.emitter.columns.value)
     first, second = (int(seed.generate_state(1)[0]) for seed in seeds)
-    paths = backscatter = None
-    with stage("transport"):
-        light = emitter_light(problem, shape, n, quality=quality, seed=first, start=fidelity.start)
-        if system.time_of_flight:
-            paths = trace_paths(problem, shape, quality=quality, seed=first)
     with stage("sun"):
-        sun = sun_light(problem, n, quality=sun_quality, seed=second)
-    if problem.air:
-        with stage("air"):
-            backscatter = backscatter_of(system, problem, truth.depth_m)
-            light = replace(light, cells=light.cells + backscatter.light)
-            paths = paths and backscatter.added_to(paths)
+        if fidelity.light_tolerance is None:
+            sun = sun_light(problem, system.n_detectors, quality=sun_quality, seed=second)
+        else:
+            sun = _sun_within(
+                problem, system.n_detectors, fidelity.light_tolerance, quality, second
+            )
+        if problem.air:
             sun = sun + airlight_of(problem, sun.shape)
-    return RenderedLight(light, sun, truth, problem.emitter, problem.detector, paths, backscatter)
+    rendered = RenderedLight(_no_light(system), sun, truth, problem.emitter, problem.detector)
+    with stage("transport"):
+        if fidelity.light_tolerance is None:
+            rendered = _lit(rendered, problem, system, quality, first, fidelity.start)
+        else:
+            rendered = _lit_within(rendered, problem, chain, fidelity, quality, first)
+    if not problem.air:
+        return rendered
+    with stage("air"):
+        backscatter = backscatter_of(system, problem, truth.depth_m)
+        light = replace(rendered.light, cells=rendered.light.cells + backscatter.light)
+        paths = rendered.paths and backscatter.added_to(rendered.paths)
+        return replace(rendered, light=light, paths=paths, backscatter=backscatter)
+
+
+def _no_light(system: System) -> DetectorLight:
+    n_cells = system.emitter.rows.value * system.emitter.columns.value
+    return DetectorLight(*np.zeros((2, system.n_detectors, n_cells)))
+
+
+def _lit(
+    rendered: RenderedLight,
+    problem: LightProblem,
+    system: System,
+    quality: TracingQuality,
+    seed: int,
+    start: Start,
+) -> RenderedLight:
+    """The same with the emitter's light, and its paths for a system with time of flight."""
+    shape = (system.emitter.rows.value, system.emitter.columns.value)
+    light = emitter_light(
+        problem, shape, system.n_detectors, quality=quality, seed=seed, start=start
+    )
+    paths = None
+    if system.time_of_flight:
+        paths = trace_paths(problem, shape, quality=quality, seed=seed)
+    return replace(rendered, light=light, paths=paths)
+
+
+def _sun_within(
+    problem: LightProblem, n_detectors: int, share: float, quality: TracingQuality, seed: int
+) -> Array:
+    """`sun_light` to an error of each detector's sum: what the sun adds to an image is its shot
+    noise, which is off by half of the sun's relative error.
+    """
+    rows, columns = SUN_PARTS, SUN_PARTS if n_detectors == 1 else n_detectors
+    together = (0, 1) if n_detectors == 1 else 0
+
+    def permitted(light: Array) -> Array:
+        total = light.sum(axis=together, keepdims=True)
+        parts = light.size / total.size
+        return np.broadcast_to(_SUN_SHARE * share * total / math.sqrt(parts), light.shape)
+
+    return gather_within(problem.from_sun((rows, columns), quality, seed), permitted).total
+
+
+def _lit_within(
+    rendered: RenderedLight,
+    problem: LightProblem,
+    chain: Chain,
+    fidelity: Fidelity,
+    quality: TracingQuality,
+    seed: int,
+) -> RenderedLight:
+    """The same to a tolerance of the light. Of one detector without time of flight each cell has as
+    many paths as it needs; else all have the same number, until their error is small enough.
+    """
+    system, share = chain.system, fidelity.light_tolerance
+    assert share is not None
+    if system.n_detectors == 1 and not system.time_of_flight:
+        tracer = problem.from_emitter(system.image_shape, quality, seed)
+
+        def permitted(cells: Array) -> Array:
+            limit = permitted_error(chain, rendered, cells.reshape(1, -1), share)
+            return limit.reshape(system.image_shape)
+
+        light = _of_bucket(gather_within(tracer, permitted, problem.boxes_m))
+        over = _rms(light.error / permitted_error(chain, rendered, light.cells, share))
+        return replace(rendered, light=light, warnings=tolerance_warnings(over * share, share))
+    samples = FIRST_SAMPLES
+    while True:
+        quality = replace(quality, samples=samples, indirect_samples=None)
+        lit = _lit(rendered, problem, system, quality, seed, fidelity.start)
+        over = _rms(lit.light.error / permitted_error(chain, lit, lit.light.cells, share))
+        if over <= 1 or samples >= _MOST_SAMPLES:
+            return replace(lit, warnings=tolerance_warnings(over * share, share))
+        # Their number by its square root; the error falls as their number to the power -0.75.
+        side = math.isqrt(samples) * min(max(1.1 * over ** (2 / 3), 1.4), 4.0)
+        samples = min(math.ceil(side) ** 2, _MOST_SAMPLES)
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
 
 
 def emitter_light(
@@ -176,10 +280,7 @@ def emitter_light(
 ) -> DetectorLight:
     """Transport from ``shape`` cells to one bucket, or to the columns of a line sensor."""
     if n_detectors == 1:
-        gathered = transport(problem, shape, quality=quality, seed=seed)
-        total = gathered.total
-        share = float(gathered.indirect.sum() / total.sum()) if total.any() else 0.0
-        return DetectorLight(total.reshape(1, -1), gathered.standard_error.reshape(1, -1), share)
+        return _of_bucket(transport(problem, shape, quality=quality, seed=seed))
     n_cells = shape[0] * shape[1]
     if start == "auto":
         start = "scatter" if n_detectors > n_cells else "dual"
@@ -195,6 +296,12 @@ def emitter_light(
         for half in range(2)
     ]
     return DetectorLight((halves[0] + halves[1]) / 2, np.abs(halves[0] - halves[1]) / 2)
+
+
+def _of_bucket(gathered: CellLight) -> DetectorLight:
+    total = gathered.total
+    share = float(gathered.indirect.sum() / total.sum()) if total.any() else 0.0
+    return DetectorLight(total.reshape(1, -1), gathered.standard_error.reshape(1, -1), share)
 
 
 def sun_light(

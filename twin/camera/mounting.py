@@ -58,7 +58,15 @@ def light_problem(scene: Scene, system: System, mesh_scene: Any = None) -> Light
     emitter, detector, _ = devices(scene, system)
     if mesh_scene is None:
         mesh_scene = mitsuba_scene(scene)
-    return LightProblem(mesh_scene, emitter, detector, scene.sun.direction, air_of_system(system))
+    boxes = [(o.vertices_m.min(axis=0), o.vertices_m.max(axis=0)) for o in scene.objects]
+    return LightProblem(
+        mesh_scene,
+        emitter,
+        detector,
+        scene.sun.direction,
+        air_of_system(system),
+        np.reshape(boxes, (-1, 2, 3)) - scene.rig.position_m,
+    )
 
 
 def with_near_pupil(problem: LightProblem, system: System, depth_m: Array) -> LightProblem:

@@ -30,7 +30,12 @@ Array = NDArray[np.float64]
 
 def can_rescale(system: System, fidelity: Fidelity) -> bool:
     """Whether one render serves every reflectance."""
-    return fidelity.max_depth == 1 and system.n_detectors == 1 and not system.time_of_flight
+    return (
+        fidelity.max_depth == 1
+        and fidelity.light_tolerance is None
+        and system.n_detectors == 1
+        and not system.time_of_flight
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Warnings of a render's uncertainties, each with its estimated error."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,7 +23,7 @@ _STEPS = 8.0
 
 
 def truncation_warnings(
-    indirect_share: float, albedo: Array, max_depth: int
+    indirect_share: float, albedo: Array, max_depth: float
 ) -> list[CaptureWarning]:
     """Light of bounces beyond ``max_depth``, as a share of the computed light.
 
@@ -30,7 +31,7 @@ def truncation_warnings(
     closed room of one colour: r^(d-1) / (1 - r^(d-1)) of the indirect light is then missing.
     """
     seen = albedo[albedo > 0]
-    if max_depth == 1 or not len(seen) or not indirect_share:
+    if max_depth in (1, math.inf) or not len(seen) or not indirect_share:
         return []
     factor = float(seen.mean()) ** (max_depth - 1)
     if factor >= 1:
@@ -44,6 +45,19 @@ def truncation_warnings(
         "if the reflectances in sight are typical of the scene"
     )
     return [CaptureWarning("rendering", text)]
+
+
+def tolerance_warnings(error: float, tolerance: float) -> tuple[CaptureWarning, ...]:
+    """Light that is off by more of the noise of a pixel than `LightFidelity.light_tolerance`
+    allows.
+    """
+    if error <= tolerance:
+        return ()
+    text = (
+        f"light is off by {error:.2g} of the noise of a pixel, root mean square over the image, "
+        f"where {tolerance:g} are allowed: no more paths are traced"
+    )
+    return (CaptureWarning("rendering", text),)
 
 
 def grazing_warnings(cells: Array, cosines: Array) -> list[CaptureWarning]:

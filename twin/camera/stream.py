@@ -61,7 +61,7 @@ def frames(
         if system.weather:
             depth = depths(problem.scene, problem.emitter, system.image_shape)
             truth = replace(unknown, depth_m=depth)
-        rendered = render_light(problem, system, truth, fidelity, seeds, sun_quality=sun_quality)
+        rendered = render_light(problem, chain, truth, fidelity, seeds, sun_quality=sun_quality)
         rng = np.random.default_rng(noise_seed)
         _, counts, flags = chain.measure_frame(
             chain.powers(rendered), rng=rng, noise=fidelity.noise

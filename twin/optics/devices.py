@@ -86,22 +86,69 @@ class CellGrid:
         return self.rows * self.columns
 
 
+@dataclass(frozen=True, eq=False)
+class RaySet:
+    """Rays of some cells of a grid, cell by cell: sets of stratified rays, independent of each
+    other.
+
+    Parameters
+    ----------
+    cells
+        First and last row, the last one excluded; or indices of cells, row by row.
+    samples
+        Rays of a set, stratified over the cell.
+    sets
+        Of each cell.
+    draw
+        Key of their random numbers.
+    """
+
+    cells: tuple[int, int] | NDArray[np.uint32]
+    samples: int
+    sets: int = 1
+    draw: tuple[int, ...] = ()
+
+    @classmethod
+    def of_rows(cls, first: int, last: int, samples: int) -> "RaySet":
+        """One set of each cell of rows; ``last`` is excluded."""
+        return cls((first, last), samples, draw=(first,))
+
+    @property
+    def per_cell(self) -> int:
+        """Rays of a cell."""
+        return self.samples * self.sets
+
+    def n_cells(self, grid: CellGrid) -> int:
+        """Number of cells."""
+        if isinstance(self.cells, tuple):
+            return (self.cells[1] - self.cells[0]) * grid.columns
+        return len(self.cells)
+
+    def cell(self, grid: CellGrid, index: Any) -> Any:
+        """Index in the grid of the cell of a ray."""
+        mi = mitsuba()
+        cell = index // dr.opaque(mi.UInt32, self.per_cell)
+        if isinstance(self.cells, tuple):
+            return cell + dr.opaque(mi.UInt32, self.cells[0] * grid.columns)
+        return dr.gather(mi.UInt32, mi.UInt32(self.cells), cell)
+
+
 def sample_rays(
-    grid: CellGrid, block: tuple[int, int], samples: int, rng: Any, weighting: RayWeighting
+    grid: CellGrid, rays: RaySet, rng: Any, weighting: RayWeighting
 ) -> tuple[Any, Any, Any]:
-    """Rays from the cells of rows ``block``, ``samples`` per cell; their weights; and whether they
-    lie in the device's field, which cells in the corners around a round field do not. Rays that a
-    lens's blur moves beyond the field's edge count as inside.
+    """Rays from cells of a grid; their weights; and whether they lie in the device's field, which
+    cells in the corners around a round field do not. Rays that a lens's blur moves beyond the
+    field's edge count as inside.
 
     Per cell, the mean of weight times radiance is: for an ``image`` the mean over the cell; for an
     ``emitter`` the integral over its solid angle per radiant intensity (without a lens: that of the
     whole device on its axis); for a ``pupil`` the integral over its projected solid angle.
     """
     mi, device = mitsuba(), grid.device
-    within = dr.full(mi.Bool, True, (block[1] - block[0]) * grid.columns * samples)
+    within = dr.full(mi.Bool, True, rays.n_cells(grid) * rays.per_cell)
     if device.pitch_m is not None and weighting == "emitter":
-        return *_lensless_rays(grid, block, samples, rng, device.pitch_m), within
-    left, up = _field_points(grid, block, samples, rng)
+        return *_lensless_rays(grid, rays, rng, device.pitch_m), within
+    left, up = _field_points(grid, rays, rng)
     if device.outline == "disc":
         within &= is_in_field(device, left, up)
     ray, cos = _through_lens(device, left, up, rng)
@@ -114,19 +161,17 @@ def sample_rays(
     return ray, weight * relative_intensity(device, *field_coordinates(device, ray.d), cos), within
 
 
-def primary_rays(grid: CellGrid, block: tuple[int, int], samples: int) -> tuple[Any, Any]:
-    """Rays through the middles of the strata of cells of rows ``block``, without the lens's blur,
-    and their cosine to the axis.
+def primary_rays(grid: CellGrid, rays: RaySet) -> tuple[Any, Any]:
+    """Rays through the middles of the strata of cells, without the lens's blur, and their cosine to
+    the axis.
     """
-    return _directed(grid.device, *_field_points(grid, block, samples, None))
+    return _directed(grid.device, *_field_points(grid, rays, None))
 
 
-def _field_points(
-    grid: CellGrid, block: tuple[int, int], samples: int, rng: Any
-) -> tuple[Any, Any]:
-    """Stratified points of the cells of rows ``block`` in the field."""
+def _field_points(grid: CellGrid, rays: RaySet, rng: Any) -> tuple[Any, Any]:
+    """Stratified points of cells in the field."""
     mi = mitsuba()
-    row, column, x, y = _strata_points(grid, block, samples, rng)
+    row, column, x, y = _strata_points(grid, rays, rng)
     if rng is not None and grid.device.fill_factor < 1:
         lit = dr.opaque(mi.Float, grid.device.fill_factor**0.5)
         x, y = 0.5 + (x - 0.5) * lit, 0.5 + (y - 0.5) * lit
@@ -187,15 +232,13 @@ def disc_error(radius_m: float, distance_m: Array, cosines: Array) -> Array:
     return np.asarray(4 * ratio / (1 + ratio) * (1 / cosines - 1))
 
 
-def _lensless_rays(
-    grid: CellGrid, block: tuple[int, int], samples: int, rng: Any, pitch_m: float
-) -> tuple[Any, Any]:
+def _lensless_rays(grid: CellGrid, rays: RaySet, rng: Any, pitch_m: float) -> tuple[Any, Any]:
     """Rays of elements without a lens, drawn from their lobes; cos^m integrates to
     2 pi / (m + 1).
     """
     mi = mitsuba()
     device = grid.device
-    row, column, x, y = _strata_points(grid, block, samples, rng)
+    row, column, x, y = _strata_points(grid, rays, rng)
     exponent = dr.opaque(mi.Float, device.lobe_exponent + 1)
     cos = dr.power(1 - x, 1 / exponent)
     sin = dr.safe_sqrt(1 - cos * cos)
@@ -211,18 +254,16 @@ def _lensless_rays(
     return mi.Ray3f(point(device.origin_m) + offset, direction), weight
 
 
-def _strata_points(
-    grid: CellGrid, block: tuple[int, int], samples: int, rng: Any
-) -> tuple[Any, Any, Any, Any]:
+def _strata_points(grid: CellGrid, rays: RaySet, rng: Any) -> tuple[Any, Any, Any, Any]:
     """Row and column of each ray's cell, and its point in the cell, each from 0 to 1."""
     mi = mitsuba()
-    shares = strata(samples, grid.rows / grid.columns)
+    shares = strata(rays.samples, grid.rows / grid.columns)
     wide, high = (dr.opaque(mi.UInt32, n) for n in shares)
     columns = dr.opaque(mi.UInt32, grid.columns)
-    index = dr.arange(mi.UInt32, (block[1] - block[0]) * grid.columns * samples)
-    stratum, cell = index % (wide * high), index // (wide * high)
+    index = dr.arange(mi.UInt32, rays.n_cells(grid) * rays.per_cell)
+    stratum, cell = index % (wide * high), rays.cell(grid, index)
     jitter_x, jitter_y = (0.5, 0.5) if rng is None else (rng.next_float32(), rng.next_float32())
-    row = mi.Float(cell // columns + dr.opaque(mi.UInt32, block[0]))
+    row = mi.Float(cell // columns)
     x = (mi.Float(stratum % wide) + jitter_x) / mi.Float(wide)
     y = (mi.Float(stratum // wide) + jitter_y) / mi.Float(high)
     return row, mi.Float(cell % columns), x, y

@@ -29,6 +29,9 @@ class LightProblem:
         Unit vector towards the sun.
     air
         Fills all space; None: there is none.
+    boxes_m : (n, 2, 3) array, optional
+        Least and largest coordinates of the surfaces, relative to the rig as the scene: where they
+        are small, `gather_within` has paths for each.
     """
 
     scene: Any
@@ -36,6 +39,7 @@ class LightProblem:
     detector: Device
     sun_direction: Array | None = None
     air: Air | None = None
+    boxes_m: Array | None = None
 
     def moved(self, rotation: Array, shift_m: Array) -> "LightProblem":
         """The problem with both devices after a rigid motion, as `Device.moved`."""

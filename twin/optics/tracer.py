@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from twin.engine import mitsuba
-from twin.optics.devices import CellGrid, RayWeighting, per_distance2, sample_rays
+from twin.optics.devices import CellGrid, RaySet, RayWeighting, per_distance2, sample_rays
 from twin.optics.paths import Light, Place, TracingQuality, albedo, bounce, random_numbers
 from twin.optics.scattering import Medium
 from twin.optics.steps import PathSteps
@@ -20,6 +20,9 @@ from twin.optics.weather import Air
 
 #: Paths traced in one kernel, which bounds memory.
 RAYS_AT_ONCE = 2**22
+#: Bounces of a path that ends by chance; and how likely it goes on at most. 1e-9 of 1000 paths are
+#: longer where 0.98 is reflected.
+_MOST_BOUNCES, _LIKELIEST, _LEAST_LIKELY = 2000, 0.98, 1e-6
 #: First and last row, the last one excluded.
 Block = tuple[int, int]
 
@@ -69,7 +72,7 @@ class Tracer:
         Each bounce is one kernel, which runs when the caller evaluates its result.
         """
         mi, steps = mitsuba(), self._steps
-        rng, ray, throughput, active = self._rays(block, self.quality.samples)
+        rng, ray, throughput, active = self._rays(RaySet.of_rows(*block, self.quality.samples))
         throughput, path_length = throughput * weight, mi.Float(0)
         for depth in range(self.quality.max_depth):
             first = depth == 0
@@ -93,10 +96,10 @@ class Tracer:
             yield light
             dr.eval()
 
-    def direct(self, block: Block) -> Bounce:
+    def direct(self, rays: RaySet) -> Bounce:
         """The first bounce alone, of light that is not scattered on the way to it."""
         steps = self._steps
-        rng, ray, weight, active = self._rays(block, self.quality.samples)
+        rng, ray, weight, active = self._rays(rays)
         hit, ray, active, step_length = steps.next_surface_straight(ray, active)
         value, link = steps.light_at(hit, ray, rng, active, coherent=True)
         length = step_length + link.length
@@ -105,10 +108,10 @@ class Tracer:
         length = length + link.detour
         return Bounce(_per_path(weight * value, rng), length, link.places, hit.shape)
 
-    def scattered(self, block: Block) -> Bounce:
+    def scattered(self, rays: RaySet) -> Bounce:
         """The first bounce alone, of light that the air scatters on the way to it."""
         steps = self._steps
-        rng, ray, weight, active = self._rays(block, self.quality.samples, 2)
+        rng, ray, weight, active = self._rays(rays, 2)
         (hit, ray, active, step_length), share = steps.next_surface_scattered(ray, rng, active)
         value, link = steps.light_at(hit, ray, rng, active, coherent=False)
         length = step_length + link.length
@@ -116,17 +119,25 @@ class Tracer:
         length = length + link.detour
         return Bounce(_per_path(weight * value, rng), length, link.places, hit.shape)
 
-    def indirect(self, block: Block) -> Any:
+    def indirect(self, rays: RaySet) -> Any:
         """Sum of all further bounces, in one kernel whatever their number."""
-        rng, ray, weight, active = self._rays(block, self.quality.further_samples, 1)
+        rng, ray, weight, active = self._rays(rays, 1)
         max_depth = dr.opaque(mitsuba().UInt32, self.quality.max_depth)
-        return _per_path(weight * _further(self._steps, ray, rng, active, max_depth), rng)
+        return _per_path(weight * _further(self._steps, ray, rng, active, max_depth, False), rng)
 
-    def _rays(self, block: Block, samples: int, *key: int) -> tuple[Any, Any, Any, Any]:
+    def all_indirect(self, rays: RaySet) -> Any:
+        """The same without a largest number of bounces: from the third surface on a path ends by
+        chance, as likely as light is absorbed there, so that the mean is that of all bounces.
+        """
+        rng, ray, weight, active = self._rays(rays, 1)
+        most = dr.opaque(mitsuba().UInt32, _MOST_BOUNCES)
+        return _per_path(weight * _further(self._steps, ray, rng, active, most, True), rng)
+
+    def _rays(self, rays: RaySet, *key: int) -> tuple[Any, Any, Any, Any]:
         """Generator of random numbers, rays, their weights, and whether they belong to a cell."""
-        n_rays = (block[1] - block[0]) * self.start.columns * samples
-        rng = random_numbers(n_rays, self.seed, *key, block[0])
-        return rng, *sample_rays(self.start, block, samples, rng, self.weighting)
+        n_rays = rays.n_cells(self.start) * rays.per_cell
+        rng = random_numbers(n_rays, self.seed, *key, *rays.draw)
+        return rng, *sample_rays(self.start, rays, rng, self.weighting)
 
     @cached_property
     def _steps(self) -> PathSteps:
@@ -135,8 +146,12 @@ class Tracer:
 
 
 @dr.syntax
-def _further(steps: PathSteps, ray: Any, rng: Any, active: Any, max_depth: Any) -> Any:
-    """Path tracing with next-event estimation from the second surface on."""
+def _further(
+    steps: PathSteps, ray: Any, rng: Any, active: Any, max_depth: Any, by_chance: bool
+) -> Any:
+    """Path tracing with next-event estimation from the second surface on; ``by_chance``: paths end
+    where the light would be absorbed.
+    """
     mi = mitsuba()
     hit, ray, active, length = steps.next_surface(ray, rng, active, first=True)
     throughput, total = albedo(hit, active), mi.Float(0)
@@ -148,7 +163,12 @@ def _further(steps: PathSteps, ray: Any, rng: Any, active: Any, max_depth: Any) 
         length += step_length
         value, link = steps.light_at(hit, ray, rng, active, coherent=False)
         total += throughput * (value * steps.unabsorbed(length + link.length))
-        throughput *= albedo(hit, active)
+        if dr.hint(by_chance, mode="scalar"):
+            survives = dr.minimum(albedo(hit, active), _LIKELIEST)
+            throughput *= albedo(hit, active) / dr.maximum(survives, _LEAST_LIKELY)
+            active &= rng.next_float32() < survives
+        else:
+            throughput *= albedo(hit, active)
         active &= throughput > 0
         ray = bounce(hit, ray, rng)
         depth += 1

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from twin.engine import mitsuba
+from twin.optics.devices import RaySet
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
-from twin.optics.tracer import Block, Tracer
+from twin.optics.tracer import Tracer
 
 Array = NDArray[np.float64]
 
@@ -79,10 +80,10 @@ def gather(tracer: Tracer) -> CellLight:
     are rendered separately, each with its own number of paths.
     """
     quality = tracer.quality
-    direct, error = _mean(tracer, quality.samples, lambda block: tracer.direct(block).value)
+    direct, error = _mean(tracer, quality.samples, lambda rays: tracer.direct(rays).value)
     if tracer.scatters:
         scattered, further = _mean(
-            tracer, quality.samples, lambda block: tracer.scattered(block).value
+            tracer, quality.samples, lambda rays: tracer.scattered(rays).value
         )
         direct, error = direct + scattered, np.hypot(error, further)
     if quality.max_depth == 1:
@@ -91,9 +92,12 @@ def gather(tracer: Tracer) -> CellLight:
     return CellLight(direct, indirect, np.hypot(error, further))
 
 
-def _mean(tracer: Tracer, samples: int, trace: Callable[[Block], Any]) -> tuple[Array, Array]:
+def _mean(tracer: Tracer, samples: int, trace: Callable[[RaySet], Any]) -> tuple[Array, Array]:
     """Mean of each cell and its standard error, in blocks of rows that fit into memory."""
-    moments = [path_moments(trace(block), samples) for block in tracer.blocks(samples)]
+    moments = [
+        path_moments(trace(RaySet.of_rows(*block, samples)), samples)
+        for block in tracer.blocks(samples)
+    ]
     mean, square = (np.concatenate(parts) for parts in zip(*moments, strict=True))
     shape = (tracer.start.rows, tracer.start.columns)
     mean, square = mean.reshape(shape), square.reshape(shape)

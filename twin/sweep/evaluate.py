@@ -192,6 +192,8 @@ def _rendered(made: Setup, inputs: Inputs) -> RenderedLight:
         made.system.emitter.peak_wavelength_m.value if made.system.weather else None,
         made.fidelity.quality,
         made.fidelity.start,
+        # To a tolerance, light is as fine as the noise of this very system asks.
+        (made.fidelity.light_tolerance, made.system) if made.fidelity.light_tolerance else None,
         made.seed,
     )
     draw = _seeds(made)[0]

@@ -124,7 +124,7 @@ def _transport(case: CameraCase) -> Array:
         seeds = np.random.SeedSequence([case.seed, 5, run]).spawn(2)
         rendered = render_light(
             _ideal_problem(case),
-            case.system,
+            case.chain,
             case.truth,
             level,
             seeds,

@@ -56,7 +56,7 @@ class CameraCase:
     def light(self, fidelity: Fidelity, *key: int) -> RenderedLight:
         """Light of emitter and sun; another key gives other random paths."""
         seeds = np.random.SeedSequence([self.seed, *key]).spawn(2)
-        return render_light(self.problem, self.system, self.truth, fidelity, seeds)
+        return render_light(self.problem, self.chain, self.truth, fidelity, seeds)
 
     @property
     def electrons_per_watt(self) -> float:
