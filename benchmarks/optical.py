@@ -28,7 +28,7 @@ from twin.optics.matrix import Start, transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.radiometry import collection, wall_power_w
 from twin.optics.reference import PatternRenderer
-from twin.optics.spectra import sun_band_irradiance
+from twin.optics.solar_irradiance import sun_band_irradiance
 from twin.optics.transport import transport
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.system import load_part, load_system

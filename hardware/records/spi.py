@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.patterns import Patterns
-from hardware.patterns.named import patterns_of
+from hardware.patterns.from_record import patterns_from_record
 from hardware.records import container
 from hardware.records.container import Flag
 from hardware.records.state import ALWAYS_OPEN, QuaternionPose, Shutter
@@ -187,7 +187,7 @@ LAYOUT = container.Layout(
     parameters=("rows", "columns", "count", "order", "mode", "digest"),
     optional=("subset",),
     group_arrays={"packed": np.uint8, "grey_levels": np.uint16},
-    make_group=patterns_of,
+    make_group=patterns_from_record,
 )
 
 
@@ -207,6 +207,6 @@ def read_record(path: str | Path) -> SpiRecord:
     """
     fields, patterns = container.read(LAYOUT, path)
     try:
-        return SpiRecord(patterns=patterns_of(**patterns), **LAYOUT.arguments(fields))
+        return SpiRecord(patterns=patterns_from_record(**patterns), **LAYOUT.arguments(fields))
     except (TypeError, ValueError) as error:
         raise InputError(f"{path}: {error}") from error

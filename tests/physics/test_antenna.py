@@ -8,7 +8,7 @@ import pytest
 from twin.files import InputError
 from twin.radar import load_radar
 from twin.radar.device.antenna import Antenna
-from twin.radar.device.antenna_pattern import read_pattern
+from twin.radar.device.antenna_pattern_file import read_pattern
 
 AHEAD, LEFT, UP = np.eye(3)
 

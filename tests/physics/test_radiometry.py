@@ -8,7 +8,8 @@ from designs import changed
 from scipy import constants, integrate
 
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
-from twin.optics.spectra import in_band_fraction, sun_band_irradiance
+from twin.optics.solar_irradiance import sun_band_irradiance
+from twin.optics.spectra import in_band_fraction
 from twin.system import load_system
 
 

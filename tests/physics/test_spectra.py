@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 
 from twin.files import InputError
-from twin.optics.spectra import (
-    air_mass,
-    angle_shift,
-    clear_sun,
-    in_band_fraction,
-    passband,
-    responsivity_a_per_w,
-    sun_band_irradiance,
-    sun_in_band,
-)
+from twin.optics.solar_irradiance import air_mass, clear_sun, sun_band_irradiance, sun_in_band
+from twin.optics.spectra import angle_shift, filter_shape, in_band_fraction, responsivity_a_per_w
 from twin.system import Sky, load_part, load_system
 from twin.system.curves import read_curve
 from twin.toml import Sourced
@@ -82,7 +74,7 @@ def test_a_filter_shifts_6_to_11_nm_at_10_degrees(index: float, shift_nm: float)
     band = FB12.model_copy(update={"effective_index": assumed(index)})
     assert 1550 * (1 - angle_shift(band, 10.0)) == pytest.approx(shift_nm, abs=0.06)
     nm = np.linspace(1520, 1580, 60_001)
-    inside = nm[passband(band, nm, 10.0) > 0]
+    inside = nm[filter_shape(band, nm, 10.0) > 0]
     assert inside.mean() == pytest.approx(1550 - shift_nm, abs=0.1)
 
 
@@ -96,7 +88,7 @@ def test_line_share_at_an_angle_by_brute_force() -> None:
     nm = np.linspace(1300, 1800, 500_001)
     sigma = 100 / math.sqrt(8 * math.log(2))
     line = np.exp(-(((nm - 1550) / sigma) ** 2) / 2)
-    expected = np.trapezoid(line * passband(FB12, nm, 14.0), nm) / np.trapezoid(line, nm)
+    expected = np.trapezoid(line * filter_shape(FB12, nm, 14.0), nm) / np.trapezoid(line, nm)
     assert in_band_fraction(emitter, FB12, 14.0) == pytest.approx(expected, rel=1e-4)
 
 
@@ -177,7 +169,7 @@ def test_a_systems_curves_lie_beside_its_file(tmp_path: Path, monkeypatch) -> No
     monkeypatch.chdir("/")
     mine = load_system(tmp_path / "mine.toml")
     nm = np.array([1550.0])
-    assert passband(mine.filter, nm)[0] == pytest.approx(0.2)
+    assert filter_shape(mine.filter, nm)[0] == pytest.approx(0.2)
 
 
 def test_plots_of_parts(tmp_path: Path) -> None:

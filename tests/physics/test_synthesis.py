@@ -10,7 +10,7 @@ import pytest
 from scipy.constants import c as C  # noqa: N812
 
 from hardware.radar import OfdmWaveform
-from twin.radar.synthesis import Contributions, direct_sum, synthesize, transforms
+from twin.radar.synthesis import Contributions, direct_sum, nonuniform_fft, synthesize
 
 WAVE = OfdmWaveform(79e9, 4096, 976_562.5, 64, 156.25e-6, 151, 1.024e-6)
 
@@ -104,13 +104,13 @@ def test_no_acceleration_is_motion_to_first_order_to_the_bit() -> None:
 
 def test_what_is_at_rest_is_transformed_once_beside_what_moves_slowly(monkeypatch) -> None:
     """10 000 echoes at rest beside 10 that creep: one transform of them, not one at every time."""
-    transform, transformed = transforms._at_times, []
+    transform, transformed = nonuniform_fft._at_times, []
 
     def counting(contributions, members, times_s, *rest):
         transformed.append((len(members), len(times_s)))
         return transform(contributions, members, times_s, *rest)
 
-    monkeypatch.setattr(transforms, "_at_times", counting)
+    monkeypatch.setattr(nonuniform_fft, "_at_times", counting)
     rates = np.where(np.arange(10_010) < 10, 2 * 0.4 / C, 0) * np.linspace(1, 2, 10_010)
     rng = np.random.default_rng(5)
     echoes = Contributions.ahead(np.ones(10_010, complex), rng.uniform(0, 1e-6, 10_010), rates)
@@ -121,13 +121,13 @@ def test_what_is_at_rest_is_transformed_once_beside_what_moves_slowly(monkeypatc
 
 def test_a_body_takes_few_times_however_many_slots_there_are(monkeypatch) -> None:
     """A car at 1.5 m/s whose parts differ by 0.1 m/s, 3.3 rad after 5 ms either way: some 10."""
-    transform, counts = transforms._at_times, []
+    transform, counts = nonuniform_fft._at_times, []
 
     def counting(contributions, members, times_s, *rest):
         counts.append(len(times_s))
         return transform(contributions, members, times_s, *rest)
 
-    monkeypatch.setattr(transforms, "_at_times", counting)
+    monkeypatch.setattr(nonuniform_fft, "_at_times", counting)
     rng = np.random.default_rng(7)
     rates = 2 / C * (1.5 + 0.1 * rng.uniform(-1, 1, 20_000))
     echoes = Contributions.ahead(np.ones(20_000, complex), rng.uniform(0, 1e-7, 20_000), rates)

@@ -20,7 +20,7 @@ from twin.camera.reflectance_rescaling import render_unit_reflectance
 from twin.camera.stream import frames
 from twin.fidelity import Fidelity
 from twin.files import InputError, new_folder, whole_folder
-from twin.radar.device.antenna_pattern import read_pattern
+from twin.radar.device.antenna_pattern_file import read_pattern
 from twin.scene import load_scene
 from twin.scene.importing import import_model
 from twin.scene.meshes import read_mesh

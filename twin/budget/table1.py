@@ -14,7 +14,8 @@ from twin.budget.link import (
 )
 from twin.files import InputError
 from twin.optics.radiometry import cell_centres
-from twin.optics.spectra import in_band_fraction, responsivity_a_per_w, sun_in_band
+from twin.optics.solar_irradiance import sun_in_band
+from twin.optics.spectra import in_band_fraction, responsivity_a_per_w
 from twin.system import Part, Photodetector, System
 from twin.system.detector import check_has_closed_form
 

@@ -27,7 +27,7 @@ from twin.detector import Detector, FrontEnd, NoiseBudget
 from twin.fidelity import Fidelity, Noise
 from twin.optics.emission import emission_matrix, independent_patterns
 from twin.optics.radiometry import Collection
-from twin.optics.spectra import SUN_ASSUMPTION
+from twin.optics.solar_irradiance import SUN_ASSUMPTION
 from twin.optics.weather import air_of_system
 from twin.progress import OpenStage, silently
 from twin.scene import Scene

@@ -1,6 +1,7 @@
 """Light: the sun in the band, closed forms, air, and transport through the scene.
 
-- `spectra`, `passband`: the sun's irradiance in the filter's band, the emitter's line behind it
+- `solar_irradiance`: the sun in the filter's band; `spectra`: the emitter's line behind the filter;
+  `passband`: both by field angle
 - `radiometry`: lens and pupil; the power of a wall's light in closed form
 - `weather`: extinction by fog, rain, snow and smoke; `scattering`, `backscatter`: what air scatters
 - `problem`, `tracer`, `paths`, `steps`: what is traced, and the one path tracer; `scattering` and

@@ -7,7 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.spectra import in_band_fraction, sun_in_band
+from twin.optics.solar_irradiance import sun_in_band
+from twin.optics.spectra import in_band_fraction
 from twin.system import Emitter, Filter, Sky, System
 from twin.system.curves import curves
 

@@ -4,7 +4,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twin.files import InputError
-from twin.optics.spectra import clear_sun, emitter_line, passband
+from twin.optics.solar_irradiance import clear_sun
+from twin.optics.spectra import emitter_line, filter_shape
 from twin.report.style import BLUE, ORANGE, new_figure
 from twin.system import Part
 from twin.system.curves import read_responsivity
@@ -24,7 +25,7 @@ def plot_part(part: Part) -> Figure:
         center, width = part.filter.center_wavelength_m.value, part.filter.width_m.value
         nm = np.linspace(center - 2 * width, center + 1.5 * width, 2001) * 1e9
         for angle, color in ((0.0, BLUE), (10.0, ORANGE)):
-            shape = part.filter.transmission.value * passband(part.filter, nm, angle)
+            shape = part.filter.transmission.value * filter_shape(part.filter, nm, angle)
             axis.plot(nm, shape, color=color, label=f"{angle:g} deg")
         axis.legend(frameon=False)
         axis.set_ylabel("transmission")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from twin.scene.gltf import gltf_content, left_out_of_gltf
+from twin.scene.gltf_validation import gltf_content, left_out_of_gltf
 
 #: Stands for all material files of an OBJ, and materials that none of them defines.
 _LIBRARY = "all materials"

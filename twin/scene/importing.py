@@ -10,8 +10,8 @@ import numpy as np
 
 from twin.files import InputError, whole_folder
 from twin.geometry import Geometry
-from twin.scene.appearance import Surfaces, appearance_of, texture_coordinates
 from twin.scene.beside import missing_files
+from twin.scene.imported_materials import ImportedBsdfs, imported_material, texture_coordinates
 from twin.scene.materials import find_materials, load_materials
 from twin.scene.meshes import load_quietly
 from twin.scene.model import Array
@@ -65,8 +65,8 @@ def import_model(
     axis = up or _UP.get(model.suffix.lower(), "z")
     place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
     table = load_materials(find_materials(folder))
-    surfaces = Surfaces(table, material, texture_as_reflectance)
-    parts, notes = _parts(loaded, model, place, surfaces)
+    materials = ImportedBsdfs(table, material, texture_as_reflectance)
+    parts, notes = _parts(loaded, model, place, materials)
     low = np.min([part.vertices_m.min(axis=0) for part, _ in parts.values()], axis=0)
     high = np.max([part.vertices_m.max(axis=0) for part, _ in parts.values()], axis=0)
     if (high - low).max() > _LARGEST_M:
@@ -83,13 +83,13 @@ def import_model(
                 part.vertices_m - origin, part.faces, process=False, visual=drawn
             )
             mesh.export(partial / "meshes" / f"{name}.ply")
-        surfaces.write_pictures(partial)
-        bsdfs = {name: bsdf for name, (_, bsdf) in parts.items()}
-        (partial / "scene.xml").write_text(_xml(bsdfs, surfaces.xml(), origin))
+        materials.write_pictures(partial)
+        bsdf_of = {name: bsdf for name, (_, bsdf) in parts.items()}
+        (partial / "scene.xml").write_text(_xml(bsdf_of, materials.xml(), origin))
         (partial / "scene.toml").write_text(_toml(model, low, high))
     size = ", ".join(f"{s:.3g}" for s in high - low)
     notes.append(f"{axis} taken as up, {scale:g} m per unit: the scene measures {size} m")
-    notes += [*surfaces.notes(), *missing_files(model)]
+    notes += [*materials.notes(), *missing_files(model)]
     notes.append("rig placed in front of the model, looking at it: see scene.toml")
     return notes
 
@@ -112,7 +112,7 @@ def _check(model: Path, folder: Path, scale: float, up: str | None, material: st
 
 
 def _parts(
-    loaded: Any, model: Path, place: Array, surfaces: Surfaces
+    loaded: Any, model: Path, place: Array, materials: ImportedBsdfs
 ) -> tuple[dict[str, tuple[Geometry, str]], list[str]]:
     """Every mesh of the model in scene coordinates with the id of its BSDF, by a name that is good
     for a file and is no id of a BSDF: ids are unique in a file.
@@ -130,20 +130,20 @@ def _parts(
         plain = re.sub(r"[^\w-]+", "_", str(node)).strip("_")[:60] or "part"
         free = (f"{plain}-{number}" for number in count(2))
         name = plain
-        while name in parts or name in surfaces.table:
+        while name in parts or name in materials.table:
             name = next(free)
         uv = texture_coordinates(mesh.visual, len(mesh.vertices))
         where = f"{model}: part {node!r}"
         raw = Geometry(mesh.vertices, mesh.faces, uv, where).without_empty_faces(where)
         placed = raw.transformed(matrix, where).without_empty_faces(where)
-        parts[name] = placed, surfaces.bsdf(appearance_of(mesh.visual), name, uv is not None)
+        parts[name] = placed, materials.bsdf(imported_material(mesh.visual), name, uv is not None)
     if not parts:
         raise InputError(f"{model}: has no faces")
     return parts, [f"{skipped} parts without faces left out"] if skipped else []
 
 
-def _xml(bsdfs: dict[str, str], surfaces: str, origin: Array) -> str:
-    """``bsdfs``: id of each shape's BSDF; ``surfaces``: their elements."""
+def _xml(bsdf_of: dict[str, str], bsdfs: str, origin: Array) -> str:
+    """``bsdf_of``: id of each shape's BSDF; ``bsdfs``: the elements of all."""
     x, y, z = (repr(float(v)) for v in origin)
     moved = f'        <transform name="to_world"><translate value="{x}, {y}, {z}"/></transform>\n'
     shapes = "\n".join(
@@ -153,9 +153,9 @@ def _xml(bsdfs: dict[str, str], surfaces: str, origin: Array) -> str:
         f"{moved if origin.any() else ''}"
         f'        <ref id="{bsdf}"/>\n'
         f"    </shape>"
-        for name, bsdf in bsdfs.items()
+        for name, bsdf in bsdf_of.items()
     )
-    return f'<scene version="3.0.0">\n    <integrator type="path"/>\n{surfaces}{shapes}\n</scene>\n'
+    return f'<scene version="3.0.0">\n    <integrator type="path"/>\n{bsdfs}{shapes}\n</scene>\n'
 
 
 def _toml(model: Path, low: Array, high: Array) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.files import InputError
 from twin.geometry import Geometry
 from twin.scene.beside import ModelFiles, model_file
-from twin.scene.gltf import check_gltf
+from twin.scene.gltf_validation import check_gltf
 
 Array = NDArray[np.float64]
 

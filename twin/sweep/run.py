@@ -1,4 +1,7 @@
-"""Running a study: points in runs over Dask's workers, results kept as they come."""
+"""Running a study: points in runs over Dask's workers, results stored as they come.
+
+A sweep that was interrupted resumes from its folder: `store.create_or_resume`, `store.Store.todo`.
+"""
 
 import sys
 from collections import Counter, deque
@@ -15,7 +18,7 @@ from twin.sweep.effects import check_points, without_effect
 from twin.sweep.evaluate import Chunk, evaluate_chunk, failed, joined
 from twin.sweep.inputs import Inputs, inputs_of
 from twin.sweep.names import is_own
-from twin.sweep.store import Store, begin
+from twin.sweep.store import Store, create_or_resume
 from twin.sweep.study import Study, load_study
 from twin.sweep.workers import Submit, WorkerDiedError, dask, here
 
@@ -93,7 +96,7 @@ def run_sweep(
     own = {name: inputs.get("metric", name) for name in study.metrics if is_own(name)}
     chunk = _CLOSED_CHUNK if closed else _RENDERED_CHUNK
     with locked(out, "sweep"):
-        store = begin(study, out, chunk, inputs, labels(study, own))
+        store = create_or_resume(study, out, chunk, inputs, labels(study, own))
         if any(True for _ in store.todo()):
             local = scheduler is None and (workers == 0 or (closed and workers is None))
             pool = here() if local else dask(scheduler, workers)

@@ -1,4 +1,4 @@
-"""Results on disk: what is done survives a kill at any moment, and is resumed.
+"""Results on disk: finished points survive a kill at any moment, and the sweep resumes after them.
 
 While a sweep runs, ``points/METRIC.npy`` hold one number per point and ``journal.jsonl`` one line
 per finished run of points, appended after its numbers are written. Finished, ``results.zarr`` is
@@ -34,7 +34,7 @@ _TEXT_LENGTH = 300
 
 
 class Store:
-    """A sweep's folder that exists; see `begin`."""
+    """A sweep's folder that exists; see `create_or_resume`."""
 
     def __init__(self, out: Path) -> None:
         self.out, plan = out, _read_plan(out)
@@ -135,7 +135,9 @@ class Store:
         return dataset(self.study, self.arrays, self._plan["labels"], self.progress, attributes)
 
 
-def begin(study: Study, out: Path, chunk: int, inputs: Inputs, labels: dict[str, Any]) -> Store:
+def create_or_resume(
+    study: Study, out: Path, chunk: int, inputs: Inputs, labels: dict[str, Any]
+) -> Store:
     """A sweep's folder: what is there of the same study and the same inputs, or a new one.
 
     ``labels``: unit and meaning of each metric. Raises InputError where the folder holds another

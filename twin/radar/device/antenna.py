@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from twin.errors import InputError
-from twin.radar.device.antenna_pattern import Pattern, read_pattern
+from twin.radar.device.antenna_pattern_file import Pattern, read_pattern
 from twin.toml import Positive, Sourced, Strict
 
 Array = NDArray[np.float64]
@@ -22,9 +22,9 @@ class Antenna(Strict):
     """One pattern for transmitting and receiving.
 
     ``gain_dbi``: G0 cos^q, zero behind, with G0 = 2 (q + 1). Or ``pattern_file`` (see
-    `twin.radar.device.antenna_pattern`) and which of its axes looks ahead: ``x`` (default; theta
-    from above, phi from ahead to the left) or ``z`` (theta from ahead, phi from the left upwards).
-    Planet files always look along x.
+    `antenna_pattern_file`) and which of its axes looks ahead: ``x`` (default; theta from above, phi
+    from ahead to the left) or ``z`` (theta from ahead, phi from the left upwards). Planet files
+    always look along x.
     """
 
     alternatives: ClassVar = (("gain_dbi",), ("pattern_file", "pattern_axis"))

@@ -3,8 +3,12 @@
 With barycentric coordinates the integral of exp(x) over a triangle of area A is 2 A times the
 second divided difference of exp at the values of x at its corners (Hermite and Genocchi; Gordon,
 IEEE Trans. AP 23, 1975, gives the same as a sum over edges). Here x is the logarithm of the
-amplitude plus j times the phase. What x is curved across the triangle is left: two sizes of
-triangles extrapolate to none.
+amplitude plus j times the phase. The curvature of x across the triangle is neglected; its effect
+shrinks with the triangle and is extrapolated from two sizes of triangles (`currents.echoes_of`).
+
+The echo of a body is put together in `twin.radar.propagation.facets`: of one triangle in `currents`
+(with the gain and the distances), of all of a body's in `body_scattering`, over the band in
+`wideband`.
 
 Arrays on the device, one element per triangle; a complex number is a pair (Re, Im) of float64.
 """

@@ -1,4 +1,7 @@
-"""The channel in all slots, from transforms at the times of every group."""
+"""The channel in all slots, interpolated in time from transforms at a few times of every group.
+
+A delay becomes a phase in `nonuniform_fft`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,9 +11,9 @@ import numpy as np
 from hardware.waveform import OfdmWaveform
 from twin.radar.synthesis.contributions import Array, Complex, Contributions
 from twin.radar.synthesis.groups import BLOCK, Group, groups_of
-from twin.radar.synthesis.side_by_side import side_by_side
+from twin.radar.synthesis.nonuniform_fft import phasor, transforms
+from twin.radar.synthesis.threads import map_in_threads
 from twin.radar.synthesis.times import interpolation
-from twin.radar.synthesis.transforms import transforms, turned
 
 #: Times and slots in one matrix product with a block: so few multiplications that BLAS does not
 #: share them out among threads of its own, which would change their last bits.
@@ -42,9 +45,9 @@ def synthesize(
     groups = groups_of(contributions, waveform, tolerance)
     channels = transforms(contributions, groups, waveform, tolerance)
     slots: Complex = out.T
-    told = [k for k, group in enumerate(groups) if len(group.times_s) < waveform.n_slots]
-    _interpolated([groups[k] for k in told], [channels[k] for k in told], waveform, slots)
-    for k in set(range(len(groups))) - set(told):
+    sampled = [k for k, group in enumerate(groups) if len(group.times_s) < waveform.n_slots]
+    _interpolated([groups[k] for k in sampled], [channels[k] for k in sampled], waveform, slots)
+    for k in set(range(len(groups))) - set(sampled):
         slots += channels[k]
     return out
 
@@ -52,11 +55,12 @@ def synthesize(
 def _interpolated(
     groups: Sequence[Group], at_times: Sequence[Complex], waveform: OfdmWaveform, out: Complex
 ) -> None:
-    """All slots of groups from what they are at their times, into ``out`` (n_slots,
-    n_subcarriers).
+    """Channel of groups in all slots, interpolated from the channel at their times, into ``out``
+    (n_slots, n_subcarriers).
 
-    Of every few subcarriers the common motion is taken out of the times and put into the slots;
-    what is left is slow.
+    The common motion of a group rotates the phase fast. For each block of subcarriers this rotation
+    is removed at the group's times, the slowly changing rest is interpolated, and the rotation is
+    applied again in every slot.
     """
     if not groups:
         out[:] = 0
@@ -69,48 +73,48 @@ def _interpolated(
 
     def of_block(number: int) -> None:
         block = slice(number * BLOCK, (number + 1) * BLOCK)
-        both = np.concatenate([weight.of_block(number) for weight in weights])
+        block_weights = np.concatenate([weight.of_block(number) for weight in weights])
         for first in range(0, waveform.n_slots, _SLOTS):
             some = slice(first, first + _SLOTS)
-            np.matmul(both[:_TIMES, some].T, stack[:_TIMES, block], out=out[some, block])
+            np.matmul(block_weights[:_TIMES, some].T, stack[:_TIMES, block], out=out[some, block])
             for time in range(_TIMES, len(stack), _TIMES):
                 times = slice(time, time + _TIMES)
-                out[some, block] += both[times, some].T @ stack[times, block]
+                out[some, block] += block_weights[times, some].T @ stack[times, block]
 
-    for _ in side_by_side(of_block, range(-(-n // BLOCK))):
+    for _ in map_in_threads(of_block, range(-(-n // BLOCK))):
         pass
 
 
 @dataclass(frozen=True, eq=False)
 class _Weights:
-    """What a group's times count for in the slots.
+    """Weights with which a group's channel at its times is summed in each slot.
 
-    ``between`` (n_times, n_slots) without its common motion; ``before`` (n_blocks, n_times, 1) and
-    ``after`` (n_blocks, 1, n_slots): that motion of every few subcarriers, out of the times and
-    into the slots; None where there is none.
+    ``interpolation`` (n_times, n_slots): of the channel without its common motion. ``remove``
+    (n_blocks, n_times, 1) and ``restore`` (n_blocks, 1, n_slots): phasors of that motion at the
+    middle of each block of subcarriers; None where there is no motion.
     """
 
-    between: Array
-    before: Complex | None = None
-    after: Complex | None = None
+    interpolation: Array
+    remove: Complex | None = None
+    restore: Complex | None = None
 
     def of_block(self, number: int) -> Complex | Array:
-        """Of a few subcarriers, (n_times, n_slots)."""
-        if self.before is None or self.after is None:
-            return self.between
-        weights: Complex = (self.before[number] * self.between) * self.after[number]
+        """Weights for a block of subcarriers, (n_times, n_slots)."""
+        if self.remove is None or self.restore is None:
+            return self.interpolation
+        weights: Complex = (self.remove[number] * self.interpolation) * self.restore[number]
         return weights
 
 
 def _weights(group: Group, waveform: OfdmWaveform) -> _Weights:
     times = waveform.slot_times_s
-    between = interpolation(group.times_s, times)
+    between_times = interpolation(group.times_s, times)
     if not group.moves:
-        return _Weights(between)
+        return _Weights(between_times)
     starts = np.arange(0, waveform.n_subcarriers, BLOCK)
     counts = np.minimum(starts + BLOCK, waveform.n_subcarriers) - starts
     middle = starts + (counts - 1) / 2 - waveform.n_subcarriers // 2
     frequencies = waveform.carrier_hz + waveform.subcarrier_spacing_hz * middle
-    before = turned(np.outer(frequencies, group.delays_at(group.times_s)))
-    after = turned(-np.outer(frequencies, group.delays_at(times)))
-    return _Weights(between, before[:, :, None], after[:, None])
+    remove = phasor(np.outer(frequencies, group.delays_at(group.times_s)))
+    restore = phasor(-np.outer(frequencies, group.delays_at(times)))
+    return _Weights(between_times, remove[:, :, None], restore[:, None])

@@ -1,4 +1,7 @@
-"""Contributions at chosen times, transformed along frequency."""
+"""Non-uniform FFT of contributions along frequency at chosen times: here a delay becomes a phase.
+
+The phase of subcarrier f is exp(-j 2 pi (fc + f) tau); tau follows delay, rate and acceleration.
+"""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -8,7 +11,7 @@ import numpy as np
 from hardware.waveform import OfdmWaveform
 from twin.radar.synthesis.contributions import Array, Complex, Contributions
 from twin.radar.synthesis.groups import Group, Indices
-from twin.radar.synthesis.side_by_side import side_by_side
+from twin.radar.synthesis.threads import map_in_threads
 
 #: Contributions in one transform. What is added to what depends on nothing else: the same bits
 #: whatever the number of threads.
@@ -21,7 +24,7 @@ def transforms(
     waveform: OfdmWaveform,
     tolerance: float,
 ) -> list[Complex]:
-    """Of every group at its times, (n_times, n_subcarriers), exact in the motion."""
+    """Channel of each group at its own times, (n_times, n_subcarriers), exact in the motion."""
     pieces = list(_pieces(contributions, groups))
     channels = [np.zeros((len(g.times_s), waveform.n_subcarriers), np.complex128) for g in groups]
     factors = {power: _factor(power, waveform) for power in {power for _, power, _ in pieces}}
@@ -31,7 +34,7 @@ def transforms(
         times = groups[number].times_s
         return factors[power] * _at_times(contributions, members, times, waveform, tolerance)
 
-    for (number, _, _), channel in zip(pieces, side_by_side(of_piece, pieces), strict=True):
+    for (number, _, _), channel in zip(pieces, map_in_threads(of_piece, pieces), strict=True):
         channels[number] += channel
     return channels
 
@@ -63,13 +66,13 @@ def _at_times(
     waveform: OfdmWaveform,
     tolerance: float,
 ) -> Complex:
-    """Without falloff, (n_times, n_subcarriers)."""
+    """Channel of some contributions without their falloff, (n_times, n_subcarriers)."""
     import finufft
 
     plan = finufft.Plan(1, (waveform.n_subcarriers,), **_options(tolerance))
     delay, rate = contributions.delay_s[members], contributions.delay_rate[members]
     half = contributions.delay_acceleration_per_s[members] / 2
-    middle = contributions.amplitude[members] * turned(-(waveform.carrier_hz * delay % 1.0))
+    middle = contributions.amplitude[members] * phasor(-(waveform.carrier_hz * delay % 1.0))
     x = 2 * np.pi * waveform.subcarrier_spacing_hz * delay
     channel = np.empty((len(times_s), waveform.n_subcarriers), dtype=np.complex128)
     for row, time in zip(channel, times_s, strict=True):
@@ -78,7 +81,7 @@ def _at_times(
             plan.execute(middle, row)
             continue
         moved = (half * time + rate) * time
-        strengths = turned(-waveform.carrier_hz * moved)
+        strengths = phasor(-waveform.carrier_hz * moved)
         strengths *= middle
         moved *= 2 * np.pi * waveform.subcarrier_spacing_hz
         moved += x
@@ -94,10 +97,10 @@ def _options(tolerance: float) -> dict[str, Any]:
     return {"eps": tolerance / 20, "upsampfac": 2.0, "nthreads": 1, "isign": -1}
 
 
-def turned(cycles: Array) -> Complex:
+def phasor(cycles: Array) -> Complex:
     """exp(j 2 pi cycles)."""
-    phasor = np.empty(np.shape(cycles), dtype=np.complex128)
+    values = np.empty(np.shape(cycles), dtype=np.complex128)
     phase = 2 * np.pi * cycles
-    np.cos(phase, out=phasor.real)
-    np.sin(phase, out=phasor.imag)
-    return phasor
+    np.cos(phase, out=values.real)
+    np.sin(phase, out=values.imag)
+    return values

@@ -1,4 +1,7 @@
-"""What a model file says of its surfaces: names, pictures and colours, all of visible light."""
+"""Materials of an imported model (glTF, OBJ, ...) mapped to the materials table and to BSDFs.
+
+A model gives names, pictures and colours, all of visible light: only names and pictures are used.
+"""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -16,7 +19,7 @@ _WHITE = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Appearance:
+class ImportedMaterial:
     """A material of the model. ``image`` is a PIL image or None, ``colour`` linear (r, g, b),
     ``left_out`` what a Lambertian, opaque surface does not hold, in words.
     """
@@ -28,8 +31,8 @@ class Appearance:
 
 
 @dataclass
-class Surfaces:
-    """The surfaces of a scene file to be written: one BSDF for each material and picture.
+class ImportedBsdfs:
+    """The BSDFs of a scene file to be written: one for each material and picture.
 
     Parameters
     ----------
@@ -49,18 +52,18 @@ class Surfaces:
     parts: dict[tuple[str, str], list[str]] = field(default_factory=dict)
     notes_of: dict[str, list[str]] = field(default_factory=dict)
 
-    def bsdf(self, appearance: Appearance, part: str, has_uv: bool) -> str:
+    def bsdf(self, material: ImportedMaterial, part: str, has_uv: bool) -> str:
         """Id of the BSDF of a part."""
-        row = row_of(appearance.name, self.table) if appearance.name else None
-        self.parts.setdefault((appearance.name, row or ""), []).append(part)
-        for what in appearance.left_out:
+        row = row_of(material.name, self.table) if material.name else None
+        self.parts.setdefault((material.name, row or ""), []).append(part)
+        for what in material.left_out:
             self.notes_of.setdefault(what, []).append(part)
         row = row or self.fallback
         picture = None
-        if appearance.image is not None and has_uv:
-            picture = id(appearance.image)
-        elif appearance.colour is not None and appearance.colour != _WHITE:
-            told = ", ".join(f"{c:.2g}" for c in appearance.colour)
+        if material.image is not None and has_uv:
+            picture = id(material.image)
+        elif material.colour is not None and material.colour != _WHITE:
+            told = ", ".join(f"{c:.2g}" for c in material.colour)
             what = f"visible colour {told} left out: it says nothing about 1550 nm"
             self.notes_of.setdefault(what, []).append(part)
         key = (row, picture)
@@ -68,7 +71,7 @@ class Surfaces:
             same = sum(known == row for known, _ in self.ids)
             self.ids[key] = row if not same else f"{row}.{same:03d}"
             if picture is not None:
-                self.pictures[self.ids[key]] = coloured(appearance)
+                self.pictures[self.ids[key]] = coloured(material)
         return self.ids[key]
 
     def write_pictures(self, folder: Path) -> None:
@@ -121,12 +124,12 @@ class Surfaces:
             yield f"picture of visible light textures/{name}.png {use}"
 
 
-def appearance_of(visual: Any) -> Appearance:
-    """Of a mesh as trimesh has read it."""
+def imported_material(visual: Any) -> ImportedMaterial:
+    """Material of a mesh as trimesh has read it."""
     material = getattr(visual, "material", None)
     if material is None:
         kind = getattr(visual, "kind", None)
-        return Appearance("", left_out=(f"{kind} colours left out",) if kind else ())
+        return ImportedMaterial("", left_out=(f"{kind} colours left out",) if kind else ())
     name = str(getattr(material, "name", None) or "")
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     factor = getattr(material, "baseColorFactor", None)
@@ -143,7 +146,7 @@ def appearance_of(visual: Any) -> Appearance:
         left_out.append(f"metallic {material.metallicFactor:g}: taken as Lambertian")
     if getattr(material, "normalTexture", None) is not None:
         left_out.append("normal map: taken as flat")
-    return Appearance(name, image, colour, tuple(left_out))
+    return ImportedMaterial(name, image, colour, tuple(left_out))
 
 
 def _clear(material: Any) -> bool:
@@ -157,16 +160,16 @@ def _clear(material: Any) -> bool:
     return "map_d" in given
 
 
-def coloured(appearance: Appearance) -> Any:
+def coloured(material: ImportedMaterial) -> Any:
     """The picture times the material's colour, which glTF gives for linear light."""
-    picture = appearance.image.convert("RGB")
-    if appearance.colour in (None, _WHITE):
+    picture = material.image.convert("RGB")
+    if material.colour in (None, _WHITE):
         return picture
     from PIL import Image
 
     coded = np.asarray(picture, dtype=np.float64) / 255
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
-    linear *= appearance.colour
+    linear *= material.colour
     coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return Image.fromarray(np.rint(255 * coded).astype(np.uint8))
 

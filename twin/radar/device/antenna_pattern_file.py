@@ -1,4 +1,6 @@
-"""Antenna patterns as vendors and solvers export them: a table over the sphere, or two cuts.
+"""Files of antenna patterns as vendors and solvers export them: a table over a sphere or two cuts.
+
+The gain of an antenna in a direction is `antenna.Antenna.gain`.
 
 A table is CSV with columns theta, phi and gain in dBi (HFSS: ``"Phi[deg]","Theta[deg]",
 "dB(GainTotal)[]"``); two cuts are the Planet format (``.msi``, ``.pln``).

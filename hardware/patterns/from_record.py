@@ -1,4 +1,4 @@
-"""Patterns by what a record says of them: Hadamard rows by name, a user's own as arrays."""
+"""Patterns from the fields of a record: Hadamard rows by their order, a user's own from arrays."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from hardware.errors import InputError
 from hardware.patterns import OwnPatterns, PatternSet
 
 
-def patterns_of(
+def patterns_from_record(
     *,
     order: str,
     digest: str = "",
