@@ -332,6 +332,22 @@ class Fidelity(RadarFidelity, LightFidelity):
     (64, 0.03)
     """
 
+    @classmethod
+    def within(cls, share: float) -> "Fidelity":
+        """Knobs for a model error of a share of the sensors' own noise, 0.002 to 2.
+
+        Light: as `light_tolerance`, root mean square over the image. Radar: half of it as
+        `radar_tolerance`, relative to each body's own echo: echoes may stand far above the noise,
+        and their model as exact as that would take hours.
+
+        >>> knobs = Fidelity.within(0.2)
+        >>> knobs.light_tolerance, knobs.radar_tolerance
+        (0.2, 0.1)
+        """
+        if not _is_number(share) or not 0.002 <= share <= 2:
+            raise InputError(f"tolerance: {share!r:.60} is not in 0.002 to 2")
+        return cls(light_tolerance=share, radar_tolerance=share / 2)
+
 
 #: Knobs of earlier versions, and what became of them.
 REPLACED = {"radar_rays": "gave way to radar_tolerance, the error of the echo of every body"}

@@ -12,11 +12,12 @@ from hardware import PatternSet
 from tests.extremes import oracle
 from twin.camera.mounting import light_problem
 from twin.geometry import Geometry
-from twin.optics.devices import Device, RaySet, disc_error
+from twin.optics.devices import Device, disc_error
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
+from twin.optics.ray_sets import RowRays
 from twin.optics.reference import PatternRenderer
 from twin.optics.transport import sunlight, transport
 from twin.optics.weather import Air
@@ -273,7 +274,7 @@ def test_every_kind_of_light_is_that_of_its_rows(kind: str) -> None:
     tracer = problem.from_emitter((16, 16), TracingQuality(256, 2, 256), 1)
 
     def rows(first: int, last: int) -> np.ndarray:
-        light = getattr(tracer, kind)(RaySet.of_rows(first, last, 256))
+        light = getattr(tracer, kind)(RowRays(first, last, 256))
         return np.array(getattr(light, "value", light)).reshape(last - first, -1).mean(axis=1)
 
     whole, parts = rows(0, 16), np.concatenate([rows(i, i + 4) for i in range(0, 16, 4)])

@@ -143,3 +143,13 @@ def test_whole_numbers_may_have_an_exponent() -> None:
     for value in (2.5, float("nan"), float("inf"), True, "7"):
         with pytest.raises(InputError, match=r"radar_bounces: .* is no int"):
             Fidelity(radar_bounces=value)
+
+
+def test_a_tolerance_is_a_share_of_the_noise() -> None:
+    knobs = Fidelity.within(0.4)
+    assert (knobs.light_tolerance, knobs.radar_tolerance) == (0.4, 0.2)
+    assert (knobs | Fidelity.within(0.1)).light_tolerance == 0.1
+    assert (knobs | Fidelity()).light_tolerance == 0.4
+    for wrong in (0.0, 3.0, float("nan"), "fine", True):
+        with pytest.raises(InputError, match="tolerance"):
+            Fidelity.within(wrong)  # type: ignore[arg-type]

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import CellGrid, Device, RaySet, primary_rays
+from twin.optics.devices import CellGrid, Device, primary_rays
 from twin.optics.paths import albedo as reflectance
+from twin.optics.ray_sets import RowRays
 
 _ALBEDO_SAMPLES = 64
 
@@ -40,7 +41,7 @@ def depths(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.flo
 
 def object_shares(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Mean albedo of each cell by object, (n_objects, rows, columns): their sum is the albedo."""
-    ray, _ = primary_rays(CellGrid(camera, *shape), RaySet((0, shape[0]), _ALBEDO_SAMPLES))
+    ray, _ = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], _ALBEDO_SAMPLES))
     hit = scene.ray_intersect(ray)
     albedo = np.where(np.array(hit.is_valid()), np.array(reflectance(hit), dtype=np.float64), 0.0)
     shares = [
@@ -54,7 +55,7 @@ def object_shares(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray
 
 def incidence_cosines(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Cosine of the angle of incidence in the middle of each cell, 0 where there is no surface."""
-    ray, _ = primary_rays(CellGrid(camera, *shape), RaySet((0, shape[0]), 1))
+    ray, _ = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], 1))
     hit = scene.ray_intersect(ray)
     cosine = np.abs(np.array(dr.dot(ray.d, hit.n), dtype=np.float64))
     return np.where(np.array(hit.is_valid()), cosine, 0.0).reshape(shape)
@@ -79,7 +80,7 @@ def _albedo_and_depth(
     scene: Any, camera: Device, shape: tuple[int, int], samples: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean albedo and depth over the samples of each cell."""
-    ray, cos = primary_rays(CellGrid(camera, *shape), RaySet((0, shape[0]), samples))
+    ray, cos = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], samples))
     hit = scene.ray_intersect(ray)
     is_hit = np.array(hit.is_valid())
     albedo = np.array(reflectance(hit), dtype=np.float64)

@@ -36,7 +36,16 @@ def run(
     ] = None,
     paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
     sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
-    fidelity: Annotated[str, typer.Option(help="draft, standard or reference.")] = "standard",
+    fidelity: Annotated[
+        str | None, typer.Option(help="draft, standard (the default) or reference.")
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="In place of fidelity: error that the model may add, as a share of the sensors' "
+            "own noise, 0.002 to 2."
+        ),
+    ] = None,
     radar_model: Annotated[
         str | None,
         typer.Option(
@@ -65,7 +74,7 @@ def run(
         track=parse_track(track) if track is not None else None,
         seed=seed,
         out=out,
-        fidelity=_fidelity(fidelity, radar_model),
+        fidelity=_fidelity(fidelity, tolerance, radar_model),
         paths=paths,
         sigmf=sigmf,
         method=method,
@@ -154,8 +163,11 @@ def import_(
     print(f"scene: {folder}")
 
 
-def _fidelity(name: str, radar_model: str | None) -> "Fidelity":
-    from twin.fidelity import preset
+def _fidelity(name: str | None, tolerance: float | None, radar_model: str | None) -> "Fidelity":
+    from twin.errors import InputError
+    from twin.fidelity import Fidelity, preset
 
-    chosen = preset(name)
-    return chosen.with_(radar=radar_model) if radar_model else chosen
+    if name is not None and tolerance is not None:
+        raise InputError("--fidelity, --tolerance: expected one of them")
+    knobs = preset(name or "standard") if tolerance is None else Fidelity.within(tolerance)
+    return knobs.with_(radar=radar_model) if radar_model else knobs

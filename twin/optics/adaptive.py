@@ -9,13 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from twin.engine import mitsuba
-from twin.optics.devices import RaySet
+from twin.optics.ray_sets import CellRays, Rays
 from twin.optics.small_surfaces import least_samples
 from twin.optics.tracer import RAYS_AT_ONCE, Tracer
 from twin.optics.transport import CellLight
@@ -26,7 +25,10 @@ Array = NDArray[np.float64]
 _SETS = 4
 _ROUNDS = 6
 #: Of the squared error asked for, what is planned for: estimates of it scatter.
-_MARGIN = 0.8
+_MARGIN = 0.9
+#: Cells whose sets agree by chance are the ones that are not drawn anew: their variance is more
+#: than its estimate, by this factor in the yard.
+_CHOSEN = 1.15
 #: Keys of draws, apart from those of rows of cells.
 _DRAWS = 2**16
 #: Paths of a cell in all, at most.
@@ -52,42 +54,41 @@ class _Part:
     """
 
     tracer: Tracer
-    trace: Callable[[RaySet], Any]
+    trace: Callable[[Rays], Any]
     falls: float
     cost: float
     first: int
     window: int
     mean: Array = field(init=False)
-    #: As estimated, and as stated: no less than that of the cells around.
     variance: Array = field(init=False)
-    stated: Array = field(init=False)
     #: Paths of a set, by cell.
     samples: NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
         n = self.tracer.start.size
-        self.mean, self.variance, self.stated = np.zeros((3, n))
+        self.mean, self.variance = np.zeros((2, n))
         self.samples = np.full(n, self.first)
-        self.draw(np.arange(n, dtype=np.uint32), self.first, 0)
+        self.draw(np.arange(n), self.samples, 0)
 
-    def draw(self, cells: NDArray[np.uint32], samples: int, turn: int) -> None:
-        """Paths of these cells anew, in place of all before."""
+    def draw(self, cells: NDArray[np.integer], samples: NDArray[np.integer], turn: int) -> None:
+        """Paths of these cells anew, in place of all before, ``samples`` of a set in each."""
         scatter = np.empty(len(cells))
-        at_once = max(1, RAYS_AT_ONCE // (samples * _SETS))
-        for start in range(0, len(cells), at_once):
-            some = slice(start, start + at_once)
-            rays = RaySet(cells[some], samples, _SETS, draw=(_DRAWS + turn, samples, start))
-            value = mitsuba().Float64(self.trace(rays))
-            sets = np.array(dr.block_reduce(dr.ReduceOp.Add, value, samples)) / samples
-            sets = sets.reshape(-1, _SETS)
+        portion = np.cumsum(samples * _SETS) // RAYS_AT_ONCE
+        for number in np.unique(portion):
+            some = np.flatnonzero(portion == number)
+            rays = CellRays(cells[some], samples[some], _SETS, (_DRAWS + turn, int(number)))
+            value = np.array(mitsuba().Float64(self.trace(rays)))
+            sets = np.add.reduceat(value, rays.set_starts).reshape(-1, _SETS)
+            sets /= samples[some, None]
             self.mean[cells[some]] = sets.mean(axis=1)
             scatter[some] = sets.var(axis=1, ddof=1) / _SETS
-        around = self._around(cells, scatter)
+        # Of one path, so that cells of different numbers of paths compare.
+        per_path = samples.astype(float) ** self.falls
+        around = self._around(cells, scatter * per_path) / per_path
         self.variance[cells] = (scatter + around) / 2
-        self.stated[cells] = np.maximum(scatter, around)
         self.samples[cells] = samples
 
-    def _around(self, cells: NDArray[np.uint32], values: Array) -> Array:
+    def _around(self, cells: NDArray[np.integer], values: Array) -> Array:
         """Mean of the values of the cells around that are among these."""
         shape = (self.tracer.start.rows, self.tracer.start.columns)
         total, count = np.zeros((2, self.tracer.start.size))
@@ -112,8 +113,8 @@ def gather_within(
     ``boxes_m``: of the surfaces, as `LightProblem` has them: cells before small ones begin with as
     many paths as it takes to meet them.
 
-    The standard error is from the scatter of independent sets of paths, no less than the mean
-    over the cells around; and for indirect light what a kind of path may bring that none of the
+    The standard error is from the scatter of independent sets of paths, half of it that of the
+    cells around; and for indirect light what a kind of path may bring that none of the
     paths around has found: up to direct light over their number.
     """
     shape = (tracer.start.rows, tracer.start.columns)
@@ -127,36 +128,32 @@ def gather_within(
         light = np.sum([part.mean for part in parts], axis=0)
         limit = permitted(light.reshape(shape)).ravel()
         weight = 1 / np.maximum(limit, 1e-150) ** 2 / limit.size
-        stated = [part.stated.copy() for part in parts]
-        unseen = (parts[0].mean / (_SETS * parts[-1].samples * parts[-1].window ** 2)) ** 2
-        stated[-1] += unseen
-        if sum(float(part @ weight) for part in stated) <= 1:
+        variances = [_CHOSEN * part.variance for part in parts]
+        unseen = parts[0].mean / (_SETS * parts[-1].samples * parts[-1].window ** 2)
+        variances[-1] += unseen**2
+        if turn == _ROUNDS or sum(float(variance @ weight) for variance in variances) <= 1:
             break
-        variances = [part.variance * weight for part in parts]
-        variances[-1] += unseen * weight
-        # What is stated is more than what is estimated, and is to come below 1.
-        share = sum(map(np.sum, variances)) / sum(float(part @ weight) for part in stated)
-        wanted = _wanted(parts, variances, _MARGIN * share)
+        wanted = _wanted(parts, [variance * weight for variance in variances], up=turn > 1)
         drawn = [_draw_more(*pair, turn) for pair in zip(parts, wanted, strict=True)]
         if not any(drawn):
             break
-    direct, error = light - parts[-1].mean, np.sqrt(np.sum(stated, axis=0))
+    direct, error = light - parts[-1].mean, np.sqrt(np.sum(variances, axis=0))
     return CellLight(*(x.reshape(shape) for x in (direct, parts[-1].mean, error)))
 
 
 def _draw_more(part: _Part, samples: NDArray[np.int64], turn: int) -> bool:
-    """Draw as many paths of a set where there are fewer; whether there were such cells."""
-    more = samples > part.samples
-    for number in np.unique(samples[more]):
-        part.draw(np.flatnonzero(more & (samples == number)).astype(np.uint32), int(number), turn)
-    return bool(more.any())
+    """Draw as many paths of a set where there are fewer; whether there are such cells."""
+    more = np.flatnonzero(samples > part.samples)
+    if len(more):
+        part.draw(more, samples[more], turn)
+    return bool(len(more))
 
 
 def _wanted(
-    parts: Sequence[_Part], variances: Sequence[Array], target: float
+    parts: Sequence[_Part], variances: Sequence[Array], *, up: bool
 ) -> list[NDArray[np.int64]]:
-    """Paths of a set of each cell that bring the sum of the variances to ``target`` at the least
-    cost.
+    """Paths of a set of each cell that bring the sum of the variances to `_MARGIN` at the least
+    cost; ``up``: rounded up, since the nearest numbers were too few.
 
     By a Lagrange multiplier: the variance a n^-p of n paths at cost c n is worth them up to
     n = (a p / (c multiplier))^(1 / (p + 1)).
@@ -169,8 +166,8 @@ def _wanted(
             float(np.sum(a * (n / part.samples) ** -part.falls))
             for part, a, n in zip(parts, variances, wanted, strict=True)
         )
-        low, high = (middle, high) if left <= target else (low, middle)
-    return [_on_ladder(*pair) for pair in zip(parts, wanted, strict=True)]
+        low, high = (middle, high) if left <= _MARGIN else (low, middle)
+    return [_square_number(*pair, up) for pair in zip(parts, wanted, strict=True)]
 
 
 def _affordable(part: _Part, variance: Array, log_price: float) -> Array:
@@ -179,7 +176,8 @@ def _affordable(part: _Part, variance: Array, log_price: float) -> Array:
     return np.asarray(np.clip(n, part.samples, _MOST / _SETS))
 
 
-def _on_ladder(part: _Part, wanted: Array) -> NDArray[np.int64]:
-    """The next square number among those that lie a factor of 2 apart; few launches then do."""
-    steps = np.ceil(np.log2(wanted / part.first) - 1e-9)
+def _square_number(part: _Part, wanted: Array, up: bool) -> NDArray[np.int64]:
+    """The nearest square number among those that lie a factor of 2 apart, or the next one up."""
+    steps = np.log2(wanted / part.first)
+    steps = np.ceil(steps - 1e-9) if up else np.rint(steps)
     return np.asarray(np.rint(np.sqrt(part.first * 2.0**steps)).astype(np.int64) ** 2)

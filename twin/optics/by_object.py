@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.optics.devices import RaySet
+from twin.optics.ray_sets import Rays, RowRays
 from twin.optics.tracer import Bounce, Tracer
 from twin.optics.transport import CellLight, path_moments, variance_of_mean
 
@@ -51,11 +51,11 @@ def gather_by_object(tracer: Tracer) -> LightByObject:
     return LightByObject(mean, square, tracer.quality.samples)
 
 
-def _of_shapes(tracer: Tracer, trace: Callable[[RaySet], Bounce]) -> Array:
+def _of_shapes(tracer: Tracer, trace: Callable[[Rays], Bounce]) -> Array:
     """Mean and mean square by shape, (n_objects, 2, rows, columns)."""
     samples, sums = tracer.quality.samples, []
     for block in tracer.blocks(samples):
-        light = trace(RaySet.of_rows(*block, samples))
+        light = trace(RowRays(*block, samples))
         value = mitsuba().Float64(light.value)
         dr.eval(value, light.shape)
         sums.append(

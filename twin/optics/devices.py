@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from twin.engine import mitsuba
 from twin.optics.radiometry import Outline
+from twin.optics.ray_sets import Rays
 
 Array = NDArray[np.float64]
 RayWeighting = Literal["image", "emitter", "pupil"]
@@ -86,55 +87,8 @@ class CellGrid:
         return self.rows * self.columns
 
 
-@dataclass(frozen=True, eq=False)
-class RaySet:
-    """Rays of some cells of a grid, cell by cell: sets of stratified rays, independent of each
-    other.
-
-    Parameters
-    ----------
-    cells
-        First and last row, the last one excluded; or indices of cells, row by row.
-    samples
-        Rays of a set, stratified over the cell.
-    sets
-        Of each cell.
-    draw
-        Key of their random numbers.
-    """
-
-    cells: tuple[int, int] | NDArray[np.uint32]
-    samples: int
-    sets: int = 1
-    draw: tuple[int, ...] = ()
-
-    @classmethod
-    def of_rows(cls, first: int, last: int, samples: int) -> "RaySet":
-        """One set of each cell of rows; ``last`` is excluded."""
-        return cls((first, last), samples, draw=(first,))
-
-    @property
-    def per_cell(self) -> int:
-        """Rays of a cell."""
-        return self.samples * self.sets
-
-    def n_cells(self, grid: CellGrid) -> int:
-        """Number of cells."""
-        if isinstance(self.cells, tuple):
-            return (self.cells[1] - self.cells[0]) * grid.columns
-        return len(self.cells)
-
-    def cell(self, grid: CellGrid, index: Any) -> Any:
-        """Index in the grid of the cell of a ray."""
-        mi = mitsuba()
-        cell = index // dr.opaque(mi.UInt32, self.per_cell)
-        if isinstance(self.cells, tuple):
-            return cell + dr.opaque(mi.UInt32, self.cells[0] * grid.columns)
-        return dr.gather(mi.UInt32, mi.UInt32(self.cells), cell)
-
-
 def sample_rays(
-    grid: CellGrid, rays: RaySet, rng: Any, weighting: RayWeighting
+    grid: CellGrid, rays: Rays, rng: Any, weighting: RayWeighting
 ) -> tuple[Any, Any, Any]:
     """Rays from cells of a grid; their weights; and whether they lie in the device's field, which
     cells in the corners around a round field do not. Rays that a lens's blur moves beyond the
@@ -145,7 +99,7 @@ def sample_rays(
     whole device on its axis); for a ``pupil`` the integral over its projected solid angle.
     """
     mi, device = mitsuba(), grid.device
-    within = dr.full(mi.Bool, True, rays.n_cells(grid) * rays.per_cell)
+    within = dr.full(mi.Bool, True, rays.count(grid.columns))
     if device.pitch_m is not None and weighting == "emitter":
         return *_lensless_rays(grid, rays, rng, device.pitch_m), within
     left, up = _field_points(grid, rays, rng)
@@ -161,14 +115,14 @@ def sample_rays(
     return ray, weight * relative_intensity(device, *field_coordinates(device, ray.d), cos), within
 
 
-def primary_rays(grid: CellGrid, rays: RaySet) -> tuple[Any, Any]:
+def primary_rays(grid: CellGrid, rays: Rays) -> tuple[Any, Any]:
     """Rays through the middles of the strata of cells, without the lens's blur, and their cosine to
     the axis.
     """
     return _directed(grid.device, *_field_points(grid, rays, None))
 
 
-def _field_points(grid: CellGrid, rays: RaySet, rng: Any) -> tuple[Any, Any]:
+def _field_points(grid: CellGrid, rays: Rays, rng: Any) -> tuple[Any, Any]:
     """Stratified points of cells in the field."""
     mi = mitsuba()
     row, column, x, y = _strata_points(grid, rays, rng)
@@ -232,7 +186,7 @@ def disc_error(radius_m: float, distance_m: Array, cosines: Array) -> Array:
     return np.asarray(4 * ratio / (1 + ratio) * (1 / cosines - 1))
 
 
-def _lensless_rays(grid: CellGrid, rays: RaySet, rng: Any, pitch_m: float) -> tuple[Any, Any]:
+def _lensless_rays(grid: CellGrid, rays: Rays, rng: Any, pitch_m: float) -> tuple[Any, Any]:
     """Rays of elements without a lens, drawn from their lobes; cos^m integrates to
     2 pi / (m + 1).
     """
@@ -254,28 +208,16 @@ def _lensless_rays(grid: CellGrid, rays: RaySet, rng: Any, pitch_m: float) -> tu
     return mi.Ray3f(point(device.origin_m) + offset, direction), weight
 
 
-def _strata_points(grid: CellGrid, rays: RaySet, rng: Any) -> tuple[Any, Any, Any, Any]:
+def _strata_points(grid: CellGrid, rays: Rays, rng: Any) -> tuple[Any, Any, Any, Any]:
     """Row and column of each ray's cell, and its point in the cell, each from 0 to 1."""
     mi = mitsuba()
-    shares = strata(rays.samples, grid.rows / grid.columns)
-    wide, high = (dr.opaque(mi.UInt32, n) for n in shares)
+    cell, stratum, wide, high = rays.strata(grid.rows, grid.columns)
     columns = dr.opaque(mi.UInt32, grid.columns)
-    index = dr.arange(mi.UInt32, rays.n_cells(grid) * rays.per_cell)
-    stratum, cell = index % (wide * high), rays.cell(grid, index)
     jitter_x, jitter_y = (0.5, 0.5) if rng is None else (rng.next_float32(), rng.next_float32())
     row = mi.Float(cell // columns)
     x = (mi.Float(stratum % wide) + jitter_x) / mi.Float(wide)
     y = (mi.Float(stratum // wide) + jitter_y) / mi.Float(high)
     return row, mi.Float(cell % columns), x, y
-
-
-def strata(samples: int, aspect: float) -> tuple[int, int]:
-    """Number of strata across and up in a cell of ``aspect`` width over height: the factors of
-    ``samples`` that make the strata most nearly square.
-    """
-    factors = [n for n in range(1, samples + 1) if samples % n == 0]
-    across = min(factors, key=lambda n: abs(np.log(n * n / samples / aspect)))
-    return across, samples // across
 
 
 def relative_intensity(device: Device, left: Any, up: Any, cos: Any) -> Any:

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from twin.engine import mitsuba
-from twin.optics.devices import CellGrid, RaySet, RayWeighting, per_distance2, sample_rays
+from twin.optics.devices import CellGrid, RayWeighting, per_distance2, sample_rays
 from twin.optics.paths import Light, Place, TracingQuality, albedo, bounce, random_numbers
+from twin.optics.ray_sets import Rays, RowRays
 from twin.optics.scattering import Medium
 from twin.optics.steps import PathSteps
 from twin.optics.weather import Air
@@ -72,7 +73,7 @@ class Tracer:
         Each bounce is one kernel, which runs when the caller evaluates its result.
         """
         mi, steps = mitsuba(), self._steps
-        rng, ray, throughput, active = self._rays(RaySet.of_rows(*block, self.quality.samples))
+        rng, ray, throughput, active = self._rays(RowRays(*block, self.quality.samples))
         throughput, path_length = throughput * weight, mi.Float(0)
         for depth in range(self.quality.max_depth):
             first = depth == 0
@@ -96,7 +97,7 @@ class Tracer:
             yield light
             dr.eval()
 
-    def direct(self, rays: RaySet) -> Bounce:
+    def direct(self, rays: Rays) -> Bounce:
         """The first bounce alone, of light that is not scattered on the way to it."""
         steps = self._steps
         rng, ray, weight, active = self._rays(rays)
@@ -108,7 +109,7 @@ class Tracer:
         length = length + link.detour
         return Bounce(_per_path(weight * value, rng), length, link.places, hit.shape)
 
-    def scattered(self, rays: RaySet) -> Bounce:
+    def scattered(self, rays: Rays) -> Bounce:
         """The first bounce alone, of light that the air scatters on the way to it."""
         steps = self._steps
         rng, ray, weight, active = self._rays(rays, 2)
@@ -119,13 +120,13 @@ class Tracer:
         length = length + link.detour
         return Bounce(_per_path(weight * value, rng), length, link.places, hit.shape)
 
-    def indirect(self, rays: RaySet) -> Any:
+    def indirect(self, rays: Rays) -> Any:
         """Sum of all further bounces, in one kernel whatever their number."""
         rng, ray, weight, active = self._rays(rays, 1)
         max_depth = dr.opaque(mitsuba().UInt32, self.quality.max_depth)
         return _per_path(weight * _further(self._steps, ray, rng, active, max_depth, False), rng)
 
-    def all_indirect(self, rays: RaySet) -> Any:
+    def all_indirect(self, rays: Rays) -> Any:
         """The same without a largest number of bounces: from the third surface on a path ends by
         chance, as likely as light is absorbed there, so that the mean is that of all bounces.
         """
@@ -133,10 +134,9 @@ class Tracer:
         most = dr.opaque(mitsuba().UInt32, _MOST_BOUNCES)
         return _per_path(weight * _further(self._steps, ray, rng, active, most, True), rng)
 
-    def _rays(self, rays: RaySet, *key: int) -> tuple[Any, Any, Any, Any]:
+    def _rays(self, rays: Rays, *key: int) -> tuple[Any, Any, Any, Any]:
         """Generator of random numbers, rays, their weights, and whether they belong to a cell."""
-        n_rays = rays.n_cells(self.start) * rays.per_cell
-        rng = random_numbers(n_rays, self.seed, *key, *rays.draw)
+        rng = random_numbers(rays.count(self.start.columns), self.seed, *key, *rays.key)
         return rng, *sample_rays(self.start, rays, rng, self.weighting)
 
     @cached_property

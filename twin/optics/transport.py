@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from twin.engine import mitsuba
-from twin.optics.devices import RaySet
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
+from twin.optics.ray_sets import Rays, RowRays
 from twin.optics.tracer import Tracer
 
 Array = NDArray[np.float64]
@@ -92,11 +92,10 @@ def gather(tracer: Tracer) -> CellLight:
     return CellLight(direct, indirect, np.hypot(error, further))
 
 
-def _mean(tracer: Tracer, samples: int, trace: Callable[[RaySet], Any]) -> tuple[Array, Array]:
+def _mean(tracer: Tracer, samples: int, trace: Callable[[Rays], Any]) -> tuple[Array, Array]:
     """Mean of each cell and its standard error, in blocks of rows that fit into memory."""
     moments = [
-        path_moments(trace(RaySet.of_rows(*block, samples)), samples)
-        for block in tracer.blocks(samples)
+        path_moments(trace(RowRays(*block, samples)), samples) for block in tracer.blocks(samples)
     ]
     mean, square = (np.concatenate(parts) for parts in zip(*moments, strict=True))
     shape = (tracer.start.rows, tracer.start.columns)

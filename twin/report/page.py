@@ -116,7 +116,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     lens, noise, patterns = capture.lens, capture.noise, system.patterns
     best, verdict = evaluation.reconstructions[0], evaluation.verdict
     measured_noise_e = float(np.sqrt(np.mean(best.noise_electrons**2))) / _per_value(evaluation)
-    rendering = np.median(capture.cells_error_e) / noise.pixel_noise_e(patterns)
+    rendering = capture.cells_error_e / noise.pixel_noise_e(patterns)
     return {
         "system": system.name,
         "what it is": system.description,
@@ -142,7 +142,8 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
         "verdict": str(verdict),
         "best pixel": "none" if verdict.void else f"SNR {verdict.snr_best:.3g}",
-        "Monte-Carlo error of the twin over sensor noise, median": f"{rendering:.2g}",
+        "Monte-Carlo error of the twin over sensor noise": f"median {np.median(rendering):.2g}, "
+        f"root mean square {np.sqrt(np.mean(rendering**2)):.2g}",
         "best reconstruction": evaluation.best,
     }
 
