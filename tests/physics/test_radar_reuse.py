@@ -9,11 +9,13 @@ of a shadow stays dark.
 import gc
 import resource
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
+from hardware import process
 from hardware.waveform import C_M_PER_S
 from tests.physics.radar_worlds import (
     OPTICS,
@@ -22,14 +24,19 @@ from tests.physics.radar_worlds import (
     ground,
     plate,
     quad,
+    reshaped,
     thing,
     trihedral,
     world,
 )
+from twin.errors import InputError
+from twin.fidelity import Fidelity
+from twin.radar import RadarDesign
 from twin.radar.propagation.facets.convergence import band_of, summed_by
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, Scene, load_scene
+from twin.serve.sweeps import RadarSweeps
 
 RIG = Rig(Pose((0.0, 0.0, 0.9)), radar=Pose((0.0, 0.0, 0.0)))
 
@@ -172,12 +179,12 @@ def test_a_bounce_between_bodies_is_a_way() -> None:
     assert agree(alone, kept)
 
 
-@pytest.mark.parametrize("what", ["rig", "tolerance", "material", "radar", "mirror"])
+@pytest.mark.parametrize("what", ["rig", "tolerance", "material", "mirror"])
 def test_nothing_is_kept_where_more_than_an_object_changed(what: str) -> None:
     scene = world(
         plate("plate", (10, 0, 0.9)), ball("ball", (8, 2, 0.9), level=4), ground(0.0), rig=RIG
     )
-    earlier, fidelity, radar, after = trace(scene, RADAR, keep=True), OPTICS, RADAR, scene
+    earlier, fidelity, after = trace(scene, RADAR, keep=True), OPTICS, scene
     if what == "rig":
         after = scene.at(Pose((0.001, 0.0, 0.9)))
     elif what == "tolerance":
@@ -190,15 +197,43 @@ def test_nothing_is_kept_where_more_than_an_object_changed(what: str) -> None:
             for o in scene.objects
         ]
         after = replace(scene, objects=tuple(objects))
-    elif what == "radar":
-        radar = RADAR.with_({"waveform.n_slots": 128})
     else:
         after = moved(scene, "ground", [0, 0, -0.01])
     assert trace(scene, RADAR, earlier=earlier).reused_share == 1
-    kept = trace(after, radar, fidelity=fidelity, earlier=earlier)
-    alone = trace(after, radar, fidelity=fidelity)
+    kept = trace(after, RADAR, fidelity=fidelity, earlier=earlier)
+    alone = trace(after, RADAR, fidelity=fidelity)
     assert kept.reused_share == 0
     assert np.array_equal(kept.surfaces.amplitude, alone.surfaces.amplitude)
+
+
+def test_a_frame_in_which_nothing_answers_may_be_an_earlier_one() -> None:
+    """For there is no body, or an obstacle hides it: it answers when that has gone."""
+    empty = trace(world(), RADAR, keep=True)
+    assert trace(world(), RADAR, earlier=empty).reused_share == 0
+    hidden = world(plate("wall", (4, 0, 0), 3.0, radar="obstacle"), ball("ball", (8, 0, 0), 0.1, 4))
+    alone, kept = frames(hidden, moved(hidden, "wall", [0, 5, 0]))
+    assert ("ball",) in echoes(kept)
+    assert agree(alone, kept)
+
+
+def test_what_is_no_earlier_frame_is_an_error() -> None:
+    """But another name alone makes no other design."""
+    scene = world(plate("plate", (10, 0, 0)))
+    earlier = trace(scene, RADAR, keep=True)
+    other = RADAR.with_({"waveform.n_slots": 128})
+    rough, targets = Fidelity(radar="rough"), Fidelity(radar="targets")
+    wrong: list[tuple[Any, RadarDesign, Fidelity, str]] = [
+        (object(), RADAR, OPTICS, "earlier: a object, expected the propagation of a frame"),
+        (earlier.traced, RADAR, OPTICS, "earlier: a Traced, expected the propagation of a frame"),
+        (trace(scene, RADAR), RADAR, OPTICS, "earlier: traced without keep"),
+        (earlier, other, OPTICS, "earlier: waveform of radar 'hybrid-79', with which it was"),
+        (earlier, RADAR, rough, "earlier: traced with fidelity.radar = 'optics', expected 'rough'"),
+        (earlier, RADAR, targets, "earlier: traced with fidelity.radar = 'optics'"),
+    ]
+    for what, radar, fidelity, words in wrong:
+        with pytest.raises(InputError, match=words):
+            trace(scene, radar, fidelity=fidelity, earlier=what)
+    assert trace(scene, RADAR.with_({"name": "renamed"}), earlier=earlier).reused_share == 1
 
 
 def test_rates_are_those_of_now() -> None:
@@ -227,6 +262,51 @@ def test_what_a_strong_echo_made_negligible_is_found_when_that_is_gone() -> None
     alone, kept = frames(scene, moved(scene, "strong", [-30, 0, 0]))
     assert agree(alone, kept)
     assert all(b.estimated_error < 3 * b.tolerance + 0.01 for b in kept.bodies)
+
+
+def flash(change: str, scene: Scene) -> Scene:
+    """The scene after the flash of its plate has ended."""
+    big, small = scene.objects
+    if change == "aside":
+        big = big.moved([0, -2.5, 0])
+    elif change == "obstacle":
+        big = replace(big, radar="obstacle")
+    elif change == "wood":
+        big = replace(big, material="wood")
+    else:
+        middle = big.vertices_m.mean(axis=0)
+        turn = trimesh.transformations.rotation_matrix(np.radians(5), [0, 0, 1])[:3, :3]
+        big = reshaped(big, (big.vertices_m - middle) @ turn.T + middle)
+    return replace(scene, objects=(big, small))
+
+
+@pytest.mark.parametrize("change", ["aside", "turned", "obstacle", "wood"])
+def test_a_body_that_a_flash_outshone_answers_when_that_has_ended(change: str) -> None:
+    """A ball far below a plate that faces the radar has no contribution beside it. When the flash
+    ends it has, as strong as in the frame by itself, though nothing on its paths has changed.
+    """
+    scene = world(plate("big", (5, 0, 0.9), 1.0), ball("ball", (6, 1, 0.9), 0.02, 2), rig=RIG)
+    earlier = trace(scene, RADAR, keep=True)
+    assert [body.name for body in earlier.bodies] == ["big"]
+    alone, kept = frames(scene, flash(change, scene))
+    (here, told_here), (there, told_there) = echoes(alone)["ball",], echoes(kept)["ball",]
+    assert np.sqrt(np.mean(np.abs(here - there) ** 2)) <= min(told_here, told_there)
+
+
+def test_what_a_flash_left_out_is_found_again_in_sweeps() -> None:
+    """The first of a group of sweeps is the flash; the plate drives on, and a later sweep has the
+    echoes of the ball, as the same one has that is traced by itself.
+    """
+    big = plate("big", (5, 0, 0.9), 1.0, velocity_m_per_s=(0.0, -5.0, 0.0))
+    scene = world(big, ball("ball", (6, 1, 0.9), 0.02, 2), rig=RIG)
+    sweep = 15
+    full = RadarSweeps(scene, RADAR, 0, OPTICS)(sweep).record
+    reused = RadarSweeps(scene, RADAR, 0, OPTICS, reuse=16)(sweep).record
+    ranges = [[d.range_m for d in process(record).detections] for record in (full, reused)]
+    ball_m = np.hypot(6, 1)
+    for found in ranges:
+        assert any(abs(range_m - ball_m) < 0.1 for range_m in found)
+    assert len(ranges[0]) == len(ranges[1])
 
 
 def test_many_frames_in_the_memory_of_a_few() -> None:

@@ -37,7 +37,7 @@ def serve(
         int,
         typer.Option(
             min=1,
-            help="Sweeps traced together: what nothing moving concerns is kept of the first.",
+            help="Sweeps traced together: of the first echoes are kept whose paths did not change.",
         ),
     ] = 1,
     radar_setup: Annotated[

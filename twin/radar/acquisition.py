@@ -182,15 +182,20 @@ def radar_capture(
     stage
         Called with each stage's name, for progress and timing.
     earlier, keep
-        What was found at a burst that was traced with ``keep`` (``propagation`` of its capture):
-        where the radar stands as it stood then, those echoes of meshes' facets are kept that
-        nothing that has moved or changed since concerns, and only the others are found anew.
+        What was found at a burst that was traced with ``keep`` (``propagation`` of its capture),
+        by the same design and ``fidelity.radar``: those echoes of meshes' facets are kept on whose
+        paths nothing has changed since, and only the others are found anew. All are found anew
+        where more has changed than that objects moved, turned or are of another material: the rig
+        or where its radar sits; the ground, what else mirrors, or a pane that the radar sees
+        through; which objects there are, their names, order or facets; ``radar_tolerance`` or
+        ``radar_bounces``; more than 24 separate places; or where bodies are so much fainter now
+        that what was left out beside them counts.
         Results depend on that burst, within the errors that they tell, so without it there is no
         such dependence. ``keep``: later bursts may keep what is found here, those of this capture
         after its first one do; takes some 500 bytes for each contribution and tube.
 
     Raises InputError where a material has no data at the carrier, a target stands at the radar, a
-    record would not fit in memory, or bursts overlap.
+    record would not fit in memory, bursts overlap, or ``earlier`` is not such a burst.
 
     >>> from twin.radar import load_radar
     >>> from twin.scene import load_scene

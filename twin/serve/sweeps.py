@@ -30,10 +30,11 @@ class RadarSweeps:
     scene, radar, seed, fidelity
         As in `radar_echo`.
     reuse
-        Sweeps that are traced together: the first of so many in full, and of it the others keep
-        what nothing that has moved since concerns, while the rig stands still. So a sweep depends
-        on its number alone, whichever are asked for before. At 1 each is that of a capture, bit for
-        bit; at more it differs within the errors that it tells.
+        Sweeps that are traced together: the first of so many in full, and the others keep of it the
+        echoes on whose paths nothing has changed; each in full where the rig or a surface that
+        mirrors moves (``earlier`` of `radar_capture`). So a sweep depends on its number alone,
+        whichever are asked for before. At 1 each is that of a capture, bit for bit; at more it
+        differs within the errors that it tells.
     """
 
     def __init__(

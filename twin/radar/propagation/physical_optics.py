@@ -60,12 +60,13 @@ def scattered(
     """
     body = _bodies(prepared)
     if not (prepared.worth & (body >= 0)).any():
-        return Scattered(Contributions.none(), body, np.zeros(body.max(initial=-1) + 1))
+        traced = Traced(radar, str(fidelity.radar)) if keep else None
+        return Scattered(Contributions.none(), body, np.zeros(body.max(initial=-1) + 1), traced)
     bodies = scatterers(prepared, radar.antenna, body, radar.burst_s / 2)
     asked = fidelity.radar_tolerance, fidelity.radar_bounces
     setting, valid = None, None
     if keep or earlier is not None:
-        setting = setting_of(prepared, bodies, radar, body, asked)
+        setting = setting_of(prepared, bodies, body, asked)
     if earlier is not None and setting is not None and not keep:
         valid = still_valid(prepared.context, bodies, earlier, setting, prepared)
     echoes = scattered_by(
@@ -78,7 +79,7 @@ def scattered(
         valid,
         with_landings=keep,
     )
-    traced = Traced(setting, echoes) if keep and setting is not None else None
+    traced = Traced(radar, str(fidelity.radar), setting, echoes) if keep else None
     contributions = Contributions.concatenate(echoes.contributions)
     share = echoes.n_reused / max(len(contributions), 1)
     return Scattered(contributions, body, echoes.error, traced, share)

@@ -142,17 +142,18 @@ def trace(
     seed
         Of the rays that look for surfaces, and of rough ones.
     earlier, keep
-        Another frame, traced in full with ``keep``: of the echoes of meshes' facets those are not
-        found anew that nothing that has moved or changed since concerns (`facets.earlier`). It
+        Another frame of the same design (but for its name) and ``fidelity.radar``, traced in full
+        with ``keep``: of the echoes of meshes' facets those are not found anew on whose paths
+        nothing has changed since. `facets.validity` says after which changes all are. That frame
         alone decides with the other parameters what is found, not what was traced in between.
 
-    Raises InputError where a material that answers has no data at the carrier, and where a user's
-    own model gives no echoes.
+    Raises InputError where a material that answers has no data at the carrier, where a user's own
+    model gives no echoes, and where ``earlier`` is no such frame.
     """
     fidelity = fidelity or Fidelity()
     solver = solver_of(fidelity)
+    traced = _traced(earlier, radar, fidelity, solver)
     if solver.reusing is not None:
-        traced: Traced | None = None if earlier is None else earlier.traced
         return solver.reusing(scene, radar, fidelity, seed, traced, keep=keep)
     result = solver.model(scene, radar, fidelity, seed)
     if isinstance(result, Contributions):
@@ -161,6 +162,24 @@ def trace(
     if own_solver(fidelity.radar) is not None:
         _check(result, solver.label)
     return result
+
+
+def _traced(
+    earlier: object, radar: RadarDesign, fidelity: Fidelity, solver: Solver
+) -> Traced | None:
+    """What may be kept of an earlier frame. Raises InputError where it is none that can be."""
+    if earlier is None:
+        return None
+    if not isinstance(earlier, Propagation):
+        raise InputError(
+            f"earlier: a {type(earlier).__name__}, expected the propagation of a frame that was "
+            "traced with keep=True"
+        )
+    if earlier.traced is not None:
+        earlier.traced.check(radar, str(fidelity.radar))
+    elif solver.reusing is not None:
+        raise InputError("earlier: traced without keep, expected a frame traced with keep=True")
+    return earlier.traced
 
 
 def _check(result: Propagation, name: str) -> None:

@@ -43,7 +43,9 @@ _MOST_PASSES = 3  # further ones, where bodies seemed louder than they are
 MOST_ROOTS = 2**16
 _PER_LEVEL = 0.04  # of the squared tolerance, of roots of one size
 _COARSE = 0.5  # tolerance of the first pass, at least
-LEAST_FALL = 2.0
+#: Of the level that a body's error is relative to, since an earlier frame: from this factor on what
+#: that frame left out or divided no further is held against the tolerance again.
+LEAST_FALL = 1.05
 
 
 def scattered_by(
@@ -71,9 +73,10 @@ def scattered_by(
     floor
         Amplitude below which no error counts.
     valid
-        What holds of an earlier frame: all else is found, and joined with that. Where a body, or
-        what its error is relative to, is fainter than then by more than a factor `LEAST_FALL`,
-        and the error of what is kept of it beyond the tolerance now, all is found anew.
+        What holds of an earlier frame: all else is found, and joined with that. Where the level of
+        a body, or of 40 dB below the strongest, is lower than then by more than `LEAST_FALL`, and
+        the error of what is kept of the body, what was left out of it included, exceeds the
+        tolerance now, all is found anew.
     with_landings
         Whether later frames may keep what is found here.
     """

@@ -8,6 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.adaptive_subdivision import Leaves
 from twin.radar.propagation.facets.scatterers import Scatterers
@@ -20,6 +21,7 @@ from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.scattering.surface import TABLE_STEPS
 from twin.radar.synthesis import Contributions
 from twin.scene import SceneObject
+from twin.toml import Entry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,7 +37,6 @@ class Setting:
     ``fixed`` are where the radar stands, what mirrors and what lets through.
     """
 
-    radar: RadarDesign
     items: tuple[SceneObject, ...]
     roles: tuple[ScatteringModel, ...]
     surface: Indices
@@ -51,7 +52,6 @@ class Setting:
 def setting_of(
     prepared: PreparedScene,
     scatterers: Scatterers,
-    radar: RadarDesign,
     body: Indices,
     asked: Sequence[float],
 ) -> Setting:
@@ -60,7 +60,6 @@ def setting_of(
     through = () if walls is None else (np.array(walls.thickness), np.array(walls.table))
     half_time = scatterers.half_time_s
     return Setting(
-        radar=radar,
         items=prepared.originals,
         roles=prepared.roles,
         surface=prepared.surface_of_object,
@@ -171,8 +170,24 @@ class TracedEchoes:
 @dataclass(frozen=True, eq=False)
 class Traced:
     """A frame traced in full, of which later ones may keep a part: some 500 bytes for each of its
-    contributions and tubes.
+    contributions and tubes. By which ``radar`` and which ``solver``, as ``Fidelity.radar`` calls
+    it; ``setting`` and ``echoes``: None where nothing scattered.
     """
 
-    setting: Setting
-    echoes: TracedEchoes
+    radar: RadarDesign
+    solver: str
+    setting: Setting | None = None
+    echoes: TracedEchoes | None = None
+
+    def check(self, radar: RadarDesign, solver: str) -> None:
+        """Raises InputError where that is no frame of this radar, or of this solver."""
+        if self.solver != solver:
+            raise InputError(
+                f"earlier: traced with fidelity.radar = {self.solver!r}, expected {solver!r}"
+            )
+        for name in sorted({*RadarDesign.model_fields} - {*Entry.model_fields}):
+            if getattr(self.radar, name) != getattr(radar, name):
+                raise InputError(
+                    f"earlier: {name} of radar {self.radar.name!r}, with which it was traced, is "
+                    f"not that of {radar.name!r}: expected a frame of the same design"
+                )

@@ -6,8 +6,13 @@ crossed by the pyramid between the radar, or an image of it, and that facet, by 
 from there were reflected in, and by those to the receiver; and where images and what they hear are
 as they were. All else is traced anew, with the errors that the level of every body now allows.
 
-Nothing is kept where the radar, its antenna, a mirror, a wall that it sees through, or a material
-has changed, nor where what has moved stands in more than `MOST_BOXES` places.
+What was left out, or not divided further, was small beside levels of then. Where these have fallen
+since and the error so accepted is beyond the tolerance now, `scattered_by` finds all anew.
+
+Nothing is kept where the rig or its radar has moved, the tolerance or the number of bounces is
+another, objects were added, removed, renamed, put in another order or given other facets, something
+that mirrors or that the radar sees through has changed, or an object now mirrors, or no longer
+does, nor where what has changed stands in more than `MOST_BOXES` places.
 """
 
 from collections.abc import Sequence
@@ -22,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 
 from twin.radar.propagation.facets.crossing import as_mirrored, crossed, oriented
 from twin.radar.propagation.facets.currents import plane_of
-from twin.radar.propagation.facets.earlier import Landings, Setting, Sums, Traced
+from twin.radar.propagation.facets.earlier import Landings, Setting, Sums, Traced, TracedEchoes
 from twin.radar.propagation.facets.front_facets import lit_facets, portions
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.one_way.path import TracingContext, image_place
@@ -36,6 +41,7 @@ from twin.transfer import aligned
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.integer]
 
 MOST_BOXES = 24
 _MOST_COMPARED = 512
@@ -69,6 +75,8 @@ def still_valid(
 ) -> Valid | None:
     """What still holds; None where nothing can."""
     before, echoes = earlier.setting, earlier.echoes
+    if before is None or echoes is None or not echoes.sums:
+        return None  # nothing answered
     changed = _changed(before, now)
     if changed is None:
         return None
@@ -102,7 +110,9 @@ def still_valid(
         return replace(part.take(rows), source=ends[0], receiver=ends[1])
 
     sums = Sums.concatenate(list(map(holding, echoes.sums, echoes.is_direct)))
-    error, level = _of_bodies(earlier, now, sums)
+    ways = now.heard & scatterers.counts & (before.body[before.owner] >= 0)
+    valid_ways = np.nonzero(ways & ~paths)[1], np.nonzero(ways)[1]
+    error, level = _of_bodies(before, echoes, now, changed, valid_ways, sums)
     return Valid(
         contributions=Contributions.concatenate(
             list(map(holding, echoes.contributions, echoes.is_direct))
@@ -121,7 +131,7 @@ def _changed(before: Setting, now: Setting) -> Mask | None:
     fixed = len(before.fixed) == len(now.fixed) and all(
         map(np.array_equal, before.fixed, now.fixed)
     )
-    if not fixed or before.radar != now.radar or not np.array_equal(before.owner, now.owner):
+    if not fixed or not np.array_equal(before.owner, now.owner):
         return None
     if [item.name for item in before.items] != [item.name for item in now.items]:
         return None
@@ -252,31 +262,39 @@ def _crossing(
     return is_invalid
 
 
-def _of_bodies(earlier: Traced, now: Setting, valid_sums: Sums) -> tuple[Array, Array]:
-    """Errors accepted for what is kept of the bodies of now, and the highest level for which; of a
-    body's squared error that share which is kept of its triangles, or of their power if that is
-    more.
+def _of_bodies(
+    before: Setting,
+    echoes: TracedEchoes,
+    now: Setting,
+    changed: Mask,
+    ways: tuple[Indices, Indices],
+    valid_sums: Sums,
+) -> tuple[Array, Array]:
+    """Errors accepted for what holds of the bodies of now, and the highest level for which.
+
+    Of a body's squared error that share counts which holds of its direct ways, of its triangles, or
+    of their power, whichever is most: a body that was left out has ways alone. ``ways``: facets of
+    those that hold, and of all.
     """
-    before, echoes = earlier.setting, earlier.echoes
-    count = len(echoes.error)
-
-    def of_each(sums: Sums, weights: Array | None = None) -> Array:
-        whose = before.body[before.owner[sums.face]]
-        total: Array = np.bincount(whose, weights, count).astype(np.float64)
-        return total
-
+    whose, count = before.body[before.owner], len(echoes.error)
     whole = Sums.concatenate(echoes.sums)
-    shares = [
-        of_each(valid_sums, part) / np.maximum(of_each(whole, all_of_it), 1e-300)
-        for part, all_of_it in (
-            (None, None),
-            (np.abs(valid_sums.echo) ** 2, np.abs(whole.echo) ** 2),
+
+    def share(valid: Indices, every: Indices, weights: tuple[Any, Any] = (None, None)) -> Array:
+        kept, total = (
+            np.bincount(whose[faces], weight, count)
+            for faces, weight in zip((valid, every), weights, strict=True)
         )
-    ]
-    share = np.maximum(*shares)
-    own = now.owner[valid_sums.face]
-    pairs = np.unique(np.stack([now.body[own], before.body[own]], axis=1), axis=0)
+        part: Array = kept / np.maximum(total, 1e-300)
+        return part
+
+    powers = np.abs(valid_sums.echo) ** 2, np.abs(whole.echo) ** 2
+    most = np.maximum(
+        share(*ways),
+        np.maximum(share(valid_sums.face, whole.face), share(valid_sums.face, whole.face, powers)),
+    )
+    same = ~changed & (now.body >= 0)
+    pairs = np.unique(np.stack([now.body[same], before.body[same]], axis=1), axis=0)
     error, level = (np.zeros(int(now.body.max(initial=-1)) + 1) for _ in range(2))
-    np.add.at(error, pairs[:, 0], (share * echoes.error**2)[pairs[:, 1]])
+    np.add.at(error, pairs[:, 0], (most * echoes.error**2)[pairs[:, 1]])
     np.maximum.at(level, pairs[:, 0], echoes.level[pairs[:, 1]])
     return np.sqrt(error), level
