@@ -27,7 +27,7 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.fidelity import PRESETS, Fidelity
-from twin.radar.propagation.diffraction.knife_edge import over_edge, over_two_edges
+from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
 from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, SceneObject, Target
 
@@ -185,10 +185,10 @@ def test_two_edges_are_kirchhoffs_double_integral() -> None:
             )
             lit = np.array(h) < 0
             rho = np.sqrt(a * c / ((a + b) * (b + c)))
-            both, alone = over_two_edges(q[None], lit[None], np.array([rho]))
+            both, alone = double_knife_edge(q[None], lit[None], np.array([rho]))
             total = K / 2 * (h[0] ** 2 / a + (h[1] - h[0]) ** 2 / b + h[1] ** 2 / c)
             got = both[0] * np.exp(-1j * total) + lit.all()
-            got += np.sum(alone[0] * np.where(lit, -1, 1) * over_edge(q) * np.exp(-1j * q))
+            got += np.sum(alone[0] * np.where(lit, -1, 1) * knife_edge_factor(q) * np.exp(-1j * q))
             assert abs(got - due) < 1e-5
 
 
@@ -200,7 +200,7 @@ def test_a_thick_wall_is_passed_over_both_of_its_edges() -> None:
     a, b, c = 5.0, 2.0, 3.0
     q = K / 2 * heights**2 * np.array([1 / a + 1 / (b + c), 1 / (a + b) + 1 / c])
     rho = np.array([np.sqrt(a * c / ((a + b) * (b + c)))])
-    due = over_two_edges(q[None], np.array([[False, False]]), rho)[0][0]
+    due = double_knife_edge(q[None], np.array([[False, False]]), rho)[0][0]
     got = echo(box([5, -30, -3], [7, 30, 0.2]))
     assert decibels(got / pattern(0.2, 5)) == pytest.approx(40 * np.log10(abs(due)), abs=0.05)
     thin = echo(box([5.999, -30, -3], [6.001, 30, 0.2]))
@@ -323,7 +323,7 @@ def test_a_knife_edge_is_a_conducting_half_plane(off_deg: float, within_db: floa
     where 30 dB are lost each way, and 1.3 dB at 15.
     """
     rho, off = 4.0, np.radians(off_deg)
-    knife = over_edge(np.array([K * rho * (1 - np.cos(off))]))[0]
+    knife = knife_edge_factor(np.array([K * rho * (1 - np.cos(off))]))[0]
     for is_soft in (True, False):
         exact = sommerfeld(rho, off, is_soft)
         assert decibels(knife / exact) == pytest.approx(0, abs=within_db)
@@ -346,7 +346,7 @@ def corner_of_a_building(rho: float, off_rad: float, is_soft: bool) -> complex:
 def test_a_knife_edge_is_the_corner_of_a_building(off_deg: float, within_db: float) -> None:
     """What the angle and the polarisation change is 0.6 dB 2 degrees into the shadow, 1.3 at 5."""
     rho, off = 2.0, np.radians(off_deg)
-    knife = over_edge(np.array([K * rho * (1 - np.cos(off))]))[0]
+    knife = knife_edge_factor(np.array([K * rho * (1 - np.cos(off))]))[0]
     for is_soft in (True, False):
         exact = corner_of_a_building(rho, off, is_soft)
         assert decibels(knife / exact) == pytest.approx(0, abs=within_db)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from twin.radar.propagation.diffraction.around_edges import Screens, all_paths_to_points
-from twin.radar.propagation.diffraction.rims import loud, meeting
+from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
 from twin.radar.propagation.one_way.motion import lengthening, turning
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import between, paths_to_points
@@ -104,11 +104,11 @@ def point_echoes(
     ways: list[TwoWayPath] = []
     for forward_path, forward_points in paths:
         for return_path, return_points in paths:
-            there, back = meeting(forward_points, return_points)
+            there, back = matching_pairs(forward_points, return_points)
             if obstacles is not None:
                 level = forward_path.level[there] * return_path.level[back]
-                heard = loud(level, forward_points[there], obstacles.faintest)
-                there, back = there[heard], back[heard]
+                strong = is_strong(level, forward_points[there], obstacles.faintest)
+                there, back = there[strong], back[strong]
             if not len(there):
                 continue
             one, other, at = (

@@ -1,14 +1,15 @@
-"""Ways round obstacles: what reaches a point beside or behind an edge on its path.
+"""Diffracted paths around obstacles to points beside or behind an edge.
 
-Along a path the wave of geometrical optics is there or not; to it every edge of an obstacle's
-outline adds what Kirchhoff's integral has of it (`knife_edge`): in the shadow all there is, on the
-lit side a ripple, at the border what makes both meet. Each has the length of its own way, over the
-edge or over an end of it, and is followed by rays that may meet nothing else. Where a way goes on
-into the obstacle itself it takes two edges, that seen from the radar and that seen from the point.
-A path over mirrors is obstructed before each of them and behind the last.
+The direct wave is there or not (geometrical optics). Every edge of an obstacle's outline adds a
+diffracted wave (`knife_edge`): in the shadow it is the whole field, on the lit side a ripple, and
+at the shadow's border it makes the field continuous. Each diffracted path has its own length, over
+the edge or over an end of it, and rays test that nothing else blocks it. Where the obstacle itself
+blocks it, the path takes two edges: one seen from the radar and one seen from the point. On a path
+over mirrors, obstacles are looked for on every segment: before each mirror and behind the last.
 
-Obstacles are opaque and black, as for Kirchhoff. Left out are: what their material and the angle
-between their faces change, a third edge on the same way, and what creeps round curved surfaces.
+Obstacles are opaque and black, as in Kirchhoff's theory. Left out are the effects of their material
+and of the angle between their faces, a third edge on a path, and waves that creep around curved
+surfaces.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,13 +20,13 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.rims import (
     DiffractedPaths,
-    bundled,
+    consecutive_edges,
+    double_edge_paths,
+    edge_paths,
     farthest,
+    merged,
     near_edges,
-    over_edges,
-    over_rim,
-    over_two,
-    successive,
+    rim_paths,
 )
 from twin.radar.propagation.meshes.silhouettes import Outline, outline
 from twin.radar.propagation.one_way.path import TracingContext, offset_m
@@ -44,15 +45,15 @@ _PAIRS = 2**20  # of points and edges, at once
 _NEXT_TO = 1e-5  # of a segment, that rays leave out where it ends
 #: 1 less the square of the correlation of two edges, below which they count as one: 0.4 dB.
 _ONE_EDGE = 0.02
-_UNSURE_M = 3e-4  # float32 rays may err so far from an edge, and as much more for every 10 m
+_UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 
 
 @dataclass(frozen=True, eq=False)
 class Screens:
-    """Obstacles of a stage, (n, ...), and the spheres that hold them, relative to its anchor.
+    """Obstacles of a prepared scene, (n, ...), and their bounding spheres, relative to its anchor.
 
-    ``body`` (n,) numbers bodies of several objects that touch, -1 for no such body; ``faintest`` is
-    what is still told of a way, in amplitude over the straight one.
+    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
+    least amplitude of a diffracted path, over the direct wave, that is kept.
     """
 
     prepared: PreparedScene
@@ -75,7 +76,7 @@ class Screens:
 def screens(
     prepared: PreparedScene, shadow_db: float, body: NDArray[np.int32] | None = None
 ) -> Screens | None:
-    """Everything opaque on a stage, for shadows down to a depth in dB; None where it is 0.
+    """Everything opaque in a scene, for shadows down to a depth in dB; None where it is 0.
 
     ``body`` (n,) numbers the bodies that objects are parts of, -1 for none.
     """
@@ -101,37 +102,43 @@ def all_paths_to_points(
     off: Array,
     own: Indices | None = None,
 ) -> tuple[PointPaths, Indices]:
-    """Every path from an image to points (n, 3), straight ones and those over edges of obstacles,
-    and which point each leads to.
+    """Every path from an image to points (n, 3), direct ones and those over edges of obstacles, and
+    the number of the point that each leads to.
 
     Rays start at a distance ``off`` (n, 3) from the points; ``own`` (n,) is the number of the body
     that each belongs to, whose outline is none of its obstacles, or -1.
     """
-    straight = paths_to_points(context, source, places, off)
+    direct = paths_to_points(context, source, places, off)
     if obstacles is None:
-        seen = np.flatnonzero(straight.clear)
-        return straight.take(seen), seen
-    through = paths_to_points(context, source, places, off, unshadowed=True)
+        seen = np.flatnonzero(direct.clear)
+        return direct.take(seen), seen
+    unobstructed = paths_to_points(context, source, places, off, unshadowed=True)
     alone = np.full(len(places), -1) if own is None else own
     image = obstacles.prepared.images[source]
-    clear, diffracted, numbers = straight.clear.copy(), [], []
+    clear, diffracted, numbers = direct.clear.copy(), [], []
     for level in range(len(image.patches) + 1):
         segment = Segment(obstacles, image, level, places, off)
-        open_paths = list(segment.paths(through.clear, alone))
+        open_paths = list(segment.paths(unobstructed.clear, alone))
         if open_paths:
             paths = DiffractedPaths.concatenate(open_paths)
-            _settle(clear, paths)
-            paths = bundled(paths, obstacles.wavenumber)
+            _clear_near_edges(clear, paths)
+            paths = merged(paths, obstacles.wavenumber)
             paths = paths.take(np.abs(paths.amplitude) >= obstacles.faintest)
-            diffracted.append(_point_paths(obstacles, through.take(paths.point), paths, segment))
+            diffracted.append(
+                _point_paths(obstacles, unobstructed.take(paths.point), paths, segment)
+            )
             numbers.append(paths.point)
     at = np.flatnonzero(clear)
-    return PointPaths.concatenate([through.take(at), *diffracted]), np.concatenate([at, *numbers])
+    return PointPaths.concatenate([unobstructed.take(at), *diffracted]), np.concatenate(
+        [at, *numbers]
+    )
 
 
 class Segment:
-    """The section of paths after so many of an image's mirrors: the points (n, 3), as seen in the
-    mirrors that follow, are lit there from the radar's image in those before.
+    """One segment of the paths to points (n, 3) by an image: after ``level`` of its mirrors.
+
+    On it the wave seems to come from the radar's image in the mirrors before it, and to go to the
+    points' images in the mirrors behind it.
     """
 
     def __init__(
@@ -145,7 +152,7 @@ class Segment:
             self.seen = mirrored(self.seen, obstacles.prepared.flats[number])
 
     def paths(self, active: NDArray[np.bool_], own: Indices) -> Iterator[DiffractedPaths]:
-        """Open ways round every obstacle to active points, which are none of their own body."""
+        """Clear diffracted paths to active points, around every obstacle but their own body."""
         for item in self.near_any(active):
             strange = (own < 0) | (own != self.obstacles.body[item])
             rows = np.flatnonzero(active & strange & self.beside(item))
@@ -157,8 +164,8 @@ class Segment:
                         yield from self._round(item, rim, part)
 
     def rim(self, item: int, rows: Indices, around_m: float = 0.0) -> Outline:
-        """The outline of an obstacle, what of it may count for points, or so far around them; none
-        where it makes the image.
+        """Edges of an obstacle's outline that may diffract a wave to points, or to a distance
+        around them; none of an obstacle that is one of the image's mirrors.
         """
         o = self.obstacles
         rim = o.outline(item, self.source)
@@ -169,13 +176,13 @@ class Segment:
         return rim.take(near_edges(rim, middle - self.source, reach, o.wavenumber, o.faintest))
 
     def turns(self, paths: DiffractedPaths, edges: Array) -> Array:
-        """Where ways turn, from the points to the radar, (m, n, 3); edges are at (n, 2, 3)."""
+        """Vertices of paths from the points to the radar, (m, n, 3); ``edges``: at (n, 2, 3)."""
         prepared = self.obstacles.prepared
         return _folded(prepared, self.image, self.level, self.places[paths.point], edges)
 
     def near_any(self, active: NDArray[np.bool_], around_m: float = 0.0) -> list[int]:
-        """Obstacles that may reach into the ellipsoid of any way to an active point, or to what is
-        so far around it: of thousands most stand elsewhere.
+        """Obstacles that may reach into the Fresnel ellipsoid of the path to any active point, or
+        to a distance around it: of thousands most stand elsewhere.
         """
         o, ends = self.obstacles, np.vstack([self.source[None], self.seen[active]])
         longest = 2 * float(np.linalg.norm(ends - self.source, axis=1).max())
@@ -187,13 +194,12 @@ class Segment:
 
     @property
     def _more_m(self) -> float:
-        """How much longer a way is by the farthest edge that counts."""
+        """By how much the path over the farthest edge that counts is longer."""
         return float(farthest(self.obstacles.faintest)) / self.obstacles.wavenumber
 
     def beside(self, item: int, around_m: float = 0.0) -> NDArray[np.bool_]:
-        """Whether an obstacle reaches into the ellipsoid around straight ways to points, or to what
-        is so far around them, in which edges count: its half minor axis is
-        sqrt((R + d)^2 - R^2) / 2.
+        """Whether an obstacle reaches into the Fresnel ellipsoids of the direct paths to points, or
+        to a distance around these, (n,); their half minor axis is sqrt((R + d)^2 - R^2) / 2.
         """
         o, way = self.obstacles, self.seen - self.source
         length = np.linalg.norm(way, axis=1)
@@ -218,7 +224,7 @@ class Segment:
         item: int,
         rim: Outline,
         rows: Indices,
-        along: Callable[..., DiffractedPaths] = over_rim,
+        along: Callable[..., DiffractedPaths] = rim_paths,
     ) -> DiffractedPaths:
         o = self.obstacles
         paths = along(rim, self.source, self.seen[rows], o.wavenumber, o.faintest)
@@ -227,17 +233,21 @@ class Segment:
     def _twice(
         self, item: int, rows: Indices, paths: DiffractedPaths, is_open: NDArray[np.bool_]
     ) -> tuple[DiffractedPaths, DiffractedPaths, NDArray[np.bool_]]:
-        """Where an obstacle's edges seen from the points are others: ways over two of them, those
-        over one of the others alone, and which of the ways are open, some then being replaced.
+        """Paths over two edges, where the points see other edges of the obstacle than the source.
+
+        Returns these; paths over one of the edges that the points see; and which of ``paths`` are
+        clear, without those that a path over two edges replaces.
         """
         o, middle = self.obstacles, self.seen[rows].mean(axis=0)
         rim = o.outline(item, middle).from_elsewhere(self.source - middle)
-        far = self._over(item, rim, rows, over_edges)
+        far = self._over(item, rim, rows, edge_paths)
         edges = np.flatnonzero(np.isfinite(paths.lit_m))
-        i, j = successive(paths.take(edges), far)
+        i, j = consecutive_edges(paths.take(edges), far)
         i = edges[i]
         one, other = paths.take(i), far.take(j)
-        two, apart, alone = over_two(self.source, self.seen[one.point], one, other, o.wavenumber)
+        two, apart, alone = double_edge_paths(
+            self.source, self.seen[one.point], one, other, o.wavenumber
+        )
         matters = (apart > _ONE_EDGE) | (~is_open[i] & (one.lit_m <= 0))
         is_open = is_open.copy()
         is_open[i[matters & ~alone[:, 0]]] = False
@@ -249,7 +259,7 @@ class Segment:
 
 
 def _groups(rows: Indices, own: Indices) -> list[Indices]:
-    """Points by the object that they belong to, each that belongs to none by itself."""
+    """Points grouped by the body that they belong to; each without a body by itself."""
     lone = rows[own[rows] < 0]
     bodies = [rows[own[rows] == body] for body in np.unique(own[rows]) if body >= 0]
     return [*bodies, *np.split(lone, np.arange(1, len(lone)))] if len(lone) else bodies
@@ -258,7 +268,7 @@ def _groups(rows: Indices, own: Indices) -> list[Indices]:
 def _folded(
     prepared: PreparedScene, image: Image, level: int, places: Array, stops: Array
 ) -> Array:
-    """Stops (m, n, 3) of ways from points to the radar: mirrors, edges (n, 2, 3), mirrors, the
+    """Vertices (m, n, 3) of paths from points to the radar: mirrors, edges (n, 2, 3), mirrors, the
     radar; NaN where a mirror is not between its neighbours.
     """
     patches = [prepared.flats[number] for number in image.patches]
@@ -275,7 +285,7 @@ def _folded(
 
 
 def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
-    """Where ways (n, 3) meet a plane, a little before it; NaN where they don't."""
+    """Where segments (n, 3) meet a plane, a little before it; NaN where they don't."""
     height, beyond = ((x - flat.point) @ flat.normal for x in (begin, aim))
     with np.errstate(divide="ignore", invalid="ignore"):
         share = height / (height - beyond)
@@ -286,7 +296,7 @@ def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
 
 
 def _is_open(prepared: PreparedScene, chain: Array, off: Array) -> NDArray[np.bool_]:
-    """Whether nothing stands between any two stops."""
+    """Whether nothing stands between any two vertices that follow each other."""
     mi, scene = prepared.context.mi, prepared.world.scene
     is_open = np.asarray(np.isfinite(chain).all(axis=(0, 2)))
     for k in range(len(chain) - 1):
@@ -303,8 +313,8 @@ def _is_open(prepared: PreparedScene, chain: Array, off: Array) -> NDArray[np.bo
     return is_open
 
 
-def _settle(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:
-    """Straight ways closer to an edge than rays can tell are clear as the edge has it."""
+def _clear_near_edges(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:
+    """Direct paths so close to an edge that float32 rays may err are clear on its lit side only."""
     unsure = _UNSURE_M * (1 + 0.1 * np.linalg.norm(paths.stops[:, 0], axis=1))
     close = np.abs(paths.lit_m) <= unsure
     clear[paths.point[close]] = True
@@ -312,22 +322,22 @@ def _settle(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:
 
 
 def _point_paths(
-    obstacles: Screens, through: PointPaths, paths: DiffractedPaths, segment: "Segment"
+    obstacles: Screens, unobstructed: PointPaths, paths: DiffractedPaths, segment: "Segment"
 ) -> PointPaths:
-    """Ways as paths: ``through`` are the straight ones, as if nothing stood in between."""
+    """Diffracted paths as `PointPaths`; ``unobstructed``: the direct ones without any obstacle."""
     chain = segment.turns(paths, paths.stops)
     last = len(chain) - 2 - segment.level
-    # Edges move with their obstacle: the way gets shorter as both stops approach their neighbours.
+    # Edges move with their obstacle: the path gets shorter as both approach their neighbours.
     ends = (chain[1] - chain[0], chain[-2] - chain[-1])
     pulls = (chain[last - 1] - chain[last - 2], chain[last] - chain[last + 1])
     back, departure, one, other = (_unit(v) for v in (*ends, *pulls))
     velocity = np.array([item.velocity_m_per_s for item in obstacles.items])[paths.item]
     return replace(
-        through,
+        unobstructed,
         back=back,
         departure=departure,
-        extra=through.extra + paths.longer_m,
-        field=through.field * paths.amplitude[:, None],
+        extra=unobstructed.extra + paths.longer_m,
+        field=unobstructed.field * paths.amplitude[:, None],
         rate=np.sum(velocity * (one + other), axis=1),
         clear=np.ones(len(paths.point), dtype=bool),
         over=paths.item,
@@ -342,7 +352,7 @@ def _unit(way: Array) -> Array:
 def is_near_edges(
     obstacles: Screens, image: Image, place: Array, radius_m: float, own: int
 ) -> bool:
-    """Whether edges of an obstacle count for anything of a body within a sphere."""
+    """Whether any obstacle's edges may diffract a wave to a body within a sphere."""
     one, first = np.ones(1, dtype=bool), np.zeros(1, dtype=np.int64)
     for level in range(len(image.patches) + 1):
         segment = Segment(obstacles, image, level, place[None], np.zeros((1, 3)))

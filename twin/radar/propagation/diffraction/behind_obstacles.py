@@ -1,12 +1,12 @@
-"""Echoes of bodies by ways round obstacles: a pedestrian behind a parked car.
+"""Echoes of bodies by diffracted paths around obstacles: a pedestrian behind a parked car.
 
-What is seen straight from the radar is found elsewhere
-(`twin.radar.propagation.physical_optics`); here facets of a body beside or in a shadow answer to
-what comes to them, or goes back from them, over the edges of obstacles: currents of physical
-optics, once reflected, on triangles small against the changes of that wave. By mirrors shadows on
-bodies stay silent. Each triangle has one delay: from one met so obliquely that it is 2 cm deep,
-what is left is off by 0.8 rad at the ends of a band of 4 GHz. Where the border of a shadow crosses
-a triangle its middle decides.
+Echoes whose forward and return paths are both direct are found elsewhere
+(`twin.radar.propagation.physical_optics`). Here at least one of the two is diffracted over the
+edges of obstacles. A body's facets, small against the changes of the incident field, carry the
+currents of physical optics and reflect once. Left out are diffracted paths over mirrors. Each
+triangle has one delay: at oblique incidence, where it is 2 cm deep, its phase is off by up to 0.8
+rad at the ends of a band of 4 GHz. A triangle crossed by a shadow's border is lit or not as its
+centroid is.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from twin.radar.propagation.diffraction.around_edges import (
     all_paths_to_points,
     is_near_edges,
 )
-from twin.radar.propagation.diffraction.rims import loud, meeting
+from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between
 from twin.radar.scattering.arrays import ComplexVector3
@@ -57,7 +57,9 @@ class _Facets:
         return across
 
     def phase(self, slope: Array) -> Array:
-        """At the corners (n, 3), less that of the middle, of a wave of phase (n, 3) rad/m."""
+        """Phase at the corners (n, 3), less that at the centroid, for a gradient (n, 3) in
+        rad/m.
+        """
         phase: Array = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
         return phase
 
@@ -69,8 +71,8 @@ class _Facets:
 def echoes_behind(
     obstacles: Screens, surface_of_object: NDArray[np.uint32], most: int
 ) -> Contributions:
-    """Contributions of bodies, without gains, of ``most`` facets in all, those that are brightest
-    where nothing stands in the way; ways that are straight out and back are left to others.
+    """Contributions of bodies by diffracted paths, without gains, from ``most`` facets in all:
+    those that would be brightest without obstacles.
     """
     image, bodies = obstacles.prepared.images[0], []
     for body in np.unique(obstacles.body[obstacles.body >= 0]):
@@ -96,7 +98,7 @@ def echoes_behind(
 
 
 def _brightness(obstacles: Screens, facets: _Facets) -> Array:
-    """Of facets (n,) seen from the radar straight on, as a conductor's."""
+    """Echo amplitude of facets (n,) without obstacles, as of a conductor at normal incidence."""
     way = obstacles.prepared.images[0].place - facets.middle
     length = np.linalg.norm(way, axis=1, keepdims=True)
     slope = 4 * np.pi / obstacles.prepared.wavelength_m * way / length
@@ -124,7 +126,7 @@ def _facets(obstacles: Screens, members: Indices) -> _Facets:
 def _answers(
     obstacles: Screens, facets: _Facets, body: int, surface_of_object: NDArray[np.uint32]
 ) -> Contributions:
-    """From the radar and back, straight at most on one of both ways."""
+    """Contributions of facets whose forward path, return path or both are diffracted."""
     middle, across = facets.middle, facets.across
     side = np.sign(np.sum((obstacles.prepared.images[0].place - middle) * across, axis=1))
     normal = side[:, None] * across / np.linalg.norm(across, axis=1, keepdims=True)
@@ -133,14 +135,14 @@ def _answers(
     paths, at = all_paths_to_points(obstacles.prepared.context, obstacles, 0, middle, off, own)
     faces = np.sum(paths.back * normal[at], axis=1) > 0
     paths, at = paths.take(faces), at[faces]
-    there, back = meeting(at, at)
+    there, back = matching_pairs(at, at)
     # All of a body's facets against the brightest one.
-    heard = loud(paths.level[there] * paths.level[back], 0 * there, obstacles.faintest)
-    heard &= (paths.over[there] >= 0) | (paths.over[back] >= 0)
+    strong = is_strong(paths.level[there] * paths.level[back], 0 * there, obstacles.faintest)
+    strong &= (paths.over[there] >= 0) | (paths.over[back] >= 0)
     forward_path, return_path, rows = (
-        paths.take(there[heard]),
-        paths.take(back[heard]),
-        at[there[heard]],
+        paths.take(there[strong]),
+        paths.take(back[strong]),
+        at[there[strong]],
     )
     if not len(rows):
         return Contributions.none()
@@ -159,7 +161,9 @@ def _radiated(
     return_path: PointPaths,
     surface_of_object: NDArray[np.uint32],
 ) -> Complex:
-    """Amplitude of each facet but for the spreading: its currents, and their phases' mean."""
+    """Amplitude of each facet without spreading: of its currents, times the mean of their
+    phasors.
+    """
     context, n = obstacles.prepared.context, len(facets.object)
     mi = context.mi
     across = facets.across

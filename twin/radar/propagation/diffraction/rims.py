@@ -1,4 +1,4 @@
-"""What the rim of an obstacle adds to a wave: Kirchhoff's integral, edge by edge and end by end."""
+"""Diffracted paths over the rim of an obstacle: Kirchhoff's integral, edge by edge, end by end."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -7,29 +7,44 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.knife_edge import beyond_end, over_edge, over_two_edges
+from twin.radar.propagation.diffraction.knife_edge import (
+    double_knife_edge,
+    knife_edge_factor,
+    missing_edge_factor,
+)
 from twin.radar.propagation.meshes.silhouettes import Outline
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_UNHEARD = 0.1  # of the faintest way, below which an edge's end adds nothing to others' there
-#: Of the first Fresnel zone's radius: what stands closer to an edge doesn't disturb a way over it.
+_NEGLIGIBLE = 0.1  # of the faintest path: share below which the wave from an edge's end is left out
+#: Of the first Fresnel zone's radius: obstacles closer to an edge don't disturb a path over it.
 _BESIDE = 0.05
-_ALIKE_M = 1e-3  # 0.04 rad at the ends of a band of 4 GHz
-_TOGETHER_M = 0.1  # 1 degree from 6 m off
-_ALIGNED = 0.9  # cosine from which two edges are passed as one after the other
+_MERGED_LENGTH_M = 1e-3  # 0.04 rad at the ends of a band of 4 GHz
+_MERGED_PLACE_M = 0.1  # 1 degree from 6 m off
+_ALIGNED = 0.9  # cosine from which two edges count as parallel, one behind the other
 
 
 @dataclass(frozen=True, eq=False)
 class DiffractedPaths:
-    """Over edges, each (n, ...): to which point and over which obstacle; where it passes the edges,
-    the one nearer to the source first, and which way these run; amplitude over the straight way's
-    and length beyond it; how far off the edge the straight way passes in the light.
+    """Paths over one or two edges of obstacles.
 
-    ``stops`` (n, 2, 3) are the same twice for one edge; ``aside`` (n, 2, 3) of them, rays may tell
-    whether a way is open. ``edge`` is the number of one of them.
-    Over an edge's end ``along`` is 0 and ``lit_m`` inf; over two edges ``lit_m`` is inf.
+    point, item, edge : (n,)
+        Numbers of the point that the path leads to, of the obstacle, and of one of the edges.
+    stops : (n, 2, 3)
+        Where the path passes the edges, the one nearer to the source first; for one edge the same
+        place twice.
+    aside : (n, 2, 3)
+        Offset from these into the light, where rays test whether the path is clear.
+    along : (n, 3)
+        Unit vector along the edge; 0 for a path over an edge's end.
+    amplitude : (n,)
+        Over that of the direct wave, without the phase of the longer path.
+    longer_m : (n,)
+        By how much the path is longer than the direct one.
+    lit_m : (n,)
+        Distance of the direct path from the edge, positive on the lit side; inf for a path over an
+        edge's end or over two edges.
     """
 
     point: Indices
@@ -54,37 +69,39 @@ class DiffractedPaths:
 
 
 def farthest(faintest: float) -> float:
-    """Difference of path in radians at which a knife edge has fallen to an amplitude."""
+    """Phase of the longer path at which the knife-edge factor has fallen to an amplitude."""
     return 1 / (4 * np.pi * faintest**2)
 
 
-def over_rim(
+def rim_paths(
     rim: Outline, source: Array, places: Array, wavenumber: float, faintest: float
 ) -> DiffractedPaths:
-    """What the outline of an obstacle, as seen from a source, adds at points (n, 3), down to an
-    amplitude.
+    """Paths over the outline of an obstacle, as seen from a source, to points (n, 3), down to an
+    amplitude: over its edges and over their ends.
     """
     pairs = _pairs(rim, places - source, wavenumber, farthest(faintest))
-    ends = [_past_end(rim, pairs, end, _UNHEARD * faintest) for end in (0, 1)]
+    ends = [_end_paths(rim, pairs, end, _NEGLIGIBLE * faintest) for end in (0, 1)]
     paths = DiffractedPaths.concatenate(
-        [_over_edge(rim, pairs), _summed(DiffractedPaths.concatenate(ends))]
+        [_edge_paths(rim, pairs), _summed_at_corners(DiffractedPaths.concatenate(ends))]
     )
     return replace(paths, stops=paths.stops + source)
 
 
-def over_edges(
+def edge_paths(
     rim: Outline, source: Array, places: Array, wavenumber: float, faintest: float
 ) -> DiffractedPaths:
-    """The same without the edges' ends."""
-    paths = _over_edge(rim, _pairs(rim, places - source, wavenumber, farthest(faintest)))
+    """Only the paths over edges, without those over their ends."""
+    paths = _edge_paths(rim, _pairs(rim, places - source, wavenumber, farthest(faintest)))
     return replace(paths, stops=paths.stops + source)
 
 
 def near_edges(
     rim: Outline, way: Array, radius_m: float, wavenumber: float, faintest: float
 ) -> Indices:
-    """Edges that may count for a point within a sphere at the end of a way (3,): a point that far
-    off changes no difference of path by more than twice that.
+    """Edges that may diffract a wave to points within a sphere around the end of a direct path
+    (3,).
+
+    Within the sphere the path difference changes by at most twice the radius.
     """
     most = farthest(faintest) + 2 * wavenumber * radius_m
     return np.unique(_pairs(rim, way[None], wavenumber, most).edge)
@@ -92,10 +109,11 @@ def near_edges(
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Points and edges close to each other's straight way, (n, ...).
+    """Pairs of a point and an edge near the direct path to it, (n, ...).
 
-    ``way`` leads from the source to the point, ``lit_m`` (n,) off the edge's plane; the shortest
-    way over the edge's line meets it ``at`` (m) from the first end and is ``q`` radians longer.
+    ``way`` is the vector from the source to the point; ``lit_m`` (n,) the point's distance from the
+    shadow's border, positive in the light; the shortest path over the edge's line meets it ``at``
+    (m) from the first end and is longer than the direct path by a phase ``q``.
     """
 
     point: Indices
@@ -107,14 +125,14 @@ class _Pairs:
     wavenumber: float
 
     def depth(self, place: Array) -> Array:
-        """How far along the straight way places are, 0 to 1."""
+        """How far along the direct path places are, 0 to 1."""
         depth: Array = np.sum(place * self.way, axis=1) / np.sum(self.way**2, axis=1)
         return depth
 
 
 def _pairs(rim: Outline, way: Array, wavenumber: float, most: float) -> _Pairs:
-    """Pairs of points, at the end of ways (n, 3), and edges whose way is at most so many radians
-    longer.
+    """Pairs of points, at the ends of vectors (n, 3) from the source, and edges, over which the
+    path is longer by at most a phase ``most``.
     """
     first, along = rim.ends[:, 0], _along(rim)[0]
     # Feet of the perpendiculars on an edge's line, and how far off it the source and points are.
@@ -124,7 +142,7 @@ def _pairs(rim: Outline, way: Array, wavenumber: float, most: float) -> _Pairs:
     square = np.sum(way**2, axis=1)[:, None]
     forward, across = way @ along.T, way @ foot.T
     off_place = np.sqrt(np.maximum(square - forward**2 - 2 * across + off_source**2, 0))
-    # The square of the broken way's length less that of the straight one's.
+    # The square of the path's length less that of the direct one.
     more = np.maximum(2 * (off_source * off_place + off_source**2 - across), 0)
     q = np.maximum(wavenumber * more / (np.sqrt(square + more) + np.sqrt(square)), 1e-12)
     i, j = np.nonzero(q <= most)
@@ -141,32 +159,34 @@ def _along(rim: Outline) -> tuple[Array, Array]:
     return side / length[:, None], length
 
 
-def _over_edge(rim: Outline, pairs: _Pairs) -> DiffractedPaths:
-    """Over the edge itself, where the shortest way meets it."""
+def _edge_paths(rim: Outline, pairs: _Pairs) -> DiffractedPaths:
+    """Paths over the edge itself, where the shortest path meets it between its ends."""
     along, length = (x[pairs.edge] for x in _along(rim))
     place = rim.ends[pairs.edge, 0] + pairs.at[:, None] * along
     depth = pairs.depth(place)
     inside = (pairs.at > 0) & (pairs.at < length) & (depth > 0) & (depth < 1)
     some = np.flatnonzero(inside)
     sign = np.where(pairs.lit_m[some] > 0, -1, 1)
-    amplitude = sign * over_edge(pairs.q[some])
+    amplitude = sign * knife_edge_factor(pairs.q[some])
     lit_m = (pairs.lit_m * depth)[some]
     return _paths_by(rim, pairs, some, place, pairs.q, along, amplitude, lit_m)
 
 
-def _past_end(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
-    """What is missing beyond one end of edges; the ends' numbers stand for the item."""
+def _end_paths(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
+    """Paths over one end of edges, which subtract the edge missing beyond it; ``item``: the
+    corner.
+    """
     place = rim.ends[pairs.edge, end]
     length = np.linalg.norm(pairs.way, axis=1)
     broken = np.linalg.norm(place, axis=1) + np.linalg.norm(pairs.way - place, axis=1)
     p = np.maximum(pairs.wavenumber * (broken - length) - pairs.q, 0)
-    # It falls as this, the first term of its series.
-    loud = np.sqrt(pairs.q) / (4 * np.pi * np.maximum(np.sqrt(p) * (p + pairs.q), 1e-30))
+    # Its level, by the first term of its asymptotic series.
+    level = np.sqrt(pairs.q) / (4 * np.pi * np.maximum(np.sqrt(p) * (p + pairs.q), 1e-30))
     depth = pairs.depth(place)
-    some = np.flatnonzero((depth > 0) & (depth < 1) & (loud > faintest))
+    some = np.flatnonzero((depth > 0) & (depth < 1) & (level > faintest))
     inwards = pairs.at if end == 0 else _along(rim)[1][pairs.edge] - pairs.at
     turn = np.where(pairs.lit_m[some] > 0, 1, -1) * np.where(inwards[some] > 0, 1, -1)
-    amplitude = turn * beyond_end(pairs.q[some], p[some])
+    amplitude = turn * missing_edge_factor(pairs.q[some], p[some])
     none, far = np.zeros_like(pairs.way), np.full(len(some), np.inf)
     paths = _paths_by(rim, pairs, some, place, pairs.q + p, none, amplitude, far)
     return replace(paths, item=rim.corner[pairs.edge[some], end])
@@ -182,7 +202,7 @@ def _paths_by(
     amplitude: NDArray[np.complex128],
     lit_m: Array,
 ) -> DiffractedPaths:
-    """Some of the pairs as ways by way of a place each."""
+    """Some of the pairs as paths, each by way of a place."""
     there, back = (np.linalg.norm(x, axis=1)[some] for x in (place, pairs.way - place))
     zone = np.sqrt(2 * np.pi / pairs.wavenumber * there * back / (there + back))
     aside = _BESIDE * zone[:, None] * rim.lit[pairs.edge[some]]
@@ -199,8 +219,8 @@ def _paths_by(
     )
 
 
-def _summed(ends: DiffractedPaths) -> DiffractedPaths:
-    """Ends of edges that meet, added up."""
+def _summed_at_corners(ends: DiffractedPaths) -> DiffractedPaths:
+    """Paths over the ends of edges that meet in one corner, added up."""
     corners = int(ends.item.max(initial=0)) + 1
     _, one, same = np.unique(
         ends.point * corners + ends.item, return_index=True, return_inverse=True
@@ -214,13 +234,15 @@ def _summed(ends: DiffractedPaths) -> DiffractedPaths:
     return replace(strongest, aside=aside, amplitude=amplitude, item=none)
 
 
-def bundled(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
-    """Ways to a point that are alike in length and place as one: a curved outline has hundreds."""
+def merged(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
+    """Paths to a point of nearly the same length and place as one: a curved outline has
+    hundreds.
+    """
     cells = np.hstack(
         [
             paths.point[:, None],
-            np.floor(paths.longer_m / _ALIKE_M)[:, None],
-            np.floor(paths.stops[:, 0] / _TOGETHER_M),
+            np.floor(paths.longer_m / _MERGED_LENGTH_M)[:, None],
+            np.floor(paths.stops[:, 0] / _MERGED_PLACE_M),
         ]
     )
     _, same = np.unique(cells, axis=0, return_inverse=True)
@@ -232,15 +254,15 @@ def bundled(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
     return replace(paths.take(one), amplitude=amplitude)
 
 
-def loud(level: Array, group: Indices, faintest: float) -> NDArray[np.bool_]:
-    """Levels (n,) that are not below so much of the strongest of their group."""
+def is_strong(level: Array, group: Indices, faintest: float) -> NDArray[np.bool_]:
+    """Whether levels (n,) are at least a share ``faintest`` of the strongest of their group."""
     strongest = np.zeros(int(group.max(initial=0)) + 1)
     np.maximum.at(strongest, group, level)
-    is_loud: NDArray[np.bool_] = level >= faintest * strongest[group]
-    return is_loud
+    strong: NDArray[np.bool_] = level >= faintest * strongest[group]
+    return strong
 
 
-def meeting(one: Indices, other: Indices) -> tuple[Indices, Indices]:
+def matching_pairs(one: Indices, other: Indices) -> tuple[Indices, Indices]:
     """All pairs of rows with the same number."""
     order = np.argsort(other, kind="stable")
     first, last = (np.searchsorted(other[order], one, side=side) for side in ("left", "right"))
@@ -250,12 +272,12 @@ def meeting(one: Indices, other: Indices) -> tuple[Indices, Indices]:
     return rows, order[np.repeat(first, count) + within]
 
 
-def successive(near: DiffractedPaths, far: DiffractedPaths) -> tuple[Indices, Indices]:
-    """Ways over edges of ``near``, seen from the source, and of ``far``, seen from the points, that
-    are met one after the other on the same side of an obstacle: one pair for each of ``near`` that
-    is not seen from the point as well.
+def consecutive_edges(near: DiffractedPaths, far: DiffractedPaths) -> tuple[Indices, Indices]:
+    """Pairs of paths over two parallel edges on the same side of an obstacle, one behind the other:
+    one of ``near``, whose edges are seen from the source, and one of ``far``, whose edges are seen
+    from the points. At most one pair for each of ``near``, and none for an edge seen from both.
     """
-    i, j = meeting(near.point, far.point)
+    i, j = matching_pairs(near.point, far.point)
     same = np.zeros(len(near.point), dtype=bool)
     same[i[near.edge[i] == far.edge[j]]] = True
     sides = np.sum(_unit(near.aside[i, 0]) * _unit(far.aside[j, 0]), axis=1)
@@ -267,25 +289,25 @@ def successive(near: DiffractedPaths, far: DiffractedPaths) -> tuple[Indices, In
     return i[rows][first], j[rows][first]
 
 
-def over_two(
+def double_edge_paths(
     source: Array, places: Array, near: DiffractedPaths, far: DiffractedPaths, wavenumber: float
 ) -> tuple[DiffractedPaths, Array, NDArray[np.bool_]]:
-    """Ways over two edges from a source to points (n, 3), each over one of ``near`` and one of
-    ``far``, (n,), whichever comes first, which are ways over them alone; 1 less the square of the
-    edges' correlation, which is 0 for one edge; and which of the ways over one of them remain,
-    (n, 2).
+    """Paths from a source to points (n, 3) over two edges, given the paths over each alone.
+
+    Returns the paths; 1 - correlation^2 of the edges (see `double_knife_edge`), 0 where both are
+    one edge; and whether the path over ``near``, or over ``far``, alone remains beside it, (n, 2).
     """
     swap = _reach(near, source) > _reach(far, source)
     one, other = _either(swap, far, near), _either(swap, near, far)
     first, second = one.stops[:, 0], other.stops[:, 0]
-    for _ in range(3):  # a string drawn tight
+    for _ in range(3):  # shortest path over both edges, by relaxation
         first = _shortest(source, second, first, one.along)
         second = _shortest(first, places, second, other.along)
     a, b, c = (
         np.linalg.norm(way, axis=1) for way in (first - source, second - first, places - second)
     )
     correlation = np.sqrt(a * c / np.maximum((a + b) * (b + c), 1e-300))
-    amplitude, alone = over_two_edges(
+    amplitude, alone = double_knife_edge(
         wavenumber * np.stack([one.longer_m, other.longer_m], axis=1),
         np.stack([one.lit_m > 0, other.lit_m > 0], axis=1),
         correlation,
@@ -309,7 +331,7 @@ def _reach(paths: DiffractedPaths, source: Array) -> Array:
 def _either(
     which: NDArray[np.bool_], one: DiffractedPaths, other: DiffractedPaths
 ) -> DiffractedPaths:
-    """One where it holds, else the other."""
+    """The rows of ``one`` where ``which``, else those of ``other``."""
 
     def select(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
         return np.where(which.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
@@ -320,7 +342,7 @@ def _either(
 
 
 def _shortest(begin: Array, end: Array, place: Array, along: Array) -> Array:
-    """Where the shortest way between points over lines (n, 3) meets these."""
+    """Where the shortest path between points over lines (n, 3) meets these lines."""
     at, off = [], []
     for point in (begin, end):
         way = point - place
