@@ -51,8 +51,8 @@ def cfar_threshold(
         return level * (uneven if at is None else uneven[at])
     cfar = with_fitted_shape(power, cfar, noise.n_channels)
     regions, factor, rank = rule(power.shape, cfar, noise)
-    by_rate = noise_by_rate(power, noise)
-    power = normalise_by_rate(power, by_rate)
+    bin_noise = noise_per_doppler_bin(power, noise)
+    power = normalise_doppler_bins(power, bin_noise)
     whole = at is None
     if at is None and rank:
         rows, columns = np.unravel_index(np.arange(power.size), power.shape)
@@ -60,10 +60,10 @@ def cfar_threshold(
     if at is None or (not rank and len(at[0]) > _MOST_GATHERED):
         level = np.max([box_sums(power, region) / region.sum() for region in regions], axis=0)
         # A running sum loses digits next to a peak 1e10 times higher: never below zero.
-        level = factor * by_rate * np.maximum(level, 0)
+        level = factor * bin_noise * np.maximum(level, 0)
         return np.asarray(level if at is None else level[at])
     levels = [_reference_levels(power, offsets_of(region), rank, at) for region in regions]
-    level = factor * np.max(levels, axis=0) * by_rate[at[1]]
+    level = factor * np.max(levels, axis=0) * bin_noise[at[1]]
     return np.asarray(level.reshape(power.shape) if whole else level)
 
 
@@ -74,8 +74,11 @@ def with_fitted_shape(power: Power, cfar: Cfar, n_channels: int = 1) -> Cfar:
     return replace(cfar, shape=fit(power, n_channels).shape)
 
 
-def noise_by_rate(power: Power, noise: MapNoise) -> Array:
-    """Noise at each rate over the mean of all, (n_rates,); ones where differences are random."""
+def noise_per_doppler_bin(power: Power, noise: MapNoise) -> Array:
+    """Noise in each Doppler bin (range rate) over the mean of all, (n_rates,).
+
+    Ones where the differences are no larger than random ones.
+    """
     if len(power) < _FEWEST_RANGES:
         return np.ones(power.shape[1])
     stride = max(1, len(power) // _MOST_RANGES)
@@ -92,11 +95,13 @@ def noise_by_rate(power: Power, noise: MapNoise) -> Array:
     return ratio if np.std(ratio) > _UNLIKE * error else np.ones(len(medians))
 
 
-def normalise_by_rate(power: Power, by_rate: Array) -> Power:
-    """Power over the noise of its rate: training cells have other rates than the cell tested."""
-    if np.all(by_rate == 1):
+def normalise_doppler_bins(power: Power, bin_noise: Array) -> Power:
+    """Power over the noise of its Doppler bin: training cells lie in other bins than the cell
+    tested.
+    """
+    if np.all(bin_noise == 1):
         return power
-    return np.asarray(power / by_rate.astype(power.dtype))
+    return np.asarray(power / bin_noise.astype(power.dtype))
 
 
 def box_sums(power: Power, region: Mask) -> Array:

@@ -10,8 +10,8 @@ from hardware.radar.cfar import (
     Mask,
     Power,
     box_sums,
-    noise_by_rate,
-    normalise_by_rate,
+    noise_per_doppler_bin,
+    normalise_doppler_bins,
     with_fitted_shape,
 )
 from hardware.radar.cfar_rule import Cfar, MapNoise, rule, white_threshold
@@ -38,11 +38,11 @@ def candidate_cells(power: Power, cfar: Cfar, noise: MapNoise | None = None) -> 
     if any(size % _TILE for size in power.shape):
         rows, columns = np.nonzero(power > 0)
         return rows, columns
-    by_rate = noise_by_rate(power, noise)
+    bin_noise = noise_per_doppler_bin(power, noise)
     least = np.max(
-        [_least(normalise_by_rate(power, by_rate), region) for region in regions], axis=0
+        [_least(normalise_doppler_bins(power, bin_noise), region) for region in regions], axis=0
     )
-    least *= factor * by_rate.reshape(-1, _TILE).min(axis=1)
+    least *= factor * bin_noise.reshape(-1, _TILE).min(axis=1)
     # Rounding of single precision must not rule a cell out.
     bound = (least * (1 - 1e-5)).astype(power.dtype)
     rows, columns = np.nonzero(power > np.repeat(np.repeat(bound, _TILE, 0), _TILE, 1))

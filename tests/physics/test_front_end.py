@@ -13,7 +13,7 @@ from twin.radar import load_radar
 from twin.radar.acquisition import channel
 from twin.radar.device.design import Oscillator, RadarDesign
 from twin.radar.device.front_end import arriving, digitize, full_scale_w, image_rejection_db
-from twin.radar.device.oscillator import apply, draw, residual_rad
+from twin.radar.device.phase_noise import apply_phase_noise, draw_phase_noise, residual_rad
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 
@@ -220,10 +220,10 @@ def modelled(
     rng = np.random.default_rng(seed)
     f = np.arange(wave.n_subcarriers) - wave.n_subcarriers // 2
     late = np.exp(-2j * np.pi * f * delay / wave.n_subcarriers)
-    one = draw(kind, wave, rng)
-    other = one if kind.shared.value else draw(kind, wave, rng)
+    one = draw_phase_noise(kind, wave, rng)
+    other = one if kind.shared.value else draw_phase_noise(kind, wave, rng)
     alike = np.broadcast_to(late, (wave.n_slots, 1, wave.n_subcarriers))
-    return apply(alike, sent, wave, one, other)[:, 0]
+    return apply_phase_noise(alike, sent, wave, one, other)[:, 0]
 
 
 def brute_force(

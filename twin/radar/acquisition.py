@@ -271,7 +271,7 @@ def _stepped(echoes: Contributions, radar: RadarDesign, air: Atmosphere) -> Cont
                 level[which] *= (carriers[0] / carrier) ** power
         level[moving] *= radar.ofdm.slot_gain(carrier * doppler)
         if air.weather is not None:
-            level *= air.amplitude(echoes.delay_s, carrier)
+            level *= air.amplitude_transmission(echoes.delay_s, carrier)
         np.multiply(echoes.amplitude, level, out=row)
     return replace(echoes, amplitude=amplitude)
 

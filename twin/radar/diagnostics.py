@@ -9,7 +9,7 @@ from hardware.waveform import C_M_PER_S
 from twin.geometry import are_too_large, shapes_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
-from twin.radar.device.oscillator import residual_rad
+from twin.radar.device.phase_noise import residual_rad
 from twin.radar.propagation.facets.convergence import BodyEcho, unconverged
 from twin.radar.propagation.one_way.motion import lengthening
 from twin.radar.propagation.result import Propagation

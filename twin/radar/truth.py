@@ -75,7 +75,7 @@ def _true(
     rate, acceleration = map(float, lengthening(velocity, towards / distance, distance))
     change = acceleration * half_s
     gain = float(wave.slot_gain(np.array(2 * rate / wave.wavelength_m)))
-    gain *= float(air.amplitude(np.array(2 * distance / C_M_PER_S), wave.carrier_hz))
+    gain *= float(air.amplitude_transmission(np.array(2 * distance / C_M_PER_S), wave.carrier_hz))
     power = radar.received_power_w(distance, target.rcs_m2, (ahead, left, up))
     ranges, rates = _spans(target, scene, scene.rig.position_m + offset, half_s)
     return TrueTarget(

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from hardware.drivers.radio.samples import highest_level, spectrum, symbol
 from hardware.records import Flag
 from twin.radar.device.design import RadarDesign
-from twin.radar.device.oscillator import apply, draw
+from twin.radar.device.phase_noise import apply_phase_noise, draw_phase_noise
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -84,10 +84,10 @@ def arriving(
         return received
     received = np.empty_like(channel)
     for step, there in enumerate(channel):
-        sending = draw(radar.oscillator, wave, rng)
+        sending = draw_phase_noise(radar.oscillator, wave, rng)
         shared = radar.oscillator.shared.value
-        receiving = sending if shared else draw(radar.oscillator, wave, rng)
-        received[step] = apply(there, sent[step], wave, sending, receiving)
+        receiving = sending if shared else draw_phase_noise(radar.oscillator, wave, rng)
+        received[step] = apply_phase_noise(there, sent[step], wave, sending, receiving)
     return received
 
 
@@ -108,14 +108,14 @@ def full_scale_w(radar: RadarDesign) -> float:
 
 
 def _retuned(radar: RadarDesign, rng: np.random.Generator) -> Complex:
-    """What each step's retune does to every subcarrier, (n_steps, n_subcarriers)."""
+    """Phasor of each step's retune at every subcarrier, (n_steps, n_subcarriers)."""
     assert radar.steps is not None
     n = radar.steps.count.value
     phase, late = rng.uniform(0, 2 * np.pi, n), rng.normal(size=n) * radar.steps.timing_rms_s.value
     if not radar.steps.random_phase.value:
         phase[:] = 0
-    turned = phase[:, None] - 2 * np.pi * late[:, None] * radar.ofdm.frequency_offsets_hz
-    return np.asarray(np.exp(1j * turned))
+    phase_rad = phase[:, None] - 2 * np.pi * late[:, None] * radar.ofdm.frequency_offsets_hz
+    return np.asarray(np.exp(1j * phase_rad))
 
 
 def _noisy(received: Complex, noise_w: float, rng: np.random.Generator, noisy: bool) -> Array:
@@ -127,7 +127,7 @@ def _noisy(received: Complex, noise_w: float, rng: np.random.Generator, noisy: b
 
 
 def _mixed(parts: Array, radar: RadarDesign) -> Array:
-    """What branches that are not alike make of both parts."""
+    """In-phase and quadrature parts behind unequal branches of the mixer."""
     g, angle = _branches(radar)
     if g == 1 and angle == 0:
         return parts

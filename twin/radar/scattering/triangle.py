@@ -82,32 +82,35 @@ def mean_over(corners: Sequence[Node]) -> Complex:
     )
 
 
-def bend(phases: list[Any]) -> Any:
-    """By how much the phase in the middle of an edge differs from the mean of its ends, at most, by
-    the phases at corners 0 to 2 and in the middles of edges 3 to 5.
+def curvature(values: list[Any]) -> Any:
+    """Largest difference, over a triangle's edges, between the value in the middle of the edge and
+    the mean of its ends; of values at the corners (0 to 2) and in the middles of the edges (3 to
+    5).
     """
     largest = 0
     for first, second, middle in ((0, 1, 3), (1, 2, 4), (2, 0, 5)):
-        off = phases[middle] - (phases[first] + phases[second]) / 2
+        off = values[middle] - (values[first] + values[second]) / 2
         largest = dr.maximum(largest, dr.abs(off))
     return largest
 
 
-def largest(phases: list[Any], bent: Any) -> Any:
-    """Bound of the magnitude of `mean_over` by the phases alone, which any part of the triangle
-    keeps: a phase that is ``bent`` may be level somewhere.
+def mean_bound(phases: list[Any], phase_curvature: Any) -> Any:
+    """Upper bound of the magnitude of `mean_over`, for the triangle and for any part of it.
+
+    The bound is 2 over the phase difference of the corners. From that difference 8 times the
+    curvature is taken off, since a curved phase may be stationary somewhere.
     """
-    return dr.minimum(1.0, 2 / dr.maximum(span(phases) - 8 * bent, 1e-9))
+    return dr.minimum(1.0, 2 / dr.maximum(span(phases) - 8 * phase_curvature, 1e-9))
 
 
 def span(phases: Sequence[Any]) -> Any:
-    """Largest less smallest of three."""
+    """Largest less smallest of three phases."""
     low, high = dr.minimum(*phases[:2]), dr.maximum(*phases[:2])
     return dr.maximum(high, phases[2]) - dr.minimum(low, phases[2])
 
 
 def _apart(a: Node, b: Node, c: Node) -> tuple[Node, Node, Node]:
-    """In an order in which the first and the last are the farthest apart."""
+    """The three nodes in an order in which the first and the last differ most."""
     ab, bc, ca = (
         dr.square(q.phase - p.phase) + dr.square(q.log - p.log) for p, q in ((a, b), (b, c), (c, a))
     )

@@ -27,12 +27,12 @@ from twin.radar.propagation.one_way.path import (
 from twin.radar.propagation.scene.slabs import SlabTransmission
 from twin.radar.scattering.arrays import Complex, ComplexVector3, Index, Real, Vector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
-from twin.radar.scattering.triangle import bend, largest, mean_over, node, span
+from twin.radar.scattering.triangle import curvature, mean_bound, mean_over, node, span
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_BENT = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
+_MOST_CURVATURE = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
 _OBLIQUE = 8.0  # rad across a triangle from which its corners answer one by one
 _TURNED = 0.7  # of the phase by which a slope grows until the end of a burst
 _NARROW = 0.15  # size over distance up to which a triangle's edges tell the most that it gets
@@ -207,12 +207,13 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
     gain_of_halves = dr.select(span(corners) < _OBLIQUE, 3.0, 1.0)
     change = [(fine - coarse) / gain_of_halves for fine, coarse in zip(finer, linear, strict=True)]
     level = dr.sqrt(dr.square(re) + dr.square(im))
-    bent = bend([value.phase for value in nodes])
+    phase_curvature = curvature([value.phase for value in nodes])
     most = level * _most(scatterers, lit, wave, receiver, axes, [value.log for value in nodes])
-    strength = most * largest(corners, bent)
+    strength = most * mean_bound(corners, phase_curvature)
     curved = level * dr.sqrt(dr.square(change[0]) + dr.square(change[1]))
-    bent = dr.maximum(bent, bend([value.log for value in nodes]))
-    curved = dr.select(bent < _BENT, curved, strength)  # else two sizes of parts tell nothing
+    largest = dr.maximum(phase_curvature, curvature([value.log for value in nodes]))
+    # Where the curvature is large, extrapolation from two sizes of triangles says nothing.
+    curved = dr.select(largest < _MOST_CURVATURE, curved, strength)
     if scatterers.half_time_s:
         turned = scatterers.half_time_s * k * _turning(context, scatterers, lit, wave, return_path)
         curved += strength * dr.minimum(_TURNED * turned * strength / most, 1)

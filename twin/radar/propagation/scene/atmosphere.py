@@ -47,8 +47,10 @@ class Atmosphere:
         rain = rain_db_per_km(self.weather, carrier_hz, self.polarization)
         return (rain + gas_db_per_km(self.weather, carrier_hz)) / 1e3
 
-    def amplitude(self, delay_s: NDArray[np.float64], carrier_hz: float) -> NDArray[np.float64]:
-        """What is left of a wave's amplitude after a delay, there and back for an echo."""
+    def amplitude_transmission(
+        self, delay_s: NDArray[np.float64], carrier_hz: float
+    ) -> NDArray[np.float64]:
+        """Amplitude over that without air, of a wave after a delay: both ways, for an echo."""
         db_per_s = C_M_PER_S * self.db_per_m(carrier_hz)
         return np.asarray(10 ** (-db_per_s * delay_s / 20), dtype=np.float64)
 

@@ -1,8 +1,8 @@
 """Phase noise of the oscillators, as it is left after averaging the repeats of a slot.
 
-Within a symbol the phase is split in two. Offsets below half a subcarrier turn it slowly: a mean
-and a slope per symbol, wandering from symbol to symbol. The others are drawn on the subcarriers'
-own raster, so they repeat with the symbol; averaging R repeats leaves 1 / R of their power. An echo
+The phase is split in two. Offsets below half a subcarrier change it slowly: each symbol has a mean
+phase and a slope, which vary from symbol to symbol. The others are drawn on the subcarriers' own
+raster, so they repeat with the symbol; averaging R repeats leaves 1 / R of their power. An echo
 of delay tau then carries phi(t - tau) - phi(t) of a shared oscillator, whose spectrum is
 4 sin^2(pi f tau) of phi's (range correlation: Budge and Burt, "Range correlation effects in
 radars", IEEE National Radar Conference, 1993), or the difference of two of separate ones.
@@ -12,17 +12,18 @@ That spectrum is seen through the finite time of the averaging, R symbols T: sub
     integral of L(f) 4 sin^2(pi f tau) |W(f - k / T)|^2 df,   |W(x)| ~ sinc(R T x),
 
 so that its nulls are filled: at 2 L tau / (R T)^2 where L is flat, and higher where close-in noise
-leaks in. In time that is the symbol before the first repeat, of which an echo brings its last part,
-tau long, in place of the last repeat's: it is drawn as a symbol of its own, joined to the next by
-its mean and slope only, for which nulls of steep spectra come out up to 1.5 times too high.
+leaks in. In the time domain: an echo is late by tau, so the averaging window holds the last part,
+tau long, of the symbol before the first repeat, and lacks that part of the last repeat. The phase
+noise of that earlier symbol is drawn independently; only its mean and slope are continuous with the
+next symbol. Therefore nulls of steep spectra come out up to 1.5 times too high.
 
-The receiver's filter passes the band that is sent: what phase noise moves out of it is lost, a
-share k / N of what stands k of N subcarriers off. Products are formed on samples fine enough for
-nothing to come back in at the other edge (Orszag, J. Atmos. Sci. 28, 1971).
+The receiver's filter passes the band that is sent: what phase noise moves out of it is lost, which
+is a share k / N of the noise at an offset of k of N subcarriers. Products are formed on samples so
+fine that nothing aliases into the band (Orszag, J. Atmos. Sci. 28, 1971).
 
-Left out: offsets beyond half the band, and the square of what is left on each repeat, so that
-|phi|^2 / 2 should be small against 1 (`residual_rad` times the root of the repeats says how large
-phi is).
+Left out: offsets beyond half the band, and second-order terms of the residual phase phi of each
+repeat, so that |phi|^2 / 2 should be small against 1 (phi is `residual_rad` times the root of the
+number of repeats).
 """
 
 from dataclasses import dataclass
@@ -36,27 +37,32 @@ from twin.radar.device.design import Oscillator
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_BEFORE = 32  # share of the taps that are taken to lie before the symbol, not at its end
+_BEFORE = 32  # one tap in so many, at the channel's end, counts as a negative delay
 
 
 @dataclass(frozen=True, eq=False)
-class Wander:
-    """Phase of one oscillator.
+class PhaseNoise:
+    """One realisation of an oscillator's phase noise.
 
-    ``mean_rad`` and ``slope_hz`` (n_slots, repeats), of each symbol; ``within_rad``
-    (n_slots, n_samples), the rest, averaged over the repeats, on the samples of `_fine`.
-    ``earlier_rad`` (n_slots, n_samples): what the average has on top when each repeat is taken one
-    symbol earlier, over what mean and slope make of that.
+    mean_rad, slope_hz : (n_slots, repeats)
+        Mean phase of each symbol, and its slope.
+    within_rad : (n_slots, n_samples)
+        The rest of the phase, averaged over the repeats, on the samples of `_fine`.
+    earlier_window_rad : (n_slots, n_samples)
+        Phase averaged over a window one symbol earlier, less that averaged over the repeats,
+        without the part that is due to the mean slope.
     """
 
     mean_rad: Array
     slope_hz: Array
     within_rad: Array
-    earlier_rad: Array
+    earlier_window_rad: Array
 
 
-def draw(oscillator: Oscillator, wave: OfdmWaveform, rng: np.random.Generator) -> Wander:
-    """Draw the phase of one oscillator for one step's slots."""
+def draw_phase_noise(
+    oscillator: Oscillator, wave: OfdmWaveform, rng: np.random.Generator
+) -> PhaseNoise:
+    """Draw the phase noise of one oscillator for one step's slots."""
     symbols, repeats = _symbols(wave), wave.repeats
     offset = _slow_hz(wave)
     lines = _lines(oscillator, offset, 1 / (symbols * wave.symbol_s), rng)
@@ -70,27 +76,27 @@ def draw(oscillator: Oscillator, wave: OfdmWaveform, rng: np.random.Generator) -
     within, other = (
         _series(_lines(oscillator, raster, width, rng, wave.n_slots), n) for _ in range(2)
     )
-    # The symbol before less the last repeat, over the repeats: of independent symbols, given their
-    # mean, and of what wanders between them.
+    # Phase of the symbol before the repeats less that of the last repeat, over their number: first
+    # of independent symbols, given their average, then of the change of mean and slope.
     earlier = np.sqrt((2 - 1 / repeats) / repeats) * other - within / repeats
     place = (np.arange(n) / n - 0.5) * wave.symbol_s
-    wandered = mean[:, 0] - mean[:, -1], slope[:, 0] - slope[:, -1]
-    earlier += (wandered[0][:, None] + 2 * np.pi * wandered[1][:, None] * place) / repeats
+    change = mean[:, 0] - mean[:, -1], slope[:, 0] - slope[:, -1]
+    earlier += (change[0][:, None] + 2 * np.pi * change[1][:, None] * place) / repeats
     earlier += 2 * np.pi * slope[:, 1:].mean(axis=1)[:, None] * wave.symbol_s
-    return Wander(mean[:, 1:], slope[:, 1:], within, earlier)
+    return PhaseNoise(mean[:, 1:], slope[:, 1:], within, earlier)
 
 
-def apply(
-    channel: Complex, sent: Complex, wave: OfdmWaveform, sending: Wander, receiving: Wander
+def apply_phase_noise(
+    channel: Complex, sent: Complex, wave: OfdmWaveform, sending: PhaseNoise, receiving: PhaseNoise
 ) -> Complex:
-    """What arrives, in time, ``(n_slots, n_receivers, n_subcarriers)``.
+    """Received samples in time, ``(n_slots, n_receivers, n_subcarriers)``.
 
     ``channel`` has the same shape, along subcarriers; ``sent`` (n_slots, n_subcarriers) are the
-    symbols. The sent symbol, after the one before it, is turned, goes through the channel, is
-    turned back by the receiver and cut to the band; a slope of the phase turns each echo in
-    proportion to its delay.
-    The channel's last taps are what near echoes between two taps have before them, not echoes from
-    the end of the symbol.
+    symbols. The symbol and the one before it are multiplied by the transmitter's phasor, convolved
+    with the channel, multiplied by the receiver's conjugate phasor, and filtered to the band. The
+    slope of the phase rotates each echo in proportion to its delay.
+    The channel's last taps count as negative delays: they are sidelobes of near echoes between two
+    taps, not echoes from the end of the symbol.
     """
     from scipy.fft import fft, ifft
 
@@ -98,8 +104,8 @@ def apply(
     band = (np.arange(n) - n // 2) % fine
     clean = np.zeros((*sent.shape[:-1], fine), dtype=np.complex128)
     clean[..., band] = sent
-    turned = ifft(clean, workers=-1) * np.exp(1j * sending.within_rad)
-    stream = np.concatenate([turned * np.exp(1j * sending.earlier_rad), turned], axis=-1)
+    symbol = ifft(clean, workers=-1) * np.exp(1j * sending.within_rad)
+    stream = np.concatenate([symbol * np.exp(1j * sending.earlier_window_rad), symbol], axis=-1)
     spectrum = fft(stream, workers=-1, overwrite_x=True)
     back = np.exp(-1j * receiving.within_rad)
     if sending is not receiving:  # what both have in common cancels
@@ -116,7 +122,7 @@ def apply(
         longer = np.zeros((len(taps), 2 * n), dtype=taps.dtype)
         longer[:, late_taps] = taps * late
         response = fft(longer, workers=-1, overwrite_x=True)
-        # What is beyond the band on its way comes back by the square of the phase noise only.
+        # What leaves the band in the channel comes back by second-order terms only.
         beyond = np.repeat(response[:, [n - 1, n]], fine - n, axis=1)
         both = np.concatenate([response[:, :n], beyond, response[:, n:]], axis=1)
         both *= spectrum
@@ -129,7 +135,7 @@ def apply(
 def residual_rad(oscillator: Oscillator, wave: OfdmWaveform, delay_s: float) -> float:
     """Phase noise of an echo, rms over the averaged samples, in closed form.
 
-    Of separate oscillators, what is slower than a symbol turns echoes as a whole and is not
+    With separate oscillators, noise slower than a symbol rotates all echoes alike and is not
     counted.
     """
     fast, slow = _raster_hz(wave), _slow_hz(wave)
@@ -146,8 +152,8 @@ def residual_rad(oscillator: Oscillator, wave: OfdmWaveform, delay_s: float) -> 
 
 
 def _fine(wave: OfdmWaveform) -> int:
-    """Samples of a symbol on which a signal that fills the band, times a phase of offsets up to
-    half of it, does not come back into the band at its other edge.
+    """Samples of a symbol on which the product of a signal that fills the band and a phasor of
+    offsets up to half of it does not alias into the band.
     """
     return wave.n_subcarriers + (wave.n_subcarriers + 1) // 2
 
