@@ -28,11 +28,11 @@ _OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
 
 
 def mirror_echoes(context: TracingContext) -> Contributions:
-    """Images in which the radar sees itself: amplitude per wavelength, no object.
+    """Echoes of the radar's own mirror images: amplitude per wavelength, no object.
 
-    Over the images of even and odd order alike: wall, wall and ground, and so on. The image in a
-    right-angled corner stands exactly behind the corner, where one order of its mirrors takes over
-    from the other: each counts half, as does what stands at any border of sight.
+    Over images of any order: wall, wall and ground, and so on. The image in a right-angled corner
+    lies exactly behind the corner, at the border between both sequences of its mirrors: each counts
+    half, as does any path at the border of visibility.
     """
     count = context.n_sources - 1
     if count == 0:
@@ -43,16 +43,16 @@ def mirror_echoes(context: TracingContext) -> Contributions:
     paths = paths_to_points(context, np.tile(source, 3), here + aside, np.zeros_like(aside))
     clear = paths.clear.reshape(3, count)
     share = clear[1:].mean(axis=0)
-    # Where the middle is hidden its field is not followed through walls: one beside it is.
+    # Where the exact path is hidden its field is not traced through walls: one beside it is used.
     exact, nearest = (
         paths.take(source - 1),
         paths.take(clear.argmax(axis=0) * count + source - 1),
     )
-    (heard,) = host(
+    (polarization,) = host(
         [turned(context.vertical, -context.boresight, vector(context.mi, exact.back, "Vector3d"))],
         count,
     )
-    amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * heard, axis=1)
+    amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * polarization, axis=1)
     none = np.zeros(count, dtype=np.uint32)
     motion = -exact.velocity, -exact.back, exact.length
     rate, acceleration = lengthening(*motion)
@@ -74,8 +74,8 @@ def mirror_echoes(context: TracingContext) -> Contributions:
 
 @dataclass(frozen=True)
 class TwoWayPath:
-    """To a declared point and back: its number, and the obstacle whose edge the forward and the
-    return path pass, -1 for none.
+    """A path to a declared point and back: the point's number, and the obstacles around which the
+    forward and the return path are diffracted, -1 for none.
     """
 
     target: int
@@ -89,8 +89,8 @@ def point_echoes(
     anchor_m: Array,
     obstacles: Screens | None = None,
 ) -> tuple[Contributions, list[TwoWayPath]]:
-    """Declared points over every pair of images, and over edges of obstacles: amplitude per
-    wavelength; ``object`` counts the ways that are told beside them.
+    """Echoes of declared points over every pair of images, and around edges of obstacles: amplitude
+    per wavelength; ``object`` is the index into the list of paths returned beside them.
     """
     places = np.array([t.position_m for t in targets]).reshape(-1, 3) - anchor_m
     velocity = np.array([t.velocity_m_per_s for t in targets]).reshape(-1, 3)
@@ -99,9 +99,9 @@ def point_echoes(
         all_paths_to_points(context, obstacles, i, places, np.zeros_like(places))
         for i in range(context.n_sources)
     ]
-    paths = [(way, at) for way, at in paths if len(at)]  # most images see none of them
+    paths = [(path, at) for path, at in paths if len(at)]  # most images see none of them
     contributions: list[Contributions] = []
-    ways: list[TwoWayPath] = []
+    two_way: list[TwoWayPath] = []
     for forward_path, forward_points in paths:
         for return_path, return_points in paths:
             there, back = matching_pairs(forward_points, return_points)
@@ -117,7 +117,7 @@ def point_echoes(
                 forward_points[there],
             )
             amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
-            number = len(ways) + np.arange(len(at))
-            ways += [TwoWayPath(*way) for way in zip(at, one.over, other.over, strict=True)]
+            number = len(two_way) + np.arange(len(at))
+            two_way += [TwoWayPath(*ends) for ends in zip(at, one.over, other.over, strict=True)]
             contributions.append(between(one, other, amplitude, velocity[at], number))
-    return Contributions.concatenate(contributions), ways
+    return Contributions.concatenate(contributions), two_way

@@ -1,13 +1,14 @@
-"""Rough surfaces: scatterers that belong to the surface, whatever the radar does.
+"""Clutter of rough surfaces: point scatterers fixed to the surface, wherever the radar moves.
 
-Each stands for an area A of its face and answers with gamma cos(theta) A (the constant-gamma model:
-Long, Radar Reflectivity of Land and Sea, 3rd edition, section 2.5), at a random phase of its own.
-They are many; near the radar all count, farther off each is kept by a number of its own with a
-probability p, and stands for A / p: so a moving radar hears the same points again.
+Each represents an area A of its face with a cross-section gamma cos(theta) A (the constant-gamma
+model: Long, Radar Reflectivity of Land and Sea, 3rd edition, section 2.5) and a random phase. Near
+the radar all of them are computed. Farther off each is kept with a probability p and then
+represents an area A / p; the random number that decides is its own, so a moving radar receives
+echoes of the same points again.
 
-Points ahead of the radar are heard over its images, too; those behind it, which a mirror may show,
-are left out. Where the forward and the return path differ, cos(theta) is the geometric mean of
-both: an assumption.
+Points ahead of the radar also have paths over its images; points behind it, which a mirror may
+show, are left out. Where the forward and the return path differ, cos(theta) is the geometric mean
+of both: an assumption.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -29,13 +30,13 @@ Array = NDArray[np.float64]
 _MOST_POINTS = 2**20  # of all surfaces together, 70 MB
 _PER_SCATTERER = 16.0  # points to choose from for each that is kept
 _AT_ONCE = 2**17  # points, 100 MB while they are under way
-_BEYOND = 12.0  # steps: a ray through walls ends up to 8 before its end
+_BEYOND = 12.0  # offsets of rays: a ray through walls ends up to 8 of them before its end
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceClutter:
-    """A rough surface: the object with its number in the world, gamma, whether it is a closed wall
-    that the radar sees through, and the images from which it is worth tracing.
+    """A rough surface: the object and its number, gamma, whether it is a closed wall that the radar
+    sees through, and the images from which paths to it are traced.
     """
 
     item: SceneObject
@@ -49,8 +50,8 @@ class SurfaceClutter:
 class Field:
     """Points of one object, in its faces' own coordinates, so that they move with it.
 
-    ``face`` (n,), ``weights`` (n, 3) of its corners, ``phase`` (n,) in rad, ``chance`` (n,) in 0 to
-    1; ``area_m2`` that each stands for.
+    ``face`` (n,), barycentric ``weights`` (n, 3), ``phase`` (n,) in rad, ``chance`` (n,): random
+    number in 0 to 1 that decides whether a point is kept; ``area_m2`` that each represents.
     """
 
     face: NDArray[np.int64]
@@ -95,12 +96,12 @@ def clutter_echoes(
     wanted: int,
     seed: int,
 ) -> Contributions:
-    """Contributions of all rough surfaces, without gains; what lies behind the radar is silent.
+    """Contributions of all rough surfaces ahead of the radar, without gains.
 
     Parameters
     ----------
     wanted
-        Scatterers that are kept, about, all surfaces together.
+        Approximate number of scatterers that are kept, of all surfaces together.
     seed
         Of places and phases.
     """
@@ -162,21 +163,21 @@ def _ahead(
 
 
 def _kept(field: Field, seen: _Points, share: float) -> _Points:
-    """Those that are kept at their distance, each for as many as are not."""
+    """Points that are kept at their distance, each with the area of those that are not."""
     keep = np.minimum(_reach2(seen.distance, share) / seen.distance**2, 1.0)
     weighted = replace(seen, area=seen.area / keep)
     return weighted.take(np.flatnonzero(field.chance[seen.index] < keep))
 
 
 def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> list[Contributions]:
-    """From image i to image j with i before j, and the same ways reversed, as rays do."""
-    ways = [_ways(context, rough, points, source) for source in rough.sources]
+    """Echoes from image i to image j >= i, and the same paths reversed."""
+    paths = [_paths(context, rough, points, source) for source in rough.sources]
     scale = float(context.wavelength[0]) / (4 * np.pi) ** 1.5
     velocity = np.asarray(rough.item.velocity_m_per_s)
     contributions = []
-    for i, (forward_path, falling) in enumerate(ways):
-        for return_path, rising in ways[i:]:
-            # Both on one side of the surface; of two different angles the geometric mean.
+    for i, (forward_path, falling) in enumerate(paths):
+        for return_path, rising in paths[i:]:
+            # Both paths on the same side of the surface; geometric mean of both cosines.
             at = np.flatnonzero(forward_path.clear & return_path.clear & (falling * rising > 0))
             if not len(at):
                 continue
@@ -189,7 +190,7 @@ def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> 
     return contributions
 
 
-def _ways(
+def _paths(
     context: TracingContext, rough: SurfaceClutter, points: _Points, source: int
 ) -> tuple[PointPaths, Array]:
     """Paths to points from an image, and the cosines of incidence, negative from behind."""
@@ -202,18 +203,22 @@ def _ways(
             source, order - 1
         ]
         height = np.abs((points.place - mirror[3:6]) @ mirror[6:9])
-        cosine[height < 2 * _BEYOND * step[:, 0]] = 0  # the mirror's own points: no way over it
+        cosine[height < 2 * _BEYOND * step[:, 0]] = (
+            0  # points of the mirror itself have no path over it
+        )
     off = 2 * step * points.normal * np.sign(cosine)[:, None]
-    # The way to the far face of a slab ends beyond it, else it would end within.
+    # The path to the far face of a slab ends a little beyond it, so that it crosses the slab.
     at = points.place - (_BEYOND * step * towards if rough.is_slab else 0)
     return paths_to_points(context, source, at, off), cosine
 
 
 def _reach2(distance: Array, share: float) -> float:
-    """Square of the distance up to which all are kept, so that about ``share`` are in all."""
+    """Square of the distance up to which all points are kept, if about ``share`` are kept in
+    all.
+    """
     if len(distance) <= share:
         return np.inf
-    # sum min(x / d^2, 1) = share: with the d^2 in order, the first that fit count 1 each.
+    # Solves sum min(x / d^2, 1) = share for x: with d^2 sorted, the nearest points count 1 each.
     square = np.sort(distance**2)
     rest = np.cumsum((1 / square)[::-1])[::-1]
     full = np.arange(len(square))
@@ -224,7 +229,9 @@ def _reach2(distance: Array, share: float) -> float:
 
 
 def coherent(sigma_h_m: float, cosine: Array, wavelength_m: float) -> Array:
-    """What roughness leaves of a mirror image's amplitude: exp(-2 (k sigma_h cos theta)^2).
+    """Coherent reflection of a rough surface, over that of a smooth one: exp(-2 (k s cos theta)^2),
+    s the rms height.
+
 
     Ament, Proc. IRE 41, 1953.
     """

@@ -1,15 +1,16 @@
-"""Objects that answer from a table of their scattering: the far-field rung between declared
-cross-sections and rays at every pose.
+"""Echoes of objects by a table of their far-field scattering matrix: between declared
+cross-sections and rays at every pose in cost and accuracy.
 
-Sionna RT gives the ways to the middle of each and back; what the ways' surfaces make of the wave
-and what the object answers is computed here, complex and in float64. A cross-section and a
-cross-polarisation matrix of its own `ScatteringModel` would be float32, looked up inside a
-compiled loop, and know nothing of where within the object the echo comes from.
+Sionna RT finds the paths to the centre of each object and back. The reflections on these paths and
+the object's echo are computed here, complex and in float64. Sionna's own `ScatteringModel`, with a
+cross-section and a cross-polarisation matrix, would be float32, looked up inside a compiled loop,
+and without the place within the object from which the echo comes.
 
-An object counts as one point, seen or hidden as a whole, and alone: what touches it neither shadows
-it nor reflects from it. Between the way out and the way back there may be any angle: the table is
-bistatic. Monostatic S at the bisector (Kell, Proc. IEEE 53, 1965) would not do: of a trihedral of
-40 wavelengths, 3.8 deg between the direct way and the one over the ground, it is 20 dB too strong.
+An object counts as one point, seen or hidden as a whole, and alone: objects that touch it neither
+shadow it nor reflect to it. The table is bistatic: forward and return path may come from different
+directions. The monostatic matrix at the bisector (Kell, Proc. IEEE 53, 1965) would not do: for a
+trihedral of 40 wavelengths, with 3.8 deg between the direct path and the one over the ground, it is
+20 dB too strong.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class Tabulated:
-    """An object with its table; ``point`` stands for it where ways are found, at its middle and
+    """An object with its table; ``point`` represents it in the search for paths: at its centre,
     with a cross-section of 1 m^2.
     """
 
@@ -45,9 +46,11 @@ class Tabulated:
 
 @dataclass(frozen=True, eq=False)
 class SpecularPath:
-    """From the radar, over planes, to a point, seen from there: unit vector (3,) to the radar's
-    image and distance; ``field`` (3,) is what a wave of amplitude 1 has become, without its
-    spreading and phase, after so many ``reflections``.
+    """A path from the radar over planes to a point.
+
+    ``back`` (3,) and ``length_m``: unit vector and distance from the point to the radar's image;
+    ``field`` (3,): incident field at the point of a wave sent with amplitude 1, without spreading
+    and phase, after so many ``reflections``.
     """
 
     reflections: int
@@ -57,7 +60,7 @@ class SpecularPath:
 
 
 def tabulated(scene: Scene, item: SceneObject, radar: RadarDesign, nodes: int) -> Tabulated:
-    """Find or begin the table of an object.
+    """The table of an object, from the cache or new.
 
     Raises InputError where the material has no data at the carrier, or the object is too large.
     """
@@ -82,8 +85,8 @@ def specular_path(
     axes: Array,
     carrier_hz: float,
 ) -> SpecularPath:
-    """The path from the radar, where coordinates begin, over planes (a point and the unit normal
-    each), the first one first.
+    """The path from the radar, in the origin, over planes (a point and the unit normal each) in
+    their order.
 
     ``axes`` (3, 3) are the antenna's: forward, left, up. It is polarised along up, in Ludwig's
     third definition.
@@ -109,11 +112,11 @@ def specular_path(
 def answers(
     thing: Tabulated, ways: Sequence[tuple[SpecularPath, SpecularPath]], wavelength_m: float
 ) -> tuple[Complex, Array]:
-    """Of ways there and back: amplitude without the antenna's gains, delay beyond that of the
-    middle; both (n,).
+    """Amplitudes (n,) without the antenna's gains, and delays (n,) beyond that of the centre, for
+    pairs of a forward and a return path.
     """
-    # As on the rung of physical optics, which is not reciprocal: a way and its reverse are both
-    # what comes in by the simpler path.
+    # Physical optics is not reciprocal. As in the solver of facets, a path and its reverse both
+    # have the echo of the one that comes in by the simpler path.
     there, back = zip(
         *(sorted(way, key=lambda path: (path.reflections, path.length_m)) for way in ways),
         strict=True,
@@ -123,14 +126,14 @@ def answers(
         *(np.array([path.field for path in paths]) for paths in (there, back)),
     )
     spread = np.array([a.length_m * b.length_m for a, b in ways])
-    # Phases are told apart from the delay: at the carrier both together turn as S does.
+    # The delay's phase at the carrier is taken out: with it the amplitude has the phase of S.
     turn = np.exp(2j * np.pi * speed_of_light / wavelength_m * delay)
     amplitude: Complex = wavelength_m / (4 * np.pi * spread) * s * turn
     return amplitude, delay
 
 
 def warning(thing: Tabulated, distance_m: float) -> str | None:
-    """What stands within its far field's beginning."""
+    """Warning about an object nearer than its far field begins."""
     table = thing.table
     if distance_m >= table.far_m:
         return None

@@ -1,16 +1,16 @@
-"""Contributions to the channel: the one form of echoes, from the tracer to the synthesis.
+"""Contributions to the channel: the common form of all echoes, from the tracer to the synthesis.
 
 H[n, m] = sum_i a_i (fc / (fc + f_n))^p_i exp(-j 2 pi (fc + f_n) (tau_i + rate_i t_m
 + acceleration_i t_m^2 / 2))
 
-What depends on the carrier, beside the phase:
+How the amplitude depends on frequency:
 
-- Within the band, ``falloff`` p_i: surfaces of facets answer alike at all frequencies (0), parts of
-  them as 1 / f (1, along an edge) and 1 / f^2 (2, from a corner). A carrier step changes these by
-  the same law.
-- From one carrier step to the next, ``wavelength_power`` besides: mirror images, declared points,
-  sharp edges and scatterers of rough surfaces answer in proportion to the wavelength (1), which
-  within the band is left out; surfaces and tables do not (0, the default).
+- Within the band by ``falloff`` p_i: of a facet's surface it is constant (0), of an edge it falls
+as
+  1 / f (1), of a corner as 1 / f^2 (2). From one carrier step to the next the same law holds.
+- From one carrier step to the next also by ``wavelength_power``: amplitudes of mirror images,
+  declared points, sharp edges and scatterers of rough surfaces are proportional to the wavelength
+  (1), those of facets and tables are not (0, the default). Within the band this is neglected.
 """
 
 from collections.abc import Sequence
@@ -30,23 +30,25 @@ class Contributions:
     """Echoes, in order.
 
     amplitude : (n,), complex
-        Wave over the one sent, without the phase of the delay; of a radar that steps its carrier it
-        may be (n_steps, n).
+        Received over sent wave, without the phase of the delay; (n_steps, n) if it differs from
+        carrier step to carrier step.
     delay_s, delay_rate, delay_acceleration_per_s : (n,)
-        Delay in the middle of the interval, of the antenna's origin, in s; its derivatives in s/s
-        (positive: receding) and 1/s: a target that crosses at v in R has 2 v^2 / (R c).
+        Delay in the middle of the interval, at the antenna's origin, in s; its derivatives in s/s
+        (positive: receding) and 1/s. A target that crosses at speed v in a distance R has an
+        acceleration of 2 v^2 / (R c).
     departure, arrival : (n, 3)
-        Unit vectors from the antenna towards where a path begins and whence it comes back, in its
-        own axes: x ahead, y left, z up; zero where the way does not depend on where antennas stand.
+        Unit vectors from the antenna along the start of the forward path and towards the end of the
+        return path, in its own axes: x ahead, y left, z up; zero for a path that does not depend on
+        the antennas' places.
     departure_per_s, arrival_per_s : (n, 3)
-        Their derivatives in time, 1/s: where a target crosses, elements of an array do not hear the
-        same rate.
+        Their derivatives in time, 1/s: of a target that crosses, the elements of an array receive
+        different Doppler shifts.
     falloff, wavelength_power : (n,)
-        What depends on the carrier, see above; of few values each.
+        Exponents of the frequency dependence, see above; few different values each.
     object, first : (n,)
-        Numbers of the object that is met last, and of the facet that is met first.
+        Numbers of the last object on the path, and of the first facet.
     source, receiver : (n,)
-        Numbers of the images by which the wave goes out and back.
+        Numbers of the images of the forward and of the return path.
 
     From ``departure_per_s`` on all are 0 by default. While echoes are traced, amplitudes are
     without the antenna's gain and the front end's losses, and vectors in the world's axes:
@@ -111,11 +113,11 @@ class Contributions:
         return moved
 
     def in_proportion_to_wavelength(self) -> "Contributions":
-        """The same echoes, of which each carrier step changes the amplitude as its wavelength."""
+        """The same echoes, with amplitudes in proportion to the wavelength of each carrier step."""
         return replace(self, wavelength_power=np.ones(len(self)))
 
     def and_reversed(self) -> "Contributions":
-        """The same ways walked the other way round, too, unless they end where they began."""
+        """These, and those whose source and receiver differ a second time with both exchanged."""
         back = self.source != self.receiver
         if not back.any():
             return self
@@ -159,7 +161,7 @@ class Contributions:
 def direct_sum(
     contributions: Contributions, frequencies_hz: Array, times_s: Array, carrier_hz: float
 ) -> Complex:
-    """The definition, in float64, for chosen frequencies and times: the reference."""
+    """The channel by its definition, in float64, at some frequencies and times: the reference."""
     channel = np.zeros((len(frequencies_hz), len(times_s)), dtype=np.complex128)
     for start in range(0, len(contributions), 4096):
         part = contributions.take(slice(start, start + 4096))

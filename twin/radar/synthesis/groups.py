@@ -1,4 +1,4 @@
-"""Groups of contributions that move nearly alike, as wide as is cheapest."""
+"""Groups of contributions of nearly equal motion, divided so that the synthesis is cheapest."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -12,20 +12,20 @@ from twin.radar.synthesis.times import times_of
 
 Indices = NDArray[np.intp]
 
-#: Subcarriers over which a group's common motion turns by the phase at their middle.
+#: Subcarriers in a block, whose common motion is removed with the phase at its middle frequency.
 BLOCK = 64
 
-#: Phase that rates in one group leave at the interval's end, at most: the candidates.
+#: Candidates of the phase that differences of rates within a group make by the interval's end.
 _SPREADS_RAD = (0.25, 1.0, 4.0, 16.0, np.inf)
 _MOST_GROUPS = 256
-#: Cells of a matrix product, and of a sum, that take as long as one contribution at one time.
+#: Cells of a matrix product, and of a sum, that cost as much as one contribution at one time.
 _CELLS, _SUMMED_CELLS = 50, 16
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """``members`` by index, the middle of their rates and accelerations, and the times (n_times,)
-    that tell what is left of their motion.
+    """Indices of ``members``, their common motion (middle of their rates and accelerations), and
+    the times (n_times,) from which the rest of their motion is interpolated.
     """
 
     members: Indices
@@ -39,7 +39,7 @@ class Group:
         return bool(self.rate or self.acceleration_per_s)
 
     def delays_at(self, times_s: Array) -> Array:
-        """By how much the common motion lengthens delays from the interval's middle on."""
+        """Change of delay by the common motion since the interval's middle, in s."""
         moved: Array = (self.rate + self.acceleration_per_s / 2 * times_s) * times_s
         return moved
 
@@ -47,19 +47,19 @@ class Group:
 def groups_of(
     contributions: Contributions, waveform: OfdmWaveform, tolerance: float
 ) -> list[Group]:
-    """What is at rest, and what moves, divided so that the whole takes least work."""
+    """One group at rest, and groups of what moves, divided so that the whole costs least."""
     moving = contributions.moving
-    all_groups, movers = [], np.flatnonzero(moving)
-    if len(movers) < len(moving):
+    all_groups, in_motion = [], np.flatnonzero(moving)
+    if len(in_motion) < len(moving):
         all_groups.append(Group(np.flatnonzero(~moving), 0.0, 0.0, np.zeros(1)))
-    if len(movers):
-        divisions = _divisions(contributions, movers, waveform, tolerance)
+    if len(in_motion):
+        divisions = _divisions(contributions, in_motion, waveform, tolerance)
         all_groups += min(divisions, key=lambda groups: _work(groups, waveform))
     return all_groups
 
 
 def _work(groups: Iterable[Group], waveform: OfdmWaveform) -> float:
-    """In contributions at one time."""
+    """Cost of groups, in units of one contribution at one time."""
     n, cells = waveform.n_subcarriers, waveform.n_subcarriers * waveform.n_slots
     work = 0.0
     for group in groups:
@@ -70,10 +70,12 @@ def _work(groups: Iterable[Group], waveform: OfdmWaveform) -> float:
 
 
 def _divisions(
-    contributions: Contributions, movers: Indices, waveform: OfdmWaveform, tolerance: float
+    contributions: Contributions, in_motion: Indices, waveform: OfdmWaveform, tolerance: float
 ) -> Iterator[list[Group]]:
-    """By rate into groups of every spread, the widest being all in one."""
-    order = movers[np.argsort(contributions.delay_rate[movers], kind="stable")]
+    """Divisions by rate into groups, one for each candidate spread; the widest is a single
+    group.
+    """
+    order = in_motion[np.argsort(contributions.delay_rate[in_motion], kind="stable")]
     rates = contributions.delay_rate[order]
     accelerations = contributions.delay_acceleration_per_s[order]
     latest = float(np.abs(waveform.slot_times_s).max())
@@ -99,7 +101,9 @@ def _divisions(
 
 
 def _starts(rates: Array, width: float) -> list[int]:
-    """Where groups begin that are no wider, of sorted rates; breaks off beyond the most groups."""
+    """First indices of groups at most ``width`` wide, of sorted rates; stops above the most
+    groups.
+    """
     starts = [0]
     while len(starts) <= _MOST_GROUPS:
         stop = int(np.searchsorted(rates, rates[starts[-1]] + width, side="right"))
@@ -110,5 +114,5 @@ def _starts(rates: Array, width: float) -> list[int]:
 
 
 def _middle(low: float, high: float) -> tuple[float, float]:
-    """And half of what lies between."""
+    """Middle of two values, and half their difference."""
     return float(low + high) / 2, float(high - low) / 2

@@ -1,4 +1,4 @@
-"""Times within the interval that hold a slow motion, and the slots in between."""
+"""Times within the interval at which a slowly changing phase is sampled, and interpolation."""
 
 import numpy as np
 
@@ -9,17 +9,20 @@ from twin.radar.synthesis.contributions import Array
 def times_of(
     linear_rad: float, square_rad: float, waveform: OfdmWaveform, tolerance: float
 ) -> Array:
-    """Times that hold a motion of up to a phase either way from the interval's middle, linear and
-    square in time.
+    """Times from which a phase that is linear and quadratic in time is interpolated to a tolerance.
 
-    Chebyshev's points; K of them leave of exp(j a x) at most 4 J_K(a) on average, and
-    J_K(a) <= (a / 2)^K / K! (Trefethen, Approximation Theory and Practice, 2013, ch. 4). As
-    x^2 = (1 + T_2(x)) / 2, exp(j (a x + b x^2)) leaves at most the coefficient of z^K in
-    exp(a z / 2 + b z^2 / 4). The slots themselves where they are no more.
+    ``linear_rad`` and ``square_rad`` are both terms at the interval's end, counted from its middle.
+
+    Chebyshev's points. Interpolated from K of them, exp(j a x) is off by at most 4 J_K(a) on
+    average, and J_K(a) <= (a / 2)^K / K! (Trefethen, Approximation Theory and Practice, 2013, ch.
+    4). As x^2 = (1 + T_2(x)) / 2, the error of exp(j (a x + b x^2)) is bounded by the coefficient
+    of z^K in exp(a z / 2 + b z^2 / 4). If that takes as many times as there are slots: the slots
+    themselves.
     """
+    # Coefficients of z^(count - 1), z^count and z^(count + 1).
     count, last, rest = 1, 1.0, linear_rad / 2
     following = (linear_rad / 2 * rest + square_rad / 2 * last) / 2
-    # Written so that what overflows, even to NaN, takes all slots.
+    # Negated, so that an overflow, even to NaN, takes all slots.
     while not 4 * max(rest, following) <= tolerance / 4 and count < waveform.n_slots:
         count += 1
         last, rest = rest, following

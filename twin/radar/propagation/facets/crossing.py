@@ -1,9 +1,10 @@
-"""Which ways may meet something within a box: pyramids from a point through triangles.
+"""Which paths may meet something within a box: intersection of boxes with pyramids of rays.
 
-All ways from an image of the radar to a triangle lie in the pyramid between them, those that the
-triangle reflects in the pyramid beyond it, whose tip is the image's mirror image. A box is apart
-from a pyramid where a plane through one of its faces, or a cone around it, parts them. Over mirrors
-the pyramid is that of the way made straight, and boxes are mirrored instead.
+All paths from an image of the radar to a triangle lie in the pyramid between them. All rays that
+the triangle reflects lie in the pyramid beyond it, whose apex is the image's mirror image. A box is
+outside a pyramid if a plane through one of the pyramid's faces, or a cone around it, separates
+them. For paths over mirrors the pyramid is that of the unfolded, straight path, and the boxes are
+mirrored.
 """
 
 from collections.abc import Sequence
@@ -20,22 +21,22 @@ from twin.transfer import aligned
 Array = NDArray[np.float64]
 Corners = tuple[Any, Any, Any]
 
-_MARGIN_M = 1e-2  # around boxes: what float32 rays and borders between samples may be off by
+_MARGIN_M = 1e-2  # around boxes, for errors of float32 rays and of borders between samples
 _NUMBERS = 12  # of a box: its middle, and three half edges
 
 
 def oriented(boxes: Array) -> Array:
-    """Boxes (n, 2, 3), by their least and largest coordinates, as middles and half edges, with a
-    margin, (n, 4, 3).
+    """Centres and half edges, (n, 4, 3), of boxes given by their least and largest coordinates
+    (n, 2, 3), with a margin.
     """
     middle, half = boxes.mean(axis=1), np.diff(boxes, axis=1)[:, 0] / 2 + _MARGIN_M
     return np.concatenate([middle[:, None], half[:, :, None] * np.eye(3)], axis=1)
 
 
 def as_mirrored(boxes: Array, images: Sequence[Image], flats: Flats) -> Array:
-    """Boxes (n, 4, 3) as they stand beside the ways from every image, made straight: as they are,
-    and behind each mirror, (n_images, n_mirrors + 1, n, 4, 3); of images with fewer mirrors the
-    last ones again.
+    """Boxes (n, 4, 3) along the unfolded path from every image: as they are, and mirrored in the
+    last mirrors, (n_images, n_mirrors + 1, n, 4, 3); for images with fewer mirrors the last set
+    repeats.
     """
     order = max(len(image.patches) for image in images)
     mirrored = np.empty((len(images), order + 1, *boxes.shape))
@@ -52,16 +53,16 @@ def as_mirrored(boxes: Array, images: Sequence[Image], flats: Flats) -> Array:
 def crossed(
     mi: Any, tip: Any, corners: Corners, boxes: Array, which: Any, *, beyond: bool
 ) -> NDArray[np.bool_]:
-    """Whether pyramids from their tips through triangles may meet any of some boxes, (n,).
+    """Whether pyramids from their apex through triangles may meet any of some boxes, (n,).
 
     Parameters
     ----------
     tip, corners
         On the device, relative to the anchor.
     boxes
-        (n_sets, n_boxes, 4, 3); ``which``: of the sets for each pyramid, on the device.
+        (n_sets, n_boxes, 4, 3); ``which``: the set for each pyramid, on the device.
     beyond
-        Whether behind the triangle, as seen from the tip, or else before it.
+        Whether the pyramid beyond the triangle, as seen from the apex, is meant, or that before it.
     """
     count = dr.width(corners[0])
     sets, many = boxes.shape[:2]
@@ -83,7 +84,7 @@ def crossed(
 
 
 def _apart(tip: Any, corners: Corners, middle: Any, half: Sequence[Any], beyond: bool) -> Any:
-    """Whether a plane or a cone parts boxes from pyramids."""
+    """Whether a plane or a cone separates boxes from pyramids."""
     ways = [corner - tip for corner in corners]
     away = middle - tip
 

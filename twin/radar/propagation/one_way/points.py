@@ -1,4 +1,4 @@
-"""Echoes of points: paths between them and every image of the radar, brought to the host."""
+"""One-way paths between points and images of the radar, on the host, and echoes of such points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 class PointPaths:
     """Paths from images to points, (n,) or (n, 3), in the world's axes; see `path.OneWayPath`.
 
-    ``length`` is that of the straight way, which spreading follows; ``extra`` what walls and ways
-    round obstacles add; ``over`` the number of the obstacle, -1 for none, and ``rate`` what its
-    motion adds to the length per second; ``axes`` (n, 3, 3) are the world's as the image shows
-    them.
+    ``length``: of the direct path, which sets the spreading; ``extra``: what walls and diffraction
+    around obstacles add to it; ``over``: number of the obstacle around which it is diffracted, -1
+    for none; ``rate``: growth of the length by that obstacle's motion, m/s; ``axes`` (n, 3, 3): the
+    world's axes as the image shows them.
     """
 
     source: NDArray[np.uint32]
@@ -76,7 +76,7 @@ def paths_to_points(
     unshadowed: bool = False,
 ) -> PointPaths:
     """Paths from one image, or one for each, to points (n, 3), from which rays start at a distance
-    ``off`` (n, 3); ``unshadowed`` as if nothing stood in between.
+    ``off`` (n, 3) from the surface; ``unshadowed``: occluders are ignored.
     """
     mi, n = context.mi, len(places)
     sources = np.full(n, source, dtype=np.uint32)
@@ -114,14 +114,14 @@ def between(
     velocity: Array,
     number: NDArray[np.integer],
 ) -> Contributions:
-    """Echoes of a forward and a return path, internal echoes of walls included.
+    """Echoes by a forward and a return path each, with the internal reflections of walls.
 
     Parameters
     ----------
     amplitude
-        Of each point (n,), but for the spreading, 1 over both lengths.
+        Of each point (n,), without the spreading, which is 1 over both lengths.
     velocity, number
-        Of the points, (n, 3) or (3,), and of the objects that they belong to, (n,).
+        Velocity of the points, (n, 3) or (3,), and number of the object of each, (n,).
     """
     paths = (forward_path, return_path)
     moved = [(velocity - path.velocity, -path.back, path.length) for path in paths]

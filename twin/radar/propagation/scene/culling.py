@@ -5,17 +5,17 @@ Two things are known before any ray is sent:
 
 - Over an image there is a path only to what stands beyond the last mirror, as seen from the image,
   and within the window that the mirror's patch is.
-- A box that is seen under a solid angle Omega, where the antenna's gain is at most G, meets the
-  share G Omega / (4 pi) of the sent power. What it scatters is no stronger. By reciprocity the
-  share of the same box says how well the radar hears it, so an echo with a forward path of share p
-  and a return path of share q has at most the amplitude sqrt(p q) relative to the sent wave,
-  whatever happens in between (Cauchy and Schwarz; the scene is passive). All paths together share
-  at most the whole power. So all echoes that begin or end with paths of shares p_1, p_2 ... come to
-  at most 2 sqrt(p_1 + p_2 + ...), and paths are left out while that stays below a limit.
+- A box that subtends a solid angle Omega, where the antenna's gain is at most G, receives at most
+  the share G Omega / (4 pi) of the sent power, and scatters no more. By reciprocity the same share
+  holds for reception. So an echo with a forward path of share p and a return path of share q has at
+  most the amplitude sqrt(p q) relative to the sent wave, whatever happens in between (Cauchy and
+  Schwarz; the scene is passive). The shares of all paths add up to 1 at most. So all echoes that
+  begin or end with paths of shares p_1, p_2 ... have together at most the amplitude
+  2 sqrt(p_1 + p_2 + ...), and paths are left out while that stays below a limit.
 
-The bound holds for any number of bounces, any shape and any phase; it knows nothing of what hides
-in shadow, nor of where a surface reflects to. Echoes from beyond the unambiguous range are not left
-out for that: a strong one is received, at a wrong range.
+The bound holds for any number of bounces, any shape and any phase. It takes neither occlusion nor
+the direction of reflection into account. Echoes from beyond the unambiguous range are kept: a
+strong one is received, at a wrong range.
 """
 
 from collections.abc import Sequence
@@ -33,18 +33,20 @@ from twin.scene.boxes import distances_m
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: All that is left out together, over the noise of a cell of the processed burst, as amplitudes.
+#: Amplitude of all echoes that are left out together, over the noise of a cell of the map.
 OF_NOISE = 0.1
-_ROUNDED = 1e-9  # of the coordinates: nothing is left out for less
-#: Which end of a box each of its corners has along x, y, z.
+_ROUNDED = 1e-9  # of the coordinates: tolerance for their rounding
+#: For each corner of a box, which of both ends along x, y, z it has.
 _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
-_STEP_DEG = 0.25  # of the antenna's pattern, off its axis; around it four times as far
+_STEP_DEG = 0.25  # between samples of the antenna's pattern off its axis; around it four times that
 _AT_ONCE = 2**17  # paths to boxes whose corners are tested together, 60 MB
 
 
 @dataclass(frozen=True, eq=False)
 class Beam:
-    """An antenna's largest gain at some angle off its axis and beyond, (n,) over equal steps."""
+    """An antenna's largest gain at an angle off its axis and all larger ones, (n,), in equal
+    steps.
+    """
 
     gain: Array
 
@@ -56,9 +58,7 @@ class Beam:
 
 
 def beam_of(antenna: Antenna) -> Beam:
-    """The bound of an antenna's gain. Of a pattern from a file, between its points no higher than
-    a look at every quarter of a degree tells.
-    """
+    """The bound of an antenna's gain, sampled every quarter of a degree off the axis."""
     off = np.radians(np.arange(0, 180 + _STEP_DEG / 2, _STEP_DEG))[:, None]
     around = np.radians(np.arange(0, 360, 4 * _STEP_DEG))
     x = np.cos(off) + 0 * around
@@ -80,8 +80,9 @@ def noise_amplitude(radar: RadarDesign) -> float:
 class ImageAntennas:
     """The antenna and its mirror images, from which paths begin, one row each.
 
-    ``place`` (n, 3); ``axis`` (n, 3) of the antenna as it is mirrored; ``gain`` (n,), its bound
-    towards the first patch; ``last`` (n,), the number of the patch that is the window, -1 for none.
+    ``place`` (n, 3); ``axis`` (n, 3), the mirrored antenna's; ``gain`` (n,), its bound towards the
+    first patch; ``last`` (n,), number of the last mirror's patch, through which the image is seen,
+    -1 for none.
     """
 
     place: Array
@@ -112,12 +113,12 @@ def shares(
 ) -> Array:
     """Bound of the share of the sent power that meets boxes (m, 2, 3) from every antenna, (n, m).
 
-    ``area_m2`` (m,): how much of the wave each takes up at most, if not what its box shades.
+    ``area_m2`` (m,): largest projected area of what is in each box; default: that of the box.
     """
     size = boxes[:, 1] - boxes[:, 0]
     if area_m2 is None:
         sides = size[:, [0, 1, 2]] * size[:, [1, 2, 0]]
-        area_m2 = np.linalg.norm(sides, axis=1)  # of a box's shadow: nothing casts a larger one
+        area_m2 = np.linalg.norm(sides, axis=1)  # largest projected area of a box
     share = np.zeros((len(antennas.place), len(boxes)))
     rows = max(_AT_ONCE // max(len(boxes), 1), 1)
     for first in range(0, len(share), rows):
@@ -145,7 +146,7 @@ class Worth:
 
 
 def worth_tracing(share: Array, limit: float) -> Worth:
-    """Paths that remain when the faintest are left out, whose echoes together stay below a limit.
+    """Paths that are traced: the faintest are left out while their echoes stay below a limit.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ def worth_tracing(share: Array, limit: float) -> Worth:
     whole = min(1.0, float(below[-1])) if len(below) else 0.0
     lost = 2 * np.sqrt(whole * below)
     count = int(np.searchsorted(lost, limit, side="right"))
-    # What carries nothing goes whatever the limit.
+    # Paths without power are left out whatever the limit.
     count = max(count, int(np.count_nonzero(share == 0)))
     worth = np.ones(share.size, dtype=bool)
     worth[order[:count]] = False
@@ -178,7 +179,7 @@ def _most_gain(beam: Beam, places: Array, axes: Array, boxes: Array) -> Array:
 
 
 def _in_sight(antennas: ImageAntennas, boxes: Array, flats: Flats) -> Mask:
-    """Whether a part of each box stands beyond the last mirror and is seen through its patch."""
+    """Whether a part of each box is beyond the last mirror and seen through that mirror's patch."""
     seen = np.ones((len(antennas.place), len(boxes)), dtype=bool)
     over = np.flatnonzero(antennas.last >= 0)
     if not len(over) or not len(boxes):
@@ -188,7 +189,7 @@ def _in_sight(antennas: ImageAntennas, boxes: Array, flats: Flats) -> Mask:
     height = np.einsum("ni,ni->n", point - antennas.place[over], away)
     away, height = away * np.where(height < 0, -1, 1)[:, None], np.abs(height)
     corners = boxes[:, _CORNERS, np.arange(3)]
-    # Of every corner how far beyond the mirror's plane it stands, (n, m, 8).
+    # Distance of every corner beyond the mirror's plane, (n, m, 8).
     beyond = np.einsum("mci,ni->nmc", corners - boxes[:1, :1], away)
     beyond -= np.einsum("ni,ni->n", point - boxes[0, 0], away)[:, None, None]
     scale = _ROUNDED * (np.abs(corners).max() + np.abs(antennas.place).max())

@@ -1,4 +1,4 @@
-"""Which images of the radar there are: in all sequences of patches that some ray from it meets."""
+"""Search for the radar's images: in all sequences of patches that some ray from it meets."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,12 +20,14 @@ Indices = NDArray[np.int64]
 _SAMPLES = 256  # points of a patch that rays are sent to
 _FIRST = 16  # every so many of them first: most patches that are seen at all are seen there
 _RAYS_AT_ONCE = 2**18  # some 100 MB
-_ASIDE = 1e-3  # of the way: how far beside a mirror the way back to the radar may pass it
+_ASIDE = 1e-3  # of the path's length: how far beside a mirror the return path may pass
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What rays from patch to patch meet: solid things with the patch of every face, and walls."""
+    """What rays from patch to patch may meet: opaque objects with the patch of each face, and walls
+    that the radar sees through.
+    """
 
     mi: Any
     world: MeshScene
@@ -35,9 +37,9 @@ class Sight:
     def sees(
         self, begin: Array, end: Array, patch: Indices, of_wall: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Whether rays from points (n, 3) towards others first meet the patch (n,) there.
+        """Whether rays from points (n, 3) to others first meet the patch (n,) there.
 
-        A wall stands in the way of no patch but another wall's.
+        Walls are transparent: they hide only the patches of other walls.
         """
         mi, way = self.mi, end - begin
         length = np.linalg.norm(way, axis=1)
@@ -73,9 +75,9 @@ def images(
 ) -> tuple[list[Image], float]:
     """The radar, and its images in all sequences of up to ``order`` patches that some ray meets.
 
-    Of patches that get little power the faintest are left out while all echoes over them stay
-    below ``limit``, as amplitudes relative to the sent wave before losses. The second value is the
-    bound of those.
+    Patches that receive least power are left out while the amplitude of all echoes over them,
+    relative to the sent wave before losses, stays below ``limit``. The second value is the bound of
+    what is left out.
     """
     images_so_far = [Image((), radar[None])]
     newest, left_out = images_so_far, 0.0
@@ -102,11 +104,12 @@ def images(
 
 
 def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
-    """The radar, and its images of twice the order in which it may see itself.
+    """The radar, and its images of up to twice the order in which it may see itself.
 
-    Such a way meets its patches from either end as the ways of two images do, so only sequences
-    of one image and another one reversed are tried. Of each the way back is straight in the
-    mirrored world: it must pass through every patch's window, or close beside it.
+    The path of such an echo is the path of one image up to its middle, and of another one from the
+    radar's side; so only sequences of one image's patches and another's reversed are tried. In the
+    mirrored world the path is a straight line: it must pass through every patch's window, or close
+    beside it.
     """
     closure = list(images[:1])
     for longer, shorter in _halves(images):
@@ -123,7 +126,7 @@ def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
 
 
 def _halves(images: Sequence[Image]) -> list[tuple[list[Image], list[Image]]]:
-    """Images of each order with those of the order before and with themselves."""
+    """Images of each order, paired with those of the order before and with those of the same."""
     by_order: list[list[Image]] = [
         [image for image in images if len(image.patches) == order]
         for order in range(max(len(image.patches) for image in images) + 1)
@@ -137,8 +140,8 @@ def _halves(images: Sequence[Image]) -> list[tuple[list[Image], list[Image]]]:
 
 
 def _places(sequences: Indices, radar: Array, flats: Flats) -> tuple[Array, NDArray[np.bool_]]:
-    """Images after each reflection, (n, m + 1, 3), and whether a way from the last one to the radar
-    passes through all patches.
+    """Images after each reflection, (n, m + 1, 3), and whether the path from the last one to the
+    radar passes through all patches.
     """
     places = [np.tile(radar, (len(sequences), 1))]
     twice = np.zeros(len(sequences), dtype=bool)
@@ -170,7 +173,7 @@ def _reflected(image: Image, number: int, flats: Flats) -> Image:
 def _reached(
     sight: Sight, flats: Flats, images: Sequence[Image], rows: Indices, numbers: Indices
 ) -> NDArray[np.bool_]:
-    """Whether any ray by way of an image's patches comes to some point of another patch, (n,)."""
+    """Whether any ray over an image's patches reaches a sampled point of another patch, (n,)."""
     places = np.array([image.places for image in images])
     patches = np.array([image.patches for image in images], dtype=np.int64)
     reached = np.zeros(len(rows), dtype=bool)
@@ -189,13 +192,13 @@ def _reached(
 def _arrive(
     sight: Sight, flats: Flats, places: Array, patches: Indices, wanted: Indices, points: Array
 ) -> NDArray[np.bool_]:
-    """Whether a ray comes to any of the points (n, s, 3) of patches (n,): from the radar, by way
-    of patches (n, m), with the images (n, m + 1, 3).
+    """Whether a ray from the radar over patches (n, m), whose images are ``places`` (n, m + 1, 3),
+    reaches any of the points (n, s, 3) of further patches (n,).
     """
     way: Indices = np.repeat(np.arange(len(points)), points.shape[1])
     at: Array = points.reshape(-1, 3)
     wanted = wanted[way]
-    # From the far end: each path aims at the image before, and must meet the patch in between.
+    # From the far end: each segment aims at the image before, and must first meet its patch.
     for level in range(patches.shape[1], -1, -1):
         begin: Array = places[way, level]
         before = wanted

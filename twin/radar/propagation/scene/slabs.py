@@ -1,11 +1,11 @@
-"""Walls that the radar sees through: what a slab does to a path that crosses it.
+"""Walls that the radar sees through: transmission of a path through dielectric slabs.
 
-Rays go straight on; phase, level and spreading are those of the refracted way between the same two
-points, by stationary phase (exact to second order in the sideways shift). The two interfaces let
-1 - r^2 through (Born and Wolf, Principles of Optics, section 1.6), r Fresnel's coefficient; each
-further round trip within the slab is an echo of its own, r^2 weaker and 2 d q later, so that all of
-it holds over the whole band, with the carrier's conductivity. q = sqrt(eps - sin^2) is the normal
-component of the wave number in the slab over that in air.
+Rays go straight on. Phase, amplitude and spreading are those of the refracted path between the same
+two points, by stationary phase (exact to second order in the sideways shift). Both interfaces
+together transmit 1 - r^2 of the amplitude, r Fresnel's coefficient (Born and Wolf, Principles of
+Optics, section 1.6). Each further round trip within the slab is a path of its own, weaker by r^2
+and longer by 2 d q; so the model holds over the whole band, with the carrier's conductivity.
+q = sqrt(eps - sin^2) is the normal component of the wave number in the slab over that in air.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from twin.radar.scattering.surface import TABLE_STEPS, LayeredSurface
 
 Array = NDArray[np.float64]
 
-#: One way, at normal incidence: what is lost beyond is far below any other way round the wall.
+#: One-way loss at normal incidence from which a wall is opaque: diffraction around it is stronger.
 OPAQUE_DB = 40.0
 _CROSSINGS = 4  # faces on a segment: two closed walls
 _COLUMNS = 8
@@ -32,7 +32,7 @@ _COLUMNS = 8
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """All of them as one mesh, and per wall its thickness (0: as the mesh has it) and table."""
+    """All walls as one mesh; of each its thickness (0: that of the mesh) and its `wall_table`."""
 
     mesh: MeshScene
     thickness: Real
@@ -42,10 +42,11 @@ class Walls:
 
 @dataclass(eq=False)
 class SlabTransmission:
-    """What walls did to a path.
+    """Transmission of a path through the walls that it crosses.
 
-    ``extra``: path longer than in air, in m; ``rho`` (Re, Im) and ``lag``: the strongest internal
-    echo over the one before, and how much longer its path is, 0 where no wall was crossed.
+    ``extra``: electrical length beyond that in air, m; ``rho_re``, ``rho_im`` and ``lag``: ratio of
+    successive internal reflections in the wall where they are strongest, and by how much each is
+    longer, m; all 0 where no wall is crossed.
     """
 
     extra: Real
@@ -55,7 +56,7 @@ class SlabTransmission:
 
 
 def lets_through(permittivity: complex, thickness_m: float, wavelength_m: float) -> bool:
-    """Whether a wall is worth following rays through it."""
+    """Whether a wall transmits enough for rays to be traced through it."""
     loss = -2 * np.pi / wavelength_m * thickness_m * float(np.sqrt(permittivity).imag)
     return bool(20 / np.log(10) * loss < OPAQUE_DB)
 
@@ -78,7 +79,7 @@ def walls(
     patch_of_face: NDArray[np.uint32],
     carrier_hz: float,
 ) -> Walls:
-    """Put on the device: of every wall its permittivity and thickness (see `Walls`)."""
+    """Walls on the device; ``slabs``: permittivity and thickness of each (see `Walls`)."""
     rows = [wall_table(permittivity, carrier_hz).ravel() for permittivity, _ in slabs]
     return Walls(
         mesh,
@@ -105,7 +106,7 @@ def cross(
     wavelength: Real,
     active: Mask,
 ) -> ComplexVector3:
-    """Take a field along a straight segment of a path of some length; the passage grows by it."""
+    """Field behind a straight segment of a path of some length; ``passage`` is updated."""
     k = 2 * dr.pi / wavelength
     at, rest = mi.Vector3d(begin), mi.Float64(segment)
     entry, entry_cosine, inside = mi.Float64(0), mi.Float64(1), mi.Bool(False)
