@@ -36,6 +36,8 @@ LEVEL = 9
 WINDOW = 10
 #: Of the way to a mirror, from which on nothing is taken to stand before it.
 _JUST_BEFORE = 1e-3
+#: Cosine between a path and a surface's normal, below which rays begin beside the path.
+_GRAZING = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +243,7 @@ def one_way_path(
             dr.gather(mi.UInt32, context.marks, 3 * row + i, has) for i in range(3)
         )
         clear &= ~has | ((t > 0) & (t < distance))
-        begin, way_to = start, t
+        begin, way_to = _onto_path(at, start, direction), t
         if unshadowed:
             near = _JUST_BEFORE * t
             begin, way_to = at + (t - near) * direction, near
@@ -263,7 +265,8 @@ def one_way_path(
     distance = dr.norm(way)
     towards_radar = way / dr.maximum(distance, NEAREST_M)
     reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
-    shadow = mi.Ray3f(mi.Point3f(start), mi.Vector3f(towards_radar), reach, 0.0, [])
+    begin = _onto_path(at, start, towards_radar)
+    shadow = mi.Ray3f(mi.Point3f(begin), mi.Vector3f(towards_radar), reach, 0.0, [])
     if tested and not unshadowed:
         clear &= ~context.world.scene.ray_test(shadow, active=mi.Bool(clear))
 
@@ -344,6 +347,21 @@ def _first_meets(
         mi.UInt32, context.walls.patch_of_face, hit.prim_index, active & hit.is_valid()
     )
     return dr.select(of_wall, free & hit.is_valid() & (patch == number), solid)
+
+
+def _onto_path(place: Vector3, start: Vector3, direction: Vector3) -> Vector3:
+    """Where a ray begins, as far from the surface as ``start``, but on the path itself.
+
+    From beside it the same ray would shift the borders of all shadows by as much, alike: of a body
+    that sends most of its wave elsewhere that is no small part of its echo.
+    """
+    off = start - place
+    height = dr.norm(off)
+    normal = off / dr.maximum(height, 1e-300)
+    cosine = dr.maximum(dr.dot(normal, direction), 0)
+    # Within the last degrees of grazing only in part: what touches the surface is to cast a shadow.
+    onwards = dr.minimum(1 / dr.maximum(cosine, _GRAZING), cosine / _GRAZING**2)
+    return start + offset(place) * onwards * (direction - cosine * normal)
 
 
 def offset(place: Vector3) -> Real:
