@@ -42,6 +42,11 @@ _FINEST_M = 0.01
 #: no further, and their errors and doubts count as they are.
 MOST_TRIANGLES = 2**21
 _MIXED = 0.25  # of its strength: error of a triangle that is partly seen
+#: Of its strength: error of a triangle that different things hide, between which there may be gaps.
+_GAP = 0.03
+_GAP_FROM = (
+    0.3  # of tolerance and body: triangles that may return less are not asked what hides them
+)
 #: Mean share of triangles that is seen, by how many of their corners are, 0 to 3, where a point
 #: inside is not seen and where it is.
 _SEEN = np.array([[0.0, 0.1, 0.3, 0.45], [0.7, 0.7, 0.85, 1.0]])
@@ -195,10 +200,20 @@ class Budget:
         return self.tolerance * self.level[body]
 
     def negligible(
-        self, body: NDArray[np.intp], echo: Complex, strength: Array, length_m: Array
+        self,
+        body: NDArray[np.intp],
+        echo: Complex,
+        strength: Array,
+        length_m: Array,
+        *,
+        is_seen: bool,
     ) -> NDArray[np.bool_]:
         """The weakest of every body, as many as together, in phase or not, add little: their sum
         counts as an error that is accepted.
+
+        ``is_seen``: whether echoes are of what is seen. Of others a shadow may hide any, and what
+        cancels without it, as on a finely divided plate, does so no longer: they also have to add
+        little with random phases, as rows of facets along a shadow's border do.
         """
         limit = _LEFT_OUT * self.tolerance * self.level
         ratio = limit[body] / np.maximum(strength, 1e-300)
@@ -208,6 +223,9 @@ class Budget:
         # From the faintest on: what is left out if an octave and all below are.
         left = np.cumsum(sums.reshape(count, _OCTAVES, -1)[:, ::-1], axis=1)[:, ::-1]
         lost = np.mean(np.abs(left) ** 2, axis=2)
+        if not is_seen:
+            power = np.bincount(body * _OCTAVES + octave, np.abs(echo) ** 2, count * _OCTAVES)
+            lost += np.cumsum(power.reshape(count, _OCTAVES)[:, ::-1], axis=1)[:, ::-1]
         small = np.sqrt(lost) <= limit[:, None]
         small[:, 0] = False  # nothing that alone is more than that
         run = np.cumprod(small[:, ::-1], axis=1).sum(axis=1)  # unbroken from the faintest on
@@ -242,10 +260,12 @@ def settled(
     by four at most. ``is_open``: nothing stands before them, and no rays are sent.
     """
     budget.expect(lit.body, np.abs(echoes.total))
-    faint = budget.negligible(lit.body, echoes.total, echoes.strength, echoes.length_m)
+    total = echoes.total
+    faint = budget.negligible(lit.body, total, echoes.strength, echoes.length_m, is_seen=is_open)
     bright = np.flatnonzero(~faint)
     settled_leaves: list[Leaves] = []
     if not len(bright):
+        budget.consider([])
         return settled_leaves
     partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
     if deepest and lit.waves is None and not is_open:
@@ -402,8 +422,11 @@ def _looked_at(
     size = sizes(lit)
     doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
     is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
-    hidden = np.flatnonzero(is_doubtful & (corners == 0))
-    is_doubtful[hidden] = ~wholly_hidden(context, scatterers.parts, lit.take(hidden))
+    is_hidden = agree & (corners == 0) & ~lit.is_ray
+    hidden = np.flatnonzero(is_hidden & (is_doubtful | (echoes.strength > _GAP_FROM * allowed)))
+    is_gap = ~wholly_hidden(context, scatterers.parts, lit.take(hidden))
+    is_doubtful[hidden] &= is_gap
+    error[hidden] += np.where(is_gap, _GAP * echoes.strength[hidden], 0.0)
     leaves = Leaves(lit, echoes, weight)
     known = is_doubtful, partly, partly & (size > spacing_m)
     if not len(row):

@@ -138,7 +138,7 @@ def scattered_by(
 
 def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
     echo, known = leaves.weight * leaves.echoes.total, leaves.echoes
-    faint = budget.negligible(leaves.body, echo, known.strength, known.length_m)
+    faint = budget.negligible(leaves.body, echo, known.strength, known.length_m, is_seen=True)
     return leaves.take(np.flatnonzero(~faint))
 
 
