@@ -17,7 +17,15 @@ from twin.radar.propagation.facets.currents import Echoes, echoes_of
 from twin.radar.propagation.facets.front_facets import FrontFacets, largest, portions
 from twin.radar.propagation.facets.hidden import wholly_hidden
 from twin.radar.propagation.facets.scatterers import Scatterers
-from twin.radar.propagation.facets.shadows import alike, clip, sampled
+from twin.radar.propagation.facets.shadows import (
+    ALL_OVER,
+    BETWEEN,
+    INSIDE,
+    Clipping,
+    alike,
+    clip,
+    sampled,
+)
 from twin.radar.propagation.facets.triangles import Triangles, quartered
 from twin.radar.propagation.facets.uniform_subdivision import sizes, spacing_of, subdivided
 from twin.radar.propagation.one_way.path import TracingContext
@@ -34,6 +42,8 @@ _LEFT_OUT = 0.1  # of tolerance and body: what together comes to less is left ou
 _OCTAVES = 40  # of strength that are told apart
 _SAMPLED = 0.02  # of tolerance and body: triangles that may return less get a single ray
 _CLOSER = 0.1  # likewise: triangles that may return more get six more rays
+#: Likewise: triangles that may return more get 28 more rays, and 30 where a border crosses them.
+_CLOSEST = 0.5
 _CUT = 0.005
 _UNSEEN_M = 0.1  # size of triangles on which a shadow may pass between four rays
 _UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return more are divided
@@ -412,7 +422,10 @@ def _looked_at(
     agree = (clear == clear[3]).all(axis=0)
     closer = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSER * allowed))
     if len(closer):
-        agree[closer] = alike(context, lit.take(closer), clear[3, closer])
+        agree[closer] = alike(context, lit.take(closer), clear[3, closer], BETWEEN)
+    closest = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSEST * allowed))
+    if len(closest):
+        agree[closest] = alike(context, lit.take(closest), clear[3, closest], ALL_OVER)
     weight = _SEEN[clear[3].astype(np.intp), corners]
     error = np.where(weight > 0, echoes.curved, 0.0)
     odd = (corners == 1) | (corners == 2)
@@ -434,6 +447,8 @@ def _looked_at(
     off = clip(context, lit.take(row), clear[:3, row])
     both = echoes_of(context, scatterers, Triangles.concatenate([off.parts, off.whole]))
     parts = both.take(slice(2 * len(row)))
+    is_strong = off.is_known & (echoes.strength[row] > _CLOSEST * allowed[row])
+    off.is_known[is_strong] = _is_confirmed(context, off, np.flatnonzero(is_strong))
     # Against the triangle's own path.
     wave = _turned(both, context).reshape(3, -1)
     bent = np.abs(wave[0] + wave[1] - wave[2])
@@ -444,6 +459,20 @@ def _looked_at(
     return _Seen(
         leaves, Leaves(off.parts, parts, np.concatenate([sign, sign])), twice, error, *known
     )
+
+
+def _is_confirmed(
+    context: TracingContext, off: Clipping, rows: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Whether what lies on both sides of some borders is seen, or not, all over."""
+    n, confirmed = len(off.is_seen), np.ones(len(rows), dtype=bool)
+    if not len(rows):
+        return confirmed
+    for part, count, wanted in ((off.parts, 2, off.is_seen), (off.others, 3, ~off.is_seen)):
+        which = (rows + n * np.arange(count)[:, None]).ravel()
+        same = alike(context, part.take(which), np.tile(wanted[rows], count), INSIDE)
+        confirmed &= same.reshape(count, -1).all(axis=0)
+    return confirmed
 
 
 def _turned(echoes: Echoes, context: TracingContext) -> Complex:

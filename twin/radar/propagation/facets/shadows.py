@@ -4,6 +4,7 @@ Rays start at the corners and the centroid. Where a border of a shadow cuts off 
 searched for on three lines from that corner, and the part cut off becomes two triangles.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,14 +18,29 @@ from twin.radar.propagation.one_way.path import TracingContext, offset, one_way_
 from twin.transfer import aligned
 
 _INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
-#: Points where more is looked at, by shares of the corners.
-_BETWEEN = (
+#: Points where more is looked at, by shares of the corners: in the middles of edges and towards
+#: corners; inside, where all edges are the borders of others; all over.
+BETWEEN = (
     (0.499, 0.499, 0.002),
     (0.002, 0.499, 0.499),
     (0.499, 0.002, 0.499),
     (0.68, 0.16, 0.16),
     (0.16, 0.68, 0.16),
     (0.16, 0.16, 0.68),
+)
+INSIDE = (
+    (0.44, 0.44, 0.12),
+    (0.12, 0.44, 0.44),
+    (0.44, 0.12, 0.44),
+    (0.76, 0.12, 0.12),
+    (0.12, 0.76, 0.12),
+    (0.12, 0.12, 0.76),
+)
+_ROWS = 7
+ALL_OVER = tuple(
+    ((i + 1 / 3) / _ROWS, (j + 1 / 3) / _ROWS, (_ROWS - 1 - i - j + 1 / 3) / _ROWS)
+    for i in range(_ROWS)
+    for j in range(_ROWS - i)
 )
 _DRAWN_IN = 3 * _INSET  # lines on which borders are searched for, likewise
 _HALVINGS = 12  # of a line until a border is found on it: 2.4e-4 of its length
@@ -62,12 +78,17 @@ def sampled(
     return is_clear
 
 
-def alike(context: TracingContext, lit: Triangles, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether triangles are seen, or not, as ``wanted``, (n,), at six more points: in the middles
-    of edges and towards corners.
+def alike(
+    context: TracingContext,
+    lit: Triangles,
+    wanted: NDArray[np.bool_],
+    points: Sequence[tuple[float, float, float]],
+) -> NDArray[np.bool_]:
+    """Whether triangles are seen, or not, as ``wanted``, (n,), at more points, by shares of the
+    corners.
     """
-    n, share = len(lit), np.array(_BETWEEN).T
-    some, number = lit.repeat(len(_BETWEEN)), np.tile(np.arange(len(_BETWEEN)), n)
+    n, share = len(lit), np.array(points).T
+    some, number = lit.repeat(len(points)), np.tile(np.arange(len(points)), n)
     weights = [context.mi.Float64(aligned(column[number])) for column in share]
     place = sum(w * corner for w, corner in zip(weights, some.corners, strict=True))
     clear = np.array(seen(context, some, place)).reshape(n, -1)
@@ -78,13 +99,15 @@ def alike(context: TracingContext, lit: Triangles, wanted: NDArray[np.bool_]) ->
 @dataclass(frozen=True, eq=False)
 class Clipping:
     """Triangles cut by a shadow's border: the parts at the corner that differs from the others,
-    bordered by two straight lines (``parts``, 2 n) and by one (``whole``, n); whether that corner
+    bordered by two straight lines (``parts``, 2 n) and by one (``whole``, n), and what is left of
+    the triangle (``others``, 3 n); whether that corner
     ``is_seen``, and whether all of the border ``is_known``: points in the middle of what lies on
     either side of it are seen or not like the corners there.
     """
 
     parts: Triangles
     whole: Triangles
+    others: Triangles
     is_seen: NDArray[np.bool_]
     is_known: NDArray[np.bool_]
 
@@ -147,19 +170,18 @@ def clip(context: TracingContext, lit: Triangles, corners: NDArray[np.bool_]) ->
     right_at += (right_at - bend) * _onwards(near, (1 - 3 * near) * bent_left)
     tip, left, right = ordered(lit.corners)
     near_by: list[tuple[Any, Any, Any]] = [(tip, left_at, bend), (tip, bend, right_at)]
-    beyond: list[tuple[Any, ...]] = [
-        (left_at, left, bend),
-        (bend, left, right),
-        (bend, right, right_at),
-    ]
-    beyond += [(left, right), (left_at, left), (right_at, right)]
+    others = [(left_at, left, bend), (bend, left, right), (bend, right, right_at)]
+    beyond: list[tuple[Any, ...]] = [*others, (left, right), (left_at, left), (right_at, right)]
     is_known = context.mi.Bool(True)
     for part, expected in (*((p, wanted) for p in near_by), *((p, ~wanted) for p in beyond)):
         middle = sum(part) / len(part)
         is_known &= seen(context, lit, middle + _INSET * (lit.center - middle)) == expected
     parts = Triangles.concatenate([replace(lit, corners=part) for part in near_by])
     whole = replace(lit, corners=(tip, left_at, right_at))
-    return Clipping(parts.evaluate(), whole.evaluate(), is_seen, np.array(is_known))
+    rest = Triangles.concatenate([replace(lit, corners=part) for part in others])
+    return Clipping(
+        parts.evaluate(), whole.evaluate(), rest.evaluate(), is_seen, np.array(is_known)
+    )
 
 
 def _onwards(margin: float, away: Any) -> Any:

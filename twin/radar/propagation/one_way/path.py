@@ -349,7 +349,7 @@ def _first_meets(
     return dr.select(of_wall, free & hit.is_valid() & (patch == number), solid)
 
 
-def _onto_path(place: Vector3, start: Vector3, direction: Vector3) -> Vector3:
+def _onto_path(place: Any, start: Any, direction: Any) -> Any:
     """Where a ray begins, as far from the surface as ``start``, but on the path itself.
 
     From beside it the same ray would shift the borders of all shadows by as much, alike: of a body
