@@ -35,13 +35,13 @@ def truncation_warnings(
         return []
     factor = float(seen.mean()) ** (max_depth - 1)
     if factor >= 1:
-        text = f"bounces beyond max_depth {max_depth} are cut off: nothing here absorbs light"
+        text = f"bounces beyond max_depth {max_depth:g} are cut off: nothing here absorbs light"
         return [CaptureWarning("rendering", text)]
     lost = indirect_share * factor / (1 - factor)
     if lost < _WORTH_SAYING:
         return []
     text = (
-        f"bounces beyond max_depth {max_depth} are cut off: some {100 * lost:.2g} % more light, "
+        f"bounces beyond max_depth {max_depth:g} are cut off: some {100 * lost:.2g} % more light, "
         "if the reflectances in sight are typical of the scene"
     )
     return [CaptureWarning("rendering", text)]

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 _REFERENCE = "reference light"
 _DEPTHS = (1, 2, 4)
+_TOLERANCES = (1.0, 0.5, 0.2, 0.1)
 _REFERENCE_RUNS = 4
 #: Paths of the reference in all: a few large cells need more each than many small ones.
 _LEAST_PATHS = 2**22
@@ -99,12 +100,15 @@ def reference_level(system: System) -> Fidelity:
 
 
 def light_levels(system: System) -> list[Fidelity]:
-    """Numbers of paths and bounces; for a line sensor and a lens also where paths start."""
+    """Numbers of paths and bounces; for a line sensor and a lens also where paths start; then
+    tolerances.
+    """
     finest = reference_level(system).samples
     samples = [4**power for power in range(20) if 4**power < finest]
     both = system.n_detectors > 1 and system.emitter.has_lens
     starts: tuple[Start, ...] = ("dual", "scatter") if both else ("auto",)
-    return [Fidelity(s, d, start=side) for side in starts for d in _DEPTHS for s in samples]
+    uniform = [Fidelity(s, d, start=side) for side in starts for d in _DEPTHS for s in samples]
+    return uniform + [Fidelity(light_tolerance=share) for share in _TOLERANCES]
 
 
 def light_stages(system: System) -> list[str]:
@@ -200,6 +204,8 @@ def _pixel_noise(case: CameraCase, rendered: RenderedLight) -> Array:
 
 
 def _name(level: Fidelity) -> str:
+    if level.light_tolerance is not None:
+        return f"to {level.light_tolerance:g} of the noise"
     name = f"{level.samples} path{'s' if level.samples > 1 else ''}, "
     name += f"{level.max_depth} bounces" if level.max_depth > 1 else "direct"
     if level.start != "auto":
