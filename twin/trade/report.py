@@ -194,6 +194,8 @@ def _marker(m: LevelMeasurement) -> tuple[str, str, str]:
         return solver.label, BLUE if solver.has_tolerance else GREY, marker
     if m.name.startswith("reference"):
         return "one render of the reference", "black", "D"
+    if m.fidelity.light_tolerance is not None:
+        return "to a tolerance, all bounces", "black", "*"
     depth = m.fidelity.max_depth
     label = {1: "direct light"}.get(depth, f"{depth} bounces")
     marker = "o"
