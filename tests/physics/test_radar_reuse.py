@@ -224,7 +224,12 @@ def test_what_is_no_earlier_frame_is_an_error() -> None:
     rough, targets = Fidelity(radar="rough"), Fidelity(radar="targets")
     wrong: list[tuple[Any, RadarDesign, Fidelity, str]] = [
         (object(), RADAR, OPTICS, "earlier: a object, expected the propagation of a frame"),
-        (earlier.traced, RADAR, OPTICS, "earlier: a Traced, expected the propagation of a frame"),
+        (
+            earlier.traced,
+            RADAR,
+            OPTICS,
+            "earlier: a TracedFrame, expected the propagation of a frame",
+        ),
         (trace(scene, RADAR), RADAR, OPTICS, "earlier: traced without keep"),
         (earlier, other, OPTICS, "earlier: waveform of radar 'hybrid-79', with which it was"),
         (earlier, RADAR, rough, "earlier: traced with fidelity.radar = 'optics', expected 'rough'"),

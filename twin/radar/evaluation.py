@@ -78,9 +78,9 @@ class RadarEvaluation:
         lines = [f"{name}: {self.picture}"] if self.picture else []
         lines.append(f"{name}: {self.headline}")
         if self.missed:
-            told = ", ".join(f"{t.name} ({self.expectation(t)})" for t in self.missed)
+            text = ", ".join(f"{t.name} ({self.expectation(t)})" for t in self.missed)
             where = " on the map" if self.picture else ""
-            lines.append(f"{name}: missed{where}: {told}")
+            lines.append(f"{name}: missed{where}: {text}")
         return "\n".join(lines if truth else lines[-1:])
 
     @property
@@ -88,10 +88,10 @@ class RadarEvaluation:
         """How many targets the map of the first burst shows."""
         hit = len(self.capture.truth) - len(self.missed)
         parts = sum(target is not None for target in self.further)
-        told = f"{hit} of {len(self.capture.truth)} targets among {len(self.detections)} detections"
+        text = f"{hit} of {len(self.capture.truth)} targets among {len(self.detections)} detections"
         if parts:
-            told += f", {parts} of them further echoes of the same objects"
-        return f"map of the first burst: {told}" if self.picture else told
+            text += f", {parts} of them further echoes of the same objects"
+        return f"map of the first burst: {text}" if self.picture else text
 
 
 def evaluate_radar(

@@ -63,11 +63,11 @@ class TrackPicture:
     def __str__(self) -> str:
         """What the picture shows."""
         resolution = f"{100 * self.image.cross_resolution_m:.1f} cm"
-        told = f"image over the track: {len(self.told_apart)} of {len(self.seen)} targets"
+        text = f"image over the track: {len(self.told_apart)} of {len(self.seen)} targets"
         if not self.told_apart:
-            return f"{told} (resolution across {resolution})"
+            return f"{text} (resolution across {resolution})"
         worst = max(abs(s.cross_off_m) for s in self.told_apart)
-        return f"{told}, within {1e3 * worst:.0f} mm across (resolution {resolution})"
+        return f"{text}, within {1e3 * worst:.0f} mm across (resolution {resolution})"
 
 
 def track_picture(scene: Scene, radar: RadarDesign, record: RadarRecord) -> TrackPicture | None:

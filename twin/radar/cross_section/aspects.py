@@ -15,7 +15,7 @@ class Aspects:
     """One row each, in the frame of the mesh.
 
     ``source`` and ``receiver`` (n, 3): unit vectors from the mesh's origin; ``distance_m`` (n,) of
-    both, infinite for plane waves; ``sent`` (n, m, 3), one or two, and ``heard`` (n, 2, 3):
+    both, infinite for plane waves; ``sent`` (n, m, 3), one or two, and ``received`` (n, 2, 3):
     polarisations at the origin.
     """
 
@@ -23,14 +23,14 @@ class Aspects:
     receiver: Array
     distance_m: Array
     sent: Array
-    heard: Array
+    received: Array
 
     def __len__(self) -> int:
         return len(self.source)
 
     def part(self, which: slice) -> "Aspects":
         """Only some of them."""
-        columns = (self.source, self.receiver, self.distance_m, self.sent, self.heard)
+        columns = (self.source, self.receiver, self.distance_m, self.sent, self.received)
         return Aspects(*(column[which] for column in columns))
 
     @property
@@ -42,8 +42,8 @@ class Aspects:
     @staticmethod
     def monostatic(radars: "list[Radar]", polarization: Polarization) -> "Aspects":
         """To radars and back, received in V and H."""
-        heard = np.array([radar.polarizations for radar in radars]).reshape(-1, 2, 3)
+        received = np.array([radar.polarizations for radar in radars]).reshape(-1, 2, 3)
         direction = np.array([radar.direction for radar in radars]).reshape(-1, 3)
         distance = np.array([radar.distance_m for radar in radars], dtype=np.float64)
-        sent = heard[:, :1] if polarization == "V" else heard[:, 1:]
-        return Aspects(direction, direction, distance, sent, heard)
+        sent = received[:, :1] if polarization == "V" else received[:, 1:]
+        return Aspects(direction, direction, distance, sent, received)

@@ -33,10 +33,10 @@ def scattering_dyadics(
         Dyadics D in metres: an incident E gives D E exp(-j k r) / r at a distance r, so with unit
         polarisations the bistatic cross-section is 4 pi |e_r . D e_i|^2.
     """
-    sent, heard = _transverse(source), _transverse(receiver)
-    aspects = Aspects(source, receiver, np.full(len(source), np.inf), sent, heard)
+    sent, received = _transverse(source), _transverse(receiver)
+    aspects = Aspects(source, receiver, np.full(len(source), np.inf), sent, received)
     dyadics = dyadic(target, aspects, frequency_hz, quality).amplitude
-    return np.einsum("nfpq,nqx,npy->nfxy", dyadics, heard, sent)
+    return np.einsum("nfpq,nqx,npy->nfxy", dyadics, received, sent)
 
 
 def _transverse(direction: Array) -> Array:

@@ -96,13 +96,13 @@ def _radars(
 ) -> _Radars:
     """Images at every aspect in a row.
 
-    Two polarisations are sent at once along their diagonal and heard at once by a circular antenna:
-    neither mirrors nor corners that cross polarisation are missed.
+    Two polarisations are sent at once along their diagonal and received at once by a circular
+    antenna: neither mirrors nor corners that cross polarisation are missed.
     """
     mi, zero = mitsuba(), np.zeros((len(aspects), 3))
-    heard, sent = aspects.heard.swapaxes(0, 1), aspects.sent.swapaxes(0, 1)
-    fields = [(field, zero) for field in heard]
-    fields += [(np.sqrt(0.5) * heard[0], np.sqrt(0.5) * heard[1])]
+    received, sent = aspects.received.swapaxes(0, 1), aspects.sent.swapaxes(0, 1)
+    fields = [(field, zero) for field in received]
+    fields += [(np.sqrt(0.5) * received[0], np.sqrt(0.5) * received[1])]
     fields += [(sent.sum(axis=0) / np.sqrt(len(sent)), zero)] + [(field, zero) for field in sent]
     here = [aspects.receiver] * _ALL_SENT + [aspects.source] * (1 + len(sent))
     antennas = [np.hstack([at, *field]) for at, field in zip(here, fields, strict=True)]
@@ -215,8 +215,8 @@ def _answers(
         if sent > 1:
             lit = replace(lit, source=first + (_FIRST_SENT + number))
         for port in range(2):
-            heard = replace(lit, receiver=first + port)
-            (re, im), _ = amplitude_of(at, scatterers, heard, incident_on(at, heard))
+            at_port = replace(lit, receiver=first + port)
+            (re, im), _ = amplitude_of(at, scatterers, at_port, incident_on(at, at_port))
             echo = wave * (np.array(re) + 1j * np.array(im))
             amplitude[:, number, port] = np.bincount(body, echo.real, n)
             amplitude[:, number, port] += 1j * np.bincount(body, echo.imag, n)
@@ -293,7 +293,7 @@ def _scatterers(context: TracingContext, subject: Subject) -> Scatterers:
         body=np.zeros(count, dtype=np.intp),
         counts=~subject.shape.is_double,
         outward=subject.shape.outward[None],
-        heard=np.ones((1, count), dtype=bool),
+        reachable=np.ones((1, count), dtype=bool),
         antenna=_Isotropic(context.mi, (zero, zero, zero), None, one, one, one, 1),
         answers=context.mi.Bool(aligned(np.ones(kinds, dtype=bool))),
         surface=context.mi.UInt32(aligned(subject.surface)),

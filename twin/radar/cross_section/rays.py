@@ -170,9 +170,9 @@ def spread(
     """Over the outline of a mesh as it is seen at an aspect."""
     patches = _patches(target, aspects, aspect)
     area = sum(float(np.prod(patch.high - patch.low)) for patch in patches)
-    asked = wavelength_m / density.rays_per_wavelength * _shortening(target, aspects, aspect)
-    spacing = _spacing(patches, area, asked, density)
-    return Spread(patches, spacing, max(1.0, spacing / asked))
+    wanted_m = wavelength_m / density.rays_per_wavelength * _shortening(target, aspects, aspect)
+    spacing = _spacing(patches, area, wanted_m, density)
+    return Spread(patches, spacing, max(1.0, spacing / wanted_m))
 
 
 def _patches(target: MeshTarget, aspects: Aspects, aspect: int) -> list[Patch]:
@@ -252,8 +252,8 @@ def _grids(patch: Patch, spacing: float, aspects: Aspects, aspect: int) -> Itera
             "begin": 0,
             "towards": aspects.source[aspect],
             "listener": aspects.receiver[aspect],
-            "vertical": aspects.heard[aspect, 0],
-            "horizontal": aspects.heard[aspect, 1],
+            "vertical": aspects.received[aspect, 0],
+            "horizontal": aspects.received[aspect, 1],
             "inverse_distance": 1 / distance,
             "distance": min(distance, 1e200),
         }

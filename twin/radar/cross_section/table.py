@@ -142,7 +142,7 @@ class Table:
         return np.einsum("na,nb,nabfxy->nfxy", share_a, share_b, values)
 
     def answers(
-        self, source: Array, receiver: Array, sent: Complex, heard: Complex
+        self, source: Array, receiver: Array, sent: Complex, received: Complex
     ) -> tuple[Complex, Array]:
         """S in metres at the carrier, sigma = 4 pi |S|^2, and the delay that the echo has beyond
         that of the target's middle.
@@ -152,10 +152,10 @@ class Table:
 
         Parameters
         ----------
-        source, receiver, sent, heard : (n, 3)
+        source, receiver, sent, received : (n, 3)
             Directions from the target, and the fields of transmitter and receiver there.
         """
-        s, above = np.einsum("nx,nfxy,ny->fn", heard, self.dyadics(source, receiver), sent)
+        s, above = np.einsum("nx,nfxy,ny->fn", received, self.dyadics(source, receiver), sent)
         delay = -np.angle(above * s.conj()) / (2 * np.pi * self._shift_hz)
         most = self.extent_m / speed_of_light
         return s, np.clip(delay, -most, most)

@@ -13,7 +13,7 @@ from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.diffraction.behind_obstacles import echoes_behind
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.facets.body_scattering import scattered_by
-from twin.radar.propagation.facets.earlier import Traced, setting_of
+from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.validity import still_valid
 from twin.radar.propagation.meshes.grouping import bodies_of
@@ -43,7 +43,7 @@ class Scattered:
     contributions: Contributions
     body: NDArray[np.int32]
     error: Array
-    traced: Traced | None = None
+    traced: TracedFrame | None = None
     reused_share: float = 0.0
 
 
@@ -51,7 +51,7 @@ def scattered(
     prepared: PreparedScene,
     radar: RadarDesign,
     fidelity: Fidelity,
-    earlier: Traced | None = None,
+    earlier: TracedFrame | None = None,
     *,
     keep: bool = False,
 ) -> Scattered:
@@ -60,13 +60,13 @@ def scattered(
     """
     body = _bodies(prepared)
     if not (prepared.worth & (body >= 0)).any():
-        traced = Traced(radar, str(fidelity.radar)) if keep else None
+        traced = TracedFrame(radar, str(fidelity.radar)) if keep else None
         return Scattered(Contributions.none(), body, np.zeros(body.max(initial=-1) + 1), traced)
     bodies = scatterers(prepared, radar.antenna, body, radar.burst_s / 2)
-    asked = fidelity.radar_tolerance, fidelity.radar_bounces
+    parameters = fidelity.radar_tolerance, fidelity.radar_bounces
     setting, valid = None, None
     if keep or earlier is not None:
-        setting = setting_of(prepared, bodies, body, asked)
+        setting = setting_of(prepared, bodies, body, parameters)
     if earlier is not None and setting is not None and not keep:
         valid = still_valid(prepared.context, bodies, earlier, setting, prepared)
     echoes = scattered_by(
@@ -74,12 +74,12 @@ def scattered(
         bodies,
         prepared.images,
         wave_numbers(radar, _extent_m(prepared, body)),
-        *asked,
+        *parameters,
         OF_NOISE * noise_amplitude(radar) / loss_of(radar),
         valid,
-        with_landings=keep,
+        with_footprints=keep,
     )
-    traced = Traced(radar, str(fidelity.radar), setting, echoes) if keep else None
+    traced = TracedFrame(radar, str(fidelity.radar), setting, echoes) if keep else None
     contributions = Contributions.concatenate(echoes.contributions)
     share = echoes.n_reused / max(len(contributions), 1)
     return Scattered(contributions, body, echoes.error, traced, share)

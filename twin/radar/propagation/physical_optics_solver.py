@@ -15,7 +15,7 @@ from twin.radar.propagation.facets.convergence import (
     summed_by,
     unconverged,
 )
-from twin.radar.propagation.facets.earlier import Traced
+from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.physical_optics import (
     Scattered,
     at_antenna,
@@ -40,7 +40,7 @@ def echoes(
     radar: RadarDesign,
     fidelity: Fidelity,
     seed: int,
-    earlier: Traced | None = None,
+    earlier: TracedFrame | None = None,
     *,
     keep: bool = False,
 ) -> Propagation:

@@ -49,7 +49,7 @@ class PreparedScene:
 
     Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
     the objects as the scene has them, their large triangles undivided. ``images`` are those of
-    ``all_images`` over which something is heard; ``worth`` (n_images, n_objects), from which of
+    ``all_images`` over which there is any echo; ``worth`` (n_images, n_objects), from which of
     them an object that scatters is to be traced.
     """
 
@@ -182,15 +182,15 @@ def _culled(
     boxes = boxes_of([prepared.items[i] for i in numbers]) - prepared.anchor_m
     share = shares(antennas, boxes, prepared.flats, beam)
     traced = worth_tracing(share, limit / 2)
-    # Points cost next to nothing: only where there is no way to them they are not heard.
+    # Points cost next to nothing: they are left out only where there is no path to them.
     places = np.array([t.position_m for t in points]).reshape(-1, 1, 3) - prepared.anchor_m
     to_points = shares(
         antennas, np.repeat(places, 2, axis=1), prepared.flats, beam, np.ones(len(points))
     )
-    heard = np.asarray(np.hstack([traced.is_traced, to_points > 0]).any(axis=1))
-    heard[0] = True  # the radar itself
-    worth = np.zeros((int(heard.sum()), len(prepared.items)), dtype=bool)
-    worth[:, numbers] = traced.is_traced[heard]
+    is_used = np.asarray(np.hstack([traced.is_traced, to_points > 0]).any(axis=1))
+    is_used[0] = True  # the radar itself
+    worth = np.zeros((int(is_used.sum()), len(prepared.items)), dtype=bool)
+    worth[:, numbers] = traced.is_traced[is_used]
     assumed = prepared.assumptions
     if (left_out := faint + traced.left_out) > 0:
         level = 20 * np.log10(OF_NOISE * left_out / limit)
@@ -200,7 +200,7 @@ def _culled(
             f"at most {level:.0f} dB of a cell's noise",
         )
     heard_images = [
-        image for image, is_heard in zip(prepared.all_images, heard, strict=True) if is_heard
+        image for image, is_kept in zip(prepared.all_images, is_used, strict=True) if is_kept
     ]
     return replace(prepared.with_images(heard_images), worth=worth, assumptions=assumed)
 

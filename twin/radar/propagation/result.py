@@ -8,7 +8,7 @@ import numpy as np
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.propagation.facets.convergence import BodyEcho
-from twin.radar.propagation.facets.earlier import Traced
+from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.scene.scattering_models import Assignment
 from twin.radar.synthesis import Contributions
 
@@ -70,7 +70,7 @@ class Propagation:
     warnings: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
     bodies: tuple[BodyEcho, ...] = ()
-    traced: Traced | None = None
+    traced: TracedFrame | None = None
     reused_share: float = 0.0
 
     @cached_property

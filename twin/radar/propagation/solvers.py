@@ -9,7 +9,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.fidelity import Fidelity, own_solver
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.facets.earlier import Traced
+from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.free_space import straight_paths
 from twin.radar.propagation.physical_optics_solver import echoes
 from twin.radar.propagation.result import Propagation
@@ -166,7 +166,7 @@ def trace(
 
 def _traced(
     earlier: object, radar: RadarDesign, fidelity: Fidelity, solver: Solver
-) -> Traced | None:
+) -> TracedFrame | None:
     """What may be kept of an earlier frame. Raises InputError where it is none that can be."""
     if earlier is None:
         return None

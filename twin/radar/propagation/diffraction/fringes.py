@@ -84,16 +84,16 @@ def edge_echoes(
     """Contributions of all edges, without gains, and how many times longer than asked for pieces
     are: with every image, about ``most`` at most.
     """
-    asked = wavelength_m / _QUALITY.pieces_per_wavelength
+    wanted_m = wavelength_m / _QUALITY.pieces_per_wavelength
     total = sum(float(body.edges.length_m.sum()) for body in bodies)
-    longest = max(asked, context.n_sources * total / most)
+    longest = max(wanted_m, context.n_sources * total / most)
     contributions = []
     for body in bodies:
         segments = edge_segments(body.edges, longest)
         for first in range(0, len(segments.edge), _AT_ONCE):
             part = segments.take(slice(first, first + _AT_ONCE))
             contributions += _diffracted(context, body, part, wavelength_m)
-    return Contributions.concatenate(contributions), longest / asked
+    return Contributions.concatenate(contributions), longest / wanted_m
 
 
 def _diffracted(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, settled
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
-from twin.radar.propagation.facets.earlier import Landings, Sums, TracedEchoes
+from twin.radar.propagation.facets.earlier import Footprints, Sums, TracedEchoes
 from twin.radar.propagation.facets.front_facets import (
     FrontFacets,
     bistatic_facets,
@@ -24,7 +24,7 @@ from twin.radar.propagation.facets.front_facets import (
 from twin.radar.propagation.facets.reflection_candidates import reflection_candidates
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, quartered
-from twin.radar.propagation.facets.tubes import Tubes, heard, reflected_on
+from twin.radar.propagation.facets.tubes import Tubes, reflected_on, with_receivers
 from twin.radar.propagation.facets.uniform_subdivision import spacing_of, subdivided
 from twin.radar.propagation.facets.validity import Valid
 from twin.radar.propagation.facets.wideband import contributions_of
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 _DEEPEST = 12, 6  # divisions by four, of facets and of roots of tubes
 _COARSE_DEPTH = 0, 0
 _FEW = 1000  # roots that are divided by sixteen: launching kernels costs more than these
-_MOST_PASSES = 3  # further ones, where bodies seemed louder than they are
+_MOST_PASSES = 3  # further ones, where the level of bodies was overestimated
 #: Roots of one size, the most uncertain ones: what their tubes light takes some 2 GB. The rest is
 #: divided no further, and its error counts as it is.
 MOST_ROOTS = 2**16
@@ -58,7 +58,7 @@ def scattered_by(
     floor: float = 0.0,
     valid: Valid | None = None,
     *,
-    with_landings: bool = False,
+    with_footprints: bool = False,
 ) -> TracedEchoes:
     """Contributions of every body, and errors that their sums may have, with the antenna's gain.
 
@@ -69,7 +69,7 @@ def scattered_by(
     tolerance
         Error of every body's echo over the band, relative to its root mean square.
     bounces
-        Between bodies, and within one: what is reflected more often is lost.
+        Most reflections, between bodies and within one: echoes of more are left out.
     floor
         Amplitude below which no error counts.
     valid
@@ -77,12 +77,12 @@ def scattered_by(
         a body, or of 40 dB below the strongest, is lower than then by more than `LEAST_FALL`, and
         the error of what is kept of the body, what was left out of it included, exceeds the
         tolerance now, all is found anew.
-    with_landings
-        Whether later frames may keep what is found here.
+    with_footprints
+        Whether footprints are stored, so that later frames may reuse these echoes.
     """
     count = int(scatterers.body.max()) + 1
     facets = bistatic_facets(context, scatterers, images, None if valid is None else valid.paths)
-    search = _Search(context, scatterers, images, bounces, [] if with_landings else None)
+    search = _Search(context, scatterers, images, bounces, [] if with_footprints else None)
     coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
     known = None
     if valid is not None:
@@ -98,7 +98,7 @@ def scattered_by(
             context, scatterers, images, None if valid is None else valid.tubes
         )
         spacing_m = spacing_of(context, begin.sizes()) if valid is None else valid.spacing_m[1]
-        tubes = search.begun(begin, spacing_m) if len(begin) else None
+        tubes = search.root_tubes(begin, spacing_m) if len(begin) else None
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
     budget = Budget(count, tolerance, wave_numbers, floor, coarse, known=known)
     budget.known_spacing_m = (valid and valid.spacing_m[0]) or None
@@ -113,8 +113,8 @@ def scattered_by(
     if valid is not None:
         fallen = valid.level > LEAST_FALL * budget.level
         if (fallen & (valid.error > tolerance * budget.level)).any():
-            asked = wave_numbers, tolerance, bounces, floor
-            return scattered_by(context, scatterers, images, *asked)
+            parameters = wave_numbers, tolerance, bounces, floor
+            return scattered_by(context, scatterers, images, *parameters)
         error = np.hypot(error, valid.error)
     contributions = [
         Contributions.concatenate(
@@ -126,11 +126,11 @@ def scattered_by(
         contributions=tuple(contributions)
         if valid is None
         else (valid.contributions, *contributions),
-        sums=tuple(map(Sums.of, leaves)) if with_landings else (),
+        sums=tuple(map(Sums.of, leaves)) if with_footprints else (),
         is_direct=tuple(part.triangles.waves is None for part in leaves),
         error=error,
         level=budget.level,
-        landings=tuple(search.landings or ()),
+        footprints=tuple(search.footprints or ()),
         spacing_m=(budget.spacing_m, spacing_m),
         n_reused=0 if valid is None else len(valid.contributions),
     )
@@ -143,9 +143,9 @@ def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
 
 
 @dataclass(frozen=True, eq=False)
-class _Landed:
-    """What tubes light, by receiver: the ``root`` of each, (n,), whether it ``is_lit``, and the
-    ``error`` that its echo may have.
+class _TubeEchoes:
+    """Echoes of triangles that ray tubes light, one for each receiver: the ``root`` of the tube,
+    (n,), whether the triangle ``is_lit``, and the possible ``error`` of its echo.
     """
 
     lit: Triangles
@@ -156,31 +156,31 @@ class _Landed:
 
 
 @dataclass(frozen=True, eq=False)
-class _Begun:
-    """Roots of tubes that land anywhere, and where, portion by portion."""
+class _RootTubes:
+    """Roots of ray tubes that meet other facets, and the echoes of what they light, in portions."""
 
     roots: Triangles
-    landed: list[_Landed]
+    echoes: list[_TubeEchoes]
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """For echoes of bodies, by up to some ``bounces``."""
+    """The search for echoes of bodies with up to ``bounces`` reflections."""
 
     context: TracingContext
     scatterers: Scatterers
     images: Sequence[Image]
     bounces: int
-    landings: list[Landings] | None  # noted where these are kept
+    footprints: list[Footprints] | None  # None: not stored for later frames
 
     def leaves(
         self,
         whole: tuple[FrontFacets, Echoes] | None,
-        tubes: "_Begun | None",
+        tubes: "_RootTubes | None",
         budget: Budget,
         deepest: tuple[int, int],
     ) -> list[Leaves]:
-        """Those lit directly, and those lit by ``tubes``."""
+        """Leaves lit directly, and leaves lit by ray ``tubes``."""
         generations = []
         if whole is not None:
             generations.append(settled(self.context, self.scatterers, *whole, budget, deepest[0]))
@@ -191,34 +191,34 @@ class _Search:
                 generations.append(settled(self.context, self.scatterers, *lit, budget, deepest[0]))
         return [Leaves.concatenate(parts) for parts in generations if parts]
 
-    def begun(self, facets: FrontFacets, spacing_m: float) -> "_Begun | None":
-        """Tubes of facets by which others may be seen, divided until what they may show lies
-        between their rays.
+    def root_tubes(self, facets: FrontFacets, spacing_m: float) -> "_RootTubes | None":
+        """Ray tubes of the facets that may reflect to others, divided to the spacing of the rays
+        that look for these.
         """
         rows = reflection_candidates(self.context, self.scatterers, facets, spacing_m)
         wholes = (facets.take(some) for some in portions(rows))
-        return self._begun(subdivided(self.context, whole, spacing_m)[0] for whole in wholes)
+        return self._root_tubes(subdivided(self.context, whole, spacing_m)[0] for whole in wholes)
 
-    def _begun(self, parts: Iterable[Triangles]) -> "_Begun | None":
-        """Of all roots those whose tubes land anywhere, and where."""
+    def _root_tubes(self, parts: Iterable[Triangles]) -> "_RootTubes | None":
+        """Of all candidates the roots whose tubes meet other facets, with the echoes of these."""
         roots: list[Triangles] = []
-        landed: list[_Landed] = []
+        echoes: list[_TubeEchoes] = []
         count = 0
         for part in parts:
-            for rows in portions(np.arange(len(part)), 4):  # which tubes may go on in
+            for rows in portions(np.arange(len(part)), 4):  # a tube may go on in so many parts
                 some = part if len(rows) == len(part) else part.take(rows)
-                footprints = self.landed(some)
-                if footprints is None:
+                lit = self.lit_by(some)
+                if lit is None:
                     continue
-                used, number = np.unique(footprints.root, return_inverse=True)
+                used, number = np.unique(lit.root, return_inverse=True)
                 roots.append(some.take(used))
-                landed.append(replace(footprints, root=count + number.reshape(-1)))
+                echoes.append(replace(lit, root=count + number.reshape(-1)))
                 count += len(used)
-        return _Begun(Triangles.concatenate(roots), landed) if roots else None
+        return _RootTubes(Triangles.concatenate(roots), echoes) if roots else None
 
-    def landed(self, roots: Triangles) -> "_Landed | None":
-        """Where the tubes of roots land, after every number of bounces; None where none does."""
-        generations = [Tubes.begin(roots)]
+    def lit_by(self, roots: Triangles) -> "_TubeEchoes | None":
+        """Echoes of what the tubes of roots light after any number of bounces; None if nothing."""
+        generations = [Tubes.from_roots(roots)]
         for _ in range(1, self.bounces):
             further = reflected_on(self.context, self.scatterers, generations[-1])
             if further is None:
@@ -227,14 +227,14 @@ class _Search:
         if len(generations) == 1:
             return None
         tubes = Tubes.concatenate(generations[1:])
-        lit, row = heard(self.context, self.scatterers, tubes.triangles, self.images)
-        if self.landings is not None:
+        lit, row = with_receivers(self.context, self.scatterers, tubes.triangles, self.images)
+        if self.footprints is not None:
             times = np.repeat(
                 np.arange(1, len(generations)), [len(part.root) for part in generations[1:]]
             )
             goes_on = tubes.is_lit & (times < self.bounces - 1)
-            self.landings.append(
-                Landings.of(self.context, tubes, goes_on, row, np.array(lit.receiver))
+            self.footprints.append(
+                Footprints.of(self.context, tubes, goes_on, row, np.array(lit.receiver))
             )
         if not len(row):
             return None
@@ -242,50 +242,49 @@ class _Search:
         echoes = Echoes.concatenate(
             [echoes_of(self.context, self.scatterers, part) for part in parts]
         )
-        # What a ray stands for may lie on other planes than the one that it meets.
+        # A tube that one ray represents may also meet other planes than that ray does.
         most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
         error = most * tubes.doubt[row]
-        return _Landed(lit, echoes, tubes.root[row], tubes.is_lit[row], error)
+        return _TubeEchoes(lit, echoes, tubes.root[row], tubes.is_lit[row], error)
 
     def _divided(self, roots: Triangles, times: int) -> Triangles:
-        """By four, some times."""
+        """Roots divided by four, ``times`` times."""
         for _ in range(times):
             roots = quartered(self.context, roots)
         return roots
 
     def _lit_by_tubes(
-        self, tubes: "_Begun", budget: Budget, deepest: int
+        self, tubes: "_RootTubes", budget: Budget, deepest: int
     ) -> tuple[Triangles, Echoes] | None:
-        """What bodies light of each other, by every receiver.
+        """Triangles that ray tubes light, one for each receiver, and their echoes.
 
-        Roots are divided while what their tubes may return after all their bounces is too
-        uncertain.
+        Roots are divided while the echoes of their tubes, after all bounces, are too uncertain.
         """
         lit: list[tuple[Triangles, Echoes]] = []
-        begun: _Begun | None = tubes
+        root_tubes: _RootTubes | None = tubes
         depth = 0
-        while begun is not None:
-            roots, square = begun.roots, np.zeros(len(begun.roots))
-            for landed in begun.landed:
-                share = landed.error / budget.allowed(landed.lit.body)
-                square += np.bincount(landed.root, share**2, len(roots))
+        while root_tubes is not None:
+            roots, square = root_tubes.roots, np.zeros(len(root_tubes.roots))
+            for part in root_tubes.echoes:
+                share = part.error / budget.allowed(part.lit.body)
+                square += np.bincount(part.root, share**2, len(roots))
             error = np.sqrt(square) * budget.allowed(roots.body)
             done = budget.affordable(roots.body, error, _PER_LEVEL)
             if depth == deepest:
                 done[:] = True
             done |= ~largest(np.where(done, 0.0, square), MOST_ROOTS // 4)
-            for landed in begun.landed:
-                ends = done[landed.root]
-                budget.accept(landed.lit.body, landed.error, ends)
-                some = np.flatnonzero(ends & landed.is_lit)
+            for part in root_tubes.echoes:
+                ends = done[part.root]
+                budget.accept(part.lit.body, part.error, ends)
+                some = np.flatnonzero(ends & part.is_lit)
                 if len(some):
-                    lit.append((landed.lit.take(some), landed.echoes.take(some)))
+                    lit.append((part.lit.take(some), part.echoes.take(some)))
             rest = np.flatnonzero(~done)
             if not len(rest):
                 break
             times = min(2 if len(rest) < _FEW else 1, deepest - depth)
             divided = (roots.take(rows) for rows in portions(rest, 4**times))
-            begun = self._begun(self._divided(some, times) for some in divided)
+            root_tubes = self._root_tubes(self._divided(some, times) for some in divided)
             depth += times
         if not lit:
             return None

@@ -1,4 +1,8 @@
-"""Where borders cut triangles: found by bisection on lines from the corner that they cut off."""
+"""Division of triangles by a border that separates one corner from the other two.
+
+The border is found by bisection on lines from that corner. `tubes` divides ray tubes so, `shadows`
+triangles at the border of a shadow.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,19 +20,22 @@ Corners = tuple[Any, Any, Any]
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """Triangles on both sides of a border, which is bent in its middle: two at the corner that it
-    cuts off, three beyond; shares of the way from there to both others at which it lies, and how
-    far it is from straight, over how far it is from that corner.
+    """Triangles on both sides of a border, which is taken as two straight pieces.
+
+    ``near``: two triangles at the corner that is cut off; ``far``: three on the other side;
+    ``shares``: where the border cuts both edges from that corner, as shares of these;
+    ``curvature``: deviation of the border's middle from the straight line, over its distance from
+    the corner.
     """
 
     near: tuple[Corners, ...]
     far: tuple[Corners, ...]
     shares: tuple[Any, Any]
-    bent: Any
+    curvature: Any
 
 
 def odd_one(alike: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.uint32]]:
-    """Whether just two of three corners are alike, and which is the other one.
+    """Whether exactly two of three corners are alike, and the index of the third.
 
     ``alike`` (3, n): corners 0 and 1, 1 and 2, 2 and 0.
     """
@@ -37,8 +44,8 @@ def odd_one(alike: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.uin
 
 
 def border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> Border:
-    """Of triangles, of which corner ``odd`` is cut off: ``same`` tells of points whether they are
-    on its side.
+    """Border of triangles whose corner ``odd`` it cuts off; ``same``: function of points, whether
+    they are on that corner's side.
     """
     center = (corners[0] + corners[1] + corners[2]) / 3
 
@@ -54,7 +61,7 @@ def border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> B
     dr.eval(tip, left, right)
 
     def share(end: Any) -> Any:
-        """Of the way from the odd corner, at which the border lies."""
+        """Share of the line from the odd corner to ``end`` at which the border cuts it."""
         count = dr.width(center)
 
         def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
@@ -71,18 +78,18 @@ def border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> B
         return midpoint
 
     on_left, on_right = share(left), share(right)
-    # A line through the middle of the straight border, on which that lies at one half.
+    # A third line, through the middle of the straight border; there this border is at one half.
     straight = on_left * (left - tip) + on_right * (right - tip)
     reach = dr.minimum(1, 1 / dr.maximum(on_left + on_right, 1e-9))
     through = tip + reach * straight
     dr.eval(through)
     on_middle = reach * share(through)
     tip, left, right = ordered(corners)
-    bend = tip + on_middle * (on_left * (left - tip) + on_right * (right - tip))
+    middle = tip + on_middle * (on_left * (left - tip) + on_right * (right - tip))
     at_left, at_right = tip + on_left * (left - tip), tip + on_right * (right - tip)
     return Border(
-        near=((tip, at_left, bend), (tip, bend, at_right)),
-        far=((at_left, left, bend), (bend, left, right), (bend, right, at_right)),
+        near=((tip, at_left, middle), (tip, middle, at_right)),
+        far=((at_left, left, middle), (middle, left, right), (middle, right, at_right)),
         shares=(on_left, on_right),
-        bent=dr.abs(2 * on_middle - 1),
+        curvature=dr.abs(2 * on_middle - 1),
     )

@@ -1,4 +1,4 @@
-"""What a lit triangle sends back: the currents of physical optics, integrated exactly."""
+"""Echoes of lit triangles: currents of physical optics, integrated over each triangle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -33,11 +33,11 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _MOST_CURVATURE = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
-_OBLIQUE = 8.0  # rad across a triangle from which its corners answer one by one
-_TURNED = 0.7  # of the phase by which a slope grows until the end of a burst
-_NARROW = 0.15  # size over distance up to which a triangle's edges tell the most that it gets
+_OBLIQUE = 8.0  # rad across a triangle, from which its echo is a sum of those of its corners
+_TURNED = 0.7  # of the phase that motion adds across a triangle by the end of a burst
+_NARROW = 0.15  # size over distance, up to which the gain is bounded by that at the corners
 _NEAREST = 0.05  # of the distance of the centroid
-_MOST_AGAIN = 0.9  # of a wave within a wall from one round trip to the next
+_MOST_AGAIN = 0.9  # ratio of successive round trips within a wall, at most
 #: Corners of the four equal parts of a triangle, by its corners 0 to 2 and the middles 3 to 5 of
 #: its edges.
 _QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
@@ -47,11 +47,18 @@ _QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
 class Echoes:
     """Echoes of triangles at the carrier, on the host, each (n,).
 
-    ``amplitude``: of all currents in phase and as strong as at the centroid, without the antenna's
-    gain; ``mean``: of the gain and of exp(j phase) over the triangle, the phase counted from
-    ``length_m``, the path by the centroid, where ``gain`` is the antenna's, out and back, in
-    amplitude. With the gain: ``strength``, a bound of what it or any part of it returns, and
-    ``curved``, what the curvature of phase and amplitude may still change.
+    amplitude
+        Echo if all currents were in phase and as strong as at the centroid, without antenna gain.
+    mean
+        Mean over the triangle of the antenna's gain times exp(j phase); the phase is relative to
+        that of the path by the centroid.
+    length_m, gain
+        Length of the path by the centroid, and the antenna's two-way gain there, in amplitude.
+    strength
+        Upper bound of the echo of the triangle, or of any part of it, with the gain.
+    curved
+        Error by the curvature of phase and amplitude, with the gain.
+
     Both directions between two different images count as one echo.
     """
 
@@ -64,7 +71,7 @@ class Echoes:
 
     @property
     def total(self) -> ComplexArray:
-        """With the antenna's gain, less the phase of the path."""
+        """Echo with the antenna's gain, without the phase of the path."""
         return self.amplitude * self.mean
 
     def take(self, which: Any) -> "Echoes":
@@ -101,8 +108,8 @@ def normal_of(context: TracingContext, face: Index, place: Vector3, towards: Vec
 def reflection(
     context: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
 ) -> tuple[Vector3, Vector3, Vector3, ComplexVector3]:
-    """At the centroid: direction of the wave, the normal against it, direction and field of the
-    reflected wave.
+    """At the centroid: direction of the incident wave, normal on its side, direction and field of
+    the reflected wave.
     """
     direction = dr.normalize(lit.center - wave.origin)
     normal = normal_of(context, lit.face, lit.center, wave.origin)
@@ -118,7 +125,7 @@ def _mirrored(
     normal: Vector3,
     field: ComplexVector3,
 ) -> tuple[Vector3, ComplexVector3]:
-    """Direction and field of what facets reflect of a wave."""
+    """Direction and field of the wave that facets reflect."""
     cosine = -dr.dot(normal, direction)
     number = dr.gather(context.mi.UInt32, context.world.object_index, lit.face)
     surface = dr.gather(context.mi.UInt32, scatterers.surface, number)
@@ -129,10 +136,10 @@ def _mirrored(
 def amplitude_of(
     context: TracingContext, scatterers: Scatterers, lit: Triangles, wave: Incident
 ) -> tuple[Complex, OneWayPath]:
-    """Echo of all currents in phase, without the antenna's gain, and the return path.
+    """Echo with all currents in phase, without the antenna's gain, and the return path.
 
-    Of triangles lit directly that answer to another image than they are lit from, both directions
-    of the way together. Currents of physical optics are not reciprocal: each direction has its own.
+    If a directly lit triangle has another image as receiver than as source, both directions of the
+    path are added. Physical optics is not reciprocal: each direction has its own currents.
     """
     place = lit.center
     normal = normal_of(context, lit.face, place, wave.origin)
@@ -159,13 +166,13 @@ def _induced(
     lit: Triangles,
     normal: Vector3,
     wave: tuple[Vector3, ComplexVector3],
-    heard: tuple[Vector3, ComplexVector3],
+    received: tuple[Vector3, ComplexVector3],
 ) -> Complex:
-    """What one wave's currents at centroids are worth to another one's source; each by its
-    direction and field.
+    """Amplitude that the currents of one incident wave radiate to the source of another, with that
+    one's polarisation; each wave is given by its direction and field.
     """
     direction, field = wave
-    towards, polarization = heard
+    towards, polarization = received
     away, reflected_field = _mirrored(context, scatterers, lit, direction, normal, field)
     return polarization.dot(radiating(field, reflected_field, direction, away, normal, -towards))
 
@@ -173,11 +180,11 @@ def _induced(
 def level_at(
     scatterers: Scatterers, wave: Incident, point: Vector3, receiver: Vector3, axes: Axes
 ) -> tuple[Real, Real, Real]:
-    """At points of triangles: logarithms of the antenna's gain out and back, and of what spreading
-    and obliqueness make of a wave, and the length of the way, walls apart.
+    """At points of triangles: logarithms of the antenna's two-way gain and of spreading times
+    obliquity, and the length of the path without walls.
 
-    A plane's cosines are its distance over the lengths of the paths: all of it goes with their -3/2
-    power.
+    The cosines at a plane are its distance over the lengths of the paths, so spreading times
+    obliquity goes as the -3/2 power of these.
     """
     from_source, from_receiver = point - wave.origin, point - receiver
     there, again = (dr.maximum(dr.norm(way), NEAREST_M) for way in (from_source, from_receiver))
@@ -187,7 +194,7 @@ def level_at(
 
 
 def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -> Echoes:
-    """What each triangle returns if all of it is seen."""
+    """Echo of each triangle if all of it is visible."""
     wave = incident_on(context, lit)
     (re, im), return_path = amplitude_of(context, scatterers, lit, wave)
     a, b, c = lit.corners
@@ -203,7 +210,8 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
     parts = [mean_over([nodes[i] for i in q]) for q in _QUARTERS]
     finer = [sum(part[i] for part in parts) / 4 for i in (0, 1)]
     corners = [value.phase for value in nodes[:3]]
-    # Halved edges leave a quarter of the error; of corners' echoes, which go with slopes, half.
+    # Halved edges leave a quarter of the error; at oblique incidence, where the echo comes from the
+    # corners, half.
     gain_of_halves = dr.select(span(corners) < _OBLIQUE, 3.0, 1.0)
     change = [(fine - coarse) / gain_of_halves for fine, coarse in zip(finer, linear, strict=True)]
     level = dr.sqrt(dr.square(re) + dr.square(im))
@@ -215,9 +223,11 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
     # Where the curvature is large, extrapolation from two sizes of triangles says nothing.
     curved = dr.select(largest < _MOST_CURVATURE, curved, strength)
     if scatterers.half_time_s:
-        turned = scatterers.half_time_s * k * _turning(context, scatterers, lit, wave, return_path)
-        curved += strength * dr.minimum(_TURNED * turned * strength / most, 1)
-    if context.walls is not None:  # what runs to and fro within walls comes again
+        change_rad = (
+            scatterers.half_time_s * k * _turning(context, scatterers, lit, wave, return_path)
+        )
+        curved += strength * dr.minimum(_TURNED * change_rad * strength / most, 1)
+    if context.walls is not None:  # internal reflections of walls repeat the echo
         again = 1 + _again(wave.passage) + _again(return_path.passage)
         strength, curved = strength * again, curved * again
     mean = [fine + more for fine, more in zip(finer, change, strict=True)]
@@ -228,7 +238,7 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
 
 
 def _again(passage: SlabTransmission) -> Real:
-    """All round trips within a wall over the first way through, in amplitude, in phase."""
+    """Sum of all round trips within a wall, in phase, over the first transmission, in amplitude."""
     share = dr.sqrt(dr.square(passage.rho_re) + dr.square(passage.rho_im))
     return dr.minimum(share, _MOST_AGAIN) / (1 - dr.minimum(share, _MOST_AGAIN))
 
@@ -240,7 +250,7 @@ def _turning(
     wave: Incident,
     return_path: OneWayPath,
 ) -> Real:
-    """How fast the difference of the ways by two corners grows, at most, in m/s."""
+    """Largest rate at which the difference of path length between two corners grows, m/s."""
     number = dr.gather(context.mi.UInt32, context.world.object_index, lit.face)
     own = context.mi.Vector3d(
         *(dr.gather(context.mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
@@ -265,7 +275,9 @@ def _most(
     axes: Axes,
     logs: Sequence[Real],
 ) -> Real:
-    """Bound of the antenna's gain and of spreading over triangles, over the latter at centroids."""
+    """Bound over triangles of the antenna's gain times spreading, relative to the latter at
+    centroids.
+    """
     place = lit.center
     a, b, c = (dr.squared_norm(point - place) for point in lit.corners)
     size = dr.sqrt(dr.maximum(a, dr.maximum(b, c)))

@@ -1,4 +1,6 @@
-"""What a frame leaves for later ones: what it was traced in, its echoes, and where its ways run."""
+"""What a frame stores for later ones: its setting, its echoes, and the footprints of its ray
+tubes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -30,11 +32,11 @@ Indices = NDArray[np.integer]
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What a frame is traced in, as later ones are compared with it: the stage itself changes.
+    """Everything on which a frame's echoes depend, for comparison with later frames.
 
     Per object ``items``, ``roles``, ``surface`` (rows of coefficients in ``table``) and ``body``;
-    per facet ``owner``, its object; ``heard`` and ``outward`` as of `Scatterers`; the numbers in
-    ``fixed`` are where the radar stands, what mirrors and what lets through.
+    per facet ``owner``, its object; ``reachable`` and ``outward`` as of `Scatterers`; the numbers
+    in ``fixed`` are where the radar stands, what mirrors and what lets through.
     """
 
     items: tuple[SceneObject, ...]
@@ -44,7 +46,7 @@ class Setting:
     body: Indices
     owner: Indices
     images: tuple[Image, ...]
-    heard: Mask
+    reachable: Mask
     outward: NDArray[np.int8]
     fixed: tuple[NDArray[Any], ...]
 
@@ -53,9 +55,9 @@ def setting_of(
     prepared: PreparedScene,
     scatterers: Scatterers,
     body: Indices,
-    asked: Sequence[float],
+    parameters: Sequence[float],
 ) -> Setting:
-    """Of a stage; ``asked``: numbers that a frame depends on as well."""
+    """Setting of a prepared scene; ``parameters``: further numbers on which a frame depends."""
     flats, walls = prepared.flats, prepared.context.walls
     through = () if walls is None else (np.array(walls.thickness), np.array(walls.table))
     half_time = scatterers.half_time_s
@@ -67,10 +69,12 @@ def setting_of(
         body=body,
         owner=prepared.world.object_of_face,
         images=prepared.images,
-        heard=scatterers.heard,
+        reachable=scatterers.reachable,
         outward=scatterers.outward,
         fixed=(
-            np.array([*asked, half_time, prepared.wavelength_m, len(prepared.world.face_ranges)]),
+            np.array(
+                [*parameters, half_time, prepared.wavelength_m, len(prepared.world.face_ranges)]
+            ),
             prepared.anchor_m,
             prepared.place,
             prepared.axes,
@@ -84,10 +88,12 @@ def setting_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Landings:
-    """Where tubes land, on the device: ``origin`` of the wave, ``corners``, ``face``; on the host
-    the ``first`` facet of each, the image that is its ``source``, and whether it ``goes_on`` to be
-    reflected; in pairs the ``row`` of a landing and the ``receiver`` that hears it.
+class Footprints:
+    """Triangles that ray tubes light.
+
+    On the device: ``origin`` of the wave, ``corners``, ``face``. On the host: the ``first`` facet
+    of each tube, the image that is its ``source``, and whether it ``goes_on`` to be reflected; in
+    pairs the ``row`` of a footprint and a ``receiver`` of its echo.
     """
 
     origin: Any
@@ -102,20 +108,21 @@ class Landings:
     @staticmethod
     def of(
         context: TracingContext, tubes: Tubes, goes_on: Mask, row: Indices, receiver: Indices
-    ) -> "Landings":
-        """Of tubes, without the waves that they bring."""
+    ) -> "Footprints":
+        """Footprints of tubes, without the waves that light them."""
         lit = tubes.triangles
         origin = origin_of(context, lit)
         dr.eval(origin)
         source = np.array(lit.source).astype(np.int32)
         pairs = row.astype(np.int32), receiver.astype(np.int32)
-        return Landings(origin, lit.corners, lit.face, lit.first, source, goes_on, *pairs)
+        return Footprints(origin, lit.corners, lit.face, lit.first, source, goes_on, *pairs)
 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Echoes of triangles at the carrier without the phase of the path, (n,), with its length; the
-    facet that each lies on, the ``first`` of its way, and images at both ends.
+    """Echoes of triangles at the carrier without the phase of the path, (n,), with the path's
+    length, the facet on which each lies, the ``first`` facet of its path, and the images at both
+    ends.
     """
 
     echo: NDArray[np.complex128]
@@ -127,7 +134,7 @@ class Sums:
 
     @staticmethod
     def of(leaves: Leaves) -> "Sums":
-        """Of triangles that are divided no further."""
+        """Echoes of leaves."""
         lit = leaves.triangles
         return Sums(
             leaves.weight * leaves.echoes.total,
@@ -151,10 +158,20 @@ class Sums:
 
 @dataclass(frozen=True, eq=False)
 class TracedEchoes:
-    """Echoes of all bodies: contributions in parts, an earlier frame's first, ``sums`` of the
-    others, and whether these ``is_direct``: lit from images, not by tubes; error accepted of every
-    body, and the level that it was accepted for; landings of tubes; sizes of parts of facets, of
-    those lit from images and of those that begin tubes; how many contributions are ``n_reused``.
+    """Echoes of all bodies.
+
+    contributions
+        In parts, those of an earlier frame first.
+    sums, is_direct
+        Of each part but these; whether it is lit from images rather than by ray tubes.
+    error, level
+        Accepted error of every body, and the level that it is relative to.
+    footprints
+        Of ray tubes.
+    spacing_m
+        Sizes of parts of facets: of those lit from images, and of roots of ray tubes.
+    n_reused
+        Number of contributions from an earlier frame.
     """
 
     contributions: tuple[Contributions, ...]
@@ -162,16 +179,18 @@ class TracedEchoes:
     is_direct: tuple[bool, ...]
     error: Array
     level: Array
-    landings: tuple[Landings, ...]
+    footprints: tuple[Footprints, ...]
     spacing_m: tuple[float, float]
     n_reused: int = 0
 
 
 @dataclass(frozen=True, eq=False)
-class Traced:
-    """A frame traced in full, of which later ones may keep a part: some 500 bytes for each of its
-    contributions and tubes. By which ``radar`` and which ``solver``, as ``Fidelity.radar`` calls
-    it; ``setting`` and ``echoes``: None where nothing scattered.
+class TracedFrame:
+    """A traced frame, of which later ones may reuse a part: some 500 bytes for each of its
+    contributions and ray tubes.
+
+    ``radar`` and ``solver`` (as in ``Fidelity.radar``) are those by which it was traced;
+    ``setting`` and ``echoes`` are None where nothing scattered.
     """
 
     radar: RadarDesign

@@ -1,4 +1,4 @@
-"""Facets that face images of the radar, held as indices; triangles are made of a batch at a time.
+"""Facets that face images of the radar, stored as indices; turned into triangles in batches.
 
 Each triangle takes some kilobytes while its echo is computed, so all facets at once would not fit.
 """
@@ -20,19 +20,19 @@ from twin.transfer import aligned, vector
 Array = NDArray[np.float64]
 Rows = NDArray[np.integer]
 
-#: Triangles that are looked at together: some 0.5 GB for a while.
+#: Triangles in a batch: some 0.5 GB while it is computed.
 AT_ONCE = 2**18
 
 
 def portions(rows: Rows, parts: int = 1) -> Iterator[Rows]:
-    """Rows in portions, of which each becomes some ``parts``; few ones all at once."""
+    """Rows in portions, so small that ``parts`` triangles of each row fit in a batch."""
     size = max(AT_ONCE // parts, 1)
     for first in range(0, len(rows), size):
         yield rows[first : first + size]
 
 
 def largest(values: Array, count: int) -> NDArray[np.bool_]:
-    """Which of some values, (n,), are the largest ones, as many as asked for, and not 0."""
+    """Which of some values, (n,), are the ``count`` largest that are not 0."""
     is_largest = values > 0
     if np.count_nonzero(is_largest) > count:
         is_largest[:] = False
@@ -42,7 +42,7 @@ def largest(values: Array, count: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class FrontFacets:
-    """Whole facets of the world, each lit directly from an image and heard at one, (n,)."""
+    """Whole facets of the world, each with a source image and a receiver image, (n,)."""
 
     context: TracingContext
     scatterers: Scatterers
@@ -76,7 +76,7 @@ class FrontFacets:
         return lit_facets(self.context, self.scatterers, some.face, some.source, some.receiver)
 
     def echoes(self) -> Echoes:
-        """What each returns if all of it is seen."""
+        """Echo of each if all of it is visible."""
         return Echoes.concatenate(
             [
                 echoes_of(self.context, self.scatterers, self.take(rows))
@@ -107,20 +107,20 @@ def bistatic_facets(
     images: Sequence[Image],
     wanted: NDArray[np.bool_] | None = None,
 ) -> FrontFacets:
-    """All facets of which a source and a receiver face the same side, occlusion not tested, closed
-    meshes from outside. ``wanted`` (n_images, n_facets): only those that are lit
-    or heard by such an image.
+    """All facets with a source and a receiver on the same side, of closed meshes on the outside;
+    occlusion is not tested. ``wanted`` (n_images, n_facets): only those with such an image as
+    source or receiver.
     """
     b = scatterers
     rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
     sides = sides_of(context, images, rows)
     facets = []
     for i, side in enumerate(sides):
-        is_lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.heard[i, rows]
+        is_lit = (side != 0) & (b.outward[i, rows] * side >= 0) & b.reachable[i, rows]
         lit = np.flatnonzero(is_lit)
         face, of_lit = rows[lit], side[lit]
         for j in range(i, len(images)):
-            both = face[(sides[j][lit] == of_lit) & b.heard[j, face]]
+            both = face[(sides[j][lit] == of_lit) & b.reachable[j, face]]
             if wanted is not None:
                 both = both[wanted[i, both] | wanted[j, both]]
             facets.append(_numbered(context, b, both, i, j))
@@ -133,7 +133,9 @@ def illuminated_facets(
     images: Sequence[Image],
     wanted: NDArray[np.bool_] | None = None,
 ) -> FrontFacets:
-    """All facets that a source faces, as their own receivers; ``wanted`` as of `facing`."""
+    """All facets that a source faces, with the source as receiver; ``wanted`` as of
+    `bistatic_facets`.
+    """
     b = scatterers
     rows = np.flatnonzero(b.counts if wanted is None else b.counts & wanted.any(axis=0))
     facets = []
@@ -141,7 +143,7 @@ def illuminated_facets(
         lit = (side != 0) & (b.outward[i, rows] * side >= 0)
         if wanted is not None:
             lit &= wanted[i, rows]
-        facets.append(_numbered(context, b, rows[lit & b.heard[i, rows]], i, i))
+        facets.append(_numbered(context, b, rows[lit & b.reachable[i, rows]], i, i))
     return FrontFacets.concatenate(facets)
 
 
@@ -159,7 +161,7 @@ def _numbered(
 def sides_of(
     context: TracingContext, images: Sequence[Image], rows: NDArray[np.intp]
 ) -> list[NDArray[np.int8]]:
-    """On which side of some facets each image stands: 1 where their normal points to."""
+    """Side of some facets on which each image is: 1 where their normal points."""
     sides = [np.empty(len(rows), dtype=np.int8) for _ in images]
     for some in portions(np.arange(len(rows))):
         plane = context.world.plane_table[rows[some]]
@@ -176,7 +178,7 @@ def lit_facets(
     source: Rows,
     receiver: Rows,
 ) -> Triangles:
-    """Whole facets, each lit directly from one image and heard at another."""
+    """Triangles of whole facets, each lit directly from one image, with another as receiver."""
     mi, world = context.mi, context.world
     at = world.vertices[world.faces[face]]
     a, b, c = (vector(mi, at[:, k], "Vector3d") for k in range(3))

@@ -1,10 +1,11 @@
-"""Triangles that stand wholly in shadow, known by rays from their corners alone.
+"""Triangles that lie wholly in shadow, found by rays from their corners only.
 
-What is convex hides from a point a convex part of every plane: where one convex part of a mesh
-hides all three corners of a triangle, it hides the whole. Where it hides one corner and another
-part both others, they hide the whole if on both edges from that corner one begins where the other
-ends. Seen over mirrors the same holds of what stands beyond or beside these. Without this, walls
-behind other walls would be divided as finely as the gap that there might be between these.
+The shadow of a convex occluder on a plane is convex. So if one convex part of a mesh hides all
+three corners of a triangle, it hides the whole triangle. If it hides one corner, and another part
+hides both others, then they hide the whole triangle if on both edges from that corner one shadow
+begins where the other ends. For paths over mirrors the same holds of points beyond a mirror or
+beside it. Without this test, walls behind other walls would be divided as finely as any possible
+gap between these.
 """
 
 from typing import Any
@@ -20,18 +21,20 @@ from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.one_way.path import LEVEL, WINDOW, TracingContext, offset
 from twin.transfer import aligned
 
-_BEFORE = 1e-4  # of a way: what is met so near its end may be what it leads to
+_BEFORE = 1e-4  # of a path: a hit so near its end may be its end point itself
 _BESIDE = 1e-6  # of the distance from the anchor, likewise
 _INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
-_HALVINGS = 14  # of an edge until another part begins: gaps of 6e-5 of it are not found
+_HALVINGS = (
+    14  # of an edge, to find where another occluder begins: smaller gaps than 6e-5 are missed
+)
 _NEAR_M = 1e3  # from the anchor: radars of cross-sections stand farther away
-#: What hides a place: numbers of what is not a part of a mesh come first.
+#: Numbers of occluders: no path beyond a mirror, or beside it, come before the parts of meshes.
 _BEYOND, _AT_SIDES, _PARTS = 1, 2, 6
 
 
 def wholly_hidden(context: TracingContext, parts: Any, lit: Triangles) -> NDArray[np.bool_]:
-    """Triangles that their receiver, or the source that lights them directly, surely sees nothing
-    of, (n,); by the convex ``parts`` of the world, on the device.
+    """Whether triangles are certainly hidden from their receiver, or from the source that lights
+    them directly, (n,); by the convex ``parts`` of the world, on the device.
     """
     is_hidden = np.zeros(len(lit), dtype=bool)
     for end in ("receiver", "source") if lit.waves is None else ("receiver",):
@@ -69,8 +72,8 @@ def _are_joined(
     by: NDArray[np.uint32],
     odd: NDArray[np.uint32],
 ) -> NDArray[np.bool_]:
-    """Whether on both edges from the corner that is hidden by something else than both others, one
-    begins where the other ends.
+    """Whether on both edges from corner ``odd``, which has another occluder than the other two, the
+    shadow of one occluder begins where that of the other ends.
     """
     mi, n, column = context.mi, len(lit), np.arange(len(lit))
     many = lit.repeat(2)
@@ -102,9 +105,9 @@ def _are_joined(
 
 
 def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, place: Any) -> Any:
-    """What hides points of triangles: a number, or 0 where that is nothing convex, or nothing.
+    """Number of the occluder that hides points of triangles; 0 for none, or one that is not convex.
 
-    Everything that the number stands for hides a convex part of a plane.
+    The shadow of every numbered occluder on a plane is convex.
     """
     mi, scene, source = context.mi, context.world.scene, getattr(lit, end)
     off = normal_of(context, lit.face, place, origin_of(context, lit)) * (offset(place) + lit.lift)
@@ -118,7 +121,7 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
         occluder = dr.select((occluder == 0) & where & (kind > 0), number, occluder)
 
     def first_hit(begin: Any, direction: Any, reach: Any, where: Any, mirror: Any = None) -> Any:
-        """Number of the part that a ray meets; 0 of none, or of a mirror."""
+        """Number of the convex part that a ray meets; 0 for none, or for the mirror itself."""
         ray = mi.Ray3f(mi.Point3f(begin), mi.Vector3f(direction), mi.Float(reach), 0.0, [])
         hit = scene.ray_intersect_preliminary(ray, active=where)
         is_met = where & hit.is_valid()
@@ -150,7 +153,7 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
         at, aim = dr.select(has, mirror, at), dr.select(has, before, aim)
         start = dr.select(has, mirror + facing * offset(mirror), start)
-    # From the radar on, as what stands near it hides the most, if float32 tells where it stands.
+    # From the radar, since occluders near it hide most, where float32 resolves its place.
     is_near = dr.norm(aim) < _NEAR_M
     begin, back = dr.select(is_near, aim, start), dr.select(is_near, start, aim)
     way = back - begin
@@ -162,7 +165,7 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
 
 
 def _side(context: TracingContext, row: Any, place: Any) -> Any:
-    """Beyond which side of a mirror's window a place in its plane lies; 0 of none."""
+    """The side of a mirror's window beyond which a place in its plane lies; 0 for none."""
     mi = context.mi
     slack, side = _BESIDE * dr.norm(place), mi.UInt32(0)
     for k in range(2):

@@ -1,4 +1,4 @@
-"""Hits of reflected rays: from the corners of tubes and a point inside, or from a point alone."""
+"""Hits of reflected rays: from the corners of ray tubes and a point inside, or from one point."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,14 +17,18 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
 _INSET = 1e-3  # of the way to the centroid
-#: Near the centroid, which in what is symmetric meets a crease: shares of the corners.
+#: A point near the centroid, by shares of the corners; the centroid itself may meet an edge if the
+#: scene is symmetric.
 INSIDE = (0.38, 0.335, 0.285)
 
 
 @dataclass(frozen=True, eq=False)
 class RayHits:
-    """Hits of reflected rays, (samples, n): whether a ray hits anything and the source sees where
-    it begins, the facet, and the distance along the ray from its plane to the last sample's.
+    """Hits of reflected rays, (samples, n).
+
+    ``is_valid``: whether the ray's start is lit and the ray hits anything; ``face``: the facet;
+    ``gap_m``: distance along the ray between that facet's plane and the plane that the last sample
+    meets.
     """
 
     is_valid: NDArray[np.bool_]
@@ -39,7 +43,9 @@ class RayHits:
 def reflected_ray_hits(
     context: TracingContext, scatterers: Scatterers, tubes: Triangles, samples: int
 ) -> RayHits:
-    """Of rays from the corners and a point inside, or from the spot alone."""
+    """Hits of rays from the corners and a point inside (4 samples), or from the lit point
+    alone (1).
+    """
     mi, n = context.mi, len(tubes)
     many = tubes.repeat(samples) if samples > 1 else tubes
     index = dr.arange(mi.UInt32, samples * n)
@@ -61,8 +67,8 @@ def reflected_ray_hits(
 
 
 def apart(context: TracingContext, tubes: Triangles, hits: RayHits) -> Array:
-    """Distance along the rays of all samples between the planes that they meet and the plane that
-    one of them meets, (4 planes, 4 samples, n); infinite where either meets none.
+    """Distance along the ray of each sample between the plane that it meets and the plane that any
+    other sample meets, (4 planes, 4 samples, n); infinite where either meets none.
     """
     mi, n = context.mi, len(tubes)
     many = tubes.repeat(4)
@@ -93,7 +99,9 @@ def _mirrored(context: TracingContext, tubes: Triangles, place: Any) -> tuple[An
 def reflected_from(
     context: TracingContext, scatterers: Scatterers, tubes: Triangles, place: Any
 ) -> tuple[Any, Any, Any]:
-    """Whether rays from there meet what scatters, on which facet (else 0), and their direction."""
+    """Whether reflected rays from places meet a scatterer, its facet (else 0), and their
+    direction.
+    """
     mi = context.mi
     direction, normal = _mirrored(context, tubes, place)
     off = normal * (offset(place) + tubes.lift)

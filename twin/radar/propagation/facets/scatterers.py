@@ -1,4 +1,4 @@
-"""Bodies that scatter by physical optics, as their facets are asked for it."""
+"""Properties of facets and objects that scatter by physical optics."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,20 +17,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Scatterers:
-    """Per facet of the world on the host: ``body``, -1 where nothing scatters; ``counts``: it
-    scatters, has an area, and lies upon no other; ``outward`` (n_images, n_facets), 1 or -1 where
-    its normal looks out of a closed mesh or into it and the image stands outside, else 0; ``heard``
-    (n_images, n_facets), whether the way by an image is worth tracing and some of the facet may get
-    anything by it. On the device: the ``antenna``, per object ``answers``, whether it scatters, its
-    ``surface`` and ``velocity``, and per facet in ``parts`` the number of its
-    `convexity.convex_parts`; ``half_time_s``: how long before and after its middle the burst lasts,
-    0 where nothing moves.
+    """Facets and objects that scatter.
+
+    On the host, per facet of the world:
+
+    body : (n_facets,)
+        Number of its body, -1 where it does not scatter.
+    counts : (n_facets,)
+        Whether it scatters, has an area, and no other facet lies upon it.
+    outward : (n_images, n_facets)
+        Whether its normal points out of a closed mesh (1) or into it (-1); 0 of an open mesh, or
+        where the image is inside the mesh's box.
+    reachable : (n_images, n_facets)
+        Whether paths between the image and the facet are traced.
+
+    On the device: the ``antenna``; per object ``answers``, whether it scatters, its ``surface`` and
+    ``velocity``; per facet ``parts``, the number of its convex part (`convexity.convex_parts`).
+    ``half_time_s``: half the duration of the burst, 0 where nothing moves.
     """
 
     body: NDArray[np.intp]
     counts: NDArray[np.bool_]
     outward: NDArray[np.int8]
-    heard: NDArray[np.bool_]
+    reachable: NDArray[np.bool_]
     antenna: AntennaGain
     answers: Any
     surface: Any
@@ -42,7 +51,7 @@ class Scatterers:
 def scatterers(
     prepared: PreparedScene, antenna: Antenna, body: NDArray[np.int32], half_time_s: float = 0.0
 ) -> Scatterers:
-    """By the body of every object, -1 where it does not scatter."""
+    """Scatterers of a scene, by the body of every object, -1 where it does not scatter."""
     world, mi = prepared.world, prepared.context.mi
     count = len(world.faces)
     outward = np.zeros(count, dtype=np.int8)
@@ -58,7 +67,7 @@ def scatterers(
         body=body[world.object_of_face].astype(np.intp),
         counts=counts,
         outward=np.where(_within(prepared)[:, world.object_of_face], np.int8(0), outward),
-        heard=_heard(prepared, antenna),
+        reachable=_reachable(prepared, antenna),
         antenna=antenna_gain(mi, antenna, prepared.axes),
         answers=mi.Bool(aligned(body >= 0)),
         surface=mi.UInt32(prepared.surface_of_object),
@@ -69,7 +78,7 @@ def scatterers(
 
 
 def _within(prepared: PreparedScene) -> NDArray[np.bool_]:
-    """Whether images stand in the boxes around objects, (n_images, n_objects)."""
+    """Whether images are inside the boxes around objects, (n_images, n_objects)."""
     world = prepared.world
     first = [rows.start for rows in world.vertex_ranges]
     low, high = (end.reduceat(world.vertices, first) for end in (np.minimum, np.maximum))
@@ -77,7 +86,7 @@ def _within(prepared: PreparedScene) -> NDArray[np.bool_]:
     return np.asarray(((low <= places) & (places <= high)).all(axis=2))
 
 
-def _heard(prepared: PreparedScene, antenna: Antenna) -> NDArray[np.bool_]:
+def _reachable(prepared: PreparedScene, antenna: Antenna) -> NDArray[np.bool_]:
     worth: NDArray[np.bool_] = prepared.worth[:, prepared.world.object_of_face]
     return worth if antenna.gain_dbi is None else worth & _before(prepared)
 

@@ -160,8 +160,8 @@ class Triangles:
         columns = list(zip(*(part._columns() for part in parts), strict=True))
         whole = first._of(concatenated(columns, [len(part) for part in parts]))
         own = (np.concatenate([getattr(part, name) for part in parts]) for name in _ON_HOST)
-        body, is_ray, begun = own
-        return replace(whole, waves=waves, body=body, is_ray=is_ray, first=begun)
+        body, is_ray, first_facet = own
+        return replace(whole, waves=waves, body=body, is_ray=is_ray, first=first_facet)
 
     def _columns(self) -> list[Any]:
         """All numbers, in order."""

@@ -1,8 +1,9 @@
-"""From facet to facet: triangular tubes of rays that bodies reflect at each other.
+"""Ray tubes: triangular bundles of rays that the facets of bodies reflect at each other.
 
-A flat facet reflects the light of a point as if it came from the point's mirror image: so a tube is
-an origin and a triangle, and where all of it meets one plane it lights a triangle there, with exact
-phases. Where its corners and its centroid meet different planes it is divided.
+A flat facet reflects the wave of a point source as if it came from the point's mirror image. So a
+ray tube is an origin and a triangle. Where all of it meets one plane it lights a triangle there,
+its footprint, with exact phases. Where its corners and its centroid meet different planes it is
+divided.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,22 +42,23 @@ from twin.transfer import aligned, host
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
-_SMOOTH_RAD = 0.7  # by which facets that a tube meets may lie off one plane, as mean over the tube
-_STEP_RAD = 3.0  # from which on they are not one curved surface, likewise
-_DOUBT = 1.0  # of what a ray that hits stands for: others of its tube miss
-_BENT = 1.0  # of how far a border is from straight, which is followed in its middle
-_MOST_BENT = 0.4
+#: Phase, as mean over a ray tube, by which the facets that it meets may deviate from one plane; and
+#: from which on they are not one curved surface.
+_SMOOTH_RAD = 0.7
+_STEP_RAD = 3.0
+_DOUBT = 1.0  # relative error of a tube that is represented by one ray: others of its rays may miss
+_CURVED = 1.0  # relative error of a tube cut at a border, over that border's curvature
+_MOST_CURVATURE = 0.4
 _ALIKE = 0.9  # cosine between facets of one curved surface
 _LEAST_SLOPE = 0.05  # sine of the angle at which planes are met: a ray's triangle stays finite
 
 
 @dataclass(frozen=True, eq=False)
 class Tubes:
-    """Triangles that tubes light, with the ``root`` of each, the number of the facet's part that it
-    began at, its ``doubt``: share of what it may return that it may be off by, and whether it
-    ``is_lit``, or only near something that is.
+    """Ray tubes, each as the triangle that it lights, still without a receiver.
 
-    The triangles are of no receiver.
+    ``root``: number of the part of a facet at which the tube begins; ``doubt``: relative error of
+    its echo; ``is_lit``: whether its triangle is lit, or only near one that is.
     """
 
     triangles: Triangles
@@ -84,16 +86,17 @@ class Tubes:
         )
 
     @staticmethod
-    def begin(triangles: Triangles) -> "Tubes":
-        """Each a root."""
+    def from_roots(triangles: Triangles) -> "Tubes":
+        """Tubes that begin at these triangles, each a root."""
         count = len(triangles)
         return Tubes(triangles, np.arange(count), np.zeros(count), np.ones(count, dtype=bool))
 
 
 @dataclass(frozen=True, eq=False)
-class _Meeting:
-    """Tubes that meet facets: the ``face`` of each, by how much what it meets differs from the
-    plane of that, ``lift_m``, and whether it ``goes_on_as_ray``.
+class _Intersections:
+    """Ray tubes and the ``face`` that each meets; ``lift_m``: distance of what it meets from the
+    plane of that facet, at most; ``goes_on_as_ray``: whether it is represented by one ray from here
+    on.
     """
 
     tubes: Tubes
@@ -102,33 +105,34 @@ class _Meeting:
     goes_on_as_ray: NDArray[np.bool_]
 
     @staticmethod
-    def of_rays(tubes: Tubes, face: Indices) -> "_Meeting":
-        """By a ray each."""
-        return _Meeting(tubes, face, np.zeros(len(face)), np.ones(len(face), dtype=bool))
+    def of_rays(tubes: Tubes, face: Indices) -> "_Intersections":
+        """Of tubes that are represented by one ray each."""
+        return _Intersections(tubes, face, np.zeros(len(face)), np.ones(len(face), dtype=bool))
 
 
 def reflected_on(context: TracingContext, scatterers: Scatterers, tubes: Tubes) -> Tubes | None:
-    """Tubes where they land after the next reflection; None where they meet nothing.
+    """Ray tubes after the next reflection, on the facets that they meet; None if they meet none.
 
     A tube whose rays meet facets so nearly in one plane that phases hardly differ stays whole. One
-    that a border cuts in two goes on in parts, and of others each quarter as a mere ray.
+    that a single border cuts goes on in parts. Any other goes on as four quarters, each represented
+    by one ray.
     """
     tubes = tubes.take(tubes.is_lit)
     wide, rays = tubes.take(~tubes.triangles.is_ray), tubes.take(tubes.triangles.is_ray)
-    footprints = _onto_planes(context, scatterers, wide)
+    intersections = _onto_planes(context, scatterers, wide)
     if len(rays.root):
         hits = reflected_ray_hits(context, scatterers, rays.triangles, 1)
         hit = hits.is_valid[0]
         further = replace(rays, doubt=np.maximum(rays.doubt, _DOUBT)).take(hit)
-        footprints.append(_Meeting.of_rays(further, hits.face[0, hit]))
-    footprints = [part for part in footprints if len(part.face)]
-    return _landed(context, scatterers, footprints) if footprints else None
+        intersections.append(_Intersections.of_rays(further, hits.face[0, hit]))
+    intersections = [part for part in intersections if len(part.face)]
+    return _on_planes_met(context, scatterers, intersections) if intersections else None
 
 
 def _onto_planes(
     context: TracingContext, scatterers: Scatterers, tubes: Tubes, may_clip: bool = True
-) -> list[_Meeting]:
-    """Which facets tubes meet, in parts."""
+) -> list[_Intersections]:
+    """The facets that ray tubes, or parts of them, meet."""
     if not len(tubes.root):
         return []
     hits = reflected_ray_hits(context, scatterers, tubes.triangles, 4)
@@ -138,23 +142,23 @@ def _onto_planes(
     whole = tubes.take(is_whole)
     whole = replace(whole, doubt=whole.doubt + off[is_whole])
     no_ray = np.zeros(len(whole.root), dtype=bool)
-    footprints = [_Meeting(whole, hits.face[3, is_whole], gap_m[is_whole], no_ray)]
+    intersections = [_Intersections(whole, hits.face[3, is_whole], gap_m[is_whole], no_ray)]
     rest = np.flatnonzero(~is_whole & hits.is_valid.any(axis=0))
     if may_clip and len(rest):
         parts, is_clipped = _clip(context, scatterers, tubes.take(rest), hits.take(rest))
         if parts is not None:
-            footprints += _onto_planes(context, scatterers, parts, may_clip=False)
+            intersections += _onto_planes(context, scatterers, parts, may_clip=False)
         rest = rest[~is_clipped]
     if len(rest):
         # A quarter as large, curved surfaces part a fourth as much.
         doubt = np.minimum(off[rest] / 4, _DOUBT)
-        footprints += _by_quarters(context, scatterers, tubes.take(rest), hits.take(rest), doubt)
-    return footprints
+        intersections += _by_quarters(context, scatterers, tubes.take(rest), hits.take(rest), doubt)
+    return intersections
 
 
 def _phase_rad(context: TracingContext, gap_m: Array) -> Array:
-    """By which planes that far apart change an echo: both ways, and a third of what corners are
-    off by is the mean.
+    """Mean phase error of an echo for a distance between planes: on both ways, a third of that at
+    the corners.
     """
     return 2 / 3 * 2 * np.pi / float(context.wavelength[0]) * gap_m
 
@@ -162,9 +166,9 @@ def _phase_rad(context: TracingContext, gap_m: Array) -> Array:
 def _clip(
     context: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits
 ) -> tuple[Tubes | None, NDArray[np.bool_]]:
-    """Parts of tubes that one border cuts, and which tubes these are: one corner meets something
-    else than both others, the border is nearly straight, and the sample inside is on the right side
-    of it.
+    """Parts of ray tubes that one border cuts, and which tubes these are: one corner meets another
+    surface than both others, the border is nearly straight, and the sample inside is on the side of
+    it that this predicts.
     """
     off, nothing = _phase_rad(context, apart(context, tubes.triangles, hits)), ~hits.is_valid
     off = np.maximum(off, off.swapaxes(0, 1))
@@ -187,15 +191,15 @@ def _clip(
         context.mi.UInt32(aligned(odd)),
         _like(context, scatterers, some.triangles, faces, wanted),
     )
-    bent = np.array(at.bent)
+    curvature = np.array(at.curvature)
     inner = sum(INSIDE[1] / np.maximum(np.array(share), 1e-9) for share in at.shares)
-    is_clear = (bent < _MOST_BENT) & ((inner < 1) == alike[3, odd, rows])
+    is_clear = (curvature < _MOST_CURVATURE) & ((inner < 1) == alike[3, odd, rows])
     is_clipped[rows] = is_clear
-    some = replace(some, doubt=some.doubt + _BENT * bent)
+    some = replace(some, doubt=some.doubt + _CURVED * curvature)
     row = np.flatnonzero(is_clear)
     if not len(row):
         return None, is_clipped
-    # What meets nothing as well: there may be more than that border.
+    # Parts that meet nothing, too: there may be more than this border.
     parts = [_part(context, some, corners, row) for corners in (*at.near, *at.far)]
     return Tubes.concatenate(parts), is_clipped
 
@@ -207,10 +211,10 @@ def _like(
     face: Indices,
     wanted: NDArray[np.bool_],
 ) -> Callable[[Any], Any]:
-    """Test of places on tubes: whether the ray from there meets about the plane of a facet, or,
-    where that is not wanted, does not.
+    """Function of points of ray tubes: whether the ray from there meets the plane of a facet to
+    within the smoothness limit or, where not ``wanted``, does not.
     """
-    known, asked = (
+    faces, expected = (
         context.mi.UInt32(aligned(face.astype(np.uint32))),
         context.mi.Bool(aligned(wanted)),
     )
@@ -218,8 +222,8 @@ def _like(
 
     def same(place: Any) -> Any:
         active, hits, direction = reflected_from(context, scatterers, tubes, place)
-        gap = along(context, hits, place, direction) - along(context, known, place, direction)
-        return (active & (dr.abs(gap) < limit)) == asked
+        gap = along(context, hits, place, direction) - along(context, faces, place, direction)
+        return (active & (dr.abs(gap) < limit)) == expected
 
     return same
 
@@ -227,7 +231,7 @@ def _like(
 def _part(
     context: TracingContext, tubes: Tubes, corners: tuple[Any, Any, Any], row: Indices
 ) -> Tubes:
-    """Parts of some of the tubes."""
+    """The parts with these corners, of some of the tubes."""
     some, index = tubes.take(row), context.mi.UInt32(aligned(row.astype(np.uint32)))
     a, b, c = (dr.gather(context.mi.Vector3d, corner, index) for corner in corners)
     return replace(some, triangles=replace(some.triangles, corners=(a, b, c)).evaluate())
@@ -235,27 +239,30 @@ def _part(
 
 def _by_quarters(
     context: TracingContext, scatterers: Scatterers, tubes: Tubes, hits: RayHits, doubt: Array
-) -> list[_Meeting]:
-    """Quarters of tubes as rays at their own centroids. Where that meets nothing but the tube's
-    corner there does, or something that faces elsewhere, what the corner meets is not lit.
+) -> list[_Intersections]:
+    """Quarters of ray tubes, each represented by the ray at its own centroid.
+
+    Where that ray meets nothing, or a surface that faces elsewhere than what the tube's corner
+    there meets, a quarter on the corner's surface is added that is not lit: only near something
+    lit.
     """
     pieces = _quarters(context, tubes.triangles)
     own = reflected_ray_hits(context, scatterers, pieces, 1)
     is_lit, face = own.is_valid[0], own.face[0]
-    at_corner, known = hits.face.T.ravel(), hits.is_valid.T.ravel()
+    at_corner, is_hit = hits.face.T.ravel(), hits.is_valid.T.ravel()
     normal = context.world.plane_table[:, 3:]
     is_other = np.abs(np.einsum("ij,ij->i", normal[face], normal[at_corner])) < _ALIKE
-    also = known & (~is_lit | is_other)
+    also = is_hit & (~is_lit | is_other)
     quarters = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
     near = replace(quarters, is_lit=np.zeros_like(is_lit))
     return [
-        _Meeting.of_rays(part.take(which), on[which])
+        _Intersections.of_rays(part.take(which), on[which])
         for part, which, on in ((quarters, is_lit, face), (near, also, at_corner))
     ]
 
 
 def _quarters(context: TracingContext, tubes: Triangles) -> Triangles:
-    """At the three corners and in the middle, as rays."""
+    """Quarters at the three corners and in the middle."""
     four = tubes.repeat(4)
     number = dr.arange(context.mi.UInt32, len(four)) & 3
     a, b, c = four.corners
@@ -272,14 +279,16 @@ def _quarters(context: TracingContext, tubes: Triangles) -> Triangles:
     return replace(four, corners=(p, q, r)).evaluate()
 
 
-def _landed(
-    context: TracingContext, scatterers: Scatterers, footprints: Sequence[_Meeting]
+def _on_planes_met(
+    context: TracingContext, scatterers: Scatterers, intersections: Sequence[_Intersections]
 ) -> Tubes:
-    """Tubes on the planes of the facets that they meet."""
-    tubes = Tubes.concatenate([part.tubes for part in footprints])
+    """Ray tubes with their footprints on the planes of the facets that they meet."""
+    tubes = Tubes.concatenate([part.tubes for part in intersections])
     face, lift_m, is_ray = (
         np.concatenate(column)
-        for column in zip(*((p.face, p.lift_m, p.goes_on_as_ray) for p in footprints), strict=True)
+        for column in zip(
+            *((p.face, p.lift_m, p.goes_on_as_ray) for p in intersections), strict=True
+        )
     )
     return replace(
         tubes, triangles=_lit_on(context, scatterers, tubes.triangles, face, lift_m, is_ray)
@@ -294,7 +303,7 @@ def _lit_on(
     lift_m: Array,
     becomes_ray: NDArray[np.bool_],
 ) -> Triangles:
-    """The triangles that tubes light on the planes of facets."""
+    """Footprints of ray tubes on the planes of facets, with the waves that light them."""
     mi, wide = context.mi, dr.zeros(context.mi.Float64, len(face))
     wave = incident_on(context, some)
     _, normal, _, reflected_field = reflection(context, scatterers, some, wave)
@@ -320,7 +329,7 @@ def _lit_on(
     slope = dr.select(slope < 0, -1.0, 1.0) * dr.maximum(dr.abs(slope), _LEAST_SLOPE)
 
     def around(place: Vector3) -> Vector3:
-        """As if all rays were parallel: others of the tube may pass by the plane."""
+        """Corners for parallel rays: the tube's own rays there may miss the plane."""
         aside = (place - begin) * wider
         aside -= direction * (dr.dot(across, aside) / slope)
         return spot + aside - across * dr.dot(across, aside)
@@ -344,24 +353,24 @@ def _lit_on(
     return triangles
 
 
-def heard(
-    context: TracingContext, scatterers: Scatterers, landed: Triangles, images: Sequence[Image]
+def with_receivers(
+    context: TracingContext, scatterers: Scatterers, lit: Triangles, images: Sequence[Image]
 ) -> tuple[Triangles, NDArray[np.intp]]:
-    """Lit triangles with every image that sees their side as receiver, and the row of each.
+    """Lit triangles paired with every image on their lit side as receiver, and the row of each.
 
-    An echo between two different images is a path of its own in each direction, met on
-    other facets last.
+    An echo between two different images is a separate path in each direction, with different last
+    facets.
     """
-    face = np.array(landed.face).astype(np.intp)
-    (origin,) = host([origin_of(context, landed)], len(landed))
+    face = np.array(lit.face).astype(np.intp)
+    (origin,) = host([origin_of(context, lit)], len(lit))
     point, normal = context.world.plane_table[face, :3], context.world.plane_table[face, 3:]
     side = np.einsum("ij,ij->i", origin - point, normal)
     rows, receivers = [], []
     for number, image in enumerate(images):
         same = np.einsum("ij,ij->i", image.place - point, normal) * side > 0
-        some = np.flatnonzero(same & scatterers.heard[number, face])
+        some = np.flatnonzero(same & scatterers.reachable[number, face])
         rows.append(some)
         receivers.append(np.full(len(some), number))
     row, receiver = np.concatenate(rows), np.concatenate(receivers)
-    lit = landed.take(row)
+    lit = lit.take(row)
     return replace(lit, receiver=context.mi.UInt32(aligned(receiver.astype(np.uint32)))), row

@@ -27,7 +27,13 @@ from scipy.sparse.csgraph import connected_components
 
 from twin.radar.propagation.facets.crossing import as_mirrored, crossed, oriented
 from twin.radar.propagation.facets.currents import plane_of
-from twin.radar.propagation.facets.earlier import Landings, Setting, Sums, Traced, TracedEchoes
+from twin.radar.propagation.facets.earlier import (
+    Footprints,
+    Setting,
+    Sums,
+    TracedEchoes,
+    TracedFrame,
+)
 from twin.radar.propagation.facets.front_facets import lit_facets, portions
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.one_way.path import TracingContext, image_place
@@ -50,11 +56,11 @@ _MOVABLE = (ScatteringModel.OPTICS, ScatteringModel.OBSTACLE)
 
 @dataclass(frozen=True, eq=False)
 class Valid:
-    """What still holds of an earlier frame: contributions and echoes, and per body the error that
-    was accepted and the level that it was accepted for.
+    """Valid contributions and echoes of an earlier frame, and per body the accepted error and the
+    level that it is relative to.
 
-    Anew, by image and facet (n_images, n_facets): ``paths`` to it and back, and ``tubes`` that
-    begin there. ``spacing_m`` as of `TracedEchoes`.
+    To be traced anew, by image and facet (n_images, n_facets): ``paths`` between them, and ray
+    ``tubes`` that begin there. ``spacing_m`` as in `TracedEchoes`.
     """
 
     contributions: Contributions
@@ -69,14 +75,14 @@ class Valid:
 def still_valid(
     context: TracingContext,
     scatterers: Scatterers,
-    earlier: Traced,
+    earlier: TracedFrame,
     now: Setting,
     prepared: PreparedScene,
 ) -> Valid | None:
-    """What still holds; None where nothing can."""
+    """What is still valid; None if nothing can be."""
     before, echoes = earlier.setting, earlier.echoes
     if before is None or echoes is None or not echoes.sums:
-        return None  # nothing answered
+        return None  # nothing scattered
     changed = _changed(before, now)
     if changed is None:
         return None
@@ -89,13 +95,13 @@ def still_valid(
     differs = _differs(before, now, image)
     paths, tubes = differs | changed[now.owner], np.zeros_like(differs)
     if len(boxes):
-        standing = as_mirrored(oriented(boxes), now.images, prepared.flats)
-        _cross(context, scatterers, now, standing, paths, tubes)
+        mirrored_boxes = as_mirrored(oriented(boxes), now.images, prepared.flats)
+        _cross(context, scatterers, now, mirrored_boxes, paths, tubes)
         tubes |= paths
-        lands_anew = differs.any(axis=0) | changed[now.owner]
-        for landings in echoes.landings:
-            is_crossed = _crossing(context, landings, standing, lands_anew, image)
-            source, first = image[landings.source[is_crossed]], landings.first[is_crossed]
+        face_changed = differs.any(axis=0) | changed[now.owner]
+        for footprints in echoes.footprints:
+            is_crossed = _crossing(context, footprints, mirrored_boxes, face_changed, image)
+            source, first = image[footprints.source[is_crossed]], footprints.first[is_crossed]
             tubes[source[source >= 0], first[source >= 0]] = True
     else:
         tubes |= paths
@@ -110,9 +116,9 @@ def still_valid(
         return replace(part.take(rows), source=ends[0], receiver=ends[1])
 
     sums = Sums.concatenate(list(map(holding, echoes.sums, echoes.is_direct)))
-    ways = now.heard & scatterers.counts & (before.body[before.owner] >= 0)
-    valid_ways = np.nonzero(ways & ~paths)[1], np.nonzero(ways)[1]
-    error, level = _of_bodies(before, echoes, now, changed, valid_ways, sums)
+    is_direct = now.reachable & scatterers.counts & (before.body[before.owner] >= 0)
+    direct_paths = np.nonzero(is_direct & ~paths)[1], np.nonzero(is_direct)[1]
+    error, level = _of_bodies(before, echoes, now, changed, direct_paths, sums)
     return Valid(
         contributions=Contributions.concatenate(
             list(map(holding, echoes.contributions, echoes.is_direct))
@@ -127,7 +133,7 @@ def still_valid(
 
 
 def _changed(before: Setting, now: Setting) -> Mask | None:
-    """Which objects have moved or changed; None where too much else did."""
+    """Which objects have moved or changed; None if anything else has, so that nothing is valid."""
     fixed = len(before.fixed) == len(now.fixed) and all(
         map(np.array_equal, before.fixed, now.fixed)
     )
@@ -151,8 +157,8 @@ def _changed(before: Setting, now: Setting) -> Mask | None:
 def _alike(one: SceneObject, other: SceneObject) -> bool:
     if one is other:
         return True
-    told = ("velocity_m_per_s", "thickness_m")
-    if any(getattr(one, name) != getattr(other, name) for name in told):
+    compared = ("velocity_m_per_s", "thickness_m")
+    if any(getattr(one, name) != getattr(other, name) for name in compared):
         return False
     if one.geometry is other.geometry and one.pose is other.pose:
         return True
@@ -162,7 +168,7 @@ def _alike(one: SceneObject, other: SceneObject) -> bool:
 
 
 def _united(boxes: Array) -> Array:
-    """Boxes (n, 2, 3), those that overlap as one."""
+    """Boxes (n, 2, 3), overlapping ones united."""
     while 1 < len(boxes) <= _MOST_COMPARED:
         low, high = boxes[:, 0], boxes[:, 1]
         overlap = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=2)
@@ -176,18 +182,20 @@ def _united(boxes: Array) -> Array:
 
 
 def _numbers_of(before: Sequence[Image], now: Sequence[Image]) -> NDArray[np.intp]:
-    """Of images of before what they are now, by their mirrors; -1 of those that there are not."""
+    """Present numbers of the earlier frame's images, by their mirrors; -1 for images that are
+    gone.
+    """
     number = {image.patches: k for k, image in enumerate(now)}
     return np.array([number.get(image.patches, -1) for image in before], dtype=np.intp)
 
 
 def _differs(before: Setting, now: Setting, image: NDArray[np.intp]) -> Mask:
-    """By which images now facets are heard that were not, or the other way round, or from another
-    side, (n_images, n_facets).
+    """Pairs of image and facet that were not reachable and are now, or the reverse, or on whose
+    other side the image is now, (n_images, n_facets).
     """
-    is_changed, old = now.heard.copy(), np.flatnonzero(image >= 0)
+    is_changed, old = now.reachable.copy(), np.flatnonzero(image >= 0)
     new = image[old]
-    is_changed[new] = before.heard[old] != now.heard[new]
+    is_changed[new] = before.reachable[old] != now.reachable[new]
     is_changed[new] |= before.outward[old] != now.outward[new]
     return is_changed
 
@@ -196,32 +204,34 @@ def _cross(
     context: TracingContext,
     scatterers: Scatterers,
     now: Setting,
-    standing: Array,
+    mirrored_boxes: Array,
     paths: Mask,
     tubes: Mask,
 ) -> None:
-    """Note ways from images to facets that are crossed in ``paths``, and in ``tubes`` those that
-    facets reflect.
+    """Mark pairs of image and facet in ``paths`` if the path between them may cross a box, and in
+    ``tubes`` if the rays that the facet reflects may.
     """
-    images, faces = np.nonzero(now.heard & scatterers.counts & ~paths)
+    images, faces = np.nonzero(now.reachable & scatterers.counts & ~paths)
     for some in portions(np.arange(len(faces))):
         image, face = images[some], faces[some]
         lit = lit_facets(context, scatterers, face, image, image)
         tip = image_place(context, lit.source)
-        paths[image, face] = _on_the_way(context, tip, lit.corners, standing, lit.source)
+        paths[image, face] = _on_the_way(context, tip, lit.corners, mirrored_boxes, lit.source)
         tip, none = _behind(context, tip, lit.face), context.mi.UInt32(0)
         tubes[image, face] = crossed(
-            context.mi, tip, lit.corners, standing[:1, 0], none, beyond=True
+            context.mi, tip, lit.corners, mirrored_boxes[:1, 0], none, beyond=True
         )
 
 
 def _on_the_way(
-    context: TracingContext, tip: Any, corners: Any, standing: Array, image: Any
+    context: TracingContext, tip: Any, corners: Any, mirrored_boxes: Array, image: Any
 ) -> Mask:
-    """Whether ways from images to triangles may be crossed, (n,)."""
+    """Whether paths from images to triangles may cross a box, (n,)."""
     is_crossed = np.zeros(dr.width(corners[0]), dtype=bool)
-    for level in range(standing.shape[1]):
-        is_crossed |= crossed(context.mi, tip, corners, standing[:, level], image, beyond=False)
+    for level in range(mirrored_boxes.shape[1]):
+        is_crossed |= crossed(
+            context.mi, tip, corners, mirrored_boxes[:, level], image, beyond=False
+        )
     return is_crossed
 
 
@@ -233,31 +243,33 @@ def _behind(context: TracingContext, origin: Any, face: Any) -> Any:
 
 def _crossing(
     context: TracingContext,
-    landings: Landings,
-    standing: Array,
-    lands_anew: Mask,
+    footprints: Footprints,
+    mirrored_boxes: Array,
+    face_changed: Mask,
     image: NDArray[np.intp],
 ) -> Mask:
-    """Landings of which tubes, on their way on or home, may be crossed, or that are heard
-    otherwise.
+    """Footprints whose reflected tubes, or return paths, may cross a box, or whose facet
+    changed.
     """
     mi = context.mi
-    is_invalid = lands_anew[np.array(landings.face)]
-    on = np.flatnonzero(landings.goes_on & ~is_invalid)
-    row, receiver = landings.row, image[landings.receiver]
+    is_invalid = face_changed[np.array(footprints.face)]
+    on = np.flatnonzero(footprints.goes_on & ~is_invalid)
+    row, receiver = footprints.row, image[footprints.receiver]
     to_receiver = np.flatnonzero((receiver >= 0) & ~is_invalid[row])
-    for rows, heard_at in ((on, None), (row[to_receiver], receiver[to_receiver])):
+    for rows, receiver_of in ((on, None), (row[to_receiver], receiver[to_receiver])):
         for some in portions(np.arange(len(rows))):
             index = mi.UInt32(aligned(rows[some].astype(np.uint32)))
-            corners = tuple(dr.gather(mi.Vector3d, c, index) for c in landings.corners)
-            if heard_at is None:
-                origin = dr.gather(mi.Vector3d, landings.origin, index)
-                tip = _behind(context, origin, dr.gather(mi.UInt32, landings.face, index))
+            corners = tuple(dr.gather(mi.Vector3d, c, index) for c in footprints.corners)
+            if receiver_of is None:
+                origin = dr.gather(mi.Vector3d, footprints.origin, index)
+                tip = _behind(context, origin, dr.gather(mi.UInt32, footprints.face, index))
                 first = mi.UInt32(0)
-                hit = crossed(mi, tip, corners, standing[:1, 0], first, beyond=True)
+                hit = crossed(mi, tip, corners, mirrored_boxes[:1, 0], first, beyond=True)
             else:
-                number = mi.UInt32(aligned(heard_at[some].astype(np.uint32)))
-                hit = _on_the_way(context, image_place(context, number), corners, standing, number)
+                number = mi.UInt32(aligned(receiver_of[some].astype(np.uint32)))
+                hit = _on_the_way(
+                    context, image_place(context, number), corners, mirrored_boxes, number
+                )
             is_invalid[rows[some][hit]] = True
     return is_invalid
 
@@ -267,14 +279,15 @@ def _of_bodies(
     echoes: TracedEchoes,
     now: Setting,
     changed: Mask,
-    ways: tuple[Indices, Indices],
+    direct_paths: tuple[Indices, Indices],
     valid_sums: Sums,
 ) -> tuple[Array, Array]:
-    """Errors accepted for what holds of the bodies of now, and the highest level for which.
+    """Accepted errors of the valid echoes of the present bodies, and the highest level that they
+    are relative to.
 
-    Of a body's squared error that share counts which holds of its direct ways, of its triangles, or
-    of their power, whichever is most: a body that was left out has ways alone. ``ways``: facets of
-    those that hold, and of all.
+    Of a body's squared error that share counts which is valid of its direct paths, of its
+    triangles, or of their power, whichever is largest; a body whose echo was left out has direct
+    paths only. ``direct_paths``: facets of the valid ones, and of all.
     """
     whose, count = before.body[before.owner], len(echoes.error)
     whole = Sums.concatenate(echoes.sums)
@@ -289,7 +302,7 @@ def _of_bodies(
 
     powers = np.abs(valid_sums.echo) ** 2, np.abs(whole.echo) ** 2
     most = np.maximum(
-        share(*ways),
+        share(*direct_paths),
         np.maximum(share(valid_sums.face, whole.face), share(valid_sums.face, whole.face, powers)),
     )
     same = ~changed & (now.body >= 0)

@@ -1,12 +1,12 @@
 """Wideband echoes of triangles: contributions of faces, edges and corners with one delay each.
 
-A triangle that the wave meets obliquely has no single delay. With the phases of its corners sorted,
+At oblique incidence a triangle has no single delay. With the phases of its corners sorted,
 a <= b <= c, the mean of exp(j phase) is 2 (e[b, c] - e[a, b]) / (j (c - a)), where e is the mean
-along an edge, itself (exp(j y) - exp(j x)) / (j (y - x)). What lies within `_CLOSE_RAD` has one
-delay, and the differences in the denominators grow with frequency: so there are contributions whose
-amplitude falls as f^0 (a triangle), f^-1 (an edge) and f^-2 (a corner), each as strong and in the
-direction of where it comes from. On triangles with path spreads of 1 um to 0.5 m the worst error
-over 77 to 81 GHz is 0.37 %.
+along an edge, itself (exp(j y) - exp(j x)) / (j (y - x)). Corners whose phases differ by less than
+`_CLOSE_RAD` get one common delay. The differences in the denominators grow with frequency, so the
+amplitude of a whole triangle is constant, that of an edge falls as 1 / f, and that of a corner as
+1 / f^2. Each contribution has the antenna's gain and the direction of its own place. On triangles
+with path spreads of 1 um to 0.5 m the worst error over 77 to 81 GHz is 0.37 %.
 """
 
 from dataclasses import dataclass, replace
@@ -45,8 +45,11 @@ _CLOSE_RAD = 1.0
 def contributions_of(
     context: TracingContext, scatterers: Scatterers, leaves: Leaves
 ) -> Contributions:
-    """Contributions of triangles; of those lit directly that have another receiver than source one
-    for each direction, alike by reciprocity, which physical optics keeps in their mean only.
+    """Contributions of triangles.
+
+    A directly lit triangle with another image as receiver than as source has one for each
+    direction, both with the mean of the two echoes: reciprocity, which physical optics itself does
+    not keep.
     """
     mi, lit, n = context.mi, leaves.triangles, len(leaves.weight)
     return_path = one_way_path(
@@ -81,7 +84,7 @@ def _contributions(
     terms: "WidebandTerms",
     whole: Complex,
 ) -> Contributions:
-    """By the triangle of every contribution."""
+    """Contributions from their terms, of which ``lit`` are the triangles."""
     mi, n, wave = context.mi, len(whole), incident_on(context, lit)
     shares = (mi.Float64(aligned(np.ascontiguousarray(column))) for column in terms.place.T)
     place = sum(share * corner for share, corner in zip(shares, lit.corners, strict=True))
@@ -137,8 +140,8 @@ def _contributions(
 @dataclass(frozen=True, eq=False)
 class WidebandTerms:
     """Contributions of triangles: ``row`` of the triangle, ``amplitude`` without the antenna's
-    gain, ``length_m`` of the path, power of 1 / f in ``falloff``, each (n,), and ``place`` (n, 3),
-    the corners' shares of where it comes from.
+    gain, ``length_m`` of the path, exponent ``falloff`` of 1 / f, each (n,), and ``place`` (n, 3),
+    the barycentric coordinates of its place.
     """
 
     row: NDArray[np.intp]
@@ -151,19 +154,18 @@ class WidebandTerms:
 def wideband_terms(
     paths_m: Array, gain: Array, spread: Array, mean: Complex, wave_number: float
 ) -> WidebandTerms:
-    """Contributions of triangles whose currents are 1 in all.
+    """Contributions of triangles whose total current is 1.
 
     Parameters
     ----------
     paths_m
-        By way of the corners, (n, 3).
+        Path lengths by way of the corners, (n, 3).
     gain, spread
-        Logarithms of the antenna's gain and of how much stronger than at the centroid the rest of
-        the wave is there, (n, 3).
+        At the corners, (n, 3): logarithms of the antenna's gain, and of spreading and obliquity
+        over those at the centroid.
     mean
-        Of the wave over the triangle with the phase of its path, (n,): what contributions differ
-        from it together goes to each in proportion to its power, with which it also falls out of
-        step with the others over the band.
+        Of the wave over the triangle with the phase of its path, (n,). The difference between it
+        and the sum of the contributions is divided among these in proportion to their power.
     """
     order = np.argsort(paths_m, axis=1)
     first, second, third = np.take_along_axis(paths_m, order, axis=1).T
@@ -181,9 +183,16 @@ def wideband_terms(
         for end in ends:
             share[np.arange(len(row)), order[row, end]] = 1 / len(ends)
         strong = np.mean([level[end][row] for end in ends], axis=0)
-        known = np.mean([gains[end][row] for end in ends], axis=0)
+        log_gain = np.mean([gains[end][row] for end in ends], axis=0)
         parts.append(
-            (row, value[row] * strong, length[row], np.full(len(row), float(falloff)), share, known)
+            (
+                row,
+                value[row] * strong,
+                length[row],
+                np.full(len(row), float(falloff)),
+                share,
+                log_gain,
+            )
         )
 
     middle = (first + second + third) / 3
@@ -202,10 +211,10 @@ def wideband_terms(
     add(ends[1] != 0, ends[1], third, 2, [2])
     add((ends[0] != 0) | (ends[1] != 0), -ends[0] - ends[1], second, 2, [1])
     add(ends[0] != 0, ends[0], first, 2, [0])
-    row, amplitude, length, falloff, place, known = (
+    row, amplitude, length, falloff, place, log_gain = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
-    turn, strength = np.exp(-1j * (wave_number * length % (2 * np.pi))), np.exp(known)
+    turn, strength = np.exp(-1j * (wave_number * length % (2 * np.pi))), np.exp(log_gain)
     power = np.abs(amplitude * strength) ** 2
 
     def of_each(values: Array) -> Array:
