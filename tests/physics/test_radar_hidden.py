@@ -11,7 +11,7 @@ from twin.radar.propagation.facets.convexity import convex_parts
 from twin.radar.propagation.facets.front_facets import bistatic_facets
 from twin.radar.propagation.facets.hidden import wholly_hidden
 from twin.radar.propagation.facets.scatterers import scatterers
-from twin.radar.propagation.facets.shadows import seen
+from twin.radar.propagation.facets.shadows import is_visible
 from twin.radar.propagation.physical_optics import _bodies
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
@@ -63,7 +63,7 @@ def test_what_is_known_to_be_hidden_has_no_point_that_is_seen(seed: int) -> None
         corners = lit.corners
         place = a * corners[0] + b * corners[1] + c * corners[2]
         place += 1e-3 * (lit.center - place)
-        is_seen |= np.array(seen(s, lit, place))
+        is_seen |= np.array(is_visible(s, lit, place))
     assert not (hidden & is_seen).any()
     receiver = np.array(lit.receiver)
     for image, least in enumerate((0.8, 0.7, 0.8)):

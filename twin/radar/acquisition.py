@@ -169,7 +169,7 @@ def radar_capture(
     Parameters
     ----------
     scene, radar
-        What is looked at, and with what.
+        The scene, and the radar in it.
     seed
         Of every random draw: same seed, same counts, bit for bit.
     fidelity

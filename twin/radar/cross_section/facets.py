@@ -17,11 +17,11 @@ from scipy.constants import speed_of_light
 from twin.engine import mitsuba
 from twin.radar.cross_section.aspects import Aspects
 from twin.radar.cross_section.subject import Subject, are_within, bare, subject_of
-from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, settled
+from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, subdivided_adaptively
 from twin.radar.propagation.facets.currents import amplitude_of, echoes_of
 from twin.radar.propagation.facets.front_facets import lit_facets
 from twin.radar.propagation.facets.scatterers import Scatterers
-from twin.radar.propagation.facets.shadows import sampled
+from twin.radar.propagation.facets.shadows import visible_samples
 from twin.radar.propagation.facets.triangles import Triangles, incident_on
 from twin.radar.propagation.one_way.beams import AntennaGain
 from twin.radar.propagation.one_way.path import TracingContext
@@ -238,13 +238,13 @@ def _leaves(
     weight = np.ones(len(lit))
     if len(rest):
         some = lit.take(rest)
-        weight[rest] = sampled(context, some, np.zeros(len(rest), dtype=bool))[3]
+        weight[rest] = visible_samples(context, some, np.zeros(len(rest), dtype=bool))[3]
     out_of_phase = np.sqrt(np.bincount(lit.body, np.abs(echoes.total) ** 2, n)) + np.abs(further)
     floor = _FAINT * tolerance * out_of_phase
     wave_numbers = np.array([wave_number])
     first = Budget(n, tolerance, wave_numbers, floor, weakest=0.0)
     first.pending = further[:, None]
-    first.consider([Leaves(lit, echoes, weight)])
+    first.estimate_levels([Leaves(lit, echoes, weight)])
     budget = Budget(n, tolerance, wave_numbers, floor, first, weakest=0.0)
     leaves: list[Leaves] = []
     for rows, others in ((free, rest), (rest, rest[:0])):
@@ -257,7 +257,9 @@ def _leaves(
             part = lit, echoes
             if len(rows) < len(lit):
                 part = lit.take(rows), echoes.take(rows)
-            leaves += settled(context, scatterers, *part, budget, is_open=rows is free)
+            leaves += subdivided_adaptively(
+                context, scatterers, *part, budget, is_open=rows is free
+            )
     return leaves, weight
 
 

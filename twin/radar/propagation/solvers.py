@@ -136,7 +136,7 @@ def trace(
     Parameters
     ----------
     scene, radar
-        What is looked at, and with what.
+        The scene, and the radar in it.
     fidelity
         Its ``radar`` decides which solver finds them.
     seed

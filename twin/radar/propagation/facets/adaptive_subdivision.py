@@ -1,4 +1,4 @@
-"""Adaptive subdivision: how finely facets are divided for the error that every body may have.
+"""Adaptive subdivision of facets, as finely as the permitted error of every body's echo asks.
 
 Every facet that faces the source and the receiver is a triangle with an exact integral. It is
 divided where the curvature of the phase across it, or the border of a shadow on it, may change the
@@ -21,12 +21,12 @@ from twin.radar.propagation.facets.shadows import (
     ALL_OVER,
     BETWEEN,
     INSIDE,
-    Clipping,
-    alike,
-    clip,
-    sampled,
+    ShadowClipping,
+    agree_at,
+    clip_at_shadow,
+    visible_samples,
 )
-from twin.radar.propagation.facets.triangles import Triangles, quartered
+from twin.radar.propagation.facets.triangles import Triangles, split_in_four
 from twin.radar.propagation.facets.uniform_subdivision import sizes, spacing_of, subdivided
 from twin.radar.propagation.one_way.path import TracingContext
 
@@ -34,19 +34,19 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _DEEPEST = 8  # divisions by four
-_FEW = 500  # triangles that are divided by sixteen: launching kernels costs more than these
-#: Of the strongest body, 40 dB: weaker ones are known as well as one of this level.
+_FEW = 500  # triangles, up to which they are divided by sixteen: kernel launches dominate then
+#: Of the strongest body, -40 dB: errors of weaker ones are relative to this level.
 WEAKEST = 0.01
 _PER_LEVEL = 0.06  # of the squared tolerance, of triangles of one size
-_LEFT_OUT = 0.1  # of tolerance and body: what together comes to less is left out
-_OCTAVES = 40  # of strength that are told apart
+_LEFT_OUT = 0.1  # of a body's tolerance: triangles that together add less are left out
+_OCTAVES = 40  # classes of strength, a factor of two each
 _SAMPLED = 0.02  # of tolerance and body: triangles that may return less get a single ray
 _CLOSER = 0.1  # likewise: triangles that may return more get six more rays
 #: Likewise: triangles that may return more get 28 more rays, and 30 where a border crosses them.
 _CLOSEST = 0.5
 _CUT = 0.005
-_UNSEEN_M = 0.1  # size of triangles on which a shadow may pass between four rays
-_UNSEEN = 0.3  # of tolerance and body: triangles of that size that may return more are divided
+_MISSED_M = 0.1  # size of triangles on which a shadow may pass between four rays
+_MISSED = 0.3  # of tolerance and body: triangles of that size that may return more are divided
 _FINEST_M = 0.01
 #: Triangles of one size, the strongest ones over what is allowed: some 2 GB. The others are divided
 #: no further, and their errors and doubts count as they are.
@@ -57,17 +57,17 @@ _GAP = 0.03
 _GAP_FROM = (
     0.3  # of tolerance and body: triangles that may return less are not asked what hides them
 )
-#: Mean share of triangles that is seen, by how many of their corners are, 0 to 3, where a point
-#: inside is not seen and where it is.
-_SEEN = np.array([[0.0, 0.1, 0.3, 0.45], [0.7, 0.7, 0.85, 1.0]])
-_BENT = 1.0  # of what a bent border changes: what is left then
-_FALLEN = 2.0  # level of a body and errors that it may have: from which another pass is needed
+#: Mean visible share of triangles, by the number of their visible corners, 0 to 3; first row: the
+#: point inside is hidden, second row: it is visible.
+_VISIBLE_SHARE = np.array([[0.0, 0.1, 0.3, 0.45], [0.7, 0.7, 0.85, 1.0]])
+_CURVED = 1.0  # error by a border's curvature, over the change from one straight piece to two
+_FALLEN = 2.0  # factor by which levels fall, and errors exceed, from which a pass is repeated
 
 
 @dataclass(frozen=True, eq=False)
 class Leaves:
-    """Triangles that are not divided further, and their echoes; ``weight`` (n,): the share that is
-    seen, and -1 of dark parts.
+    """Triangles that are not divided further, and their echoes; ``weight`` (n,): visible share, and
+    -1 for hidden parts that are subtracted from a triangle.
     """
 
     triangles: Triangles
@@ -99,12 +99,12 @@ class Leaves:
 
 
 class Budget:
-    """What is known of the echoes of bodies over the band, and the errors that they may have.
+    """Levels of bodies' echoes over the band, as estimated so far, and the errors accepted.
 
-    ``level`` (n_bodies,): root mean square over the band, at least that of the noise floor or of
-    an echo 40 dB below the strongest. ``known`` (n_bodies, n_frequencies): echoes of what was found
-    before. ``spacing_m``: sizes of parts of facets, as rays look for what hides them;
-    ``known_spacing_m``: what it was before, None where it is to be chosen.
+    ``level`` (n_bodies,): root mean square over the band, at least that of the noise floor or of an
+    echo 40 dB below the strongest. ``earlier_echoes`` (n_bodies, n_frequencies): valid echoes of an
+    earlier frame. ``spacing_m``: size of the parts of facets between the rays that look for
+    occluders; ``earlier_spacing_m``: that of an earlier frame, None if it is to be chosen.
     """
 
     def __init__(
@@ -115,32 +115,32 @@ class Budget:
         floor: float | Array,
         coarse: "Budget | None" = None,
         weakest: float = WEAKEST,
-        known: Complex | None = None,
+        earlier_echoes: Complex | None = None,
     ) -> None:
         self.tolerance = tolerance
         self._weakest = weakest
         self._wave_numbers = wave_numbers
         self._floor = floor
-        self._known = known
-        self._settled = np.zeros((n_bodies, len(wave_numbers)), dtype=np.complex128)
-        if known is not None:
-            self._settled += known
-        self.known_spacing_m: float | None = None
+        self._earlier_echoes = earlier_echoes
+        self._echo_sums = np.zeros((n_bodies, len(wave_numbers)), dtype=np.complex128)
+        if earlier_echoes is not None:
+            self._echo_sums += earlier_echoes
+        self.earlier_spacing_m: float | None = None
         self.spacing_m = 0.0
         self._accepted = np.zeros(n_bodies)  # errors squared
         self.level = np.zeros(n_bodies)
-        self.direct = np.zeros_like(self._settled)
+        self.direct = np.zeros_like(self._echo_sums)
         #: Echoes still to come: of further bounces, as the coarse pass found them.
-        self.pending = np.zeros_like(self._settled)
+        self.pending = np.zeros_like(self._echo_sums)
         if coarse is not None:
             self.level = coarse.level
-            self.pending = coarse._settled - coarse.direct
+            self.pending = coarse._echo_sums - coarse.direct
         self._highest = np.zeros(n_bodies)  # level that errors were accepted for
         self._most: Array | float = np.inf  # level, as a pass as fine as this one found it
 
     def renewed(self) -> "Budget | None":
-        """For another pass, where this one accepted too much since bodies seemed louder than they
-        are; None where it did not.
+        """A new budget for another pass, if this one accepted too large errors since the level of
+        bodies was overestimated; else None.
         """
         fallen = self._highest > _FALLEN * self.level
         if not (fallen & (self.accepted > _FALLEN * self.tolerance * self.level)).any():
@@ -152,52 +152,54 @@ class Budget:
             self._floor,
             self,
             self._weakest,
-            self._known,
+            self._earlier_echoes,
         )
         again._most = self.level
-        again.known_spacing_m = self.known_spacing_m
+        again.earlier_spacing_m = self.earlier_spacing_m
         return again
 
-    def expect(self, body: NDArray[np.intp], strength: Array) -> None:
-        """A first guess: all echoes out of phase."""
+    def initial_levels(self, body: NDArray[np.intp], strength: Array) -> None:
+        """First estimate of the levels: all echoes with random phases."""
         if not self.level.any():
-            known = np.mean(np.abs(self._settled) ** 2, axis=1)
-            self._rank(np.sqrt(known + np.bincount(body, strength**2, len(self.level))))
+            power = np.mean(np.abs(self._echo_sums) ** 2, axis=1)
+            self._rank(np.sqrt(power + np.bincount(body, strength**2, len(self.level))))
 
     def summed(
         self, body: NDArray[np.intp], echo: Complex, length_m: Array, count: int | None = None
     ) -> Complex:
-        """Sum of echoes, the phase of whose path they lack, (count, n_frequencies)."""
+        """Sum over the band of echoes given without the phase of their path, (count,
+        n_frequencies).
+        """
         count = len(self.level) if count is None else count
         return band_sums(body, count, echo, length_m, self._wave_numbers)
 
-    def consider(self, parts: "Sequence[Leaves]") -> None:
-        """Take what is settled and what is not for the echo of each body."""
-        total = self._settled + self.pending
+    def estimate_levels(self, parts: "Sequence[Leaves]") -> None:
+        """Estimate levels from the final triangles and those that are still to be divided."""
+        total = self._echo_sums + self.pending
         for part in parts:
             echo = part.weight * part.echoes.total
             total += self.summed(part.body, echo, part.echoes.length_m)
         self._rank(np.sqrt(np.mean(np.abs(total) ** 2, axis=1)))
 
     def end_direct(self) -> None:
-        """Go on from the first bounce to further ones."""
-        self.direct = self._settled.copy()
+        """Go on from direct illumination to further reflections."""
+        self.direct = self._echo_sums.copy()
         self.pending[:] = 0
 
-    def settle(self, leaves: Leaves) -> None:
-        """Count what is not divided further."""
-        self._settled += self.summed(
+    def add_final(self, leaves: Leaves) -> None:
+        """Add triangles that are not divided further."""
+        self._echo_sums += self.summed(
             leaves.body, leaves.weight * leaves.echoes.total, leaves.echoes.length_m
         )
 
     def accept(self, body: NDArray[np.intp], error: Array, which: NDArray[np.bool_]) -> None:
-        """Count errors that some triangles leave, affordable or not."""
+        """Add the errors of triangles that are not divided further, affordable or not."""
         self._highest = np.maximum(self._highest, self.level)
         self._accepted += np.bincount(body[which], error[which] ** 2, len(self._accepted))
 
     @property
     def accepted(self) -> Array:
-        """Error of each body's echo, all that was accepted as independent, (n_bodies,)."""
+        """Error of each body's echo: all accepted errors as independent ones, (n_bodies,)."""
         return np.sqrt(self._accepted)
 
     def _rank(self, level: Array) -> None:
@@ -206,7 +208,7 @@ class Budget:
         self.level = np.minimum(np.maximum(level, np.maximum(least, 1e-300)), self._most)
 
     def allowed(self, body: NDArray[np.intp]) -> Array:
-        """Error that the body of each may have in all, (n,)."""
+        """Permitted error of the body of each triangle, (n,)."""
         return self.tolerance * self.level[body]
 
     def negligible(
@@ -246,7 +248,7 @@ class Budget:
         return is_negligible
 
     def affordable(self, body: NDArray[np.intp], error: Array, share: float) -> NDArray[np.bool_]:
-        """The smallest errors of every body that together stay within a level's share."""
+        """The smallest errors of every body that together stay within a share of its tolerance."""
         order = np.lexsort((error, body))
         total = np.cumsum(error[order] ** 2)
         first = np.searchsorted(body[order], np.arange(len(self.level)))
@@ -257,7 +259,7 @@ class Budget:
         return is_affordable
 
 
-def settled(
+def subdivided_adaptively(
     context: TracingContext,
     scatterers: Scatterers,
     lit: Triangles | FrontFacets,
@@ -267,67 +269,69 @@ def settled(
     is_open: bool = False,
 ) -> list[Leaves]:
     """Divide triangles until the errors of all bodies are within the tolerance, ``deepest`` times
-    by four at most. ``is_open``: nothing stands before them, and no rays are sent.
+    by four at most. ``is_open``: there are no occluders, so no rays are sent.
     """
-    budget.expect(lit.body, np.abs(echoes.total))
+    budget.initial_levels(lit.body, np.abs(echoes.total))
     total = echoes.total
     faint = budget.negligible(lit.body, total, echoes.strength, echoes.length_m, is_seen=is_open)
     bright = np.flatnonzero(~faint)
-    settled_leaves: list[Leaves] = []
+    final_leaves: list[Leaves] = []
     if not len(bright):
-        budget.consider([])
-        return settled_leaves
+        budget.estimate_levels([])
+        return final_leaves
     partly, spacing_m = np.zeros(len(bright), dtype=bool), 0.0
     if deepest and lit.waves is None and not is_open:
-        partly, spacing_m = _partly_hidden(context, lit, bright, budget.known_spacing_m)
+        partly, spacing_m = _partly_hidden(context, lit, bright, budget.earlier_spacing_m)
         budget.spacing_m = spacing_m
 
-    def looked_at(some: Triangles, known: Echoes, is_partly: NDArray[np.bool_]) -> _Seen:
+    def visible_parts(
+        some: Triangles, some_echoes: Echoes, is_partly: NDArray[np.bool_]
+    ) -> _VisibleParts:
         if is_open:
-            return _open(some, known)
-        return _looked_at(
-            context, scatterers, some, known, budget, is_partly, spacing_m
-        ).answering()
+            return _unobstructed(some, some_echoes)
+        return _visible_parts(
+            context, scatterers, some, some_echoes, budget, is_partly, spacing_m
+        ).without_dark()
 
-    def further(some: Triangles, is_partly: NDArray[np.bool_], times: int) -> _Seen:
+    def further(some: Triangles, is_partly: NDArray[np.bool_], times: int) -> _VisibleParts:
         for _ in range(times):
-            some, is_partly = quartered(context, some), np.repeat(is_partly, 4)
-        return looked_at(some, echoes_of(context, scatterers, some), is_partly)
+            some, is_partly = split_in_four(context, some), np.repeat(is_partly, 4)
+        return visible_parts(some, echoes_of(context, scatterers, some), is_partly)
 
-    seen = _Seen.concatenate(
+    seen = _VisibleParts.concatenate(
         [
-            looked_at(lit.take(bright[rows]), echoes.take(bright[rows]), partly[rows])
+            visible_parts(lit.take(bright[rows]), echoes.take(bright[rows]), partly[rows])
             for rows in portions(np.arange(len(bright)))
         ]
     )
     depth = 0
     while True:
-        budget.consider([seen.leaves, seen.fragments])
+        budget.estimate_levels([seen.leaves, seen.fragments])
         done = budget.affordable(seen.leaves.body, seen.error, _PER_LEVEL) & ~seen.is_doubtful
         done &= ~seen.is_wide
         if depth == deepest:
             done[:] = True
-        known = seen.leaves
-        share = known.echoes.strength / budget.allowed(known.body)
+        current = seen.leaves
+        share = current.echoes.strength / budget.allowed(current.body)
         done |= ~largest(np.where(done, 0.0, share), MOST_TRIANGLES // 4)
-        doubt = np.where(seen.is_doubtful, _MIXED * known.echoes.strength, 0.0)
-        budget.accept(known.body, seen.error + doubt, done)
+        doubt = np.where(seen.is_doubtful, _MIXED * current.echoes.strength, 0.0)
+        budget.accept(current.body, seen.error + doubt, done)
         for part, is_final in ((seen.leaves, done), (seen.fragments, done[seen.row])):
             left = np.flatnonzero(is_final & (part.weight != 0))
             if len(left):
-                settled_leaves.append(part.take(left))
-                budget.settle(settled_leaves[-1])
+                final_leaves.append(part.take(left))
+                budget.add_final(final_leaves[-1])
         rest = np.flatnonzero(~done)
         if not len(rest):
             break
         some, is_partly = seen.leaves.triangles.take(rest), seen.is_partly[rest]
         times = min(2 if len(rest) < _FEW else 1, deepest - depth)
         parts = portions(np.arange(len(rest)), 4**times)
-        seen = _Seen.concatenate(
+        seen = _VisibleParts.concatenate(
             [further(some.take(rows), is_partly[rows], times) for rows in parts]
         )
         depth += times
-    return settled_leaves
+    return final_leaves
 
 
 def _partly_hidden(
@@ -336,26 +340,36 @@ def _partly_hidden(
     rows: NDArray[np.intp],
     spacing_m: float | None,
 ) -> tuple[NDArray[np.bool_], float]:
-    """Which of some triangles have parts that are seen and others that are not, and how large parts
-    are, in m: as asked for, or as the number of rays allows.
+    """Which of some triangles have visible and hidden parts, and the size of these parts in m: as
+    given, or as the number of rays allows.
     """
     size = lit.subset(rows).sizes() if isinstance(lit, FrontFacets) else sizes(lit.take(rows))
     spacing_m = spacing_of(context, size) if spacing_m is None else spacing_m
     is_partly = np.zeros(len(rows), dtype=bool)
     for some in portions(np.flatnonzero(size > spacing_m), 4):
         parts, row = subdivided(context, lit.take(rows[some]), spacing_m)
-        clear = sampled(context, parts, np.zeros(len(parts), dtype=bool))[3]
+        clear = visible_samples(context, parts, np.zeros(len(parts), dtype=bool))[3]
         seen = np.bincount(row, clear, len(some))
         is_partly[some] = (seen > 0) & (seen < np.bincount(row, minlength=len(some)))
     return is_partly, spacing_m
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """Triangles with what is seen of them: ``leaves``, one for each, and ``fragments``, parts that
-    borders of shadows cut off, with the ``row`` of the triangle that they belong to; of each the
-    ``error`` that it may have, whether shadows may pass between the rays, whether it ``is_partly``
-    hidden, as rays at parts of the whole facet tell, and ``is_wide``: larger than these parts.
+class _VisibleParts:
+    """Triangles with their visible parts.
+
+    leaves
+        One for each triangle.
+    fragments, row
+        Parts that borders of shadows cut off, and the row of the triangle that each belongs to.
+    error
+        Possible error of each triangle's echo.
+    is_doubtful
+        Whether shadows may pass between its rays.
+    is_partly
+        Whether rays to parts of the whole facet show that it is partly hidden.
+    is_wide
+        Whether it is, and is larger than these parts.
     """
 
     leaves: Leaves
@@ -366,14 +380,14 @@ class _Seen:
     is_partly: NDArray[np.bool_]
     is_wide: NDArray[np.bool_]
 
-    def answering(self) -> "_Seen":
-        """Without those that are surely dark."""
+    def without_dark(self) -> "_VisibleParts":
+        """Without those that are certainly hidden."""
         is_dark = (self.leaves.weight == 0) & (self.error == 0) & ~self.is_doubtful & ~self.is_wide
         is_dark[self.row] = False
         if not is_dark.any():
             return self
         rows = np.flatnonzero(~is_dark)
-        return _Seen(
+        return _VisibleParts(
             self.leaves.take(rows),
             self.fragments,
             (np.cumsum(~is_dark) - 1)[self.row],
@@ -384,12 +398,12 @@ class _Seen:
         )
 
     @staticmethod
-    def concatenate(parts: "Sequence[_Seen]") -> "_Seen":
+    def concatenate(parts: "Sequence[_VisibleParts]") -> "_VisibleParts":
         """One after the other."""
         if len(parts) == 1:
             return parts[0]
         first = np.cumsum([0, *(len(part.error) for part in parts)])
-        return _Seen(
+        return _VisibleParts(
             Leaves.concatenate([part.leaves for part in parts]),
             Leaves.concatenate([part.fragments for part in parts]),
             np.concatenate([part.row + n for part, n in zip(parts, first, strict=False)]),
@@ -400,13 +414,13 @@ class _Seen:
         )
 
 
-def _open(lit: Triangles, echoes: Echoes) -> _Seen:
+def _unobstructed(lit: Triangles, echoes: Echoes) -> _VisibleParts:
     none, leaves = np.zeros(0, dtype=np.intp), Leaves(lit, echoes, np.ones(len(lit)))
     no = np.zeros(len(lit), dtype=bool)
-    return _Seen(leaves, leaves.take(none), none, echoes.curved, no, no, no)
+    return _VisibleParts(leaves, leaves.take(none), none, echoes.curved, no, no, no)
 
 
-def _looked_at(
+def _visible_parts(
     context: TracingContext,
     scatterers: Scatterers,
     lit: Triangles,
@@ -414,26 +428,28 @@ def _looked_at(
     budget: Budget,
     partly: NDArray[np.bool_],
     spacing_m: float,
-) -> _Seen:
-    """``partly``: known to be hidden in part, as parts of this size tell."""
+) -> _VisibleParts:
+    """Visible parts of triangles; ``partly``: facets that are partly hidden, by parts of this
+    size.
+    """
     allowed = budget.allowed(lit.body)
-    clear = sampled(context, lit, partly | (echoes.strength > _SAMPLED * allowed))
+    clear = visible_samples(context, lit, partly | (echoes.strength > _SAMPLED * allowed))
     corners = clear[:3].sum(axis=0)
     agree = (clear == clear[3]).all(axis=0)
     closer = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSER * allowed))
     if len(closer):
-        agree[closer] = alike(context, lit.take(closer), clear[3, closer], BETWEEN)
+        agree[closer] = agree_at(context, lit.take(closer), clear[3, closer], BETWEEN)
     closest = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSEST * allowed))
     if len(closest):
-        agree[closest] = alike(context, lit.take(closest), clear[3, closest], ALL_OVER)
-    weight = _SEEN[clear[3].astype(np.intp), corners]
+        agree[closest] = agree_at(context, lit.take(closest), clear[3, closest], ALL_OVER)
+    weight = _VISIBLE_SHARE[clear[3].astype(np.intp), corners]
     error = np.where(weight > 0, echoes.curved, 0.0)
     odd = (corners == 1) | (corners == 2)
     error += np.where(agree, 0.0, _MIXED * echoes.strength)
     row = np.flatnonzero(odd & (partly | (_MIXED * echoes.strength > _CUT * allowed)))
     weight[row] = corners[row] >= 2
     size = sizes(lit)
-    doubt = echoes.strength * np.minimum(size / _UNSEEN_M, 1) > _UNSEEN * allowed
+    doubt = echoes.strength * np.minimum(size / _MISSED_M, 1) > _MISSED * allowed
     is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
     is_hidden = agree & (corners == 0) & ~lit.is_ray
     hidden = np.flatnonzero(is_hidden & (is_doubtful | (echoes.strength > _GAP_FROM * allowed)))
@@ -441,28 +457,30 @@ def _looked_at(
     is_doubtful[hidden] &= is_gap
     error[hidden] += np.where(is_gap, _GAP * echoes.strength[hidden], 0.0)
     leaves = Leaves(lit, echoes, weight)
-    known = is_doubtful, partly, partly & (size > spacing_m)
+    flags = is_doubtful, partly, partly & (size > spacing_m)
     if not len(row):
-        return _Seen(leaves, leaves.take(row), row, error, *known)
-    off = clip(context, lit.take(row), clear[:3, row])
+        return _VisibleParts(leaves, leaves.take(row), row, error, *flags)
+    off = clip_at_shadow(context, lit.take(row), clear[:3, row])
     both = echoes_of(context, scatterers, Triangles.concatenate([off.parts, off.whole]))
     parts = both.take(slice(2 * len(row)))
     is_strong = off.is_known & (echoes.strength[row] > _CLOSEST * allowed[row])
     off.is_known[is_strong] = _is_confirmed(context, off, np.flatnonzero(is_strong))
-    # Against the triangle's own path.
-    wave = _turned(both, context).reshape(3, -1)
-    bent = np.abs(wave[0] + wave[1] - wave[2])
-    error[row] += _BENT * bent - np.where(off.is_known, _MIXED, 0) * echoes.strength[row]
+    # The border as two straight pieces against one, with the phases of both paths.
+    wave = _with_path_phase(both, context).reshape(3, -1)
+    curvature_error = np.abs(wave[0] + wave[1] - wave[2])
+    error[row] += (
+        _CURVED * curvature_error - np.where(off.is_known, _MIXED, 0) * echoes.strength[row]
+    )
     error[row] += parts.curved[: len(row)] + parts.curved[len(row) :]
     sign: Array = off.is_seen - weight[row]
     twice = np.concatenate([row, row])
-    return _Seen(
-        leaves, Leaves(off.parts, parts, np.concatenate([sign, sign])), twice, error, *known
+    return _VisibleParts(
+        leaves, Leaves(off.parts, parts, np.concatenate([sign, sign])), twice, error, *flags
     )
 
 
 def _is_confirmed(
-    context: TracingContext, off: Clipping, rows: NDArray[np.intp]
+    context: TracingContext, off: ShadowClipping, rows: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
     """Whether what lies on both sides of some borders is seen, or not, all over."""
     n, confirmed = len(off.is_seen), np.ones(len(rows), dtype=bool)
@@ -470,12 +488,12 @@ def _is_confirmed(
         return confirmed
     for part, count, wanted in ((off.parts, 2, off.is_seen), (off.others, 3, ~off.is_seen)):
         which = (rows + n * np.arange(count)[:, None]).ravel()
-        same = alike(context, part.take(which), np.tile(wanted[rows], count), INSIDE)
+        same = agree_at(context, part.take(which), np.tile(wanted[rows], count), INSIDE)
         confirmed &= same.reshape(count, -1).all(axis=0)
     return confirmed
 
 
-def _turned(echoes: Echoes, context: TracingContext) -> Complex:
+def _with_path_phase(echoes: Echoes, context: TracingContext) -> Complex:
     wave_number = 2 * np.pi / float(context.wavelength[0])
     wave: Complex = echoes.total * np.exp(-1j * (wave_number * echoes.length_m % (2 * np.pi)))
     return wave

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, settled
+from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, subdivided_adaptively
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
 from twin.radar.propagation.facets.earlier import Footprints, Sums, TracedEchoes
 from twin.radar.propagation.facets.front_facets import (
@@ -23,7 +23,7 @@ from twin.radar.propagation.facets.front_facets import (
 )
 from twin.radar.propagation.facets.reflection_candidates import reflection_candidates
 from twin.radar.propagation.facets.scatterers import Scatterers
-from twin.radar.propagation.facets.triangles import Triangles, quartered
+from twin.radar.propagation.facets.triangles import Triangles, split_in_four
 from twin.radar.propagation.facets.tubes import Tubes, reflected_on, with_receivers
 from twin.radar.propagation.facets.uniform_subdivision import spacing_of, subdivided
 from twin.radar.propagation.facets.validity import Valid
@@ -84,14 +84,14 @@ def scattered_by(
     facets = bistatic_facets(context, scatterers, images, None if valid is None else valid.paths)
     search = _Search(context, scatterers, images, bounces, [] if with_footprints else None)
     coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
-    known = None
+    earlier_echoes = None
     if valid is not None:
         owner = scatterers.body[valid.sums.face]
-        known = coarse.summed(owner, valid.sums.echo, valid.sums.length_m)
-        coarse = Budget(count, coarse.tolerance, wave_numbers, floor, known=known)
+        earlier_echoes = coarse.summed(owner, valid.sums.echo, valid.sums.length_m)
+        coarse = Budget(count, coarse.tolerance, wave_numbers, floor, earlier_echoes=earlier_echoes)
     whole = (facets, facets.echoes()) if len(facets) else None
     if whole is None:
-        coarse.consider([])
+        coarse.estimate_levels([])
     tubes, spacing_m = None, 0.0
     if bounces > 1:
         begin = illuminated_facets(
@@ -100,8 +100,8 @@ def scattered_by(
         spacing_m = spacing_of(context, begin.sizes()) if valid is None else valid.spacing_m[1]
         tubes = search.root_tubes(begin, spacing_m) if len(begin) else None
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
-    budget = Budget(count, tolerance, wave_numbers, floor, coarse, known=known)
-    budget.known_spacing_m = (valid and valid.spacing_m[0]) or None
+    budget = Budget(count, tolerance, wave_numbers, floor, coarse, earlier_echoes=earlier_echoes)
+    budget.earlier_spacing_m = (valid and valid.spacing_m[0]) or None
     parts = search.leaves(whole, tubes, budget, _DEEPEST)
     for _ in range(_MOST_PASSES):
         if (again := budget.renewed()) is None:
@@ -137,8 +137,8 @@ def scattered_by(
 
 
 def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
-    echo, known = leaves.weight * leaves.echoes.total, leaves.echoes
-    faint = budget.negligible(leaves.body, echo, known.strength, known.length_m, is_seen=True)
+    echo, echoes = leaves.weight * leaves.echoes.total, leaves.echoes
+    faint = budget.negligible(leaves.body, echo, echoes.strength, echoes.length_m, is_seen=True)
     return leaves.take(np.flatnonzero(~faint))
 
 
@@ -183,12 +183,16 @@ class _Search:
         """Leaves lit directly, and leaves lit by ray ``tubes``."""
         generations = []
         if whole is not None:
-            generations.append(settled(self.context, self.scatterers, *whole, budget, deepest[0]))
+            generations.append(
+                subdivided_adaptively(self.context, self.scatterers, *whole, budget, deepest[0])
+            )
         budget.end_direct()
         if tubes is not None:
             lit = self._lit_by_tubes(tubes, budget, deepest[1])
             if lit is not None:
-                generations.append(settled(self.context, self.scatterers, *lit, budget, deepest[0]))
+                generations.append(
+                    subdivided_adaptively(self.context, self.scatterers, *lit, budget, deepest[0])
+                )
         return [Leaves.concatenate(parts) for parts in generations if parts]
 
     def root_tubes(self, facets: FrontFacets, spacing_m: float) -> "_RootTubes | None":
@@ -250,7 +254,7 @@ class _Search:
     def _divided(self, roots: Triangles, times: int) -> Triangles:
         """Roots divided by four, ``times`` times."""
         for _ in range(times):
-            roots = quartered(self.context, roots)
+            roots = split_in_four(self.context, roots)
         return roots
 
     def _lit_by_tubes(

@@ -4,7 +4,7 @@ The border is found by bisection on lines from that corner. `tubes` divides ray 
 triangles at the border of a shadow.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _INSET = 2e-4  # of the way to the centroid: lines along edges, which are shared with others
-_HALVINGS = 10  # of a line until a border is found on it: 5e-4 of its length
+_HALVINGS = 10  # of a line in the search for a border: 5e-4 of its length
 
 Corners = tuple[Any, Any, Any]
 
@@ -43,36 +43,47 @@ def odd_one(alike: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.uin
     return alike.sum(axis=0) == 1, odd
 
 
-def border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> Border:
+def corner_first(corners: Sequence[Any], odd: Any) -> Corners:
+    """The corners, that of index ``odd`` first, in the same sense of rotation."""
+    a, b, c = (
+        dr.select(odd == 0, corners[i], dr.select(odd == 1, corners[i - 2], corners[i - 1]))
+        for i in range(3)
+    )
+    return a, b, c
+
+
+def bisected(
+    mi: Any, begin: Any, end: Any, same: Callable[[Any], Any], count: int, halvings: int
+) -> tuple[Any, Any]:
+    """Shares of ``count`` lines between which a border cuts these: the last one on the side of
+    ``begin`` and the first one beyond, by a number of halvings; ``same``: whether points are on the
+    side of ``begin``.
+    """
+
+    def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+        middle = (low + high) / 2
+        here = same(begin + middle * (end - begin))
+        return step + 1, dr.select(here, middle, low), dr.select(here, high, middle)
+
+    whole = dr.zeros(mi.UInt32, count), dr.zeros(mi.Float64, count), dr.ones(mi.Float64, count)
+    _, low, high = dr.while_loop(
+        whole, lambda step, low, high: step < halvings, halve, labels=("step", "low", "high")
+    )
+    return low, high
+
+
+def split_at_border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> Border:
     """Border of triangles whose corner ``odd`` it cuts off; ``same``: function of points, whether
     they are on that corner's side.
     """
     center = (corners[0] + corners[1] + corners[2]) / 3
-
-    def ordered(points: Corners) -> Corners:
-        """The odd corner first, the sense of rotation kept."""
-        a, b, c = (
-            dr.select(odd == 0, points[i], dr.select(odd == 1, points[i - 2], points[i - 1]))
-            for i in range(3)
-        )
-        return a, b, c
-
-    tip, left, right = ordered(tuple(p + _INSET * (center - p) for p in corners))
+    inset = [p + _INSET * (center - p) for p in corners]
+    tip, left, right = corner_first(inset, odd)
     dr.eval(tip, left, right)
 
     def share(end: Any) -> Any:
         """Share of the line from the odd corner to ``end`` at which the border cuts it."""
-        count = dr.width(center)
-
-        def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
-            middle = (low + high) / 2
-            here = same(tip + middle * (end - tip))
-            return step + 1, dr.select(here, middle, low), dr.select(here, high, middle)
-
-        begin = dr.zeros(mi.UInt32, count), dr.zeros(mi.Float64, count), dr.ones(mi.Float64, count)
-        _, low, high = dr.while_loop(
-            begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
-        )
+        low, high = bisected(mi, tip, end, same, dr.width(center), _HALVINGS)
         midpoint = (low + high) / 2
         dr.eval(midpoint)  # one kernel for all lines
         return midpoint
@@ -84,7 +95,7 @@ def border(mi: Any, corners: Corners, odd: Any, same: Callable[[Any], Any]) -> B
     through = tip + reach * straight
     dr.eval(through)
     on_middle = reach * share(through)
-    tip, left, right = ordered(corners)
+    tip, left, right = corner_first(corners, odd)
     middle = tip + on_middle * (on_left * (left - tip) + on_right * (right - tip))
     at_left, at_right = tip + on_left * (left - tip), tip + on_right * (right - tip)
     return Border(

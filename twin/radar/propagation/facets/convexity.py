@@ -13,7 +13,7 @@ from twin.radar.propagation.scene.mesh_scene import MeshScene
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_MOST_FACES = 32  # of a flat patch that is looked at as one
+_MOST_FACES = 32  # of a flat patch that is treated as one
 _LARGEST_MESH = 200_000  # faces, likewise
 _ROUNDED = 1e-6  # of a patch's size: what juts out no more is convex
 _parts: WeakKeyDictionary[Geometry, tuple[Indices, int]] = WeakKeyDictionary()

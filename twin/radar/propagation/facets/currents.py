@@ -228,7 +228,7 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
         )
         curved += strength * dr.minimum(_TURNED * change_rad * strength / most, 1)
     if context.walls is not None:  # internal reflections of walls repeat the echo
-        again = 1 + _again(wave.passage) + _again(return_path.passage)
+        again = 1 + _again(wave.transmission) + _again(return_path.transmission)
         strength, curved = strength * again, curved * again
     mean = [fine + more for fine, more in zip(finer, change, strict=True)]
     values = (re, im, *mean, length, dr.exp(gain), strength, curved)
@@ -237,9 +237,9 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
     return Echoes(columns[0] + 1j * columns[1], columns[2] + 1j * columns[3], *columns[4:])
 
 
-def _again(passage: SlabTransmission) -> Real:
+def _again(transmission: SlabTransmission) -> Real:
     """Sum of all round trips within a wall, in phase, over the first transmission, in amplitude."""
-    share = dr.sqrt(dr.square(passage.rho_re) + dr.square(passage.rho_im))
+    share = dr.sqrt(dr.square(transmission.rho_re) + dr.square(transmission.rho_im))
     return dr.minimum(share, _MOST_AGAIN) / (1 - dr.minimum(share, _MOST_AGAIN))
 
 

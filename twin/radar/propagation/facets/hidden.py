@@ -14,7 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.facets.borders import odd_one
+from twin.radar.propagation.facets.borders import bisected, odd_one
 from twin.radar.propagation.facets.currents import normal_of
 from twin.radar.propagation.facets.triangles import Triangles, origin_of
 from twin.radar.propagation.one_way.motion import NEAREST_M
@@ -88,15 +88,10 @@ def _are_joined(
     own = mi.UInt32(aligned(np.repeat(by[odd, column], 2)))
     dr.eval(tip, other)
 
-    def halve(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
-        middle = (low + high) / 2
-        same = _hidden_by(context, parts, many, end, tip + middle * (other - tip)) == own
-        return step + 1, dr.select(same, middle, low), dr.select(same, high, middle)
+    def same(place: Any) -> Any:
+        return _hidden_by(context, parts, many, end, place) == own
 
-    begin = dr.zeros(mi.UInt32, 2 * n), dr.zeros(mi.Float64, 2 * n), dr.ones(mi.Float64, 2 * n)
-    _, _, high = dr.while_loop(
-        begin, lambda step, low, high: step < _HALVINGS, halve, labels=("step", "low", "high")
-    )
+    _, high = bisected(mi, tip, other, same, 2 * n, _HALVINGS)
     dr.eval(high)
     beyond = np.array(_hidden_by(context, parts, many, end, tip + high * (other - tip)))
     wanted = np.repeat(by[(odd + 1) % 3, column], 2)
@@ -110,7 +105,9 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
     The shadow of every numbered occluder on a plane is convex.
     """
     mi, scene, source = context.mi, context.world.scene, getattr(lit, end)
-    off = normal_of(context, lit.face, place, origin_of(context, lit)) * (offset(place) + lit.lift)
+    off = normal_of(context, lit.face, place, origin_of(context, lit)) * (
+        offset(place) + lit.plane_deviation
+    )
     order = dr.gather(mi.UInt32, context.orders, source)
     at, aim, start = place, _gathered(mi, context.positions, 3 * source), place + off
     occluder, exists = dr.zeros(mi.UInt32, dr.width(place)), mi.Bool(True)

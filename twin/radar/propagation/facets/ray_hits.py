@@ -49,7 +49,7 @@ def reflected_ray_hits(
     mi, n = context.mi, len(tubes)
     many = tubes.repeat(samples) if samples > 1 else tubes
     index = dr.arange(mi.UInt32, samples * n)
-    place = samples_of(many, index & 3) if samples > 1 else many.spot
+    place = samples_of(many, index & 3) if samples > 1 else many.lit_point
     active, face, direction = reflected_from(context, scatterers, many, place)
     dr.eval(active, face)
     gap = mi.Float64(0)
@@ -104,7 +104,7 @@ def reflected_from(
     """
     mi = context.mi
     direction, normal = _mirrored(context, tubes, place)
-    off = normal * (offset(place) + tubes.lift)
+    off = normal * (offset(place) + tubes.plane_deviation)
     active = mi.Bool(True)
     if tubes.waves is None:  # what lies in shadow reflects nothing
         active = one_way_path(context, tubes.source, place, off, active).clear

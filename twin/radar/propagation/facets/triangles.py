@@ -1,8 +1,8 @@
-"""Lit triangles of the scene's facets, which are divided until their echo is known well enough.
+"""Lit triangles on the scene's facets, which are divided until their echo is accurate enough.
 
 A triangle is lit from a point, its origin: the radar, an image of it in a large surface, or, after
-bounces between bodies, the image of that in the facets on the way. It answers to one image of the
-radar.
+reflections between bodies, that image's image in the facets on the path. It has one image of the
+radar as receiver.
 """
 
 from collections.abc import Sequence
@@ -32,10 +32,10 @@ _ON_HOST = "body", "is_ray", "first"  # what triangles have there
 
 @dataclass(frozen=True, eq=False)
 class Incident:
-    """Waves at points that they light, on the device; see `path.OneWayPath`.
+    """Incident waves at points, on the device; see `path.OneWayPath`.
 
-    ``origin`` is the point from which each spreads, ``velocity`` that of this point, ``axes`` the
-    world's as mirrors and facets show them.
+    ``origin`` is the point from which each spreads, ``velocity`` that point's, ``axes`` the world's
+    axes mirrored in all mirrors and facets on the path.
     """
 
     origin: Vector3
@@ -43,40 +43,55 @@ class Incident:
     axes: Axes
     field: ComplexVector3
     departure: Vector3
-    passage: SlabTransmission
+    transmission: SlabTransmission
 
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """Waves that tubes bring, each at the centroid of what it lights: ``spot``, a point that is
-    lit, and ``lift``, how far from their plane surfaces may be that a tube stands for, in m.
+    """Waves that light the footprints of ray tubes, each at the centroid.
+
+    ``lit_point``: a point of the footprint that is lit; ``plane_deviation``: distance of the
+    surface from the footprint's plane, at most, m: a ray tube on a curved surface has one plane
+    footprint.
     """
 
     incident: Incident
-    spot: Vector3
-    lift: Real
+    lit_point: Vector3
+    plane_deviation: Real
 
     def columns(self) -> list[Any]:
-        """All numbers, in order."""
+        """All arrays, in order."""
         w = self.incident
-        vectors = (w.origin, w.velocity, *w.axes, w.field.re, w.field.im, w.departure, self.spot)
-        return [*(axis for v in vectors for axis in v), *vars(w.passage).values(), self.lift]
+        vectors = (
+            w.origin,
+            w.velocity,
+            *w.axes,
+            w.field.re,
+            w.field.im,
+            w.departure,
+            self.lit_point,
+        )
+        return [
+            *(axis for v in vectors for axis in v),
+            *vars(w.transmission).values(),
+            self.plane_deviation,
+        ]
 
     @staticmethod
     def of(columns: Sequence[Any], vector: Any) -> "Waves":
-        """From the same numbers."""
-        origin, velocity, x, y, z, re, im, departure, spot = (
+        """From these arrays."""
+        origin, velocity, x, y, z, re, im, departure, lit_point = (
             vector(*columns[i : i + 3]) for i in range(0, 27, 3)
         )
-        passage = SlabTransmission(*columns[27:31])
+        transmission = SlabTransmission(*columns[27:31])
         field = ComplexVector3(re, im)
-        incident = Incident(origin, velocity, (x, y, z), field, departure, passage)
-        return Waves(incident, spot, columns[31])
+        incident = Incident(origin, velocity, (x, y, z), field, departure, transmission)
+        return Waves(incident, lit_point, columns[31])
 
     def at(self, index: Index) -> "Waves":
-        """Those of some triangles, by number."""
+        """The waves with these indices."""
         columns = [dr.gather(type(value), value, index) for value in self.columns()]
-        return Waves.of(columns, type(self.spot))
+        return Waves.of(columns, type(self.lit_point))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +100,9 @@ class Triangles:
 
     ``corners``: three vectors; ``face``: the facet on which they lie; ``source`` and ``receiver``:
     images of the radar; ``wave``: which of the ``waves`` lights each; without these the source
-    lights them directly. On the host (n,): ``body``; ``is_ray``: its corners may not be lit, and
-    the spot of the wave stands for all of it; ``first``: the facet that the way meets first.
+    lights them directly. On the host (n,): ``body``; ``is_ray``: the triangle is represented by one
+    ray at the wave's lit point, and its corners may be dark; ``first``: the first facet of the
+    path.
     """
 
     corners: tuple[Vector3, Vector3, Vector3]
@@ -109,21 +125,25 @@ class Triangles:
         return (a + b + c) / 3
 
     @property
-    def lift(self) -> Real | float:
-        """How far from their plane surfaces may be that they stand for, in m."""
-        return 0.0 if self.waves is None else dr.gather(_number(self), self.waves.lift, self.wave)
+    def plane_deviation(self) -> Real | float:
+        """Distance of the surface from the triangle's plane, at most, in m."""
+        return (
+            0.0
+            if self.waves is None
+            else dr.gather(_number(self), self.waves.plane_deviation, self.wave)
+        )
 
     @property
-    def spot(self) -> Vector3:
-        """A point of each that is lit if any is."""
+    def lit_point(self) -> Vector3:
+        """A point of each that is lit if any point is."""
         if self.waves is None:
             return self.center
         is_ray = dr.mask_t(self.face)(aligned(self.is_ray))
-        own = dr.gather(type(self.corners[0]), self.waves.spot, self.wave)
+        own = dr.gather(type(self.corners[0]), self.waves.lit_point, self.wave)
         return dr.select(is_ray, own, self.center)
 
     def gather(self, which: Indices) -> "Triangles":
-        """Only some of them, by index, to be computed where they are used."""
+        """Only some of them, by index; not evaluated yet."""
         index = type(self.face)(aligned(which.astype(np.uint32)))
         columns = [dr.gather(type(value), value, index) for value in self._columns()]
         body, is_ray, first = (getattr(self, name)[which] for name in _ON_HOST)
@@ -185,24 +205,24 @@ def _number(lit: Triangles) -> Any:
 
 
 def _all_waves(waves: Sequence[Any]) -> tuple[Waves, list[Any]]:
-    """Of several tables one, and where each of them begins in it."""
+    """One table of several, and the first row of each in it."""
     columns = list(zip(*(part.columns() for part in waves), strict=True))
-    sizes = [dr.width(part.lift) for part in waves]
-    index = dr.uint32_array_t(type(waves[0].lift))
+    sizes = [dr.width(part.plane_deviation) for part in waves]
+    index = dr.uint32_array_t(type(waves[0].plane_deviation))
     begin = [dr.opaque(index, int(n)) for n in np.cumsum([0, *sizes[:-1]])]
-    return Waves.of(concatenated(columns, sizes), type(waves[0].spot)), begin
+    return Waves.of(concatenated(columns, sizes), type(waves[0].lit_point)), begin
 
 
 def origin_of(context: TracingContext, lit: Triangles) -> Vector3:
-    """The point from which the wave spreads that lights each."""
+    """The point from which each triangle's incident wave spreads."""
     if lit.waves is None:
         return image_place(context, lit.source)
     return dr.gather(context.mi.Vector3d, lit.waves.incident.origin, lit.wave)
 
 
 def incident_on(context: TracingContext, lit: Triangles) -> Incident:
-    """The wave that lights each triangle, at its centroid; of what lights it directly it is not
-    looked at what stands in between.
+    """The incident wave at each triangle's centroid; of a directly lit one without any test for
+    occluders.
     """
     if lit.waves is not None:
         return lit.waves.at(lit.wave).incident
@@ -214,12 +234,12 @@ def incident_on(context: TracingContext, lit: Triangles) -> Incident:
         axes=mirrored_axes(context, lit.source),
         field=way.field,
         departure=way.departure,
-        passage=way.passage,
+        transmission=way.transmission,
     )
 
 
-def quartered(context: TracingContext, triangles: Triangles) -> Triangles:
-    """Each in four, by two cuts across the longest edge."""
+def split_in_four(context: TracingContext, triangles: Triangles) -> Triangles:
+    """Each triangle divided into four, by bisecting the longest edge twice."""
     corners = triangles.corners
     four = triangles.repeat(4)
     number = dr.arange(context.mi.UInt32, len(four))

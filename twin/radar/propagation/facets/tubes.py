@@ -14,7 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.facets.borders import border, odd_one
+from twin.radar.propagation.facets.borders import odd_one, split_at_border
 from twin.radar.propagation.facets.currents import plane_of, reflection
 from twin.radar.propagation.facets.ray_hits import (
     INSIDE,
@@ -94,14 +94,14 @@ class Tubes:
 
 @dataclass(frozen=True, eq=False)
 class _Intersections:
-    """Ray tubes and the ``face`` that each meets; ``lift_m``: distance of what it meets from the
-    plane of that facet, at most; ``goes_on_as_ray``: whether it is represented by one ray from here
-    on.
+    """Ray tubes and the ``face`` that each meets; ``deviation_m``: distance of what it meets from
+    the plane of that facet, at most; ``goes_on_as_ray``: whether it is represented by one ray from
+    here on.
     """
 
     tubes: Tubes
     face: Indices
-    lift_m: Array
+    deviation_m: Array
     goes_on_as_ray: NDArray[np.bool_]
 
     @staticmethod
@@ -185,7 +185,7 @@ def _clip(
     wanted = hits.is_valid[odd, rows]
     faces = np.where(wanted, hits.face[odd, rows], hits.face[one, rows])
     some = tubes.take(rows)
-    at = border(
+    at = split_at_border(
         context.mi,
         some.triangles.corners,
         context.mi.UInt32(aligned(odd)),
@@ -284,14 +284,14 @@ def _on_planes_met(
 ) -> Tubes:
     """Ray tubes with their footprints on the planes of the facets that they meet."""
     tubes = Tubes.concatenate([part.tubes for part in intersections])
-    face, lift_m, is_ray = (
+    face, deviation_m, is_ray = (
         np.concatenate(column)
         for column in zip(
-            *((p.face, p.lift_m, p.goes_on_as_ray) for p in intersections), strict=True
+            *((p.face, p.deviation_m, p.goes_on_as_ray) for p in intersections), strict=True
         )
     )
     return replace(
-        tubes, triangles=_lit_on(context, scatterers, tubes.triangles, face, lift_m, is_ray)
+        tubes, triangles=_lit_on(context, scatterers, tubes.triangles, face, deviation_m, is_ray)
     )
 
 
@@ -300,7 +300,7 @@ def _lit_on(
     scatterers: Scatterers,
     some: Triangles,
     face: Indices,
-    lift_m: Array,
+    deviation_m: Array,
     becomes_ray: NDArray[np.bool_],
 ) -> Triangles:
     """Footprints of ray tubes on the planes of facets, with the waves that light them."""
@@ -321,9 +321,9 @@ def _lit_on(
         slope = dr.dot(across, way)
         return origin + way * (dr.dot(across, point - origin) / dr.select(slope != 0, slope, 1.0))
 
-    is_ray, begin = mi.Bool(aligned(becomes_ray)), some.spot
-    spot = onto(dr.select(is_ray, begin, samples_of(some, mi.UInt32(3))))
-    direction, wider = dr.normalize(spot - origin), dr.norm(spot - origin)
+    is_ray, begin = mi.Bool(aligned(becomes_ray)), some.lit_point
+    lit_point = onto(dr.select(is_ray, begin, samples_of(some, mi.UInt32(3))))
+    direction, wider = dr.normalize(lit_point - origin), dr.norm(lit_point - origin)
     wider /= dr.norm(begin - origin)
     slope = dr.dot(across, direction)
     slope = dr.select(slope < 0, -1.0, 1.0) * dr.maximum(dr.abs(slope), _LEAST_SLOPE)
@@ -332,13 +332,13 @@ def _lit_on(
         """Corners for parallel rays: the tube's own rays there may miss the plane."""
         aside = (place - begin) * wider
         aside -= direction * (dr.dot(across, aside) / slope)
-        return spot + aside - across * dr.dot(across, aside)
+        return lit_point + aside - across * dr.dot(across, aside)
 
     x, y, z = (axis - 2 * dr.dot(axis, normal) * normal for axis in wave.axes)
-    passage = SlabTransmission(*(value + wide for value in vars(wave.passage).values()))
+    transmission = SlabTransmission(*(value + wide for value in vars(wave.transmission).values()))
     field = ComplexVector3(reflected_field.re, reflected_field.im + wide)
-    incident = Incident(origin, velocity, (x, y, z), field, wave.departure, passage)
-    waves = Waves(incident, spot, mi.Float64(aligned(lift_m)))
+    incident = Incident(origin, velocity, (x, y, z), field, wave.departure, transmission)
+    waves = Waves(incident, lit_point, mi.Float64(aligned(deviation_m)))
     a, b, c = (dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners)
     triangles = replace(
         some,

@@ -4,7 +4,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.facets.triangles import Triangles, quartered
+from twin.radar.propagation.facets.triangles import Triangles, split_in_four
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.transfer import host
 
@@ -24,7 +24,7 @@ def subdivided(
         parts.append(lit.take(np.flatnonzero(~is_wide)))
         rows.append(row[~is_wide])
         lit, row = (
-            quartered(context, lit.take(np.flatnonzero(is_wide))),
+            split_in_four(context, lit.take(np.flatnonzero(is_wide))),
             np.repeat(row[is_wide], 4),
         )
     return Triangles.concatenate([*parts, lit]), np.concatenate([*rows, row])

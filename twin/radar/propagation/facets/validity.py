@@ -1,18 +1,20 @@
-"""Which echoes of an earlier frame are still valid where objects have moved: paths that hit none.
+"""Which echoes of an earlier frame are still valid after objects have moved.
 
-A path is kept as a whole: from the radar to the facet that it meets first, on to what that lights,
-and back. It holds where no box around anything that changed, as it stood then or stands now, is
-crossed by the pyramid between the radar, or an image of it, and that facet, by those that tubes
-from there were reflected in, and by those to the receiver; and where images and what they hear are
-as they were. All else is traced anew, with the errors that the level of every body now allows.
+A path is reused as a whole: from the radar to its first facet, on to the facets that this one
+lights, and back. It is valid if none of its segments may cross a box around an object that changed,
+at its earlier or its present place. The segments are bounded by pyramids: between the radar, or an
+image of it, and the first facet; those into which ray tubes are reflected; and those to the
+receiver. The images, and the facets reachable from them, must also be the same. All other paths are
+traced anew, with the errors that the level of every body now allows.
 
-What was left out, or not divided further, was small beside levels of then. Where these have fallen
-since and the error so accepted is beyond the tolerance now, `scattered_by` finds all anew.
+What the earlier frame left out, or did not divide further, was small relative to the levels then.
+Where levels have fallen since and the accepted error is now beyond the tolerance, `scattered_by`
+traces everything anew.
 
-Nothing is kept where the rig or its radar has moved, the tolerance or the number of bounces is
-another, objects were added, removed, renamed, put in another order or given other facets, something
-that mirrors or that the radar sees through has changed, or an object now mirrors, or no longer
-does, nor where what has changed stands in more than `MOST_BOXES` places.
+Nothing is reused if the rig or its radar has moved; the tolerance or the number of bounces differs;
+objects were added, removed, renamed, reordered or given other facets; a mirror, or a wall that the
+radar sees through, has changed, or an object has become a mirror or is none any more; or the
+objects that changed need more than `MOST_BOXES` boxes.
 """
 
 from collections.abc import Sequence

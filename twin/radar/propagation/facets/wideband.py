@@ -104,11 +104,11 @@ def _contributions(
     there, again = (lengthening(*way) for way in moved)
     shown = wave.axes, mirrored_axes(context, lit.receiver)
     turns = [along(turning(*way), axes) for way, axes in zip(moved, shown, strict=True)]
-    values: list[Any] = [wave.passage.extra + return_path.passage.extra]
+    values: list[Any] = [wave.transmission.extra + return_path.transmission.extra]
     values += [there[0] + again[0], there[1] + again[1]]
     values += [along(towards / forward_length, wave.axes), return_path.departure]
     values += [*turns, number, lit.source, lit.receiver]
-    for p in (wave.passage, return_path.passage):
+    for p in (wave.transmission, return_path.transmission):
         values += [p.rho_re, p.rho_im, p.lag]
     extra, rate, acceleration, departure, arrival, *columns = host(values, n)
     length_m = terms.length_m + extra

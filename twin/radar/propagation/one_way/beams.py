@@ -13,7 +13,7 @@ from twin.transfer import aligned
 
 Array = NDArray[np.float64]
 
-_OFF, _AROUND = 721, 361  # directions of a pattern that are looked up, off its axis and around it
+_OFF, _AROUND = 721, 361  # samples of a pattern, off its axis and around it
 _LEAST = 1e-9  # gain in amplitude that counts as none
 
 

@@ -200,7 +200,7 @@ class OneWayPath:
     field: ComplexVector3
     velocity: Vector3
     clear: Mask
-    passage: SlabTransmission
+    transmission: SlabTransmission
 
 
 def one_way_path(
@@ -273,13 +273,13 @@ def one_way_path(
     departure = -towards_radar
     field = context.sent(source, departure)
     travel = departure
-    passage = no_slab(mi)
+    transmission = no_slab(mi)
 
     def cross_walls(begin: Vector3, along: Vector3, segment: Real, where: Mask) -> None:
         nonlocal field
         if context.walls is not None:
             way = (begin, along, segment, length, context.wavelength, where)
-            field = cross(mi, context.walls, passage, field, *way)
+            field = cross(mi, context.walls, transmission, field, *way)
 
     cross_walls(aim + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
     for (has, direction), normal, surface, segment in zip(
@@ -292,7 +292,7 @@ def one_way_path(
         _, mirror, along, way_on = segment
         cross_walls(mirror, along, way_on, has & clear)
     velocity = _gathered(mi, context.velocities, 3 * source, active)
-    return OneWayPath(back, length, departure, field, velocity, clear, passage)
+    return OneWayPath(back, length, departure, field, velocity, clear, transmission)
 
 
 def lengthening(velocity: Vector3, direction: Vector3, length: Real) -> tuple[Real, Real]:

@@ -83,7 +83,7 @@ def paths_to_points(
     place, aside = (vector(mi, rows, "Vector3d") for rows in (places, off))
     numbers = mi.UInt32(aligned(sources))
     path = one_way_path(context, numbers, place, aside, mi.Bool(True), unshadowed=unshadowed)
-    p = path.passage
+    p = path.transmission
     back, length, extra, departure, re, im, clear, *rings = host(
         [path.back, path.length, p.extra, path.departure, path.field.re, path.field.im, path.clear]
         + [p.rho_re, p.rho_im, p.lag],

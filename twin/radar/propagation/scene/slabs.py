@@ -97,7 +97,7 @@ def no_slab(mi: Any) -> SlabTransmission:
 def cross(
     mi: Any,
     through: Walls,
-    passage: SlabTransmission,
+    transmission: SlabTransmission,
     field: ComplexVector3,
     begin: Vector3,
     direction: Vector3,
@@ -106,7 +106,7 @@ def cross(
     wavelength: Real,
     active: Mask,
 ) -> ComplexVector3:
-    """Field behind a straight segment of a path of some length; ``passage`` is updated."""
+    """Field behind a straight segment of a path of some length; ``transmission`` is updated."""
     k = 2 * dr.pi / wavelength
     at, rest = mi.Vector3d(begin), mi.Float64(segment)
     entry, entry_cosine, inside = mi.Float64(0), mi.Float64(1), mi.Bool(False)
@@ -131,7 +131,7 @@ def cross(
         depth = dr.select(sheet > 0, sheet, (travelled - entry) * cosine)
         row = coefficients_at(mi, through.table, number, cosine, done, _COLUMNS)
         field = _through_slab(
-            mi, passage, field, direction, normal, cosine, depth, row, length, k, done
+            mi, transmission, field, direction, normal, cosine, depth, row, length, k, done
         )
         enters = active & ~done
         entry = dr.select(enters, travelled, entry)
@@ -142,7 +142,7 @@ def cross(
 
 def _through_slab(
     mi: Any,
-    passage: SlabTransmission,
+    transmission: SlabTransmission,
     field: ComplexVector3,
     direction: Vector3,
     normal: Vector3,
@@ -172,12 +172,12 @@ def _through_slab(
         weight * (tm_re * field.re - tm_im * field.im + more_re * part.re - more_im * part.im),
         weight * (tm_im * field.re + tm_re * field.im + more_im * part.re + more_re * part.im),
     )
-    passage.extra += dr.select(done, extra, 0)
+    transmission.extra += dr.select(done, extra, 0)
     rho_re, rho_im = r2_re * fade * fade, r2_im * fade * fade
     strongest = done & (
-        rho_re**2 + rho_im**2 > dr.square(passage.rho_re) + dr.square(passage.rho_im)
+        rho_re**2 + rho_im**2 > dr.square(transmission.rho_re) + dr.square(transmission.rho_im)
     )
-    passage.rho_re = dr.select(strongest, rho_re, passage.rho_re)
-    passage.rho_im = dr.select(strongest, rho_im, passage.rho_im)
-    passage.lag = dr.select(strongest, 2 * depth * q_re, passage.lag)
+    transmission.rho_re = dr.select(strongest, rho_re, transmission.rho_re)
+    transmission.rho_im = dr.select(strongest, rho_im, transmission.rho_im)
+    transmission.lag = dr.select(strongest, 2 * depth * q_re, transmission.lag)
     return beyond.where(done, field)

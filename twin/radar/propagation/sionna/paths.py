@@ -54,7 +54,7 @@ def sionna_paths(
     Parameters
     ----------
     scene, radar
-        What is looked at, and with what.
+        The scene, and the radar in it.
     max_depth
         Interactions of one path at most, the target's included.
     table_nodes
