@@ -262,7 +262,7 @@ def test_what_was_left_out_is_told_in_one_line() -> None:
         ball("b", (5, 0, 0), level=3), ball("off", (5e2 * np.cos(off), 5e2 * np.sin(off), 0))
     )
     (line,) = [a for a in staged(scene).assumptions if "too faint" in a]
-    assert "1 of 2 ways to objects" in line
+    assert "1 of 2 paths to objects" in line
     assert int(line.split("at most ")[1].split(" dB")[0]) <= 20 * np.log10(culling.OF_NOISE)
 
 

@@ -113,13 +113,13 @@ def _unit_wave(radar: RadarDesign, record: RadarRecord, target: Target) -> float
     """What 1 m^2 in the target's place would show in the picture, root watts: the mean over stops,
     at the middle of the band.
     """
-    ways = (
+    offsets_m = (
         rotations(record.pose).inv().apply(np.asarray(target.position_m) - positions(record.pose))
     )
-    ranges = np.linalg.norm(ways, axis=1)
+    ranges = np.linalg.norm(offsets_m, axis=1)
     powers = [
         radar.received_power_w(float(r), 1.0, (float(x), float(y), float(z)))
-        for r, (x, y, z) in zip(ranges, ways / ranges[:, None], strict=True)
+        for r, (x, y, z) in zip(ranges, offsets_m / ranges[:, None], strict=True)
     ]
     wavelengths = record.carriers_hz[0] / record.carriers_hz.mean()
     return float(np.mean(np.sqrt(powers)) * wavelengths)

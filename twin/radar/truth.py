@@ -103,12 +103,12 @@ def _spans(target: Target, scene: Scene, radar_m: Array, half_s: float) -> tuple
     item = next((item for item in scene.objects if item.name == target.object), None)
     if item is None or not len(item.geometry.faces):
         return np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
-    way = item.vertices_m - radar_m
-    ranges = np.linalg.norm(way, axis=1)
+    offset_m = item.vertices_m - radar_m
+    ranges = np.linalg.norm(offset_m, axis=1)
     velocity = np.asarray(item.velocity_m_per_s)
-    rates, accelerations = lengthening(velocity, way / ranges[:, None], ranges)
+    rates, accelerations = lengthening(velocity, offset_m / ranges[:, None], ranges)
     change = accelerations * half_s
-    nearest = _nearest(way[item.geometry.faces])
+    nearest = _nearest(offset_m[item.geometry.faces])
     return (
         np.array([nearest, ranges.max()]),
         np.array([(rates - change).min(), (rates + change).max()]),

@@ -64,7 +64,7 @@ class Burst:
         rate, nearer_m = echoes.delay_rate, 0.0
         if not is_in_origin:
             nearer_m = echoes.departure @ sender + echoes.arrival @ listener
-            # Per second: the way turns, so elements see different rates.
+            # Per second: the path's direction turns, so elements see different rates.
             nearer_m_per_s = echoes.departure_per_s @ sender + echoes.arrival_per_s @ listener
             rate = rate - nearer_m_per_s / C_M_PER_S
         faster = echoes.delay_acceleration_per_s * middle

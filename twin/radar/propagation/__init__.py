@@ -1,4 +1,4 @@
-"""Every way from the radar through the scene and back.
+"""Every path from the radar through the scene and back.
 
 - `solvers`: the models by name, and who traces with which
 - `physical_optics`: what meshes echo (a car, a person), by `facets`, `diffraction` and

@@ -28,7 +28,7 @@ from twin.scene.boxes import boxes_of, distances_m
 
 Array = NDArray[np.float64]
 
-#: Of shadows on bodies: a way round an obstacle 30 dB below the straight one is -60 dB in an echo.
+#: Of shadows on bodies: both paths diffracted, each 30 dB below the direct one: -60 dB in an echo.
 _DEEPEST_DB = 30.0
 _FREQUENCIES = 5, 64  # over the band, at which a body's echo is summed, at least and at most
 
@@ -130,7 +130,7 @@ def diffracted(prepared: PreparedScene, fidelity: Fidelity) -> tuple[Contributio
 
 
 def behind(prepared: PreparedScene, fidelity: Fidelity) -> Contributions:
-    """Contributions of such objects by ways round others."""
+    """Contributions of such objects by diffracted paths around others."""
     if not fidelity.radar_shadowed or ScatteringModel.OPTICS not in prepared.roles:
         return Contributions.none()
     depth = min(fidelity.radar_shadow_db, _DEEPEST_DB)

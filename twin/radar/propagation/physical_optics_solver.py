@@ -114,19 +114,19 @@ def _mirrors(
 def _points(
     prepared: PreparedScene, radar: RadarDesign, declared: Sequence[Target], fidelity: Fidelity
 ) -> tuple[list[PathName], Contributions]:
-    """Declared points; what passes an edge on the way is said to meet its obstacle."""
+    """Echoes of declared points; a path around an edge names the obstacle."""
     if not declared:
         return [], Contributions.none()
     obstacles = screens(prepared, fidelity.radar_shadow_db)
-    echoes, ways = point_echoes(prepared.context, declared, prepared.anchor_m, obstacles)
+    echoes, two_way = point_echoes(prepared.context, declared, prepared.anchor_m, obstacles)
 
     def over(item: int) -> tuple[str, ...]:
         return (prepared.items[item].name,) if item >= 0 else ()
 
-    names = [declared[way.target].name for way in ways]
+    names = [declared[path.target].name for path in two_way]
     objects_on_path = [
-        (*over(way.forward_obstacle), name, *over(way.return_obstacle))
-        for way, name in zip(ways, names, strict=True)
+        (*over(path.forward_obstacle), name, *over(path.return_obstacle))
+        for path, name in zip(two_way, names, strict=True)
     ]
     return _paths(prepared, radar, echoes, names, objects_on_path)
 

@@ -127,7 +127,7 @@ def prepare_scene(
         items += [item for item in mesh.items if item]
     sight = Sight(mi, world, mi.UInt32(patch_of_face), through)
     limit, beam = _limit(radar), beam_of(radar.antenna)
-    # Half of what may be left out are images, half ways to objects.
+    # Half of what may be left out is for images, half for paths to objects.
     candidate_images, faint = images(sight, mirrors, place, axes[0], beam, order, limit / 2)
     prepared = PreparedScene(
         anchor_m=anchor,
@@ -173,7 +173,7 @@ def _culled(
     faint: float,
     limit: float,
 ) -> PreparedScene:
-    """The stage with the images and the ways that are worth tracing."""
+    """The prepared scene with the images and paths that are traced."""
     echoing = (
         (ScatteringModel.OPTICS, ScatteringModel.SURFACE) if is_rough else (ScatteringModel.OPTICS,)
     )
@@ -196,13 +196,13 @@ def _culled(
         level = 20 * np.log10(OF_NOISE * left_out / limit)
         assumed += (
             f"too faint to be traced: {np.count_nonzero(~traced.is_traced & (share > 0))} of "
-            f"{np.count_nonzero(share)} ways to objects, and mirrors; all their echoes together "
+            f"{np.count_nonzero(share)} paths to objects, and mirrors; all their echoes together "
             f"at most {level:.0f} dB of a cell's noise",
         )
-    heard_images = [
+    used_images = [
         image for image, is_kept in zip(prepared.all_images, is_used, strict=True) if is_kept
     ]
-    return replace(prepared.with_images(heard_images), worth=worth, assumptions=assumed)
+    return replace(prepared.with_images(used_images), worth=worth, assumptions=assumed)
 
 
 def _surfaces(

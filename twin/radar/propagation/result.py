@@ -42,7 +42,7 @@ class Path(PathName):
 
 @dataclass(frozen=True)
 class Heard:
-    """What came back from one object: the number of contributions, or of ways to its table, and
+    """What came back from one object: the number of contributions, or of paths to its table, and
     the power of their sum at the carrier over the sent one.
     """
 

@@ -38,8 +38,8 @@ def mirror_echoes(context: TracingContext) -> Contributions:
     if count == 0:
         return Contributions.none()
     here, source = np.array(context.place).ravel(), 1 + np.arange(count)
-    way = here - np.array(context.positions).reshape(-1, 3)[source]
-    aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(way, _OBLIQUE)).reshape(-1, 3)
+    from_image = here - np.array(context.positions).reshape(-1, 3)[source]
+    aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(from_image, _OBLIQUE)).reshape(-1, 3)
     paths = paths_to_points(context, np.tile(source, 3), here + aside, np.zeros_like(aside))
     clear = paths.clear.reshape(3, count)
     share = clear[1:].mean(axis=0)

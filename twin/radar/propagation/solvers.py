@@ -104,7 +104,7 @@ SOLVERS: dict[str, Solver] = {
         (
             _POINTS,
             _MESHES,
-            "rough surfaces scatter from fixed points of random phase, reached by straight ways "
+            "rough surfaces scatter from fixed points of random phase, reached by direct paths "
             "alone",
         ),
         has_tolerance=True,

@@ -150,13 +150,13 @@ def _ahead(
     unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
     w, face = field.weights, field.face
     at = w[:, :1] * a[face] + w[:, 1:2] * b[face] + w[:, 2:] * c[face]
-    way = at - place
-    index = np.flatnonzero(way @ boresight > 0)
+    towards = at - place
+    index = np.flatnonzero(towards @ boresight > 0)
     return _Points(
         index=index,
         place=at[index],
         normal=unit[face[index]],
-        distance=np.linalg.norm(way[index], axis=1),
+        distance=np.linalg.norm(towards[index], axis=1),
         phase=field.phase[index],
         area=np.full(len(index), field.area_m2),
     )

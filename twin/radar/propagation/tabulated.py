@@ -94,9 +94,9 @@ def specular_path(
     image = np.zeros(3)
     for start, normal in planes:
         image = image - 2 * ((image - start) @ normal) * normal
-    way = point - image
-    length = float(np.linalg.norm(way))
-    arriving = way / length
+    from_image = point - image
+    length = float(np.linalg.norm(from_image))
+    arriving = from_image / length
     direction = arriving
     for _, normal in reversed(planes):
         direction = direction - 2 * (direction @ normal) * normal
@@ -110,7 +110,7 @@ def specular_path(
 
 
 def answers(
-    thing: Tabulated, ways: Sequence[tuple[SpecularPath, SpecularPath]], wavelength_m: float
+    thing: Tabulated, path_pairs: Sequence[tuple[SpecularPath, SpecularPath]], wavelength_m: float
 ) -> tuple[Complex, Array]:
     """Amplitudes (n,) without the antenna's gains, and delays (n,) beyond that of the centre, for
     pairs of a forward and a return path.
@@ -118,14 +118,14 @@ def answers(
     # Physical optics is not reciprocal. As in the solver of facets, a path and its reverse both
     # have the echo of the one that comes in by the simpler path.
     there, back = zip(
-        *(sorted(way, key=lambda path: (path.reflections, path.length_m)) for way in ways),
+        *(sorted(pair, key=lambda path: (path.reflections, path.length_m)) for pair in path_pairs),
         strict=True,
     )
     s, delay = thing.table.answers(
         *(np.array([path.back for path in paths]) for paths in (there, back)),
         *(np.array([path.field for path in paths]) for paths in (there, back)),
     )
-    spread = np.array([a.length_m * b.length_m for a, b in ways])
+    spread = np.array([a.length_m * b.length_m for a, b in path_pairs])
     # The delay's phase at the carrier is taken out: with it the amplitude has the phase of S.
     turn = np.exp(2j * np.pi * speed_of_light / wavelength_m * delay)
     amplitude: Complex = wavelength_m / (4 * np.pi * spread) * s * turn

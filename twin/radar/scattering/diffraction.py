@@ -165,8 +165,8 @@ def _face(
     along = np.abs(cos_beta0) > 1 - 1e-8  # an edge met end on radiates nothing
     cos_beta0 = np.where(along, 0.0, cos_beta0)
     grazing = np.sqrt(1 - cos_beta0**2)[:, None] * x + cos_beta0[:, None] * z
-    way = edges.patches.reach(edges.patch[segments.edge, side], segments.middle_m, grazing)
-    end = way * np.sqrt(1 - cos_beta0**2)
+    reach = edges.patches.reach(edges.patch[segments.edge, side], segments.middle_m, grazing)
+    end = reach * np.sqrt(1 - cos_beta0**2)
     seen_x, seen_z = np.sum(towards * x, axis=1), np.sum(towards * z, axis=1)
     e_z = np.sum(field * z, axis=1)
     h_z = np.sum(np.cross(direction, field) * z, axis=1)

@@ -53,7 +53,7 @@ class Patches:
     border: list[Array]
 
     def reach(self, patch: Indices, origin_m: Array, direction: Array) -> Array:
-        """Way (n,) along a surface, from points on its border inwards, to its other border.
+        """Distance (n,) along a surface, from points on its border inwards, to its other border.
 
         On a curved surface: to the side of its box, an upper bound.
         """
@@ -68,8 +68,10 @@ class Patches:
                 border = self.border[which]
                 at_once = max(1, 2**21 // len(border))
                 for part in np.split(rows, range(at_once, len(rows), at_once)):
-                    way = _to_border(border, self.normal[which], origin_m[part], direction[part])
-                    distance_m[part] = np.minimum(distance_m[part], way)
+                    to_border_m = _to_border(
+                        border, self.normal[which], origin_m[part], direction[part]
+                    )
+                    distance_m[part] = np.minimum(distance_m[part], to_border_m)
         return distance_m
 
 
@@ -173,15 +175,15 @@ def _patches(
 
 
 def _through_box(low: Array, high: Array, origin: Array, direction: Array) -> Array:
-    """Way from points in a box to where each leaves it."""
+    """Distance from points in a box to where each ray leaves it."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ways = np.where(direction > 0, high - origin, low - origin) / direction
-    ways = np.where(np.abs(direction) < 1e-12, np.inf, ways)
-    return np.maximum(ways.min(axis=1), 0)
+        distances = np.where(direction > 0, high - origin, low - origin) / direction
+    distances = np.where(np.abs(direction) < 1e-12, np.inf, distances)
+    return np.maximum(distances.min(axis=1), 0)
 
 
 def _to_border(border: Array, normal: Array, origin: Array, direction: Array) -> Array:
-    """Way along a flat surface to the first of its edges that is not where the way starts."""
+    """Distance along a flat surface to the first of its edges beyond the starting point."""
     start, side = border[:, 0], border[:, 1] - border[:, 0]
     turn = np.cross(side, normal)
     gap = np.sum(start * turn, axis=1) - origin @ turn.T
@@ -189,8 +191,8 @@ def _to_border(border: Array, normal: Array, origin: Array, direction: Array) ->
     aside = np.cross(normal, direction)
     past = np.sum(origin * aside, axis=1)[:, None] - aside @ start.T
     with np.errstate(divide="ignore", invalid="ignore"):  # parallel: meets nowhere
-        way = gap / speed
+        distance = gap / speed
         place = past / (aside @ side.T)
     size = np.abs(side).max()
-    meets = (way > 1e-6 * size) & (place > -1e-9) & (place < 1 + 1e-9)
-    return np.where(meets, way, np.inf).min(axis=1)
+    meets = (distance > 1e-6 * size) & (place > -1e-9) & (place < 1 + 1e-9)
+    return np.where(meets, distance, np.inf).min(axis=1)

@@ -1,1 +1,1 @@
-"""Diffraction: ways round obstacles, and fringe currents of sharp edges."""
+"""Diffraction: paths around obstacles, and fringe currents of sharp edges."""

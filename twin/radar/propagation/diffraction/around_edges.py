@@ -201,12 +201,12 @@ class Segment:
         """Whether an obstacle reaches into the Fresnel ellipsoids of the direct paths to points, or
         to a distance around these, (n,); their half minor axis is sqrt((R + d)^2 - R^2) / 2.
         """
-        o, way = self.obstacles, self.seen - self.source
-        length = np.linalg.norm(way, axis=1)
+        o, direct = self.obstacles, self.seen - self.source
+        length = np.linalg.norm(direct, axis=1)
         more = self._more_m
         towards = o.centers[item] - self.source
-        along = np.clip(way @ towards / np.maximum(length**2, 1e-300), 0, 1)
-        gap = np.linalg.norm(towards - along[:, None] * way, axis=1) - o.radii[item]
+        along = np.clip(direct @ towards / np.maximum(length**2, 1e-300), 0, 1)
+        gap = np.linalg.norm(towards - along[:, None] * direct, axis=1) - o.radii[item]
         widest = 0.5 * np.sqrt(more * (2 * length + more))
         beside: NDArray[np.bool_] = gap <= widest + around_m
         return beside
@@ -305,9 +305,9 @@ def _is_open(prepared: PreparedScene, chain: Array, off: Array) -> NDArray[np.bo
             break
         begin, end = chain[k, rows] + (off[rows] if k == 0 else 0), chain[k + 1, rows]
         length = np.linalg.norm(end - begin, axis=1, keepdims=True)
-        way = (end - begin) / np.maximum(length, 1e-300)
+        direction = (end - begin) / np.maximum(length, 1e-300)
         reach = (length[:, 0] * (1 - _NEXT_TO)).astype(np.float32)
-        ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, way, "Vector3f"))
+        ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, direction, "Vector3f"))
         ray = mi.Ray3f(ray.o, ray.d, mi.Float(aligned(reach)), 0.0, [])
         is_open[rows] = ~np.array(scene.ray_test(ray, active=mi.Bool(aligned(reach > 0))))
     return is_open
@@ -344,8 +344,8 @@ def _point_paths(
     )
 
 
-def _unit(way: Array) -> Array:
-    unit: Array = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+def _unit(vectors: Array) -> Array:
+    unit: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
     return unit
 
 

@@ -99,9 +99,9 @@ def echoes_behind(
 
 def _brightness(obstacles: Screens, facets: _Facets) -> Array:
     """Echo amplitude of facets (n,) without obstacles, as of a conductor at normal incidence."""
-    way = obstacles.prepared.images[0].place - facets.middle
-    length = np.linalg.norm(way, axis=1, keepdims=True)
-    slope = 4 * np.pi / obstacles.prepared.wavelength_m * way / length
+    towards = obstacles.prepared.images[0].place - facets.middle
+    length = np.linalg.norm(towards, axis=1, keepdims=True)
+    slope = 4 * np.pi / obstacles.prepared.wavelength_m * towards / length
     echo = np.sum(facets.across * slope, axis=1) / length[:, 0] ** 2
     bright: Array = np.abs(echo * _mean(facets.phase(slope)))
     return bright

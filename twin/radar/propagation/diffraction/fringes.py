@@ -99,7 +99,7 @@ def edge_echoes(
 def _diffracted(
     context: TracingContext, body: Sharp, segments: EdgeSegments, wavelength_m: float
 ) -> list[Contributions]:
-    """From image i to image j with i before j, and the same ways reversed, as rays do."""
+    """Echoes from image i to image j >= i, and the same paths reversed."""
     places = np.array(context.positions).reshape(-1, 3)
     paths = [
         paths_to_points(context, i, segments.middle_m, _off(body.edges, segments, place))
@@ -111,9 +111,9 @@ def _diffracted(
             # A piece nearer than it is long is no point; one at the radar itself, nothing.
             apart = np.minimum(forward_path.length, return_path.length) > segments.length_m
             at = np.flatnonzero(forward_path.clear & return_path.clear & apart)
-            ways = forward_path.take(at), return_path.take(at)
-            amplitude = _amplitude(body, segments.take(at), *ways, wavelength_m)
-            echo = between(*ways, amplitude, body.velocity, body.object[segments.edge[at]])
+            pair = forward_path.take(at), return_path.take(at)
+            amplitude = _amplitude(body, segments.take(at), *pair, wavelength_m)
+            echo = between(*pair, amplitude, body.velocity, body.object[segments.edge[at]])
             contributions.append(echo.take(echo.amplitude != 0).and_reversed())
     return contributions
 

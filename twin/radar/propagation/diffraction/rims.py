@@ -96,7 +96,7 @@ def edge_paths(
 
 
 def near_edges(
-    rim: Outline, way: Array, radius_m: float, wavenumber: float, faintest: float
+    rim: Outline, direct: Array, radius_m: float, wavenumber: float, faintest: float
 ) -> Indices:
     """Edges that may diffract a wave to points within a sphere around the end of a direct path
     (3,).
@@ -104,21 +104,21 @@ def near_edges(
     Within the sphere the path difference changes by at most twice the radius.
     """
     most = farthest(faintest) + 2 * wavenumber * radius_m
-    return np.unique(_pairs(rim, way[None], wavenumber, most).edge)
+    return np.unique(_pairs(rim, direct[None], wavenumber, most).edge)
 
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """Pairs of a point and an edge near the direct path to it, (n, ...).
 
-    ``way`` is the vector from the source to the point; ``lit_m`` (n,) the point's distance from the
-    shadow's border, positive in the light; the shortest path over the edge's line meets it ``at``
-    (m) from the first end and is longer than the direct path by a phase ``q``.
+    ``direct`` is the vector from the source to the point; ``lit_m`` (n,) the point's distance from
+    the shadow's border, positive in the light; the shortest path over the edge's line meets it
+    ``at`` (m) from the first end and is longer than the direct path by a phase ``q``.
     """
 
     point: Indices
     edge: Indices
-    way: Array
+    direct: Array
     lit_m: Array
     at: Array
     q: Array
@@ -126,11 +126,11 @@ class _Pairs:
 
     def depth(self, place: Array) -> Array:
         """How far along the direct path places are, 0 to 1."""
-        depth: Array = np.sum(place * self.way, axis=1) / np.sum(self.way**2, axis=1)
+        depth: Array = np.sum(place * self.direct, axis=1) / np.sum(self.direct**2, axis=1)
         return depth
 
 
-def _pairs(rim: Outline, way: Array, wavenumber: float, most: float) -> _Pairs:
+def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pairs:
     """Pairs of points, at the ends of vectors (n, 3) from the source, and edges, over which the
     path is longer by at most a phase ``most``.
     """
@@ -139,8 +139,8 @@ def _pairs(rim: Outline, way: Array, wavenumber: float, most: float) -> _Pairs:
     at_source = -np.sum(first * along, axis=1)
     foot = first + at_source[:, None] * along
     off_source = np.linalg.norm(foot, axis=1)
-    square = np.sum(way**2, axis=1)[:, None]
-    forward, across = way @ along.T, way @ foot.T
+    square = np.sum(direct**2, axis=1)[:, None]
+    forward, across = direct @ along.T, direct @ foot.T
     off_place = np.sqrt(np.maximum(square - forward**2 - 2 * across + off_source**2, 0))
     # The square of the path's length less that of the direct one.
     more = np.maximum(2 * (off_source * off_place + off_source**2 - across), 0)
@@ -149,7 +149,7 @@ def _pairs(rim: Outline, way: Array, wavenumber: float, most: float) -> _Pairs:
     both = np.maximum(off_source[j] + off_place[i, j], 1e-300)
     at_place = at_source[j] + forward[i, j]
     at = (at_source[j] * off_place[i, j] + at_place * off_source[j]) / both
-    return _Pairs(i, j, way[i], np.sum(rim.lit[j] * way[i], axis=1), at, q[i, j], wavenumber)
+    return _Pairs(i, j, direct[i], np.sum(rim.lit[j] * direct[i], axis=1), at, q[i, j], wavenumber)
 
 
 def _along(rim: Outline) -> tuple[Array, Array]:
@@ -177,8 +177,8 @@ def _end_paths(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> Diffra
     corner.
     """
     place = rim.ends[pairs.edge, end]
-    length = np.linalg.norm(pairs.way, axis=1)
-    broken = np.linalg.norm(place, axis=1) + np.linalg.norm(pairs.way - place, axis=1)
+    length = np.linalg.norm(pairs.direct, axis=1)
+    broken = np.linalg.norm(place, axis=1) + np.linalg.norm(pairs.direct - place, axis=1)
     p = np.maximum(pairs.wavenumber * (broken - length) - pairs.q, 0)
     # Its level, by the first term of its asymptotic series.
     level = np.sqrt(pairs.q) / (4 * np.pi * np.maximum(np.sqrt(p) * (p + pairs.q), 1e-30))
@@ -187,7 +187,7 @@ def _end_paths(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> Diffra
     inwards = pairs.at if end == 0 else _along(rim)[1][pairs.edge] - pairs.at
     turn = np.where(pairs.lit_m[some] > 0, 1, -1) * np.where(inwards[some] > 0, 1, -1)
     amplitude = turn * missing_edge_factor(pairs.q[some], p[some])
-    none, far = np.zeros_like(pairs.way), np.full(len(some), np.inf)
+    none, far = np.zeros_like(pairs.direct), np.full(len(some), np.inf)
     paths = _paths_by(rim, pairs, some, place, pairs.q + p, none, amplitude, far)
     return replace(paths, item=rim.corner[pairs.edge[some], end])
 
@@ -203,7 +203,7 @@ def _paths_by(
     lit_m: Array,
 ) -> DiffractedPaths:
     """Some of the pairs as paths, each by way of a place."""
-    there, back = (np.linalg.norm(x, axis=1)[some] for x in (place, pairs.way - place))
+    there, back = (np.linalg.norm(x, axis=1)[some] for x in (place, pairs.direct - place))
     zone = np.sqrt(2 * np.pi / pairs.wavenumber * there * back / (there + back))
     aside = _BESIDE * zone[:, None] * rim.lit[pairs.edge[some]]
     return DiffractedPaths(
@@ -304,7 +304,7 @@ def double_edge_paths(
         first = _shortest(source, second, first, one.along)
         second = _shortest(first, places, second, other.along)
     a, b, c = (
-        np.linalg.norm(way, axis=1) for way in (first - source, second - first, places - second)
+        np.linalg.norm(leg, axis=1) for leg in (first - source, second - first, places - second)
     )
     correlation = np.sqrt(a * c / np.maximum((a + b) * (b + c), 1e-300))
     amplitude, alone = double_knife_edge(
@@ -345,14 +345,14 @@ def _shortest(begin: Array, end: Array, place: Array, along: Array) -> Array:
     """Where the shortest path between points over lines (n, 3) meets these lines."""
     at, off = [], []
     for point in (begin, end):
-        way = point - place
-        at.append(np.sum(way * along, axis=1))
-        off.append(np.linalg.norm(way - at[-1][:, None] * along, axis=1))
+        towards = point - place
+        at.append(np.sum(towards * along, axis=1))
+        off.append(np.linalg.norm(towards - at[-1][:, None] * along, axis=1))
     share = (at[0] * off[1] + at[1] * off[0]) / np.maximum(off[0] + off[1], 1e-300)
     crossing: Array = place + share[:, None] * along
     return crossing
 
 
-def _unit(way: Array) -> Array:
-    unit: Array = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-300)
+def _unit(vector: Array) -> Array:
+    unit: Array = vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-300)
     return unit

@@ -85,21 +85,21 @@ def crossed(
 
 def _apart(tip: Any, corners: Corners, middle: Any, half: Sequence[Any], beyond: bool) -> Any:
     """Whether a plane or a cone separates boxes from pyramids."""
-    ways = [corner - tip for corner in corners]
+    rays = [corner - tip for corner in corners]
     away = middle - tip
 
     def reach(normal: Any) -> Any:
         return sum(dr.abs(dr.dot(normal, edge)) for edge in half)
 
     base = dr.cross(corners[1] - corners[0], corners[2] - corners[0])
-    side = dr.select(dr.dot(base, ways[0]) < 0, -1.0, 1.0)  # of the base beyond it
+    side = dr.select(dr.dot(base, rays[0]) < 0, -1.0, 1.0)  # of the base beyond it
     off = side * dr.dot(base, middle - corners[0])
     apart = off + reach(base) < 0 if beyond else off - reach(base) > 0
     for k in range(3):
-        normal = dr.cross(ways[k], ways[(k + 1) % 3])
-        inwards = dr.select(dr.dot(normal, ways[(k + 2) % 3]) < 0, -1.0, 1.0)
+        normal = dr.cross(rays[k], rays[(k + 1) % 3])
+        inwards = dr.select(dr.dot(normal, rays[(k + 2) % 3]) < 0, -1.0, 1.0)
         apart |= inwards * dr.dot(normal, away) + reach(normal) < 0
-    units = [dr.normalize(way) for way in ways]
+    units = [dr.normalize(ray) for ray in rays]
     axis = dr.normalize(units[0] + units[1] + units[2])
     narrowest = dr.minimum(dr.dot(units[0], axis), dr.dot(units[1], axis))
     wide = dr.safe_acos(dr.minimum(narrowest, dr.dot(units[2], axis)))

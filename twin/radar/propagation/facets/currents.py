@@ -187,7 +187,9 @@ def level_at(
     obliquity goes as the -3/2 power of these.
     """
     from_source, from_receiver = point - wave.origin, point - receiver
-    there, again = (dr.maximum(dr.norm(way), NEAREST_M) for way in (from_source, from_receiver))
+    there, again = (
+        dr.maximum(dr.norm(segment), NEAREST_M) for segment in (from_source, from_receiver)
+    )
     gain = scatterers.antenna.log(along(from_source / there, wave.axes))
     gain += scatterers.antenna.log(along(from_receiver / again, axes))
     return gain, -1.5 * dr.log(there * again), there + again
@@ -255,13 +257,13 @@ def _turning(
     own = context.mi.Vector3d(
         *(dr.gather(context.mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
     )
-    way = lit.center - wave.origin
-    length = dr.norm(way)
+    incident = lit.center - wave.origin
+    length = dr.norm(incident)
     a, b, c = lit.corners
     size = dr.maximum(
         dr.squared_norm(b - a), dr.maximum(dr.squared_norm(c - b), dr.squared_norm(a - c))
     )
-    rate = dr.norm(turning(own - wave.velocity, way / length, length))
+    rate = dr.norm(turning(own - wave.velocity, incident / length, length))
     return dr.sqrt(size) * (
         rate + dr.norm(turning(own - return_path.velocity, -return_path.back, return_path.length))
     )
@@ -284,11 +286,11 @@ def _most(
     most: Real = type(size)(1)
     widest: Real = type(size)(0)
     for begin, shown in ((wave.origin, wave.axes), (receiver, axes)):
-        way = place - begin
-        length = dr.norm(way)
+        segment = place - begin
+        length = dr.norm(segment)
         ratio = size / length
         cone = dr.select(ratio < 1, dr.safe_asin(ratio), dr.pi)
-        most *= scatterers.antenna.most(along(way / length, shown), cone)
+        most *= scatterers.antenna.most(along(segment / length, shown), cone)
         most *= (1 / dr.maximum(1 - ratio, _NEAREST)) ** 1.5
         widest = dr.maximum(widest, ratio)
     pairs: list[Real] = [dr.maximum(logs[i], logs[i + 1]) for i in (0, 2, 4)]

@@ -133,9 +133,9 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
         before, point, normal = (
             _gathered(mi, context.levels, LEVEL * row + 3 * i) for i in range(3)
         )
-        way = aim - at
-        distance = dr.norm(way)
-        direction = way / dr.maximum(distance, NEAREST_M)
+        segment = aim - at
+        distance = dr.norm(segment)
+        direction = segment / dr.maximum(distance, NEAREST_M)
         slope = dr.dot(normal, direction)
         t = dr.dot(normal, point - at) / dr.select(slope != 0, slope, 1.0)
         mirror = at + t * direction
@@ -153,9 +153,9 @@ def _hidden_by(context: TracingContext, parts: Any, lit: Triangles, end: str, pl
     # From the radar, since occluders near it hide most, where float32 resolves its place.
     is_near = dr.norm(aim) < _NEAR_M
     begin, back = dr.select(is_near, aim, start), dr.select(is_near, start, aim)
-    way = back - begin
+    segment = back - begin
     last = first_hit(
-        begin, dr.normalize(way), dr.norm(way) * (1 - _BEFORE), exists & (occluder == 0)
+        begin, dr.normalize(segment), dr.norm(segment) * (1 - _BEFORE), exists & (occluder == 0)
     )
     note(last, mi.Bool(True), context.order)
     return occluder

@@ -92,7 +92,9 @@ def _reachable(prepared: PreparedScene, antenna: Antenna) -> NDArray[np.bool_]:
 
 
 def _before(prepared: PreparedScene) -> NDArray[np.bool_]:
-    """Facets with a corner ahead of the antenna, by way of every image, (n_images, n_facets)."""
+    """Facets with a corner ahead of the antenna, as mirrored for every image, (n_images,
+    n_facets).
+    """
     world = prepared.world
     is_ahead = []
     for image in prepared.images:

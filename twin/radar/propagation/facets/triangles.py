@@ -227,14 +227,16 @@ def incident_on(context: TracingContext, lit: Triangles) -> Incident:
     if lit.waves is not None:
         return lit.waves.at(lit.wave).incident
     mi = context.mi
-    way = one_way_path(context, lit.source, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False)
+    path = one_way_path(
+        context, lit.source, lit.center, mi.Vector3d(0), mi.Bool(True), tested=False
+    )
     return Incident(
         origin=image_place(context, lit.source),
-        velocity=way.velocity,
+        velocity=path.velocity,
         axes=mirrored_axes(context, lit.source),
-        field=way.field,
-        departure=way.departure,
-        transmission=way.transmission,
+        field=path.field,
+        departure=path.departure,
+        transmission=path.transmission,
     )
 
 

@@ -317,9 +317,9 @@ def _lit_on(
     point, across = plane_of(context, new)
 
     def onto(place: Vector3) -> Vector3:
-        way = place - origin
-        slope = dr.dot(across, way)
-        return origin + way * (dr.dot(across, point - origin) / dr.select(slope != 0, slope, 1.0))
+        ray = place - origin
+        slope = dr.dot(across, ray)
+        return origin + ray * (dr.dot(across, point - origin) / dr.select(slope != 0, slope, 1.0))
 
     is_ray, begin = mi.Bool(aligned(becomes_ray)), some.lit_point
     lit_point = onto(dr.select(is_ray, begin, samples_of(some, mi.UInt32(3))))

@@ -97,13 +97,13 @@ def _contributions(
     )
     towards = place - wave.origin
     forward_length = dr.norm(towards)
-    moved = (
+    motions = (
         (own - wave.velocity, towards / forward_length, forward_length),
         (own - return_path.velocity, -return_path.back, return_path.length),
     )
-    there, again = (lengthening(*way) for way in moved)
+    there, again = (lengthening(*motion) for motion in motions)
     shown = wave.axes, mirrored_axes(context, lit.receiver)
-    turns = [along(turning(*way), axes) for way, axes in zip(moved, shown, strict=True)]
+    turns = [along(turning(*motion), axes) for motion, axes in zip(motions, shown, strict=True)]
     values: list[Any] = [wave.transmission.extra + return_path.transmission.extra]
     values += [there[0] + again[0], there[1] + again[1]]
     values += [along(towards / forward_length, wave.axes), return_path.departure]

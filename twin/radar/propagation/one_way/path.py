@@ -74,7 +74,7 @@ class TracingContext:
         return ComplexVector3(field, self.mi.Vector3d(0))
 
     def both_ways(self, source: Index, receiver: Index) -> Mask:
-        """Whether the same antenna also hears what takes a way in the other direction."""
+        """Whether the same antenna also receives the echo along the reversed path."""
         return source != receiver
 
 
@@ -233,9 +233,9 @@ def one_way_path(
         before, point, normal = (
             _gathered(mi, context.levels, LEVEL * row + 3 * i, has) for i in range(3)
         )
-        way = aim - at
-        distance = dr.norm(way)
-        direction = way / dr.maximum(distance, NEAREST_M)
+        segment_vector = aim - at
+        distance = dr.norm(segment_vector)
+        direction = segment_vector / dr.maximum(distance, NEAREST_M)
         slope = dr.dot(normal, direction)
         t = dr.dot(normal, point - at) / dr.select(slope != 0, slope, 1.0)
         mirror = at + t * direction
@@ -243,13 +243,13 @@ def one_way_path(
             dr.gather(mi.UInt32, context.marks, 3 * row + i, has) for i in range(3)
         )
         clear &= ~has | ((t > 0) & (t < distance))
-        begin, way_to = _onto_path(at, start, direction), t
+        begin, reach_m = _onto_path(at, start, direction), t
         if unshadowed:
             near = _JUST_BEFORE * t
-            begin, way_to = at + (t - near) * direction, near
+            begin, reach_m = at + (t - near) * direction, near
         if tested:
             on_patch = _first_meets(
-                context, begin, direction, way_to, number, of_wall > 0, has & clear
+                context, begin, direction, reach_m, number, of_wall > 0, has & clear
             )
             clear &= ~has | on_patch
         segments.append((has, mirror, -direction, t))
@@ -261,9 +261,9 @@ def one_way_path(
         normals.append(facing)
         surfaces.append(surface)
 
-    way = aim - at
-    distance = dr.norm(way)
-    towards_radar = way / dr.maximum(distance, NEAREST_M)
+    segment_vector = aim - at
+    distance = dr.norm(segment_vector)
+    towards_radar = segment_vector / dr.maximum(distance, NEAREST_M)
     reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
     begin = _onto_path(at, start, towards_radar)
     shadow = mi.Ray3f(mi.Point3f(begin), mi.Vector3f(towards_radar), reach, 0.0, [])
@@ -278,8 +278,8 @@ def one_way_path(
     def cross_walls(begin: Vector3, along: Vector3, segment: Real, where: Mask) -> None:
         nonlocal field
         if context.walls is not None:
-            way = (begin, along, segment, length, context.wavelength, where)
-            field = cross(mi, context.walls, transmission, field, *way)
+            arguments = begin, along, segment, length, context.wavelength, where
+            field = cross(mi, context.walls, transmission, field, *arguments)
 
     cross_walls(aim + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
     for (has, direction), normal, surface, segment in zip(
@@ -289,8 +289,8 @@ def one_way_path(
         coefficients = coefficients_at(mi, context.table, surface, cosine, has)
         field = reflected(field, travel, normal, coefficients).where(has, field)
         travel = dr.select(has, -direction, travel)
-        _, mirror, along, way_on = segment
-        cross_walls(mirror, along, way_on, has & clear)
+        _, mirror, along, length_on = segment
+        cross_walls(mirror, along, length_on, has & clear)
     velocity = _gathered(mi, context.velocities, 3 * source, active)
     return OneWayPath(back, length, departure, field, velocity, clear, transmission)
 

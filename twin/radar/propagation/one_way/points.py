@@ -125,18 +125,18 @@ def between(
     """
     paths = (forward_path, return_path)
     moved = [(velocity - path.velocity, -path.back, path.length) for path in paths]
-    ways = [lengthening(*motion) for motion in moved]
+    rates = [lengthening(*motion) for motion in moved]
     turns = [
         np.einsum("nij,nj->ni", path.axes, turning(*motion))
         for path, motion in zip(paths, moved, strict=True)
     ]
     length_m = forward_path.length + forward_path.extra + return_path.length + return_path.extra
-    rate_m_per_s = ways[0][0] + ways[1][0] + forward_path.rate + return_path.rate
+    rate_m_per_s = rates[0][0] + rates[1][0] + forward_path.rate + return_path.rate
     once = Contributions(
         amplitude=amplitude / (forward_path.length * return_path.length),
         delay_s=length_m / speed_of_light,
         delay_rate=rate_m_per_s / speed_of_light,
-        delay_acceleration_per_s=(ways[0][1] + ways[1][1]) / speed_of_light,
+        delay_acceleration_per_s=(rates[0][1] + rates[1][1]) / speed_of_light,
         departure=forward_path.departure,
         arrival=return_path.departure,
         object=np.asarray(number, dtype=np.uint32),

@@ -31,7 +31,7 @@ class Atmosphere:
     polarization: Polarization = "vertical"
 
     def db_per_m(self, carrier_hz: float) -> float:
-        """Attenuation of power per metre of way.
+        """Attenuation of power per metre of path.
 
         Raises InputError outside 1 to 350 GHz, where P.676 line by line and P.838 both hold.
         """

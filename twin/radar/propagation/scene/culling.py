@@ -171,9 +171,9 @@ def _most_gain(beam: Beam, places: Array, axes: Array, boxes: Array) -> Array:
     """Bound of the gain from each place, with the antenna along its axis, towards each box."""
     middle = boxes.mean(axis=1)
     radius = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2
-    way = middle - places[:, None]
-    distance = np.maximum(np.linalg.norm(way, axis=2), 1e-300)
-    cosine = np.einsum("nmi,ni->nm", way, axes) / distance
+    towards = middle - places[:, None]
+    distance = np.maximum(np.linalg.norm(towards, axis=2), 1e-300)
+    cosine = np.einsum("nmi,ni->nm", towards, axes) / distance
     half = np.where(distance > radius, np.arcsin(np.minimum(radius / distance, 1.0)), np.pi)
     return beam.most(np.maximum(np.arccos(np.clip(cosine, -1, 1)) - half, 0.0))
 

@@ -41,10 +41,10 @@ class Sight:
 
         Walls are transparent: they hide only the patches of other walls.
         """
-        mi, way = self.mi, end - begin
-        length = np.linalg.norm(way, axis=1)
+        mi, segment = self.mi, end - begin
+        length = np.linalg.norm(segment, axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
-            direction = np.nan_to_num(way / length[:, None])
+            direction = np.nan_to_num(segment / length[:, None])
         start = begin + direction * 4e-6 * (np.abs(begin).max(axis=1, keepdims=True) + 1)
         ray = mi.Ray3f(vector(mi, start, "Point3f"), vector(mi, direction, "Vector3f"))
         first_patch, distance = _first_hits(mi, self.world, self.patch_of_face, ray)
@@ -184,8 +184,8 @@ def _reached(
         for first in range(0, len(left), step):
             some = left[first : first + step]
             at = flats.samples(numbers[some], samples, _SAMPLES)
-            way = (places[rows[some]], patches[rows[some]], numbers[some])
-            reached[some] = _arrive(sight, flats, *way, at)
+            sequence = (places[rows[some]], patches[rows[some]], numbers[some])
+            reached[some] = _arrive(sight, flats, *sequence, at)
     return reached
 
 
@@ -195,15 +195,15 @@ def _arrive(
     """Whether a ray from the radar over patches (n, m), whose images are ``places`` (n, m + 1, 3),
     reaches any of the points (n, s, 3) of further patches (n,).
     """
-    way: Indices = np.repeat(np.arange(len(points)), points.shape[1])
+    row: Indices = np.repeat(np.arange(len(points)), points.shape[1])
     at: Array = points.reshape(-1, 3)
-    wanted = wanted[way]
+    wanted = wanted[row]
     # From the far end: each segment aims at the image before, and must first meet its patch.
     for level in range(patches.shape[1], -1, -1):
-        begin: Array = places[way, level]
+        begin: Array = places[row, level]
         before = wanted
         if level:
-            before = patches[way, level - 1]
+            before = patches[row, level - 1]
             normal, towards = flats.normal[before], begin - at
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = np.sum((flats.point[before] - at) * normal, axis=1)
@@ -214,7 +214,7 @@ def _arrive(
             return np.zeros(len(points), dtype=bool)
         begin, wanted = begin[alive], wanted[alive]
         seen = sight.sees(begin, at[alive], wanted, flats.is_wall[wanted])
-        way, at, wanted = way[alive][seen], begin[seen], before[alive][seen]
+        row, at, wanted = row[alive][seen], begin[seen], before[alive][seen]
     is_reached = np.zeros(len(points), dtype=bool)
-    is_reached[way] = True
+    is_reached[row] = True
     return is_reached

@@ -1,6 +1,6 @@
 """Paths between the radar and the scene, traced by Sionna RT and refined in float64.
 
-`PathSolver` finds mirror images in large surfaces, `RCSSolver` the ways to every target and back.
+`PathSolver` finds mirror images in large surfaces, `RCSSolver` the paths to every target and back.
 Sionna computes in float32, where 80 GHz times the delay of 150 m is off by 1.4 degrees per last
 digit: so from its paths only the sequence of surfaces and the amplitude are taken, and lengths are
 measured anew on the scene's own planes in float64.
@@ -49,7 +49,7 @@ _THICKNESS_M = 10.0
 def sionna_paths(
     scene: Scene, radar: RadarDesign, *, max_depth: int = 3, table_nodes: int = 4, seed: int = 0
 ) -> Propagation:
-    """Images in surfaces, and ways to declared targets and to those of tables.
+    """Images in surfaces, and paths to declared targets and to those of tables.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ class _RadioWorld:
             seed=seed,
         )
         points: list[_Refined] = []
-        ways: list[list[tuple[RawPath, _Refined]]] = [[] for _ in self.tables]
+        paths_of_tables: list[list[tuple[RawPath, _Refined]]] = [[] for _ in self.tables]
         for raw in RawPath.unpack(solved):
             path = self._refined(raw)
             if path is None:
@@ -273,19 +273,19 @@ class _RadioWorld:
             if number < 0:
                 points.append(path)
             else:
-                ways[number].append((raw, path))
-        pairs = zip(self.tables, ways, strict=True)
+                paths_of_tables[number].append((raw, path))
+        pairs = zip(self.tables, paths_of_tables, strict=True)
         return points, [
             echo
             for thing, paths_of_target in pairs
             if paths_of_target
-            for echo in self._told(thing, paths_of_target)
+            for echo in self._tabulated(thing, paths_of_target)
         ]
 
-    def _told(self, thing: Tabulated, ways: list[tuple[RawPath, _Refined]]) -> list[_Refined]:
-        """Ways to one target with what its table answers, in place of the 1 m^2 it stood for."""
+    def _tabulated(self, thing: Tabulated, paths: list[tuple[RawPath, _Refined]]) -> list[_Refined]:
+        """Paths to one target with the echo by its table, in place of that of 1 m^2."""
         path_pairs = []
-        for raw, _ in ways:
+        for raw, _ in paths:
             at = raw.kinds.index(TARGET)
             there = zip(raw.objects[:at], raw.primitives[:at], strict=True)
             back = zip(raw.objects[:at:-1], raw.primitives[:at:-1], strict=True)
@@ -303,7 +303,7 @@ class _RadioWorld:
                     delay_s=path.echo.delay_s + delay[i],
                 ),
             )
-            for i, (_, path) in enumerate(ways)
+            for i, (_, path) in enumerate(paths)
         ]
 
     def _specular_path(self, thing: Tabulated, reflections: list[tuple[int, int]]) -> SpecularPath:
@@ -348,12 +348,12 @@ class _RadioWorld:
             velocity = np.array(interactions[at].velocity_m_per_s)
             vertices[at] = place
             sections = [planes[:at], planes[:at:-1]]
-        ways = [_path_motion(place, velocity, p) for p in sections]
+        motions = [_path_motion(place, velocity, p) for p in sections]
         # Length with its first and second derivative, of both paths together.
-        length, rate, acceleration = np.sum([way for way, _ in ways], axis=0)
-        turns = [_mirrored_back(turn, p) for (_, turn), p in zip(ways, sections, strict=True)]
-        # The radar's own image is where the last way comes from.
-        turns = [*turns, -ways[0][1]][:2]
+        length, rate, acceleration = np.sum([lengths for lengths, _ in motions], axis=0)
+        turns = [_mirrored_back(turn, p) for (_, turn), p in zip(motions, sections, strict=True)]
+        # A path without a target ends at the radar's own image.
+        turns = [*turns, -motions[0][1]][:2]
         name = PathName(
             tuple(m.name for m in interactions), None if at is None else interactions[at].name
         )
@@ -388,7 +388,7 @@ class _RadioWorld:
 def _path_motion(
     place: Array, velocity: Array, planes: "list[Any]"
 ) -> tuple[tuple[float, float, float], Array]:
-    """Of the way from the radar, where coordinates begin, over planes that move (a point, the unit
+    """Of the path from the radar, in the origin, over planes that move (a point, the unit
     normal and the velocity each), the first one first, to a point that moves: its length with the
     first and second derivative in time, and the derivative of its direction at the point.
     """
@@ -403,7 +403,7 @@ def _path_motion(
 
 
 def _mirrored_back(direction: Array, planes: "list[Any]") -> Array:
-    """A direction at the end of a way over planes, as it is at the radar."""
+    """A direction at the end of a path over planes, mirrored back to the radar."""
     for _, normal, _ in reversed(planes):
         direction = direction - 2 * (direction @ normal) * normal
     return direction
