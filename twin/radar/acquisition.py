@@ -192,7 +192,7 @@ def radar_capture(
         that what was left out beside them counts.
         Results depend on that burst, within the errors that they tell, so without it there is no
         such dependence. ``keep``: later bursts may keep what is found here, those of this capture
-        after its first one do; takes some 500 bytes for each contribution and tube.
+        after its first one do; takes some 500 bytes for each contribution and ray tube.
 
     Raises InputError where a material has no data at the carrier, a target stands at the radar, a
     record would not fit in memory, bursts overlap, or ``earlier`` is not such a burst.

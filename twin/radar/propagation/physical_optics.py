@@ -35,9 +35,9 @@ _FREQUENCIES = 5, 64  # over the band, at which a body's echo is summed, at leas
 
 @dataclass(frozen=True, eq=False)
 class Scattered:
-    """Contributions of every object that scatters; the ``body`` of every object, -1 of others; the
-    error estimated of every body's echo, without losses; what later frames may keep of it, and
-    which share of the contributions is that of an earlier frame.
+    """Contributions of every object that scatters; the ``body`` of every object, -1 for others; the
+    estimated error of every body's echo, without losses; the frame for later ones to reuse, and the
+    share of contributions that was reused from an earlier frame.
     """
 
     contributions: Contributions
@@ -55,8 +55,10 @@ def scattered(
     *,
     keep: bool = False,
 ) -> Scattered:
-    """To ``fidelity.radar_tolerance``. What holds of an ``earlier`` frame is not found anew;
-    ``keep``: whether later frames may keep this one, which then is traced in full.
+    """Echoes of bodies to within ``fidelity.radar_tolerance``.
+
+    Valid paths of an ``earlier`` frame are reused. ``keep``: whether later frames may reuse this
+    one, which is then traced in full.
     """
     body = _bodies(prepared)
     if not (prepared.worth & (body >= 0)).any():
@@ -86,13 +88,15 @@ def scattered(
 
 
 def loss_of(radar: RadarDesign) -> float:
-    """Of the front end, in amplitude, out and back together."""
+    """Two-way loss of the front end, in amplitude."""
     return float(10 ** (-radar.front_end.losses_db.value / 20))
 
 
 def wave_numbers(radar: RadarDesign, extent_m: float) -> Array:
-    """Some over the band, at which the echoes of bodies are summed, in rad/m: as close as bodies of
-    that extent in range ask for, c / 2 over the spacing of frequencies, or as a bound allows.
+    """Wave numbers over the band at which the echoes of bodies are summed, in rad/m.
+
+    Their spacing resolves bodies of an extent in range of c / 2 over the spacing of frequencies, as
+    far as the largest number of frequencies allows.
     """
     wave, (least, most) = radar.ofdm, _FREQUENCIES
     count = np.ceil(2 * wave.bandwidth_hz * extent_m / speed_of_light) + 1
@@ -102,7 +106,7 @@ def wave_numbers(radar: RadarDesign, extent_m: float) -> Array:
 
 
 def _extent_m(prepared: PreparedScene, body: NDArray[np.int32]) -> float:
-    """The most that a body reaches from its nearest point to its farthest, as boxes tell."""
+    """Largest extent of a body in range, by the boxes around its objects."""
     box = boxes_of([prepared.originals[i] for i in np.flatnonzero(body >= 0)])
     whose = body[body >= 0]
     middle, half = (
@@ -118,7 +122,9 @@ def _extent_m(prepared: PreparedScene, body: NDArray[np.int32]) -> float:
 
 
 def diffracted(prepared: PreparedScene, fidelity: Fidelity) -> tuple[Contributions, list[str]]:
-    """Contributions of the sharp edges of every such object; what about them is assumed or lost."""
+    """Contributions of the sharp edges of every body, and remarks on what is assumed or left
+    out.
+    """
     if not fidelity.radar_edges or ScatteringModel.OPTICS not in prepared.roles:
         return Contributions.none(), []
     body = _bodies(prepared)

@@ -1,6 +1,6 @@
-"""The scene set up for one pose of the radar: who is met and mirrors, and what all paths share.
+"""The scene prepared for one pose of the radar: meshes, mirrors, images, and the tracing context.
 
-What depends on the meshes alone is kept between calls.
+What depends only on the meshes is cached between calls.
 """
 
 from collections.abc import Sequence
@@ -45,12 +45,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PreparedScene:
-    """The scene set up for one pose: objects the rays meet, mirrors, and what all paths share.
+    """The scene prepared for one pose: objects for rays, mirrors, images, and the tracing context.
 
     Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
     the objects as the scene has them, their large triangles undivided. ``images`` are those of
-    ``all_images`` over which there is any echo; ``worth`` (n_images, n_objects), from which of
-    them an object that scatters is to be traced.
+    ``all_images`` over which there is any echo; ``worth`` (n_images, n_objects): whether paths
+    between an image and an object that scatters are traced.
     """
 
     anchor_m: Array
@@ -96,7 +96,7 @@ def prepare_scene(
     *,
     is_rough: bool = False,
 ) -> PreparedScene:
-    """Set a scene up for a radar at its pose.
+    """Prepare a scene for a radar at its pose.
 
     ``order``: reflections at large surfaces on a path, at most; ``is_rough``: they lose what
     roughness scatters, and scatter. Raises InputError where a material has no data at the carrier.

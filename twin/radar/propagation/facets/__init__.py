@@ -1,1 +1,1 @@
-"""Echoes of bodies by exact facets and tubes, to a tolerance of every body."""
+"""Echoes of bodies by exact facets and ray tubes, to a tolerance of every body."""

@@ -1,12 +1,12 @@
-"""How well the echo of every body is known, by the solver's own estimate.
+"""Estimated error of every body's echo, by the solver itself.
 
-It begins with the root of the sum of squares of all errors that the solver accepts: of triangles
-that are divided no further, within the tolerance or because the deepest division is reached, of
-tubes, and of faint triangles that are left out; both directions between two different images, and
-reflections within walls, count. The median error is about half of
-that. Errors of neighbouring tubes and shadows are alike, though, and what rays between their
-samples miss no sum knows: so what is told is three times as much, within which 95 % of bodies'
-errors are. `python -m benchmarks radar_estimates` measures that on random scenes.
+The estimate is based on the root of the sum of squares of all errors that the solver accepts: of
+triangles that are not divided further, either within the tolerance or at the deepest division; of
+ray tubes; and of faint triangles that are left out. Both directions between two different images,
+and reflections within walls, are included. The median error is about half of that sum. But errors
+of neighbouring ray tubes and shadows are correlated, and what lies between the rays is not sampled
+at all. Therefore the estimate is three times the sum: 95 % of bodies' errors are within it. `python
+-m benchmarks radar_estimates` measures that on random scenes.
 """
 
 from collections.abc import Iterable, Sequence
@@ -27,7 +27,7 @@ Complex = NDArray[np.complex128]
 _FREQUENCIES = 17  # over the band
 _NAMED = 6  # bodies in a remark
 _SURE = 6.0  # estimates over the tolerance from which on the error itself most likely exceeds it
-_WITHIN = 3.0  # of the errors that are accepted, as independent: 95 % of bodies are off by less
+_WITHIN = 3.0  # over the root of the sum of squares: 95 % of bodies' errors are less
 _LEAST = 3e-3  # of any echo, by float32 rays and by what contributions are off over the band
 
 
@@ -87,7 +87,7 @@ def body_echoes(
     tolerance: float,
     floor: float,
 ) -> tuple[BodyEcho, ...]:
-    """Bodies that answer, the strongest first.
+    """Bodies with an echo, the strongest first.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Convex parts of meshes: what one of them hides of a plane from a point is convex, too."""
+"""Convex parts of meshes, whose shadows on a plane are convex."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _MOST_FACES = 32  # of a flat patch that is treated as one
-_LARGEST_MESH = 200_000  # faces, likewise
-_ROUNDED = 1e-6  # of a patch's size: what juts out no more is convex
+_LARGEST_MESH = 200_000  # faces of a mesh whose patches are merged
+_ROUNDED = 1e-6  # of a patch's size: tolerance of the test for convexity
 _parts: WeakKeyDictionary[Geometry, tuple[Indices, int]] = WeakKeyDictionary()
 
 
 def convex_parts(world: MeshScene) -> NDArray[np.uint32]:
-    """Of every facet of the world a number that those of one convex part of a mesh share: all of a
-    convex body, a flat convex patch, or the facet alone.
+    """Number of the convex part of a mesh that each facet belongs to: a whole convex body, a flat
+    convex patch, or the facet alone.
     """
     label_of_facet = np.zeros(len(world.faces), dtype=np.uint32)
     geometries = [item.geometry for item in world.items if item is not None]
@@ -46,11 +46,13 @@ def _of_meshes(geometries: Sequence[Geometry]) -> Iterator[tuple[Indices, int]]:
         [shape.patch_of_face + n for shape, n in zip(shapes, first_patch, strict=False)]
     )
     sizes = np.bincount(patch, minlength=int(first_patch[-1]))
-    is_asked = [
+    has_patches = [
         not s.is_convex and len(g.faces) <= _LARGEST_MESH
         for g, s in zip(geometries, shapes, strict=True)
     ]
-    is_mergeable = (sizes > 1) & (sizes <= _MOST_FACES) & np.repeat(is_asked, np.diff(first_patch))
+    is_mergeable = (
+        (sizes > 1) & (sizes <= _MOST_FACES) & np.repeat(has_patches, np.diff(first_patch))
+    )
     rows = np.flatnonzero(is_mergeable[patch])
     if len(rows):
         rows = rows[np.argsort(patch[rows], kind="stable")]

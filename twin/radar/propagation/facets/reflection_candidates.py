@@ -19,9 +19,11 @@ Indices = NDArray[np.integer]
 def reflection_candidates(
     context: TracingContext, scatterers: Scatterers, facets: FrontFacets, spacing_m: float
 ) -> NDArray[np.intp]:
-    """Rows of facets from which something may be hit: the ray reflected at the centroid of the
-    facet, or of one of the parts into which it is divided, hits a surface, or that of a neighbour
-    or of a neighbour's neighbour does, lit from the same source. Neighbours share a corner.
+    """Rows of facets whose reflected rays may hit a surface.
+
+    These are facets of which the ray reflected at the centroid of any of their parts hits a
+    surface, and their neighbours and the neighbours of these, lit from the same source. Neighbours
+    share a corner.
     """
     corners, count = _corners(context)
 
@@ -44,7 +46,7 @@ def reflection_candidates(
 
 
 def _corners(context: TracingContext) -> tuple[Indices, int]:
-    """Numbers of all facets' corners, one for each place of a mesh, (m, 3); how many at most."""
+    """Numbers of all facets' corners, (m, 3), one for each place of a mesh; and their count."""
     world = context.world
     corners = world.faces.astype(np.int64)
     items = [item for item in world.items if item is not None]

@@ -1,5 +1,6 @@
-"""The one-way path between the radar and a point, direct or reflected by large flat surfaces: one
-kernel for both directions, since the forward path is the return path.
+"""The one-way path between the radar and a point, direct or over large flat mirrors.
+
+One kernel serves the forward and the return path, since both are the same path reversed.
 
 Everything is an array on the device, one element per ray; ``source`` numbers the images of
 `twin.radar.propagation.scene.images`.
@@ -34,7 +35,7 @@ LEVEL = 9
 #: Numbers per reflection in `TracingContext.windows`: twice a direction in its plane, and between
 #: which coordinates along it the patch lies.
 WINDOW = 10
-#: Of the way to a mirror, from which on nothing is taken to stand before it.
+#: Of the segment to a mirror: its last part, on which occluders are not looked for.
 _JUST_BEFORE = 1e-3
 #: Cosine between a path and a surface's normal, below which rays begin beside the path.
 _GRAZING = 0.1
@@ -42,11 +43,11 @@ _GRAZING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class TracingContext:
-    """What all paths share: the world, the antenna, the images, the coefficients of reflection.
+    """Arrays that all paths share: world, antenna, images, reflection coefficients.
 
-    ``order`` is the largest number of reflections; ``table`` that of `scattering.surface`;
-    ``positions`` and ``velocities`` (3 n) are those of the images, ``axes`` (9 n) the world's
-    axes as they show them.
+    ``order`` is the largest number of reflections; ``table`` the one of `scattering.surface`;
+    ``positions`` and ``velocities`` (3 n) are those of the images, ``axes`` (9 n) the world's axes
+    mirrored for each image.
     """
 
     mi: Any
@@ -69,7 +70,7 @@ class TracingContext:
     walls: Walls | None
 
     def sent(self, source: Index, departure: Vector3) -> ComplexVector3:
-        """The antenna's field of amplitude 1 in a direction, by way of images."""
+        """The antenna's field, of amplitude 1, in a direction of departure."""
         field = turned(self.vertical, -self.boresight, departure)
         return ComplexVector3(field, self.mi.Vector3d(0))
 
@@ -89,7 +90,7 @@ def tracing_context(
     table: Real,
     walls: Walls | None,
 ) -> TracingContext:
-    """Put all of it on the device; the radar alone, without images."""
+    """The context on the device for the radar itself, without images."""
     return TracingContext(
         mi=mi,
         world=world,
@@ -120,8 +121,8 @@ def with_images(
     surface_of_object: NDArray[np.uint32],
     order: int,
 ) -> TracingContext:
-    """The radar and its images of up to ``order`` reflections, in patches of objects with
-    velocities (n, 3) and surfaces (n,).
+    """The context with images of the radar of up to ``order`` reflections, in patches of objects
+    with velocities (n, 3) and surfaces (n,).
     """
     mi = context.mi
     levels = np.zeros((len(images), order, LEVEL))
@@ -154,7 +155,7 @@ def with_images(
 
 
 def _windows(flats: Flats, patches: NDArray[np.int64]) -> Array:
-    """Of patches two directions in their planes, and their extents along these, (n, 10)."""
+    """Two directions in the plane of each patch, and its extents along these, (n, 10)."""
     columns = []
     for axis in in_plane(flats.normal[patches]):
         columns += [axis, flats.extent(patches, axis)]
@@ -162,7 +163,7 @@ def _windows(flats: Flats, patches: NDArray[np.int64]) -> Array:
 
 
 def _velocities(images: Sequence[Image], flats: Flats, velocities: Array) -> Array:
-    """Of the images (n, 3), by those of the objects, whose patches keep their normals."""
+    """Velocities of images (n, 3), by those of objects, whose patches keep their normals."""
     of_images = np.zeros((len(images), 3))
     for velocity, image in zip(of_images, images, strict=True):
         for number in image.patches:
@@ -172,7 +173,7 @@ def _velocities(images: Sequence[Image], flats: Flats, velocities: Array) -> Arr
 
 
 def _axes(images: Sequence[Image], flats: Flats) -> Array:
-    """The world's axes as images show them, (n, 3 axes, 3)."""
+    """The world's axes mirrored for each image, (n, 3 axes, 3)."""
     of_images = np.tile(np.eye(3), (len(images), 1, 1))
     for axes, image in zip(of_images, images, strict=True):
         for flat in (flats[number] for number in image.patches):
@@ -186,12 +187,12 @@ def _vector(mi: Any, value: Array) -> Vector3:
 
 @dataclass(eq=False)
 class OneWayPath:
-    """A path from the radar to points, seen from them.
+    """Paths between the radar and points, one for each point.
 
-    ``back`` and ``length``: unit vector and distance to the image; ``departure``: unit vector from
-    the radar; ``field``: what a wave of amplitude 1 has become, apart from its spreading and
-    phase; ``velocity``: that of the image, which moving mirrors move; ``clear``; and
-    what the walls that it crosses do.
+    ``back`` and ``length``: unit vector and distance from the point to the image; ``departure``:
+    unit vector from the radar; ``field``: incident field of a wave sent with amplitude 1, without
+    spreading and phase; ``velocity``: the image's, by moving mirrors; ``clear``: whether the path
+    meets all its mirrors and no occluder; ``transmission``: of the walls that it crosses.
     """
 
     back: Vector3
@@ -214,8 +215,8 @@ def one_way_path(
 ) -> OneWayPath:
     """The path to a point from which rays start at a distance ``off`` (vector) from the surface.
 
-    ``unshadowed``: what stands between is ignored, and mirrors only have to be there;
-    ``tested``: whether any rays are sent at all.
+    ``unshadowed``: occluders are ignored, only the mirrors are tested; ``tested``: whether rays are
+    sent at all.
     """
     mi = context.mi
     order = dr.gather(mi.UInt32, context.orders, source, active)
@@ -309,18 +310,20 @@ def turning(velocity: Vector3, direction: Vector3, length: Real) -> Vector3:
 
 
 def image_place(context: TracingContext, source: Index) -> Vector3:
-    """Where images stand."""
+    """Places of images."""
     return _gathered(context.mi, context.positions, 3 * source, True)
 
 
 def mirrored_axes(context: TracingContext, source: Index) -> Axes:
-    """The world's axes as an image shows them."""
+    """The world's axes mirrored for an image."""
     x, y, z = (_gathered(context.mi, context.axes, 9 * source + 3 * i, True) for i in range(3))
     return x, y, z
 
 
 def along(vector: Vector3, axes: Axes) -> Vector3:
-    """What a vector before mirrors, that show these axes, is at the radar."""
+    """Components of a vector along axes; along an image's axes: the vector mirrored back to
+    the radar.
+    """
     return type(vector)(*(dr.dot(vector, axis) for axis in axes))
 
 
@@ -333,7 +336,7 @@ def _first_meets(
     of_wall: Mask,
     active: Mask,
 ) -> Mask:
-    """Whether rays first meet the patch asked for: of something solid, or of a wall."""
+    """Whether the first hit of rays is on the given patch, of an opaque object or of a wall."""
     mi = context.mi
     ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
     hit = context.world.scene.ray_intersect_preliminary(ray, active=active)
@@ -365,7 +368,7 @@ def _onto_path(place: Any, start: Any, direction: Any) -> Any:
 
 
 def offset(place: Vector3) -> Real:
-    """How far off a surface rays start there."""
+    """Distance from a surface at which rays start, at a place."""
     return OFF_SURFACE * (dr.norm(place) + 1e-3)
 
 
