@@ -149,13 +149,13 @@ def demodulate(
 
 def _unseen_leakage(burst: int, delay_s: float, snr: float, n_steps: int) -> str:
     """Warning of leakage that is not above the noise."""
-    told = (
+    text = (
         f"burst {burst}: no leakage is seen at its delay of {delay_s:.3g} s ({max(snr, 0):.2g} "
         f"times the noise, expected {_SEEN:g} or more): "
     )
     if n_steps == 1:
-        return told + "phases are not corrected"
-    return told + "the phases of carrier steps are unknown, and echoes and ranges are wrong"
+        return text + "phases are not corrected"
+    return text + "the phases of carrier steps are unknown, and echoes and ranges are wrong"
 
 
 def _noise_of_steps(steps: list[Complex]) -> Array | None:

@@ -260,8 +260,8 @@ def frames(
         frame = process(record, burst, how, waveform=waveform)
         left = len(record.iq) - burst - 1
         if not frame.whole and left:
-            told = f"the {left} bursts after it are left out"
-            yield replace(frame, warnings=(*frame.warnings, told))
+            warning = f"the {left} bursts after it are left out"
+            yield replace(frame, warnings=(*frame.warnings, warning))
             return
         yield frame
 

@@ -389,12 +389,18 @@ def test_no_more_triangles_are_looked_at_together_than_a_portion_holds(monkeypat
     counted(adaptive_subdivision, "visible_samples", 1)
     counted(adaptive_subdivision, "split_in_four", 1)
     counted(body_scattering, "reflected_on", 2)
-    counted(body_scattering, "rays_of", 2)
+    counted(body_scattering, "contributions_of", 2)
     scene = world(hills(100), trihedral("corner", (9, 1, 0)), ground(-2.0))
     found = trace(scene, RADAR, fidelity=OPTICS.with_(radar_tolerance=0.3))
     assert len(found.surfaces.delay_s) > 1000
-    assert set(most) == {"echoes_of", "visible_samples", "split_in_four", "reflected_on", "rays_of"}
-    assert max(most["echoes_of"], most["rays_of"]) == 1000
+    assert set(most) == {
+        "echoes_of",
+        "visible_samples",
+        "split_in_four",
+        "reflected_on",
+        "contributions_of",
+    }
+    assert max(most["echoes_of"], most["contributions_of"]) == 1000
     assert max(most.values()) <= 2 * 1000
 
 

@@ -113,8 +113,8 @@ def _unconverged(bursts: Sequence[Propagation]) -> list[str]:
     """On the bodies that have not converged, each at the burst where its error is largest."""
     worst: dict[tuple[str, ...], BodyEcho] = {}
     for body in (body for burst in bursts for body in burst.bodies):
-        known = worst.setdefault(body.objects, body)
-        if body.estimated_error > known.estimated_error:
+        largest = worst.setdefault(body.objects, body)
+        if body.estimated_error > largest.estimated_error:
             worst[body.objects] = body
     return unconverged(worst.values())
 

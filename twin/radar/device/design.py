@@ -151,8 +151,8 @@ class Oscillator(Strict):
 
     def level(self, offset_hz: np.ndarray) -> np.ndarray:
         """Single-sideband noise at offsets, 1/Hz (not dB)."""
-        known, decibel = self.offset_hz.value, self.phase_noise_dbc_per_hz.value
-        return np.asarray(10 ** (np.interp(np.log(offset_hz), np.log(known), decibel) / 10))
+        offsets, decibel = self.offset_hz.value, self.phase_noise_dbc_per_hz.value
+        return np.asarray(10 ** (np.interp(np.log(offset_hz), np.log(offsets), decibel) / 10))
 
 
 class Steps(Strict):

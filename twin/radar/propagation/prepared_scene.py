@@ -213,7 +213,7 @@ def _surfaces(
     is_rough: bool,
 ) -> tuple[tuple[tuple[LayeredSurface, float], ...], NDArray[np.uint32], tuple[str, ...]]:
     """Different surfaces with their roughness, which one each object has, and what is assumed."""
-    known: dict[tuple[LayeredSurface, float], int] = {(PEC, 0.0): 0}
+    number_of: dict[tuple[LayeredSurface, float], int] = {(PEC, 0.0): 0}
     assumed: dict[str, None] = {}
     numbers = np.zeros(len(items), dtype=np.uint32)
     for i, item in enumerate(items):
@@ -224,10 +224,10 @@ def _surfaces(
         height = 0.0
         if is_rough and relief is not None and role_of[item.name] is ScatteringModel.SURFACE:
             height = relief.rms_height_m.value
-        numbers[i] = known.setdefault((surface, height), len(known))
+        numbers[i] = number_of.setdefault((surface, height), len(number_of))
         if why:
             assumed[f"radio properties of {item.material}: {why}"] = None
-    return tuple(known), numbers, tuple(assumed)
+    return tuple(number_of), numbers, tuple(assumed)
 
 
 @lru_cache(maxsize=64)

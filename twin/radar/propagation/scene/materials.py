@@ -37,12 +37,12 @@ def radio_properties(
     for band in radio.cited:
         if band.from_hz <= carrier_hz <= band.to_hz:
             return band.relative_permittivity, band.conductivity_s_per_m, band.assumed
-    known = [f"{band.from_hz / 1e9:g}-{band.to_hz / 1e9:g} GHz" for band in radio.cited]
+    covered = [f"{band.from_hz / 1e9:g}-{band.to_hz / 1e9:g} GHz" for band in radio.cited]
     if radio.itu:
-        known.append(f"ITU {radio.itu!r}")
+        covered.append(f"ITU {radio.itu!r}")
     raise InputError(
         f"material {name!r}: no radio properties at {carrier_hz / 1e9:g} GHz "
-        f"(it has {', '.join(known) or 'none'})"
+        f"(it has {', '.join(covered) or 'none'})"
     )
 
 
