@@ -31,7 +31,6 @@ from twin.optics.devices import Device
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
-from twin.optics.small_surfaces import MOST_ACROSS
 from twin.optics.time_of_flight import Paths, trace_paths
 from twin.optics.transport import CellLight, sunlight, transport
 from twin.progress import OpenStage, silently
@@ -45,7 +44,7 @@ SUN_PARTS = 32
 #: Relative error of the sun's light over the share of the noise that light may be off by.
 _SUN_SHARE = 0.05
 #: Paths of a cell where all cells have the same number: to begin with, and at most.
-FIRST_SAMPLES, _MOST_SAMPLES = 4, 4096
+FIRST_SAMPLES, _MOST_SAMPLES = 4, 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +128,11 @@ def _uncertain(
     # Cells of a line sensor's detectors, side by side, are the cells of the image.
     image = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
     cosines = incidence_cosines(problem.scene, emitter, shape)
-    samples, max_depth = fidelity.samples, float(fidelity.max_depth)
+    samples, max_depth = float(fidelity.samples), float(fidelity.max_depth)
     if fidelity.light_tolerance is not None:
+        # Of one bucket no bounce is lost, and what paths miss is in the stated error.
         one_bucket = rendered.paths is None and len(light.cells) == 1
-        samples = MOST_ACROSS**2 if one_bucket else FIRST_SAMPLES
-        max_depth = math.inf if one_bucket else max_depth
+        samples, max_depth = (math.inf, math.inf) if one_bucket else (FIRST_SAMPLES, max_depth)
     return (
         *undersampling_warnings(scene, emitter, image.size * samples),
         *grazing_warnings(image, cosines),
@@ -250,7 +249,7 @@ def _lit_within(
             limit = permitted_error(chain, rendered, cells.reshape(1, -1), share)
             return limit.reshape(system.image_shape)
 
-        light = _of_bucket(gather_within(tracer, permitted, problem.boxes_m))
+        light = _of_bucket(gather_within(tracer, permitted, problem.corners))
         over = _rms(light.error / permitted_error(chain, rendered, light.cells, share))
         return replace(rendered, light=light, warnings=tolerance_warnings(over * share, share))
     samples = FIRST_SAMPLES

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,15 +59,24 @@ def light_problem(scene: Scene, system: System, mesh_scene: Any = None) -> Light
     emitter, detector, _ = devices(scene, system)
     if mesh_scene is None:
         mesh_scene = mitsuba_scene(scene)
-    boxes = [(o.vertices_m.min(axis=0), o.vertices_m.max(axis=0)) for o in scene.objects]
     return LightProblem(
         mesh_scene,
         emitter,
         detector,
         scene.sun.direction,
         air_of_system(system),
-        np.reshape(boxes, (-1, 2, 3)) - scene.rig.position_m,
+        partial(_corners, scene),
     )
+
+
+def _corners(scene: Scene) -> tuple[Array, Array]:
+    """Positions of all vertices, relative to the rig, and their reflectances, 1 with a texture."""
+    if not scene.objects:
+        return np.zeros((0, 3)), np.zeros(0)
+    known = [o.reflectance if isinstance(o.reflectance, float) else 1.0 for o in scene.objects]
+    counts = [len(o.vertices_m) for o in scene.objects]
+    vertices = np.concatenate([o.vertices_m for o in scene.objects])
+    return vertices - scene.rig.position_m, np.repeat(known, counts)
 
 
 def with_near_pupil(problem: LightProblem, system: System, depth_m: Array) -> LightProblem:

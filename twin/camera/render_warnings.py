@@ -134,7 +134,7 @@ def forward_scattering_warnings(
     return [CaptureWarning("rendering", text)]
 
 
-def undersampling_warnings(scene: Scene, camera: Device, rays: int) -> list[CaptureWarning]:
+def undersampling_warnings(scene: Scene, camera: Device, rays: float) -> list[CaptureWarning]:
     """Objects in the field so small that fewer than one of ``rays`` is expected to hit them.
 
     Their light is correct in the mean only: with n rays expected its relative error is 1 / sqrt(n).

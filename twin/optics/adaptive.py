@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from twin.engine import mitsuba
+from twin.optics.paths import DeviceLight
 from twin.optics.ray_sets import CellRays, Rays
-from twin.optics.small_surfaces import least_samples
 from twin.optics.tracer import RAYS_AT_ONCE, Tracer
 from twin.optics.transport import CellLight
+from twin.optics.unseen import contrast, facet_light
 
 Array = NDArray[np.float64]
 
 #: Independent sets of paths in a cell: their scatter has this number less one degrees of freedom.
 _SETS = 4
-_ROUNDS = 6
+_ROUNDS = 8
+#: Of a cell's paths from round to round at most: the first look exaggerates what may be missed.
+_GROWTH = 16
 #: Of the squared error asked for, what is planned for: estimates of it scatter.
 _MARGIN = 0.9
 #: Cells whose sets agree by chance are the ones that are not drawn anew: their variance is more
@@ -31,8 +34,10 @@ _MARGIN = 0.9
 _CHOSEN = 1.15
 #: Keys of draws, apart from those of rows of cells.
 _DRAWS = 2**16
-#: Paths of a cell in all, at most.
-_MOST = _SETS * 128**2
+#: Paths of a set at most, of one cell and of all together.
+_MOST, _MOST_TOGETHER = 128**2, 2**17
+#: Paths of a set for indirect light where the first look has found no light at all.
+_IN_THE_DARK = 64
 
 
 @dataclass(eq=False)
@@ -63,12 +68,19 @@ class _Part:
     variance: Array = field(init=False)
     #: Paths of a set, by cell.
     samples: NDArray[np.int64] = field(init=False)
+    #: Light of the brightest path of all.
+    brightest: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         n = self.tracer.start.size
         self.mean, self.variance = np.zeros((2, n))
         self.samples = np.full(n, self.first)
         self.draw(np.arange(n), self.samples, 0)
+
+    @property
+    def paths(self) -> NDArray[np.int64]:
+        """Of each cell, in all its sets."""
+        return _SETS * self.samples
 
     def draw(self, cells: NDArray[np.integer], samples: NDArray[np.integer], turn: int) -> None:
         """Paths of these cells anew, in place of all before, ``samples`` of a set in each."""
@@ -78,6 +90,7 @@ class _Part:
             some = np.flatnonzero(portion == number)
             rays = CellRays(cells[some], samples[some], _SETS, (_DRAWS + turn, int(number)))
             value = np.array(mitsuba().Float64(self.trace(rays)))
+            self.brightest = max(self.brightest, float(value.max()))
             sets = np.add.reduceat(value, rays.set_starts).reshape(-1, _SETS)
             sets /= samples[some, None]
             self.mean[cells[some]] = sets.mean(axis=1)
@@ -101,7 +114,9 @@ class _Part:
 
 
 def gather_within(
-    tracer: Tracer, permitted: Callable[[Array], Array], boxes_m: Array | None = None
+    tracer: Tracer,
+    permitted: Callable[[Array], Array],
+    corners: Callable[[], tuple[Array, Array]] | None = None,
 ) -> CellLight:
     """Light that each cell receives, as `gather`, with as many paths as its error needs.
 
@@ -110,27 +125,32 @@ def gather_within(
     more paths than a cell may have: `CellLight.standard_error` says what was reached. Bounces end
     by chance instead of at a largest number, so that no light is lost.
 
-    ``boxes_m``: of the surfaces, as `LightProblem` has them: cells before small ones begin with as
-    many paths as it takes to meet them.
-
     The standard error is from the scatter of independent sets of paths, half of it that of the
-    cells around; and for indirect light what a kind of path may bring that none of the
-    paths around has found: up to direct light over their number.
+    cells around; with what all paths of a cell may miss: one path's share of the contrast to the
+    cells around and, with ``corners`` as `LightProblem` has them, of the brightest facet that may
+    be there; and for indirect light one path's share, among those of the cells around, of direct
+    light or of the brightest path.
     """
     shape = (tracer.start.rows, tracer.start.columns)
     parts = [_Part(tracer, lambda rays: tracer.direct(rays).value, 1.5, 1.0, 4, 3)]
     if tracer.scatters:
         parts.append(_Part(tracer, lambda rays: tracer.scattered(rays).value, 1.0, 3.0, 4, 5))
     parts.append(_Part(tracer, tracer.all_indirect, 1.0, 4.0, 1, 5))
-    if boxes_m is not None:
-        _draw_more(parts[0], least_samples(tracer.start, boxes_m), 0)
+    facets = np.zeros(tracer.start.size)
+    if corners is not None and isinstance(tracer.light, DeviceLight):
+        facets = facet_light(tracer.start, tracer.light.device, corners())
+    if not any(part.mean.any() for part in parts):
+        _draw_more(parts[-1], np.full(tracer.start.size, _IN_THE_DARK), 0)
     for turn in range(1, _ROUNDS + 1):
         light = np.sum([part.mean for part in parts], axis=0)
         limit = permitted(light.reshape(shape)).ravel()
         weight = 1 / np.maximum(limit, 1e-150) ** 2 / limit.size
         variances = [_CHOSEN * part.variance for part in parts]
-        unseen = parts[0].mean / (_SETS * parts[-1].samples * parts[-1].window ** 2)
-        variances[-1] += unseen**2
+        missed = np.maximum(facets, contrast(parts[0].mean.reshape(shape)))
+        # Up to one path's share, any of which is as likely as any other.
+        variances[0] += (missed / parts[0].paths) ** 2 / 3
+        missed = np.maximum(parts[0].mean, parts[-1].brightest)
+        variances[-1] += (missed / (parts[-1].paths * parts[-1].window ** 2)) ** 2
         if turn == _ROUNDS or sum(float(variance @ weight) for variance in variances) <= 1:
             break
         wanted = _wanted(parts, [variance * weight for variance in variances], up=turn > 1)
@@ -173,11 +193,11 @@ def _wanted(
 def _affordable(part: _Part, variance: Array, log_price: float) -> Array:
     at_one = variance * part.samples.astype(float) ** part.falls
     n = (at_one * part.falls / part.cost * np.exp(-log_price)) ** (1 / (part.falls + 1))
-    return np.asarray(np.clip(n, part.samples, _MOST / _SETS))
+    return np.asarray(np.clip(n, part.samples, max(_MOST, _MOST_TOGETHER / len(n))))
 
 
 def _square_number(part: _Part, wanted: Array, up: bool) -> NDArray[np.int64]:
     """The nearest square number among those that lie a factor of 2 apart, or the next one up."""
-    steps = np.log2(wanted / part.first)
+    steps = np.log2(np.minimum(wanted, _GROWTH * part.samples) / part.first)
     steps = np.ceil(steps - 1e-9) if up else np.rint(steps)
     return np.asarray(np.rint(np.sqrt(part.first * 2.0**steps)).astype(np.int64) ** 2)

@@ -1,5 +1,6 @@
 """Definition of a light transport problem: scene, emitter, detector, sun and air."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,9 +30,9 @@ class LightProblem:
         Unit vector towards the sun.
     air
         Fills all space; None: there is none.
-    boxes_m : (n, 2, 3) array, optional
-        Least and largest coordinates of the surfaces, relative to the rig as the scene: where they
-        are small, `gather_within` has paths for each.
+    corners : function, optional
+        Gives positions (n, 3), relative to the rig as the scene, and reflectances (n,) of the
+        meshes' vertices: where details may be that paths miss.
     """
 
     scene: Any
@@ -39,7 +40,7 @@ class LightProblem:
     detector: Device
     sun_direction: Array | None = None
     air: Air | None = None
-    boxes_m: Array | None = None
+    corners: Callable[[], tuple[Array, Array]] | None = None
 
     def moved(self, rotation: Array, shift_m: Array) -> "LightProblem":
         """The problem with both devices after a rigid motion, as `Device.moved`."""
