@@ -127,7 +127,7 @@ def test_light_without_any_direct_path_is_found() -> None:
     problem = box(0.7)
     beside = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
     problem = replace(problem, detector=replace(problem.detector, axes=beside, tan_half_field=0.05))
-    fine = transport(problem, (4, 4), quality=TracingQuality(4, 60, 512**2), seed=2)
+    fine = transport(problem, (4, 4), quality=TracingQuality(4, 60, 256**2), seed=2)
     assert not fine.direct.any()
     tracer = problem.from_emitter((4, 4), TracingQuality(), 1)
     light = gather_within(tracer, lambda cells: np.full_like(cells, fine.total.mean() / 10))

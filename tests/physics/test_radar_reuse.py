@@ -99,7 +99,9 @@ def test_where_nothing_moved_all_is_kept_bit_for_bit() -> None:
     assert np.allclose(*told)
 
 
-@pytest.mark.parametrize(("name", "least"), [("yard", 0.15), ("street", 0.6)])
+@pytest.mark.parametrize(
+    ("name", "least"), [pytest.param("yard", 0.15, marks=pytest.mark.slow), ("street", 0.6)]
+)
 def test_a_car_that_drives_on(name: str, least: float) -> None:
     """The same echoes as by itself, within what is told, which is no more than half as much again
     as of a frame by itself: what is kept counts with the errors of both.
@@ -314,6 +316,7 @@ def test_what_a_flash_left_out_is_found_again_in_sweeps() -> None:
     assert len(ranges[0]) == len(ranges[1])
 
 
+@pytest.mark.slow
 def test_many_frames_in_the_memory_of_a_few() -> None:
     """One frame is kept, whatever comes after it."""
     scene = world(*(ball(f"{k}", (8, k - 3, 0.9), level=4) for k in range(6)), ground(0.0), rig=RIG)
