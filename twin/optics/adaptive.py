@@ -5,6 +5,7 @@ their mean. Where it matters, more paths are drawn, anew, so that how many are d
 on what they bring; until the error of all cells together is as small as asked.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,8 +37,8 @@ _CHOSEN = 1.15
 _DRAWS = 2**16
 #: Paths of a set at most, of one cell and of all together.
 _MOST, _MOST_TOGETHER = 128**2, 2**17
-#: Paths of a set for indirect light where the first look has found no light at all.
-_IN_THE_DARK = 64
+#: Paths of a set of all cells together where the first look found no light at all.
+_IN_THE_DARK = 2**18
 
 
 @dataclass(eq=False)
@@ -140,7 +141,9 @@ def gather_within(
     if corners is not None and isinstance(tracer.light, DeviceLight):
         facets = facet_light(tracer.start, tracer.light.device, corners())
     if not any(part.mean.any() for part in parts):
-        _draw_more(parts[-1], np.full(tracer.start.size, _IN_THE_DARK), 0)
+        samples = math.isqrt(_IN_THE_DARK // tracer.start.size) ** 2
+        for part in parts:
+            _draw_more(part, np.full(tracer.start.size, max(samples, 1)), 0)
     for turn in range(1, _ROUNDS + 1):
         light = np.sum([part.mean for part in parts], axis=0)
         limit = permitted(light.reshape(shape)).ravel()
