@@ -148,12 +148,7 @@ def gather_within(
         light = np.sum([part.mean for part in parts], axis=0)
         limit = permitted(light.reshape(shape)).ravel()
         weight = 1 / np.maximum(limit, 1e-150) ** 2 / limit.size
-        variances = [_CHOSEN * part.variance for part in parts]
-        missed = np.maximum(facets, contrast(parts[0].mean.reshape(shape)))
-        # Up to one path's share, any of which is as likely as any other.
-        variances[0] += (missed / parts[0].paths) ** 2 / 3
-        missed = np.maximum(parts[0].mean, parts[-1].brightest)
-        variances[-1] += (missed / (parts[-1].paths * parts[-1].window ** 2)) ** 2
+        variances = _variances(parts, facets, shape)
         if turn == _ROUNDS or sum(float(variance @ weight) for variance in variances) <= 1:
             break
         wanted = _wanted(parts, [variance * weight for variance in variances], up=turn > 1)
@@ -162,6 +157,18 @@ def gather_within(
             break
     direct, error = light - parts[-1].mean, np.sqrt(np.sum(variances, axis=0))
     return CellLight(*(x.reshape(shape) for x in (direct, parts[-1].mean, error)))
+
+
+def _variances(parts: Sequence[_Part], facets: Array, shape: tuple[int, int]) -> list[Array]:
+    """Of each part: from its scatter, and of what all its paths may have missed."""
+    direct, indirect = parts[0], parts[-1]
+    variances = [_CHOSEN * part.variance for part in parts]
+    missed = np.maximum(facets, contrast(direct.mean.reshape(shape)))
+    # Up to one path's share, any of which is as likely as any other.
+    variances[0] += (missed / direct.paths) ** 2 / 3
+    missed = np.maximum(direct.mean, indirect.brightest)
+    variances[-1] += (missed / (indirect.paths * indirect.window**2)) ** 2
+    return variances
 
 
 def _draw_more(part: _Part, samples: NDArray[np.int64], turn: int) -> bool:
