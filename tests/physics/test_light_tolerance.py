@@ -95,26 +95,22 @@ def test_a_room_that_absorbs_nothing_ends_and_says_so() -> None:
     assert (light.standard_error.mean() > 1e-3 * light.total.mean()).all()
 
 
-@pytest.mark.parametrize("one_mesh", [True, False], ids=["one mesh", "two objects"])
-def test_a_small_bright_facet_is_met_where_it_matters(one_mesh: bool) -> None:
-    """4 mm at 3 m, a thousandth of a cell, before a wall that is seen at 87 degrees: light of the
-    image is within its tolerance in every one of 10 runs. Without a bound for facets that paths
-    pass between, most runs see nothing of it and state no error.
+def test_a_small_bright_facet_is_met_where_it_matters() -> None:
+    """4 mm at 3 m, a thousandth of a cell, before a dark wall: light of the image is within its
+    tolerance, half of what the image is off by without the facet, in every one of 10 runs. Without
+    a bound for facets that paths pass between, most runs see nothing of it and state no error.
     """
     corners = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1.0]])
-    oblique = [[0, -5, -1], [0, 5, -1], [20, 5, 1], [20, -5, 1.0]]
-    vertices = np.concatenate([np.add(oblique, [2.0, 0, 0]), 0.002 * corners + [3.0, 0.1, 0.1]])
-    faces = np.array([[0, 2, 1], [0, 3, 2]])
-    parts = [np.concatenate([faces, faces + 4])] if one_mesh else [faces, faces + 4]
-    objects = tuple(
-        SceneObject(f"part {n}", Geometry(vertices, part), "white", 0.9)
-        for n, part in enumerate(parts)
-    )
-    scene = Scene("chip", Path(), "", objects, Rig(Pose((0.0, 0.0, 0.0))), Sun(0.0, 30.0, 0.0))
-    emitter, known = Device(np.zeros(3), np.eye(3), 0.2), (vertices, np.full(8, 0.9))
+    faces, objects = np.array([[0, 2, 1], [0, 3, 2]]), []
+    for half_m, place, reflectance in ((5.0, (3.5, 0, 0), 1e-4), (0.002, (3.0, 0.1, 0.1), 0.9)):
+        geometry = Geometry(half_m * corners + place, faces)
+        objects.append(SceneObject(f"{half_m} m", geometry, "white", reflectance))
+    scene = Scene("f", Path(), "", tuple(objects), Rig(Pose((0.0, 0.0, 0.0))), Sun(0.0, 30.0, 0.0))
+    emitter = Device(np.zeros(3), np.eye(3), 0.2)
+    known = np.concatenate([o.vertices_m for o in objects]), np.repeat([1e-4, 0.9], 4)
     problem = LightProblem(mitsuba_scene(scene), emitter, emitter, corners=lambda: known)
-    fine = transport(problem, (8, 8), quality=TracingQuality(512**2, 2, 64), seed=1).total
-    limit = np.ptp(fine[2:5, 2:5]) / 8
+    fine = transport(problem, (8, 8), quality=TracingQuality(512**2, 1), seed=1).total
+    limit = np.ptp(fine) / 16
     for seed in range(10):
         tracer = problem.from_emitter((8, 8), TracingQuality(), seed)
         light = gather_within(tracer, lambda cells: np.full_like(cells, limit), problem.corners)
