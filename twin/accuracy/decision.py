@@ -1,0 +1,46 @@
+"""An effect that a model takes or leaves out, with the bound that decided."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether an effect is modelled, and why.
+
+    Parameters
+    ----------
+    sensor
+        ``camera`` or ``radar``.
+    effect
+        In words: ``indirect light``, ``edges of car``.
+    bound
+        What leaving it out would change at most, in ``unit``.
+    permitted
+        What leaving it out may change, in ``unit``; the error of several effects that are left out
+        adds, so each is permitted a part of the tolerance.
+    unit
+        Of both: ``of a pixel's noise``, ``of the echo``, ``dB``.
+    taken
+        Whether it is modelled. An effect whose bound is below what is permitted is left out.
+    cost_s
+        Time that it took, NaN where it was not measured or not taken.
+
+    >>> str(Decision("camera", "indirect light", 0.003, 0.02, "of a pixel's noise", False))
+    "camera: indirect light: at most 0.003 of a pixel's noise, 0.02 permitted: left out"
+    """
+
+    sensor: str
+    effect: str
+    bound: float
+    permitted: float
+    unit: str
+    taken: bool
+    cost_s: float = math.nan
+
+    def __str__(self) -> str:
+        took = f" ({1e3 * self.cost_s:.3g} ms)" if self.cost_s >= 0 else ""
+        return (
+            f"{self.sensor}: {self.effect}: at most {self.bound:.2g} {self.unit}, "
+            f"{self.permitted:.2g} permitted: {'taken' if self.taken else 'left out'}{took}"
+        )

@@ -1,0 +1,121 @@
+"""Knobs of the radar chain."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from hardware.own_functions import OwnFunction, OwnFunctionError, own_function
+from twin.errors import InputError
+from twin.fidelity.knobs import Knobs, Rule, depth, tolerance, whole
+
+RadarModel = Literal["targets", "paths", "optics", "rough"]
+
+_BELOW_1 = math.nextafter(1.0, 0.0)
+
+#: Arguments of a user's own propagation model, see `twin.PropagationModel`.
+_SOLVED = ("scene", "radar", "fidelity", "seed")
+_OWN_SOLVERS = "twin.propagation"
+
+
+def own_solver(radar: "RadarModel | str | Callable[..., Any]") -> OwnFunction | None:
+    """A user's own propagation model where ``fidelity.radar`` names or holds one; None: a bundled
+    one. Raises OwnFunctionError, an InputError, for one that is not there or takes other arguments.
+    """
+    if isinstance(radar, str) and radar in get_args(RadarModel):
+        return None
+    return own_function(radar, _SOLVED, group=_OWN_SOLVERS)
+
+
+def _solver() -> dict[str, Rule]:
+    """One of the bundled models, the stricter the later; or a user's own, which is before all."""
+    known = get_args(RadarModel)
+
+    def check(value: Any) -> str:
+        if not callable(value) and not isinstance(value, str):
+            return f"is none of {', '.join(known)}"
+        try:
+            own_solver(value)
+        except OwnFunctionError as error:
+            return f"is none of {', '.join(known)}, and no function of a user's own: {error}"
+        return ""
+
+    def stricter(one: Any, other: Any) -> Any:
+        own = [value for value in (one, other) if value not in known]
+        if len(own) == 2 and one != other:
+            raise InputError(f"radar: {one!r:.60} and {other!r:.60}: neither is the stricter")
+        return own[0] if own else max(one, other, key=known.index)
+
+    def told(value: Any) -> Any:
+        own = own_solver(value)
+        return own.label if own else value
+
+    return {"rule": Rule(check, stricter, told=told)}
+
+
+@dataclass(frozen=True)
+class RadarFidelity(Knobs):
+    """Knobs of the radar chain.
+
+    radar
+        ``targets``: declared targets straight ahead, without the scene: no multipath, no clutter,
+        no shadows. ``paths``: traced through the scene, where small far meshes answer from tables.
+        ``optics``: meshes scatter by physical optics instead of a declared cross-section, over the
+        ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less.
+        Or a model of a user's own (`twin.PropagationModel`): a function, ``file.py:function``, or
+        the name of an entry point of the group ``twin.propagation``.
+    nufft_tolerance
+        Relative error of the radar's channel against the direct sum.
+    radar_tolerance
+        Of physical optics, 0.001 to 1. Estimated error of the echo of every body over the band,
+        relative to its root mean square, or to an echo 40 dB below the strongest body's, or to a
+        tenth of the receiver's noise, whichever is larger: triangles are divided until their
+        estimated errors, added as independent, stay below it at each stage, or to a deepest
+        division. What all stages come to is told of every body (`Propagation.bodies`, the report),
+        times three: 95 of 100 bodies' errors are within that (`python -m benchmarks
+        radar_estimates`: of 133 bodies of random scenes 99, 98 and 96 % at 0.3, 0.1 and 0.03; all
+        of the yard and the street). It is warned of from six tolerances on, where the error itself
+        most likely exceeds one. `twin trade` measures the errors themselves, body by body. What the
+        estimate misses: bodies narrower than the rays within a facet that shows them by reflection
+        (80 000 more rays than there are facets, where these are larger than half a wavelength);
+        what facets, which are flat, leave of a curved mirror. Of plates at half their size from
+        the radar the echo is off by 1 to 3 times the tolerance, and is warned of.
+    radar_bounces
+        Between objects that scatter by physical optics: what is reflected more often is lost. A
+        trihedral needs 3.
+    radar_images
+        Reflections at large surfaces on the way to an object, and as many back. Of ways out by one
+        image and home by another both directions are computed, each with its own currents, since
+        physical optics is not reciprocal; what is met once answers in each with the mean of both.
+    radar_edges
+        Pieces of sharp edges that diffract, all objects and images together; 0: none. Without them
+        small bodies with edges are off by 10 dB, mean over all angles (the Austin plates). Where
+        pieces are longer than an eighth of a wavelength, the band's edges suffer first. On the
+        street 250 000 more contributions, and 1 s more to find them.
+    radar_shadow_db
+        Depth to which shadows of obstacles are computed on the way to a declared target: what comes
+        round an edge, one way, fainter than this beside the straight wave is lost. 0: shadows
+        are silent and their borders hard, off by 6 to 12 dB in the echo right there and by up to
+        2.7 dB on the lit side.
+    radar_shadowed
+        Facets that answer over obstacles' edges, all bodies together, the brightest ones, down to
+        shadows of 30 dB; 0: on bodies shadows are silent and their borders hard, as above. Some
+        3 ms each, and 4 s for the street's car to be cut into facets of 2 cm.
+    radar_table_nodes
+        Of a table of physical optics at the level ``paths``, per lobe lambda / (2 D) of a target of
+        extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms
+        error is 0.7 % of its peak, 0.06 dB.
+    radar_scatterers
+        Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
+    """
+
+    radar: RadarModel | str | Callable[..., Any] = field(default="optics", metadata=_solver())
+    nufft_tolerance: float = field(default=1e-6, metadata=tolerance(1e-14, _BELOW_1))
+    radar_tolerance: float = field(default=0.1, metadata=tolerance(1e-3, 1.0))
+    radar_bounces: int = field(default=3, metadata=whole(1))
+    radar_images: int = field(default=1, metadata=whole(0))
+    radar_edges: int = field(default=0, metadata=whole(0))
+    radar_shadow_db: float = field(default=40.0, metadata=depth(0.0))
+    radar_shadowed: int = field(default=0, metadata=whole(0))
+    radar_table_nodes: int = field(default=4, metadata=whole(1))
+    radar_scatterers: int = field(default=50_000, metadata=whole(1))
