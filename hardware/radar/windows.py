@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+#: Blackman-Harris, minimum 4-term (Harris, Proc. IEEE 66, 1978): which every burst needs.
+_COSINES = (0.35875, 0.48829, 0.14128, 0.01168)
+
 
 @lru_cache(maxsize=64)
 def normalised_window(name: str, size: int) -> Array:
@@ -14,8 +17,11 @@ def normalised_window(name: str, size: int) -> Array:
 
     Raises InputError for a name that SciPy does not know.
     """
-    if name == "boxcar":  # the default, without half a second of scipy.signal's import
+    if name == "boxcar":  # the default: without half a second of scipy.signal's import
         window = np.ones(size)
+    elif name == "blackmanharris" and size > 1:
+        turn = np.linspace(-np.pi, np.pi, size)
+        window = np.sum([a * np.cos(k * turn) for k, a in enumerate(_COSINES)], axis=0)
     else:
         from scipy.signal import get_window
 

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from twin.files import InputError
-from twin.optics.solar_irradiance import air_mass, clear_sun, sun_band_irradiance, sun_in_band
+from twin.optics.solar_irradiance import (
+    _tables,
+    air_mass,
+    clear_sun,
+    sun_band_irradiance,
+    sun_in_band,
+)
 from twin.optics.spectra import angle_shift, filter_shape, in_band_fraction, responsivity_a_per_w
 from twin.system import Sky, load_part, load_system
 from twin.system.curves import read_curve
@@ -34,6 +40,19 @@ def test_clear_sun_is_the_standard_at_its_own_air_mass() -> None:
     nm, spectrum = clear_sun(41.76)
     assert air_mass(41.76) == pytest.approx(1.5, abs=2e-3)
     assert np.trapezoid(spectrum, nm) == pytest.approx(900.1, rel=2e-3)
+
+
+def test_the_table_is_the_one_that_colour_science_has() -> None:
+    """Number by number: the spectra of ASTM G-173, and V between its nanometres."""
+    import colour
+    from colour.plotting.datasets import astm_g_173
+
+    nm, outside, direct, v = _tables()
+    np.testing.assert_array_equal(nm, astm_g_173.SD_ASTMG173_ETR.wavelengths)
+    np.testing.assert_array_equal(outside, astm_g_173.SD_ASTMG173_ETR.values)
+    np.testing.assert_array_equal(direct, astm_g_173.SD_ASTMG173_DIRECT_CIRCUMSOLAR.values)
+    eye = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
+    np.testing.assert_array_equal(v, np.interp(nm, eye.wavelengths, eye.values, left=0, right=0))
 
 
 def test_the_sun_grows_dimmer_and_redder_as_it_sinks() -> None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from twin.camera.illumination import dark_share
 from twin.camera.shutters import shutters
@@ -227,6 +226,8 @@ def _solve(rising: Callable[[float], float], ends: tuple[float, float], level: f
     """Argument at which a rising function reaches a level: the first end where it is above it
     everywhere, infinite where it is below.
     """
+    from scipy.optimize import brentq  # takes 0.2 s to import
+
     low, high = (math.log(end) for end in ends)
 
     def off(log_x: float) -> float:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 _LM_PER_W = 683.0  # maximum luminous efficacy of radiation
 #: Share of a curve's peak below which it blocks.
 _PASSES = 1e-2
+#: In a file of its own: colour-science, which also has it, takes half a second to import.
+_G173 = Path(__file__).with_name("astm_g173.csv")
 
 #: Declared with every result that depends on it.
 SUN_ASSUMPTION = (
@@ -145,11 +147,5 @@ def _direct() -> tuple[Array, Array]:
 @lru_cache(maxsize=1)
 def _tables() -> tuple[Array, Array, Array, Array]:
     """ASTM G-173: nm, above the atmosphere, direct and circumsolar; and V(lambda) on its grid."""
-    with np.printoptions():  # colour-science changes them on import
-        import colour
-        from colour.plotting.datasets import astm_g_173
-    outside, direct = astm_g_173.SD_ASTMG173_ETR, astm_g_173.SD_ASTMG173_DIRECT_CIRCUMSOLAR
-    photopic = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
-    nm = np.asarray(direct.wavelengths)
-    v = np.interp(nm, photopic.wavelengths, photopic.values, left=0, right=0)
-    return nm, outside.values, direct.values, v
+    nm, outside, direct, v = np.loadtxt(_G173, delimiter=",", unpack=True)
+    return nm, outside, direct, v

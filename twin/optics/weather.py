@@ -10,7 +10,6 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from twin.files import InputError
 from twin.own_parts import made_by
@@ -232,4 +231,8 @@ def _backward_share(backscatter: float, asymmetry: float) -> float:
     most = most_backward_share(asymmetry)
     if excess(0.0) >= 0:
         return 0.0
-    return most if excess(most) <= 0 else float(brentq(excess, 0.0, most, xtol=1e-15))
+    if excess(most) <= 0:
+        return most
+    from scipy.optimize import brentq  # takes 0.2 s to import
+
+    return float(brentq(excess, 0.0, most, xtol=1e-15))

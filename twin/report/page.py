@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from twin import __version__
@@ -95,7 +96,9 @@ def _drawn_by_radar(radar: RadarEvaluation) -> dict[str, Figure]:
 
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    # What `savefig` writes, without its rehearsal of every figure.
+    canvas = FigureCanvasAgg(figure)
+    canvas.print_png(buffer, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
     return buffer.getvalue()
 
 
@@ -154,7 +157,7 @@ def _per_value(evaluation: Evaluation) -> float:
 
 
 def _versions() -> dict[str, Any]:
-    names = ("mitsuba", "drjit", "sionna-rt", "finufft", "numpy", "colour-science")
+    names = ("mitsuba", "drjit", "sionna-rt", "finufft", "numpy")
     return {
         "ugv-twin": __version__,
         **{name: version(name) for name in names},
