@@ -32,6 +32,7 @@ _ROOMS = (
     "sweep",
     "vehicle",
     "commands",
+    "stated_errors",
 )
 
 

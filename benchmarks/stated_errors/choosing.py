@@ -1,0 +1,47 @@
+"""Time that goes into choosing what is computed, in place of computing it."""
+
+import importlib
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, Self
+from unittest import mock
+
+#: Functions that decide, and compute nothing of the result, in the modules that call them.
+_DECIDING = (
+    ("twin.camera.light", "permitted_error"),
+    ("twin.optics.adaptive", "_wanted"),
+    ("twin.optics.adaptive", "_variances"),
+    ("twin.optics.adaptive", "facet_light"),
+)
+
+
+class Choosing:
+    """Adds up the CPU time of all functions that decide, while it is entered."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._inside = False
+
+    def __enter__(self) -> Self:
+        self._stack = ExitStack()
+        for module, name in _DECIDING:
+            known = getattr(importlib.import_module(module), name)
+            self._stack.enter_context(mock.patch(f"{module}.{name}", self._timed(known)))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def _timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*args: Any, **named: Any) -> Any:
+            if self._inside:
+                return function(*args, **named)
+            self._inside, begin = True, time.process_time()
+            try:
+                return function(*args, **named)
+            finally:
+                self._inside = False
+                self.seconds += time.process_time() - begin
+
+        return timed

@@ -1,0 +1,161 @@
+"""Light: stated against true errors, and times against those of the cheapest sufficient knobs."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.stated_errors.choosing import Choosing
+from benchmarks.stated_errors.judged import Cheapest, Judged
+from benchmarks.stated_errors.light_cases import LightCase
+from benchmarks.stated_errors.light_truth import Renderer
+from twin.camera.light import RenderedLight
+from twin.camera.permitted_error import permitted_error
+from twin.fidelity import Fidelity
+from twin.trade.camera import CameraCase
+
+Array = NDArray[np.float64]
+
+#: Standard deviations within which 95 of 100 draws of a normal distribution lie.
+_WITHIN_95 = 1.96
+_DEPTHS, _SAMPLES = (1, 2, 4, 8, 16), tuple(4**power for power in range(7))
+_RUNS = 2  # of each setting of the knobs, after a warm-up
+#: Per pixel of a render of the truth; how small its error is to be over that stated, where time
+#: allows; and renders whose scatter tells it.
+_FEW_PATHS, _PATHS, _SMALL, _LEAST_RENDERS = 4, 16, 0.2, 6
+
+
+@dataclass(frozen=True, eq=False)
+class _Truth:
+    """Light (n_cells,) with its standard error; and the noise of each pixel in its unit."""
+
+    light: Array
+    error: Array
+    noise: Array
+
+    def over_noise(self, values: Array) -> float:
+        """Root mean square over the cells, over the noise."""
+        return float(np.sqrt(np.mean((values.ravel() / self.noise) ** 2)))
+
+    def off(self, rendered: RenderedLight) -> Array:
+        """Error of each cell, over its noise."""
+        return np.asarray((rendered.light.cells.ravel() - self.light) / self.noise)
+
+    def error_of(self, *rendered: RenderedLight) -> float:
+        """Root mean square over cells and renders of the errors over noise, without the truth's
+        own.
+        """
+        square = np.mean([self.off(one) ** 2 for one in rendered])
+        return float(np.sqrt(max(square - self.over_noise(self.error) ** 2, 0.0)))
+
+
+def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator[Judged]:
+    """The image, root mean square over its cells, and its whole light, of one case.
+
+    ``limit_s``: of one thread's time, for the truth.
+    """
+    case = _lit(drawn)
+    fidelity = Fidelity.within(drawn.tolerance)
+    case.light(fidelity, 0)  # compiles
+    choosing = Choosing()
+    begin = time.process_time()
+    with choosing:
+        rendered = case.light(fidelity, 1)
+    seconds = time.process_time() - begin
+    truth = _truth(case, rendered, limit_s)
+    stated = _WITHIN_95 * rendered.light.error.ravel()
+    common = {
+        "name": drawn.name,
+        "tolerance": drawn.tolerance,
+        "warnings": tuple(str(w) for w in rendered.warnings),
+    }
+    off = np.abs(rendered.light.cells.ravel() - truth.light)
+    inside = off <= np.hypot(stated, _WITHIN_95 * truth.error)
+    cheapest = _cheapest(case, drawn, truth, seconds) if search else None
+    yield Judged(
+        figure="image",
+        stated=truth.over_noise(stated),
+        true=truth.error_of(rendered),
+        truth_error=truth.over_noise(truth.error),
+        unit="of a pixel's noise",
+        seconds=seconds,
+        cheapest=cheapest,
+        searched=search,
+        choosing=choosing.seconds / seconds,
+        inside=float(inside.mean()),
+        **common,
+    )
+    total = float(truth.light.sum())
+    if total:
+        error = float(np.sqrt(np.sum(truth.error**2)))
+        yield Judged(
+            figure="whole light",
+            stated=float(np.sqrt(np.sum(stated**2))) / total,
+            true=abs(float(rendered.light.cells.sum()) / total - 1),
+            truth_error=error / total,
+            unit="of it",
+            **common,
+        )
+
+
+def _lit(drawn: LightCase) -> CameraCase:
+    """With an emitter of the power that the case's signal over noise takes."""
+    system = drawn.system
+    for _ in range(3):
+        case = CameraCase.of(drawn.scene, system, drawn.seed)
+        draft = case.light(Fidelity(samples=16, max_depth=3), 99)
+        noise = permitted_error(case.chain, draft, draft.light.cells, 1.0)
+        ratio = float(np.sqrt(np.mean((draft.light.cells / noise) ** 2)))
+        if not ratio:
+            break
+        power = system.emitter.radiant_intensity_w_per_sr.value * drawn.light_over_noise / ratio
+        system = system.with_({"emitter.radiant_intensity_w_per_sr": power})
+    return CameraCase.of(drawn.scene, system, drawn.seed)
+
+
+def _truth(case: CameraCase, rendered: RenderedLight, limit_s: float) -> _Truth:
+    """Renders until their mean is exact enough beside what is stated, or the time is over."""
+    renderer, shape = Renderer(case.problem), case.system.image_shape
+    seeds = np.random.default_rng([case.seed, 7])
+    noise = permitted_error(case.chain, rendered, rendered.light.cells, 1.0).ravel()
+    stated = float(np.sqrt(np.mean((_WITHIN_95 * rendered.light.error.ravel() / noise) ** 2)))
+    paths, found, begin = _FEW_PATHS, list[Array](), time.process_time()
+    while True:
+        found.append(renderer.render(shape, paths, int(seeds.integers(2**31))).ravel())
+        if len(found) < _LEAST_RENDERS:
+            continue
+        error = np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
+        truth = _Truth(np.mean(found, axis=0), error, noise)
+        exact = truth.over_noise(truth.error) <= _SMALL * stated
+        spent = time.process_time() - begin
+        if exact or spent > limit_s:
+            return truth
+        if paths == _FEW_PATHS and _PATHS / paths * spent < limit_s:
+            paths = _PATHS  # better stratified
+            found.clear()
+
+
+def _cheapest(case: CameraCase, drawn: LightCase, truth: _Truth, most_s: float) -> Cheapest | None:
+    """The cheapest of all settings of paths and bounces whose error is within the tolerance, if it
+    takes less than ``most_s``.
+
+    Of one number of bounces paths are added until the error is small enough or the time too long.
+    """
+    best: Cheapest | None = None
+    for depth in _DEPTHS:
+        for samples in _SAMPLES:
+            fidelity = Fidelity(samples=samples, max_depth=depth)
+            runs, times = [], []
+            for run in range(1 + _RUNS):
+                begin = time.process_time()
+                runs.append(case.light(fidelity, 2, samples, depth, run))
+                times.append(time.process_time() - begin)
+            seconds = float(np.mean(times[1:]))
+            if seconds > most_s:
+                break
+            if truth.error_of(*runs) <= drawn.tolerance:
+                best, most_s = Cheapest(seconds, f"{samples} paths, {depth} bounces"), seconds
+                break
+    return best
