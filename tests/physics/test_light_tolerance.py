@@ -80,7 +80,7 @@ def test_no_bounce_is_lost_in_a_closed_room(reflectance: float) -> None:
     """
     problem, shape = box(reflectance), (8, 8)
     tracer = problem.from_emitter(shape, TracingQuality(), 1)
-    light = gather_within(tracer, lambda cells: np.full_like(cells, 0.003 * cells.mean()))
+    light = gather_within(tracer, lambda cells: np.full_like(cells, 0.003 * cells.mean())).light
     quality = TracingQuality(64, 200, 1024)
     fine = transport(problem, shape, quality=quality, seed=2)
     error = np.sqrt(np.sum(light.standard_error**2) + np.sum(fine.standard_error**2))
@@ -91,7 +91,7 @@ def test_no_bounce_is_lost_in_a_closed_room(reflectance: float) -> None:
 def test_a_room_that_absorbs_nothing_ends_and_says_so() -> None:
     """Its light is without bound: no error is small enough."""
     tracer = box(1.0).from_emitter((2, 2), TracingQuality(), 1)
-    light = gather_within(tracer, lambda cells: np.full_like(cells, 1e-3 * cells.mean()))
+    light = gather_within(tracer, lambda cells: np.full_like(cells, 1e-3 * cells.mean())).light
     assert (light.standard_error.mean() > 1e-3 * light.total.mean()).all()
 
 
@@ -113,7 +113,9 @@ def test_a_small_bright_facet_is_met_where_it_matters() -> None:
     limit = np.ptp(fine) / 16
     for seed in range(10):
         tracer = problem.from_emitter((8, 8), TracingQuality(), seed)
-        light = gather_within(tracer, lambda cells: np.full_like(cells, limit), problem.corners)
+        light = gather_within(
+            tracer, lambda cells: np.full_like(cells, limit), problem.corners
+        ).light
         assert np.sqrt(np.mean((light.total - fine) ** 2)) < limit
         assert np.sqrt(np.mean(light.standard_error**2)) <= limit
 
@@ -126,7 +128,7 @@ def test_light_without_any_direct_path_is_found() -> None:
     fine = transport(problem, (4, 4), quality=TracingQuality(4, 60, 256**2), seed=2)
     assert not fine.direct.any()
     tracer = problem.from_emitter((4, 4), TracingQuality(), 1)
-    light = gather_within(tracer, lambda cells: np.full_like(cells, fine.total.mean() / 10))
+    light = gather_within(tracer, lambda cells: np.full_like(cells, fine.total.mean() / 10)).light
     error = np.sqrt(np.mean(light.standard_error**2))
     assert 0 < error < fine.total.mean() / 5
     assert np.sqrt(np.mean((light.total - fine.total) ** 2)) < 3 * error

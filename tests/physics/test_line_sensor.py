@@ -8,7 +8,7 @@ from scipy import constants
 
 from hardware import reconstruct
 from twin.camera import capture
-from twin.camera.light import emitter_light, sun_light
+from twin.camera.equal_paths import emitter_light, sun_light
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
 from twin.optics.devices import Device

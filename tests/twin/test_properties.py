@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from twin.camera import Capture
 from twin.camera.acquisition import measure
-from twin.camera.light import RenderedLight, render
+from twin.camera.light import render
+from twin.camera.rendered import RenderedLight
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
 from twin.optics.devices import Device

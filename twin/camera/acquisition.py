@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
+from twin.accuracy import Decision
 from twin.camera import light
 from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_range_error
 from twin.camera.chain import Chain
 from twin.camera.distortion import distortions
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
-from twin.camera.light import RenderedLight, render
+from twin.camera.light import render
+from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
     ImageVerdict,
@@ -66,7 +68,9 @@ class Capture:
     """A record with the truth behind it. Only ``record`` exists on the vehicle.
 
     ``cells_e`` (rows, columns) are the mean electrons of each cell, lit alone for one exposure (a
-    line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo standard error;
+    line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo standard error,
+    ``light_systematic_e`` a bound of what a render to a tolerance left out, and ``decisions`` say
+    which effects it holds and why;
     ``backscatter_e`` the part that the air scattered back, ``scene_e`` the rest, with which
     reconstructions are compared. ``snr`` is the signal of ``scene_e`` in a reconstructed pixel
     (inverse transform of the patterns shown) over its noise and distortion, which are the lag
@@ -91,6 +95,8 @@ class Capture:
     illuminance_lx: float
     assumptions: tuple[str, ...]
     warnings: tuple[CaptureWarning, ...]
+    light_systematic_e: Array
+    decisions: tuple[Decision, ...] = ()
     range_error: BackscatterRangeError | None = None
 
     @property
@@ -236,6 +242,8 @@ def measure(
         illuminance_lx=sky.illuminance_lx,
         assumptions=(*_assumptions(scene, system), *_own(own)),
         warnings=warnings,
+        light_systematic_e=_image(to_e * power.left_out_w, system),
+        decisions=rendered.decisions,
         range_error=range_error,
     )
 

@@ -26,7 +26,7 @@ from twin.system import Sky, System
 from twin.toml import Sourced
 
 if TYPE_CHECKING:
-    from twin.camera.light import RenderedLight
+    from twin.camera.rendered import RenderedLight
 
 Array = NDArray[np.float64]
 
@@ -35,13 +35,15 @@ Array = NDArray[np.float64]
 class Powers:
     """Power on the detectors, W: from each cell lit alone, (n_shutters, n_detectors, n_cells), with
     its Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,).
-    ``backscatter_w``: the part of ``cells_w`` that the air scattered back.
+    ``backscatter_w``: the part of ``cells_w`` that the air scattered back. ``left_out_w``: bound of
+    each cell's light that the render left out, (n_detectors, n_cells).
     """
 
     cells_w: Array
     error_w: Array
     sun_w: Array
     backscatter_w: Array
+    left_out_w: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,7 @@ class Chain:
         """Power of the rendered light on the detectors."""
         system = self.system
         collected = self.lens.transmission * self.lens.pupil_area_m2
-        cell_angle, sun_angle = rendered.angles_deg()
+        cell_angle = rendered.cell_angles_deg()
         passed = _by_detector(self.sky.emitter_at(cell_angle), system)
         if not system.emitter.has_lens:  # every LED lights the whole field
             passed = np.full_like(passed, passed.mean())
@@ -98,14 +100,20 @@ class Chain:
         cells = self._through_shutters(rendered.light.cells, rendered.paths)
         air = rendered.backscatter
         backscatter = self._through_shutters(air.light, air.paths) if air else np.zeros_like(cells)
-        sun = collected * rendered.sun * self.sky.sun_at(sun_angle)
-        one = system.n_detectors == 1
         return Powers(
             cells_w=watt * cells,
             error_w=watt * rendered.light.error,
-            sun_w=sun.sum(keepdims=True).reshape(1) if one else sun.sum(axis=0),
+            sun_w=self.sun_power(rendered),
             backscatter_w=watt * backscatter,
+            left_out_w=watt * np.full_like(rendered.light.error, rendered.light.left_out),
         )
+
+    def sun_power(self, rendered: "RenderedLight") -> Array:
+        """Power of the sun on the detectors, (n_detectors,)."""
+        collected = self.lens.transmission * self.lens.pupil_area_m2
+        sun = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
+        one = self.system.n_detectors == 1
+        return np.asarray(sun.sum(keepdims=True).reshape(1) if one else sun.sum(axis=0))
 
     def _through_shutters(self, cells: Array, paths: Paths | None) -> Array:
         """Light (n_shutters, n_detectors, n_cells) behind each shutter."""

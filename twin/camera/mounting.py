@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,20 @@ from numpy.typing import NDArray
 from twin.files import InputError
 from twin.optics.devices import Device
 from twin.optics.emission import lobe_exponent
+from twin.optics.interreflection import Body
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import Collection, cell_centres, collection, near_pupil_m
 from twin.optics.weather import air_of_system
-from twin.scene import Scene
+from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import touches
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System
 
 Array = NDArray[np.float64]
 
+#: Height over longest edge of a face below which it is narrow; how many of them count, of each
+#: object, and at how many points.
+_NARROW, _MOST_NARROW, _ALONG = 1 / 16, 1000, 63
 #: Devices closer together than this count as being at the same position.
 _APART_M = 1e-9
 
@@ -65,18 +69,53 @@ def light_problem(scene: Scene, system: System, mesh_scene: Any = None) -> Light
         detector,
         scene.sun.direction,
         air_of_system(system),
-        partial(_corners, scene),
+        cache(partial(_corners, scene)),
+        cache(partial(_bodies, scene)),
     )
 
 
+def _bodies(scene: Scene) -> list[Body]:
+    """Meshes relative to the rig; a texture's largest reflectance is taken."""
+    return [
+        Body(
+            item.geometry,
+            item.vertices_m - scene.rig.position_m,
+            item.reflectance
+            if isinstance(item.reflectance, float | int)
+            else float(item.reflectance.image.max()),
+        )
+        for item in scene.objects
+    ]
+
+
 def _corners(scene: Scene) -> tuple[Array, Array]:
-    """Positions of all vertices, relative to the rig, and their reflectances, 1 with a texture."""
+    """Positions of all vertices, relative to the rig, and their reflectances, 1 with a texture; and
+    points along narrow faces, which may pass between paths far from their corners.
+    """
     if not scene.objects:
         return np.zeros((0, 3)), np.zeros(0)
-    known = [o.reflectance if isinstance(o.reflectance, float) else 1.0 for o in scene.objects]
-    counts = [len(o.vertices_m) for o in scene.objects]
-    vertices = np.concatenate([o.vertices_m for o in scene.objects])
-    return vertices - scene.rig.position_m, np.repeat(known, counts)
+    places, reflectances = [], []
+    for item in scene.objects:
+        points = np.concatenate([item.vertices_m, _along_narrow_faces(item)])
+        known = item.reflectance if isinstance(item.reflectance, float) else 1.0
+        places.append(points)
+        reflectances.append(np.full(len(points), known))
+    return np.concatenate(places) - scene.rig.position_m, np.concatenate(reflectances)
+
+
+def _along_narrow_faces(item: SceneObject) -> Array:
+    """Points (n, 3) on the longest edges of an object's narrow faces, the longest ones first."""
+    corners = item.vertices_m[item.geometry.faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    lengths = np.linalg.norm(edges, axis=2)
+    longest, rows = lengths.argmax(axis=1), np.arange(len(corners))
+    length = lengths[rows, longest]
+    is_narrow = 2 * item.geometry.areas_m2 < _NARROW * length**2
+    narrow = np.flatnonzero(is_narrow)
+    narrow = narrow[np.argsort(-length[narrow], kind="stable")][:_MOST_NARROW]
+    start, edge = corners[narrow, longest[narrow]], edges[narrow, longest[narrow]]
+    along = np.linspace(0, 1, _ALONG + 2)[1:-1]
+    return np.asarray((start[:, None] + along[:, None] * edge[:, None]).reshape(-1, 3))
 
 
 def with_near_pupil(problem: LightProblem, system: System, depth_m: Array) -> LightProblem:

@@ -1,33 +1,110 @@
-"""Error that the light of a cell may have: a share of the noise that the sensor adds to it."""
+"""Error that the light of a cell may have: a share of the noise that the sensor adds to it, or of
+the light itself.
+"""
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.chain import Chain
+from twin.accuracy import Decision
+from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import dark_share
+from twin.fidelity import LightFidelity
 
 if TYPE_CHECKING:
-    from twin.camera.light import RenderedLight
+    from twin.camera.rendered import RenderedLight
 
 Array = NDArray[np.float64]
 
 
-def permitted_error(chain: Chain, rendered: "RenderedLight", cells: Array, share: float) -> Array:
-    """``share`` of the noise of each pixel, in the unit of the light of the cells, (n_detectors,
-    n_cells); infinite where no light of a cell passes to the detector.
+@dataclass(frozen=True, eq=False)
+class PermittedError:
+    """What the light of cells may be off by.
 
-    ``rendered``: with the sun, the truth and, for a system with time of flight, the paths; in place
-    of its light ``cells`` is taken.
+    Parameters
+    ----------
+    chain
+        To its noise ``light_tolerance`` refers.
+    rendered
+        With the sun, the truth and, for a system with time of flight, the paths; its light does not
+        count.
+    fidelity
+        With `light_tolerance`, `light_tolerance_relative`, or both: then the stricter.
     """
-    light = replace(rendered.light, cells=cells, error=np.ones_like(cells))
-    power = chain.powers(replace(rendered, light=light))
-    budgets = chain.noise_by_detector(chain.mean_signal(power), power.sun_w)
-    patterns = chain.system.patterns
-    noise_e = np.array([budget.cells_noise_e(patterns) for budget in budgets])
-    noise_e = noise_e * np.sqrt(len(chain.shutters))
-    electrons_per_watt = chain.front_end.electrons_per_watt * (1 - dark_share(chain.system))
-    with np.errstate(divide="ignore"):
-        return np.asarray(share * noise_e / (electrons_per_watt * power.error_w))
+
+    chain: Chain
+    rendered: "RenderedLight"
+    fidelity: LightFidelity
+
+    def of(self, cells: Array) -> Array:
+        """In the unit of the light of the cells, (n_detectors, n_cells); infinite where no light of
+        a cell passes to the detector.
+        """
+        share, relative = self.fidelity.light_tolerance, self.fidelity.light_tolerance_relative
+        permitted = np.full(cells.shape, np.inf)
+        if share is not None:
+            permitted = share * self.noise(cells)
+        if relative is not None:
+            permitted = np.minimum(permitted, relative * np.maximum(cells, cells.mean()))
+        return permitted
+
+    def noise(self, cells: Array) -> Array:
+        """Noise of each pixel, in the unit of the light of the cells."""
+        power, chain = self._unit, self.chain
+        patterns = chain.system.patterns
+        # Behind a shutter that weights paths by their length light is that of the paths.
+        is_plain = [shutter.response is None for shutter in chain.shutters]
+        lit = np.where(np.reshape(is_plain, (-1, 1, 1)), power.cells_w * cells, power.cells_w)
+        signal = chain.mean_signal(replace(power, cells_w=lit))
+        budgets = chain.noise_by_detector(signal, power.sun_w)
+        noise_e = np.array([budget.cells_noise_e(patterns) for budget in budgets])
+        noise_e = noise_e * np.sqrt(len(chain.shutters))
+        to_e = chain.front_end.electrons_per_watt * (1 - dark_share(chain.system))
+        with np.errstate(divide="ignore"):
+            return np.asarray(noise_e / (to_e * power.error_w))
+
+    @property
+    def tolerance(self) -> float:
+        """The stricter of both."""
+        given = (self.fidelity.light_tolerance, self.fidelity.light_tolerance_relative)
+        return min(value for value in given if value is not None)
+
+    @property
+    def unit(self) -> str:
+        """Of the tolerance."""
+        return "of a pixel's noise" if self.fidelity.light_tolerance else "of a cell's light"
+
+    def decision(
+        self, effect: str, over: float, permitted: float, taken: bool, cost_s: float
+    ) -> Decision:
+        """Of an effect's bound, and what is permitted, over the tolerance."""
+        tolerance = self.fidelity.light_tolerance or self.tolerance
+        bounds = (over * tolerance, permitted * tolerance)
+        return Decision("camera", effect, *bounds, self.unit, taken, cost_s if taken else math.nan)
+
+    def sun_share(self, sun: Array) -> float:
+        """Largest share of the variance of a dark pixel that the sun makes, whose light is ``sun``,
+        as `RenderedLight` has it; 1 where exposures are not subtracted from each other, in which
+        the sun is more than noise.
+        """
+        chain = self.chain
+        if chain.system.patterns.mode != "differential" or not sun.any():
+            return 1.0
+        sun_w = chain.sun_power(replace(self.rendered, sun=sun))
+        dark = np.zeros((1, len(chain.shutters), chain.system.n_detectors))
+        lit, unlit = (
+            np.array([budget.total_noise_e for budget in chain.noise_by_detector(dark, w)])
+            for w in (sun_w, np.zeros_like(sun_w))
+        )
+        return float(np.max(1 - (unlit / lit) ** 2))
+
+    @cached_property
+    def _unit(self) -> Powers:
+        """Power of cells of light 1."""
+        ones = np.ones_like(self.rendered.light.cells)
+        light = replace(self.rendered.light, cells=ones, error=ones)
+        return self.chain.powers(replace(self.rendered, light=light))

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
-from twin.camera.light import SUN_PARTS, DetectorLight, RenderedLight
+from twin.camera.equal_paths import SUN_PARTS
 from twin.camera.mounting import check_rig, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
     grazing_warnings,
     near_pupil_warnings,
     undersampling_warnings,
 )
+from twin.camera.rendered import DetectorLight, RenderedLight
 from twin.camera.truth import Truth, depths, incidence_cosines, object_shares
 from twin.errors import InputError
 from twin.fidelity import Fidelity
@@ -32,7 +33,7 @@ def can_rescale(system: System, fidelity: Fidelity) -> bool:
     """Whether one render serves every reflectance."""
     return (
         fidelity.max_depth == 1
-        and fidelity.light_tolerance is None
+        and not fidelity.has_light_tolerance
         and system.n_detectors == 1
         and not system.time_of_flight
     )

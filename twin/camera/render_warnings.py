@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.mounting import field_points
+from twin.camera.permitted_error import PermittedError
 from twin.optics.devices import Device, disc_error
 from twin.optics.radiometry import mean_cos_power
 from twin.optics.weather import Air
@@ -47,15 +48,14 @@ def truncation_warnings(
     return [CaptureWarning("rendering", text)]
 
 
-def tolerance_warnings(error: float, tolerance: float) -> tuple[CaptureWarning, ...]:
-    """Light that is off by more of the noise of a pixel than `LightFidelity.light_tolerance`
-    allows.
-    """
-    if error <= tolerance:
+def tolerance_warnings(over: float, permitted: PermittedError) -> tuple[CaptureWarning, ...]:
+    """Light whose error over the permitted one, root mean square over the cells, is above 1."""
+    if over <= 1:
         return ()
+    tolerance = permitted.tolerance
     text = (
-        f"light is off by {error:.2g} of the noise of a pixel, root mean square over the image, "
-        f"where {tolerance:g} are allowed: no more paths are traced"
+        f"light is off by {over * tolerance:.2g} {permitted.unit}, root mean square over the "
+        f"image, where {tolerance:g} are allowed: no more paths are traced"
     )
     return (CaptureWarning("rendering", text),)
 

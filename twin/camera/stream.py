@@ -11,8 +11,9 @@ import numpy as np
 
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain
-from twin.camera.light import RenderedLight, render, render_light
+from twin.camera.light import render, render_light
 from twin.camera.mounting import check_rig, light_problem
+from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Fidelity
 from twin.optics.paths import TracingQuality

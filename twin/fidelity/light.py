@@ -34,7 +34,11 @@ class LightFidelity(Knobs):
         of the noise of a pixel: paths are added cell by cell until their own scatter says that it
         is less, and bounces end by chance, so that no light is lost; ``samples``, ``max_depth`` and
         ``indirect_samples`` then do not count. Line sensors and time of flight have as many paths
-        in every cell, and bounces up to ``max_depth``. None: as many paths as ``samples`` says.
+        in every cell, and bounces up to ``max_depth``. Indirect light is left out where a bound of
+        it is below a tenth of the tolerance. None: as many paths as ``samples`` says.
+    light_tolerance_relative
+        The same as a share of the light itself: of each cell's, or of the cells' mean where that is
+        more. With both, each cell's error is within the stricter one.
     noise
         ``none``: counts of the mean, rounded. ``gaussian``: shot noise as a normal distribution,
         wrong in shape below some 100 electrons. ``full``: Poisson.
@@ -50,6 +54,9 @@ class LightFidelity(Knobs):
     indirect_samples: int | None = field(default=None, metadata=whole(1, optional=True))
     start: Start = field(default="auto", metadata=one_of(Start, _named_side))
     light_tolerance: float | None = field(default=None, metadata=optional_tolerance(1e-4, 10.0))
+    light_tolerance_relative: float | None = field(
+        default=None, metadata=optional_tolerance(1e-5, 1.0)
+    )
     noise: Noise = field(default="full", metadata=one_of(Noise))
     air_orders: int = field(default=12, metadata=whole(0))
 
@@ -59,6 +66,11 @@ class LightFidelity(Knobs):
 
     def _said(self) -> Self:
         return replace(self, indirect_samples=self.quality.further_samples)
+
+    @property
+    def has_light_tolerance(self) -> bool:
+        """Whether light is rendered to an error instead of with a number of paths."""
+        return self.light_tolerance is not None or self.light_tolerance_relative is not None
 
     @property
     def quality(self) -> TracingQuality:

@@ -1,11 +1,12 @@
 """Light of the cells of a grid to a stated error: paths are added where they are needed.
 
 A first look draws a few independent sets of paths in every cell; their scatter is the error of
-their mean. Where it matters, more paths are drawn, anew, so that how many are drawn does not depend
-on what they bring; until the error of all cells together is as small as asked.
+their mean. Where it matters, the sets are continued, until the error of all cells together is as
+small as asked.
 """
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,16 +24,24 @@ from twin.optics.unseen import contrast, facet_light
 
 Array = NDArray[np.float64]
 
+#: Of the permitted error, what an effect that is left out may change at most.
+LEFT_OUT = 0.1
 #: Independent sets of paths in a cell: their scatter has this number less one degrees of freedom.
 _SETS = 4
+#: Power of the number of paths with which the variance of direct light falls.
+_FALLS = 1.7
 _ROUNDS = 8
 #: Of a cell's paths from round to round at most: the first look exaggerates what may be missed.
 _GROWTH = 16
 #: Of the squared error asked for, what is planned for: estimates of it scatter.
 _MARGIN = 0.9
-#: Cells whose sets agree by chance are the ones that are not drawn anew: their variance is more
-#: than its estimate, by this factor in the yard.
+#: Cells whose sets agree by chance are the ones that are not continued: their variance is more than
+#: its estimate, by this factor in the yard.
 _CHOSEN = 1.15
+#: Number of times that what happens as often is missed altogether in 5 of 100 cases.
+_UNSEEN = 3
+#: Halvings of a range of 120 of the logarithm of the paths' worth: to 0.7 %.
+_BISECTIONS = 14
 #: Keys of draws, apart from those of rows of cells.
 _DRAWS = 2**16
 #: Paths of a set at most, of one cell and of all together.
@@ -47,6 +56,8 @@ class _Part:
 
     Parameters
     ----------
+    shift
+        Of the random numbers that shift the paths' sequences.
     trace
         Light of the paths of a set of rays.
     falls
@@ -60,6 +71,7 @@ class _Part:
     """
 
     tracer: Tracer
+    shift: int
     trace: Callable[[Rays], Any]
     falls: float
     cost: float
@@ -67,16 +79,18 @@ class _Part:
     window: int
     mean: Array = field(init=False)
     variance: Array = field(init=False)
-    #: Paths of a set, by cell.
+    #: Paths of a set, by cell; and the sum of the light of each set, (n_cells, sets).
     samples: NDArray[np.int64] = field(init=False)
-    #: Light of the brightest path of all.
+    sums: Array = field(init=False)
+    #: Light of the brightest path of all; and the time that all of them took.
     brightest: float = field(init=False, default=0.0)
+    cost_s: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         n = self.tracer.start.size
-        self.mean, self.variance = np.zeros((2, n))
-        self.samples = np.full(n, self.first)
-        self.draw(np.arange(n), self.samples, 0)
+        self.mean, self.variance, self.sums = np.zeros(n), np.zeros(n), np.zeros((n, _SETS))
+        self.samples = np.zeros(n, np.int64)
+        self.draw(np.arange(n), np.full(n, self.first), 0)
 
     @property
     def paths(self) -> NDArray[np.int64]:
@@ -84,23 +98,25 @@ class _Part:
         return _SETS * self.samples
 
     def draw(self, cells: NDArray[np.integer], samples: NDArray[np.integer], turn: int) -> None:
-        """Paths of these cells anew, in place of all before, ``samples`` of a set in each."""
-        scatter = np.empty(len(cells))
-        portion = np.cumsum(samples * _SETS) // RAYS_AT_ONCE
+        """Continue the sets of these cells until there are ``samples`` paths in each."""
+        start, before = time.perf_counter(), self.samples[cells]
+        further = samples - before
+        portion = np.cumsum(further * _SETS) // RAYS_AT_ONCE
         for number in np.unique(portion):
             some = np.flatnonzero(portion == number)
-            rays = CellRays(cells[some], samples[some], _SETS, (_DRAWS + turn, int(number)))
+            key = (_DRAWS + turn, int(number))
+            rays = CellRays(cells[some], before[some], further[some], _SETS, self.shift, key)
             value = np.array(mitsuba().Float64(self.trace(rays)))
             self.brightest = max(self.brightest, float(value.max()))
-            sets = np.add.reduceat(value, rays.set_starts).reshape(-1, _SETS)
-            sets /= samples[some, None]
-            self.mean[cells[some]] = sets.mean(axis=1)
-            scatter[some] = sets.var(axis=1, ddof=1) / _SETS
+            self.sums[cells[some]] += np.add.reduceat(value, rays.set_starts).reshape(-1, _SETS)
+        self.samples[cells] = samples
+        sets = self.sums[cells] / samples[:, None]
+        self.mean[cells], scatter = sets.mean(axis=1), sets.var(axis=1, ddof=1) / _SETS
         # Of one path, so that cells of different numbers of paths compare.
         per_path = samples.astype(float) ** self.falls
         around = self._around(cells, scatter * per_path) / per_path
         self.variance[cells] = (scatter + around) / 2
-        self.samples[cells] = samples
+        self.cost_s += time.perf_counter() - start
 
     def _around(self, cells: NDArray[np.integer], values: Array) -> Array:
         """Mean of the values of the cells around that are among these."""
@@ -114,65 +130,131 @@ class _Part:
         return np.maximum(total / count, 0)
 
 
+@dataclass(frozen=True, eq=False)
+class LightWithin:
+    """Light to a tolerance, and whether its indirect part was traced for it.
+
+    Parameters
+    ----------
+    light
+        Of the cells.
+    indirect_over
+        Bound of indirect light over the permitted error, root mean square over the cells: as its
+        paths say, where they say that it matters, else that by which it was decided.
+    indirect_taken
+        Whether it was traced.
+    left_out
+        Bound of each cell's light that was left out.
+    cost_s
+        Time that indirect light took.
+    """
+
+    light: CellLight
+    indirect_over: float
+    indirect_taken: bool
+    left_out: float
+    cost_s: float
+
+
 def gather_within(
     tracer: Tracer,
     permitted: Callable[[Array], Array],
     corners: Callable[[], tuple[Array, Array]] | None = None,
-) -> CellLight:
+    largest_indirect: float = math.inf,
+) -> LightWithin:
     """Light that each cell receives, as `gather`, with as many paths as its error needs.
 
     ``permitted``: of light (rows, columns) the error that each cell may have, infinite where any
     is; the root mean square over the cells of error over permitted comes below 1, unless that takes
     more paths than a cell may have: `CellLight.standard_error` says what was reached. Bounces end
-    by chance instead of at a largest number, so that no light is lost.
+    by chance instead of at a largest number, so that no light is lost. ``largest_indirect``: bound
+    of a cell's indirect light (`LightProblem.largest_indirect`), which is left out where that is
+    below a tenth of what is permitted.
 
     The standard error is from the scatter of independent sets of paths, half of it that of the
     cells around; with what all paths of a cell may miss: one path's share of the contrast to the
     cells around and, with ``corners`` as `LightProblem` has them, of the brightest facet that may
-    be there; and for indirect light one path's share, among those of the cells around, of direct
-    light or of the brightest path.
+    be there; and for indirect light what is as bright as the brightest path of all, but rare.
     """
     shape = (tracer.start.rows, tracer.start.columns)
-    parts = [_Part(tracer, lambda rays: tracer.direct(rays).value, 1.5, 1.0, 4, 3)]
+    shifts = [int(n) for n in np.random.SeedSequence([tracer.seed, _DRAWS]).generate_state(3)]
+    parts = [_Part(tracer, shifts[0], lambda rays: tracer.direct(rays).value, _FALLS, 1.0, 4, 3)]
     if tracer.scatters:
-        parts.append(_Part(tracer, lambda rays: tracer.scattered(rays).value, 1.0, 3.0, 4, 5))
-    parts.append(_Part(tracer, tracer.all_indirect, 1.0, 4.0, 1, 5))
+        scattered = lambda rays: tracer.scattered(rays).value  # noqa: E731
+        parts.append(_Part(tracer, shifts[1], scattered, 1.0, 3.0, 4, 5))
+    over = _over(largest_indirect, parts, permitted, shape)
+    taken = over > LEFT_OUT
+    if taken:
+        parts.append(_Part(tracer, shifts[2], tracer.all_indirect, 1.0, 4.0, 1, 5))
     facets = np.zeros(tracer.start.size)
     if corners is not None and isinstance(tracer.light, DeviceLight):
         facets = facet_light(tracer.start, tracer.light.device, corners())
     if not any(part.mean.any() for part in parts):
-        samples = math.isqrt(_IN_THE_DARK // tracer.start.size) ** 2
+        samples = 2 ** math.ceil(math.log2(max(_IN_THE_DARK / tracer.start.size, 1)))
         for part in parts:
-            _draw_more(part, np.full(tracer.start.size, max(samples, 1)), 0)
+            _draw_more(part, np.full(tracer.start.size, samples), 0)
     for turn in range(1, _ROUNDS + 1):
         light = np.sum([part.mean for part in parts], axis=0)
         limit = permitted(light.reshape(shape)).ravel()
         weight = 1 / np.maximum(limit, 1e-150) ** 2 / limit.size
-        variances = _variances(parts, facets, shape)
+        variances = _variances(parts, facets, shape, taken)
         if turn == _ROUNDS or sum(float(variance @ weight) for variance in variances) <= 1:
             break
         wanted = _wanted(parts, [variance * weight for variance in variances], up=turn > 1)
         drawn = [_draw_more(*pair, turn) for pair in zip(parts, wanted, strict=True)]
         if not any(drawn):
             break
-    direct, error = light - parts[-1].mean, np.sqrt(np.sum(variances, axis=0))
-    return CellLight(*(x.reshape(shape) for x in (direct, parts[-1].mean, error)))
+    indirect = parts[-1].mean if taken else np.zeros_like(light)
+    if taken:
+        known = math.sqrt(float(np.square(indirect + 2 * np.sqrt(variances[-1])) @ weight))
+        over = known if known > LEFT_OUT else over
+    error = np.sqrt(np.sum(variances, axis=0))
+    return LightWithin(
+        CellLight(*(x.reshape(shape) for x in (light - indirect, indirect, error))),
+        indirect_over=over,
+        indirect_taken=taken,
+        left_out=0.0 if taken else largest_indirect,
+        cost_s=parts[-1].cost_s if taken else 0.0,
+    )
 
 
-def _variances(parts: Sequence[_Part], facets: Array, shape: tuple[int, int]) -> list[Array]:
-    """Of each part: from its scatter, and of what all its paths may have missed."""
+def _over(
+    bound: float,
+    parts: Sequence[_Part],
+    permitted: Callable[[Array], Array],
+    shape: tuple[int, int],
+) -> float:
+    """A bound of every cell's light over the permitted error, root mean square over the cells."""
+    if not bound or math.isinf(bound):
+        return bound
+    light = np.sum([part.mean for part in parts], axis=0)
+    limit = np.maximum(permitted(light.reshape(shape)), 1e-150)
+    return bound * math.sqrt(float(np.mean(1 / limit**2)))
+
+
+def _variances(
+    parts: Sequence[_Part], facets: Array, shape: tuple[int, int], taken: bool
+) -> list[Array]:
+    """Of each part: from its scatter, and of what all its paths may have missed; ``taken``: the
+    last part is indirect light.
+    """
     direct, indirect = parts[0], parts[-1]
     variances = [_CHOSEN * part.variance for part in parts]
     missed = np.maximum(facets, contrast(direct.mean.reshape(shape)))
     # Up to one path's share, any of which is as likely as any other.
     variances[0] += (missed / direct.paths) ** 2 / 3
-    missed = np.maximum(direct.mean, indirect.brightest)
-    variances[-1] += (missed / (indirect.paths * indirect.window**2)) ** 2
+    if not taken:
+        return variances
+    # As bright as any path so far, and too rare for those of a window. Elsewhere paths would have
+    # met it, so that it is in one window of the image, up to three times (95 %) one path's share.
+    brightest, window = max(float(direct.mean.max()), indirect.brightest), indirect.window**2
+    windows = min(1.0, _UNSEEN**2 * window / direct.mean.size)
+    variances[-1] += windows * (brightest / (indirect.paths * window)) ** 2
     return variances
 
 
 def _draw_more(part: _Part, samples: NDArray[np.int64], turn: int) -> bool:
-    """Draw as many paths of a set where there are fewer; whether there are such cells."""
+    """Continue the sets of paths that are shorter; whether there are such cells."""
     more = np.flatnonzero(samples > part.samples)
     if len(more):
         part.draw(more, samples[more], turn)
@@ -188,26 +270,34 @@ def _wanted(
     By a Lagrange multiplier: the variance a n^-p of n paths at cost c n is worth them up to
     n = (a p / (c multiplier))^(1 / (p + 1)).
     """
+    sizes = [part.samples.astype(float) for part in parts]
+    at_one = [a * n**part.falls for part, a, n in zip(parts, variances, sizes, strict=True)]
+    best = [
+        (a * part.falls / part.cost) ** (1 / (part.falls + 1))
+        for part, a in zip(parts, at_one, strict=True)
+    ]
     low, high = -60.0, 60.0
-    for _ in range(30):
+    for _ in range(_BISECTIONS):
         middle = (low + high) / 2
-        wanted = [_affordable(*pair, middle) for pair in zip(parts, variances, strict=True)]
+        wanted = [
+            np.clip(n * math.exp(-middle / (part.falls + 1)), size, _most(len(size)))
+            for part, n, size in zip(parts, best, sizes, strict=True)
+        ]
         left = sum(
-            float(np.sum(a * (n / part.samples) ** -part.falls))
-            for part, a, n in zip(parts, variances, wanted, strict=True)
+            float(np.sum(a * n**-part.falls))
+            for part, a, n in zip(parts, at_one, wanted, strict=True)
         )
         low, high = (middle, high) if left <= _MARGIN else (low, middle)
-    return [_square_number(*pair, up) for pair in zip(parts, wanted, strict=True)]
+    return [_power_of_2(*pair, up) for pair in zip(parts, wanted, strict=True)]
 
 
-def _affordable(part: _Part, variance: Array, log_price: float) -> Array:
-    at_one = variance * part.samples.astype(float) ** part.falls
-    n = (at_one * part.falls / part.cost * np.exp(-log_price)) ** (1 / (part.falls + 1))
-    return np.asarray(np.clip(n, part.samples, max(_MOST, _MOST_TOGETHER / len(n))))
+def _most(n_cells: int) -> float:
+    """Paths of a set of one cell."""
+    return max(_MOST, _MOST_TOGETHER / n_cells)
 
 
-def _square_number(part: _Part, wanted: Array, up: bool) -> NDArray[np.int64]:
-    """The nearest square number among those that lie a factor of 2 apart, or the next one up."""
+def _power_of_2(part: _Part, wanted: Array, up: bool) -> NDArray[np.int64]:
+    """The nearest power of 2 times the first number, or the next one up."""
     steps = np.log2(np.minimum(wanted, _GROWTH * part.samples) / part.first)
     steps = np.ceil(steps - 1e-9) if up else np.rint(steps)
-    return np.asarray(np.rint(np.sqrt(part.first * 2.0**steps)).astype(np.int64) ** 2)
+    return np.asarray(part.first * 2 ** np.maximum(steps, 0).astype(np.int64))

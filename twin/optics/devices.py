@@ -211,13 +211,9 @@ def _lensless_rays(grid: CellGrid, rays: Rays, rng: Any, pitch_m: float) -> tupl
 def _strata_points(grid: CellGrid, rays: Rays, rng: Any) -> tuple[Any, Any, Any, Any]:
     """Row and column of each ray's cell, and its point in the cell, each from 0 to 1."""
     mi = mitsuba()
-    cell, stratum, wide, high = rays.strata(grid.rows, grid.columns)
     columns = dr.opaque(mi.UInt32, grid.columns)
-    jitter_x, jitter_y = (0.5, 0.5) if rng is None else (rng.next_float32(), rng.next_float32())
-    row = mi.Float(cell // columns)
-    x = (mi.Float(stratum % wide) + jitter_x) / mi.Float(wide)
-    y = (mi.Float(stratum // wide) + jitter_y) / mi.Float(high)
-    return row, mi.Float(cell % columns), x, y
+    cell, x, y = rays.points(grid.rows, grid.columns, rng)
+    return mi.Float(cell // columns), mi.Float(cell % columns), x, y
 
 
 def relative_intensity(device: Device, left: Any, up: Any, cos: Any) -> Any:

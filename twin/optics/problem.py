@@ -1,6 +1,7 @@
 """Definition of a light transport problem: scene, emitter, detector, sun and air."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from twin.errors import InputError
 from twin.optics.devices import CellGrid, Device
+from twin.optics.interreflection import Body, indirect_bound
 from twin.optics.paths import DeviceLight, SunLight, TracingQuality
 from twin.optics.tracer import Tracer
 from twin.optics.weather import Air
@@ -33,6 +35,8 @@ class LightProblem:
     corners : function, optional
         Gives positions (n, 3), relative to the rig as the scene, and reflectances (n,) of the
         meshes' vertices: where details may be that paths miss.
+    bodies : function, optional
+        Gives the meshes as `indirect_bound` takes them.
     """
 
     scene: Any
@@ -41,6 +45,7 @@ class LightProblem:
     sun_direction: Array | None = None
     air: Air | None = None
     corners: Callable[[], tuple[Array, Array]] | None = None
+    bodies: Callable[[], Sequence[Body]] | None = None
 
     def moved(self, rotation: Array, shift_m: Array) -> "LightProblem":
         """The problem with both devices after a rigid motion, as `Device.moved`."""
@@ -61,6 +66,15 @@ class LightProblem:
         """Paths from parts of the detector's field, (rows, columns), to the sun."""
         parts = CellGrid(self.detector, *shape)
         return Tracer(self.scene, parts, "pupil", self.sun, self.air, quality, seed)
+
+    def largest_indirect(self, tracer: Tracer) -> float:
+        """Bound of the light of a tracer's cells from the second surface on; infinite where none is
+        known.
+        """
+        if self.bodies is None or tracer.scatters:
+            return math.inf
+        device = tracer.start.device
+        return tracer.largest_weight * indirect_bound(self.bodies(), device, tracer.light)
 
     @property
     def sun(self) -> SunLight:

@@ -4,6 +4,7 @@ All results are sums over the bounces of these paths: over all of them (`transpo
 other device (`matrix`), by object (`by_object`), or each with its length (`time_of_flight`).
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -60,6 +61,15 @@ class Tracer:
     def scatters(self) -> bool:
         """Whether scatterings in the air are followed."""
         return self._steps.scatters
+
+    @property
+    def largest_weight(self) -> float:
+        """Bound of the mean weight of a cell's paths, as `sample_rays` gives them."""
+        device = self.start.device
+        if device.pitch_m is not None and self.weighting == "emitter":
+            return 2 * math.pi / (device.lobe_exponent + 1) / self.start.size
+        brightest = max(device.edge_illumination, 1.0) ** 2
+        return brightest * (2 * device.tan_half_field) ** 2 / self.start.size
 
     def blocks(self, samples: int) -> Iterator[Block]:
         """Rows whose paths fit into memory together, with ``samples`` of each cell."""

@@ -1,5 +1,7 @@
 """Light that paths may have missed: bounds of what is smaller than the space between them."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -7,6 +9,9 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from twin.optics.devices import CellGrid, Device
 
 Array = NDArray[np.float64]
+
+#: Number of paths that would meet what all of them miss in 5 of 100 cases.
+_MISSED = 3.0
 
 
 def facet_light(grid: CellGrid, detector: Device, corners: tuple[Array, Array]) -> Array:
@@ -17,20 +22,34 @@ def facet_light(grid: CellGrid, detector: Device, corners: tuple[Array, Array]) 
     ``corners``: positions (n, 3) and reflectances (n,) of the meshes' vertices.
     """
     emitter, light = grid.device, np.zeros((grid.rows, grid.columns))
-    if emitter.pitch_m is not None:  # each element lights the whole field
-        return light.ravel()
+    if emitter.pitch_m is not None:
+        return np.full(grid.size, _of_elements(grid, detector, corners))
     vertices_m, reflectance = corners
-    seen = (vertices_m - emitter.origin_m) @ emitter.axes.T
-    before = seen[:, 0] > 0
-    seen, vertices_m, reflectance = seen[before], vertices_m[before], reflectance[before]
-    field = (1 - seen[:, 1:] / seen[:, :1] / emitter.tan_half_field) / 2
-    column, row = np.floor(field * (grid.columns, grid.rows)).T
-    inside = (column >= 0) & (column < grid.columns) & (row >= 0) & (row < grid.rows)
+    ahead, *beside = emitter.axes @ (vertices_m - emitter.origin_m).T
+    reach = emitter.tan_half_field * ahead
+    inside = np.flatnonzero((np.abs(beside) < reach).all(axis=0))
+    across, down = (((1 - x[inside] / reach[inside]) / 2) for x in beside)
+    cell = (down * grid.rows).astype(int) * grid.columns + (across * grid.columns).astype(int)
     distance2 = np.sum((vertices_m[inside] - detector.origin_m) ** 2, axis=1)
     solid_angle = (2 * emitter.tan_half_field) ** 2 / grid.size
     facing = solid_angle * reflectance[inside] / np.pi / np.maximum(distance2, 1e-12)
-    np.maximum.at(light, (row[inside].astype(int), column[inside].astype(int)), facing)
+    np.maximum.at(light.reshape(-1), np.minimum(cell, grid.size - 1), facing)
     return np.asarray(maximum_filter(light, 3, mode="constant").ravel())
+
+
+def _of_elements(grid: CellGrid, detector: Device, corners: tuple[Array, Array]) -> float:
+    """The same where each element lights the whole field: the paths of all cells look for the same
+    facets, and miss one that has three paths' share of all of them in 5 of 100 cases.
+    """
+    emitter, (vertices_m, reflectance) = grid.device, corners
+    lit = (vertices_m - emitter.origin_m) @ emitter.axes[0] > 0
+    to_detector = vertices_m - detector.origin_m
+    seen = lit & (to_detector @ detector.axes[0] > 0)
+    distance2 = np.maximum(np.sum(to_detector[seen] ** 2, axis=1), 1e-12)
+    brightest = float((reflectance[seen] / np.pi / distance2).max(initial=0.0))
+    whole = 2 * np.pi / (emitter.lobe_exponent + 1) / grid.size * brightest
+    # As a deviation that is sqrt(3) times that of a share that is as likely as any smaller one.
+    return _MISSED * math.sqrt(3) * whole / grid.size
 
 
 def contrast(light: Array) -> Array:

@@ -17,7 +17,7 @@ from hardware.reconstruction import method_of
 from hardware.records import RadarRecord
 from twin.camera.acquisition import measure
 from twin.camera.chain import Chain, Powers
-from twin.camera.light import RenderedLight
+from twin.camera.rendered import RenderedLight
 from twin.fidelity import Noise
 from twin.files import InputError
 from twin.radar import RadarCapture, RadarDesign
@@ -117,6 +117,7 @@ def _mirror(power: Powers, patterns: Patterns) -> Powers:
         flipped(power.error_w),
         power.sun_w[::-1],
         flipped(power.backscatter_w),
+        flipped(power.left_out_w),
     )
 
 

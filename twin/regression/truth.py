@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.camera.light import RenderedLight, render
+from twin.camera.light import render
+from twin.camera.rendered import RenderedLight
 from twin.digest import digest, versions
 from twin.fidelity import Fidelity
 from twin.radar import RadarCapture, RadarDesign, radar_capture

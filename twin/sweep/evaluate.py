@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from hardware.radar.process import Processing
 from twin.camera.acquisition import Capture, measure
-from twin.camera.light import RenderedLight, render
+from twin.camera.light import render
 from twin.camera.mounting import devices
 from twin.camera.reflectance_rescaling import can_rescale, render_unit_reflectance
+from twin.camera.rendered import RenderedLight
 from twin.errors import InputError
 from twin.fidelity import RadarFidelity
 from twin.radar.acquisition import radar_capture
@@ -193,7 +194,11 @@ def _rendered(made: Setup, inputs: Inputs) -> RenderedLight:
         made.fidelity.quality,
         made.fidelity.start,
         # To a tolerance, light is as fine as the noise of this very system asks.
-        (made.fidelity.light_tolerance, made.system) if made.fidelity.light_tolerance else None,
+        (
+            made.fidelity.light_tolerance,
+            made.fidelity.light_tolerance_relative,
+            made.system if made.fidelity.has_light_tolerance else None,
+        ),
         made.seed,
     )
     draw = _seeds(made)[0]

@@ -13,8 +13,9 @@ from hardware.patterns import Patterns, PatternSet, fwht
 from hardware.reconstruction.sensing import Sensing
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import dark_share
-from twin.camera.light import RenderedLight, render_light
+from twin.camera.light import render_light
 from twin.camera.mounting import light_problem
+from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth, render_truth
 from twin.detector import Detector
 from twin.fidelity import PRESETS, Fidelity, Noise, Start

@@ -13,7 +13,14 @@ Model = Literal["light", "noise", "radar"]
 
 #: Settings that each model's levels vary.
 _KNOBS: dict[Model, tuple[str, ...]] = {
-    "light": ("samples", "max_depth", "indirect_samples", "start", "light_tolerance"),
+    "light": (
+        "samples",
+        "max_depth",
+        "indirect_samples",
+        "start",
+        "light_tolerance",
+        "light_tolerance_relative",
+    ),
     "noise": ("noise",),
     "radar": ("radar", "radar_tolerance", "nufft_tolerance"),
 }

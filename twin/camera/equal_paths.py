@@ -1,0 +1,89 @@
+"""Light of a system with as many paths in every cell."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.camera.rendered import DetectorLight, RenderedLight
+from twin.fidelity import Start
+from twin.optics.matrix import transport_matrix
+from twin.optics.paths import TracingQuality
+from twin.optics.problem import LightProblem
+from twin.optics.time_of_flight import trace_paths
+from twin.optics.transport import CellLight, sunlight, transport
+from twin.system import System
+
+Array = NDArray[np.float64]
+#: Of the field's height, and of its width for a bucket.
+SUN_PARTS = 32
+
+
+def with_light(
+    rendered: RenderedLight,
+    problem: LightProblem,
+    system: System,
+    quality: TracingQuality,
+    seed: int,
+    start: Start,
+) -> RenderedLight:
+    """The same with the emitter's light, and its paths for a system with time of flight."""
+    shape = (system.emitter.rows.value, system.emitter.columns.value)
+    light = emitter_light(
+        problem, shape, system.n_detectors, quality=quality, seed=seed, start=start
+    )
+    paths = None
+    if system.time_of_flight:
+        paths = trace_paths(problem, shape, quality=quality, seed=seed)
+    return replace(rendered, light=light, paths=paths)
+
+
+def emitter_light(
+    problem: LightProblem,
+    shape: tuple[int, int],
+    n_detectors: int,
+    *,
+    quality: TracingQuality,
+    seed: int,
+    start: Start = "auto",
+) -> DetectorLight:
+    """Transport from ``shape`` cells to one bucket, or to the columns of a line sensor."""
+    if n_detectors == 1:
+        return of_bucket(transport(problem, shape, quality=quality, seed=seed))
+    n_cells = shape[0] * shape[1]
+    if start == "auto":
+        start = "scatter" if n_detectors > n_cells else "dual"
+    ends = n_cells if start == "scatter" else n_detectors
+    # As many paths per pair of cell and column as per cell of a bucket detector, in two halves
+    # whose difference gives the error.
+    side = math.ceil(math.sqrt(quality.samples * ends / 2))
+    quality = replace(quality, samples=side * side)
+    halves = [
+        transport_matrix(
+            problem, shape, (1, n_detectors), quality=quality, seed=seed + half, start=start
+        )
+        for half in range(2)
+    ]
+    return DetectorLight((halves[0] + halves[1]) / 2, np.abs(halves[0] - halves[1]) / 2)
+
+
+def of_bucket(gathered: CellLight) -> DetectorLight:
+    """Cells of one detector."""
+    total = gathered.total
+    share = float(gathered.indirect.sum() / total.sum()) if total.any() else 0.0
+    return DetectorLight(total.reshape(1, -1), gathered.standard_error.reshape(1, -1), share)
+
+
+def sun_light(
+    problem: LightProblem, n_detectors: int, *, quality: TracingQuality, seed: int
+) -> Array:
+    """Irradiance on the pupil per irradiance of the sun, by part of the field, (rows, columns); the
+    columns are those of a line sensor.
+    """
+    return sunlight(problem, sun_shape(n_detectors), quality=quality, seed=seed).total
+
+
+def sun_shape(n_detectors: int) -> tuple[int, int]:
+    """Parts of the detector's field, rows and columns."""
+    return SUN_PARTS, SUN_PARTS if n_detectors == 1 else n_detectors

@@ -1,0 +1,70 @@
+"""All results of light transport for a scene and the geometry of a system."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.accuracy import Decision
+from twin.camera.air import CellBackscatter
+from twin.camera.mounting import field_points
+from twin.camera.truth import Truth
+from twin.optics.devices import Device
+from twin.optics.time_of_flight import Paths
+from twin.warned import CaptureWarning
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DetectorLight:
+    """Per detector and cell, (n_detectors, n_cells): irradiance on the pupil per radiant intensity,
+    1/m^2, with its Monte-Carlo standard error; the share of light of more than one bounce, where
+    known (not for line sensors); and a bound of each cell's light that was left out.
+    """
+
+    cells: Array
+    error: Array
+    indirect_share: float = 0.0
+    left_out: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedLight:
+    """All results of light transport for a scene and the geometry of a system.
+
+    ``sun``: irradiance on the pupil per irradiance of the sun, by part of the detector's field,
+    (rows, columns); each detector of a line sensor is a column. ``truth`` is on the grid of the
+    virtual image. ``paths``: with their lengths, for time of flight. ``backscatter``: the part of
+    light and paths that the air scattered back. ``emitter``, ``detector``: the devices rendered.
+    ``warnings``: uncertainties of the render, with their errors. ``decisions``: of a render to a
+    tolerance, which effects it holds, and why.
+    """
+
+    light: DetectorLight
+    sun: Array
+    truth: Truth
+    emitter: Device
+    detector: Device
+    paths: Paths | None = None
+    backscatter: CellBackscatter | None = None
+    warnings: tuple[CaptureWarning, ...] = ()
+    decisions: tuple[Decision, ...] = ()
+
+    def cell_angles_deg(self) -> Array:
+        """Angle of incidence at the detector, to its axis, of each cell of the virtual image (rows,
+        columns) at its true depth.
+        """
+        left, up = field_points(self.truth.depth_m.shape, self.emitter.tan_half_field)
+        along, depth = np.stack([np.ones_like(left), left, up], axis=-1), self.truth.depth_m
+        seen = along @ self.emitter.axes
+        near = np.isfinite(depth)
+        shift = self.emitter.origin_m - self.detector.origin_m
+        seen[near] += shift / depth[near, None]
+        cos = seen @ self.detector.axes[0] / np.linalg.norm(seen, axis=-1)
+        return np.degrees(np.arccos(np.clip(cos, -1, 1)))
+
+    def part_angles_deg(self) -> Array:
+        """The same of each part of the detector's field."""
+        parts = np.hypot(*field_points(self.sun.shape, self.detector.tan_half_field))
+        return np.degrees(np.arctan(parts))
