@@ -4,12 +4,15 @@ import importlib
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from operator import attrgetter
 from typing import Any, Self
 from unittest import mock
 
 #: Functions that decide, and compute nothing of the result, in the modules that call them.
 _DECIDING = (
-    ("twin.camera.light", "permitted_error"),
+    ("twin.camera.permitted_error", "PermittedError.of"),
+    ("twin.camera.permitted_error", "PermittedError.sun_share"),
+    ("twin.optics.problem", "indirect_bound"),
     ("twin.optics.adaptive", "_wanted"),
     ("twin.optics.adaptive", "_variances"),
     ("twin.optics.adaptive", "facet_light"),
@@ -26,7 +29,7 @@ class Choosing:
     def __enter__(self) -> Self:
         self._stack = ExitStack()
         for module, name in _DECIDING:
-            known = getattr(importlib.import_module(module), name)
+            known = attrgetter(name)(importlib.import_module(module))
             self._stack.enter_context(mock.patch(f"{module}.{name}", self._timed(known)))
         return self
 

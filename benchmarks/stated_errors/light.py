@@ -11,8 +11,8 @@ from benchmarks.stated_errors.choosing import Choosing
 from benchmarks.stated_errors.judged import Cheapest, Judged
 from benchmarks.stated_errors.light_cases import LightCase
 from benchmarks.stated_errors.light_truth import Renderer
-from twin.camera.light import RenderedLight
-from twin.camera.permitted_error import permitted_error
+from twin.camera.permitted_error import PermittedError
+from twin.camera.rendered import RenderedLight
 from twin.fidelity import Fidelity
 from twin.trade.camera import CameraCase
 
@@ -65,7 +65,7 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
         rendered = case.light(fidelity, 1)
     seconds = time.process_time() - begin
     truth = _truth(case, rendered, limit_s)
-    stated = _WITHIN_95 * rendered.light.error.ravel()
+    stated = _WITHIN_95 * rendered.light.error.ravel() + rendered.light.left_out
     common = {
         "name": drawn.name,
         "tolerance": drawn.tolerance,
@@ -102,11 +102,11 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
 
 def _lit(drawn: LightCase) -> CameraCase:
     """With an emitter of the power that the case's signal over noise takes."""
-    system = drawn.system
+    system, draft_fidelity = drawn.system, Fidelity(samples=16, max_depth=3)
     for _ in range(3):
         case = CameraCase.of(drawn.scene, system, drawn.seed)
-        draft = case.light(Fidelity(samples=16, max_depth=3), 99)
-        noise = permitted_error(case.chain, draft, draft.light.cells, 1.0)
+        draft = case.light(draft_fidelity, 99)
+        noise = PermittedError(case.chain, draft, draft_fidelity).noise(draft.light.cells)
         ratio = float(np.sqrt(np.mean((draft.light.cells / noise) ** 2)))
         if not ratio:
             break
@@ -119,7 +119,8 @@ def _truth(case: CameraCase, rendered: RenderedLight, limit_s: float) -> _Truth:
     """Renders until their mean is exact enough beside what is stated, or the time is over."""
     renderer, shape = Renderer(case.problem), case.system.image_shape
     seeds = np.random.default_rng([case.seed, 7])
-    noise = permitted_error(case.chain, rendered, rendered.light.cells, 1.0).ravel()
+    permitted = PermittedError(case.chain, rendered, Fidelity())
+    noise = permitted.noise(rendered.light.cells).ravel()
     stated = float(np.sqrt(np.mean((_WITHIN_95 * rendered.light.error.ravel() / noise) ** 2)))
     paths, found, begin = _FEW_PATHS, list[Array](), time.process_time()
     while True:
