@@ -29,7 +29,9 @@ class Rule:
 
 
 def whole(least: int, *, optional: bool = False) -> dict[str, Rule]:
-    """A whole number, the stricter the more; ``optional``: or None."""
+    """A whole number, the stricter the more; ``optional``: or None, which leaves it to bounds and
+    is the strictest.
+    """
 
     def check(value: Any) -> str:
         if value is None and optional:
@@ -38,7 +40,10 @@ def whole(least: int, *, optional: bool = False) -> dict[str, Rule]:
             return "is no int"
         return f"is less than {least}" if value < least else ""
 
-    return {"rule": Rule(check, max, _integral)}
+    def stricter(one: Any, other: Any) -> Any:
+        return None if one is None or other is None else max(one, other)
+
+    return {"rule": Rule(check, stricter, _integral)}
 
 
 def _integral(value: Any) -> Any:

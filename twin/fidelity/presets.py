@@ -23,7 +23,8 @@ class Fidelity(RadarFidelity, LightFidelity):
 
         Light: as `light_tolerance`, root mean square over the image. Radar: half of it as
         `radar_tolerance`, relative to each body's own echo: echoes may stand far above the noise,
-        and their model as exact as that would take hours.
+        and their model as exact as that would take hours. Reflections are followed as far as bounds
+        of what further ones add ask for.
 
         >>> knobs = Fidelity.within(0.2)
         >>> knobs.light_tolerance, knobs.radar_tolerance
@@ -31,7 +32,12 @@ class Fidelity(RadarFidelity, LightFidelity):
         """
         if not is_number(share) or not 0.002 <= share <= 2:
             raise InputError(f"tolerance: {share!r:.60} is not in 0.002 to 2")
-        return cls(light_tolerance=share, radar_tolerance=share / 2)
+        return cls(
+            light_tolerance=share,
+            radar_tolerance=share / 2,
+            radar_bounces=None,
+            radar_images=None,
+        )
 
 
 #: A look at a design; most cells far below the sensor's own noise, though on the yard the rms over

@@ -82,9 +82,11 @@ class RadarFidelity(Knobs):
         the radar the echo is off by 1 to 3 times the tolerance, and is warned of.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
-        trihedral needs 3.
+        trihedral needs 3. None: of every body as many, up to 8, as may add more than a tenth of
+        `radar_tolerance` to its echo, as a coarse pass bounds it (`Propagation.decisions`).
     radar_images
-        Reflections at large surfaces on the way to an object, and as many back. Of ways out by one
+        Reflections at large surfaces on the way to an object, and as many back. None: up to 2, of
+        every body as many as may add more than a tenth of `radar_tolerance`. Of ways out by one
         image and home by another both directions are computed, each with its own currents, since
         physical optics is not reciprocal; what is met once answers in each with the mean of both.
     radar_edges
@@ -112,8 +114,8 @@ class RadarFidelity(Knobs):
     radar: RadarModel | str | Callable[..., Any] = field(default="optics", metadata=_solver())
     nufft_tolerance: float = field(default=1e-6, metadata=tolerance(1e-14, _BELOW_1))
     radar_tolerance: float = field(default=0.1, metadata=tolerance(1e-3, 1.0))
-    radar_bounces: int = field(default=3, metadata=whole(1))
-    radar_images: int = field(default=1, metadata=whole(0))
+    radar_bounces: int | None = field(default=3, metadata=whole(1, optional=True))
+    radar_images: int | None = field(default=1, metadata=whole(0, optional=True))
     radar_edges: int = field(default=0, metadata=whole(0))
     radar_shadow_db: float = field(default=40.0, metadata=depth(0.0))
     radar_shadowed: int = field(default=0, metadata=whole(0))

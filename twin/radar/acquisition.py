@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.records import QuaternionPose, RadarRecord
 from twin import __version__
+from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.progress import OpenStage
@@ -51,6 +52,11 @@ class RadarCapture:
     def void(self) -> bool:
         """Whether the record holds nothing to detect anything in."""
         return is_void(self.warnings)
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        """What was taken or left out at the first burst, with the bounds that decided."""
+        return self.propagation.decisions
 
     @property
     def propagation(self) -> Propagation:

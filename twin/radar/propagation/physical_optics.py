@@ -14,6 +14,7 @@ from twin.radar.propagation.diffraction.behind_obstacles import echoes_behind
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
+from twin.radar.propagation.facets.reflections import Choice
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.validity import still_valid
 from twin.radar.propagation.meshes.grouping import bodies_of
@@ -36,13 +37,15 @@ _FREQUENCIES = 5, 64  # over the band, at which a body's echo is summed, at leas
 @dataclass(frozen=True, eq=False)
 class Scattered:
     """Contributions of every object that scatters; the ``body`` of every object, -1 for others; the
-    estimated error of every body's echo, without losses; the frame for later ones to reuse, and the
-    share of contributions that was reused from an earlier frame.
+    estimated error of every body's echo, without losses; the ``choice`` of reflections, None where
+    they are given; the frame for later ones to reuse, and the share of contributions that was
+    reused from an earlier frame.
     """
 
     contributions: Contributions
     body: NDArray[np.int32]
     error: Array
+    choice: Choice | None = None
     traced: TracedFrame | None = None
     reused_share: float = 0.0
 
@@ -63,12 +66,17 @@ def scattered(
     body = _bodies(prepared)
     if not (prepared.worth & (body >= 0)).any():
         traced = TracedFrame(radar, str(fidelity.radar)) if keep else None
-        return Scattered(Contributions.none(), body, np.zeros(body.max(initial=-1) + 1), traced)
+        return Scattered(
+            Contributions.none(), body, np.zeros(body.max(initial=-1) + 1), None, traced
+        )
     bodies = scatterers(prepared, radar.antenna, body, radar.burst_s / 2)
     parameters = fidelity.radar_tolerance, fidelity.radar_bounces
+    by_images = fidelity.radar_images is None
     setting, valid = None, None
     if keep or earlier is not None:
-        setting = setting_of(prepared, bodies, body, parameters)
+        setting = setting_of(
+            prepared, bodies, body, (*parameters[:1], parameters[1] or 0, by_images)
+        )
     if earlier is not None and setting is not None and not keep:
         valid = still_valid(prepared.context, bodies, earlier, setting, prepared)
     echoes = scattered_by(
@@ -79,12 +87,13 @@ def scattered(
         *parameters,
         OF_NOISE * noise_amplitude(radar) / loss_of(radar),
         valid,
+        by_images=by_images,
         with_footprints=keep,
     )
     traced = TracedFrame(radar, str(fidelity.radar), setting, echoes) if keep else None
     contributions = Contributions.concatenate(echoes.contributions)
     share = echoes.n_reused / max(len(contributions), 1)
-    return Scattered(contributions, body, echoes.error, traced, share)
+    return Scattered(contributions, body, echoes.error, echoes.choice, traced, share)
 
 
 def loss_of(radar: RadarDesign) -> float:

@@ -5,17 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.decisions import on_reflections
 from twin.radar.propagation.diffraction.around_edges import screens
+from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.convergence import (
     BodyEcho,
     band_of,
     body_echoes,
+    reference_levels,
     summed_by,
     unconverged,
 )
 from twin.radar.propagation.facets.earlier import TracedFrame
+from twin.radar.propagation.facets.reflections import MOST_IMAGES
 from twin.radar.propagation.physical_optics import (
     Scattered,
     at_antenna,
@@ -51,7 +56,8 @@ def echoes(
     """
     is_rough = fidelity.radar == "rough"
     roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True)
-    prepared = prepare_scene(scene, radar, roles, fidelity.radar_images, is_rough=is_rough)
+    images = MOST_IMAGES if fidelity.radar_images is None else fidelity.radar_images
+    prepared = prepare_scene(scene, radar, roles, images, is_rough=is_rough)
     of_bodies = scattered(prepared, radar, fidelity, earlier, keep=keep)
     traced = Contributions.concatenate([of_bodies.contributions, behind(prepared, fidelity)])
     surfaces = at_antenna(traced, prepared, radar)
@@ -66,7 +72,7 @@ def echoes(
     names, paths = by_delay(
         [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
     )
-    bodies = _converged(prepared, radar, fidelity, of_bodies, surfaces)
+    bodies, decisions = _converged(prepared, radar, fidelity, of_bodies, surfaces)
     return Propagation(
         Contributions.concatenate([paths, diffuse, surfaces]),
         names,
@@ -76,6 +82,7 @@ def echoes(
         warnings=silent_objects(scene, radar, roles),
         objects=tuple(item.name for item in prepared.items),
         bodies=bodies,
+        decisions=decisions,
         traced=of_bodies.traced,
         reused_share=of_bodies.reused_share,
     )
@@ -87,18 +94,25 @@ def _converged(
     fidelity: Fidelity,
     of_bodies: Scattered,
     surfaces: Contributions,
-) -> tuple[BodyEcho, ...]:
-    """Levels of bodies and estimates of their errors."""
+) -> tuple[tuple[BodyEcho, ...], tuple[Decision, ...]]:
+    """Levels of bodies and estimates of their errors, and what was decided of each."""
     body, error, wave = of_bodies.body, of_bodies.error, radar.ofdm
     count = len(error)
     echo = summed_by(body[surfaces.object], count, surfaces, wave.carrier_hz, band_of(wave))
-    return body_echoes(
-        [tuple(prepared.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)],
-        echo,
-        error * loss_of(radar),
-        fidelity.radar_tolerance,
-        OF_NOISE * noise_amplitude(radar),
-    )
+    names = [tuple(prepared.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)]
+    tolerance, floor = fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar)
+    decisions: tuple[Decision, ...] = ()
+    left_out = np.zeros(count)
+    if of_bodies.choice is not None:
+        level = reference_levels(echo, tolerance, floor) / loss_of(radar)
+        knobs = {"bounces": fidelity.radar_bounces, "images": fidelity.radar_images}
+        kinds = [kind for kind, knob in knobs.items() if knob is None]
+        permitted = OF_TOLERANCE * tolerance
+        decisions = on_reflections(of_bodies.choice, kinds, names, level, permitted)
+        bounds = of_bodies.choice.left_out
+        left_out = (bounds.bounces + bounds.images) / level
+    bodies = body_echoes(names, echo, error * loss_of(radar), tolerance, floor, left_out)
+    return bodies, decisions
 
 
 def _mirrors(

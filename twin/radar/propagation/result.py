@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from hardware.waveform import C_M_PER_S
+from twin.accuracy import Decision
 from twin.radar.propagation.facets.convergence import BodyEcho
 from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.scene.scattering_models import Assignment
@@ -58,7 +59,8 @@ class Propagation:
     ``names``: of the first contributions, which are single paths, the nearest first. ``heard`` sums
     up the others per object. ``objects`` names what ``object`` of the contributions numbers, but of
     paths. ``bodies``: those that scatter, the strongest first, with the errors estimated of their
-    surfaces' echoes. ``traced``: what later frames may keep of this one, if that was asked for;
+    surfaces' echoes. ``decisions``: what was taken or left out, with the bounds that decided.
+    ``traced``: what later frames may keep of this one, if that was asked for;
     ``reused_share``: share of the contributions of surfaces that is an earlier frame's.
     """
 
@@ -70,6 +72,7 @@ class Propagation:
     warnings: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
     bodies: tuple[BodyEcho, ...] = ()
+    decisions: tuple[Decision, ...] = ()
     traced: TracedFrame | None = None
     reused_share: float = 0.0
 

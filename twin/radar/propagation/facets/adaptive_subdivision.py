@@ -16,6 +16,7 @@ from twin.radar.propagation.facets.band_sums import band_sums
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
 from twin.radar.propagation.facets.front_facets import FrontFacets, largest, portions
 from twin.radar.propagation.facets.hidden import wholly_hidden
+from twin.radar.propagation.facets.reflections import Tally
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.shadows import (
     ALL_OVER,
@@ -104,7 +105,8 @@ class Budget:
     ``level`` (n_bodies,): root mean square over the band, at least that of the noise floor or of an
     echo 40 dB below the strongest. ``earlier_echoes`` (n_bodies, n_frequencies): valid echoes of an
     earlier frame. ``spacing_m``: size of the parts of facets between the rays that look for
-    occluders; ``earlier_spacing_m``: that of an earlier frame, None if it is to be chosen.
+    occluders; ``earlier_spacing_m``: that of an earlier frame, None if it is to be chosen. What is
+    added and accepted is tallied by reflections in ``tally``, if there is one.
     """
 
     def __init__(
@@ -116,12 +118,14 @@ class Budget:
         coarse: "Budget | None" = None,
         weakest: float = WEAKEST,
         earlier_echoes: Complex | None = None,
+        tally: Tally | None = None,
     ) -> None:
         self.tolerance = tolerance
         self._weakest = weakest
         self._wave_numbers = wave_numbers
         self._floor = floor
         self._earlier_echoes = earlier_echoes
+        self.tally = tally
         self._echo_sums = np.zeros((n_bodies, len(wave_numbers)), dtype=np.complex128)
         if earlier_echoes is not None:
             self._echo_sums += earlier_echoes
@@ -145,6 +149,10 @@ class Budget:
         fallen = self._highest > _FALLEN * self.level
         if not (fallen & (self.accepted > _FALLEN * self.tolerance * self.level)).any():
             return None
+        return self.another()
+
+    def another(self) -> "Budget":
+        """A new budget for another pass, which begins with the levels of this one."""
         again = Budget(
             len(self.level),
             self.tolerance,
@@ -153,6 +161,7 @@ class Budget:
             self,
             self._weakest,
             self._earlier_echoes,
+            self.tally and self.tally.fine(),
         )
         again._most = self.level
         again.earlier_spacing_m = self.earlier_spacing_m
@@ -188,14 +197,17 @@ class Budget:
 
     def add_final(self, leaves: Leaves) -> None:
         """Add triangles that are not divided further."""
-        self._echo_sums += self.summed(
-            leaves.body, leaves.weight * leaves.echoes.total, leaves.echoes.length_m
-        )
+        echo, length_m = leaves.weight * leaves.echoes.total, leaves.echoes.length_m
+        self._echo_sums += self.summed(leaves.body, echo, length_m)
+        if self.tally is not None:
+            self.tally.add(leaves.triangles, echo, length_m)
 
-    def accept(self, body: NDArray[np.intp], error: Array, which: NDArray[np.bool_]) -> None:
+    def accept(self, lit: Triangles, error: Array, which: NDArray[np.bool_]) -> None:
         """Add the errors of triangles that are not divided further, affordable or not."""
         self._highest = np.maximum(self._highest, self.level)
-        self._accepted += np.bincount(body[which], error[which] ** 2, len(self._accepted))
+        self._accepted += np.bincount(lit.body[which], error[which] ** 2, len(self._accepted))
+        if self.tally is not None:
+            self.tally.add_errors(lit, np.where(which, error, 0.0))
 
     @property
     def accepted(self) -> Array:
@@ -228,6 +240,8 @@ class Budget:
         little with random phases, as rows of facets along a shadow's border do.
         """
         limit = _LEFT_OUT * self.tolerance * self.level
+        if self.tally is not None:
+            limit = np.minimum(limit, self.tally.faintest * self.level)
         ratio = limit[body] / np.maximum(strength, 1e-300)
         octave = np.clip(np.floor(np.log2(ratio)) + 1, 0, _OCTAVES - 1).astype(np.intp)
         count = len(self.level)
@@ -274,6 +288,8 @@ def subdivided_adaptively(
     budget.initial_levels(lit.body, np.abs(echoes.total))
     total = echoes.total
     faint = budget.negligible(lit.body, total, echoes.strength, echoes.length_m, is_seen=is_open)
+    if budget.tally is not None:
+        budget.tally.add_errors(lit, np.where(faint, np.abs(total), 0.0))
     bright = np.flatnonzero(~faint)
     final_leaves: list[Leaves] = []
     if not len(bright):
@@ -315,7 +331,7 @@ def subdivided_adaptively(
         share = current.echoes.strength / budget.allowed(current.body)
         done |= ~largest(np.where(done, 0.0, share), MOST_TRIANGLES // 4)
         doubt = np.where(seen.is_doubtful, _MIXED * current.echoes.strength, 0.0)
-        budget.accept(current.body, seen.error + doubt, done)
+        budget.accept(current.triangles, seen.error + doubt, done)
         for part, is_final in ((seen.leaves, done), (seen.fragments, done[seen.row])):
             left = np.flatnonzero(is_final & (part.weight != 0))
             if len(left):

@@ -22,10 +22,17 @@ from twin.radar.propagation.facets.front_facets import (
     portions,
 )
 from twin.radar.propagation.facets.reflection_candidates import reflection_candidates
+from twin.radar.propagation.facets.reflections import (
+    MOST_BOUNCES,
+    Choice,
+    Limits,
+    Tally,
+)
 from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.facets.shadows import visible_samples
 from twin.radar.propagation.facets.triangles import Triangles, split_in_four
 from twin.radar.propagation.facets.tubes import Tubes, reflected_on, with_receivers
-from twin.radar.propagation.facets.uniform_subdivision import spacing_of, subdivided
+from twin.radar.propagation.facets.uniform_subdivision import sizes, spacing_of, subdivided
 from twin.radar.propagation.facets.validity import Valid
 from twin.radar.propagation.facets.wideband import contributions_of
 from twin.radar.propagation.one_way.path import TracingContext
@@ -46,6 +53,9 @@ _COARSE = 0.5  # tolerance of the first pass, at least
 #: Of the level that a body's error is relative to, since an earlier frame: from this factor on what
 #: that frame left out or divided no further is held against the tolerance again.
 LEAST_FALL = 1.05
+_SMALL_M = 0.02  # footprints, of which the rays to four points tell whether any part is seen
+#: Each effect that is left out may change a body's echo by so much.
+OF_TOLERANCE = 0.1
 
 
 def scattered_by(
@@ -54,10 +64,11 @@ def scattered_by(
     images: Sequence[Image],
     wave_numbers: Array,
     tolerance: float,
-    bounces: int,
+    bounces: int | None,
     floor: float = 0.0,
     valid: Valid | None = None,
     *,
+    by_images: bool = False,
     with_footprints: bool = False,
 ) -> TracedEchoes:
     """Contributions of every body, and errors that their sums may have, with the antenna's gain.
@@ -69,7 +80,10 @@ def scattered_by(
     tolerance
         Error of every body's echo over the band, relative to its root mean square.
     bounces
-        Most reflections, between bodies and within one: echoes of more are left out.
+        Most reflections, between bodies and within one: echoes of more are left out. None: of
+        every body as many as may add more than a tenth of the tolerance.
+    by_images
+        Whether of reflections on the way to bodies, too, only as many are computed.
     floor
         Amplitude below which no error counts.
     valid
@@ -82,29 +96,67 @@ def scattered_by(
     """
     count = int(scatterers.body.max()) + 1
     facets = bistatic_facets(context, scatterers, images, None if valid is None else valid.paths)
-    search = _Search(context, scatterers, images, bounces, [] if with_footprints else None)
-    coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor)
+    tally, most = None, bounces or MOST_BOUNCES
+    if bounces is None or by_images:
+        order = np.array([len(image.patches) for image in images])
+        permitted = OF_TOLERANCE * tolerance
+        tally = Tally(count, wave_numbers, order, permitted, bounces, by_images=by_images)
+    search = _Search(
+        context,
+        scatterers,
+        images,
+        most,
+        [] if with_footprints else None,
+        by_bounds=tally is not None,
+    )
+    coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor, tally=tally)
     earlier_echoes = None
     if valid is not None:
         owner = scatterers.body[valid.sums.face]
         earlier_echoes = coarse.summed(owner, valid.sums.echo, valid.sums.length_m)
-        coarse = Budget(count, coarse.tolerance, wave_numbers, floor, earlier_echoes=earlier_echoes)
+        coarse = Budget(
+            count,
+            coarse.tolerance,
+            wave_numbers,
+            floor,
+            earlier_echoes=earlier_echoes,
+            tally=tally,
+        )
     whole = (facets, facets.echoes()) if len(facets) else None
     if whole is None:
         coarse.estimate_levels([])
     tubes, spacing_m = None, 0.0
-    if bounces > 1:
+    if most > 1:
         begin = illuminated_facets(
             context, scatterers, images, None if valid is None else valid.tubes
         )
         spacing_m = spacing_of(context, begin.sizes()) if valid is None else valid.spacing_m[1]
         tubes = search.root_tubes(begin, spacing_m) if len(begin) else None
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
-    budget = Budget(count, tolerance, wave_numbers, floor, coarse, earlier_echoes=earlier_echoes)
+    found = whole, tubes
+    if tally is not None:
+        search = search.within(tally.limits(coarse.level))
+        whole, tubes = search.part_of(*found)
+    budget = Budget(
+        count,
+        tolerance,
+        wave_numbers,
+        floor,
+        coarse,
+        earlier_echoes=earlier_echoes,
+        tally=tally and tally.fine(),
+    )
     budget.earlier_spacing_m = (valid and valid.spacing_m[0]) or None
     parts = search.leaves(whole, tubes, budget, _DEEPEST)
     for _ in range(_MOST_PASSES):
-        if (again := budget.renewed()) is None:
+        further = tally and tally.limits(budget.level)
+        again = budget.renewed()
+        if further and search.limits and not further <= search.limits:
+            # Levels have fallen, so that more reflections count.
+            search = search.within(further | search.limits)
+            whole, tubes = search.part_of(*found)
+            again = again or budget.another()
+        if again is None:
             break
         budget = again
         parts = search.leaves(whole, tubes, budget, _DEEPEST)
@@ -114,7 +166,7 @@ def scattered_by(
         fallen = valid.level > LEAST_FALL * budget.level
         if (fallen & (valid.error > tolerance * budget.level)).any():
             parameters = wave_numbers, tolerance, bounces, floor
-            return scattered_by(context, scatterers, images, *parameters)
+            return scattered_by(context, scatterers, images, *parameters, by_images=by_images)
         error = np.hypot(error, valid.error)
     contributions = [
         Contributions.concatenate(
@@ -133,7 +185,20 @@ def scattered_by(
         footprints=tuple(search.footprints or ()),
         spacing_m=(budget.spacing_m, spacing_m),
         n_reused=0 if valid is None else len(valid.contributions),
+        choice=_choice(tally, search.limits, budget, valid),
     )
+
+
+def _choice(
+    tally: Tally | None, limits: Limits | None, budget: Budget, valid: Valid | None
+) -> Choice | None:
+    """What limits leave out, of an earlier frame's echoes that are reused, too."""
+    if tally is None or limits is None or budget.tally is None:
+        return None
+    own = tally.choice(limits, budget.tally)
+    if valid is None or valid.left_out is None:
+        return own
+    return replace(own, left_out=own.left_out + valid.left_out)
 
 
 def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
@@ -154,6 +219,18 @@ class _TubeEchoes:
     is_lit: NDArray[np.bool_]
     error: Array
 
+    def take(self, rows: NDArray[np.intp]) -> "_TubeEchoes":
+        """Only some of them, by index."""
+        if len(rows) == len(self.root):
+            return self
+        return _TubeEchoes(
+            self.lit.take(rows),
+            self.echoes.take(rows),
+            self.root[rows],
+            self.is_lit[rows],
+            self.error[rows],
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class _RootTubes:
@@ -165,13 +242,55 @@ class _RootTubes:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The search for echoes of bodies with up to ``bounces`` reflections."""
+    """The search for echoes of bodies with up to ``bounces`` reflections, and within the
+    ``limits`` of each body, if there are any.
+    """
 
     context: TracingContext
     scatterers: Scatterers
     images: Sequence[Image]
     bounces: int
     footprints: list[Footprints] | None  # None: not stored for later frames
+    limits: Limits | None = None
+    by_bounds: bool = False
+
+    def may_be_seen(self, lit: Triangles) -> NDArray[np.bool_]:
+        """Which footprints their receivers may see: any corner or the point inside; of large ones
+        other parts, too.
+        """
+        seen = np.zeros(len(lit), dtype=bool)
+        for rows in portions(np.arange(len(lit)), 4):
+            some = lit if len(rows) == len(lit) else lit.take(rows)
+            clear = visible_samples(self.context, some, np.ones(len(rows), dtype=bool))
+            seen[rows] = clear.any(axis=0) | (sizes(some) > _SMALL_M)
+        return seen
+
+    def within(self, limits: Limits) -> "_Search":
+        """The same with limits of each body."""
+        return replace(self, bounces=int(limits.bounces.max(initial=1)), limits=limits)
+
+    def counts(self, lit: Triangles | FrontFacets) -> NDArray[np.bool_]:
+        """Whether paths are within the limits of the bodies that they are echoes of."""
+        if self.limits is None:
+            return np.ones(len(lit), dtype=bool)
+        order = np.array([len(image.patches) for image in self.images])
+        images = np.maximum(order[np.array(lit.source)], order[np.array(lit.receiver)])
+        within = lit.bounces <= self.limits.bounces[lit.body]
+        counts: NDArray[np.bool_] = within & (images <= self.limits.images[lit.body])
+        return counts
+
+    def part_of(
+        self, whole: tuple[FrontFacets, Echoes] | None, tubes: "_RootTubes | None"
+    ) -> tuple[tuple[FrontFacets, Echoes] | None, "_RootTubes | None"]:
+        """What is within the limits, of facets and of ray tubes."""
+        if whole is not None:
+            rows = np.flatnonzero(self.counts(whole[0]))
+            whole = (whole[0].subset(rows), whole[1].take(rows)) if len(rows) else None
+        if tubes is not None:
+            echoes = [part.take(np.flatnonzero(self.counts(part.lit))) for part in tubes.echoes]
+            echoes = [part for part in echoes if len(part.root)]
+            tubes = replace(tubes, echoes=echoes) if echoes else None
+        return whole, tubes
 
     def leaves(
         self,
@@ -240,6 +359,11 @@ class _Search:
             self.footprints.append(
                 Footprints.of(self.context, tubes, goes_on, row, np.array(lit.receiver))
             )
+        if self.by_bounds:
+            counts = np.flatnonzero(self.counts(lit))
+            lit, row = lit.take(counts), row[counts]
+            seen = np.flatnonzero(self.may_be_seen(lit))
+            lit, row = lit.take(seen), row[seen]
         if not len(row):
             return None
         parts = (lit.take(rows) for rows in portions(np.arange(len(lit))))
@@ -279,7 +403,7 @@ class _Search:
             done |= ~largest(np.where(done, 0.0, square), MOST_ROOTS // 4)
             for part in root_tubes.echoes:
                 ends = done[part.root]
-                budget.accept(part.lit.body, part.error, ends)
+                budget.accept(part.lit, part.error, ends)
                 some = np.flatnonzero(ends & part.is_lit)
                 if len(some):
                     lit.append((part.lit.take(some), part.echoes.take(some)))

@@ -38,24 +38,31 @@ class BodyEcho:
     ``objects`` by name; ``level_db``: root mean square over the band, over that of the strongest
     body; ``estimated_error``: within which the error most likely is (95 % of bodies), relative to
     that root mean square, or to the least level that ``fidelity.radar_tolerance`` is relative to;
-    ``tolerance``: what was asked for.
+    ``tolerance``: what was asked for; ``systematic``: share of the estimate that bounds what was
+    left out (`Propagation.decisions`).
     """
 
     objects: tuple[str, ...]
     level_db: float
     estimated_error: float
     tolerance: float
+    systematic: float = 0.0
 
     @property
     def name(self) -> str:
         """That of its first object."""
-        first, *others = self.objects
-        return f"{first} (of {len(self.objects)} objects)" if others else first
+        return label_of(self.objects)
 
     @property
     def is_converged(self) -> bool:
         """Whether the estimate is within six times the tolerance: the median error is a quarter."""
         return self.estimated_error <= _SURE * self.tolerance
+
+
+def label_of(objects: Sequence[str]) -> str:
+    """Name of what consists of these: that of the first one."""
+    first, *others = objects
+    return f"{first} (of {len(objects)} objects)" if others else first
 
 
 def percent(share: float) -> str:
@@ -86,6 +93,7 @@ def body_echoes(
     error: Array,
     tolerance: float,
     floor: float,
+    left_out: Array | None = None,
 ) -> tuple[BodyEcho, ...]:
     """Bodies with an echo, the strongest first.
 
@@ -99,20 +107,36 @@ def body_echoes(
         That is accepted of each echo, (n_bodies,).
     tolerance, floor
         Error that was asked for, relative to a body's echo, and amplitude below which none counts.
+    left_out
+        Bound of what was left out of each echo, relative to the level that errors are relative to.
     """
     level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
     strongest = level.max(initial=0.0)
-    least = max(WEAKEST * strongest, floor / tolerance)
+    reference = reference_levels(echo, tolerance, floor)
+    systematic = np.zeros(len(level)) if left_out is None else left_out
     return tuple(
         BodyEcho(
             objects=objects[i],
             level_db=float(20 * np.log10(level[i] / strongest)),
-            estimated_error=_LEAST + _WITHIN * float(error[i] / max(level[i], least)),
+            estimated_error=_LEAST
+            + _WITHIN * float(error[i] / reference[i])
+            + float(systematic[i]),
             tolerance=tolerance,
+            systematic=float(systematic[i]),
         )
         for i in np.argsort(-level, kind="stable")
         if level[i] > 0
     )
+
+
+def reference_levels(echo: Complex, tolerance: float, floor: float) -> Array:
+    """Levels that errors of echoes (n_bodies, n_frequencies) are relative to: root mean squares
+    over the band, at least that of an echo 40 dB below the strongest, or of ``floor``.
+    """
+    level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
+    least = max(WEAKEST * level.max(initial=0.0), floor / tolerance)
+    levels: Array = np.maximum(level, least)
+    return levels
 
 
 def band_of(wave: OfdmWaveform) -> Array:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from twin.errors import InputError
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.adaptive_subdivision import Leaves
+from twin.radar.propagation.facets.reflections import Choice
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import origin_of
 from twin.radar.propagation.facets.tubes import Tubes
@@ -172,6 +173,8 @@ class TracedEchoes:
         Sizes of parts of facets: of those lit from images, and of roots of ray tubes.
     n_reused
         Number of contributions from an earlier frame.
+    choice
+        Of reflections that are computed of every body; None where these are given.
     """
 
     contributions: tuple[Contributions, ...]
@@ -182,6 +185,7 @@ class TracedEchoes:
     footprints: tuple[Footprints, ...]
     spacing_m: tuple[float, float]
     n_reused: int = 0
+    choice: Choice | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,6 +61,11 @@ class FrontFacets:
         return self.scatterers.body[self.face]
 
     @property
+    def bounces(self) -> NDArray[np.uint8]:
+        """Reflections at bodies on each path."""
+        return np.ones(len(self.face), dtype=np.uint8)
+
+    @property
     def all(self) -> NDArray[np.intp]:
         """Their rows."""
         return np.arange(len(self))
@@ -192,4 +197,5 @@ def lit_facets(
         body=scatterers.body[face],
         is_ray=np.zeros(len(face), dtype=bool),
         first=face.astype(np.uint32),
+        bounces=np.ones(len(face), dtype=np.uint8),
     )

@@ -27,7 +27,7 @@ from twin.transfer import aligned, concatenated
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
-_ON_HOST = "body", "is_ray", "first"  # what triangles have there
+_ON_HOST = "body", "is_ray", "first", "bounces"  # what triangles have there
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class Triangles:
     images of the radar; ``wave``: which of the ``waves`` lights each; without these the source
     lights them directly. On the host (n,): ``body``; ``is_ray``: the triangle is represented by one
     ray at the wave's lit point, and its corners may be dark; ``first``: the first facet of the
-    path.
+    path; ``bounces``: reflections at bodies on it, this one included.
     """
 
     corners: tuple[Vector3, Vector3, Vector3]
@@ -114,6 +114,7 @@ class Triangles:
     body: NDArray[np.intp]
     is_ray: NDArray[np.bool_]
     first: NDArray[np.uint32]
+    bounces: NDArray[np.uint8]
 
     def __len__(self) -> int:
         return len(self.body)
@@ -146,8 +147,8 @@ class Triangles:
         """Only some of them, by index; not evaluated yet."""
         index = type(self.face)(aligned(which.astype(np.uint32)))
         columns = [dr.gather(type(value), value, index) for value in self._columns()]
-        body, is_ray, first = (getattr(self, name)[which] for name in _ON_HOST)
-        return replace(self._of(columns), body=body, is_ray=is_ray, first=first)
+        own: dict[str, Any] = {name: getattr(self, name)[which] for name in _ON_HOST}
+        return replace(self._of(columns), **own)
 
     def take(self, which: Indices) -> "Triangles":
         """Only some of them, by index."""
@@ -157,8 +158,8 @@ class Triangles:
         """Each of them several times in a row."""
         index = dr.arange(type(self.face), times * len(self)) // times
         columns = [dr.gather(type(value), value, index) for value in self._columns()]
-        body, is_ray, first = (np.repeat(getattr(self, name), times) for name in _ON_HOST)
-        return replace(self._of(columns), body=body, is_ray=is_ray, first=first)
+        own: dict[str, Any] = {name: np.repeat(getattr(self, name), times) for name in _ON_HOST}
+        return replace(self._of(columns), **own)
 
     def evaluate(self) -> "Triangles":
         """The same, computed."""
@@ -179,9 +180,10 @@ class Triangles:
             parts = [replace(p, wave=p.wave + number[id(p.waves)]) for p in parts]
         columns = list(zip(*(part._columns() for part in parts), strict=True))
         whole = first._of(concatenated(columns, [len(part) for part in parts]))
-        own = (np.concatenate([getattr(part, name) for part in parts]) for name in _ON_HOST)
-        body, is_ray, first_facet = own
-        return replace(whole, waves=waves, body=body, is_ray=is_ray, first=first_facet)
+        own: dict[str, Any] = {
+            name: np.concatenate([getattr(p, name) for p in parts]) for name in _ON_HOST
+        }
+        return replace(whole, waves=waves, **own)
 
     def _columns(self) -> list[Any]:
         """All numbers, in order."""

@@ -348,6 +348,7 @@ def _lit_on(
         waves=waves,
         body=scatterers.body[face],
         is_ray=becomes_ray,
+        bounces=some.bounces + np.uint8(1),
     )
     dr.eval(waves.columns(), *triangles.corners, triangles.wave)
     return triangles

@@ -37,6 +37,7 @@ from twin.radar.propagation.facets.earlier import (
     TracedFrame,
 )
 from twin.radar.propagation.facets.front_facets import lit_facets, portions
+from twin.radar.propagation.facets.reflections import Bounds
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.one_way.path import TracingContext, image_place
 from twin.radar.propagation.prepared_scene import PreparedScene
@@ -62,7 +63,8 @@ class Valid:
     level that it is relative to.
 
     To be traced anew, by image and facet (n_images, n_facets): ``paths`` between them, and ray
-    ``tubes`` that begin there. ``spacing_m`` as in `TracedEchoes`.
+    ``tubes`` that begin there. ``spacing_m`` as in `TracedEchoes`; ``left_out`` of the present
+    bodies, of reflections that were not computed.
     """
 
     contributions: Contributions
@@ -72,6 +74,7 @@ class Valid:
     paths: Mask
     tubes: Mask
     spacing_m: tuple[float, float]
+    left_out: Bounds | None
 
 
 def still_valid(
@@ -120,7 +123,7 @@ def still_valid(
     sums = Sums.concatenate(list(map(holding, echoes.sums, echoes.is_direct)))
     is_direct = now.reachable & scatterers.counts & (before.body[before.owner] >= 0)
     direct_paths = np.nonzero(is_direct & ~paths)[1], np.nonzero(is_direct)[1]
-    error, level = _of_bodies(before, echoes, now, changed, direct_paths, sums)
+    error, level, left_out = _of_bodies(before, echoes, now, changed, direct_paths, sums)
     return Valid(
         contributions=Contributions.concatenate(
             list(map(holding, echoes.contributions, echoes.is_direct))
@@ -131,6 +134,7 @@ def still_valid(
         paths=paths,
         tubes=tubes,
         spacing_m=echoes.spacing_m,
+        left_out=left_out,
     )
 
 
@@ -283,9 +287,9 @@ def _of_bodies(
     changed: Mask,
     direct_paths: tuple[Indices, Indices],
     valid_sums: Sums,
-) -> tuple[Array, Array]:
-    """Accepted errors of the valid echoes of the present bodies, and the highest level that they
-    are relative to.
+) -> tuple[Array, Array, Bounds | None]:
+    """Accepted errors of the valid echoes of the present bodies, the highest level that they are
+    relative to, and what was left out of them.
 
     Of a body's squared error that share counts which is valid of its direct paths, of its
     triangles, or of their power, whichever is largest; a body whose echo was left out has direct
@@ -312,4 +316,6 @@ def _of_bodies(
     error, level = (np.zeros(int(now.body.max(initial=-1)) + 1) for _ in range(2))
     np.add.at(error, pairs[:, 0], (most * echoes.error**2)[pairs[:, 1]])
     np.maximum.at(level, pairs[:, 0], echoes.level[pairs[:, 1]])
-    return np.sqrt(error), level
+    choice = echoes.choice
+    left_out = None if choice is None else choice.left_out.of(pairs, len(error))
+    return np.sqrt(error), level, left_out

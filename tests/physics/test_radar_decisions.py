@@ -1,0 +1,154 @@
+"""What the radar's solver takes or leaves out by bounds: the error stays within what it tells."""
+
+import numpy as np
+import pytest
+
+from tests.physics.radar_worlds import (
+    CARRIER_HZ,
+    RADAR,
+    ball,
+    ground,
+    plate,
+    quad,
+    trihedral,
+    world,
+)
+from twin.fidelity import Fidelity
+from twin.radar.propagation.facets.convergence import band_of, summed_by
+from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.solvers import trace
+from twin.scene import Scene, SceneObject
+
+FREQUENCIES = band_of(RADAR.ofdm)
+BY_BOUNDS = Fidelity(radar_bounces=None, radar_images=None)
+#: What the bounds decide on, all of it, and finely.
+EVERYTHING = Fidelity(radar_bounces=12, radar_images=3, radar_tolerance=0.03)
+
+
+def errors(found: Propagation, truth: Propagation) -> dict[str, float]:
+    """Of every body over the band, relative as its estimate is, over that estimate."""
+    echoes = []
+    for propagation in (found, truth):
+        number = {name: i for i, name in enumerate(propagation.objects)}
+        owner = np.full(len(propagation.objects), -1)
+        for row, body in enumerate(found.bodies):
+            owner[[number[name] for name in body.objects]] = row
+        surfaces = propagation.surfaces
+        echoes.append(
+            summed_by(owner[surfaces.object], len(found.bodies), surfaces, CARRIER_HZ, FREQUENCIES)
+        )
+    off, level = (
+        np.sqrt(np.mean(np.abs(e) ** 2, axis=1)) for e in (echoes[0] - echoes[1], echoes[0])
+    )
+    least = np.maximum(level, 0.01 * level.max())
+    return {
+        body.objects[0]: float(off[k] / least[k]) / body.estimated_error
+        for k, body in enumerate(found.bodies)
+    }
+
+
+def decided(found: Propagation, what: str, name: str) -> tuple[int, float]:
+    """Most reflections of a kind that are computed of a body, and the bound of what is not."""
+    (left_out,) = (
+        d for d in found.decisions if d.effect.startswith(what) and name in d.effect and not d.taken
+    )
+    return int(left_out.effect.removeprefix(what).split()[1].rstrip(",")), left_out.bound
+
+
+def test_named_knobs_decide_by_themselves() -> None:
+    found = trace(world(ball("ball", (8, 0, 0), level=3)), RADAR, fidelity=Fidelity())
+    assert found.decisions == ()
+    assert [body.systematic for body in found.bodies] == [0.0]
+
+
+def test_nothing_faces_a_ball_alone() -> None:
+    """So a second reflection adds nothing, and no mirror shows it: the echo is that of one."""
+    scene = world(ball("ball", (8, 0, 0), level=4))
+    found = trace(scene, RADAR, fidelity=BY_BOUNDS)
+    assert decided(found, "reflections at bodies", "ball") == (1, 0.0)
+    assert decided(found, "reflections at large surfaces", "ball") == (0, 0.0)
+    once = trace(scene, RADAR, fidelity=Fidelity(radar_bounces=1, radar_images=0))
+    assert errors(found, once)["ball"] < 0.1
+    assert found.bodies[0].systematic == 0
+
+
+def test_a_trihedral_takes_three() -> None:
+    """And not a fourth: its open side lets everything out."""
+    found = trace(world(trihedral("corner", (12, 0, 0))), RADAR, fidelity=BY_BOUNDS)
+    most, bound = decided(found, "reflections at bodies", "corner")
+    assert most == 3
+    assert bound < 0.01
+    (last,) = (d for d in found.decisions if "beyond 2" in d.effect)
+    assert last.taken
+    assert last.bound > 0.9
+
+
+def facing_plates() -> Scene:
+    """Two mirrors at an acute angle, open towards the radar: a ray is thrown to and fro."""
+    wedge = [
+        quad(name, [[10, y, -0.1], [10.4, 0.02 * y, -0.1], [10.4, 0.02 * y, 0.1], [10, y, 0.1]])
+        for name, y in (("left", 0.1), ("right", -0.1))
+    ]
+    return world(*wedge)
+
+
+def beside_a_mirror() -> Scene:
+    """A ball between a metal floor and a metal wall: echoes over both, in either order."""
+    wall = quad("wall", [[0, 3, -2], [30, 3, -2], [30, 3, 10], [0, 3, 10]])
+    return world(ball("ball", (9, 1, 0), level=4), ground(-1.0), wall)
+
+
+def strong_beside_weak() -> Scene:
+    """Behind a large trihedral a small ball on a floor: its errors count 40 dB below."""
+    return world(
+        trihedral("corner", (10, 1, 0), rcs_m2=100.0),
+        ball("ball", (10, -1.5, 0), radius=0.03, level=3),
+        ground(-0.7, "concrete"),
+    )
+
+
+def between_posts() -> Scene:
+    """A plate seen between posts that light it and each other."""
+    posts = [ball(f"post {k}", (7, 0.25 * k - 0.6, 0), radius=0.05, level=3) for k in range(6)]
+    return world(plate("plate", (8, 0.1, 0), side=0.3), *posts)
+
+
+def grazing_floor() -> Scene:
+    """A low box far out on a floor that the radar sees at 2 degrees."""
+    box: SceneObject = plate("box", (20, 0, -0.6), side=0.15)
+    return world(box, ground(-0.7, "concrete"))
+
+
+@pytest.mark.parametrize(
+    "make", [facing_plates, beside_a_mirror, strong_beside_weak, between_posts, grazing_floor]
+)
+def test_errors_are_within_what_is_told(make) -> None:
+    """Of every body, against three times as fine with all reflections. What is told is three
+    standard errors, and the bound of what is left out: the tests' few bodies stay within it.
+    """
+    scene = make()
+    found = trace(scene, RADAR, fidelity=BY_BOUNDS)
+    truth = trace(scene, RADAR, fidelity=EVERYTHING)
+    for name, over_estimate in errors(found, truth).items():
+        assert over_estimate < 1, name
+    for decision in found.decisions:
+        assert decision.sensor == "radar"
+        assert decision.permitted == pytest.approx(0.01)
+        if decision.taken:
+            assert decision.bound > decision.permitted or "large surfaces" in decision.effect
+
+
+def test_a_wedge_of_mirrors_takes_more_than_three() -> None:
+    """Rays are thrown to and fro until they leave: three, the default, are too few."""
+    found = trace(facing_plates(), RADAR, fidelity=BY_BOUNDS)
+    assert decided(found, "reflections at bodies", "left")[0] > 3
+
+
+def test_a_later_frame_tells_what_the_first_one_left_out() -> None:
+    """Reused echoes keep the bounds of what was not computed beside them."""
+    scene = strong_beside_weak()
+    first = trace(scene, RADAR, fidelity=BY_BOUNDS, keep=True)
+    later = trace(scene, RADAR, fidelity=BY_BOUNDS, earlier=first)
+    before = {body.objects: body.systematic for body in first.bodies}
+    for body in later.bodies:
+        assert body.systematic >= 0.99 * before[body.objects]
