@@ -31,6 +31,7 @@ _ROOMS = (
     "regression",
     "sweep",
     "vehicle",
+    "stream",
     "commands",
     "stated_errors",
 )

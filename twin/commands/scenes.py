@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from twin.commands import loading
 from twin.commands.arguments import PoseOption, SceneArgument
 
 if TYPE_CHECKING:
@@ -61,9 +62,10 @@ def run(
     ] = None,
 ) -> None:
     """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
-    from twin.job import run as run_job
-    from twin.radar.propagation.scene.scattering_models import ScatteringModel
-    from twin.scene import parse_pose, parse_track
+    with loading():
+        from twin.job import run as run_job
+        from twin.radar.propagation.scene.scattering_models import ScatteringModel
+        from twin.scene import parse_pose, parse_track
 
     result = run_job(
         scene,
