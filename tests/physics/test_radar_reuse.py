@@ -328,11 +328,13 @@ def test_many_frames_in_the_memory_of_a_few() -> None:
         gc.collect()
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
-    first = drive(10)
-    assert drive(30) - first < 20_000  # KiB
+    first = drive(4)
+    assert drive(12) - first < 20_000  # KiB; a frame that is kept takes 34 000
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize(
+    "seed", [*range(8), *(pytest.param(n, marks=pytest.mark.slow) for n in range(8, 20))]
+)
 def test_random_scenes(seed: int) -> None:
     """Boxes, balls and plates on the ground, a wall behind them; some of them jump."""
     rng = np.random.default_rng([seed, 15])
