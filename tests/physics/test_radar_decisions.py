@@ -2,25 +2,39 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.physics.radar_worlds import (
     CARRIER_HZ,
+    GAIN,
     RADAR,
+    WAVELENGTH_M,
     ball,
     ground,
     plate,
     quad,
+    thing,
     trihedral,
     world,
 )
 from twin.fidelity import Fidelity
 from twin.radar.propagation.facets.convergence import band_of, summed_by
+from twin.radar.propagation.physical_optics import (
+    at_antenna,
+    diffracted,
+    edge_bounds,
+    loss_of,
+)
+from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
+from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.scene import Scene, SceneObject
 
 FREQUENCIES = band_of(RADAR.ofdm)
 BY_BOUNDS = Fidelity(radar_bounces=None, radar_images=None)
+EDGES_BY_BOUNDS = Fidelity(radar_edges=None)
 #: What the bounds decide on, all of it, and finely.
 EVERYTHING = Fidelity(radar_bounces=12, radar_images=3, radar_tolerance=0.03)
 
@@ -152,3 +166,63 @@ def test_a_later_frame_tells_what_the_first_one_left_out() -> None:
     before = {body.objects: body.systematic for body in first.bodies}
     for body in later.bodies:
         assert body.systematic >= 0.99 * before[body.objects]
+
+
+def tilted_box() -> SceneObject:
+    """No face of it is seen at right angles."""
+    mesh = trimesh.creation.box((0.3, 0.2, 0.4))
+    mesh.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.4, 0.5))
+    return thing("box", mesh.vertices + (9.0, 0.5, 0.2), mesh.faces)
+
+
+@pytest.mark.parametrize(
+    "objects",
+    [
+        (plate("plate", (8, 0, 0)),),
+        (tilted_box(),),
+        (trihedral("corner", (9, 0, 0)), ground(-1.0)),
+        (plate("plate", (3, 0.1, 0), side=0.6), ground(-0.5)),
+    ],
+)
+def test_edges_add_no_more_than_their_bound(objects: tuple[SceneObject, ...]) -> None:
+    """Summed over the band. The bound ignores shadows and takes mirrors as perfect."""
+    scene = world(*objects)
+    roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
+    prepared = prepare_scene(scene, RADAR, roles, 1)
+    echoes = at_antenna(diffracted(prepared, EDGES_BY_BOUNDS)[0], prepared, RADAR)
+    (bound,) = edge_bounds(prepared, RADAR) * loss_of(RADAR)
+    owner = np.zeros(len(echoes), dtype=int)
+    band = summed_by(owner, 1, echoes, CARRIER_HZ, FREQUENCIES)
+    assert 0 < np.abs(band).max() < bound
+
+
+def test_edges_of_a_faint_plate_are_left_out() -> None:
+    """9 km away it is fainter than the noise, and its edges than a hundredth of that; nearer by
+    they are taken. A ball has none.
+    """
+    for distance, is_taken in ((9000.0, False), (30.0, True)):
+        far = world(plate("plate", (distance, 0, 0), side=0.5))
+        found = trace(far, RADAR, fidelity=EDGES_BY_BOUNDS)
+        (decision,) = found.decisions
+        assert decision.effect == "edges of plate"
+        assert decision.taken == is_taken
+        assert found.bodies[0].systematic == (0 if is_taken else decision.bound)
+    assert (
+        trace(world(ball("ball", (8, 0, 0), level=4)), RADAR, fidelity=EDGES_BY_BOUNDS).decisions
+        == ()
+    )
+
+
+def test_what_cannot_rise_above_the_noise_is_listed() -> None:
+    """A small plate 20 km away is not looked at; its largest cross-section bounds its echo, by the
+    radar equation 4 pi A^2 / lambda^2.
+    """
+    distance, side = 20_000.0, 0.1
+    far = world(plate("far", (distance, 0, 0), side=side))
+    found = trace(far, RADAR, fidelity=Fidelity())
+    (decision,) = found.decisions
+    assert (decision.effect, decision.taken) == ("echo of far", False)
+    most = GAIN * side**2 / (4 * np.pi * distance**2) / noise_amplitude(RADAR)
+    assert most < decision.bound < 3 * most
+    assert decision.bound < decision.permitted == OF_NOISE
+    assert found.bodies == ()

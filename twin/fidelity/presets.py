@@ -24,7 +24,7 @@ class Fidelity(RadarFidelity, LightFidelity):
         Light: as `light_tolerance`, root mean square over the image. Radar: half of it as
         `radar_tolerance`, relative to each body's own echo: echoes may stand far above the noise,
         and their model as exact as that would take hours. Reflections are followed as far as bounds
-        of what further ones add ask for.
+        of what further ones add ask for, and edges diffract where a bound says that they count.
 
         >>> knobs = Fidelity.within(0.2)
         >>> knobs.light_tolerance, knobs.radar_tolerance
@@ -37,6 +37,7 @@ class Fidelity(RadarFidelity, LightFidelity):
             radar_tolerance=share / 2,
             radar_bounces=None,
             radar_images=None,
+            radar_edges=None,
         )
 
 

@@ -93,7 +93,9 @@ class RadarFidelity(Knobs):
         Pieces of sharp edges that diffract, all objects and images together; 0: none. Without them
         small bodies with edges are off by 10 dB, mean over all angles (the Austin plates). Where
         pieces are longer than an eighth of a wavelength, the band's edges suffer first. On the
-        street 250 000 more contributions, and 1 s more to find them.
+        street 250 000 more contributions, and 1 s more to find them. None: edges of those bodies to
+        whose echo they may add more than a tenth of `radar_tolerance`, in pieces of an eighth of
+        a wavelength.
     radar_shadow_db
         Depth to which shadows of obstacles are computed on the way to a declared target: what comes
         round an edge, one way, fainter than this beside the straight wave is lost. 0: shadows
@@ -116,7 +118,7 @@ class RadarFidelity(Knobs):
     radar_tolerance: float = field(default=0.1, metadata=tolerance(1e-3, 1.0))
     radar_bounces: int | None = field(default=3, metadata=whole(1, optional=True))
     radar_images: int | None = field(default=1, metadata=whole(0, optional=True))
-    radar_edges: int = field(default=0, metadata=whole(0))
+    radar_edges: int | None = field(default=0, metadata=whole(0, optional=True))
     radar_shadow_db: float = field(default=40.0, metadata=depth(0.0))
     radar_shadowed: int = field(default=0, metadata=whole(0))
     radar_table_nodes: int = field(default=4, metadata=whole(1))

@@ -1,5 +1,6 @@
 """What the solver of physical optics takes and leaves out, as decisions with their bounds."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,13 +9,65 @@ from numpy.typing import NDArray
 from twin.accuracy import Decision
 from twin.radar.propagation.facets.convergence import label_of
 from twin.radar.propagation.facets.reflections import Choice
+from twin.radar.propagation.scene.culling import OF_NOISE
 
 Array = NDArray[np.float64]
 
 _UNIT = "of the echo"
+_FAINT = OF_NOISE, "of a cell's noise", False
 #: What reflects, and the least number of reflections.
 _KINDS = {"bounces": ("reflections at bodies", 1), "images": ("reflections at large surfaces", 0)}
 _NAMED = 32  # bodies with decisions of their own, the strongest ones
+
+
+def on_faint_bodies(
+    objects: Sequence[tuple[str, ...]], bound: Array, noise: float
+) -> tuple[Decision, ...]:
+    """Bodies left out altogether, since nothing of their size rises above the noise from there.
+
+    ``bound`` (n_bodies,): of their echoes, in amplitude; ``noise``: of a cell, likewise.
+    """
+    order = np.argsort(-bound, kind="stable")
+    decisions = [
+        Decision("radar", f"echo of {label_of(objects[k])}", float(bound[k]) / noise, *_FAINT)
+        for k in order[:_NAMED]
+    ]
+    if len(order) > _NAMED:
+        effect = f"echoes of {len(order) - _NAMED} fainter bodies"
+        most = float(bound[order[_NAMED:]].sum()) / noise
+        decisions.append(Decision("radar", effect, most, *_FAINT))
+    return tuple(decisions)
+
+
+def on_edges(
+    objects: Sequence[tuple[str, ...]],
+    bound: Array,
+    is_taken: NDArray[np.bool_],
+    permitted: float,
+    cost_s: float,
+) -> tuple[Decision, ...]:
+    """Decisions on the sharp edges of bodies, the largest bounds first, which took so long.
+
+    ``bound`` (n_bodies,), relative to what errors of their echoes are relative to.
+    """
+    decisions = []
+    for taken in (True, False):
+        order = [k for k in np.argsort(-bound, kind="stable") if is_taken[k] == taken]
+        cost_of_each_s = cost_s / max(len(order), 1) if taken else math.nan
+        for k in order[:_NAMED]:
+            effect = f"edges of {label_of(objects[k])}"
+            at_most = float(bound[k])
+            decisions.append(
+                Decision("radar", effect, at_most, permitted, _UNIT, taken, cost_of_each_s)
+            )
+        if len(order) > _NAMED:
+            effect = f"edges of {len(order) - _NAMED} further bodies"
+            at_most = float(bound[order[_NAMED:]].max())
+            cost_of_all_s = cost_of_each_s * (len(order) - _NAMED)
+            decisions.append(
+                Decision("radar", effect, at_most, permitted, _UNIT, taken, cost_of_all_s)
+            )
+    return tuple(decisions)
 
 
 def on_reflections(

@@ -11,6 +11,7 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.diffraction.behind_obstacles import echoes_behind
+from twin.radar.propagation.diffraction.edge_bounds import edge_bound
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
@@ -19,7 +20,13 @@ from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.validity import still_valid
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
+from twin.radar.propagation.scene.culling import (
+    OF_NOISE,
+    beam_of,
+    image_antennas_of,
+    most_gain,
+    noise_amplitude,
+)
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.propagation.surface_clutter import SurfaceClutter, clutter_echoes
 from twin.radar.scattering.surface import TABLE_STEPS
@@ -31,6 +38,7 @@ Array = NDArray[np.float64]
 
 #: Of shadows on bodies: both paths diffracted, each 30 dB below the direct one: -60 dB in an echo.
 _DEEPEST_DB = 30.0
+_MOST_PIECES = 2_000_000  # of edges that are taken by bounds: 10 s
 _FREQUENCIES = 5, 64  # over the band, at which a body's echo is summed, at least and at most
 
 
@@ -130,18 +138,34 @@ def _extent_m(prepared: PreparedScene, body: NDArray[np.int32]) -> float:
     return float((high - low).max())
 
 
-def diffracted(prepared: PreparedScene, fidelity: Fidelity) -> tuple[Contributions, list[str]]:
-    """Contributions of the sharp edges of every body, and remarks on what is assumed or left
-    out.
+def diffracted(
+    prepared: PreparedScene, fidelity: Fidelity, wanted: NDArray[np.bool_] | None = None
+) -> tuple[Contributions, list[str]]:
+    """Contributions of the sharp edges of bodies, all or those that are ``wanted`` (n_bodies,), and
+    remarks on what is assumed or left out.
     """
-    if not fidelity.radar_edges or ScatteringModel.OPTICS not in prepared.roles:
+    if fidelity.radar_edges == 0 or ScatteringModel.OPTICS not in prepared.roles:
         return Contributions.none(), []
-    body = _bodies(prepared)
-    sharp = _sharp(prepared, body)
-    echoes, longer = edge_echoes(
-        prepared.context, sharp, prepared.wavelength_m, fidelity.radar_edges
-    )
+    sharp = _sharp(prepared, _bodies(prepared))
+    if wanted is not None:
+        sharp = [body for body, is_wanted in zip(sharp, wanted, strict=True) if is_wanted]
+    most = _MOST_PIECES if fidelity.radar_edges is None else fidelity.radar_edges
+    echoes, longer = edge_echoes(prepared.context, sharp, prepared.wavelength_m, most)
     return echoes, _on_edges(prepared, sharp, longer)
+
+
+def edge_bounds(prepared: PreparedScene, radar: RadarDesign) -> Array:
+    """Bounds of the amplitude of the sharp edges of every body, (n_bodies,), before losses."""
+    body, beam = _bodies(prepared), beam_of(radar.antenna)
+    antennas = image_antennas_of(prepared.images, prepared.flats, prepared.axes[0], beam)
+    boxes = boxes_of(prepared.originals) - prepared.anchor_m
+    bounds = []
+    for number, sharp in enumerate(_sharp(prepared, body)):
+        members = np.flatnonzero(body == number)
+        box = np.array([[boxes[members, 0].min(axis=0), boxes[members, 1].max(axis=0)]])
+        gain = most_gain(beam, antennas.place, antennas.axis, box)[:, 0]
+        bounds.append(edge_bound(sharp, antennas, gain, prepared.wavelength_m))
+    return np.array(bounds)
 
 
 def behind(prepared: PreparedScene, fidelity: Fidelity) -> Contributions:

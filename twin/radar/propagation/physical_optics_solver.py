@@ -1,14 +1,16 @@
 """The solver of physical optics: all echoes of a scene, paths by name and dense ones."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.decisions import on_reflections
+from twin.radar.propagation.decisions import on_edges, on_faint_bodies, on_reflections
 from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.convergence import (
@@ -20,12 +22,13 @@ from twin.radar.propagation.facets.convergence import (
     unconverged,
 )
 from twin.radar.propagation.facets.earlier import TracedFrame
-from twin.radar.propagation.facets.reflections import MOST_IMAGES
+from twin.radar.propagation.facets.reflections import MOST_IMAGES, Choice
 from twin.radar.propagation.physical_optics import (
     Scattered,
     at_antenna,
     behind,
     diffracted,
+    edge_bounds,
     loss_of,
     scattered,
     surface_clutter,
@@ -38,6 +41,8 @@ from twin.radar.propagation.scene.silent import silent_objects
 from twin.radar.propagation.single_paths import mirror_echoes, point_echoes
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
+
+Array = NDArray[np.float64]
 
 
 def echoes(
@@ -61,58 +66,142 @@ def echoes(
     of_bodies = scattered(prepared, radar, fidelity, earlier, keep=keep)
     traced = Contributions.concatenate([of_bodies.contributions, behind(prepared, fidelity)])
     surfaces = at_antenna(traced, prepared, radar)
-    edges, on_edges = diffracted(prepared, fidelity)
+    levels = _levels(prepared, radar, fidelity, of_bodies, surfaces)
+    decisions = [*_on_faint_bodies(prepared, radar, levels)]
+    left_out = np.zeros(len(levels.names))
+    for decided, missing in (
+        _reflections(levels, fidelity, of_bodies.choice, radar),
+        (edges := _edges(prepared, radar, fidelity, levels)).decided,
+    ):
+        decisions += decided
+        left_out += missing
     clutter, on_clutter = Contributions.none(), list[str]()
     if is_rough:
         clutter, on_clutter = surface_clutter(scene, prepared, fidelity, seed)
-    diffuse = at_antenna(Contributions.concatenate([edges, clutter]), prepared, radar)
+    diffuse = at_antenna(Contributions.concatenate([edges.echoes, clutter]), prepared, radar)
     diffuse = diffuse.in_proportion_to_wavelength()
     mirrors = _mirrors(prepared, radar, fidelity)
     points = _points(prepared, radar, declared_alone(scene, roles), fidelity)
     names, paths = by_delay(
         [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
     )
-    bodies, decisions = _converged(prepared, radar, fidelity, of_bodies, surfaces)
+    bodies = levels.bodies(of_bodies.error * loss_of(radar), left_out)
     return Propagation(
         Contributions.concatenate([paths, diffuse, surfaces]),
         names,
         roles=tuple(roles),
-        assumptions=(*prepared.assumptions, *on_edges, *on_clutter, *unconverged(bodies)),
+        assumptions=(*prepared.assumptions, *edges.remarks, *on_clutter, *unconverged(bodies)),
         heard=_heard(Contributions.concatenate([surfaces, diffuse]), prepared, radar),
         warnings=silent_objects(scene, radar, roles),
         objects=tuple(item.name for item in prepared.items),
         bodies=bodies,
-        decisions=decisions,
+        decisions=tuple(decisions),
         traced=of_bodies.traced,
         reused_share=of_bodies.reused_share,
     )
 
 
-def _converged(
+@dataclass(frozen=True, eq=False)
+class _Levels:
+    """Bodies by the ``names`` of their objects, their ``echo`` over the band (n_bodies,
+    n_frequencies) and the levels that errors are relative to, ``reference`` (n_bodies,).
+    """
+
+    names: list[tuple[str, ...]]
+    of_object: NDArray[np.int32]
+    echo: NDArray[np.complex128]
+    reference: Array
+    tolerance: float
+    floor: float
+
+    @property
+    def permitted(self) -> float:
+        """Of each effect that is left out."""
+        return OF_TOLERANCE * self.tolerance
+
+    def bodies(self, error: Array, left_out: Array) -> tuple[BodyEcho, ...]:
+        """With their errors and bounds of what is left out, the latter relative."""
+        return body_echoes(self.names, self.echo, error, self.tolerance, self.floor, left_out)
+
+
+#: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
+_Decided = tuple[tuple[Decision, ...], Array]
+
+
+def _levels(
     prepared: PreparedScene,
     radar: RadarDesign,
     fidelity: Fidelity,
     of_bodies: Scattered,
     surfaces: Contributions,
-) -> tuple[tuple[BodyEcho, ...], tuple[Decision, ...]]:
-    """Levels of bodies and estimates of their errors, and what was decided of each."""
-    body, error, wave = of_bodies.body, of_bodies.error, radar.ofdm
-    count = len(error)
+) -> _Levels:
+    body, wave = of_bodies.body, radar.ofdm
+    count = len(of_bodies.error)
     echo = summed_by(body[surfaces.object], count, surfaces, wave.carrier_hz, band_of(wave))
     names = [tuple(prepared.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)]
     tolerance, floor = fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar)
-    decisions: tuple[Decision, ...] = ()
-    left_out = np.zeros(count)
-    if of_bodies.choice is not None:
-        level = reference_levels(echo, tolerance, floor) / loss_of(radar)
-        knobs = {"bounces": fidelity.radar_bounces, "images": fidelity.radar_images}
-        kinds = [kind for kind, knob in knobs.items() if knob is None]
-        permitted = OF_TOLERANCE * tolerance
-        decisions = on_reflections(of_bodies.choice, kinds, names, level, permitted)
-        bounds = of_bodies.choice.left_out
-        left_out = (bounds.bounces + bounds.images) / level
-    bodies = body_echoes(names, echo, error * loss_of(radar), tolerance, floor, left_out)
-    return bodies, decisions
+    reference = reference_levels(echo, tolerance, floor)
+    return _Levels(names, body, echo, reference, tolerance, floor)
+
+
+def _on_faint_bodies(
+    prepared: PreparedScene, radar: RadarDesign, levels: _Levels
+) -> tuple[Decision, ...]:
+    """Bodies to which no path is traced."""
+    of_body = levels.of_object
+    scatters = of_body >= 0
+    is_traced = np.zeros(len(levels.names), dtype=bool)
+    is_traced[of_body[scatters & prepared.worth.any(axis=0)]] = True
+    bound = np.zeros(len(is_traced))
+    np.add.at(bound, of_body[scatters], prepared.untraced[scatters])
+    left_out = np.flatnonzero(~is_traced)
+    names = [levels.names[k] for k in left_out]
+    return on_faint_bodies(names, bound[left_out] * loss_of(radar), noise_amplitude(radar))
+
+
+def _reflections(
+    levels: _Levels, fidelity: Fidelity, choice: Choice | None, radar: RadarDesign
+) -> _Decided:
+    """What was decided on further reflections."""
+    if choice is None:
+        return (), np.zeros(len(levels.names))
+    level = levels.reference / loss_of(radar)
+    knobs = {"bounces": fidelity.radar_bounces, "images": fidelity.radar_images}
+    kinds = [kind for kind, knob in knobs.items() if knob is None]
+    decisions = on_reflections(choice, kinds, levels.names, level, levels.permitted)
+    return decisions, (choice.left_out.bounces + choice.left_out.images) / level
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Echoes of sharp edges, remarks on them, and what was decided."""
+
+    echoes: Contributions
+    remarks: list[str]
+    decided: _Decided
+
+
+def _edges(
+    prepared: PreparedScene, radar: RadarDesign, fidelity: Fidelity, levels: _Levels
+) -> _Edges:
+    """Of all bodies, or by bounds of those to whose echo they may add too much."""
+    nothing = np.zeros(len(levels.names))
+    if fidelity.radar_edges is not None or not levels.names:
+        return _Edges(*diffracted(prepared, fidelity), ((), nothing))
+    began_s = perf_counter()
+    bound = edge_bounds(prepared, radar) * loss_of(radar) / levels.reference
+    is_taken = bound > levels.permitted
+    echoes, remarks = diffracted(prepared, fidelity, is_taken)
+    cost_s = perf_counter() - began_s
+    has_edges = bound > 0
+    decisions = on_edges(
+        [name for name, has in zip(levels.names, has_edges, strict=True) if has],
+        bound[has_edges],
+        is_taken[has_edges],
+        levels.permitted,
+        cost_s,
+    )
+    return _Edges(echoes, remarks, (decisions, np.where(is_taken, 0.0, bound)))
 
 
 def _mirrors(

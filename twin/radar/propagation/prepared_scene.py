@@ -50,7 +50,8 @@ class PreparedScene:
     Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
     the objects as the scene has them, their large triangles undivided. ``images`` are those of
     ``all_images`` over which there is any echo; ``worth`` (n_images, n_objects): whether paths
-    between an image and an object that scatters are traced.
+    between an image and an object that scatters are traced; ``untraced`` (n_objects,): bound
+    of the echo of each by all those that are not, in amplitude before losses.
     """
 
     anchor_m: Array
@@ -65,6 +66,7 @@ class PreparedScene:
     all_images: tuple[Image, ...]
     images: tuple[Image, ...]
     worth: NDArray[np.bool_]
+    untraced: Array
     context: TracingContext
     surface_of_object: NDArray[np.uint32]
     assumptions: tuple[str, ...]
@@ -142,6 +144,7 @@ def prepare_scene(
         all_images=tuple(candidate_images),
         images=(),
         worth=np.zeros((0, len(items)), dtype=bool),
+        untraced=np.zeros(len(items)),
         context=tracing_context(
             mi,
             world,
@@ -191,6 +194,10 @@ def _culled(
     is_used[0] = True  # the radar itself
     worth = np.zeros((int(is_used.sum()), len(prepared.items)), dtype=bool)
     worth[:, numbers] = traced.is_traced[is_used]
+    # An echo out by one image and home by another has the geometric mean of both shares at most.
+    untraced = np.zeros(len(prepared.items))
+    missing = np.sqrt(np.where(traced.is_traced, 0.0, share)).sum(axis=0)
+    untraced[numbers] = missing * np.sqrt(share).sum(axis=0) * 2
     assumed = prepared.assumptions
     if (left_out := faint + traced.left_out) > 0:
         level = 20 * np.log10(OF_NOISE * left_out / limit)
@@ -202,7 +209,9 @@ def _culled(
     used_images = [
         image for image, is_kept in zip(prepared.all_images, is_used, strict=True) if is_kept
     ]
-    return replace(prepared.with_images(used_images), worth=worth, assumptions=assumed)
+    return replace(
+        prepared.with_images(used_images), worth=worth, untraced=untraced, assumptions=assumed
+    )
 
 
 def _surfaces(

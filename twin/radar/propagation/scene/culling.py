@@ -104,7 +104,7 @@ def image_antennas_of(
             mirrored[row] -= 2 * (mirrored[row] @ normal) * normal
         if image.patches:
             box = flats.box[image.patches[0]][None]
-            gain[row] = _most_gain(beam, image.places[:1], axis[None], box)[0, 0]
+            gain[row] = most_gain(beam, image.places[:1], axis[None], box)[0, 0]
     return ImageAntennas(np.array([image.place for image in images]), mirrored, gain, last)
 
 
@@ -126,7 +126,7 @@ def shares(
         some = ImageAntennas(
             antennas.place[part], antennas.axis[part], antennas.gain[part], antennas.last[part]
         )
-        gain = np.minimum(_most_gain(beam, some.place, some.axis, boxes), some.gain[:, None])
+        gain = np.minimum(most_gain(beam, some.place, some.axis, boxes), some.gain[:, None])
         distance = np.stack([distances_m(boxes, place) for place in some.place])
         with np.errstate(divide="ignore", invalid="ignore"):
             angle = np.where(distance > 0, area_m2 / distance**2, 4 * np.pi)
@@ -167,7 +167,7 @@ def worth_tracing(share: Array, limit: float) -> Worth:
     return Worth(worth.reshape(share.shape), float(lost[count - 1]) if count else 0.0)
 
 
-def _most_gain(beam: Beam, places: Array, axes: Array, boxes: Array) -> Array:
+def most_gain(beam: Beam, places: Array, axes: Array, boxes: Array) -> Array:
     """Bound of the gain from each place, with the antenna along its axis, towards each box."""
     middle = boxes.mean(axis=1)
     radius = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2
