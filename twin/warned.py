@@ -16,7 +16,7 @@ from twin.errors import InputError
 #: unambiguous to).
 #: Of the twin: ``design`` (settings that contradict each other or the scene), ``model`` (physics
 #: that is left out matters here), ``rendering`` (rays, their rounding or their number leave an
-#: error).
+#: error), ``tolerance`` (the error is more than was asked for).
 Kind = Literal[
     "saturated",
     "black",
@@ -33,6 +33,7 @@ Kind = Literal[
     "design",
     "model",
     "rendering",
+    "tolerance",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 

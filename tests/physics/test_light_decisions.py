@@ -1,6 +1,7 @@
 """What light to a tolerance leaves out: its bounds hold, and are told."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -179,3 +180,17 @@ def test_a_wire_across_the_field_is_met() -> None:
         tracer = case.from_emitter((16, 16), TracingQuality(), seed)
         light = gather_within(tracer, lambda cells: np.full_like(cells, limit), case.corners).light
         assert np.sqrt(np.mean((light.total - fine) ** 2)) < limit
+
+
+def test_a_tolerance_that_is_not_kept_is_in_the_verdict() -> None:
+    """A room's light to a hundred thousandth takes more paths than a cell may have."""
+    room = body(trimesh.creation.box((4, 4, 4)), 0.5, at=(0.3, 0.2, 0.1))
+    scene = replace(load_scene("fig3a"), objects=(room,), rig=Rig(Pose((0.0, 0.0, 0.0))))
+    design = load_system("workable").with_(
+        {"emitter.rows": 2, "emitter.columns": 2, "acquisition.n_patterns": 4}
+    )
+    found = capture(scene, design, seed=1, fidelity=Fidelity(light_tolerance_relative=1e-5))
+    (warning,) = (w for w in found.warnings if w.kind == "tolerance")
+    assert "1e-05 are allowed" in warning
+    assert found.verdict.not_within == (warning,)
+    assert found.void or str(warning) in str(found.verdict)

@@ -57,7 +57,7 @@ def tolerance_warnings(over: float, permitted: PermittedError) -> tuple[CaptureW
         f"light is off by {over * tolerance:.2g} {permitted.unit}, root mean square over the "
         f"image, where {tolerance:g} are allowed: no more paths are traced"
     )
-    return (CaptureWarning("rendering", text),)
+    return (CaptureWarning("tolerance", text),)
 
 
 def grazing_warnings(cells: Array, cosines: Array) -> list[CaptureWarning]:

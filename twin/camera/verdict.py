@@ -39,7 +39,8 @@ class ImageVerdict:
     ``snr_median``, ``snr_best``: signal over noise and distortion per pixel, over the lit cells;
     nan where the record is void. ``lit_share``: share of lit cells. ``above_noise_share``: share
     of the lit cells whose signal exceeds their noise. ``void_because``: the warnings that make the
-    record void. ``range_error``: error of distances due to backscatter.
+    record void. ``range_error``: error of distances due to backscatter. ``not_within``: warnings of
+    light whose error is more than its tolerance.
     """
 
     snr_median: float
@@ -48,6 +49,7 @@ class ImageVerdict:
     above_noise_share: float
     void_because: tuple[CaptureWarning, ...] = ()
     range_error: BackscatterRangeError | None = None
+    not_within: tuple[CaptureWarning, ...] = ()
 
     @property
     def void(self) -> bool:
@@ -70,6 +72,7 @@ class ImageVerdict:
         return (
             f"SNR per pixel {_two_digits(self.snr_median)} (median of the {which}; "
             f"{self.above_noise_share:.0%} of them above their noise){ranging}"
+            + "".join(f"; {warning}" for warning in self.not_within)
         )
 
 
@@ -97,6 +100,7 @@ def judge(
         lit_share=share,
         above_noise_share=float(np.mean(seen >= 1)),
         range_error=range_error,
+        not_within=tuple(w for w in warnings if w.kind == "tolerance"),
     )
 
 
