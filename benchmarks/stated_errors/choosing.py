@@ -11,7 +11,7 @@ from unittest import mock
 #: Functions that decide, and compute nothing of the result, in the modules that call them.
 _DECIDING = (
     ("twin.camera.permitted_error", "PermittedError.of"),
-    ("twin.camera.permitted_error", "PermittedError.sun_share"),
+    ("twin.camera.permitted_error", "PermittedError.sun_error"),
     ("twin.optics.problem", "indirect_bound"),
     ("twin.optics.adaptive", "_wanted"),
     ("twin.optics.adaptive", "_variances"),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from twin.camera.chain import Chain
 from twin.camera.equal_paths import of_bucket, sun_shape, with_light
-from twin.camera.permitted_error import PermittedError
+from twin.camera.permitted_error import SUN_SHARE, PermittedError
 from twin.camera.render_warnings import tolerance_warnings
 from twin.camera.rendered import RenderedLight
 from twin.fidelity import Fidelity
@@ -17,10 +17,10 @@ from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 
 Array = NDArray[np.float64]
-#: Error of the image's noise by the sun's light, over that which light may be off by.
-_SUN_SHARE = 0.025
-#: Relative error of the sun's light at most: noise is then linear in it.
-_MOST_OF_SUN = 0.1
+#: Radiance per irradiance of the sun that a surface has at most, with light of ten bounces.
+_SUNLIT = 10 / math.pi
+#: Number of paths that would meet what all of them miss in 5 of 100 cases.
+_MISSED = 3.0
 #: Paths of a cell where all cells have the same number: to begin with, and at most.
 FIRST_SAMPLES, _MOST_SAMPLES = 4, 1024
 
@@ -108,22 +108,23 @@ def with_sun_within(
     shape = sun_shape(system.n_detectors)
     tracer = problem.from_sun(shape, quality, seed)
     permitted = PermittedError(chain, rendered, fidelity)
-    parts = rendered.sun.size if system.n_detectors == 1 else shape[0]
-    together = (0, 1) if system.n_detectors == 1 else 0
+    one = system.n_detectors == 1
+    parts, largest = rendered.sun.size if one else shape[0], _SUNLIT * tracer.largest_weight
 
     def limit(light: Array) -> Array:
-        total = light.sum(axis=together, keepdims=True)
-        share = permitted.sun_share(np.broadcast_to(total / parts, light.shape))
-        relative = min(2 * _SUN_SHARE * permitted.tolerance / max(share, 1e-30), _MOST_OF_SUN)
-        return np.broadcast_to(relative * total / math.sqrt(parts), light.shape)
+        error = permitted.sun_error(light, largest)
+        return np.broadcast_to(error / math.sqrt(parts), light.shape)
 
     # What is left out is off the same way in all parts, whose paths err independently.
-    largest = problem.largest_indirect(tracer) * math.sqrt(parts)
-    found = gather_within(tracer, limit, largest_indirect=largest)
+    indirect = problem.largest_indirect(tracer) * math.sqrt(parts)
+    # Where no path met the sun, as many that what all of them miss is too little to matter.
+    least = float(permitted.sun_error(np.zeros(shape), largest).min(initial=math.inf))
+    paths = _MISSED * rendered.sun.size * largest / least if least else math.inf
+    found = gather_within(tracer, limit, largest_indirect=indirect, in_the_dark=paths)
     decision = permitted.decision(
         "the sun's indirect light, by its shot noise",
-        found.indirect_over * _SUN_SHARE,
-        LEFT_OUT * _SUN_SHARE,
+        found.indirect_over * SUN_SHARE,
+        LEFT_OUT * SUN_SHARE,
         found.indirect_taken,
         found.cost_s,
     )

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+#: Error of the image's noise by the sun's light, over that which light may be off by.
+SUN_SHARE = 0.025
+
 
 @dataclass(frozen=True, eq=False)
 class PermittedError:
@@ -86,21 +89,33 @@ class PermittedError:
         bounds = (over * tolerance, permitted * tolerance)
         return Decision("camera", effect, *bounds, self.unit, taken, cost_s if taken else math.nan)
 
-    def sun_share(self, sun: Array) -> float:
-        """Largest share of the variance of a dark pixel that the sun makes, whose light is ``sun``,
-        as `RenderedLight` has it; 1 where exposures are not subtracted from each other, in which
-        the sun is more than noise.
+    def sun_error(self, sun: Array, largest: float) -> Array:
+        """What the sum of each detector's sunlight may be off by, (n_detectors,), in the unit of
+        `RenderedLight.sun`, for the noise of a dark pixel to be off by a share of the tolerance.
+
+        ``sun``: as rendered so far; ``largest``: more than a part of the field can have. Where
+        exposures are not subtracted from each other, in which the sun is more than noise, the same
+        share of the sun itself.
         """
-        chain = self.chain
-        if chain.system.patterns.mode != "differential" or not sun.any():
-            return 1.0
-        sun_w = chain.sun_power(replace(self.rendered, sun=sun))
-        dark = np.zeros((1, len(chain.shutters), chain.system.n_detectors))
-        lit, unlit = (
-            np.array([budget.total_noise_e for budget in chain.noise_by_detector(dark, w)])
-            for w in (sun_w, np.zeros_like(sun_w))
+        chain, one = self.chain, self.chain.system.n_detectors == 1
+        total = sun.sum(keepdims=True).reshape(1) if one else sun.sum(axis=0)
+        relative = 2 * SUN_SHARE * self.tolerance
+        if self.fidelity.light_tolerance is None or chain.system.patterns.mode != "differential":
+            return relative * total
+        each = sun.size / total.size
+        bright_w, sun_w = (
+            chain.sun_power(replace(self.rendered, sun=x))
+            for x in (np.full_like(sun, largest), sun)
         )
-        return float(np.max(1 - (unlit / lit) ** 2))
+        bright, now, unlit = map(self._dark_variance, (bright_w, sun_w, np.zeros_like(sun_w)))
+        with np.errstate(divide="ignore"):
+            return np.asarray(relative * now * each * largest / (bright - unlit))
+
+    def _dark_variance(self, sun_w: Array) -> Array:
+        """Of exposures without the emitter's light, by detector."""
+        dark = np.zeros((1, len(self.chain.shutters), self.chain.system.n_detectors))
+        budgets = self.chain.noise_by_detector(dark, sun_w)
+        return np.array([budget.total_noise_e**2 for budget in budgets])
 
     @cached_property
     def _unit(self) -> Powers:

@@ -46,8 +46,8 @@ _BISECTIONS = 14
 _DRAWS = 2**16
 #: Paths of a set at most, of one cell and of all together.
 _MOST, _MOST_TOGETHER = 128**2, 2**17
-#: Paths of a set of all cells together where the first look found no light at all.
-_IN_THE_DARK = 2**18
+#: Paths of all cells together where the first look found no light at all.
+_IN_THE_DARK = 2**20
 
 
 @dataclass(eq=False)
@@ -161,6 +161,7 @@ def gather_within(
     permitted: Callable[[Array], Array],
     corners: Callable[[], tuple[Array, Array]] | None = None,
     largest_indirect: float = math.inf,
+    in_the_dark: float = math.inf,
 ) -> LightWithin:
     """Light that each cell receives, as `gather`, with as many paths as its error needs.
 
@@ -169,7 +170,8 @@ def gather_within(
     more paths than a cell may have: `CellLight.standard_error` says what was reached. Bounces end
     by chance instead of at a largest number, so that no light is lost. ``largest_indirect``: bound
     of a cell's indirect light (`LightProblem.largest_indirect`), which is left out where that is
-    below a tenth of what is permitted.
+    below a tenth of what is permitted. ``in_the_dark``: paths of all cells together that are enough
+    where the first ones find no light at all, at most a million.
 
     The standard error is from the scatter of independent sets of paths, half of it that of the
     cells around; with what all paths of a cell may miss: one path's share of the contrast to the
@@ -190,7 +192,8 @@ def gather_within(
     if corners is not None and isinstance(tracer.light, DeviceLight):
         facets = facet_light(tracer.start, tracer.light.device, corners())
     if not any(part.mean.any() for part in parts):
-        samples = 2 ** math.ceil(math.log2(max(_IN_THE_DARK / tracer.start.size, 1)))
+        each = min(_IN_THE_DARK, in_the_dark) / _SETS / tracer.start.size
+        samples = 2 ** math.ceil(math.log2(max(each, 1)))
         for part in parts:
             _draw_more(part, np.full(tracer.start.size, samples), 0)
     for turn in range(1, _ROUNDS + 1):
