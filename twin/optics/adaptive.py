@@ -228,10 +228,10 @@ def _over(
     shape: tuple[int, int],
 ) -> float:
     """A bound of every cell's light over the permitted error, root mean square over the cells."""
-    if not bound or math.isinf(bound):
-        return bound
     light = np.sum([part.mean for part in parts], axis=0)
     limit = np.maximum(permitted(light.reshape(shape)), 1e-150)
+    if not bound or np.isinf(limit).all():
+        return 0.0
     return bound * math.sqrt(float(np.mean(1 / limit**2)))
 
 
