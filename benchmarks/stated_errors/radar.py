@@ -22,23 +22,36 @@ from twin.trade.bodies import echoes_by_body, reference_bodies
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Of the truth where sums of currents would take too long; and spacing of those, in wavelengths.
-_FINEST, _SPACING = Fidelity(radar_tolerance=0.005, radar_images=2), 1 / 8
-_OWN_ERROR = 0.005  # of either truth, relative to a body's echo
+#: Truths where sums of currents would take too long; and spacings of those, in wavelengths. Each
+#: twice: the difference is the error of the finer one.
+_FINE, _FINEST = (Fidelity(radar_tolerance=t, radar_images=2) for t in (0.01, 0.005))
+_SPACINGS = (1 / 6, 1 / 10)
+_BODIES = 5  # of a case at most: the strongest, and others down to the faintest
 _TOLERANCES, _BOUNCES, _IMAGES = (1.0, 0.5, 0.3, 0.1, 0.03, 0.01), (1, 2, 3), (0, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Truth:
-    """Echoes (n_bodies, n_frequencies) of bodies, named by their objects."""
+    """Echoes (n_bodies, n_frequencies) of bodies, named by their objects, and their errors."""
 
     names: tuple[tuple[str, ...], ...]
     echo: Complex
+    error: Complex
 
-    def of(self, objects: tuple[str, ...]) -> Complex:
-        """The sum of what the objects belong to."""
+    def of(self, objects: tuple[str, ...]) -> tuple[Complex, Complex]:
+        """Sums of what the objects belong to."""
         rows = [i for i, names in enumerate(self.names) if set(names) & set(objects)]
-        return np.asarray(self.echo[rows].sum(axis=0))
+        return self.echo[rows].sum(axis=0), self.error[rows].sum(axis=0)
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Error of a body, that stated of it, and that of the truth, relative to its echo."""
+
+    objects: tuple[str, ...]
+    true: float
+    stated: float
+    truth_error: float
 
 
 def judged(case: RadarCase, *, search: bool = True) -> Iterator[Judged]:
@@ -50,16 +63,18 @@ def judged(case: RadarCase, *, search: bool = True) -> Iterator[Judged]:
     seconds = time.process_time() - begin
     truth = _truth(case, propagation)
     cheapest = _cheapest(case, truth, seconds) if search else None
-    errors, estimates = _errors(case, propagation, truth, fidelity.radar_tolerance)
-    for number, (body, estimate) in enumerate(estimates.items()):
-        first = number == 0
+    compared = _errors(case, propagation, truth, fidelity.radar_tolerance)
+    rows = np.unique(np.linspace(0, len(compared) - 1, _BODIES).round().astype(int))
+    for number in rows if compared else ():
+        body, first = compared[number], number == 0
+        others = f" and {len(body.objects) - 1} more" if body.objects[1:] else ""
         yield Judged(
             name=case.name,
-            figure=body[0] if len(body) == 1 else f"{body[0]} and {len(body) - 1} more",
+            figure=f"{body.objects[0]}{others}",
             tolerance=fidelity.radar_tolerance,
-            stated=estimate,
-            true=errors[body],
-            truth_error=_OWN_ERROR,
+            stated=body.stated,
+            true=body.true,
+            truth_error=body.truth_error,
             unit="of its echo",
             seconds=seconds if first else math.nan,
             cheapest=cheapest if first else None,
@@ -72,38 +87,51 @@ def _truth(case: RadarCase, propagation: Propagation) -> _Truth:
     radar, frequencies = case.radar, band_of(case.radar.ofdm)
     if case.bounces:
         bodies = [o for o in case.scene.objects if o is not case.ground]
-        spacing = _SPACING * radar.ofdm.wavelength_m
-        echo = mirrored_currents.echoes(
-            bodies, radar, frequencies, case.bounces, spacing, case.ground, least=4
+        coarse, fine = (
+            mirrored_currents.echoes(
+                bodies,
+                radar,
+                frequencies,
+                case.bounces,
+                spacing * radar.ofdm.wavelength_m,
+                case.ground,
+                least=4,
+            )
+            for spacing in _SPACINGS
         )
-        return _Truth(tuple((o.name,) for o in bodies), echo)
+        return _Truth(tuple((o.name,) for o in bodies), fine, fine - coarse)
     finest = trace(case.scene, radar, fidelity=_FINEST)
     found = reference_bodies(case.scene, radar, _FINEST, finest, 0)
-    return _Truth(found.names, found.echo)
+    fine = trace(case.scene, radar, fidelity=_FINE)
+    echoes = (echoes_by_body(p, found.names, radar, frequencies) for p in (finest, fine))
+    return _Truth(found.names, found.echo, np.subtract(*echoes))
 
 
 def _errors(
     case: RadarCase, propagation: Propagation, truth: _Truth, tolerance: float
-) -> tuple[dict[tuple[str, ...], float], dict[tuple[str, ...], float]]:
-    """Errors of bodies relative to their echoes, or to the least echo that counts; and what is
-    stated of them. A body that is not told of is stated to be nothing.
+) -> list[_Compared]:
+    """Of bodies, the strongest first, relative to their echoes or to the least echo that counts;
+    without the truth's own error. Bodies that the solver tells nothing of are stated to be nothing,
+    to the tolerance.
     """
     radar, frequencies = case.radar, band_of(case.radar.ofdm)
     bodies = {body.objects: body.estimated_error for body in propagation.bodies}
     told = {name for objects in bodies for name in objects}
-    silent = [names for names in truth.names if not told & set(names)]
-    members = (*bodies, *silent)
+    members = (*bodies, *(names for names in truth.names if not told & set(names)))
     if not members:
-        return {}, {}
+        return []
     echo = echoes_by_body(propagation, members, radar, frequencies)
-    true = np.array([truth.of(names) for names in members])
-    level = _rms(echo)
-    least = max(
-        OF_NOISE * noise_amplitude(radar) / tolerance, WEAKEST * float(_rms(true).max(initial=0.0))
-    )
-    off = _rms(echo - true) / np.maximum(level, least)
-    errors = dict(zip(members, off.tolist(), strict=True))
-    return errors, {names: bodies.get(names, tolerance) for names in members}
+    true, own = (np.array(x) for x in zip(*map(truth.of, members), strict=True))
+    level = _rms(true)
+    least = max(OF_NOISE * noise_amplitude(radar) / tolerance, WEAKEST * float(level.max()))
+    over = np.maximum(_rms(echo), least)
+    off, uncertain = _rms(echo - true) / over, _rms(own) / over
+    off = np.sqrt(np.maximum(off**2 - uncertain**2, 0))
+    return [
+        _Compared(members[i], float(off[i]), bodies.get(members[i], tolerance), float(uncertain[i]))
+        for i in np.argsort(-level, kind="stable")
+        if level[i] > 0 or off[i] > 0
+    ]
 
 
 def _cheapest(case: RadarCase, truth: _Truth, most_s: float) -> Cheapest | None:
@@ -128,8 +156,8 @@ def _cheapest(case: RadarCase, truth: _Truth, most_s: float) -> Cheapest | None:
                 seconds = time.process_time() - begin
                 if seconds > most_s:
                     break
-                errors, _ = _errors(case, propagation, truth, permitted)
-                if max(errors.values(), default=0.0) <= permitted:
+                errors = [c.true for c in _errors(case, propagation, truth, permitted)]
+                if max(errors, default=0.0) <= permitted:
                     knobs = f"tolerance {tolerance:g}, {bounces} bounces, {images} images"
                     best, most_s = Cheapest(seconds, knobs), seconds
                     break

@@ -75,7 +75,7 @@ def judged(case: Case) -> Row:
             fault = f"the error does not say {case.says!r}"
         return Row(case, "-", "-", f"error: {text}", fault, time.perf_counter() - start)
     seconds = time.perf_counter() - start
-    measured, stated = _shown(found.error, found.unit), _shown(found.stated, found.unit)
+    measured, stated = shown(found.error, found.unit), shown(found.stated, found.unit)
     spoken = [w for w in found.warnings if case.says and case.says in w]
     if case.expected == "within":
         fault = "" if found.error <= found.stated else "silently outside its stated error"
@@ -102,5 +102,6 @@ def _fault_of_warning(found: Found, spoken: list[str]) -> str:
     return ""
 
 
-def _shown(value: float, unit: str) -> str:
+def shown(value: float, unit: str) -> str:
+    """An error as the table has it."""
     return f"{value:.2g} sigma" if unit == "sigma" else f"{value:.1e}"

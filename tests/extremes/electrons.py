@@ -5,8 +5,8 @@ import numpy as np
 
 from tests.extremes import oracle
 from tests.extremes.case import Case, Found
-from tests.extremes.light import LIGHT, expected_electrons
-from tests.extremes.worlds import camera, look, scene, square
+from tests.extremes.light import expected_electrons
+from tests.extremes.worlds import camera, light_stated, look, scene, square
 from twin.detector import FrontEnd, expose
 from twin.detector.noise import noise_budget
 
@@ -47,6 +47,32 @@ def _integrated(time_s: float, transimpedance_ohm: float) -> Found:
     return Found(error, float(allowed))
 
 
+def _one_bit() -> Found:
+    """Counts of a converter of one bit, whose step is at half a sigma below the mean: as often 1 as
+    a normal distribution says, in standard errors.
+    """
+    system = camera(readout__adc_bits=1, readout__transimpedance_ohm=1e7)
+    front_end = FrontEnd.of(system)
+    threshold_e = (0.5 - front_end.offset_counts) * front_end.electrons_per_count
+    noise_e = noise_budget(np.array([threshold_e / front_end.electrons_per_watt]), 0.0, front_end)
+    sigma_e = mp.sqrt(noise_e.total_noise_e**2 - mp.mpf(front_end.electrons_per_count) ** 2 / 12)
+    power_w = (threshold_e + float(sigma_e) / 2 - front_end.dark_e) / front_end.electrons_per_watt
+    counts, _ = expose(np.full((_N, 1), power_w), front_end, rng=np.random.default_rng(5))
+    exact = float(mp.ncdf(0.5))
+    off = abs(float(np.mean(counts == 1)) - exact) / np.sqrt(exact * (1 - exact) / _N)
+    return Found(off if set(np.unique(counts)) <= {0, 1} else np.inf, 5.0, "sigma")
+
+
+def _bits(bits: int) -> Found:
+    """A whole frame through a converter of so many bits."""
+    system = camera(readout__adc_bits=bits)
+    with scene(square((5.0, 0, 0), 10.0), sun_lx=0.0) as world:
+        taken = look(world, system)
+    exact = expected_electrons(system, 5.0, 0.5)
+    error = oracle.relative(float(taken.cells_e.sum()), exact)
+    return Found(error, light_stated(taken, exact), warnings=taken.warnings)
+
+
 def _frame(time_s: float) -> Found:
     """A whole frame of a wall with the amplifier as it is."""
     system = camera(acquisition__integration_time_s=time_s, acquisition__pattern_period_s=time_s)
@@ -54,7 +80,7 @@ def _frame(time_s: float) -> Found:
         taken = look(world, system)
     exact = expected_electrons(system, 5.0, 0.5)
     error = oracle.relative(float(taken.cells_e.sum()), exact)
-    return Found(error, LIGHT, warnings=taken.warnings)
+    return Found(error, light_stated(taken, exact), warnings=taken.warnings)
 
 
 def _counted(mean: float) -> Found:
@@ -100,5 +126,11 @@ def cases() -> list[Case]:
         Case("integration", "0.1 ns", "-", lambda: _frame(1e-10), "error", "integration_time_s"),
         Case("integration", "1e4 s", "-", lambda: _frame(1e4), "error", "integration_time_s"),
         *counts,
+        Case("converter", "1 bit", "mpmath: normal distribution", _one_bit),
+        Case("converter", "1 bit, a whole frame", "mpmath: integral over the field",
+             lambda: _bits(1), says="converter's step"),
+        Case("converter", "31 bits, a whole frame", "mpmath: integral over the field",
+             lambda: _bits(31), slow=True),
+        Case("converter", "32 bits", "-", lambda: _bits(32), "error", "adc_bits"),
         Case("electrons", "infinite", "-", lambda: _counted(np.inf), "error", "power_w"),
     ]  # fmt: skip

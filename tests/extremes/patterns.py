@@ -9,8 +9,8 @@ from hardware import PatternSet, reconstruct
 from hardware.patterns import fwht
 from tests.extremes import oracle
 from tests.extremes.case import Case, Found
-from tests.extremes.light import LIGHT, expected_electrons
-from tests.extremes.worlds import camera, look, scene, square
+from tests.extremes.light import expected_electrons
+from tests.extremes.worlds import camera, light_stated, look, scene, square
 from twin.fidelity import Fidelity
 
 #: Stated by `fwht`: additions in float64, log2(n) of them one after another.
@@ -55,7 +55,8 @@ def _frame(side: int) -> Found:
     if worst > 1:
         return Found(worst, 1.0)
     # All of the first pattern's rounding falls on the sum, half a count of each of two exposures.
-    return Found(error, LIGHT + float(step / exact), warnings=taken.warnings)
+    stated = light_stated(taken, exact) + float(step / exact)
+    return Found(error, stated, warnings=taken.warnings)
 
 
 def _large_sums(mean: float) -> Found:

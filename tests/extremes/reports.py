@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.extremes.case import Case, Found
-from tests.extremes.worlds import Triangles, camera, scene, square
+from tests.extremes.worlds import Triangles, asked, camera, scene, square
 from twin.fidelity import Fidelity
 from twin.job import run
 from twin.system import System
@@ -27,7 +27,7 @@ def _job(*shapes: Triangles, system: System | None = None, **options: object) ->
             system or camera(),
             compare=None,
             radar="hybrid-79-slow",
-            fidelity=Fidelity(4, 2),
+            fidelity=asked(Fidelity(4, 2)),
             out=out,
         )
         wrong = 0

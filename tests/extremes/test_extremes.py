@@ -8,7 +8,8 @@ from dataclasses import replace
 import pytest
 
 from tests.extremes.case import Case, Found, judged
-from tests.extremes.table import all_cases
+from tests.extremes.table import all_cases, to_a_tolerance
+from tests.extremes.tolerances import judged_within
 
 CASES = [
     pytest.param(case, id=case.name, marks=pytest.mark.slow if case.slow else ())
@@ -19,6 +20,20 @@ CASES = [
 @pytest.mark.parametrize("case", CASES)
 def test_an_extreme_comes_out_as_it_must(case: Case) -> None:
     row = judged(case)
+    assert not row.fault, f"{row.fault} (measured {row.measured}, stated {row.stated})"
+
+
+#: Under a tolerance too, a few of them every day.
+QUICK = ("distance: 10 m", "grazing: 89.99 deg", "field: 0.002 deg")
+TO_A_TOLERANCE = [
+    pytest.param(case, id=case.name, marks=() if case.name in QUICK else pytest.mark.slow)
+    for case in to_a_tolerance()
+]
+
+
+@pytest.mark.parametrize("case", TO_A_TOLERANCE)
+def test_an_extreme_to_a_tolerance_is_within_warned_of_or_refused(case: Case) -> None:
+    row = judged_within(case)
     assert not row.fault, f"{row.fault} (measured {row.measured}, stated {row.stated})"
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from tests.extremes import oracle
 from tests.extremes.case import Case, Found
+from tests.extremes.worlds import Triangles, asked, square
 from tests.extremes.worlds import scene as scene_of
-from tests.extremes.worlds import square
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import channel as received
@@ -102,23 +102,33 @@ def _traced(hz: float) -> Found:
     """Sionna's own legs to a target, with the radar equation: stated to 0.2 dB."""
     design = radar(waveform__carrier_hz=hz, waveform__n_subcarriers=64)
     scene = world()
-    taken = radar_capture(scene, design, fidelity=Fidelity(noise="none"))
+    taken = radar_capture(scene, design, fidelity=asked(Fidelity(noise="none")))
     (path,) = [p for p in taken.propagation.paths if p.via == ("target",)]
     exact = abs(_echo(design, scene, 0.0, 0.0))
     return Found(abs(abs(path.amplitude) / exact - 1), _LEVEL)
 
 
-def _wall(half_m: float, turned: bool = True) -> Found:
-    """Echo of a concrete wall 25 m ahead: image method, Fresnel's coefficient (ITU-R P.2040-3).
+def _doubled(shape: Triangles, *, flipped: bool) -> Triangles:
+    """Every triangle twice, the second time with its other side out."""
+    corners, faces = shape
+    again = faces[:, ::-1] if flipped else faces
+    return corners, np.vstack([faces, again])
+
+
+def _wall(half_m: float, turned: bool = True, how: str = "") -> Found:
+    """Echo of a concrete wall 25 m ahead, of triangles that are there twice, with their other side
+    out too, or in a second object (``how``): image method, Fresnel's coefficient (ITU-R P.2040-3).
 
     Amplitude relative, or the delay's error in periods of the carrier where that is larger.
     """
     design = radar()
     shape = square((25.0, -0.11 * half_m, 0.3 * half_m), half_m)
-    with scene_of(shape, turned=turned, radio="concrete") as found:
+    shapes = [_doubled(shape, flipped=how == "flipped") if how in ("twice", "flipped") else shape]
+    shapes += [shape] if how == "coplanar" else []
+    with scene_of(*shapes, turned=turned, radio="concrete") as found:
         there = replace(found, rig=replace(found.rig, radar=Pose((0.0, 0.0, 0.0))))
-        taken = radar_capture(there, design, fidelity=Fidelity(noise="none"))
-    paths = [p for p in taken.propagation.paths if p.via == ("shape-0",)]
+        taken = radar_capture(there, design, fidelity=asked(Fidelity(noise="none")))
+    paths = [p for p in taken.propagation.paths if set(p.via) <= {"shape-0", "shape-1"}]
     carrier = mp.mpf(design.ofdm.carrier_hz)
     ghz = carrier / 10**9
     eta = mp.mpc("5.24", -mp.mpf("17.98") * mp.mpf("0.0462") * ghz ** mp.mpf("0.7822") / ghz)
@@ -208,12 +218,21 @@ def cases() -> list[Case]:
                 ("100 km at 25 m", 5e4, "within", ""),
             )
         ],
+        *[
+            Case("faces", f"a wall's, {text}, by radar", "mpmath: image method, Fresnel",
+                 lambda how=how: _wall(10.0, how=how))
+            for text, how in (
+                ("twice", "twice"), ("both sides out", "flipped"), ("in two objects", "coplanar")
+            )
+        ],
         *velocities,
         Case("velocity", "300 m/s across", _SUM, lambda: _crossing(50.0)),
         Case("velocity", "300 m/s across at 10 m", _SUM, lambda: _crossing(10.0), "warning",
              "passes so near and fast"),
         Case("velocity", "3e8 m/s", "-", lambda: _declared(3e8), "error", "velocity_m_per_s"),
         Case("subcarriers", "1", _SUM, lambda: _subcarriers(1, 976562.5, 64)),
+        Case("slots", "1", _SUM, lambda: _subcarriers(1024, 976562.5, 1)),
+        Case("slots", "1 of 1 subcarrier", _SUM, lambda: _subcarriers(1, 976562.5, 1)),
         Case("subcarriers", "65 536", _SUM, lambda: _subcarriers(65536, 61035.15625, 16)),
         Case("subcarriers", "1 048 576", _SUM, lambda: _subcarriers(2**20, 3814.697, 4), slow=True),
         Case("subcarriers", "2 097 152", "-", lambda: _subcarriers(2**21, 1907.3, 4), "error",

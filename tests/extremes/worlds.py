@@ -3,6 +3,8 @@
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,9 +86,10 @@ def scene(
             references.append(
                 f'<shape type="ply" id="shape-{number}">'
                 f'<string name="filename" value="{number}.ply"/>'
-                '<bsdf type="diffuse" id="stuff"/></shape>'
+                '<ref id="stuff"/></shape>'
             )
-        xml = f'<scene version="3.0.0">{"".join(references)}</scene>'
+        stuff = '<bsdf type="diffuse" id="stuff"/>'
+        xml = f'<scene version="3.0.0">{stuff}{"".join(references)}</scene>'
         (folder / "scene.xml").write_text(xml)
         (folder / "materials.toml").write_text(
             "[stuff.optical]\nreflectance = "
@@ -133,4 +136,38 @@ def camera(**changes: object) -> System:
 
 def look(world: Scene, system: System, fidelity: Fidelity = DIRECT, seed: int = 1) -> Capture:
     """One frame."""
-    return capture(world, system, seed=seed, fidelity=fidelity)
+    return capture(world, system, seed=seed, fidelity=asked(fidelity))
+
+
+_TOLERANCE: ContextVar[float | None] = ContextVar("tolerance", default=None)
+
+
+@contextmanager
+def under_tolerance(share: float) -> Iterator[None]:
+    """Cases run to a tolerance inside, in place of the knobs that they name."""
+    token = _TOLERANCE.set(share)
+    try:
+        yield
+    finally:
+        _TOLERANCE.reset(token)
+
+
+def asked(fidelity: Fidelity) -> Fidelity:
+    """The knobs of a case, or those of the tolerance that it runs under, with the case's noise."""
+    share = _TOLERANCE.get()
+    return fidelity if share is None else replace(Fidelity.within(share), noise=fidelity.noise)
+
+
+def has_tolerance() -> bool:
+    """Whether cases run under a tolerance."""
+    return _TOLERANCE.get() is not None
+
+
+def light_stated(taken: Capture, exact: object, of_light: float = 3e-3) -> float:
+    """Relative error that is stated of all light of a frame: what direct light is tested to
+    everywhere, and under a tolerance five standard errors besides.
+    """
+    if not has_tolerance():
+        return of_light
+    error = float(np.sqrt((taken.cells_error_e**2).sum()))
+    return of_light + 5 * error / float(exact) if exact else of_light  # type: ignore[arg-type]

@@ -27,6 +27,7 @@ from twin.camera.render_warnings import (
 from twin.camera.rendered import DetectorLight, RenderedLight
 from twin.camera.truth import Truth, incidence_cosines, render_truth
 from twin.fidelity import Fidelity
+from twin.optics.direct_sunlight import direct_sunlight
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.progress import OpenStage, silently
@@ -116,6 +117,8 @@ def render_light(
         else:
             sun = sun_light(problem, system.n_detectors, quality=sun_quality, seed=second)
             rendered = replace(rendered, sun=sun)
+        direct = direct_sunlight(problem, rendered.sun.shape)
+        rendered = replace(rendered, sun=rendered.sun + direct)
         if problem.air:
             airlight = airlight_of(problem, rendered.sun.shape)
             rendered = replace(rendered, sun=rendered.sun + airlight)

@@ -1,6 +1,7 @@
 """Whether a point is inside a closed mesh, or in its surface."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.scene.model import Array, SceneObject
 
@@ -24,15 +25,26 @@ def touches(item: SceneObject, point_m: Array) -> bool:
 def encloses(item: SceneObject, point_m: Array) -> bool:
     """By the winding number: solid angles of all triangles, over 4 pi, add up to 1 inside.
 
-    Robust against small holes; an open surface encloses nothing unless it nearly closes. Solid
-    angle of a triangle by Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30, 1983.
+    Robust against small holes; an open surface encloses nothing unless it nearly closes, and
+    triangles that are there twice count once.
     """
     low, high = item.vertices_m.min(axis=0), item.vertices_m.max(axis=0)
     if not ((low < point_m) & (point_m < high)).all():
         return False
-    a, b, c = (item.vertices_m[item.geometry.faces[:, i]] - point_m for i in range(3))
+    faces = item.geometry.faces
+    if _solid_angle(item, faces, point_m) <= 2 * np.pi:
+        return False
+    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return len(once) == len(faces) or _solid_angle(item, faces[once], point_m) > 2 * np.pi
+
+
+def _solid_angle(item: SceneObject, faces: NDArray[np.integer], point_m: Array) -> float:
+    """Of triangles, added up with the sign of the side that is seen: its magnitude. By Van Oosterom
+    and Strackee, IEEE Trans. Biomed. Eng. 30, 1983.
+    """
+    a, b, c = (item.vertices_m[faces[:, i]] - point_m for i in range(3))
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
     triple = np.einsum("ij,ij->i", a, np.cross(b, c))
     ab, bc, ca = (np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
     angle = 2 * np.arctan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
-    return bool(abs(angle.sum()) > 2 * np.pi)
+    return abs(float(angle.sum()))
