@@ -59,6 +59,11 @@ class Judged:
         return self.true / self.stated if self.stated else (math.inf if self.true else 0.0)
 
     @property
+    def is_decided(self) -> bool:
+        """Whether the truth itself is known to within what is stated."""
+        return self.truth_error <= self.stated or not self.true
+
+    @property
     def over_cheapest(self) -> float:
         """Time over that of the cheapest sufficient setting; 1 where that takes no less."""
         return self.seconds / self.cheapest.seconds if self.cheapest else 1.0
@@ -87,7 +92,11 @@ class Judged:
 
 
 def summary(what: str, found: Sequence[Judged]) -> Iterator[Figure]:
-    """Coverage with its interval, the worst ratio, and times."""
+    """Coverage with its interval, the worst ratio, and times. Errors where the truth itself is not
+    known to within what is stated are not counted.
+    """
+    everything, found = found, [one for one in found if one.is_decided]
+    yield f"{what}: truths too uncertain to count", float(len(everything) - len(found)), "cases"
     if not found:
         return
     ratio = np.array([one.ratio for one in found])
@@ -105,7 +114,7 @@ def summary(what: str, found: Sequence[Judged]) -> Iterator[Figure]:
     inside = [one.inside for one in found if one.inside >= 0]
     if inside:
         yield f"{what}: cells within their own intervals", 100 * float(np.mean(inside)), "%"
-    timed = [one for one in found if one.searched]
+    timed = [one for one in everything if one.searched]
     if timed:
         over = np.array([one.over_cheapest for one in timed])
         name = f"{what}: time over that of the cheapest sufficient knobs"
@@ -113,7 +122,7 @@ def summary(what: str, found: Sequence[Judged]) -> Iterator[Figure]:
         yield f"{name}, largest", float(over.max()), ""
         cheaper = sum(one.cheapest is not None for one in timed)
         yield f"{what}: cases in which some knobs take less", float(cheaper), f"of {len(timed)}"
-    choosing = [one.choosing for one in found if one.choosing >= 0]
+    choosing = [one.choosing for one in everything if one.choosing >= 0]
     if choosing:
         yield f"{what}: choosing, median", 100 * float(np.median(choosing)), "% of the time"
         yield f"{what}: choosing, largest", 100 * max(choosing), "% of the time"

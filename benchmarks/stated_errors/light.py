@@ -90,9 +90,11 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
     total = float(truth.light.sum())
     if total:
         error = float(np.sqrt(np.sum(truth.error**2)))
+        scatter = _WITHIN_95 * float(np.sqrt(np.sum(rendered.light.error**2)))
+        bias = rendered.light.cells.size * rendered.light.left_out
         yield Judged(
             figure="whole light",
-            stated=float(np.sqrt(np.sum(stated**2))) / total,
+            stated=(scatter + bias) / total,
             true=abs(float(rendered.light.cells.sum()) / total - 1),
             truth_error=error / total,
             unit="of it",

@@ -24,8 +24,10 @@ Complex = NDArray[np.complex128]
 
 #: Truths where sums of currents would take too long; and spacings of those, in wavelengths. Each
 #: twice: the difference is the error of the finer one.
-_FINE, _FINEST = (Fidelity(radar_tolerance=t, radar_images=2) for t in (0.01, 0.005))
-_SPACINGS = (1 / 6, 1 / 10)
+_FINE, _FINEST = (
+    Fidelity(radar_tolerance=t, radar_bounces=5, radar_images=3) for t in (0.01, 0.005)
+)
+_SPACINGS = (1 / 9, 1 / 16)
 _BODIES = 5  # of a case at most: the strongest, and others down to the faintest
 _TOLERANCES, _BOUNCES, _IMAGES = (1.0, 0.5, 0.3, 0.1, 0.03, 0.01), (1, 2, 3), (0, 1)
 

@@ -129,7 +129,7 @@ def scattered_plates(rng: np.random.Generator, wavelength_m: float) -> _Things:
     for i in range(rng.integers(1, 5)):
         half = wavelength_m * np.exp(rng.uniform(0, np.log(10)))
         found.append(_metal(f"plate {i}", square(_place(rng), _facing(rng, 1.0), half)))
-    return _Things(found, 2)
+    return _Things(found, 3)
 
 
 def close_plates(rng: np.random.Generator, wavelength_m: float) -> _Things:
@@ -139,7 +139,7 @@ def close_plates(rng: np.random.Generator, wavelength_m: float) -> _Things:
         half = wavelength_m * rng.uniform(1.5, 6)
         at = center + rng.uniform(-8, 8, 3) * wavelength_m
         found.append(_metal(f"plate {i}", square(at, _facing(rng, 1.5), half)))
-    return _Things(found, 3)
+    return _Things(found, 4)
 
 
 def block(rng: np.random.Generator, wavelength_m: float) -> _Things:
@@ -156,7 +156,7 @@ def prism_and_plate(rng: np.random.Generator, wavelength_m: float) -> _Things:
     )
     behind = center * 1.0 + np.array([wavelength_m * rng.uniform(8, 15), 0, 0])
     plate = square(behind, _facing(rng, 0.6), wavelength_m * rng.uniform(3, 8))
-    return _Things([_metal("post", mesh, center), _metal("plate", plate)], 2)
+    return _Things([_metal("post", mesh, center), _metal("plate", plate)], 3)
 
 
 def pyramids(rng: np.random.Generator, wavelength_m: float) -> _Things:
@@ -167,7 +167,7 @@ def pyramids(rng: np.random.Generator, wavelength_m: float) -> _Things:
         mesh = trimesh.Trimesh(points, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
         at = center + rng.uniform(-10, 10, 3) * wavelength_m
         found.append(_metal(f"pyramid {i}", mesh, at))
-    return _Things(found, 2)
+    return _Things(found, 3)
 
 
 def trihedral(rng: np.random.Generator, wavelength_m: float) -> _Things:
@@ -178,7 +178,7 @@ def trihedral(rng: np.random.Generator, wavelength_m: float) -> _Things:
     corners = np.vstack([np.zeros(3), tips])
     turned = trimesh.transformations.euler_matrix(*rng.uniform(-0.4, 0.4, 3))[:3, :3]
     mesh = trimesh.Trimesh(corners @ turned.T, [[0, 1, 2], [0, 2, 3], [0, 3, 1]], process=False)
-    return _Things([_metal("trihedral", mesh, _place(rng))], 3)
+    return _Things([_metal("trihedral", mesh, _place(rng))], 5)
 
 
 def over_ground(rng: np.random.Generator, wavelength_m: float) -> _Things:
@@ -187,7 +187,7 @@ def over_ground(rng: np.random.Generator, wavelength_m: float) -> _Things:
     low = min(float(o.vertices_m[:, 2].min()) for o in made.objects)
     height = max(-low, 0.0) + rng.uniform(0.1, 1.0)
     floor = square(np.array([0, 0, -height]), np.array([0, 0, 1.0]), _WIDE_M)
-    return _Things(made.objects[:2], 2, thing("ground", floor, 0.5, material="metal"))
+    return _Things(made.objects[:2], 3, thing("ground", floor, 0.5, material="metal"))
 
 
 def small_ball(rng: np.random.Generator, wavelength_m: float) -> Scene:
@@ -251,7 +251,7 @@ def strong_beside_weak(rng: np.random.Generator, wavelength_m: float) -> _Things
     small = wavelength_m * np.array([[0, 0, 0], [0, 2, 0], [0.5, 0.3, 2.0]])
     beside = away + np.array([-2.0, 35 * wavelength_m, 0])
     tip = trimesh.Trimesh(small + beside, [[0, 1, 2]], process=False)
-    return _Things([_metal("large", large), _metal("small", tip)], 2)
+    return _Things([_metal("large", large), _metal("small", tip)], 3)
 
 
 def two_mirrors(rng: np.random.Generator, wavelength_m: float) -> _Things:
@@ -264,7 +264,7 @@ def two_mirrors(rng: np.random.Generator, wavelength_m: float) -> _Things:
             _metal(f"plate {i}", square(center + s * gap * turn / 2, turn, 6 * wavelength_m))
             for i, s in enumerate((-1, 1))
         ],
-        5,
+        6,
     )
 
 
@@ -279,7 +279,7 @@ def keyhole(rng: np.random.Generator, wavelength_m: float) -> _Things:
     screen = trimesh.Trimesh(points, faces, process=False)
     behind = np.array([away * 1.2, 0, 0])
     plate = square(behind, np.array([-1.0, 0.02, 0.03]), 4 * wavelength_m)
-    return _Things([_metal("screen", screen), _metal("plate", plate)], 2)
+    return _Things([_metal("screen", screen), _metal("plate", plate)], 3)
 
 
 def grazing_floor(rng: np.random.Generator, wavelength_m: float) -> _Things:
@@ -314,7 +314,7 @@ def tiny_facing_facet(rng: np.random.Generator, wavelength_m: float) -> _Things:
     for i, side in enumerate((-1, 1)):
         at = away + np.array([0.05, side * 15 * wavelength_m, 0])
         found.append(_metal(f"plate {i}", square(at, _facing(rng, 1.0), 10 * wavelength_m)))
-    return _Things(found, 2)
+    return _Things(found, 3)
 
 
 _DRAWN: tuple[Callable[[np.random.Generator, float], _Things | Scene], ...] = (
