@@ -106,7 +106,8 @@ class Budget:
     echo 40 dB below the strongest. ``earlier_echoes`` (n_bodies, n_frequencies): valid echoes of an
     earlier frame. ``spacing_m``: size of the parts of facets between the rays that look for
     occluders; ``earlier_spacing_m``: that of an earlier frame, None if it is to be chosen. What is
-    added and accepted is tallied by reflections in ``tally``, if there is one.
+    added and accepted is tallied by reflections in ``tally``, if there is one. ``counts_errors``:
+    otherwise only levels are wanted, and no ray is sent for the sake of errors.
     """
 
     def __init__(
@@ -119,8 +120,10 @@ class Budget:
         weakest: float = WEAKEST,
         earlier_echoes: Complex | None = None,
         tally: Tally | None = None,
+        counts_errors: bool = True,
     ) -> None:
         self.tolerance = tolerance
+        self.counts_errors = counts_errors
         self._weakest = weakest
         self._wave_numbers = wave_numbers
         self._floor = floor
@@ -243,7 +246,7 @@ class Budget:
         if self.tally is not None:
             limit = np.minimum(limit, self.tally.faintest * self.level)
         ratio = limit[body] / np.maximum(strength, 1e-300)
-        octave = np.clip(np.floor(np.log2(ratio)) + 1, 0, _OCTAVES - 1).astype(np.intp)
+        octave = np.clip(np.frexp(ratio)[1], 0, _OCTAVES - 1).astype(np.intp)
         count = len(self.level)
         sums = self.summed(body * _OCTAVES + octave, echo, length_m, count * _OCTAVES)
         # From the faintest on: what is left out if an octave and all below are.
@@ -323,13 +326,12 @@ def subdivided_adaptively(
     depth = 0
     while True:
         budget.estimate_levels([seen.leaves, seen.fragments])
-        done = budget.affordable(seen.leaves.body, seen.error, _PER_LEVEL) & ~seen.is_doubtful
-        done &= ~seen.is_wide
-        if depth == deepest:
-            done[:] = True
-        current = seen.leaves
-        share = current.echoes.strength / budget.allowed(current.body)
-        done |= ~largest(np.where(done, 0.0, share), MOST_TRIANGLES // 4)
+        current, done = seen.leaves, np.ones(len(seen.error), dtype=bool)
+        if depth < deepest:
+            done = budget.affordable(current.body, seen.error, _PER_LEVEL)
+            done &= ~seen.is_doubtful & ~seen.is_wide
+            share = current.echoes.strength / budget.allowed(current.body)
+            done |= ~largest(np.where(done, 0.0, share), MOST_TRIANGLES // 4)
         doubt = np.where(seen.is_doubtful, _MIXED * current.echoes.strength, 0.0)
         budget.accept(current.triangles, seen.error + doubt, done)
         for part, is_final in ((seen.leaves, done), (seen.fragments, done[seen.row])):
@@ -451,48 +453,70 @@ def _visible_parts(
     allowed = budget.allowed(lit.body)
     clear = visible_samples(context, lit, partly | (echoes.strength > _SAMPLED * allowed))
     corners = clear[:3].sum(axis=0)
-    agree = (clear == clear[3]).all(axis=0)
-    closer = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSER * allowed))
-    if len(closer):
-        agree[closer] = agree_at(context, lit.take(closer), clear[3, closer], BETWEEN)
-    closest = np.flatnonzero(agree & ~lit.is_ray & (echoes.strength > _CLOSEST * allowed))
-    if len(closest):
-        agree[closest] = agree_at(context, lit.take(closest), clear[3, closest], ALL_OVER)
     weight = _VISIBLE_SHARE[clear[3].astype(np.intp), corners]
-    error = np.where(weight > 0, echoes.curved, 0.0)
+    size = sizes(lit)
+    error, is_doubtful = np.zeros(len(lit)), np.zeros(len(lit), dtype=bool)
+    if budget.counts_errors:
+        error, is_doubtful = _doubts(context, scatterers, lit, echoes, allowed, clear, size)
+        error += np.where(weight > 0, echoes.curved, 0.0)
     odd = (corners == 1) | (corners == 2)
-    error += np.where(agree, 0.0, _MIXED * echoes.strength)
     row = np.flatnonzero(odd & (partly | (_MIXED * echoes.strength > _CUT * allowed)))
     weight[row] = corners[row] >= 2
-    size = sizes(lit)
-    doubt = echoes.strength * np.minimum(size / _MISSED_M, 1) > _MISSED * allowed
-    is_doubtful = agree & doubt & (size > _FINEST_M) & ~lit.is_ray
-    is_hidden = agree & (corners == 0) & ~lit.is_ray
-    hidden = np.flatnonzero(is_hidden & (is_doubtful | (echoes.strength > _GAP_FROM * allowed)))
-    is_gap = ~wholly_hidden(context, scatterers.parts, lit.take(hidden))
-    is_doubtful[hidden] &= is_gap
-    error[hidden] += np.where(is_gap, _GAP * echoes.strength[hidden], 0.0)
     leaves = Leaves(lit, echoes, weight)
     flags = is_doubtful, partly, partly & (size > spacing_m)
     if not len(row):
         return _VisibleParts(leaves, leaves.take(row), row, error, *flags)
     off = clip_at_shadow(context, lit.take(row), clear[:3, row])
-    both = echoes_of(context, scatterers, Triangles.concatenate([off.parts, off.whole]))
-    parts = both.take(slice(2 * len(row)))
-    is_strong = off.is_known & (echoes.strength[row] > _CLOSEST * allowed[row])
-    off.is_known[is_strong] = _is_confirmed(context, off, np.flatnonzero(is_strong))
-    # The border as two straight pieces against one, with the phases of both paths.
-    wave = _with_path_phase(both, context).reshape(3, -1)
-    curvature_error = np.abs(wave[0] + wave[1] - wave[2])
-    error[row] += (
-        _CURVED * curvature_error - np.where(off.is_known, _MIXED, 0) * echoes.strength[row]
-    )
-    error[row] += parts.curved[: len(row)] + parts.curved[len(row) :]
+    parts = echoes_of(context, scatterers, off.parts)
+    if budget.counts_errors:
+        strength = echoes.strength[row]
+        is_strong = off.is_known & (strength > _CLOSEST * allowed[row])
+        off.is_known[is_strong] = _is_confirmed(context, off, np.flatnonzero(is_strong))
+        # The border as two straight pieces against one, with the phases of both paths.
+        whole = echoes_of(context, scatterers, off.whole)
+        wave = _with_path_phase(parts, context).reshape(2, -1).sum(axis=0)
+        error[row] += _CURVED * np.abs(wave - _with_path_phase(whole, context))
+        error[row] -= np.where(off.is_known, _MIXED, 0) * strength
+        error[row] += parts.curved[: len(row)] + parts.curved[len(row) :]
     sign: Array = off.is_seen - weight[row]
     twice = np.concatenate([row, row])
     return _VisibleParts(
         leaves, Leaves(off.parts, parts, np.concatenate([sign, sign])), twice, error, *flags
     )
+
+
+def _doubts(
+    context: TracingContext,
+    scatterers: Scatterers,
+    lit: Triangles,
+    echoes: Echoes,
+    allowed: Array,
+    clear: NDArray[np.bool_],
+    size: Array,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Errors of triangles by shadows that more rays find on them, and whether shadows may still
+    pass between these; by the visibility of four samples of each, (4, n).
+    """
+    agree = (clear == clear[3]).all(axis=0)
+    doubt = echoes.strength * np.minimum(size / _MISSED_M, 1) > _MISSED * allowed
+    is_doubtful = doubt & (size > _FINEST_M) & ~lit.is_ray
+    # What certainly is hidden needs no more rays.
+    hidden = agree & ~clear[3] & ~lit.is_ray
+    hidden = np.flatnonzero(hidden & (is_doubtful | (echoes.strength > _CLOSER * allowed)))
+    is_gap = np.zeros(len(lit), dtype=bool)
+    is_gap[hidden] = ~wholly_hidden(context, scatterers.parts, lit.take(hidden))
+    is_open = agree & ~lit.is_ray
+    is_open[hidden] = is_gap[hidden]
+    for points, share in ((BETWEEN, _CLOSER), (ALL_OVER, _CLOSEST)):
+        some = np.flatnonzero(is_open & agree & (echoes.strength > share * allowed))
+        if len(some):
+            agree[some] = agree_at(context, lit.take(some), clear[3, some], points)
+    error = np.where(agree, 0.0, _MIXED * echoes.strength)
+    is_doubtful &= agree
+    is_doubtful[hidden] &= is_gap[hidden]
+    is_gap &= agree & (is_doubtful | (echoes.strength > _GAP_FROM * allowed))
+    error[is_gap] += _GAP * echoes.strength[is_gap]
+    return error, is_doubtful
 
 
 def _is_confirmed(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, subdivided_adaptively
+from twin.radar.propagation.facets.band_sums import band_sums
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
 from twin.radar.propagation.facets.earlier import Footprints, Sums, TracedEchoes
 from twin.radar.propagation.facets.front_facets import (
@@ -109,19 +110,20 @@ def scattered_by(
         [] if with_footprints else None,
         by_bounds=tally is not None,
     )
-    coarse = Budget(count, max(tolerance, _COARSE), wave_numbers, floor, tally=tally)
     earlier_echoes = None
     if valid is not None:
-        owner = scatterers.body[valid.sums.face]
-        earlier_echoes = coarse.summed(owner, valid.sums.echo, valid.sums.length_m)
-        coarse = Budget(
-            count,
-            coarse.tolerance,
-            wave_numbers,
-            floor,
-            earlier_echoes=earlier_echoes,
-            tally=tally,
-        )
+        sums = valid.sums
+        owner = scatterers.body[sums.face]
+        earlier_echoes = band_sums(owner, count, sums.echo, sums.length_m, wave_numbers)
+    coarse = Budget(
+        count,
+        max(tolerance, _COARSE),
+        wave_numbers,
+        floor,
+        earlier_echoes=earlier_echoes,
+        tally=tally,
+        counts_errors=tally is not None,  # which bounds errors of reflections by these
+    )
     whole = (facets, facets.echoes()) if len(facets) else None
     if whole is None:
         coarse.estimate_levels([])
