@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.facets.currents import normal_of, plane_of
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, origin_of
-from twin.radar.propagation.one_way.path import TracingContext, offset, one_way_path
+from twin.radar.propagation.one_way.path import TracingContext, is_clear, offset
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ def reflected_from(
     off = normal * (offset(place) + tubes.plane_deviation)
     active = mi.Bool(True)
     if tubes.waves is None:  # what lies in shadow reflects nothing
-        active = one_way_path(context, tubes.source, place, off, active).clear
+        active = is_clear(context, tubes.source, place, off, active)
     ray = mi.Ray3f(mi.Point3f(place + off), mi.Vector3f(direction))
     hit = context.world.scene.ray_intersect_preliminary(ray, active=active)
     active &= hit.is_valid()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.facets.borders import bisected, corner_first
 from twin.radar.propagation.facets.currents import normal_of
 from twin.radar.propagation.facets.triangles import Triangles, origin_of
-from twin.radar.propagation.one_way.path import TracingContext, offset, one_way_path
+from twin.radar.propagation.one_way.path import TracingContext, is_clear, offset
 from twin.transfer import aligned
 
 _INSET = 1e-3  # of the way to the centroid: corners are shared with other facets
@@ -52,10 +52,10 @@ def is_visible(context: TracingContext, lit: Triangles, place: Any) -> Any:
     mi = context.mi
     normal = normal_of(context, lit.face, place, origin_of(context, lit))
     off = normal * (offset(place) + lit.plane_deviation)
-    clear = one_way_path(context, lit.receiver, place, off, mi.Bool(True)).clear
+    clear = is_clear(context, lit.receiver, place, off, mi.Bool(True))
     if lit.waves is None:
         apart = clear & (lit.source != lit.receiver)
-        clear &= one_way_path(context, lit.source, place, off, apart).clear | ~apart
+        clear &= is_clear(context, lit.source, place, off, apart) | ~apart
     return clear
 
 

@@ -219,6 +219,82 @@ def one_way_path(
     sent at all.
     """
     mi = context.mi
+    path = _to_image(context, source, place, off, active, unshadowed, tested)
+    field = context.sent(source, path.departure)
+    travel = path.departure
+    transmission = no_slab(mi)
+
+    def cross_walls(begin: Vector3, along: Vector3, segment: Real, where: Mask) -> None:
+        nonlocal field
+        if context.walls is not None:
+            arguments = begin, along, segment, path.length, context.wavelength, where
+            field = cross(mi, context.walls, transmission, field, *arguments)
+
+    begin = path.radar + dr.zeros(mi.Vector3d, dr.width(path.departure))
+    cross_walls(begin, path.departure, path.distance, path.clear)
+    for mirror in path.mirrors[::-1]:
+        has, away = mirror.has, -mirror.direction
+        cosine = -dr.dot(mirror.normal, travel)
+        coefficients = coefficients_at(mi, context.table, mirror.surface, cosine, has)
+        field = reflected(field, travel, mirror.normal, coefficients).where(has, field)
+        travel = dr.select(has, away, travel)
+        cross_walls(mirror.place, away, mirror.distance, has & path.clear)
+    velocity = _gathered(mi, context.velocities, 3 * source, active)
+    return OneWayPath(
+        path.back, path.length, path.departure, field, velocity, path.clear, transmission
+    )
+
+
+def is_clear(
+    context: TracingContext, source: Index, place: Vector3, off: Vector3, active: Mask
+) -> Mask:
+    """Whether the path to a point meets all its mirrors and no occluder: as of `one_way_path`,
+    whose field takes longer to set up than the rays to send.
+    """
+    return _to_image(context, source, place, off, active).clear
+
+
+@dataclass(eq=False)
+class _Mirror:
+    """Reflection of paths on their way from points to the radar: whether a path ``has`` it, its
+    ``place``, the ``direction`` and ``distance`` to there, the ``normal`` on the path's side and
+    the ``surface``.
+    """
+
+    has: Mask
+    place: Vector3
+    direction: Vector3
+    distance: Real
+    normal: Vector3
+    surface: Index
+
+
+@dataclass(eq=False)
+class _PathToImage:
+    """Paths from points to the radar, as lines: ``back``, ``length``, ``departure`` and ``clear`` as
+    in `OneWayPath`; the ``mirrors`` from the point on; the ``radar``'s place, and its ``distance``
+    from the last mirror.
+    """
+
+    back: Vector3
+    length: Real
+    departure: Vector3
+    clear: Mask
+    mirrors: list[_Mirror]
+    radar: Vector3
+    distance: Real
+
+
+def _to_image(
+    context: TracingContext,
+    source: Index,
+    place: Vector3,
+    off: Vector3,
+    active: Mask,
+    unshadowed: bool = False,
+    tested: bool = True,
+) -> _PathToImage:
+    mi = context.mi
     order = dr.gather(mi.UInt32, context.orders, source, active)
     image = _gathered(mi, context.positions, 3 * source, active)
     towards = image - place
@@ -227,7 +303,7 @@ def one_way_path(
     clear = mi.Bool(active)
 
     at, aim, start = place, image, place + off
-    inwards, normals, surfaces, segments = [], [], [], []
+    mirrors = []
     for level in reversed(range(context.order)):
         has = active & (order > level)
         row = source * context.order + level
@@ -253,47 +329,21 @@ def one_way_path(
                 context, begin, direction, reach_m, number, of_wall > 0, has & clear
             )
             clear &= ~has | on_patch
-        segments.append((has, mirror, -direction, t))
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
         at = dr.select(has, mirror, at)
         aim = dr.select(has, before, aim)
         start = dr.select(has, mirror + facing * offset(mirror), start)
-        inwards.append((has, direction))
-        normals.append(facing)
-        surfaces.append(surface)
+        mirrors.append(_Mirror(has, mirror, direction, t, facing, surface))
 
     segment_vector = aim - at
     distance = dr.norm(segment_vector)
     towards_radar = segment_vector / dr.maximum(distance, NEAREST_M)
-    reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
-    begin = _onto_path(at, start, towards_radar)
-    shadow = mi.Ray3f(mi.Point3f(begin), mi.Vector3f(towards_radar), reach, 0.0, [])
     if tested and not unshadowed:
+        reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
+        begin = _onto_path(at, start, towards_radar)
+        shadow = mi.Ray3f(mi.Point3f(begin), mi.Vector3f(towards_radar), reach, 0.0, [])
         clear &= ~context.world.scene.ray_test(shadow, active=mi.Bool(clear))
-
-    departure = -towards_radar
-    field = context.sent(source, departure)
-    travel = departure
-    transmission = no_slab(mi)
-
-    def cross_walls(begin: Vector3, along: Vector3, segment: Real, where: Mask) -> None:
-        nonlocal field
-        if context.walls is not None:
-            arguments = begin, along, segment, length, context.wavelength, where
-            field = cross(mi, context.walls, transmission, field, *arguments)
-
-    cross_walls(aim + dr.zeros(mi.Vector3d, dr.width(at)), departure, distance, clear)
-    for (has, direction), normal, surface, segment in zip(
-        inwards[::-1], normals[::-1], surfaces[::-1], segments[::-1], strict=True
-    ):
-        cosine = -dr.dot(normal, travel)
-        coefficients = coefficients_at(mi, context.table, surface, cosine, has)
-        field = reflected(field, travel, normal, coefficients).where(has, field)
-        travel = dr.select(has, -direction, travel)
-        _, mirror, along, length_on = segment
-        cross_walls(mirror, along, length_on, has & clear)
-    velocity = _gathered(mi, context.velocities, 3 * source, active)
-    return OneWayPath(back, length, departure, field, velocity, clear, transmission)
+    return _PathToImage(back, length, -towards_radar, clear, mirrors, aim, distance)
 
 
 def lengthening(velocity: Vector3, direction: Vector3, length: Real) -> tuple[Real, Real]:
