@@ -1,4 +1,22 @@
-"""Figures of cross-sections at 79 GHz: error against references, time, error over tolerance."""
+"""Figures of cross-sections at 79 GHz: error against references, time, error over tolerance.
+
+Beside the rays of commit ee37b06, at the coarsest density that reaches today's error (in rays per
+wavelength, of 1, 2, 3, 4, 6, 8, 12, 16, 24): CPU time of one thread, both in the same hour on the
+same loaded machine, medians of up to 9 runs, errors in dB as printed here; of several aspects the
+largest error over the strongest echo.
+
+| | today | ee37b06 |
+|---|---|---|
+| plate, one aspect | .0009, 12 ms | .0005 at 24, 610 ms (.0013 at 16, 330 ms) |
+| sphere, one aspect | .046, 93 ms | not reached: .072 at 12, 1140 ms |
+| cylinder, one aspect | .0029, 8.5 ms | .0022 at 8, 95 ms |
+| trihedral, 9 aspects of one call | .010, 20 to 30 ms | .0077 at 6, 185 ms |
+| plate, 81 aspects of one call | .0003, 80 ms | not reached: .0049 at 2, 1020 ms |
+| dihedral, one aspect | .0040, 38 to 44 ms | .0038 at 4, 58 ms |
+| trihedral, one aspect | .015, 12 to 15 ms | .0083 at 4, 15 ms |
+
+So all but single aspects of corner reflectors take less than a third; those are rays as before.
+"""
 
 import math
 from collections.abc import Iterator

@@ -271,9 +271,10 @@ class _Mirror:
 
 @dataclass(eq=False)
 class _PathToImage:
-    """Paths from points to the radar, as lines: ``back``, ``length``, ``departure`` and ``clear`` as
-    in `OneWayPath`; the ``mirrors`` from the point on; the ``radar``'s place, and its ``distance``
-    from the last mirror.
+    """Lines from points to the radar, by way of ``mirrors`` from the point on.
+
+    ``back``, ``length``, ``departure`` and ``clear`` as of `OneWayPath`; the place of the
+    ``radar``, and its ``distance`` from the last mirror.
     """
 
     back: Vector3
