@@ -28,7 +28,7 @@ from twin.radar.evaluation import (
     write_paths,
     write_truth_table,
 )
-from twin.report import write_report
+from twin.report import write_report, write_summary
 from twin.run_folder import default_folder, run_folder, settings_of
 from twin.scene import Pose, Scene, Track, load_scene
 from twin.scene.mitsuba import mitsuba_scene
@@ -143,6 +143,7 @@ def run(
                 weather = systems[0].weather if systems else None
                 echoes = _radar(world, design, weather, seed, fidelity, stages, how)
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
+            write_summary(evaluations, echoes, partial)
             write_report(world, view, evaluations, echoes, seed, stages, partial)
     return Result(world, view, evaluations, echoes, folder, stages.seconds)
 

@@ -65,7 +65,8 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
         rendered = case.light(fidelity, 1)
     seconds = time.process_time() - begin
     truth = _truth(case, rendered, limit_s)
-    stated = _WITHIN_95 * rendered.light.error.ravel() + rendered.light.left_out
+    left_out = np.broadcast_to(rendered.light.left_out, rendered.light.error.shape).ravel()
+    stated = _WITHIN_95 * rendered.light.error.ravel() + left_out
     common = {
         "name": drawn.name,
         "tolerance": drawn.tolerance,

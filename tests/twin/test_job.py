@@ -2,6 +2,7 @@
 
 import csv
 import filecmp
+import json
 import os
 import re
 import signal
@@ -17,9 +18,11 @@ from hardware import read_record, reconstruct
 from hardware.radar.process import process
 from hardware.records import read_radar_record
 from twin import cli
+from twin.accuracy import Interval
 from twin.camera.acquisition import capture, measure
-from twin.camera.evaluation import evaluate, score
+from twin.camera.evaluation import evaluate
 from twin.camera.light import render
+from twin.camera.score import score
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
 from twin.files import InputError, whole_folder
@@ -32,6 +35,7 @@ FAST = Fidelity(samples=4, max_depth=2)
 FILES = {
     "report.html",
     "run.json",
+    "summary.json",
     "record.h5",
     "truth.exr",
     "radar.h5",
@@ -82,6 +86,33 @@ def test_the_report_names_every_setting_and_assumption(finished: Path) -> None:
             assert field in page
             if value.assumed:
                 assert str(escape(value.assumed)) in page
+
+
+def test_the_summary_has_every_figure_with_its_error(finished: Path) -> None:
+    """What the page says of a score stands in the summary, statistical and systematic apart."""
+    summary = json.loads((finished / "summary.json").read_text())
+    assert (summary["format"], summary["version"]) == ("ugv-twin-summary", 1)
+    figures = {(*f["of"], f["name"]): f for f in summary["figures"]}
+    page = (finished / "report.html").read_text()
+    for name, unit in (("PSNR", "dB"), ("SSIM", "")):
+        found = figures["workable", "lmmse", name]
+        assert found["unit"] == unit
+        interval = Interval(found["value"], found["standard_error"], found["systematic"])
+        assert found["standard_error"] > 0
+        assert f"{name} {interval}" in page
+    assert figures["workable", "SNR per pixel, median of the lit cells"]["systematic"] > 0
+    assert figures["workable", "frame time"]["standard_error"] == 0
+    with (finished / "detections.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for number, row in enumerate(rows):
+        level = next(
+            f for f in summary["figures"] if _of_detection(f["of"], number) and f["name"] == "level"
+        )
+        assert float(row["model_level_dbm_standard_error"]) == float(level["standard_error"])
+
+
+def _of_detection(of: list[str], number: int) -> bool:
+    return of[:2] == ["hybrid-79", f"detection {number}"]
 
 
 def test_truth_has_named_channels_in_metres(finished: Path) -> None:

@@ -54,7 +54,11 @@ def test_the_radar_alone(tmp_path: Path) -> None:
     alone = run("table1", None, fidelity=FAST, out=tmp_path / "alone")
     both = run("table1", fidelity=FAST, compare=None, out=tmp_path / "both")
     assert (alone.view, alone.evaluations) == (None, ())
-    assert {path.name for path in alone.out.iterdir()} == RADAR | {"report.html", "run.json"}
+    assert {path.name for path in alone.out.iterdir()} == RADAR | {
+        "report.html",
+        "run.json",
+        "summary.json",
+    }
     assert (alone.out / "radar.h5").read_bytes() == (both.out / "radar.h5").read_bytes()
     page = (alone.out / "report.html").read_text()
     assert "<h1>table1, seen by a radar</h1>" in page

@@ -10,8 +10,9 @@ from hardware.patterns import fwht
 from hardware.processing import process
 from hardware.recording import Log, Received, read_messages
 from twin.camera.acquisition import Capture, capture
-from twin.camera.evaluation import evaluate, score
+from twin.camera.evaluation import evaluate
 from twin.camera.light import render
+from twin.camera.score import score
 from twin.fidelity import Fidelity
 from twin.regression.metrics import CAMERA_METRICS
 from twin.regression.runs import run_camera, true_cells

@@ -11,8 +11,9 @@ from hardware import reconstruct
 from hardware.reconstruction import range_image
 from hardware.records import Flag
 from twin.camera.acquisition import Capture, capture
-from twin.camera.evaluation import evaluate, score
+from twin.camera.evaluation import evaluate
 from twin.camera.mounting import field_points
+from twin.camera.score import score
 from twin.camera.verdict import warnings_of_record
 from twin.fidelity import Fidelity
 from twin.scene import Scene, load_scene, parse_pose
@@ -292,7 +293,8 @@ def test_sweeps_measure_lit_cells_too(tmp_path: Path) -> None:
     )
     study = load_study(tmp_path / "study.toml")
     outcome = outcome_of(study, 0)
-    snr, time, distance = (metric(name, inputs_of(study))(outcome) for name in study.metrics)
+    found = (metric(name, inputs_of(study))(outcome) for name in study.metrics)
+    snr, time, distance = (interval.value for interval in found)
     assert snr == outcome.capture.verdict.snr_median > 100
     assert 0 < time < outcome.setup.system.acquisition.integration_time_s.value
     # Cylinders 0.9 m ahead, read at a hundred times the SNR that is needed.

@@ -1,15 +1,19 @@
 """A figure with what it may be off by."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 #: Standard deviations within which 95 of 100 draws of a normal distribution lie.
-_TWO_SIDED_95 = 1.96
+TWO_SIDED_95 = 1.96
 
 
 @dataclass(frozen=True)
 class Interval:
     """A figure with its errors, statistical and systematic apart, in the figure's own unit.
+
+    The errors are those of the model: the true value is that of an exact model of the same scene
+    and sensor, with the same noise of the sensor, which is no part of the interval.
 
     Parameters
     ----------
@@ -18,11 +22,14 @@ class Interval:
     standard_error
         Standard deviation of ``value`` over other random draws of the same model.
     systematic
-        What the model may be off by, the same way at every draw: a bound, not a deviation.
+        What the model may be off by, the same way at every draw: a bound, not a deviation. Infinite
+        where nothing bounds it.
 
     >>> psnr_db = Interval(27.31, standard_error=0.05, systematic=0.02)
     >>> print(f"{psnr_db.low:.2f} to {psnr_db.high:.2f}")
     27.19 to 27.43
+    >>> print(psnr_db)
+    27.31 ± 0.12
     """
 
     value: float
@@ -32,7 +39,7 @@ class Interval:
     @property
     def half_width(self) -> float:
         """Of the interval that holds the true value in 95 of 100 cases."""
-        return _TWO_SIDED_95 * self.standard_error + self.systematic
+        return TWO_SIDED_95 * self.standard_error + self.systematic
 
     @property
     def low(self) -> float:
@@ -45,7 +52,79 @@ class Interval:
         return self.value + self.half_width
 
     def holds(self, truth: float) -> bool:
-        """Whether a true value lies within the interval; two NaN agree."""
+        """Whether a true value lies within the interval; two NaN agree, and so do two that are
+        infinite alike.
+        """
         if math.isnan(self.value) or math.isnan(truth):
             return math.isnan(self.value) and math.isnan(truth)
-        return self.low <= truth <= self.high
+        return self.value == truth or self.low <= truth <= self.high
+
+    def agrees(self, other: "Interval") -> bool:
+        """Whether the errors of both explain their difference: standard errors of two models are
+        independent, systematic errors may be opposite.
+
+        >>> Interval(1.0, 0.1).agrees(Interval(1.2, 0.1)), Interval(1.0, 0.1).agrees(Interval(1.3))
+        (True, False)
+        """
+        statistical = TWO_SIDED_95 * math.hypot(self.standard_error, other.standard_error)
+        both = Interval(self.value, systematic=statistical + self.systematic + other.systematic)
+        return both.holds(other.value)
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def text(self, unit: str = "") -> str:
+        """In words, to the digits that the half-width leaves.
+
+        >>> Interval(-3.21, 0.2).text("dB"), Interval(-3.21, 0.0, math.inf).text("dB")
+        ('-3.2 ± 0.4 dB', '-3.21 dB, error not bounded')
+        """
+        unit = f" {unit}" if unit else ""
+        if not math.isfinite(self.half_width) and math.isfinite(self.value):
+            return f"{self.value:.4g}{unit}, error not bounded"
+        return f"{self._number()}{unit}"
+
+    def _number(self) -> str:
+        half = self.half_width
+        if not math.isfinite(self.value) or half <= 1e-12 * abs(self.value):
+            return f"{self.value:.4g}"
+        # Two digits of a half-width that starts with 1, else one.
+        place = math.floor(math.log10(half))
+        decimals = -place + (1 if half / 10.0**place < 2 else 0)
+        if place > -7 and max(abs(self.value), half) < 1e6:
+            shown = max(decimals, 0)
+            return f"{self.value:.{shown}f} ± {half:.{shown}f}"
+        return f"{self.value:.{_digits(self.value, half)}g} ± {half:.2g}"
+
+
+def propagated(function: Callable[..., float], *of: Interval) -> Interval:
+    """A smooth function of figures whose errors are independent, by the delta method.
+
+    Standard errors add as squares, systematic ones as they are; each from the difference of the
+    function over its own error, both ways.
+
+    >>> level_db = propagated(lambda ratio: 20 * math.log10(ratio), Interval(10.0, 0.1))
+    >>> print(level_db)
+    20.00 ± 0.17
+    """
+    values = [figure.value for figure in of]
+
+    def change(i: int, by: float) -> float:
+        """Half of what the function changes over a figure's error, both ways."""
+        if not by:
+            return 0.0
+        ends = ([*values[:i], values[i] + step, *values[i + 1 :]] for step in (by, -by))
+        above, below = (function(*end) for end in ends)
+        return abs(above - below) / 2
+
+    return Interval(
+        function(*values),
+        math.hypot(*(change(i, figure.standard_error) for i, figure in enumerate(of))),
+        math.fsum(change(i, figure.systematic) for i, figure in enumerate(of)),
+    )
+
+
+def _digits(value: float, half: float) -> int:
+    if not value:
+        return 2
+    return max(math.floor(math.log10(abs(value))) - math.floor(math.log10(half)) + 1, 2)

@@ -14,6 +14,7 @@ from twin.camera.chain import Chain
 from twin.camera.distortion import distortions
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
 from twin.camera.light import render
+from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_side
 from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
@@ -69,7 +70,7 @@ class Capture:
 
     ``cells_e`` (rows, columns) are the mean electrons of each cell, lit alone for one exposure (a
     line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo standard error,
-    ``light_systematic_e`` a bound of what a render to a tolerance left out, and ``decisions`` say
+    ``light_systematic_e`` a bound of what the render left out, and ``decisions`` say
     which effects it holds and why;
     ``backscatter_e`` the part that the air scattered back, ``scene_e`` the rest, with which
     reconstructions are compared. ``snr`` is the signal of ``scene_e`` in a reconstructed pixel
@@ -98,6 +99,7 @@ class Capture:
     light_systematic_e: Array
     decisions: tuple[Decision, ...] = ()
     range_error: BackscatterRangeError | None = None
+    model_error: ModelError = NO_ERROR
 
     @property
     def verdict(self) -> ImageVerdict:
@@ -229,10 +231,10 @@ def measure(
     return Capture(
         record=record,
         truth=rendered.truth,
-        cells_e=_image(cells_e, system),
-        cells_error_e=_image(to_e * power.error_w, system),
-        backscatter_e=_image(backscatter_e, system),
-        snr=_image(np.zeros_like(snr) if is_void(warnings) else snr, system),
+        cells_e=side_by_side(cells_e, system),
+        cells_error_e=side_by_side(to_e * power.error_w, system),
+        backscatter_e=side_by_side(backscatter_e, system),
+        snr=side_by_side(np.zeros_like(snr) if is_void(warnings) else snr, system),
         noise=budget,
         lens=chain.lens,
         signal_w=signal_w.reshape(-1, signal_w.shape[-1]),
@@ -242,9 +244,10 @@ def measure(
         illuminance_lx=sky.illuminance_lx,
         assumptions=(*_assumptions(scene, system), *_own(own)),
         warnings=warnings,
-        light_systematic_e=_image(to_e * power.left_out_w, system),
+        light_systematic_e=side_by_side(to_e * power.left_out_w, system),
         decisions=rendered.decisions,
         range_error=range_error,
+        model_error=model_error(chain, power, signal_w),
     )
 
 
@@ -257,12 +260,6 @@ def _without(cells_e: Array, backscatter_e: Array) -> Array:
     """Light of the scene; a difference within rounding counts as 0."""
     rest = cells_e - backscatter_e
     return np.where(rest > _ROUNDING * cells_e, rest, 0.0)
-
-
-def _image(by_detector: Array, system: System) -> Array:
-    """Cells of all detectors (n_detectors, n_cells) as one image, detectors side by side."""
-    shape = (system.emitter.rows.value, system.emitter.columns.value)
-    return np.hstack(list(by_detector.reshape(-1, *shape)))
 
 
 def _assumptions(scene: Scene, system: System) -> tuple[str, ...]:

@@ -36,7 +36,8 @@ class Powers:
     """Power on the detectors, W: from each cell lit alone, (n_shutters, n_detectors, n_cells), with
     its Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,).
     ``backscatter_w``: the part of ``cells_w`` that the air scattered back. ``left_out_w``: bound of
-    each cell's light that the render left out, (n_detectors, n_cells).
+    each cell's light that the render left out, (n_detectors, n_cells). ``sun_error_w``
+    (n_detectors,): standard error of ``sun_w``.
     """
 
     cells_w: Array
@@ -44,6 +45,7 @@ class Powers:
     sun_w: Array
     backscatter_w: Array
     left_out_w: Array
+    sun_error_w: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +108,26 @@ class Chain:
             sun_w=self.sun_power(rendered),
             backscatter_w=watt * backscatter,
             left_out_w=watt * np.full_like(rendered.light.error, rendered.light.left_out),
+            sun_error_w=self._sun_error(rendered),
         )
 
     def sun_power(self, rendered: "RenderedLight") -> Array:
         """Power of the sun on the detectors, (n_detectors,)."""
         collected = self.lens.transmission * self.lens.pupil_area_m2
         sun = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
+        return self._of_detectors(sun)
+
+    def _sun_error(self, rendered: "RenderedLight") -> Array:
+        """Standard error of that power, (n_detectors,)."""
+        collected = self.lens.transmission * self.lens.pupil_area_m2
+        passed = self.sky.sun_at(rendered.part_angles_deg())
+        each = collected * passed * np.broadcast_to(rendered.sun_error, passed.shape)
+        return np.sqrt(self._of_detectors(each**2))
+
+    def _of_detectors(self, parts: Array) -> Array:
+        """Sum of the parts of the field (rows, columns) by detector, (n_detectors,)."""
         one = self.system.n_detectors == 1
-        return np.asarray(sun.sum(keepdims=True).reshape(1) if one else sun.sum(axis=0))
+        return np.asarray(parts.sum(keepdims=True).reshape(1) if one else parts.sum(axis=0))
 
     def _through_shutters(self, cells: Array, paths: Paths | None) -> Array:
         """Light (n_shutters, n_detectors, n_cells) behind each shutter."""

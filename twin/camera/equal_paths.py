@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from twin.camera.rendered import DetectorLight, RenderedLight
 from twin.fidelity import Start
@@ -18,6 +19,8 @@ from twin.system import System
 Array = NDArray[np.float64]
 #: Of the field's height, and of its width for a bucket.
 SUN_PARTS = 32
+#: Standard deviation of the window over which variances of a line sensor are taken together.
+_WINDOW_CELLS = 1.5
 
 
 def with_light(
@@ -65,7 +68,17 @@ def emitter_light(
         )
         for half in range(2)
     ]
-    return DetectorLight((halves[0] + halves[1]) / 2, np.abs(halves[0] - halves[1]) / 2)
+    mean, own = (halves[0] + halves[1]) / 2, (halves[0] - halves[1]) ** 2 / 4
+    return DetectorLight(mean, np.sqrt((own + _around(own, shape)) / 2))
+
+
+def _around(variance: Array, shape: tuple[int, int]) -> Array:
+    """Mean variance of the cells around, (n_detectors, n_cells): that of two halves alone has one
+    degree of freedom.
+    """
+    side_by_side = np.hstack(list(variance.reshape(len(variance), *shape)))
+    around = gaussian_filter(side_by_side, _WINDOW_CELLS, mode="nearest")
+    return np.stack(np.hsplit(around, len(variance))).reshape(variance.shape)
 
 
 def of_bucket(gathered: CellLight) -> DetectorLight:
@@ -77,11 +90,11 @@ def of_bucket(gathered: CellLight) -> DetectorLight:
 
 def sun_light(
     problem: LightProblem, n_detectors: int, *, quality: TracingQuality, seed: int
-) -> Array:
+) -> CellLight:
     """Irradiance on the pupil per irradiance of the sun, by part of the field, (rows, columns); the
     columns are those of a line sensor.
     """
-    return sunlight(problem, sun_shape(n_detectors), quality=quality, seed=seed).total
+    return sunlight(problem, sun_shape(n_detectors), quality=quality, seed=seed)
 
 
 def sun_shape(n_detectors: int) -> tuple[int, int]:

@@ -6,10 +6,8 @@ attenuation by the fog and with the noise of its backscatter, but does not depen
 backscatter itself.
 """
 
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 from hardware.patterns import PatternSet
 from hardware.reconstruction import (
@@ -22,29 +20,20 @@ from hardware.reconstruction import (
 )
 from hardware.reconstruction.registry import Solve
 from twin.camera.acquisition import Capture
+from twin.camera.intervals import (
+    CaptureIntervals,
+    ScoreIntervals,
+    capture_intervals,
+    score_intervals,
+)
+from twin.camera.score import Score, score_of
 from twin.camera.verdict import ImageVerdict
-from twin.errors import InputError
 from twin.system import System
 
 #: Methods of every evaluation: the plain inverse and the vehicle's default.
 SHOWN = ("zero-fill", "lmmse")
 #: Of a user's own patterns, which zero-fill cannot invert.
 SHOWN_OF_OWN = ("least-squares", "lmmse")
-
-
-@dataclass(frozen=True)
-class Score:
-    """Peak signal-to-noise ratio and structural similarity, peak = the scene's brightest cell."""
-
-    psnr_db: float
-    ssim: float
-
-    def __str__(self) -> str:
-        """In words, also where one of them has no value."""
-        if self.psnr_db == -np.inf:
-            return "no lit cell to compare with"
-        psnr = f"PSNR {self.psnr_db:.1f} dB" if np.isfinite(self.psnr_db) else "no error"
-        return psnr if np.isnan(self.ssim) else f"{psnr}, SSIM {self.ssim:.2f}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,17 +45,28 @@ class Evaluation:
     reconstructions: tuple[Reconstruction, ...]
     scores: tuple[Score, ...]
 
+    @cached_property
+    def intervals(self) -> CaptureIntervals:
+        """Figures of the capture, with what the model may be off by."""
+        return capture_intervals(self.capture)
+
+    @cached_property
+    def score_intervals(self) -> tuple[ScoreIntervals, ...]:
+        """The scores, with what the model may be off by."""
+        return tuple(score_intervals(self.capture, image) for image in self.reconstructions)
+
     @property
     def verdict(self) -> ImageVerdict:
         """Quality of an image of the record."""
-        return self.capture.verdict
+        verdict = self.capture.verdict
+        return verdict if verdict.void else replace(verdict, snr_interval=self.intervals.snr_median)
 
     @property
     def best(self) -> str:
         """The best reconstruction with its score, in words; of a void record there is none."""
-        if self.verdict.void:
+        if self.capture.void:
             return "no image"
-        return f"{self.reconstructions[0].method}: {self.scores[0]}"
+        return f"{self.reconstructions[0].method}: {self.score_intervals[0]}"
 
     def __str__(self) -> str:
         """The result in one line, as the command prints it."""
@@ -108,31 +108,3 @@ def evaluate(
     scored = [(image, score_of(capture, image.picture)) for image in images]
     scored.sort(key=lambda pair: -pair[1].psnr_db)
     return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))
-
-
-def score_of(capture: Capture, image: NDArray[np.float64]) -> Score:
-    """`score` of an image of a capture, less backscatter, against the light of the scene."""
-    truth = capture.measured_scene_e
-    return score(truth, image - capture.backscatter_e if image.shape == truth.shape else image)
-
-
-def score(truth: NDArray[np.float64], image: NDArray[np.float64]) -> Score:
-    """PSNR and SSIM (Wang 2004, 7 x 7 windows) of an image in the unit of its truth.
-
-    Cells whose truth is NaN are not measured and are left out.
-    """
-    from skimage.metrics import structural_similarity
-
-    if truth.shape != image.shape:
-        raise InputError(f"image: shape {image.shape}, the truth has {truth.shape}")
-    known = np.isfinite(truth)
-    peak = float(truth[known].max(initial=0.0))
-    error = float(np.mean((image - truth)[known] ** 2))
-    if peak == 0 or error == 0:
-        return Score(np.inf if error == 0 else -np.inf, 1.0 if error == 0 else 0.0)
-    window = min(7, *(side - 1 + side % 2 for side in truth.shape))
-    similar = np.nan  # undefined on images narrower than the smallest window
-    if window >= 3:
-        pair = (np.where(known, pixels, 0.0) for pixels in (truth, image))
-        similar = structural_similarity(*pair, data_range=peak, win_size=window)
-    return Score(float(10 * np.log10(peak**2 / error)), float(similar))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from twin.camera.air import airlight_of, backscatter_of, where_air_scatters
 from twin.camera.chain import Chain
 from twin.camera.equal_paths import sun_light, sun_shape, with_light
+from twin.camera.left_out import bounces_share, lie_in_a_plane, rounding_share
 from twin.camera.light_within import FIRST_SAMPLES, with_light_within, with_sun_within
 from twin.camera.mounting import check_rig, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
@@ -60,18 +61,40 @@ def render(
         truth = render_truth(problem.scene, problem.emitter, system.image_shape)
     chain = Chain.of(system, scene.sun)
     rendered = render_light(problem, chain, truth, fidelity, seed.spawn(2), stage=stage)
-    uncertain = _uncertain(scene, problem, rendered, fidelity)
-    return replace(rendered, warnings=(*rendered.warnings, *uncertain))
+    cosines = incidence_cosines(problem.scene, rendered.emitter, truth.albedo.shape)
+    left_out = rendered.light.left_out + _left_out(scene, rendered, cosines, fidelity)
+    return replace(
+        rendered,
+        light=replace(rendered.light, left_out=left_out),
+        warnings=(*rendered.warnings, *_uncertain(scene, problem, rendered, cosines, fidelity)),
+    )
+
+
+def _left_out(scene: Scene, rendered: RenderedLight, cosines: Array, fidelity: Fidelity) -> Array:
+    """Bound of what fixed knobs leave out of each cell: bounces, and rounding of rays."""
+    light, n_detectors = rendered.light, len(rendered.light.cells)
+    shares = np.stack(np.hsplit(rounding_share(cosines), n_detectors)).reshape(n_detectors, -1)
+    one_bucket = rendered.paths is None and n_detectors == 1
+    # To a tolerance bounces of one bucket end by chance, and their bound is known already.
+    endless = fidelity.has_light_tolerance and one_bucket
+    if not (endless or lie_in_a_plane(item.vertices_m for item in scene.objects)):
+        indirect = light.indirect_share if n_detectors == 1 else None
+        shares = shares + bounces_share(rendered.truth.albedo, float(fidelity.max_depth), indirect)
+    # An unbounded share of nothing is nothing.
+    return np.multiply(shares, light.cells, out=np.zeros_like(light.cells), where=light.cells > 0)
 
 
 def _uncertain(
-    scene: Scene, problem: LightProblem, rendered: RenderedLight, fidelity: Fidelity
+    scene: Scene,
+    problem: LightProblem,
+    rendered: RenderedLight,
+    cosines: Array,
+    fidelity: Fidelity,
 ) -> tuple[CaptureWarning, ...]:
     light, truth, emitter = rendered.light, rendered.truth, rendered.emitter
     shape = truth.albedo.shape
     # Cells of a line sensor's detectors, side by side, are the cells of the image.
     image = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
-    cosines = incidence_cosines(problem.scene, emitter, shape)
     samples, max_depth = float(fidelity.samples), float(fidelity.max_depth)
     if fidelity.has_light_tolerance:
         # Of one bucket no bounce is lost, and what paths miss is in the stated error.
@@ -116,7 +139,7 @@ def render_light(
             rendered = with_sun_within(rendered, problem, chain, fidelity, quality, second)
         else:
             sun = sun_light(problem, system.n_detectors, quality=sun_quality, seed=second)
-            rendered = replace(rendered, sun=sun)
+            rendered = replace(rendered, sun=sun.total, sun_error=sun.standard_error)
         direct = direct_sunlight(problem, rendered.sun.shape)
         rendered = replace(rendered, sun=rendered.sun + direct)
         if problem.air:

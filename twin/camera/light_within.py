@@ -128,7 +128,12 @@ def with_sun_within(
         found.indirect_taken,
         found.cost_s,
     )
-    return replace(rendered, sun=found.light.total, decisions=(*rendered.decisions, decision))
+    return replace(
+        rendered,
+        sun=found.light.total,
+        sun_error=found.light.standard_error,
+        decisions=(*rendered.decisions, decision),
+    )
 
 
 def _rms(values: Array) -> float:

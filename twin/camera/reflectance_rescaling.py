@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
 from twin.camera.equal_paths import SUN_PARTS
+from twin.camera.left_out import bounces_share, lie_in_a_plane, rounding_share
 from twin.camera.mounting import check_rig, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
     grazing_warnings,
@@ -45,7 +46,8 @@ class UnitReflectanceLight:
 
     ``shares``: share of each cell that an object covers (times its texture, if it has one),
     (n_objects, rows, columns). ``cosines`` (rows, columns) of incidence in the middle of each cell;
-    ``warnings``: uncertainties of the render that do not depend on reflectance.
+    ``warnings``: uncertainties of the render that do not depend on reflectance; ``is_flat``:
+    whether all lies in one plane, so that light bounces once.
     """
 
     emitter_parts: LightByObject
@@ -58,6 +60,7 @@ class UnitReflectanceLight:
     airlight: Array | None
     cosines: Array
     warnings: tuple[CaptureWarning, ...]
+    is_flat: bool
 
     def rescaled(self, scene: Scene) -> RenderedLight:
         """The result of `render` for the reflectances of a scene of the same objects."""
@@ -65,15 +68,21 @@ class UnitReflectanceLight:
             [o.reflectance if isinstance(o.reflectance, float) else 1.0 for o in scene.objects]
         )
         light = self.emitter_parts.with_reflectance(reflectance)
-        sun = self.sun_parts.with_reflectance(reflectance).total
+        sun = self.sun_parts.with_reflectance(reflectance)
+        albedo = np.tensordot(reflectance, self.shares, axes=1)
+        left_out = rounding_share(self.cosines).reshape(1, -1)
+        if not self.is_flat:
+            left_out = left_out + bounces_share(albedo, 1, None)
         cells, image = light.total.reshape(1, -1), light.total.reshape(self.cosines.shape)
         return RenderedLight(
             light=DetectorLight(
                 cells + self.backscatter.light if self.backscatter else cells,
                 light.standard_error.reshape(1, -1),
+                left_out=np.multiply(left_out, cells, out=np.zeros_like(cells), where=cells > 0),
             ),
-            sun=sun if self.airlight is None else sun + self.airlight,
-            truth=Truth(np.tensordot(reflectance, self.shares, axes=1), self.depth_m),
+            sun=sun.total if self.airlight is None else sun.total + self.airlight,
+            sun_error=sun.standard_error,
+            truth=Truth(albedo, self.depth_m),
             emitter=self.emitter,
             detector=self.detector,
             backscatter=self.backscatter,
@@ -116,6 +125,7 @@ def render_unit_reflectance(
         warnings=tuple(
             undersampling_warnings(scene, emitter, shape[0] * shape[1] * fidelity.samples)
         ),
+        is_flat=lie_in_a_plane(item.vertices_m for item in scene.objects),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.camera.left_out import bounces_share, rounding_share
 from twin.camera.mounting import field_points
 from twin.camera.permitted_error import PermittedError
 from twin.optics.devices import Device, disc_error
@@ -17,28 +18,19 @@ from twin.warned import CaptureWarning
 Array = NDArray[np.float64]
 
 _WORTH_SAYING = 0.004  # relative error of all the light
-_STEP = 2.0**-24  # half a step of float32, relative
 _THIN = 0.01  # share of the light
-#: Steps that intersection and normal together are off at most: 4.2 were measured.
-_STEPS = 8.0
 
 
 def truncation_warnings(
     indirect_share: float, albedo: Array, max_depth: float
 ) -> list[CaptureWarning]:
-    """Light of bounces beyond ``max_depth``, as a share of the computed light.
-
-    Bounces are assumed to decrease as powers of the mean visible reflectance r, which is exact in a
-    closed room of one colour: r^(d-1) / (1 - r^(d-1)) of the indirect light is then missing.
-    """
-    seen = albedo[albedo > 0]
-    if max_depth in (1, math.inf) or not len(seen) or not indirect_share:
+    """Light of bounces beyond ``max_depth``, as a share of the computed light: `bounces_share`."""
+    if max_depth in (1, math.inf) or not indirect_share:
         return []
-    factor = float(seen.mean()) ** (max_depth - 1)
-    if factor >= 1:
+    lost = bounces_share(albedo, max_depth, indirect_share)
+    if lost == math.inf:
         text = f"bounces beyond max_depth {max_depth:g} are cut off: nothing here absorbs light"
         return [CaptureWarning("rendering", text)]
-    lost = indirect_share * factor / (1 - factor)
     if lost < _WORTH_SAYING:
         return []
     text = (
@@ -68,7 +60,7 @@ def grazing_warnings(cells: Array, cosines: Array) -> list[CaptureWarning]:
     lit = (cells > 0) & (cosines > 0)
     if not lit.any():
         return []
-    error = float(np.sum(cells[lit] * _STEPS * _STEP / cosines[lit]) / cells[lit].sum())
+    error = float(np.sum(cells[lit] * rounding_share(cosines[lit])) / cells[lit].sum())
     if error < _WORTH_SAYING:
         return []
     text = f"grazing incidence: float32 rays give an error of up to {100 * error:.2g} %"

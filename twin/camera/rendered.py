@@ -20,13 +20,14 @@ Array = NDArray[np.float64]
 class DetectorLight:
     """Per detector and cell, (n_detectors, n_cells): irradiance on the pupil per radiant intensity,
     1/m^2, with its Monte-Carlo standard error; the share of light of more than one bounce, where
-    known (not for line sensors); and a bound of each cell's light that was left out.
+    known (not for line sensors); and a bound of each cell's light that was left out, of all alike
+    or (n_detectors, n_cells).
     """
 
     cells: Array
     error: Array
     indirect_share: float = 0.0
-    left_out: float = 0.0
+    left_out: Array | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,8 @@ class RenderedLight:
     virtual image. ``paths``: with their lengths, for time of flight. ``backscatter``: the part of
     light and paths that the air scattered back. ``emitter``, ``detector``: the devices rendered.
     ``warnings``: uncertainties of the render, with their errors. ``decisions``: of a render to a
-    tolerance, which effects it holds, and why.
+    tolerance, which effects it holds, and why. ``sun_error``: standard error of each part of the
+    sun's light.
     """
 
     light: DetectorLight
@@ -50,6 +52,7 @@ class RenderedLight:
     backscatter: CellBackscatter | None = None
     warnings: tuple[CaptureWarning, ...] = ()
     decisions: tuple[Decision, ...] = ()
+    sun_error: Array | float = 0.0
 
     def cell_angles_deg(self) -> Array:
         """Angle of incidence at the detector, to its axis, of each cell of the virtual image (rows,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import Flag, SpiRecord
+from twin.accuracy import Interval
 from twin.camera.backscatter_ranging import BackscatterRangeError
 from twin.camera.distortion import Distortion, Distortions
 from twin.detector import NoiseBudget
@@ -40,7 +41,8 @@ class ImageVerdict:
     nan where the record is void. ``lit_share``: share of lit cells. ``above_noise_share``: share
     of the lit cells whose signal exceeds their noise. ``void_because``: the warnings that make the
     record void. ``range_error``: error of distances due to backscatter. ``not_within``: warnings of
-    light whose error is more than its tolerance.
+    light whose error is more than its tolerance. ``snr_interval``: the median with the error of the
+    model, where it is known.
     """
 
     snr_median: float
@@ -50,6 +52,7 @@ class ImageVerdict:
     void_because: tuple[CaptureWarning, ...] = ()
     range_error: BackscatterRangeError | None = None
     not_within: tuple[CaptureWarning, ...] = ()
+    snr_interval: Interval | None = None
 
     @property
     def void(self) -> bool:
@@ -69,8 +72,9 @@ class ImageVerdict:
             return "void: " + "; ".join(self.void_because)
         ranging = f"; {self.range_error}" if self.range_error and self.range_error.matters else ""
         which = "cells" if self.lit_share == 1 else f"{self.lit_share:.0%} of cells that are lit"
+        snr = _two_digits(self.snr_median) if self.snr_interval is None else self.snr_interval
         return (
-            f"SNR per pixel {_two_digits(self.snr_median)} (median of the {which}; "
+            f"SNR per pixel {snr} (median of the {which}; "
             f"{self.above_noise_share:.0%} of them above their noise){ranging}"
             + "".join(f"; {warning}" for warning in self.not_within)
         )

@@ -37,7 +37,8 @@ STAGES = ("radar paths", "radar signal")
 class RadarCapture:
     """A record with everything the twin knows about it. Only ``record`` exists on the vehicle.
 
-    ``truth`` is that of the first burst, ``bursts`` what was found at each.
+    ``truth`` is that of the first burst, ``bursts`` what was found at each. ``is_bounded``: whether
+    the propagation model tells the errors of its echoes.
     """
 
     record: RadarRecord
@@ -47,6 +48,7 @@ class RadarCapture:
     sample_noise_w: float
     assumptions: tuple[str, ...]
     warnings: tuple[CaptureWarning, ...]
+    is_bounded: bool = True
 
     @property
     def void(self) -> bool:
@@ -234,7 +236,13 @@ def radar_capture(
         sample_noise_w=radar.sample_noise_w,
         assumptions=assumptions(first, radar, bursts[0], air, solver),
         warnings=warnings(first, radar, bursts, truth, record.flags, solver),
+        is_bounded=solver.has_tolerance or _is_declared_alone(first, echo.fidelity),
     )
+
+
+def _is_declared_alone(scene: Scene, fidelity: Fidelity) -> bool:
+    """Whether all that answers is declared, by the model for that, and stands for no mesh."""
+    return fidelity.radar == "targets" and all(target.object is None for target in scene.targets)
 
 
 def contributions(propagation: Propagation, radar: RadarDesign, air: Atmosphere) -> Contributions:

@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from hardware.radar.windows import normalised_window
 from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
 from twin.radar.device.design import RadarDesign
+from twin.radar.intervals import DetectionIntervals, detection_intervals
 from twin.radar.picture import TrackPicture, track_picture
 from twin.radar.propagation.result import Path as RadioPath
 from twin.radar.truth import TrueTarget
@@ -52,6 +54,14 @@ class RadarEvaluation:
     def detections(self) -> tuple[Detection, ...]:
         """Of the first burst, strongest first."""
         return self.frame.detections
+
+    @cached_property
+    def intervals(self) -> tuple[DetectionIntervals, ...]:
+        """Of each detection, what the model may be off by."""
+        sent_w = self.radar.front_end.transmit_power_w.value
+        return detection_intervals(
+            self.detections, self.capture, self.waveform, self.how.window, sent_w
+        )
 
     @property
     def further(self) -> tuple[TrueTarget | None, ...]:
@@ -206,19 +216,41 @@ def _within(detection: Detection, target: TrueTarget, waveform: OfdmWaveform) ->
 
 def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
     """``detections.csv``: one row per detection, strongest first, with the target it is; empty is
-    what array or antenna do not tell.
+    what array or antenna do not tell. Columns ``model_QUANTITY_standard_error`` and
+    ``model_QUANTITY_systematic``: what the model may be off by.
     """
     rows = (
         {
             **{name: cell(value) for name, value in asdict(detection).items()},
+            **{name: cell(value) for name, value in _model_errors(intervals).items()},
             "target": target.name if target else "",
             "further_echo_of": part.name if part else "",
         }
-        for detection, target, part in zip(
-            evaluation.detections, evaluation.matches, evaluation.further, strict=True
+        for detection, intervals, target, part in zip(
+            evaluation.detections,
+            evaluation.intervals,
+            evaluation.matches,
+            evaluation.further,
+            strict=True,
         )
     )
-    _write(path, [*(f.name for f in fields(Detection)), "target", "further_echo_of"], rows)
+    errors = [
+        f"model_{f.name}_{kind}"
+        for f in fields(DetectionIntervals)
+        for kind in ("standard_error", "systematic")
+    ]
+    names = [*(f.name for f in fields(Detection)), *errors, "target", "further_echo_of"]
+    _write(path, names, rows)
+
+
+def _model_errors(intervals: DetectionIntervals) -> dict[str, float]:
+    """Columns of a detection; NaN, which is left empty, of what is not measured."""
+    found = {}
+    for name, interval in vars(intervals).items():
+        is_known = not np.isnan(interval.value)
+        found[f"model_{name}_standard_error"] = interval.standard_error if is_known else np.nan
+        found[f"model_{name}_systematic"] = interval.systematic if is_known else np.nan
+    return found
 
 
 def write_truth_table(truth: Sequence[TrueTarget], path: Path) -> None:

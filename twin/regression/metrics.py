@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar import Detection
-from twin.camera.evaluation import score
+from twin.camera.score import score
 from twin.radar.truth import TrueTarget
 
 Image = NDArray[np.float64]

@@ -118,6 +118,7 @@ def _mirror(power: Powers, patterns: Patterns) -> Powers:
         power.sun_w[::-1],
         flipped(power.backscatter_w),
         flipped(power.left_out_w),
+        power.sun_error_w[::-1],
     )
 
 

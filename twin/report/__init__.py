@@ -1,5 +1,6 @@
-"""The report of a run: one self-contained HTML file, and its figures as PNG."""
+"""The report of a run: one self-contained HTML file, its figures as PNG, all numbers as JSON."""
 
 from twin.report.page import write_report
+from twin.report.summary import write_summary
 
-__all__ = ["write_report"]
+__all__ = ["write_report", "write_summary"]

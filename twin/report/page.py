@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from twin import __version__
+from twin.accuracy import Interval
 from twin.camera.evaluation import Evaluation
 from twin.camera.view import View
 from twin.progress import Stages
@@ -120,6 +121,9 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     best, verdict = evaluation.reconstructions[0], evaluation.verdict
     measured_noise_e = float(np.sqrt(np.mean(best.noise_electrons**2))) / _per_value(evaluation)
     rendering = capture.cells_error_e / noise.pixel_noise_e(patterns)
+    intervals, error = evaluation.intervals, capture.model_error
+    images = zip(evaluation.reconstructions, evaluation.score_intervals, strict=True)
+    named = [f"{image.method}: {score}" for image, score in images]
     return {
         "system": system.name,
         "what it is": system.description,
@@ -132,11 +136,13 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "detector lens": f"focal length {si(lens.focal_length_m, 'm')}, "
         f"pupil {si(lens.pupil_diameter_m, 'm')}, "
         f"field {system.optics.field_of_view_deg.value:g}° {lens.outline}",
-        "signal on the detector, mean": si(float(capture.signal_w.mean()), "W"),
-        "sun on the detector": si(capture.background_w, "W"),
-        "electrons per exposure": f"signal {noise.signal_e:.3g}, sun {noise.background_e:.3g}, "
+        "signal on the detector, mean": _si(
+            float(capture.signal_w.mean()), error.signal, error.signal_systematic
+        ),
+        "sun on the detector": _si(capture.background_w, error.background),
+        "electrons per exposure": f"signal {intervals.signal_e}, sun {intervals.background_e}, "
         f"dark {noise.dark_e:.3g}",
-        "noise per exposure": f"{noise.total_noise_e:.4g} e- predicted, "
+        "noise per exposure": f"{intervals.noise_e} e- predicted, "
         + (
             f"{measured_noise_e:.4g} e- found in the record"
             if np.isfinite(measured_noise_e)
@@ -144,11 +150,18 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         ),
         "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
         "verdict": str(verdict),
-        "best pixel": "none" if verdict.void else f"SNR {verdict.snr_best:.3g}",
+        "best pixel": "none" if verdict.void else f"SNR {intervals.snr_best}",
+        "pixels above their noise": "none" if verdict.void else f"{intervals.above_noise_share}",
         "Monte-Carlo error of the twin over sensor noise": f"median {np.median(rendering):.2g}, "
         f"root mean square {np.sqrt(np.mean(rendering**2)):.2g}",
-        "best reconstruction": evaluation.best,
+        "reconstructions": "no image" if verdict.void else "; ".join(named),
     }
+
+
+def _si(value: float, statistical: float, systematic: float = 0.0) -> str:
+    """With an SI prefix, and the half-width of its interval in per cent."""
+    share = Interval(1.0, statistical, systematic).half_width
+    return f"{si(value, 'W')} ± {100 * share:.2g} %" if np.isfinite(share) else si(value, "W")
 
 
 def _per_value(evaluation: Evaluation) -> float:

@@ -6,7 +6,9 @@ import numpy as np
 from scipy import constants
 
 from hardware.radar import Detection
+from twin.accuracy import Interval
 from twin.radar.evaluation import RadarEvaluation
+from twin.radar.intervals import body_level
 from twin.radar.propagation.facets.convergence import percent
 from twin.report.style import si
 
@@ -19,7 +21,7 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "name": evaluation.radar.name,
         "description": evaluation.radar.description,
         "waveform": _waveform(evaluation),
-        "budget": _budget(evaluation),
+        "budget": [(n, f"{v:.4g} {unit}") for n, v, unit in budget_figures(evaluation)],
         "targets": _targets(evaluation),
         "headlines": str(evaluation).splitlines(),
         "missed": [f"{t.name}: {evaluation.expectation(t)}" for t in evaluation.missed],
@@ -32,7 +34,7 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "bodies": [
             (
                 body.name,
-                f"{body.level_db:.1f} dB",
+                body_level(body).text("dB"),
                 f"{percent(body.estimated_error)} %",
                 f"{percent(body.tolerance)} %" + ("" if body.is_converged else ", exceeded"),
             )
@@ -106,29 +108,29 @@ def _picture(evaluation: RadarEvaluation) -> list[dict[str, str]]:
     ]
 
 
-def _budget(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
-    """The link budget line by line, for 10 m^2 at 150 m or as far as the radar is unambiguous."""
+def budget_figures(evaluation: RadarEvaluation) -> list[tuple[str, float, str]]:
+    """Name, value and unit of every line of the link budget, for 10 m^2 at 150 m or as far as the
+    radar is unambiguous.
+    """
     radar = evaluation.radar
     wave, end = evaluation.waveform, radar.front_end
     far = min(150.0, wave.max_range_m)
     received = radar.received_power_w(far, 10.0)
     noise = constants.k * 290.0 * wave.bandwidth_hz
     cells = wave.n_subcarriers * wave.n_slots
+    predicted = radar.sample_noise_w / cells * _window_loss(evaluation)
     return [
-        ("transmit power", f"{_db(end.transmit_power_w.value * 1e3):.1f} dBm"),
-        ("antenna gain, twice", f"2 x {radar.antenna.ahead_dbi:.3g} dBi"),
-        ("losses", f"{end.losses_db.value:g} dB"),
-        (f"received from 10 m² at {far:.0f} m", f"{_db(received * 1e3):.1f} dBm"),
-        ("thermal noise in the band, k T0 B", f"{_db(noise * 1e3):.1f} dBm"),
-        ("noise figure", f"{end.noise_figure_db.value:g} dB"),
-        ("averaging of repeats", f"{_db(wave.repeats):.1f} dB"),
-        ("processing gain N M", f"{_db(cells):.1f} dB"),
-        ("SNR after processing, rectangular window", f"{_db(radar.image_snr(received)):.1f} dB"),
-        (
-            "noise per cell: predicted, found",
-            f"{_db(radar.sample_noise_w / cells * _window_loss(evaluation) * 1e3):.1f}, "
-            f"{_db(evaluation.image.noise_w * 1e3):.1f} dBm",
-        ),
+        ("transmit power", _db(end.transmit_power_w.value * 1e3), "dBm"),
+        ("antenna gain, each way", radar.antenna.ahead_dbi, "dBi"),
+        ("losses", end.losses_db.value, "dB"),
+        (f"received from 10 m² at {far:.0f} m", _db(received * 1e3), "dBm"),
+        ("thermal noise in the band, k T0 B", _db(noise * 1e3), "dBm"),
+        ("noise figure", end.noise_figure_db.value, "dB"),
+        ("averaging of repeats", _db(wave.repeats), "dB"),
+        ("processing gain N M", _db(cells), "dB"),
+        ("SNR after processing, rectangular window", _db(radar.image_snr(received)), "dB"),
+        ("noise per cell, predicted", _db(predicted * 1e3), "dBm"),
+        ("noise per cell, found", _db(evaluation.image.noise_w * 1e3), "dBm"),
     ]
 
 
@@ -143,14 +145,11 @@ def _window_loss(evaluation: RadarEvaluation) -> float:
 
 
 def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
-    by_target = {
-        target.name: detection
-        for detection, target in zip(evaluation.detections, evaluation.matches, strict=True)
-        if target
-    }
+    triples = zip(evaluation.detections, evaluation.intervals, evaluation.matches, strict=True)
+    by_target = {target.name: (found, model) for found, model, target in triples if target}
     rows = []
     for target in evaluation.capture.truth:
-        detection = by_target.get(target.name)
+        detection, model = by_target.get(target.name, (None, None))
         rows.append(
             {
                 "name": target.name,
@@ -158,16 +157,14 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
                 "range": f"{target.range_m:.4f} m",
                 "rate": f"{target.range_rate_m_per_s:+.3f} m/s",
                 "power": f"{_db(target.received_w * 1e3):.1f} dBm",
-                "found_range": _off(detection.range_m - target.wrapped_range_m, 1e3, "+.2f", "mm")
-                if detection
+                "found_range": _off(model.range_m, target.wrapped_range_m, 1e3, "mm")
+                if model
                 else "not detected",
-                "found_rate": _off(
-                    detection.range_rate_m_per_s - target.range_rate_m_per_s, 1.0, "+.4f", "m/s"
-                )
-                if detection
+                "found_rate": _off(model.range_rate_m_per_s, target.range_rate_m_per_s, 1.0, "m/s")
+                if model
                 else "",
-                "found_power": f"{_db(detection.power_w / target.received_w):+.2f} dB"
-                if detection
+                "found_power": _off(model.level_dbm, _db(target.received_w * 1e3), 1.0, "dB")
+                if model
                 else "",
                 "snr": f"{detection.snr_db:.1f} dB" if detection else "",
             }
@@ -175,8 +172,13 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
     return rows
 
 
-def _off(value: float, scale: float, form: str, unit: str) -> str:
-    return "not measured" if np.isnan(value) else f"{scale * value:{form}} {unit}"
+def _off(measured: Interval, true: float, scale: float, unit: str) -> str:
+    """What was measured less the truth, with what the model may be off by."""
+    off = scale * (measured.value - true)
+    if np.isnan(off):
+        return "not measured"
+    errors = (scale * measured.standard_error, scale * measured.systematic)
+    return f"{'+' if off > 0 else ''}{Interval(off, *errors).text(unit)}"
 
 
 def _further(evaluation: RadarEvaluation) -> list[str]:

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.units import unit_of
+from twin.accuracy.interval import TWO_SIDED_95
 from twin.files import InputError
-from twin.sweep.names import CLOSED_FORM, RENDERED, is_own
+from twin.sweep.names import CLOSED_FORM, ERRORS, RENDERED, error_of, is_own
 from twin.sweep.study import Study
 
 if TYPE_CHECKING:
@@ -58,8 +59,9 @@ def dataset(
 ) -> "xarray.Dataset":
     """Everything so far; points not done and points that failed are NaN.
 
-    ``void`` and ``radar_void`` mark points whose record holds nothing that the metric could be of,
-    ``warned.KIND`` those that a warning of that kind was given of.
+    ``METRIC.standard_error`` and ``METRIC.systematic``: what the model may be off by; a closed form
+    has none. ``void`` and ``radar_void`` mark points whose record holds nothing that the metric
+    could be of, ``warned.KIND`` those that a warning of that kind was given of.
     """
     import xarray
 
@@ -72,8 +74,11 @@ def dataset(
 
     data: dict[str, Any] = {}
     for name, array in arrays.items():
-        unit, meaning = labels[name]
-        marks = {"units": unit, "long_name": meaning, "void": " ".join(_void_columns(study, name))}
+        metric, kind = error_of(name) or (name, "")
+        unit, meaning = labels[metric]
+        long_name = f"{ERRORS[kind]}: {meaning}" if kind else meaning
+        where_void = " ".join(_void_columns(study, metric))
+        marks = {"units": unit, "long_name": long_name, "void": where_void}
         data[name] = (names, array.reshape(shape), marks)
     length = max((len(text) for text in progress.errors.values()), default=1)
     error = np.full(study.n_points, "", dtype=f"<U{length}")
@@ -116,7 +121,22 @@ def _void_columns(study: Study, metric: str) -> list[str]:
 def metrics_of(data: "xarray.Dataset") -> list[str]:
     """Names of what was measured."""
     beside = ("error", *VOID.values())
-    return [n for n in map(str, data.data_vars) if n not in beside and not n.startswith("warned.")]
+    return [
+        name
+        for name in map(str, data.data_vars)
+        if name not in beside and not name.startswith("warned.") and error_of(name) is None
+    ]
+
+
+def half_width(data: "xarray.Dataset", metric: str) -> "xarray.DataArray | None":
+    """Half-width of a metric's interval, which holds the true value in 95 of 100 cases; None where
+    the sweep has no errors.
+    """
+    names = [f"{metric}.{kind}" for kind in ERRORS]
+    if not all(name in data for name in names):
+        return None
+    statistical, systematic = (data[name] for name in names)
+    return TWO_SIDED_95 * statistical + systematic
 
 
 def column(data: "xarray.Dataset", metric: str, *, void: bool = False) -> "xarray.DataArray":

@@ -20,6 +20,7 @@ from twin.radar.evaluation import RadarEvaluation, evaluate_radar
 from twin.sweep.closed_form import closed_form
 from twin.sweep.inputs import ChangedError, Held, Inputs, inputs_of
 from twin.sweep.metrics import Outcome, metric
+from twin.sweep.names import ERRORS, columns_of
 from twin.sweep.setup import Setup, setup
 from twin.sweep.study import Study
 
@@ -28,7 +29,8 @@ Array = NDArray[np.float64]
 
 @dataclass(eq=False)
 class Chunk:
-    """Results of points ``start`` to ``stop``: by metric, what failed, how often was rendered.
+    """Results of points ``start`` to ``stop``: by column (`columns_of`), what failed, how often was
+    rendered.
 
     ``warnings``: by kind and point, what was said; ``void``: points without a result that means
     anything, by ``camera`` and ``radar``.
@@ -60,7 +62,7 @@ def joined(chunks: Sequence[Chunk]) -> Chunk:
 
 def failed(study: Study, index: int, why: str) -> Chunk:
     """A point that failed."""
-    nothing = {name: np.array([np.nan]) for name in study.metrics}
+    nothing = {name: np.array([np.nan]) for name in columns_of(study.metrics, study.model)}
     return Chunk(index, index + 1, nothing, {index: why})
 
 
@@ -82,13 +84,18 @@ def evaluate_chunk(study: Study, start: int, stop: int, inputs: Inputs | None = 
 
 def _rendered_points(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
     before = _LIGHT.made
-    chunk = Chunk(start, stop, {name: np.full(stop - start, np.nan) for name in study.metrics})
+    names = columns_of(study.metrics, study.model)
+    chunk = Chunk(start, stop, {name: np.full(stop - start, np.nan) for name in names})
     measures = {name: metric(name, inputs) for name in study.metrics}
     for index in range(start, stop):
         try:
             outcome = outcome_of(study, index, inputs)
             for name, measure_of in measures.items():
-                chunk.values[name][index - start] = float(measure_of(outcome))
+                measured = measure_of(outcome)
+                chunk.values[name][index - start] = measured.value
+                for kind in ERRORS:
+                    error = getattr(measured, kind)
+                    chunk.values[f"{name}.{kind}"][index - start] = error
             _note(chunk, index, outcome)
         except ChangedError:
             raise

@@ -9,8 +9,17 @@ from typing import TypeVar
 import numpy as np
 
 from hardware.reconstruction import Reconstruction, reconstruct
+from twin.accuracy import Interval, propagated
 from twin.camera.acquisition import Capture
-from twin.camera.evaluation import Score, score_of
+from twin.camera.intervals import (
+    background_interval,
+    noise_interval,
+    psnr_interval,
+    signal_interval,
+    snr_interval,
+    ssim_interval,
+)
+from twin.camera.score import Score, score_of
 from twin.camera.verdict import lit_cells
 from twin.errors import InputError
 from twin.radar.evaluation import RadarEvaluation
@@ -68,9 +77,12 @@ def _read_only(value: T) -> T:
     return value
 
 
-def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
+def _pixel_terms(
+    outcome: Outcome, times_signal: float, times_sun: float
+) -> tuple[float, float, float, float]:
     """Of the median lit pixel: signal and all that is collected, e/s; constant noise and noise that
     grows with time, both as what is left in a pixel: k^2 (collected T + constant^2 + (rate T)^2).
+    Signal and sun are taken as many times.
     """
     taken, system = outcome.capture, outcome.setup.system
     time = system.acquisition.integration_time_s.value
@@ -87,9 +99,11 @@ def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
     constant = [noise["read noise"], noise["1/f noise of the amplifier"]]
     # A transimpedance amplifier averages: its converter's step grows with time.
     (growing if has_tia else constant).append(noise["quantisation"])
-    linear = [noise[name] for name in shot] + [noise["Johnson noise of the amplifier"]]
+    times = (times_signal, times_sun, 1.0)
+    linear = [noise[name] * math.sqrt(x) for name, x in zip(shot, times, strict=True)]
+    linear.append(noise["Johnson noise of the amplifier"])
     lit = taken.scene_e[lit_cells(taken.scene_e)]
-    signal = float(np.median(lit)) / factor / time if lit.size else 0.0
+    signal = times_signal * float(np.median(lit)) / factor / time if lit.size else 0.0
     return (
         signal,
         sum(x**2 for x in linear) / time,
@@ -98,32 +112,34 @@ def _pixel_terms(outcome: Outcome) -> tuple[float, float, float, float]:
     )
 
 
-def minimum_time_s(outcome: Outcome) -> float:
+def minimum_time_s(outcome: Outcome, times_signal: float = 1.0, times_sun: float = 1.0) -> float:
     """Integration time at which the median lit pixel equals its noise; infinite where none does.
 
     (s T)^2 = c T + r^2 + (g T)^2, with the patterns, sun and readout of the point. What exposures
     leave in the next ones and what rails cut off change with the time, and are not counted.
     """
-    s, c, r, g = _pixel_terms(outcome)
+    s, c, r, g = _pixel_terms(outcome, times_signal, times_sun)
     a = s * s - g * g
     if s <= 0 or a <= 0:
         return math.inf
     return (c + math.sqrt(c * c + 4 * a * r * r)) / (2 * a)
 
 
-def maximum_distance_m(outcome: Outcome) -> float:
+def maximum_distance_m(
+    outcome: Outcome, times_signal: float = 1.0, times_sun: float = 1.0
+) -> float:
     """Distance at which the median lit pixel would equal its noise.
 
     Its signal falls with 1 / z^2, the sun's part stays. Nothing in the field: not a number. Counts
     noise as `minimum_time_s` does.
     """
-    s, c, r, g = _pixel_terms(outcome)
+    s, c, r, g = _pixel_terms(outcome, times_signal, times_sun)
     taken = outcome.capture
     depth = taken.truth.depth_m[np.isfinite(taken.truth.depth_m) & lit_cells(taken.scene_e)]
     if not depth.size or s <= 0:
         return math.nan
     time = outcome.setup.system.acquisition.integration_time_s.value
-    own = taken.noise.noise_e["shot noise of the signal"] ** 2
+    own = times_signal * taken.noise.noise_e["shot noise of the signal"] ** 2
     other = c * time - own + r * r
     # (s x T)^2 = own x + other + (g x T)^2 with x = (z0 / z)^2
     a = (s * time) ** 2 - (g * time) ** 2
@@ -133,41 +149,91 @@ def maximum_distance_m(outcome: Outcome) -> float:
     return float(np.median(depth)) / math.sqrt(x)
 
 
-def _range_error(outcome: Outcome) -> float:
-    pairs = zip(outcome.radar.detections, outcome.radar.matches, strict=True)
-    errors = [abs(found.range_m - true.wrapped_range_m) for found, true in pairs if true]
-    return max(errors, default=math.nan)
+def _range_error(outcome: Outcome) -> Interval:
+    """The largest, with the model's error of that detection."""
+    radar = outcome.radar
+    errors = [
+        (abs(found.range_m - true.wrapped_range_m), model.range_m)
+        for found, model, true in zip(radar.detections, radar.intervals, radar.matches, strict=True)
+        if true
+    ]
+    if not errors:
+        return Interval(math.nan)
+    largest, model = max(errors, key=lambda pair: pair[0])
+    return Interval(largest, model.standard_error, model.systematic)
 
 
-def _detected(outcome: Outcome) -> float:
-    return float(len({true.name for true in outcome.radar.matches if true is not None}))
+def _detected(outcome: Outcome) -> Interval:
+    """A target whose level may fall to the map's noise, as far as the model's error goes, may be
+    another one less.
+    """
+    radar = outcome.radar
+    found = {
+        true.name: snr_db - model.level_dbm.half_width
+        for true, model, snr_db in zip(
+            radar.matches, radar.intervals, (d.snr_db for d in radar.detections), strict=True
+        )
+        if true is not None
+    }
+    unsure = sum(lowest_db < 0 for lowest_db in found.values())
+    return Interval(float(len(found)), systematic=float(unsure))
 
 
-_MEASURES: dict[str, Callable[[Outcome], float]] = {
-    "snr_median": lambda o: o.capture.verdict.snr_median,
-    "snr_above_1": lambda o: o.capture.verdict.above_noise_share,
-    "signal_e": lambda o: o.capture.noise.signal_e,
-    "background_e": lambda o: o.capture.noise.background_e,
-    "noise_e": lambda o: o.capture.noise.total_noise_e,
-    "saturated": lambda o: float(np.mean(o.capture.record.flags != 0)),
-    "in_band": lambda o: o.capture.in_band_fraction,
-    "psnr_db": lambda o: o.score.psnr_db,
-    "ssim": lambda o: o.score.ssim,
-    "minimum_time_s": minimum_time_s,
-    "maximum_distance_m": maximum_distance_m,
-    "frame_rate_hz": lambda o: 1 / o.setup.system.frame_time_s,
+def _of_pixel_terms(solve: Callable[..., float], outcome: Outcome) -> Interval:
+    """A time or distance with what errors of the signal and of the sun make of it."""
+    return propagated(
+        lambda signal, sun: solve(outcome, max(signal, 0.0), max(sun, 0.0)),
+        *(
+            Interval(1.0, each.standard_error / each.value, each.systematic / each.value)
+            if each.value > 0
+            else Interval(1.0)
+            for each in (_median_signal(outcome), background_interval(outcome.capture))
+        ),
+    )
+
+
+def _median_signal(outcome: Outcome) -> Interval:
+    """SNR of the median lit pixel, whose relative error is about that of its signal."""
+    return snr_interval(outcome.capture, "median")
+
+
+def _exact(value: Callable[[Outcome], float]) -> Callable[[Outcome], Interval]:
+    return lambda outcome: Interval(value(outcome))
+
+
+_MEASURES: dict[str, Callable[[Outcome], Interval]] = {
+    "snr_median": lambda o: snr_interval(o.capture, "median"),
+    "snr_above_1": lambda o: snr_interval(o.capture, "above 1"),
+    "signal_e": lambda o: signal_interval(o.capture),
+    "background_e": lambda o: background_interval(o.capture),
+    "noise_e": lambda o: noise_interval(o.capture),
+    "saturated": _exact(lambda o: float(np.mean(o.capture.record.flags != 0))),
+    "in_band": _exact(lambda o: o.capture.in_band_fraction),
+    "psnr_db": lambda o: psnr_interval(o.capture, o.reconstruction),
+    "ssim": lambda o: ssim_interval(o.capture, o.reconstruction),
+    "minimum_time_s": lambda o: _of_pixel_terms(minimum_time_s, o),
+    "maximum_distance_m": lambda o: _of_pixel_terms(maximum_distance_m, o),
+    "frame_rate_hz": _exact(lambda o: 1 / o.setup.system.frame_time_s),
     "range_error_m": _range_error,
     "detections": _detected,
 }
 
 
-def metric(name: str, inputs: Inputs) -> Callable[[Outcome], float]:
+def metric(name: str, inputs: Inputs) -> Callable[[Outcome], Interval]:
     """A metric by name, or a user's own function of an `Outcome`: ``file.py:function``, a name of
-    the entry-point group ``twin.metric``, or an object in a study in Python.
+    the entry-point group ``twin.metric``, or an object in a study in Python. Of one that gives a
+    number and no `Interval` the errors are not known, NaN.
 
     Raises InputError for one that can't be found.
     """
     if name in _MEASURES:
         return _MEASURES[name]
-    own: Callable[[Outcome], float] = inputs.get("metric", name)
-    return own
+    own: Callable[[Outcome], float | Interval] = inputs.get("metric", name)
+
+    def measured(outcome: Outcome) -> Interval:
+        value = own(outcome)
+        if isinstance(value, Interval):
+            return value
+        return Interval(float(value), math.nan, math.nan)
+
+    return measured

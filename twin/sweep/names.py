@@ -46,6 +46,25 @@ CLOSED_FORM = {
 }
 
 
+#: Of a rendered metric, columns of what the model may be off by, with their meaning.
+ERRORS = {
+    "standard_error": "standard error of the model",
+    "systematic": "bound of the model's systematic error",
+}
+
+
+def columns_of(metrics: Iterable[str], model: str) -> list[str]:
+    """Columns of numbers: each metric, and those of its errors; a closed form has none."""
+    kinds = ERRORS if model == "rendered" else ()
+    return [column for name in metrics for column in (name, *(f"{name}.{kind}" for kind in kinds))]
+
+
+def error_of(column: str) -> tuple[str, str] | None:
+    """Metric and kind of a column of errors; None for a metric's own."""
+    metric, _, kind = column.rpartition(".")
+    return (metric, kind) if metric and kind in ERRORS else None
+
+
 #: Entry points by which installed packages offer metrics.
 GROUP = "twin.metric"
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.files import InputError
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
-from twin.sweep.dataset import column
+from twin.sweep.dataset import column, half_width
 from twin.sweep.sensitivity import Share
 
 if TYPE_CHECKING:
@@ -28,7 +28,9 @@ _COSTS = ("minimum_time_s", "noise_e", "background_e", "saturated", "range_error
 def plot_plane(
     data: "xarray.Dataset", metric: str, x: str, y: str | None = None, *, void: bool = False
 ) -> Figure:
-    """A metric over one parameter (a line), or over two (a map); medians over all others."""
+    """A metric over one parameter (a line; with bars of the model's 95 % intervals where nothing
+    else varies), or over two (a map); medians over all others.
+    """
     values = column(data, metric, void=void)
     left_out = _left_out(data, values)
     axes = [_axis(data, name) for name in (x, y) if name is not None]
@@ -39,7 +41,10 @@ def plot_plane(
     rest = f", median over {', '.join(map(str, others))}" if others else ""
     axis.set_title(f"{_label(data[metric])}{rest}{left_out}", fontsize=9, wrap=True)
     if len(axes) == 1:
-        axis.plot(*_places(axes[0]), values.to_numpy(), ".-", color=BLUE)
+        width = None if others else half_width(data, metric)
+        bars = None if width is None else np.where(np.isfinite(width), width, 0.0)
+        (places,) = _places(axes[0])
+        axis.errorbar(places, values.to_numpy(), bars, fmt=".-", color=BLUE, capsize=2)
         axis.set_xlabel(_label(axes[0]))
         axis.set_ylabel(_label(data[metric]))
         return figure

@@ -1,9 +1,9 @@
 """Results on disk: finished points survive a kill at any moment, and the sweep resumes after them.
 
-While a sweep runs, ``points/METRIC.npy`` hold one number per point and ``journal.jsonl`` one line
-per finished run of points, appended after its numbers are written. Finished, ``results.zarr`` is
-the labelled dataset. ``study.json`` says what the points are of: the study, versions of the
-libraries, digests of all inputs.
+While a sweep runs, ``points/COLUMN.npy`` (metrics and their errors) hold one number per point and
+``journal.jsonl`` one line per finished run of points, appended after its numbers are written.
+Finished, ``results.zarr`` is the labelled dataset. ``study.json`` says what the points are of: the
+study, versions of the libraries, digests of all inputs.
 """
 
 import json
@@ -24,6 +24,7 @@ from twin.files import InputError, new_folder
 from twin.sweep.dataset import Progress, dataset
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs
+from twin.sweep.names import columns_of
 from twin.sweep.study import Study
 from twin.toml import describe
 
@@ -46,7 +47,9 @@ class Store:
         self._plan = plan
         try:
             self.arrays = {
-                name: open_memmap(_array_file(out, name), mode="r+") for name in self.study.metrics
+                name: open_memmap(_array_file(out, name), mode="r+")
+                # A sweep begun before metrics had errors goes on without.
+                for name in plan.get("columns", self.study.metrics)
             }
         except (OSError, ValueError) as error:
             raise InputError(f"{out}: is no whole sweep ({error})") from error
@@ -86,8 +89,8 @@ class Store:
 
         Raises InputError when the disk is full; everything so far stays readable.
         """
-        for name, values in chunk.values.items():
-            self.arrays[name][chunk.start : chunk.stop] = values
+        for name, array in self.arrays.items():
+            array[chunk.start : chunk.stop] = chunk.values[name]
         entry = {
             "start": chunk.start,
             "stop": chunk.stop,
@@ -143,13 +146,14 @@ def create_or_resume(
     ``labels``: unit and meaning of each metric. Raises InputError where the folder holds another
     study's results, those of other inputs, or something else, or where there is no room for them.
     """
-    plan = {
+    plan: dict[str, Any] = {
         "study": study.model_dump(mode="json", exclude={"folder"}),
         "folder": str(study.folder),
         "versions": versions(),
         "inputs": dict(inputs.digests),
         "labels": labels,
         "chunk": chunk,
+        "columns": columns_of(study.metrics, study.model),
     }
     if (out / "study.json").is_file():
         _check(out, _read_plan(out), plan)
@@ -158,7 +162,7 @@ def create_or_resume(
     else:
         with new_folder(out) as folder:
             (folder / "points").mkdir()
-            for name in study.metrics:
+            for name in plan["columns"]:
                 _reserve(_array_file(folder, name), study.n_points)
             (folder / "study.json").write_text(json.dumps(plan, indent=1))
     return Store(out)

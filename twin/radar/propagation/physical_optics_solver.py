@@ -18,6 +18,7 @@ from twin.radar.propagation.facets.convergence import (
     band_of,
     body_echoes,
     reference_levels,
+    spans_by,
     summed_by,
     unconverged,
 )
@@ -104,7 +105,8 @@ def echoes(
 @dataclass(frozen=True, eq=False)
 class _Levels:
     """Bodies by the ``names`` of their objects, their ``echo`` over the band (n_bodies,
-    n_frequencies) and the levels that errors are relative to, ``reference`` (n_bodies,).
+    n_frequencies), the levels that errors are relative to, ``reference`` (n_bodies,), and their
+    spans in range and rate.
     """
 
     names: list[tuple[str, ...]]
@@ -113,6 +115,7 @@ class _Levels:
     reference: Array
     tolerance: float
     floor: float
+    spans: Array
 
     @property
     def permitted(self) -> float:
@@ -121,7 +124,8 @@ class _Levels:
 
     def bodies(self, error: Array, left_out: Array) -> tuple[BodyEcho, ...]:
         """With their errors and bounds of what is left out, the latter relative."""
-        return body_echoes(self.names, self.echo, error, self.tolerance, self.floor, left_out)
+        limits = self.tolerance, self.floor
+        return body_echoes(self.names, self.echo, error, *limits, left_out, self.spans)
 
 
 #: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
@@ -137,11 +141,13 @@ def _levels(
 ) -> _Levels:
     body, wave = of_bodies.body, radar.ofdm
     count = len(of_bodies.error)
-    echo = summed_by(body[surfaces.object], count, surfaces, wave.carrier_hz, band_of(wave))
+    owner = body[surfaces.object]
+    echo = summed_by(owner, count, surfaces, wave.carrier_hz, band_of(wave))
     names = [tuple(prepared.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)]
     tolerance, floor = fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar)
     reference = reference_levels(echo, tolerance, floor)
-    return _Levels(names, body, echo, reference, tolerance, floor)
+    spans = spans_by(owner, count, surfaces)
+    return _Levels(names, body, echo, reference, tolerance, floor, spans)
 
 
 def _on_faint_bodies(

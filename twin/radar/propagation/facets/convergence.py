@@ -39,7 +39,9 @@ class BodyEcho:
     body; ``estimated_error``: within which the error most likely is (95 % of bodies), relative to
     that root mean square, or to the least level that ``fidelity.radar_tolerance`` is relative to;
     ``tolerance``: what was asked for; ``systematic``: share of the estimate that bounds what was
-    left out (`Propagation.decisions`).
+    left out (`Propagation.decisions`). ``amplitude``, ``level_amplitude``: of the echo, and of the
+    level that errors are relative to, received over sent. ``ranges_m``, ``range_rates_m_per_s``:
+    least and most of its contributions.
     """
 
     objects: tuple[str, ...]
@@ -47,6 +49,10 @@ class BodyEcho:
     estimated_error: float
     tolerance: float
     systematic: float = 0.0
+    amplitude: float = 0.0
+    level_amplitude: float = 0.0
+    ranges_m: tuple[float, float] = (-np.inf, np.inf)
+    range_rates_m_per_s: tuple[float, float] = (-np.inf, np.inf)
 
     @property
     def name(self) -> str:
@@ -94,6 +100,7 @@ def body_echoes(
     tolerance: float,
     floor: float,
     left_out: Array | None = None,
+    spans: Array | None = None,
 ) -> tuple[BodyEcho, ...]:
     """Bodies with an echo, the strongest first.
 
@@ -109,11 +116,15 @@ def body_echoes(
         Error that was asked for, relative to a body's echo, and amplitude below which none counts.
     left_out
         Bound of what was left out of each echo, relative to the level that errors are relative to.
+    spans
+        As `spans_by` gives them, where known.
     """
     level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
     strongest = level.max(initial=0.0)
     reference = reference_levels(echo, tolerance, floor)
     systematic = np.zeros(len(level)) if left_out is None else left_out
+    if spans is None:
+        spans = np.full((len(objects), 2, 2), np.inf) * [-1, 1]
     return tuple(
         BodyEcho(
             objects=objects[i],
@@ -123,6 +134,10 @@ def body_echoes(
             + float(systematic[i]),
             tolerance=tolerance,
             systematic=float(systematic[i]),
+            amplitude=float(level[i]),
+            level_amplitude=float(reference[i]),
+            ranges_m=(float(spans[i, 0, 0]), float(spans[i, 0, 1])),
+            range_rates_m_per_s=(float(spans[i, 1, 0]), float(spans[i, 1, 1])),
         )
         for i in np.argsort(-level, kind="stable")
         if level[i] > 0
@@ -137,6 +152,17 @@ def reference_levels(echo: Complex, tolerance: float, floor: float) -> Array:
     least = max(WEAKEST * level.max(initial=0.0), floor / tolerance)
     levels: Array = np.maximum(level, least)
     return levels
+
+
+def spans_by(owner: NDArray[np.integer], count: int, echoes: Contributions) -> Array:
+    """Least and most range, m, and range rate, m/s, of the echoes of each owner, (count, 2, 2)."""
+    found = np.full((count, 2, 2), np.inf) * [1, -1]
+    some = owner >= 0
+    for k, values in enumerate((echoes.delay_s, echoes.delay_rate)):
+        half_way = speed_of_light / 2 * values[some]
+        np.minimum.at(found[:, k, 0], owner[some], half_way)
+        np.maximum.at(found[:, k, 1], owner[some], half_way)
+    return found
 
 
 def band_of(wave: OfdmWaveform) -> Array:

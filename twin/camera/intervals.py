@@ -1,0 +1,277 @@
+"""Intervals of a capture's figures and of its images' scores: what the model's light may be off by.
+
+The errors of cells are independent. A quantile of an image's cells is drawn anew with them, from a
+seed of its own, so that the same capture has the same intervals; all else is linear in them. Scores
+are compared with those of an exact model and the same noise of the sensor, whose image would follow
+what changes in the truth, in part.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.reconstruction import METHODS, Reconstruction
+from hardware.reconstruction.measurements import measurements, with_level
+from hardware.reconstruction.sensing import Sensing
+from twin.accuracy import Interval
+from twin.camera.acquisition import Capture
+from twin.camera.score import in_words, psnr_db, similarity
+from twin.camera.verdict import lit_cells
+
+Array = NDArray[np.float64]
+
+_SEED = 17
+#: Draws of the cells' errors, and of whole images', with the factor by which their scatter is to
+#: be larger so that 1.96 of it hold 95 % of cases (Student's distribution).
+_DRAWS, _FEW = 16, 1.087
+_DRAWS_OF_IMAGES, _VERY_FEW = 8, 1.207
+#: Relative step for the slope of SSIM over the image's error.
+_STEP = 1e-3
+#: Cells to a side of blocks whose errors change sign together.
+_BLOCK = 4
+#: Methods that invert a complete set of Hadamard patterns exactly.
+_INVERSES = ("zero-fill", "least-squares")
+
+
+@dataclass(frozen=True)
+class CaptureIntervals:
+    """Figures of a capture with their intervals.
+
+    ``snr_median``, ``snr_best``, ``above_noise_share``: as `ImageVerdict` has them. ``signal_e``,
+    ``background_e``, ``noise_e``: of one average exposure.
+    """
+
+    snr_median: Interval
+    snr_best: Interval
+    above_noise_share: Interval
+    signal_e: Interval
+    background_e: Interval
+    noise_e: Interval
+
+
+@dataclass(frozen=True)
+class ScoreIntervals:
+    """A `Score` with its intervals."""
+
+    psnr_db: Interval
+    ssim: Interval
+
+    def __str__(self) -> str:
+        return in_words(
+            self.psnr_db.value, self.ssim.value, self.psnr_db.text("dB"), str(self.ssim)
+        )
+
+
+def score_intervals(capture: Capture, image: Reconstruction) -> ScoreIntervals:
+    """Score of a reconstruction of a capture with its intervals."""
+    return ScoreIntervals(psnr_interval(capture, image), ssim_interval(capture, image))
+
+
+def capture_intervals(capture: Capture) -> CaptureIntervals:
+    """Intervals of a capture's figures; of a void record SNRs are NaN."""
+    return CaptureIntervals(
+        snr_median=snr_interval(capture, "median"),
+        snr_best=snr_interval(capture, "best"),
+        above_noise_share=snr_interval(capture, "above 1"),
+        signal_e=signal_interval(capture),
+        background_e=background_interval(capture),
+        noise_e=noise_interval(capture),
+    )
+
+
+def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"]) -> Interval:
+    """A quantity of the SNRs of the lit cells: their median, the largest, the share above 1. Errors
+    of light are drawn anew, those of the noise are common to all cells.
+    """
+    lit = lit_cells(capture.scene_e)
+    if capture.void or not lit.any():
+        return Interval(0.0 if quantity == "above 1" else np.nan)
+    value, error, scene_e = _OF_SNR[quantity], capture.model_error, capture.scene_e
+    snr = capture.snr[lit]
+    own, bound = (
+        np.broadcast_to(_over(part, scene_e), scene_e.shape)[lit]
+        for part in (capture.cells_error_e, capture.light_systematic_e)
+    )
+    common, common_bound = (float(np.max(part)) for part in (error.noise, error.noise_systematic))
+    rng = np.random.default_rng(_SEED)
+    each, together = rng.standard_normal((_DRAWS, snr.size)), rng.standard_normal((_DRAWS, 1))
+    drawn = value(snr * np.maximum(1 + own * each, 0) * (1 + common * together))
+    here = float(value(snr))
+    systematic = abs(float(drawn.mean()) - here)
+    if np.isfinite(bound).all():
+        ends = np.stack([snr * (1 + bound + common_bound), snr * max(1 - common_bound, 0)])
+        systematic += float(np.abs(value(ends) - here).max())
+    else:
+        systematic = np.inf
+    return Interval(here, _FEW * float(drawn.std(ddof=1)), systematic)
+
+
+def signal_interval(capture: Capture) -> Interval:
+    """Signal of one average exposure, electrons."""
+    error = capture.model_error
+    return _relative(capture.noise.signal_e, error.signal, error.signal_systematic)
+
+
+def background_interval(capture: Capture) -> Interval:
+    """Sun in one exposure, electrons."""
+    return _relative(capture.noise.background_e, capture.model_error.background)
+
+
+def noise_interval(capture: Capture) -> Interval:
+    """Noise of one average exposure, electrons."""
+    error = capture.model_error
+    return _relative(
+        capture.noise.total_noise_e,
+        float(np.max(error.noise)),
+        float(np.max(error.noise_systematic)),
+    )
+
+
+def snr_errors(capture: Capture) -> tuple[Array, Array]:
+    """Standard error and systematic bound of the SNR of each cell, (rows, columns)."""
+    error, scene_e = capture.model_error, capture.scene_e
+    own = _over(capture.cells_error_e, scene_e)
+    bound = _over(capture.light_systematic_e, scene_e) + error.noise_systematic
+    return capture.snr * np.hypot(own, error.noise), capture.snr * bound
+
+
+def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
+    """PSNR of a reconstruction of a capture with its interval.
+
+    With d an error of the truth, of which the image follows all but u, the mean square of the
+    image's error e is off by 2 mean(e u) + mean(u^2): the first as random as d, the second always
+    upward. The peak is off as the brightest cell is, and e as the noise is, which grows with light.
+    """
+    truth, off = capture.measured_scene_e, _off(capture, image)
+    known, value = np.isfinite(truth), psnr_db(truth, image.picture - capture.backscatter_e)
+    if not np.isfinite(value):
+        return Interval(value)
+    follows = Follows(capture, image)
+    unfollowed = follows.rest(_drawn(capture, np.random.default_rng(_SEED)))[known]
+    bound = np.abs(follows.rest(capture.light_systematic_e + 0 * truth))[known]
+    spread_e, bound_e = capture.cells_error_e, capture.light_systematic_e + 0 * truth
+    brightest = np.unravel_index(np.nanargmax(truth), truth.shape)
+    peak, mean_square, error = truth[brightest], float(np.mean(off[known] ** 2)), off[known]
+    change = 2 * float(np.linalg.norm(error * unfollowed)) / error.size
+    shift = float(np.mean(unfollowed**2) + np.mean(2 * np.abs(error) * bound + bound**2))
+    noise = noise_interval(capture)
+    statistical = (
+        _in_db(spread_e[brightest] / peak),
+        _in_db(change / mean_square) / 2,
+        _in_db(noise.standard_error / noise.value),
+    )
+    systematic = (
+        _in_db(bound_e[brightest] / peak),
+        _in_db(shift / mean_square) / 2,
+        _in_db(noise.systematic / noise.value),
+    )
+    return Interval(value, float(np.linalg.norm(statistical)), float(sum(systematic)))
+
+
+def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
+    """SSIM of a reconstruction of a capture with its interval, from draws of the cells' errors."""
+    truth, seen = capture.measured_scene_e, image.picture - capture.backscatter_e
+    known, value = np.isfinite(truth), similarity(truth, seen)
+    if not (np.isfinite(value) and truth[known].max(initial=0.0) > 0):
+        return Interval(value)
+    follows, rng = Follows(capture, image), np.random.default_rng(_SEED)
+
+    def moved(by: Array, rest: Array) -> float:
+        return similarity(truth + by, seen + by + rest)
+
+    # The image's error grows with the noise, and that with the light.
+    noise, off = noise_interval(capture), seen - truth
+    by_noise = (similarity(truth, truth + (1 + _STEP) * off) - value) / _STEP / noise.value
+
+    # One draw and what the image leaves of it; others have blocks of it with the opposite sign.
+    draw = _drawn(capture, rng)
+    rest = follows.rest(draw)
+    signs = [_signs_of_blocks(truth.shape, rng) for _ in range(_DRAWS_OF_IMAGES)]
+    drawn = [moved(sign * draw, sign * rest) for sign in signs]
+    statistical = np.hypot(_VERY_FEW * np.std(drawn, ddof=1), by_noise * noise.standard_error)
+    systematic = abs(float(np.mean(drawn)) - value) + abs(by_noise) * noise.systematic
+    bound = capture.light_systematic_e + 0 * truth
+    if not np.isfinite(bound[known]).all():
+        systematic = np.inf
+    elif bound[known].any():
+        systematic += abs(moved(bound, follows.rest(bound)) - value)
+    return Interval(value, float(statistical), systematic)
+
+
+def _signs_of_blocks(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """+1 or -1 by chance, alike in each block of cells: most of what a method smooths over stays
+    within one.
+    """
+    rows, columns = shape
+    signs = rng.choice([-1.0, 1.0], (-(-rows // _BLOCK), -(-columns // _BLOCK)))
+    return np.asarray(np.kron(signs, np.ones((_BLOCK, _BLOCK)))[:rows, :columns])
+
+
+class Follows:
+    """How an image follows errors of its truth: bundled methods are asked, others are taken not to
+    follow at all, which bounds what a method that smooths does.
+    """
+
+    def __init__(self, capture: Capture, image: Reconstruction) -> None:
+        self._image, self._method = image.image, METHODS.get(image.method)
+        if self._method is None or self._method.slow:
+            return
+        received = with_level(capture.record.received)
+        self._sensing, self._measured = Sensing(received.patterns), measurements(received)
+        if self._measured.values.shape[1] != len(self._image):  # complementary
+            self._method = None
+
+    def rest(self, error_e: Array) -> Array:
+        """What the image leaves of an error (rows, columns) of the cells, with its sign: what it
+        follows less the error.
+        """
+        if self._method is None or self._method.slow or not np.isfinite(error_e).all():
+            return -error_e
+        if self._is_inverse:
+            return np.zeros_like(error_e)
+        cells = np.stack(np.hsplit(error_e, len(self._image))).reshape(len(self._image), -1)
+        values = self._measured.values + np.stack([self._sensing.forward(x) for x in cells], 1)
+        solved = [
+            self._method(y, float(variance), self._sensing)[0].reshape(self._sensing.shape)
+            for y, variance in zip(values.T, self._measured.noise_variance, strict=True)
+        ]
+        followed = np.hstack([now - self._image[i] for i, now in enumerate(solved)])
+        return np.asarray(followed - error_e)
+
+    @property
+    def _is_inverse(self) -> bool:
+        complete = self._sensing.count == self._sensing.n_cells and not self._sensing.is_dense
+        return complete and self._method is not None and self._method.name in _INVERSES
+
+
+def _off(capture: Capture, image: Reconstruction) -> Array:
+    """Error of an image without backscatter, NaN where nothing is measured."""
+    return np.asarray(image.picture - capture.backscatter_e - capture.measured_scene_e)
+
+
+def _drawn(capture: Capture, rng: np.random.Generator) -> Array:
+    return np.asarray(capture.cells_error_e * rng.normal(size=capture.cells_e.shape))
+
+
+#: Quantities of the SNRs along the last axis.
+_OF_SNR: dict[str, Callable[[Array], Array]] = {
+    "median": lambda snr: np.asarray(np.median(snr, axis=-1)),
+    "best": lambda snr: np.asarray(snr.max(axis=-1)),
+    "above 1": lambda snr: np.asarray(np.mean(snr >= 1, axis=-1)),
+}
+
+
+def _relative(value: float, statistical: float, systematic: float = 0.0) -> Interval:
+    return Interval(value, value * statistical, value * systematic if value else 0.0)
+
+
+def _over(part: Array, whole: Array) -> Array:
+    return np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0)
+
+
+def _in_db(relative: float) -> float:
+    """Change of a level by a relative change of amplitude; the larger of both directions."""
+    return float(-20 * np.log10(1 - relative)) if relative < 1 else np.inf

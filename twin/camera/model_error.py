@@ -1,0 +1,81 @@
+"""What the model of light may be off by in the electrons and in the noise of a capture.
+
+Statistical errors are those of light's finitely many paths, systematic ones bounds of what is left
+out. Neither is the sensor's own noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.camera.chain import Chain, Powers
+from twin.system import System
+
+Array = NDArray[np.float64]
+
+#: Relative step for the slope of the noise over its causes.
+_STEP = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """Errors of a capture, beside those of its cells.
+
+    ``noise``, ``noise_systematic`` (rows, columns): of the noise of each cell, relative; the same
+    for all cells of a detector, since it is that of all light together. ``signal``,
+    ``signal_systematic`` and ``background``: of the mean signal and of the sun's light, relative.
+    """
+
+    noise: Array
+    noise_systematic: Array
+    signal: float
+    signal_systematic: float
+    background: float
+
+
+#: Of a capture that is told nothing else.
+NO_ERROR = ModelError(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, 0.0, 0.0)
+
+
+def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
+    """`ModelError` of a capture."""
+    system, cells_w = chain.system, power.cells_w.sum(axis=0)
+    total_w = cells_w.sum(axis=1)
+    signal = _ratio(np.sqrt(np.sum(power.error_w**2, axis=1)), total_w)
+    signal_systematic = _ratio(power.left_out_w.sum(axis=1), total_w)
+    background = _ratio(power.sun_error_w, power.sun_w)
+    by_signal, by_background = _noise_slopes(chain, signal_w, power.sun_w)
+    noise = np.hypot(by_signal * signal, by_background * background)
+    ones = np.ones_like(cells_w)
+    weight, sun_weight = (_ratio(each, each.sum()) for each in (total_w, power.sun_w))
+    return ModelError(
+        noise=side_by_side(noise[:, None] * ones, system),
+        noise_systematic=side_by_side((by_signal * signal_systematic)[:, None] * ones, system),
+        signal=float(np.linalg.norm(weight * signal)),
+        signal_systematic=float(weight @ signal_systematic),
+        background=float(np.linalg.norm(sun_weight * background)),
+    )
+
+
+def side_by_side(by_detector: Array, system: System) -> Array:
+    """Cells of all detectors (n_detectors, n_cells) as one image, detectors side by side."""
+    shape = (system.emitter.rows.value, system.emitter.columns.value)
+    return np.hstack(list(by_detector.reshape(-1, *shape)))
+
+
+def _noise_slopes(chain: Chain, signal_w: Array, sun_w: Array) -> tuple[Array, Array]:
+    """Relative change of each detector's noise over that of signal and of background."""
+
+    def log_noise(signal: float, background: float) -> Array:
+        budgets = chain.noise_by_detector(signal * signal_w, background * sun_w)
+        total = np.array([budget.total_noise_e for budget in budgets])
+        return np.log(total, out=np.zeros_like(total), where=total > 0)
+
+    here, step = log_noise(1.0, 1.0), np.log1p(_STEP)
+    by_signal, by_background = log_noise(1 + _STEP, 1.0), log_noise(1.0, 1 + _STEP)
+    return (by_signal - here) / step, (by_background - here) / step
+
+
+def _ratio(part: Array, whole: Array | float) -> Array:
+    return np.divide(part, whole, out=np.zeros_like(part), where=np.asarray(whole) > 0)

@@ -1,0 +1,178 @@
+"""``summary.json``: every figure of a run with its unit and interval, and what was left out."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.accuracy import Decision, Figure, Interval, propagated
+from twin.camera.evaluation import Evaluation
+from twin.camera.verdict import lit_cells
+from twin.radar.evaluation import RadarEvaluation
+from twin.radar.intervals import body_level
+from twin.report.radar_summary import budget_figures
+
+SUMMARY = "summary.json"
+_FORMAT, _VERSION = "ugv-twin-summary", 1
+
+
+def write_summary(
+    evaluations: Sequence[Evaluation], radar: RadarEvaluation | None, folder: Path
+) -> None:
+    """Write ``summary.json``.
+
+    Its ``figures`` have ``of`` (system or radar, then object or method), ``name``, ``unit``,
+    ``value``, ``standard_error`` and ``systematic``, numbers that are none or infinite as text; its
+    ``decisions`` are effects that were modelled or left out, with the bounds that decided.
+    """
+    figures = [figure for evaluation in evaluations for figure in camera_figures(evaluation)]
+    decisions: list[Decision] = [d for e in evaluations for d in e.capture.decisions]
+    if radar:
+        figures += radar_figures(radar)
+        decisions += radar.capture.decisions
+    content = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "figures": [figure.entry() for figure in figures],
+        "decisions": [_finite(asdict(decision)) for decision in decisions],
+    }
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
+
+
+def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
+    """Figures of a camera's capture and of its reconstructions."""
+    capture, system, intervals = evaluation.capture, evaluation.system, evaluation.intervals
+    of, noise, error = (system.name,), capture.noise, capture.model_error
+    lens, pixel_noise_e = capture.lens, noise.pixel_noise_e(system.patterns)
+    signal_w, sun_w = float(capture.signal_w.mean()), capture.background_w
+    of_pixel = pixel_noise_e / noise.total_noise_e if noise.total_noise_e else 0.0
+    yield Figure(of, "SNR per pixel, median of the lit cells", "", intervals.snr_median)
+    yield Figure(of, "SNR per pixel, best", "", intervals.snr_best)
+    yield Figure(of, "share of lit cells above their noise", "", intervals.above_noise_share)
+    yield Figure(of, "signal per exposure", "e-", intervals.signal_e)
+    yield Figure(of, "sun per exposure", "e-", intervals.background_e)
+    yield Figure(of, "dark current per exposure", "e-", Interval(noise.dark_e))
+    yield Figure(of, "noise per exposure", "e-", intervals.noise_e)
+    yield Figure(of, "noise per pixel", "e-", propagated(lambda e: of_pixel * e, intervals.noise_e))
+    yield Figure(
+        of,
+        "signal on the detector, mean",
+        "W",
+        Interval(signal_w, signal_w * error.signal, _share(signal_w, error.signal_systematic)),
+    )
+    yield Figure(of, "sun on the detector", "W", Interval(sun_w, sun_w * error.background))
+    exact = (
+        ("frame time", "s", system.frame_time_s),
+        ("illuminance", "lx", capture.illuminance_lx),
+        ("sun in the band", "W/m²", capture.sun_irradiance_w_per_m2),
+        ("emitter line inside the filter", "", capture.in_band_fraction),
+        ("focal length of the detector's lens", "m", lens.focal_length_m),
+        ("pupil of the detector's lens", "m", lens.pupil_diameter_m),
+    )
+    for name, unit, value in exact:
+        yield Figure(of, name, unit, Interval(value))
+    yield from _cell_errors(evaluation)
+    for image, score in zip(evaluation.reconstructions, evaluation.score_intervals, strict=True):
+        yield Figure((*of, image.method), "PSNR", "dB", score.psnr_db)
+        yield Figure((*of, image.method), "SSIM", "", score.ssim)
+
+
+def _cell_errors(evaluation: Evaluation) -> Iterator[Figure]:
+    """What the model's light is off by in the cells: figures of the errors themselves."""
+    capture = evaluation.capture
+    lit, of = lit_cells(capture.scene_e), (evaluation.system.name,)
+    if not lit.any():
+        return
+    over_noise = capture.cells_error_e / capture.noise.pixel_noise_e(evaluation.system.patterns)
+    over_light = capture.cells_error_e[lit] / capture.scene_e[lit]
+    bound = np.broadcast_to(capture.light_systematic_e, lit.shape)[lit]
+    for name, value in (
+        ("standard error of a cell over its noise, root mean square", _rms(over_noise)),
+        ("standard error of a cell over its noise, median", float(np.median(over_noise))),
+        ("standard error of a lit cell over its light, median", float(np.median(over_light))),
+        (
+            "systematic error of a lit cell over its light, median",
+            float(np.median(bound / capture.scene_e[lit])),
+        ),
+    ):
+        yield Figure(of, name, "", Interval(value))
+
+
+def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
+    """Figures of a radar's map, targets, bodies and detections."""
+    capture, wave, of = evaluation.capture, evaluation.waveform, (evaluation.radar.name,)
+    for name, value, unit in (
+        ("carrier", wave.carrier_hz, "Hz"),
+        ("bandwidth", wave.bandwidth_hz, "Hz"),
+        ("range cell", wave.range_cell_m, "m"),
+        ("unambiguous range", wave.max_range_m, "m"),
+        ("range-rate cell", wave.velocity_cell_m_per_s, "m/s"),
+        ("unambiguous range rate", wave.max_velocity_m_per_s, "m/s"),
+    ):
+        yield Figure(of, name, unit, Interval(value))
+    for name, value, unit in budget_figures(evaluation):
+        yield Figure(of, name, unit, Interval(value))
+    hit = len(capture.truth) - len(evaluation.missed)
+    yield Figure(of, "targets detected", "", Interval(float(hit)))
+    for target in capture.truth:
+        whose = (*of, "true", target.name)
+        yield Figure(whose, "cross-section", "m²", Interval(target.rcs_m2))
+        yield Figure(whose, "range", "m", Interval(target.range_m))
+        yield Figure(whose, "range rate", "m/s", Interval(target.range_rate_m_per_s))
+        received = 10 * np.log10(max(target.received_w, 1e-300) * 1e3)
+        yield Figure(whose, "level by the radar equation", "dBm", Interval(float(received)))
+    for body in capture.propagation.bodies:
+        level = body_level(body)
+        yield Figure((*of, "body", body.name), "level over the strongest body", "dB", level)
+    yield from _detected(evaluation)
+    for seen in evaluation.picture.seen if evaluation.picture else ():
+        for name, value, unit in (
+            ("down-range in the image", seen.down_range_m, "m"),
+            ("cross-range in the image", seen.cross_range_m, "m"),
+            ("cross-section in the image", seen.rcs_m2, "m²"),
+        ):
+            # Of a sum over many bursts nothing tells the error.
+            figure = Interval(value, systematic=float("inf"))
+            yield Figure((*of, "image", seen.name), name, unit, figure)
+
+
+def _detected(evaluation: RadarEvaluation) -> Iterator[Figure]:
+    rows = zip(
+        evaluation.detections,
+        evaluation.intervals,
+        evaluation.matches,
+        evaluation.further,
+        strict=True,
+    )
+    for number, (detection, model, target, part) in enumerate(rows):
+        other = f"part of {part.name}" if part else "other"
+        of = (evaluation.radar.name, f"detection {number}", target.name if target else other)
+        yield Figure(of, "range", "m", model.range_m)
+        yield Figure(of, "range rate", "m/s", model.range_rate_m_per_s)
+        yield Figure(of, "level", "dBm", model.level_dbm)
+        level = model.level_dbm
+        snr = Interval(detection.snr_db, level.standard_error, level.systematic)
+        yield Figure(of, "SNR", "dB", snr)
+        for name, angle in (("azimuth", model.azimuth_rad), ("elevation", model.elevation_rad)):
+            if not np.isnan(angle.value):
+                yield Figure(of, name, "rad", angle)
+
+
+def _finite(entry: dict[str, object]) -> dict[str, object]:
+    """Numbers that are none or infinite as text."""
+    return {
+        name: str(value) if isinstance(value, float) and not np.isfinite(value) else value
+        for name, value in entry.items()
+    }
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _share(value: float, share: float) -> float:
+    return value * share if value else 0.0
