@@ -14,6 +14,7 @@ from twin.fidelity import PRESETS as PRESETS
 from twin.fidelity import Fidelity as Fidelity
 from twin.fidelity import LightFidelity as LightFidelity
 from twin.fidelity import RadarFidelity as RadarFidelity
+from twin.fidelity import Tolerance as Tolerance
 from twin.job import Result as Result
 from twin.job import run as run
 from twin.optics.weather import Air as Air
@@ -50,6 +51,7 @@ from twin.system import system_names as system_names
 from twin.toml import Sourced as Sourced
 from twin.trade import Trade as Trade
 from twin.trade import choose_fidelity as choose_fidelity
+from twin.trade import fidelity_within as fidelity_within
 from twin.trade import run_trade as run_trade
 
 __version__: str

@@ -1,5 +1,6 @@
 """The command ``twin``. Errors are one line and exit code 2; nothing half-written stays behind."""
 
+import faulthandler
 import os
 import signal
 import sys
@@ -44,6 +45,8 @@ def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
     from twin.errors import TwinError
 
+    if not faulthandler.is_enabled():
+        faulthandler.enable()  # says where in the twin a library crashed
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
     try:

@@ -16,7 +16,7 @@ from twin.camera.evaluation import Evaluation, evaluate
 from twin.camera.mounting import light_problem
 from twin.camera.truth import write_truth
 from twin.camera.view import View, render_view
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.files import InputError, check_out
 from twin.progress import Stages
 from twin.radar import RadarDesign, load_radar, radar_capture
@@ -59,7 +59,7 @@ def run(
     track: Track | None = None,
     seed: int = 0,
     out: str | Path | None = None,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
     paths: bool = False,
     sigmf: bool = False,
     method: str | Method | Solve | None = None,
@@ -87,7 +87,8 @@ def run(
         ``runs/yard-workable-seed_3``. It appears whole or not at all, and is of this run alone:
         files of the run before go.
     fidelity
-        Knobs, each with the error it bounds; default `standard`.
+        Knobs, each with the error it bounds; a preset's name; or a `Tolerance`, the error that the
+        model may add, which is the default: a fifth of the sensors' own noise.
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
 
@@ -113,7 +114,7 @@ def run(
     if seed < 0:
         raise InputError(f"seed: {seed}: expected 0 or more")
     solve, how = _own(method, detection)
-    fidelity = fidelity or Fidelity()
+    knobs = knobs_of(fidelity, design.total_bandwidth_hz if design else None)
     with Stages(len(stage_names(systems, design))) as stages:
         with stages.stage("load"):
             world = load_scene(scene, pose)
@@ -125,7 +126,7 @@ def run(
             seed,
             pose,
             track,
-            fidelity,
+            knobs,
             method=solve.name if solve else None,
             detection=how.detection.name if isinstance(how.detection, OwnDetection) else None,
         )
@@ -135,13 +136,13 @@ def run(
             evaluations: tuple[Evaluation, ...] = ()
             echoes: RadarEvaluation | None = None
             if systems:
-                view, evaluations = _compute(world, systems, seed, fidelity, stages, solve)
+                view, evaluations = _compute(world, systems, seed, knobs, stages, solve)
                 first = evaluations[0].capture
                 write_truth(first.truth, partial / "truth.exr")
                 write_record(first.record, partial / "record.h5")
             if design:
                 weather = systems[0].weather if systems else None
-                echoes = _radar(world, design, weather, seed, fidelity, stages, how)
+                echoes = _radar(world, design, weather, seed, knobs, stages, how)
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
             write_summary(evaluations, echoes, partial)
             write_report(world, view, evaluations, echoes, seed, stages, partial)

@@ -10,7 +10,7 @@ from typing import Any
 
 from hardware.files import read_json
 from twin import __version__
-from twin.fidelity import PRESETS, Fidelity
+from twin.fidelity import PRESETS, Fidelity, Tolerance
 from twin.files import whole_folder
 from twin.scene import Pose, Track
 
@@ -101,13 +101,16 @@ def unless(value: Any, default: Any, word: str, without: str = "") -> list[str]:
 
 
 def knob_words(knobs: Mapping[str, Any]) -> list[str]:
-    """The nearest preset, unless it is the standard, and the knobs that differ from it."""
+    """Knobs that differ from those of the default tolerance; or the preset that is nearer, and
+    those that differ from it.
+    """
+    known = {"": Tolerance().knobs(), **PRESETS}
     differing = {
-        name: [f.name for f in fields(known) if getattr(known, f.name) != knobs[f.name]]
-        for name, known in PRESETS.items()
+        name: [f.name for f in fields(usual) if getattr(usual, f.name) != knobs[f.name]]
+        for name, usual in known.items()
     }
     nearest = min(differing, key=lambda name: len(differing[name]))
-    words = unless(nearest, "standard", "{}")
+    words = [nearest] if nearest else []
     return words + [f"{knob}_{knobs[knob]}" for knob in differing[nearest]]
 
 

@@ -1,7 +1,7 @@
 """How often the true error is within the stated one, and what choosing the effort costs.
 
 Scenes and systems drawn by a seed, and those made to be hard, for light and for radar. The error
-asked for is given, everything else is the twin's own choice (`Fidelity.within`); truth comes from
+asked for is given, everything else is the twin's own choice (`Tolerance`); truth comes from
 elsewhere (stock Mitsuba's path tracer; sums of currents). Times are of the CPU, so that other work
 on the machine hardly counts.
 

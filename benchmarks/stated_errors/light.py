@@ -13,7 +13,7 @@ from benchmarks.stated_errors.light_cases import LightCase
 from benchmarks.stated_errors.light_truth import Renderer
 from twin.camera.permitted_error import PermittedError
 from twin.camera.rendered import RenderedLight
-from twin.fidelity import Fidelity
+from twin.fidelity import Fidelity, Tolerance
 from twin.trade.camera import CameraCase
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
     ``limit_s``: of one thread's time, for the truth.
     """
     case = _lit(drawn)
-    fidelity = Fidelity.within(drawn.tolerance)
+    fidelity = Tolerance(drawn.tolerance).knobs()
     case.light(fidelity, 0)  # compiles
     choosing = Choosing()
     begin = time.process_time()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmarks import mirrored_currents
 from benchmarks.stated_errors.judged import Cheapest, Judged
 from benchmarks.stated_errors.radar_cases import RadarCase
-from twin.fidelity import Fidelity
+from twin.fidelity import Fidelity, Tolerance
 from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
 from twin.radar.propagation.facets.convergence import band_of
 from twin.radar.propagation.result import Propagation
@@ -58,7 +58,7 @@ class _Compared:
 
 def judged(case: RadarCase, *, search: bool = True) -> Iterator[Judged]:
     """Every body within 40 dB of the strongest, and above the noise."""
-    fidelity, radar = Fidelity.within(case.tolerance), case.radar
+    fidelity, radar = Tolerance(case.tolerance).knobs(), case.radar
     trace(case.scene, radar, fidelity=fidelity)  # compiles
     begin = time.process_time()
     propagation = trace(case.scene, radar, fidelity=fidelity)
@@ -141,7 +141,7 @@ def _cheapest(case: RadarCase, truth: _Truth, most_s: float) -> Cheapest | None:
     less than ``most_s``.
     """
     best: Cheapest | None = None
-    permitted = Fidelity.within(case.tolerance).radar_tolerance
+    permitted = Tolerance(case.tolerance).knobs().radar_tolerance
     for images in _IMAGES:
         for bounces in _BOUNCES:
             for tolerance in _TOLERANCES:

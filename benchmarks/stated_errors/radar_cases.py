@@ -24,7 +24,7 @@ _WIDE_M = 80.0
 
 @dataclass(frozen=True)
 class RadarCase:
-    """A scene and a radar, and the tolerance of `Fidelity.within`.
+    """A scene and a radar, and the tolerance of `Tolerance`.
 
     ``bounces``: of the sums of currents that are the truth, 0 where there are too many facets:
     then the truth is the solver's own at a much finer tolerance, with sampled direct echoes.

@@ -7,7 +7,7 @@ import pytest
 
 from twin.camera import capture
 from twin.errors import InputError
-from twin.fidelity import PRESETS, Fidelity, LightFidelity, RadarFidelity, preset
+from twin.fidelity import PRESETS, Fidelity, LightFidelity, RadarFidelity, Tolerance, knobs_of
 from twin.optics.paths import TracingQuality
 from twin.radar import load_radar, radar_capture
 from twin.scene import load_scene
@@ -29,8 +29,8 @@ def test_presets_are_ordered_by_strictness() -> None:
         both = (rough | fine).quality
         assert both == TracingQuality(fine.samples, fine.max_depth, fine.quality.further_samples)
         assert (rough | fine).radar_tolerance == fine.radar_tolerance < rough.radar_tolerance
-    assert preset("draft") == draft
-    assert preset(draft) is draft
+    assert knobs_of("draft") == draft
+    assert knobs_of(draft) is draft
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_wrong_knobs_are_named(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="radar_rays gave way to radar_tolerance"):
         Fidelity().with_(radar_rays=200_000)
     with pytest.raises(ValueError, match="is none of draft"):
-        preset("fast")
+        knobs_of("fast")
 
 
 def test_every_knob_has_a_rule_that_takes_its_default() -> None:
@@ -146,10 +146,59 @@ def test_whole_numbers_may_have_an_exponent() -> None:
 
 
 def test_a_tolerance_is_a_share_of_the_noise() -> None:
-    knobs = Fidelity.within(0.4)
+    knobs = Tolerance(0.4).knobs()
     assert (knobs.light_tolerance, knobs.radar_tolerance) == (0.4, 0.2)
-    assert (knobs | Fidelity.within(0.1)).light_tolerance == 0.1
+    assert (knobs | Tolerance(0.1).knobs()).light_tolerance == 0.1
     assert (knobs | Fidelity()).light_tolerance == 0.4
-    for wrong in (0.0, 3.0, float("nan"), "fine", True):
+    assert knobs_of(None) == Tolerance().knobs() == Tolerance.of("0.2").knobs() == knobs_of(0.2)
+    for wrong in (0.0, 11.0, float("nan"), "fine", True):
         with pytest.raises(InputError, match="tolerance"):
-            Fidelity.within(wrong)  # type: ignore[arg-type]
+            Tolerance(wrong)  # type: ignore[arg-type]
+
+
+def test_a_tolerance_of_a_cell_is_in_per_cent() -> None:
+    knobs = Tolerance.of("2 %").knobs()
+    assert (knobs.light_tolerance, knobs.light_tolerance_relative) == (None, 0.02)
+    assert knobs.radar_tolerance == Tolerance().knobs().radar_tolerance
+
+
+def test_a_tolerance_of_an_echo_is_in_db() -> None:
+    """An echo that is off by the radar's tolerance is off by as much as was asked, in dB."""
+    error = Tolerance.of("0.5 dB").knobs().radar_tolerance
+    assert 20 * np.log10(1 + error) == pytest.approx(0.5, rel=1e-12)
+
+
+def test_a_tolerance_of_a_distance_is_that_of_the_steepest_error() -> None:
+    """An error of the echo, linear over the band, moves the straight line through the phase by as
+    much as was asked: fitted to phases, without the formula.
+    """
+    bandwidth_hz, distance_m = 1e9, 2e-3
+    error = Tolerance(distance_m=distance_m).knobs(bandwidth_hz).radar_tolerance
+    offsets_hz = np.linspace(-0.5, 0.5, 4001) * bandwidth_hz
+    slope = error / np.sqrt(np.mean(offsets_hz**2))
+    phase = np.angle(1 + 1j * slope * offsets_hz)
+    delay_s = np.polyfit(offsets_hz, phase, 1)[0] / (2 * np.pi)
+    assert 299_792_458 * delay_s / 2 == pytest.approx(distance_m, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0.2, 0.3", "noise_share twice"),
+        ("", "tolerance"),
+        ("3 V", "V"),
+        ("-1 dB", "echo_db: -1"),
+        ("0 mm", "distance_m: 0"),
+        ("1e-9", "noise_share: 1e-09 is not in 0.0001 to 10"),
+    ],
+)
+def test_a_wrong_tolerance_is_named(text: str, said: str) -> None:
+    with pytest.raises(InputError, match="tolerance") as told:
+        Tolerance.of(text)
+    assert said in str(told.value)
+
+
+def test_what_no_knob_promises_of_a_radar_is_refused() -> None:
+    with pytest.raises(InputError, match=r"cannot be promised"):
+        Tolerance(0.001).knobs(bandwidth_hz=1e9)
+    assert Tolerance(0.001).knobs().light_tolerance == 0.001  # of light it can

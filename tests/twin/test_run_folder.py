@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from twin.fidelity import PRESETS, Fidelity
+from twin.fidelity import DEFAULT_SHARE, PRESETS, Fidelity, Tolerance
 from twin.files import InputError
 from twin.job import run
 from twin.radar import load_radar
 from twin.run_folder import default_folder, run_folder, settings_of
 from twin.scene import Pose, Track, load_scene
 from twin.system import load_system
-from twin.trade.pareto import TOLERANCE
 from twin.trade.pareto import _folder as trade_folder
 
 FAST = Fidelity(samples=1, max_depth=1, radar="targets")
@@ -28,7 +27,7 @@ def settings(**changes):
         "seed": 0,
         "pose": None,
         "track": None,
-        "fidelity": Fidelity(),
+        "fidelity": Tolerance().knobs(),
     }
     return settings_of(**{**plain, **changes})
 
@@ -71,7 +70,7 @@ def test_every_variant_has_a_folder_of_its_own() -> None:
     """The plain run keeps its short name; on ee37b06 all of these shared it."""
     assert default_folder(settings()) == Path("runs/yard-workable")
     assert default_folder(settings(systems=["paper", "workable"])) == Path("runs/yard-paper")
-    draft, standard = PRESETS["draft"], PRESETS["standard"]
+    draft, standard, usual = PRESETS["draft"], PRESETS["standard"], Tolerance().knobs()
     named = {
         "runs/yard-workable-seed_3": settings(seed=3),
         "runs/yard-workable-hybrid-79-slow": settings(radar="hybrid-79-slow"),
@@ -83,7 +82,9 @@ def test_every_variant_has_a_folder_of_its_own() -> None:
         "runs/yard-workable-track_0,0.03,0,33": settings(track=Track((0, 0.03, 0), 33)),
         "runs/yard-workable-track_0,0.03,0,33,0.1": settings(track=Track((0, 0.03, 0), 33, 0.1)),
         "runs/yard-workable-draft": settings(fidelity=draft),
-        "runs/yard-workable-radar_paths": settings(fidelity=standard.with_(radar="paths")),
+        "runs/yard-workable-standard": settings(fidelity=standard),
+        "runs/yard-workable-standard-radar_paths": settings(fidelity=standard.with_(radar="paths")),
+        "runs/yard-workable-radar_paths": settings(fidelity=usual.with_(radar="paths")),
         "runs/yard-workable-draft-radar_paths": settings(fidelity=draft.with_(radar="paths")),
         "runs/yard-hybrid-79": settings(systems=[]),
         "runs/yard-prototype": settings(systems=[], radar="prototype"),
@@ -98,13 +99,19 @@ def test_a_trade_has_one_too() -> None:
     """On ee37b06 radar, tolerance and seed shared a folder."""
     scene, system = load_scene("table1"), load_system("workable")
 
-    def folder(radar: str | None = "hybrid-79", tolerance: float = TOLERANCE, seed: int = 0) -> str:
+    def folder(
+        radar: str | None = "hybrid-79",
+        tolerance: float = DEFAULT_SHARE,
+        within_s: float | None = None,
+        seed: int = 0,
+    ) -> str:
         design = None if radar is None else load_radar(radar)
-        return str(trade_folder(scene, system, design, tolerance, seed))
+        return str(trade_folder(scene, system, design, tolerance, within_s, seed))
 
     assert folder() == "runs/trade-table1-workable"
     assert folder(None) == "runs/trade-table1-workable-no-radar"
     assert folder("prototype") == "runs/trade-table1-workable-prototype"
+    assert folder(within_s=0.5) == "runs/trade-table1-workable-within_0.5_s"
     assert folder(tolerance=0.1, seed=2) == "runs/trade-table1-workable-tolerance_0.1-seed_2"
 
 

@@ -40,6 +40,7 @@ from twin.trade import (
     choose_fidelity,
     front,
     meter,
+    most_accurate,
     run_trade,
 )
 from twin.trade.bodies import errors_of, reference_bodies
@@ -132,6 +133,19 @@ def measured(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
 
 
 # Which level is taken.
+
+
+def test_the_most_accurate_level_within_a_time_is_taken() -> None:
+    levels = [level(1, 0.4, "rough"), level(2, 0.1, "fine"), level(9, 0.01, "finest")]
+    choice = most_accurate(levels, 2)
+    assert choice.within
+    assert choice.measurement.name == "fine"
+    late = most_accurate(levels, 0.5)
+    assert not late.within
+    assert late.measurement.name == "rough"
+    assert "no level takes 0.5 s or less; the cheapest takes 1 s" in late.reason
+    with pytest.raises(ValueError, match="no level"):
+        most_accurate([level(1, 0.0, own=False)], 1)
 
 
 def test_the_cheapest_level_below_the_tolerance_is_taken() -> None:

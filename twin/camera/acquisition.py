@@ -27,7 +27,7 @@ from twin.camera.verdict import (
     warnings_of_record,
 )
 from twin.detector import Detector, FrontEnd, NoiseBudget
-from twin.fidelity import Fidelity, Noise
+from twin.fidelity import Accuracy, Noise, knobs_of
 from twin.optics.emission import emission_matrix, independent_patterns
 from twin.optics.radiometry import Collection
 from twin.optics.solar_irradiance import SUN_ASSUMPTION
@@ -136,7 +136,7 @@ def capture(
     system: System,
     *,
     seed: int = 0,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
     mesh_scene: Any = None,
     stage: OpenStage = silently,
     detector: Detector | None = None,
@@ -150,7 +150,8 @@ def capture(
     seed
         Of all random numbers: same seed, same counts, bit for bit.
     fidelity
-        Accuracy settings, each with the error it bounds.
+        Knobs, each with the error it bounds; a preset's name; or a `Tolerance`, which is the
+        default.
     mesh_scene
         `mitsuba_scene(scene)`, if already built.
     stage
@@ -169,13 +170,13 @@ def capture(
     True
     """
     light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
-    fidelity = fidelity or Fidelity()
+    knobs = knobs_of(fidelity)
     rendered = render(
-        scene, system, fidelity=fidelity, seed=light_seed, mesh_scene=mesh_scene, stage=stage
+        scene, system, fidelity=knobs, seed=light_seed, mesh_scene=mesh_scene, stage=stage
     )
     with stage("detector"):
         rng = np.random.default_rng(noise_seed)
-        return measure(scene, system, rendered, rng=rng, noise=fidelity.noise, detector=detector)
+        return measure(scene, system, rendered, rng=rng, noise=knobs.noise, detector=detector)
 
 
 def measure(

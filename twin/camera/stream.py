@@ -15,7 +15,7 @@ from twin.camera.light import render, render_light
 from twin.camera.mounting import check_rig, light_problem
 from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth, depths
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.optics.paths import TracingQuality
 from twin.scene import Pose, Scene
 from twin.scene.mitsuba import mitsuba_scene
@@ -75,7 +75,7 @@ def stills(
     system: System,
     *,
     seed: int = 0,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
     rendered: RenderedLight | None = None,
 ) -> Iterator[SpiRecord]:
     """Endless records of a resting rig: light is rendered once, noise is drawn for each record.
@@ -89,19 +89,19 @@ def stills(
     rendered
         `still_light` of the same scene and seed, if already computed.
     """
-    fidelity = fidelity or Fidelity()
+    knobs = knobs_of(fidelity)
     _, noise_seed = np.random.SeedSequence(seed).spawn(2)
     chain, rng = Chain.of(system, scene.sun), np.random.default_rng(noise_seed)
-    power = chain.powers(rendered or still_light(scene, system, seed=seed, fidelity=fidelity))
+    power = chain.powers(rendered or still_light(scene, system, seed=seed, fidelity=knobs))
     mean_w = chain.mean_signal(power)
     for number in itertools.count():
-        _, counts, flags = chain.measure_frame(power, rng=rng, noise=fidelity.noise, mean_w=mean_w)
+        _, counts, flags = chain.measure_frame(power, rng=rng, noise=knobs.noise, mean_w=mean_w)
         yield chain.record(scene.rig.pose, counts, flags, number)
 
 
 def still_light(
-    scene: Scene, system: System, *, seed: int = 0, fidelity: Fidelity | None = None
+    scene: Scene, system: System, *, seed: int = 0, fidelity: Accuracy | None = None
 ) -> RenderedLight:
     """Light of `stills`: that of every system with the same emitter, optics and detector."""
     light_seed, _ = np.random.SeedSequence(seed).spawn(2)
-    return render(scene, system, fidelity=fidelity or Fidelity(), seed=light_seed)
+    return render(scene, system, fidelity=knobs_of(fidelity), seed=light_seed)

@@ -1,8 +1,17 @@
 """Arguments that several commands take."""
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from hardware.commands.quantities import quantity_of
+
+if TYPE_CHECKING:
+    from twin.fidelity import Fidelity
+    from twin.radar import RadarDesign
+    from twin.scene import Scene
+    from twin.system import System
 
 SceneArgument = Annotated[
     str, typer.Argument(help="Bundled scene, folder with scene.xml, or Mitsuba XML file.")
@@ -11,3 +20,53 @@ PoseOption = Annotated[
     str | None,
     typer.Option(help="Of the rig: x,y,z[,yaw[,pitch[,roll]]] in m and deg (x forward, z up)."),
 ]
+ToleranceOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Error that the model may add: a share of the sensors' own noise (0.2, the default), "
+        "of a cell's light (1 %), of an echo's level (0.5 dB), of a distance (2 mm), or some with "
+        "commas in between."
+    ),
+]
+FidelityOption = Annotated[
+    str | None,
+    typer.Option(help="In place of a tolerance, fixed knobs: draft, standard or reference."),
+]
+
+
+WithinOption = Annotated[
+    float | None,
+    typer.Option(
+        help="In place of a tolerance: time that a frame of each sensor may take on this machine, "
+        "once warm; the smallest tolerance that stays within it is taken.",
+        parser=quantity_of("s"),
+    ),
+]
+
+
+def knobs_asked(
+    load: "Callable[[], Scene]",
+    system: "System | str | None",
+    radar: "RadarDesign | None",
+    *,
+    fidelity: str | None,
+    tolerance: str | None,
+    within: float | None,
+) -> "Fidelity":
+    """The knobs that the options ask for; what a time allows is measured on the scene that ``load``
+    gives, and printed. Raises InputError.
+    """
+    from twin.errors import InputError
+    from twin.fidelity import Tolerance, knobs_of
+
+    if sum(given is not None for given in (fidelity, tolerance, within)) > 1:
+        raise InputError("--fidelity, --tolerance, --within: expected one of them")
+    bandwidth_hz = radar.total_bandwidth_hz if radar else None
+    if within is None:
+        asked = None if tolerance is None else Tolerance.of(tolerance)
+        return knobs_of(fidelity or asked, bandwidth_hz)
+    from twin.trade import fidelity_within
+
+    chosen = fidelity_within(load(), within, system=system, radar=radar)
+    print(f"within {1e3 * within:g} ms: {chosen}")
+    return chosen.fidelity

@@ -2,15 +2,19 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from twin.commands import loading
-from twin.commands.arguments import PoseOption, SceneArgument
-
-if TYPE_CHECKING:
-    from twin.fidelity import Fidelity
+from twin.commands.arguments import (
+    FidelityOption,
+    PoseOption,
+    SceneArgument,
+    ToleranceOption,
+    WithinOption,
+    knobs_asked,
+)
 
 
 def run(
@@ -37,16 +41,9 @@ def run(
     ] = None,
     paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
     sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
-    fidelity: Annotated[
-        str | None, typer.Option(help="draft, standard (the default) or reference.")
-    ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help="In place of fidelity: error that the model may add, as a share of the sensors' "
-            "own noise, 0.002 to 2."
-        ),
-    ] = None,
+    fidelity: FidelityOption = None,
+    tolerance: ToleranceOption = None,
+    within: WithinOption = None,
     radar_model: Annotated[
         str | None,
         typer.Option(
@@ -64,19 +61,31 @@ def run(
     """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
     with loading():
         from twin.job import run as run_job
+        from twin.radar import load_radar
         from twin.radar.propagation.scene.scattering_models import ScatteringModel
-        from twin.scene import parse_pose, parse_track
+        from twin.scene import load_scene, parse_pose, parse_track
 
+    design = None if radar == "none" else load_radar(radar)
+    camera = None if system == "none" else system
+    at = parse_pose(pose) if pose is not None else None
+    knobs = knobs_asked(
+        lambda: load_scene(scene, at),
+        camera,
+        design,
+        fidelity=fidelity,
+        tolerance=tolerance,
+        within=within,
+    )
     result = run_job(
         scene,
-        None if system == "none" else system,
+        camera,
         compare=None if compare == "none" else compare,
-        radar=None if radar == "none" else radar,
-        pose=parse_pose(pose) if pose is not None else None,
+        radar=design,
+        pose=at,
         track=parse_track(track) if track is not None else None,
         seed=seed,
         out=out,
-        fidelity=_fidelity(fidelity, tolerance, radar_model),
+        fidelity=knobs.with_(radar=radar_model) if radar_model else knobs,
         paths=paths,
         sigmf=sigmf,
         method=method,
@@ -163,13 +172,3 @@ def import_(
     for note in notes:
         print(f"note: {note}")
     print(f"scene: {folder}")
-
-
-def _fidelity(name: str | None, tolerance: float | None, radar_model: str | None) -> "Fidelity":
-    from twin.errors import InputError
-    from twin.fidelity import Fidelity, preset
-
-    if name is not None and tolerance is not None:
-        raise InputError("--fidelity, --tolerance: expected one of them")
-    knobs = preset(name or "standard") if tolerance is None else Fidelity.within(tolerance)
-    return knobs.with_(radar=radar_model) if radar_model else knobs

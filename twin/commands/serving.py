@@ -6,7 +6,14 @@ from typing import Annotated
 
 import typer
 
-from twin.commands.arguments import PoseOption, SceneArgument
+from twin.commands.arguments import (
+    FidelityOption,
+    PoseOption,
+    SceneArgument,
+    ToleranceOption,
+    WithinOption,
+    knobs_asked,
+)
 
 
 def serve(
@@ -40,6 +47,9 @@ def serve(
             help="Sweeps traced together: of the first echoes are kept whose paths did not change.",
         ),
     ] = 1,
+    fidelity: FidelityOption = None,
+    tolerance: ToleranceOption = None,
+    within: WithinOption = None,
     radar_setup: Annotated[
         Path | None, typer.Option(help="JSON to write: schedule and front end for a driver.")
     ] = None,
@@ -48,6 +58,7 @@ def serve(
     from typing import get_args
 
     from twin.files import InputError
+    from twin.radar import load_radar
     from twin.scene import load_scene, parse_pose
     from twin.serve.clock import Pace
     from twin.serve.serving import parse_address, run, serve_camera, serve_radar
@@ -63,20 +74,38 @@ def serve(
         if address is not None and not address.loopback:
             print(f"warning: {address.host}: whoever reaches it can use it", file=sys.stderr)
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
+    sweeper = load_radar(design) if radar_at is not None else None
+    knobs = knobs_asked(
+        lambda: loaded,
+        system if spi is not None else None,
+        sweeper,
+        fidelity=fidelity,
+        tolerance=tolerance,
+        within=within,
+    )
     devices = []
     if spi is not None:
         devices.append(
-            serve_camera(loaded, system, spi_at, pace=how, faults=spi_fault or (), seed=seed)
+            serve_camera(
+                loaded,
+                system,
+                spi_at,
+                pace=how,
+                faults=spi_fault or (),
+                seed=seed,
+                fidelity=knobs,
+            )
         )
-    if radar_at is not None:
+    if radar_at is not None and sweeper is not None:
         devices.append(
             serve_radar(
                 loaded,
-                design,
+                sweeper,
                 radar_at,
                 pace=how,
                 faults=radar_fault or (),
                 seed=seed,
+                fidelity=knobs,
                 setup=radar_setup,
                 reuse=radar_reuse,
             )

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hardware.commands.quantities import quantity_of
-from twin.commands.arguments import SceneArgument
+from twin.commands.arguments import SceneArgument, WithinOption
 
 _REASONS = 3  # of failed points that are printed
 
@@ -84,6 +84,7 @@ def trade(
             parser=quantity_of(None),
         ),
     ] = 0.2,
+    within: WithinOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
     out: Annotated[
         Path | None,
@@ -101,6 +102,7 @@ def trade(
         system,
         radar=None if radar == "none" else radar,
         tolerance=tolerance,
+        within_s=within,
         seed=seed,
         out=out,
     )

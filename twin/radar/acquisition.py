@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hardware.records import QuaternionPose, RadarRecord
 from twin import __version__
 from twin.accuracy import Decision
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.files import InputError
 from twin.progress import OpenStage
 from twin.radar.device.burst import burst_channel
@@ -127,7 +127,7 @@ def radar_echo(
     radar: RadarDesign,
     *,
     seed: int = 0,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
     weather: Weather | None = None,
     poses: Sequence[Pose] | None = None,
     interval_s: float | None = None,
@@ -139,7 +139,7 @@ def radar_echo(
     worlds = _worlds(scene, radar, poses, interval_s)
     for world in worlds:
         _check_targets(world)
-    fidelity, air = fidelity or Fidelity(), _air(weather, radar)
+    knobs, air = knobs_of(fidelity, radar.total_bandwidth_hz), _air(weather, radar)
     ray_seed, noise_seed = _seeds(seed)
     with stage("radar paths"):
         rays = int(ray_seed.generate_state(1)[0]) >> 1
@@ -148,7 +148,7 @@ def radar_echo(
             own = trace(
                 world,
                 radar,
-                fidelity=fidelity,
+                fidelity=knobs,
                 seed=rays,
                 earlier=earlier,
                 keep=keep and earlier is None,
@@ -156,7 +156,7 @@ def radar_echo(
             bursts.append(own)
             earlier = own if keep and earlier is None else earlier
     interval_s = interval_s or _interval(scene, radar)
-    return RadarEcho(tuple(worlds), radar, tuple(bursts), air, interval_s, noise_seed, fidelity)
+    return RadarEcho(tuple(worlds), radar, tuple(bursts), air, interval_s, noise_seed, knobs)
 
 
 def radar_capture(
@@ -164,7 +164,7 @@ def radar_capture(
     radar: RadarDesign,
     *,
     seed: int = 0,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
     weather: Weather | None = None,
     poses: Sequence[Pose] | None = None,
     interval_s: float | None = None,
@@ -181,7 +181,8 @@ def radar_capture(
     seed
         Of every random draw: same seed, same counts, bit for bit.
     fidelity
-        Knobs, each with the error it bounds.
+        Knobs, each with the error it bounds; a preset's name; or a `Tolerance`, which is the
+        default.
     weather
         Of the air in between; default: it does not attenuate.
     poses, interval_s

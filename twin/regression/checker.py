@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from twin.digest import digest, versions
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.files import InputError
 from twin.radar import RadarDesign, load_radar
 from twin.regression.baseline import (
@@ -83,7 +83,7 @@ class Regression:
         method: Method = "lmmse",
         seeds: int = 48,
         poses: Sequence[Pose] = (),
-        fidelity: Fidelity | None = None,
+        fidelity: Accuracy | None = None,
         metrics: Sequence[Metric] = CAMERA_METRICS,
         false_alarm: float = 0.01,
         name: str = "",
@@ -116,8 +116,8 @@ class Regression:
         __tracebackhide__ = True
         views, design = _views(scene, poses), load_system(system)
         image_method(method)  # a wrong name is told before the render
-        numbers, fidelity = _seeds(seeds, len(views)), fidelity or Fidelity()
-        light = [self.truths.light(view, design, fidelity) for view in views]
+        numbers, knobs = _seeds(seeds, len(views)), knobs_of(fidelity)
+        light = [self.truths.light(view, design, knobs) for view in views]
 
         def run(view: int, numbers: Sequence[int]) -> SeedResults:
             return run_camera(
@@ -127,11 +127,11 @@ class Regression:
                 method,
                 numbers,
                 metrics,
-                fidelity.noise,
+                knobs.noise,
                 mirrored=not poses,
             )
 
-        setup = _setup("camera", views[0], poses, design, fidelity, seeds, metrics)
+        setup = _setup("camera", views[0], poses, design, knobs, seeds, metrics)
         runs = partial(in_turn, run, len(views))
         return self._hold(
             _IMAGES, runs, numbers, metrics, false_alarm, setup, own=method, name=name
@@ -145,7 +145,7 @@ class Regression:
         detector: RadarDetector = vehicle_detector,
         seeds: int = 16,
         poses: Sequence[Pose] = (),
-        fidelity: Fidelity | None = None,
+        fidelity: Accuracy | None = None,
         metrics: Sequence[Metric] = RADAR_METRICS,
         false_alarm: float = 0.01,
         name: str = "",
@@ -159,14 +159,14 @@ class Regression:
         __tracebackhide__ = True
         views, design = _views(scene, poses), load_radar(radar)
         radar_detector(detector)  # a wrong one is told before the scene is traced
-        numbers, fidelity = _seeds(seeds, len(views)), fidelity or Fidelity()
-        captures = [self.truths.echo(view, design, fidelity) for view in views]
-        accuracy = fidelity.nufft_tolerance
+        numbers, knobs = _seeds(seeds, len(views)), knobs_of(fidelity, design.total_bandwidth_hz)
+        captures = [self.truths.echo(view, design, knobs) for view in views]
+        accuracy = knobs.nufft_tolerance
 
         def run(view: int, numbers: Sequence[int]) -> SeedResults:
             return run_radar(captures[view], design, detector, numbers, metrics, accuracy)
 
-        setup = _setup("radar", views[0], poses, design, fidelity, seeds, metrics)
+        setup = _setup("radar", views[0], poses, design, knobs, seeds, metrics)
         runs = partial(in_turn, run, len(views))
         return self._hold(
             _ECHOES, runs, numbers, metrics, false_alarm, setup, own=detector, name=name

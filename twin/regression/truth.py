@@ -8,7 +8,7 @@ import numpy as np
 from twin.camera.light import render
 from twin.camera.rendered import RenderedLight
 from twin.digest import digest, versions
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.radar import RadarCapture, RadarDesign, radar_capture
 from twin.regression.cache import TruthCache, code
 from twin.scene import Scene
@@ -22,20 +22,20 @@ class Truths:
         self._store = store
 
     def light(
-        self, scene: Scene, system: System, fidelity: Fidelity | None = None
+        self, scene: Scene, system: System, fidelity: Accuracy | None = None
     ) -> RenderedLight:
         """Light of a scene for a system, as `measure` takes it."""
-        fidelity = fidelity or Fidelity()
+        knobs = knobs_of(fidelity)
         return self._store.get(
-            _key("light", scene, system, fidelity),
-            lambda: render(scene, system, fidelity=fidelity, seed=np.random.SeedSequence(0)),
+            _key("light", scene, system, knobs),
+            lambda: render(scene, system, fidelity=knobs, seed=np.random.SeedSequence(0)),
         )
 
     def echo(
-        self, scene: Scene, radar: RadarDesign, fidelity: Fidelity | None = None
+        self, scene: Scene, radar: RadarDesign, fidelity: Accuracy | None = None
     ) -> RadarCapture:
         """A capture of a scene without noise, whose paths give any number of noisy ones."""
-        quiet = replace(fidelity or Fidelity(), noise="none")
+        quiet = replace(knobs_of(fidelity, radar.total_bandwidth_hz), noise="none")
         return self._store.get(
             _key("echo", scene, radar, quiet), lambda: radar_capture(scene, radar, fidelity=quiet)
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hardware.drivers.radio.setup import write_setup
 from twin.camera.stream import still_light, stills
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy
 from twin.files import InputError
 from twin.radar import RadarDesign, load_radar
 from twin.scene import Scene
@@ -70,7 +70,7 @@ def serve_radar(
     pace: Pace = "real",
     faults: Sequence[str] = (),
     seed: int = 0,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
     setup: Path | None = None,
     reuse: int = 1,
 ) -> ServedDevice:
@@ -118,7 +118,7 @@ def serve_camera(
     pace: Pace = "real",
     faults: Sequence[str] = (),
     seed: int = 0,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
 ) -> ServedDevice:
     """The single-pixel camera behind its protocol, at an address or on a pseudo-terminal (None).
 

@@ -27,7 +27,7 @@ from hardware.recording.reading import Received
 from hardware.records import RadarRecord, SpiRecord
 from twin.camera.stream import still_light, stills
 from twin.errors import EngineError, InputError
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy
 from twin.radar import load_radar
 from twin.scene import load_scene
 from twin.serve.clock import DeviceClock, Pace
@@ -46,7 +46,7 @@ def records(
     settings: SpiSettings | None = None,
     *,
     over: threading.Event | None = None,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
 ) -> Generator[Received, None, None]:
     """Records of a scene without end, in the order of device time.
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from hardware.records import RadarRecord
 from twin.errors import InputError
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy
 from twin.radar import RadarDesign, RadarEcho, radar_echo
 from twin.radar.propagation.result import Propagation
 from twin.scene import Scene
@@ -42,7 +42,7 @@ class RadarSweeps:
         scene: Scene,
         radar: RadarDesign,
         seed: int,
-        fidelity: Fidelity | None = None,
+        fidelity: Accuracy | None = None,
         reuse: int = 1,
     ) -> None:
         if reuse < 1:

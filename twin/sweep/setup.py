@@ -7,7 +7,7 @@ from hardware.own_functions import is_file_function
 from hardware.radar.own_detection import Detect, OwnDetection
 from hardware.reconstruction import Method
 from hardware.reconstruction.registry import Solve
-from twin.fidelity import Fidelity, preset
+from twin.fidelity import Fidelity, knobs_of
 from twin.files import InputError
 from twin.radar.device.design import RadarDesign
 from twin.scene import Scene
@@ -105,7 +105,7 @@ def _seed(value: Value) -> int:
 
 def _fidelity(values: Values, inputs: Inputs) -> Fidelity:
     name = str(values.get("preset", "standard"))
-    base = preset(inputs.objects.get(f"fidelity {name}", name))
+    base = knobs_of(inputs.objects.get(f"fidelity {name}", name))
     knobs = {name: v for name, v in values.items() if name != "preset"}
     if is_file_function(str(knobs.get("radar", ""))):
         knobs["radar"] = placed("function", str(knobs["radar"]), inputs.folder)

@@ -83,7 +83,9 @@ class LevelMeasurement:
 
 @dataclass(frozen=True)
 class Choice:
-    """The level chosen; ``within``: its error is below the tolerance."""
+    """The level chosen; ``within``: its error is below the tolerance, or its time within the limit
+    that was asked for instead.
+    """
 
     measurement: LevelMeasurement
     within: bool
@@ -124,6 +126,28 @@ def cheapest(measurements: Iterable[LevelMeasurement], tolerance: float) -> Choi
         factor = finest.cost.seconds / best_level.cost.seconds
         reason += f"; {finest.name} takes {factor:.3g} times as long for {finest.over_noise:.2g}"
     return Choice(best_level, True, reason)
+
+
+def most_accurate(measurements: Iterable[LevelMeasurement], within_s: float) -> Choice:
+    """The level of the smallest measured error among those that take no longer than a time; where
+    none does, the cheapest of all. Raises InputError without any level.
+    """
+    levels = [m for m in measurements if m.fidelity]
+    if not levels:
+        raise InputError("measurements: no level of the twin")
+    fast = [m for m in levels if m.cost.seconds <= within_s]
+    if not fast:
+        best = min(levels, key=lambda m: m.cost.seconds)
+        reason = (
+            f"no level takes {within_s:g} s or less; the cheapest takes {best.cost.seconds:.2g} s"
+        )
+        return Choice(best, False, reason)
+    best = min(fast, key=lambda m: (m.over_noise != m.over_noise, m.over_noise))
+    reason = (
+        f"the most accurate within {within_s:g} s: {best.over_noise:.2g} of the sensor's noise in "
+        f"{best.cost.seconds:.2g} s"
+    )
+    return Choice(best, True, reason)
 
 
 def front(measurements: Sequence[LevelMeasurement]) -> list[LevelMeasurement]:

@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 
 from hardware.patterns import PatternSet
-from twin.fidelity import Fidelity
+from twin.fidelity import DEFAULT_SHARE, Fidelity
 from twin.files import InputError, check_out, whole_folder
 from twin.progress import OpenStage, Stages, silently
 from twin.radar import RadarDesign, load_radar
@@ -21,13 +21,10 @@ from twin.trade.camera import (
     measure_noise,
     noise_stages,
 )
-from twin.trade.measurement import Choice, LevelMeasurement, Model, cheapest
+from twin.trade.measurement import Choice, LevelMeasurement, Model, cheapest, most_accurate
 from twin.trade.meter import measure_cost
 from twin.trade.radar import measure_radar, radar_stages
 from twin.trade.result import Trade
-
-#: Of the sensor's own noise: an error of a fifth adds 4 % to its power, 0.17 dB.
-TOLERANCE = 0.2
 
 
 def run_trade(
@@ -35,7 +32,8 @@ def run_trade(
     system: str | Path | System = "workable",
     *,
     radar: str | Path | RadarDesign | None = "hybrid-79",
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_SHARE,
+    within_s: float | None = None,
     seed: int = 0,
     out: str | Path | None = None,
 ) -> tuple[Trade, Path]:
@@ -47,6 +45,8 @@ def run_trade(
         As in `twin.run`.
     tolerance
         Acceptable error of a level, in units of the sensor's own noise.
+    within_s
+        In place of the cheapest level within the tolerance, the most accurate that takes no longer.
     seed
         Of all random numbers.
     out
@@ -65,19 +65,23 @@ def run_trade(
 
     check_out(out)
     design, sensor = _inputs(system, radar, tolerance, seed)
+    if within_s is not None and not 0 < within_s < np.inf:
+        raise InputError(f"within: {within_s:g} s is not above 0")
     with Stages(len(stage_names(design, sensor))) as stages:
         with stages.stage("load"):
             loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-        folder = Path(out or _folder(loaded, design, sensor, tolerance, seed))
+        folder = Path(out or _folder(loaded, design, sensor, tolerance, within_s, seed))
         with whole_folder(folder) as partial:
-            trade = _measure(loaded, design, sensor, tolerance, seed, stages.stage, checked=True)
+            trade = _measure(
+                loaded, design, sensor, tolerance, within_s, seed, stages.stage, checked=True
+            )
             write_trade(trade, partial)
     return trade, folder
 
 
 def choose_fidelity(
     scene: str | Path | Scene,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_SHARE,
     *,
     system: str | Path | System = "workable",
     radar: str | Path | RadarDesign | None = "hybrid-79",
@@ -91,18 +95,24 @@ def choose_fidelity(
     """
     design, sensor = _inputs(system, radar, tolerance, seed)
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-    return _measure(loaded, design, sensor, tolerance, seed, silently, checked=False).fidelity
+    return _measure(loaded, design, sensor, tolerance, None, seed, silently, checked=False).fidelity
 
 
 def _folder(
-    scene: Scene, system: System, radar: RadarDesign | None, tolerance: float, seed: int
+    scene: Scene,
+    system: System,
+    radar: RadarDesign | None,
+    tolerance: float,
+    within_s: float | None,
+    seed: int,
 ) -> Path:
     return named_folder(
         "trade",
         scene.name,
         system.name,
         *unless(radar.name if radar else None, "hybrid-79", "{}", "no-radar"),
-        *unless(tolerance, TOLERANCE, "tolerance_{:g}"),
+        *unless(tolerance, DEFAULT_SHARE, "tolerance_{:g}"),
+        *unless(within_s, None, "within_{:g}_s"),
         *unless(seed, 0, "seed_{}"),
     )
 
@@ -130,6 +140,7 @@ def _measure(
     system: System,
     radar: RadarDesign | None,
     tolerance: float,
+    within_s: float | None,
     seed: int,
     stage: OpenStage,
     *,
@@ -149,12 +160,15 @@ def _measure(
     for model in get_args(Model):
         levels = [m for m in measured if m.model == model]
         if levels:
-            choices[model] = cheapest(levels, tolerance)
+            choices[model] = (
+                cheapest(levels, tolerance) if within_s is None else most_accurate(levels, within_s)
+            )
     return Trade(
         scene=scene.name,
         system=system.name,
         radar=radar.name if radar else None,
         tolerance=tolerance,
+        within_s=within_s,
         seed=seed,
         measurements=tuple(measured),
         choices=choices,

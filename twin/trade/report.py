@@ -78,7 +78,7 @@ def markdown(trade: Trade) -> Iterator[str]:
         f"`twin trade {trade.scene}`: system `{trade.system}` (noise of a pixel "
         f"{trade.pixel_noise_e:.3g} e-){radar}. Times are medians of warm runs, in brackets over "
         f"one complex FFT of 2^20 points ({si(trade.fft_s, 's')}); in bold the level chosen for "
-        f"{trade.tolerance:g} of the sensor's noise. {len(trade.measurements)} levels were "
+        f"{_asked(trade)}. {len(trade.measurements)} levels were "
         "measured; these are the fastest for their error, the presets and the references."
     )
     for model, title in _MODELS.items():
@@ -205,6 +205,13 @@ def _marker(m: LevelMeasurement) -> tuple[str, str, str]:
     return label, _DEPTH_COLORS[depth], marker
 
 
+def _asked(trade: Trade) -> str:
+    """What levels were chosen for."""
+    if trade.within_s is None:
+        return f"{trade.tolerance:g} of the sensor's noise"
+    return f"a frame of {si(trade.within_s, 's')}"
+
+
 def _annotate(axis: Any, trade: Trade, model: Model) -> None:
     best, choice = front(trade.of(model)), trade.choices[model].measurement
     times = [m.cost.seconds for m in best]
@@ -319,6 +326,7 @@ def _content(trade: Trade) -> dict[str, Any]:
         "system": trade.system,
         "radar": trade.radar,
         "tolerance": trade.tolerance,
+        "within_s": trade.within_s,
         "seed": trade.seed,
         "version": __version__,
         "machine": {"cores": os.cpu_count(), "machine": platform.machine()},

@@ -12,6 +12,7 @@ from twin.trade.measurement import Choice, LevelMeasurement, Model
 class Trade:
     """Cost and error of every fidelity level, and the choice by model.
 
+    Levels are chosen by ``tolerance``, or by ``within_s``, the time of a frame, where it is given.
     ``pixel_noise_e``: the sensor's noise of a pixel, median over the detectors, electrons.
     ``fft_s``: time of one complex FFT of 2^20 points in NumPy, for comparison between machines.
     """
@@ -20,6 +21,7 @@ class Trade:
     system: str
     radar: str | None
     tolerance: float
+    within_s: float | None
     seed: int
     measurements: tuple[LevelMeasurement, ...]
     choices: dict[Model, Choice]

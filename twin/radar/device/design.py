@@ -276,6 +276,12 @@ class RadarDesign(Entry):
         return float(steps[-1] - steps[0]) + duration
 
     @property
+    def total_bandwidth_hz(self) -> float:
+        """From the lowest subcarrier of all steps to the highest."""
+        carriers = self.burst.carriers_hz
+        return float(carriers[-1] - carriers[0] + self.ofdm.bandwidth_hz)
+
+    @property
     def channel_waveform(self) -> OfdmWaveform:
         """What the first transmitter sends in the first step."""
         return self.burst.waveform_of(0, 0)

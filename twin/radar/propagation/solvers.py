@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from twin.errors import InputError
-from twin.fidelity import Fidelity, own_solver
+from twin.fidelity import Accuracy, Fidelity, knobs_of, own_solver
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.free_space import straight_paths
@@ -126,7 +126,7 @@ def trace(
     scene: Scene,
     radar: RadarDesign,
     *,
-    fidelity: Fidelity | None = None,
+    fidelity: Accuracy | None = None,
     seed: int = 0,
     earlier: Propagation | None = None,
     keep: bool = False,
@@ -138,7 +138,8 @@ def trace(
     scene, radar
         The scene, and the radar in it.
     fidelity
-        Its ``radar`` decides which solver finds them.
+        Knobs, a preset's name or a `Tolerance`, the default; ``radar`` among them decides which
+        solver finds the echoes.
     seed
         Of the rays that look for surfaces, and of rough ones.
     earlier, keep
@@ -150,16 +151,16 @@ def trace(
     Raises InputError where a material that answers has no data at the carrier, where a user's own
     model gives no echoes, and where ``earlier`` is no such frame.
     """
-    fidelity = fidelity or Fidelity()
-    solver = solver_of(fidelity)
-    traced = _traced(earlier, radar, fidelity, solver)
+    knobs = knobs_of(fidelity, radar.total_bandwidth_hz)
+    solver = solver_of(knobs)
+    traced = _traced(earlier, radar, knobs, solver)
     if solver.reusing is not None:
-        return solver.reusing(scene, radar, fidelity, seed, traced, keep=keep)
-    result = solver.model(scene, radar, fidelity, seed)
+        return solver.reusing(scene, radar, knobs, seed, traced, keep=keep)
+    result = solver.model(scene, radar, knobs, seed)
     if isinstance(result, Contributions):
         said = f"echoes by {solver.label}, a propagation model of the user"
         result = Propagation(result, assumptions=(said,))
-    if own_solver(fidelity.radar) is not None:
+    if own_solver(knobs.radar) is not None:
         _check(result, solver.label)
     return result
 

@@ -1,0 +1,147 @@
+"""The error that the model may add, from which the knobs follow."""
+
+import math
+from dataclasses import dataclass
+
+from hardware.units import quantity
+from twin.errors import InputError
+from twin.fidelity.knobs import is_number
+from twin.fidelity.presets import PRESETS, Fidelity
+
+#: Of the sensor's own noise: an error of a fifth adds 4 % to its power, 0.17 dB.
+DEFAULT_SHARE = 0.2
+_LIGHT_PER_NOISE = (1e-4, 10.0)
+_RADAR = (1e-3, 1.0)
+_SPEED_OF_LIGHT = 299_792_458.0
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Error that the model may add to what the sensors measure.
+
+    Parameters
+    ----------
+    noise_share
+        As a share of the sensors' own noise, 0.0001 to 10. Light: root mean square over the image,
+        of each pixel's noise. Radar: half of it is the error of the echo of each body relative to
+        the echo itself, since echoes may stand far above the noise, and a model as exact as that
+        would take hours; 0.001 at least, 1 at most. Reflections are followed as far as bounds of
+        what further ones add ask for, and edges diffract where a bound says that they count.
+    echo_db
+        Of the level of a body's echo, in place of its share.
+    cell_share
+        Of the light of each cell, or of the cells' mean where that is more, in place of a share of
+        the noise; 1e-5 to 1.
+    distance_m
+        Of the distance of a body by its echo, in place of its share. An error of the echo that
+        grows linearly over the band moves it the most: relative to the echo e rms over a bandwidth
+        B, by c e sqrt(12) / (4 pi B). It needs the bandwidth of a radar.
+
+    >>> Tolerance(0.4)
+    Tolerance(noise_share=0.4, cell_share=None, echo_db=None, distance_m=None)
+    >>> Tolerance.of("0.1, 0.5 dB")
+    Tolerance(noise_share=0.1, cell_share=None, echo_db=0.5, distance_m=None)
+    """
+
+    noise_share: float = DEFAULT_SHARE
+    cell_share: float | None = None
+    echo_db: float | None = None
+    distance_m: float | None = None
+
+    def __post_init__(self) -> None:
+        low, high = _LIGHT_PER_NOISE
+        if not is_number(self.noise_share) or not low <= self.noise_share <= high:
+            raise InputError(
+                f"tolerance: noise_share: {self.noise_share!r:.60} is not in {low:g} to {high:g}"
+            )
+        for name in ("cell_share", "echo_db", "distance_m"):
+            value = getattr(self, name)
+            if value is not None and not (is_number(value) and 0 < value < math.inf):
+                raise InputError(f"tolerance: {name}: {value!r:.60} is not above 0")
+
+    @classmethod
+    def of(cls, text: str) -> "Tolerance":
+        """From text: a number is a share of the noise, one in per cent of a cell's light, one in
+        dB of an echo, one in metres of a distance; more than one with commas in between. Raises InputError.
+
+        >>> Tolerance.of("2 mm").distance_m
+        0.002
+        """
+        given: dict[str, float] = {}
+        for item in text.split(","):
+            name, unit = _meant(item.strip())
+            if name in given:
+                raise InputError(f"tolerance: {text!r:.60}: {name} twice")
+            try:
+                given[name] = quantity(item.strip(), unit, bare=unit is None)
+            except InputError as error:
+                raise InputError(f"tolerance: {item.strip()!r:.60}: {error}") from None
+        return cls(**given)
+
+    def knobs(self, bandwidth_hz: float | None = None) -> Fidelity:
+        """The knobs that keep the error within it; ``bandwidth_hz`` is the radar's, None where
+        there is none. Raises InputError for what no knob promises of a radar.
+
+        >>> knobs = Tolerance(0.2).knobs()
+        >>> knobs.light_tolerance, knobs.radar_tolerance
+        (0.2, 0.1)
+        >>> round(Tolerance(echo_db=0.5).knobs().radar_tolerance, 4)
+        0.0593
+        """
+        low, high = _RADAR
+        errors = {"noise_share": self.noise_share / 2}
+        if self.echo_db is not None:
+            errors["echo_db"] = 10 ** (self.echo_db / 20) - 1
+        if self.distance_m is not None and bandwidth_hz:
+            steepest = 4 * math.pi * bandwidth_hz / (_SPEED_OF_LIGHT * math.sqrt(12))
+            errors["distance_m"] = self.distance_m * steepest
+        if len(errors) > 1:
+            del errors["noise_share"]
+        asked = min(errors, key=errors.__getitem__)
+        if bandwidth_hz and errors[asked] < low:
+            raise InputError(
+                f"tolerance: {asked} = {getattr(self, asked):g} asks for echoes to "
+                f"{errors[asked]:.2g} of themselves; less than {low:g} cannot be promised"
+            )
+        radar_tolerance = min(max(errors[asked], low), high)
+        return Fidelity(
+            light_tolerance=self.noise_share if self.cell_share is None else None,
+            light_tolerance_relative=self.cell_share,
+            radar_tolerance=radar_tolerance,
+            radar_bounces=None,
+            radar_images=None,
+            radar_edges=None,
+        )
+
+
+def _meant(item: str) -> tuple[str, str | None]:
+    """The field that an amount is of, and its unit."""
+    if item.endswith("%"):
+        return "cell_share", None
+    if item.endswith("dB"):
+        return "echo_db", "dB"
+    if item[-1:].isalpha():
+        return "distance_m", "m"
+    return "noise_share", None
+
+
+#: What results may be off by: knobs, a preset's name, a tolerance, or a share of the noise.
+Accuracy = Fidelity | Tolerance | str | float
+
+
+def knobs_of(accuracy: Accuracy | None, bandwidth_hz: float | None = None) -> Fidelity:
+    """Knobs: those given, those of a preset by name, or those that a tolerance asks for, by
+    default that of `Tolerance`. A number is a share of the sensors' noise.
+
+    Raises InputError for a name that is none, and as `Tolerance.knobs` does.
+    """
+    if isinstance(accuracy, Fidelity):
+        return accuracy
+    if isinstance(accuracy, str):
+        if accuracy not in PRESETS:
+            raise InputError(f"fidelity: {accuracy!r} is none of {', '.join(PRESETS)}")
+        return PRESETS[accuracy]
+    if accuracy is None:
+        return Tolerance().knobs(bandwidth_hz)
+    asked = accuracy if isinstance(accuracy, Tolerance) else Tolerance(accuracy)
+    return asked.knobs(bandwidth_hz)

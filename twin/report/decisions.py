@@ -1,0 +1,36 @@
+"""What the models took and left out, by the bounds that decided: for the page and the terminal."""
+
+from collections.abc import Sequence
+
+from twin.accuracy import Decision
+from twin.camera.evaluation import Evaluation
+from twin.radar.evaluation import RadarEvaluation
+from twin.report.style import si
+
+HEAD = ("sensor", "effect", "adds at most", "permitted", "", "taken", "time")
+
+
+def decisions_of(
+    evaluations: Sequence[Evaluation], radar: RadarEvaluation | None
+) -> list[tuple[str, Decision]]:
+    """Decisions of all sensors, with the name of the design."""
+    told = [(e.system.name, decision) for e in evaluations for decision in e.capture.decisions]
+    if radar:
+        told += [(radar.radar.name, decision) for decision in radar.capture.decisions]
+    return told
+
+
+def rows(told: Sequence[tuple[str, Decision]]) -> list[tuple[str, ...]]:
+    """The table's cells under `HEAD`, in the order in which they were decided."""
+    return [
+        (
+            name,
+            decision.effect,
+            f"{decision.bound:.2g}",
+            f"{decision.permitted:.2g}",
+            decision.unit,
+            "yes" if decision.taken else "no",
+            si(decision.cost_s, "s") if decision.cost_s >= 0 else "",
+        )
+        for name, decision in told
+    ]
