@@ -88,7 +88,7 @@ def run(
         files of the run before go.
     fidelity
         Knobs, each with the error it bounds; a preset's name; or a `Tolerance`, the error that the
-        model may add, which is the default: a fifth of the sensors' own noise.
+        model may add. Default: light to a fifth of the sensor's noise, echoes as in `standard`.
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from hardware.files import read_json
 from twin import __version__
-from twin.fidelity import PRESETS, Fidelity, Tolerance
+from twin.fidelity import DEFAULT, PRESETS, Fidelity
 from twin.files import whole_folder
 from twin.scene import Pose, Track
 
@@ -101,10 +101,10 @@ def unless(value: Any, default: Any, word: str, without: str = "") -> list[str]:
 
 
 def knob_words(knobs: Mapping[str, Any]) -> list[str]:
-    """Knobs that differ from those of the default tolerance; or the preset that is nearer, and
+    """Knobs that differ from the default; or the preset that is nearer, and
     those that differ from it.
     """
-    known = {"": Tolerance().knobs(), **PRESETS}
+    known = {"": DEFAULT, **PRESETS}
     differing = {
         name: [f.name for f in fields(usual) if getattr(usual, f.name) != knobs[f.name]]
         for name, usual in known.items()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from twin.fidelity import DEFAULT_SHARE, PRESETS, Fidelity, Tolerance
+from twin.fidelity import DEFAULT, DEFAULT_SHARE, PRESETS, Fidelity
 from twin.files import InputError
 from twin.job import run
 from twin.radar import load_radar
@@ -27,7 +27,7 @@ def settings(**changes):
         "seed": 0,
         "pose": None,
         "track": None,
-        "fidelity": Tolerance().knobs(),
+        "fidelity": DEFAULT,
     }
     return settings_of(**{**plain, **changes})
 
@@ -70,7 +70,7 @@ def test_every_variant_has_a_folder_of_its_own() -> None:
     """The plain run keeps its short name; on ee37b06 all of these shared it."""
     assert default_folder(settings()) == Path("runs/yard-workable")
     assert default_folder(settings(systems=["paper", "workable"])) == Path("runs/yard-paper")
-    draft, standard, usual = PRESETS["draft"], PRESETS["standard"], Tolerance().knobs()
+    draft, standard, usual = PRESETS["draft"], PRESETS["standard"], DEFAULT
     named = {
         "runs/yard-workable-seed_3": settings(seed=3),
         "runs/yard-workable-hybrid-79-slow": settings(radar="hybrid-79-slow"),

@@ -23,14 +23,17 @@ PoseOption = Annotated[
 ToleranceOption = Annotated[
     str | None,
     typer.Option(
-        help="Error that the model may add: a share of the sensors' own noise (0.2, the default), "
+        help="Error that the model may add, by bounds: a share of the sensors' own noise (0.2), "
         "of a cell's light (1 %), of an echo's level (0.5 dB), of a distance (2 mm), or some with "
         "commas in between."
     ),
 ]
 FidelityOption = Annotated[
     str | None,
-    typer.Option(help="In place of a tolerance, fixed knobs: draft, standard or reference."),
+    typer.Option(
+        help="Fixed knobs: draft, standard or reference; default: light to a tolerance of 0.2, "
+        "echoes as in standard."
+    ),
 ]
 
 

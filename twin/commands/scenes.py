@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,6 +15,9 @@ from twin.commands.arguments import (
     WithinOption,
     knobs_asked,
 )
+
+if TYPE_CHECKING:
+    from twin.job import Result
 
 
 def run(
@@ -44,6 +47,9 @@ def run(
     fidelity: FidelityOption = None,
     tolerance: ToleranceOption = None,
     within: WithinOption = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="List what was modelled and what not, and why.")
+    ] = False,
     radar_model: Annotated[
         str | None,
         typer.Option(
@@ -115,6 +121,8 @@ def run(
                     f"{seen.cross_range_m:+.3f} m to the left; cross-section {seen.rcs_m2:.3g}, "
                     f"declared {seen.declared_rcs_m2:.3g} m^2"
                 )
+    if explain:
+        _print_decisions(result)
     print(f"report: {result.out / 'report.html'}")
 
 
@@ -172,3 +180,16 @@ def import_(
     for note in notes:
         print(f"note: {note}")
     print(f"scene: {folder}")
+
+
+def _print_decisions(result: "Result") -> None:
+    """What was taken and left out, as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from twin.report.decisions import HEAD, decisions_of, rows
+
+    table = Table(*HEAD, box=None, title="what was modelled, by bounds")
+    for row in rows(decisions_of(result.evaluations, result.radar)):
+        table.add_row(*row)
+    Console(width=None if sys.stdout.isatty() else 150).print(table)

@@ -1,4 +1,4 @@
-"""The error that the model may add, from which the knobs follow."""
+"""The error that the model may add, from which the knobs follow; and what is the default."""
 
 import math
 from dataclasses import dataclass
@@ -62,7 +62,9 @@ class Tolerance:
     @classmethod
     def of(cls, text: str) -> "Tolerance":
         """From text: a number is a share of the noise, one in per cent of a cell's light, one in
-        dB of an echo, one in metres of a distance; more than one with commas in between. Raises InputError.
+        dB of an echo, one in metres of a distance; more than one with commas in between.
+
+        Raises InputError.
 
         >>> Tolerance.of("2 mm").distance_m
         0.002
@@ -88,30 +90,33 @@ class Tolerance:
         >>> round(Tolerance(echo_db=0.5).knobs().radar_tolerance, 4)
         0.0593
         """
+        return Fidelity(
+            light_tolerance=self.noise_share if self.cell_share is None else None,
+            light_tolerance_relative=self.cell_share,
+            radar_tolerance=self._of_echoes(bandwidth_hz),
+            radar_bounces=None,
+            radar_images=None,
+            radar_edges=None,
+        )
+
+    def _of_echoes(self, bandwidth_hz: float | None) -> float:
+        """Error of a body's echo, relative to itself: the strictest that was asked for."""
         low, high = _RADAR
-        errors = {"noise_share": self.noise_share / 2}
+        errors = {}
         if self.echo_db is not None:
             errors["echo_db"] = 10 ** (self.echo_db / 20) - 1
         if self.distance_m is not None and bandwidth_hz:
             steepest = 4 * math.pi * bandwidth_hz / (_SPEED_OF_LIGHT * math.sqrt(12))
             errors["distance_m"] = self.distance_m * steepest
-        if len(errors) > 1:
-            del errors["noise_share"]
+        if not errors:
+            errors["noise_share"] = self.noise_share / 2
         asked = min(errors, key=errors.__getitem__)
         if bandwidth_hz and errors[asked] < low:
             raise InputError(
                 f"tolerance: {asked} = {getattr(self, asked):g} asks for echoes to "
                 f"{errors[asked]:.2g} of themselves; less than {low:g} cannot be promised"
             )
-        radar_tolerance = min(max(errors[asked], low), high)
-        return Fidelity(
-            light_tolerance=self.noise_share if self.cell_share is None else None,
-            light_tolerance_relative=self.cell_share,
-            radar_tolerance=radar_tolerance,
-            radar_bounces=None,
-            radar_images=None,
-            radar_edges=None,
-        )
+        return min(max(errors[asked], low), high)
 
 
 def _meant(item: str) -> tuple[str, str | None]:
@@ -125,13 +130,17 @@ def _meant(item: str) -> tuple[str, str | None]:
     return "noise_share", None
 
 
+#: Of what is computed without being told: light to a tolerance. Echoes as in the preset `standard`:
+#: reflections by bounds, as a `Tolerance` asks for them, take several times as long.
+DEFAULT = Fidelity(light_tolerance=DEFAULT_SHARE)
+
 #: What results may be off by: knobs, a preset's name, a tolerance, or a share of the noise.
 Accuracy = Fidelity | Tolerance | str | float
 
 
 def knobs_of(accuracy: Accuracy | None, bandwidth_hz: float | None = None) -> Fidelity:
-    """Knobs: those given, those of a preset by name, or those that a tolerance asks for, by
-    default that of `Tolerance`. A number is a share of the sensors' noise.
+    """Knobs: those given, those of a preset by name, those that a tolerance asks for, a number
+    being a share of the sensors' noise; or `DEFAULT`.
 
     Raises InputError for a name that is none, and as `Tolerance.knobs` does.
     """
@@ -142,6 +151,6 @@ def knobs_of(accuracy: Accuracy | None, bandwidth_hz: float | None = None) -> Fi
             raise InputError(f"fidelity: {accuracy!r} is none of {', '.join(PRESETS)}")
         return PRESETS[accuracy]
     if accuracy is None:
-        return Tolerance().knobs(bandwidth_hz)
+        return DEFAULT
     asked = accuracy if isinstance(accuracy, Tolerance) else Tolerance(accuracy)
     return asked.knobs(bandwidth_hz)

@@ -18,7 +18,7 @@ from twin.camera.evaluation import Evaluation
 from twin.camera.view import View
 from twin.progress import Stages
 from twin.radar.evaluation import RadarEvaluation
-from twin.report import figures, radar_figures
+from twin.report import decisions, figures, radar_figures
 from twin.report.radar_summary import radar_summary
 from twin.report.style import si
 from twin.scene import Scene
@@ -67,6 +67,7 @@ def write_report(
         assumptions=evaluations[0].capture.assumptions if evaluations else (),
         radar=radar_summary(radar) if radar else None,
         warnings=(*scene.warnings, *_warnings(evaluations, radar)),
+        decisions=decisions.rows(decisions.decisions_of(evaluations, radar)),
         seconds=stages.seconds,
         versions=_versions(),
     )

@@ -138,8 +138,8 @@ def trace(
     scene, radar
         The scene, and the radar in it.
     fidelity
-        Knobs, a preset's name or a `Tolerance`, the default; ``radar`` among them decides which
-        solver finds the echoes.
+        Knobs, a preset's name or a `Tolerance`; ``radar`` among them decides which solver finds
+        the echoes.
     seed
         Of the rays that look for surfaces, and of rough ones.
     earlier, keep
