@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin.camera import Capture, capture
-from twin.fidelity import Fidelity
+from twin.fidelity import Fidelity, Tolerance
 from twin.scene import Scene, load_scene
 from twin.system import System, load_system
 
@@ -155,7 +155,7 @@ def under_tolerance(share: float) -> Iterator[None]:
 def asked(fidelity: Fidelity) -> Fidelity:
     """The knobs of a case, or those of the tolerance that it runs under, with the case's noise."""
     share = _TOLERANCE.get()
-    return fidelity if share is None else replace(Fidelity.within(share), noise=fidelity.noise)
+    return fidelity if share is None else replace(Tolerance(share).knobs(), noise=fidelity.noise)
 
 
 def has_tolerance() -> bool:
