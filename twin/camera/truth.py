@@ -30,20 +30,31 @@ class Truth:
 
 def render_truth(scene: Any, camera: Device, shape: tuple[int, int]) -> Truth:
     """Albedo and depth in the field of a camera."""
-    albedo, _ = _albedo_and_depth(scene, camera, shape, _ALBEDO_SAMPLES)
-    return Truth(albedo, depths(scene, camera, shape))
+    ray, _ = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], _ALBEDO_SAMPLES))
+    hit = scene.ray_intersect(ray)
+    albedo = np.array(dr.select(hit.is_valid(), reflectance(hit), 0.0), dtype=np.float64)
+    return Truth(
+        albedo.reshape(*shape, _ALBEDO_SAMPLES).mean(axis=-1), depths(scene, camera, shape)
+    )
 
 
 def depths(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Depth in the middle of each cell of a camera, m, infinite where there is nothing."""
-    return _albedo_and_depth(scene, camera, shape, 1)[1]
+    ray, cos = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], 1))
+    hit = scene.ray_intersect(ray)
+    is_hit = hit.is_valid()
+    dr.eval(is_hit, hit.t, cos)  # in one go, else rays are traced for each
+    depth = np.array(hit.t, dtype=np.float64) * np.array(cos, dtype=np.float64)
+    return np.where(np.array(is_hit), depth, np.inf).reshape(shape)
 
 
 def object_shares(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Mean albedo of each cell by object, (n_objects, rows, columns): their sum is the albedo."""
     ray, _ = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], _ALBEDO_SAMPLES))
     hit = scene.ray_intersect(ray)
-    albedo = np.where(np.array(hit.is_valid()), np.array(reflectance(hit), dtype=np.float64), 0.0)
+    met = dr.select(hit.is_valid(), reflectance(hit), 0.0)
+    dr.eval(met, hit.shape)  # in one go, else rays are traced for each
+    albedo = np.array(met, dtype=np.float64)
     shares = [
         np.where(np.array(hit.shape == item), albedo, 0.0)
         .reshape(*shape, _ALBEDO_SAMPLES)
@@ -57,8 +68,8 @@ def incidence_cosines(scene: Any, camera: Device, shape: tuple[int, int]) -> NDA
     """Cosine of the angle of incidence in the middle of each cell, 0 where there is no surface."""
     ray, _ = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], 1))
     hit = scene.ray_intersect(ray)
-    cosine = np.abs(np.array(dr.dot(ray.d, hit.n), dtype=np.float64))
-    return np.where(np.array(hit.is_valid()), cosine, 0.0).reshape(shape)
+    cosine = dr.select(hit.is_valid(), dr.abs(dr.dot(ray.d, hit.n)), 0.0)
+    return np.array(cosine, dtype=np.float64).reshape(shape)
 
 
 def write_truth(truth: Truth, path: Path) -> None:
@@ -74,19 +85,3 @@ def write_truth(truth: Truth, path: Path) -> None:
     )
     np.array(bitmap, copy=False)[:] = np.stack([truth.albedo, truth.depth_m], axis=-1)
     bitmap.write(str(path))
-
-
-def _albedo_and_depth(
-    scene: Any, camera: Device, shape: tuple[int, int], samples: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean albedo and depth over the samples of each cell."""
-    ray, cos = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], samples))
-    hit = scene.ray_intersect(ray)
-    is_hit = np.array(hit.is_valid())
-    albedo = np.array(reflectance(hit), dtype=np.float64)
-    depth = np.array(hit.t, dtype=np.float64) * np.array(cos, dtype=np.float64)
-    cells = (*shape, samples)
-    return (
-        np.where(is_hit, albedo, 0.0).reshape(cells).mean(axis=-1),
-        np.where(is_hit, depth, np.inf).reshape(cells).mean(axis=-1),
-    )
