@@ -59,15 +59,31 @@ def knobs_asked(
     """The knobs that the options ask for; what a time allows is measured on the scene that ``load``
     gives, and printed. Raises InputError.
     """
-    from twin.errors import InputError
     from twin.fidelity import Tolerance, knobs_of
 
-    if sum(given is not None for given in (fidelity, tolerance, within)) > 1:
-        raise InputError("--fidelity, --tolerance, --within: expected one of them")
+    only_one(fidelity, tolerance, within)
     bandwidth_hz = radar.total_bandwidth_hz if radar else None
     if within is None:
         asked = None if tolerance is None else Tolerance.of(tolerance)
         return knobs_of(fidelity or asked, bandwidth_hz)
+    return knobs_within(load, system, radar, within)
+
+
+def only_one(fidelity: str | None, tolerance: str | None, within: float | None) -> None:
+    """Raise InputError where more than one of the options is given."""
+    from twin.errors import InputError
+
+    if sum(given is not None for given in (fidelity, tolerance, within)) > 1:
+        raise InputError("--fidelity, --tolerance, --within: expected one of them")
+
+
+def knobs_within(
+    load: "Callable[[], Scene]",
+    system: "System | str | None",
+    radar: "RadarDesign | None",
+    within: float,
+) -> "Fidelity":
+    """The knobs that a frame's time allows on this machine, measured and printed."""
     from twin.trade import fidelity_within
 
     chosen = fidelity_within(load(), within, system=system, radar=radar)

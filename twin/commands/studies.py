@@ -2,12 +2,23 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hardware.commands.quantities import quantity_of
-from twin.commands.arguments import SceneArgument, WithinOption
+from twin.commands.arguments import (
+    FidelityOption,
+    SceneArgument,
+    ToleranceOption,
+    WithinOption,
+    knobs_within,
+    only_one,
+)
+
+if TYPE_CHECKING:
+    from twin.fidelity import Accuracy
+    from twin.sweep import Study
 
 _REASONS = 3  # of failed points that are printed
 
@@ -20,11 +31,22 @@ def sweep(
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Processes; default one a core.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Agree to more than 1e7 points.")] = False,
+    tolerance: ToleranceOption = None,
+    fidelity: FidelityOption = None,
+    within: WithinOption = None,
 ) -> None:
-    """Sweep a design space; the same command resumes what was interrupted."""
-    from twin.sweep import run_sweep
+    """Sweep a design space; the same command resumes what was interrupted.
 
-    done = run_sweep(study, out=out, scheduler=scheduler, workers=workers, yes=yes)
+    A tolerance, fidelity or time given here takes the place of the tolerance or preset that the
+    study sets; knobs that the study names stay.
+    """
+    from twin.sweep import load_study, run_sweep
+
+    plan = load_study(study)
+    accuracy = _accuracy_asked(plan, out, fidelity=fidelity, tolerance=tolerance, within=within)
+    done = run_sweep(
+        plan, out=out, scheduler=scheduler, workers=workers, yes=yes, fidelity=accuracy
+    )
     failed = f", {done.n_failed} failed" if done.n_failed else ""
     void = f", {done.n_void} void" if done.n_void else ""
     print(
@@ -40,6 +62,32 @@ def sweep(
         print(f"failed: {len(done.reasons) - _REASONS} more reasons: error", file=sys.stderr)
     if done.n_failed:
         raise typer.Exit(1)
+
+
+def _accuracy_asked(
+    study: "Study",
+    out: Path | None,
+    *,
+    fidelity: str | None,
+    tolerance: str | None,
+    within: float | None,
+) -> "Accuracy | None":
+    """What the options ask for; a time is measured on the first point, unless the folder has it."""
+    from twin.fidelity import DEFAULT_SHARE, PRESETS, Tolerance
+    from twin.sweep.accuracy import with_accuracy
+    from twin.sweep.inputs import inputs_of
+    from twin.sweep.run import folder_of
+    from twin.sweep.setup import setup
+    from twin.sweep.store import stored_tolerances
+
+    only_one(fidelity, tolerance, within)
+    if within is None:
+        return fidelity if tolerance is None else Tolerance.of(tolerance)
+    with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent
+    if knobs := stored_tolerances(folder_of(study, out)):
+        return PRESETS["standard"].with_(knobs)
+    first = setup(study, study.point(0), inputs_of(study))
+    return knobs_within(lambda: first.scene, first.system, first.radar, within)
 
 
 def show(

@@ -80,6 +80,16 @@ class Tolerance:
                 raise InputError(f"tolerance: {item.strip()!r:.60}: {error}") from None
         return cls(**given)
 
+    def __str__(self) -> str:
+        """As `of` reads it.
+
+        >>> str(Tolerance(0.1, echo_db=0.5))
+        '0.1, 0.5 dB'
+        """
+        absolute = ((self.echo_db, "dB"), (self.distance_m, "m"))
+        told = [f"{value!r} {unit}" for value, unit in absolute if value is not None]
+        return ", ".join([repr(self.noise_share), *told])
+
     def knobs(self, bandwidth_hz: float | None = None) -> Fidelity:
         """The knobs that keep the error within it; ``bandwidth_hz`` is the radar's, None where
         there is none. Raises InputError for what no knob promises of a radar.

@@ -9,10 +9,6 @@ from numpy.typing import NDArray
 
 from hardware.radar.process import Processing
 from twin.camera.acquisition import Capture, measure
-from twin.camera.light import render
-from twin.camera.mounting import devices
-from twin.camera.reflectance_rescaling import can_rescale, render_unit_reflectance
-from twin.camera.rendered import RenderedLight
 from twin.errors import InputError
 from twin.fidelity import RadarFidelity
 from twin.radar.acquisition import radar_capture
@@ -22,6 +18,7 @@ from twin.sweep.inputs import ChangedError, Held, Inputs, inputs_of
 from twin.sweep.metrics import Outcome, metric
 from twin.sweep.names import ERRORS, columns_of
 from twin.sweep.setup import Setup, setup
+from twin.sweep.shared_light import light_of, renders
 from twin.sweep.study import Study
 
 Array = NDArray[np.float64]
@@ -66,7 +63,7 @@ def failed(study: Study, index: int, why: str) -> Chunk:
     return Chunk(index, index + 1, nothing, {index: why})
 
 
-_LIGHT, _RADAR = Held(32), Held(32)  # per process, by content
+_CAPTURES, _RADAR = Held(32), Held(32)  # per process, by content
 
 
 def evaluate_chunk(study: Study, start: int, stop: int, inputs: Inputs | None = None) -> Chunk:
@@ -83,7 +80,7 @@ def evaluate_chunk(study: Study, start: int, stop: int, inputs: Inputs | None = 
 
 
 def _rendered_points(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
-    before = _LIGHT.made
+    before = renders()
     names = columns_of(study.metrics, study.model)
     chunk = Chunk(start, stop, {name: np.full(stop - start, np.nan) for name in names})
     measures = {name: metric(name, inputs) for name in study.metrics}
@@ -103,7 +100,7 @@ def _rendered_points(study: Study, start: int, stop: int, inputs: Inputs) -> Chu
             chunk.errors[index] = f"{type(error).__name__}: {error}"
             for values in chunk.values.values():
                 values[index - start] = np.nan
-    chunk.renders = _LIGHT.made - before
+    chunk.renders = renders() - before
     return chunk
 
 
@@ -149,17 +146,22 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
 
 
 def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcome:
-    """Results of one point: what `twin.capture` and `twin.radar_capture` give with its seed. All
-    points draw from the same seed, so they differ by what is varied, not by how rays fell; a
-    parameter without effect leaves every bit as it is. Vary ``seed`` for draws of their own.
+    """Results of one point: what `twin.capture` and `twin.radar_capture` give with its seed; to a
+    tolerance the light is as fine as the point asks whose noise permits the least of all that share
+    it (`light_of`). All points draw from the same seed, so they differ by what is varied, not by
+    how rays fell; a parameter without effect leaves every bit as it is. Vary ``seed`` for draws of
+    their own.
     """
     inputs = inputs or inputs_of(study)
     made = setup(study, study.point(index), inputs)
 
     def captured() -> Capture:
-        rng = np.random.default_rng(_seeds(made)[1])
-        rendered = _rendered(made, inputs)
-        return measure(made.scene, made.system, rendered, rng=rng, noise=made.fidelity.noise)
+        return _CAPTURES.get((inputs.stamp, study.digest, *_captured_by(made)), measured)
+
+    def measured() -> Capture:
+        rng = np.random.default_rng(np.random.SeedSequence(made.seed).spawn(2)[1])
+        light = light_of(study, index, made, inputs)
+        return measure(made.scene, made.system, light, rng=rng, noise=made.fidelity.noise)
 
     def evaluated() -> RadarEvaluation:
         assert made.radar is not None  # a study with radar metrics has one
@@ -179,51 +181,6 @@ def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcom
     return Outcome(made, captured, evaluated)
 
 
-def _seeds(made: Setup) -> list[np.random.SeedSequence]:
-    """Of light and noise, as `twin.capture` draws them."""
-    return np.random.SeedSequence(made.seed).spawn(2)
-
-
-def _rendered(made: Setup, inputs: Inputs) -> RenderedLight:
-    """Light of a point; points that differ only later on, or in reflectance, share one render."""
-    emitter, detector, _ = devices(made.scene, made.system)
-    rescalable = can_rescale(made.system, made.fidelity)
-    key = (
-        inputs.stamp,
-        made.scene_key(reflectances=not rescalable),
-        *(_device_key(device) for device in (emitter, detector)),
-        made.system.image_shape,
-        made.system.n_detectors,
-        made.system.weather,
-        made.system.time_of_flight is None,
-        # The air's extinction is that at the emitter's wavelength.
-        made.system.emitter.peak_wavelength_m.value if made.system.weather else None,
-        made.fidelity.quality,
-        made.fidelity.start,
-        # To a tolerance, light is as fine as the noise of this very system asks.
-        (
-            made.fidelity.light_tolerance,
-            made.fidelity.light_tolerance_relative,
-            made.system if made.fidelity.has_light_tolerance else None,
-        ),
-        made.seed,
-    )
-    draw = _seeds(made)[0]
-    if rescalable:
-        unit = _LIGHT.get(
-            key,
-            lambda: render_unit_reflectance(
-                made.scene, made.system, fidelity=made.fidelity, seed=draw
-            ),
-        )
-        return unit.rescaled(made.scene)
-    return _LIGHT.get(
-        key, lambda: render(made.scene, made.system, fidelity=made.fidelity, seed=draw)
-    )
-
-
-def _device_key(device: Any) -> tuple[Any, ...]:
-    return tuple(
-        value.tobytes() if isinstance(value, np.ndarray) else value
-        for value in vars(device).values()
-    )
+def _captured_by(made: Setup) -> tuple[Any, ...]:
+    """What a camera's record depends on: points that are only processed in other ways share it."""
+    return made.scene_values, made.scene.sun, made.system, made.fidelity, made.seed

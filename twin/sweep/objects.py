@@ -118,7 +118,7 @@ class _Names:
 def _name(value: Any) -> str:
     """Of a function ``MODULE:NAME``, as a file would say it."""
     if isinstance(value, Fidelity):
-        return "-".join(knob_words(value.said())) or "standard"
+        return "-".join(knob_words(value.said())) or "default tolerance"
     if not callable(value):
         return str(value.name)
     name = getattr(value, "__qualname__", type(value).__name__)

@@ -3,7 +3,8 @@
 ``system.SECTION.FIELD``, ``system.SECTION.part``, ``system``; ``weather.FIELD`` for
 ``system.weather.FIELD``; ``scene``, ``scene.rig.x_m`` (y, z; yaw, pitch, roll in deg),
 ``scene.sun.FIELD``, ``scene.objects.NAME.reflectance`` and ``.shift_x_m`` (y, z; NAME may be
-``*``), ``scene.targets.NAME.rcs_m2``; ``fidelity.KNOB``, ``fidelity.preset``;
+``*``), ``scene.targets.NAME.rcs_m2``; ``fidelity.tolerance``
+(as `Tolerance.of` reads it), ``fidelity.preset``, ``fidelity.KNOB``;
 ``radar.SECTION.FIELD``; ``seed``; ``processing.method``, ``processing.detection`` (empty: the
 vehicle's own); ``link.distance_m`` and ``link.reflectance`` of the closed form.
 """
@@ -16,7 +17,7 @@ from functools import lru_cache
 
 from hardware.units import quantity, unit_of
 from twin.errors import InputError
-from twin.fidelity import REPLACED, Fidelity
+from twin.fidelity import REPLACED, Fidelity, Tolerance
 from twin.radar.device.design import RadarDesign
 from twin.scene.changes import SCENE_NAMES, check_scene_name
 from twin.system import System
@@ -69,6 +70,8 @@ def check_value(name: str, value: Value) -> Value:
             raise InputError(f"{name} = {value!r:.60}: {error}") from None
     if name in LINK:
         check_bounds(name, value, *LINK[name])
+    if name == "fidelity.tolerance":
+        Tolerance.of(str(value))
     return value
 
 
@@ -85,7 +88,7 @@ def check_bounds(name: str, value: Value, may_be_zero: bool, most: float) -> Non
 
 @lru_cache(maxsize=1)
 def _plain_names() -> tuple[str, ...]:
-    names = ["scene", "system", "radar", "seed", "fidelity.preset"]
+    names = ["scene", "system", "radar", "seed", "fidelity.preset", "fidelity.tolerance"]
     names += ["processing.method", "processing.detection"]
     names += [f"scene.{name}" for name in SCENE_NAMES]
     names += [f"fidelity.{field.name}" for field in fields(Fidelity)]

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from twin.fidelity import Accuracy
 from twin.files import InputError, locked
 from twin.progress import interrupts
+from twin.sweep.accuracy import with_accuracy
 from twin.sweep.dataset import labels
 from twin.sweep.effects import check_points, without_effect
 from twin.sweep.evaluate import Chunk, evaluate_chunk, failed, joined
@@ -52,6 +54,7 @@ def run_sweep(
     scheduler: str | None = None,
     workers: int | None = None,
     yes: bool = False,
+    fidelity: Accuracy | None = None,
 ) -> Summary:
     """Run a study, or what is left of it.
 
@@ -69,9 +72,13 @@ def run_sweep(
         ``if __name__ == "__main__"``.
     yes
         Agree to more than 1e7 points.
+    fidelity
+        Error that the model may add, a preset's name, or knobs, in place of the preset or tolerance
+        that the study sets; knobs that the study sets or varies stay. Default: the study's; where
+        it names neither these nor knobs, the default `Tolerance`.
 
-    Raises InputError for a study that can't be run, a folder of another one or in which another
-    sweep works, a full disk.
+    Raises InputError for a study that can't be run, a folder of another one, of the same at another
+    accuracy, or in which another sweep works, a full disk.
 
     >>> from twin.sweep import open_sweep
     >>> study = Study(
@@ -85,12 +92,14 @@ def run_sweep(
     ('system.optics.f_number', 'link.distance_m')
     """
     study = study if isinstance(study, Study) else load_study(study)
+    if fidelity is not None:
+        study = with_accuracy(study, fidelity)
     if study.n_points > _MANY and not yes:
         raise InputError(f"{study.name}: {study.n_points} points; --yes to go ahead")
     if workers is not None and workers < 0:
         raise InputError(f"workers: {workers}: expected 0 or more")
     closed = study.model == "closed-form"
-    out = Path(out) if out is not None else Path("runs") / study.name
+    out = folder_of(study, out)
     inputs = inputs_of(study)
     check_points(study, inputs)
     own = {name: inputs.get("metric", name) for name in study.metrics if is_own(name)}
@@ -106,6 +115,11 @@ def run_sweep(
                     advance(result.stop - result.start)
         store.finish()
         return _summary(store)
+
+
+def folder_of(study: Study, out: str | Path | None) -> Path:
+    """Where a study's results are."""
+    return Path(out) if out is not None else Path("runs") / study.name
 
 
 def _summary(store: Store) -> Summary:

@@ -7,7 +7,7 @@ from hardware.own_functions import is_file_function
 from hardware.radar.own_detection import Detect, OwnDetection
 from hardware.reconstruction import Method
 from hardware.reconstruction.registry import Solve
-from twin.fidelity import Fidelity, knobs_of
+from twin.fidelity import Accuracy, Fidelity, Tolerance, knobs_of
 from twin.files import InputError
 from twin.radar.device.design import RadarDesign
 from twin.scene import Scene
@@ -35,11 +35,11 @@ class Setup:
     scene_values: tuple[tuple[str, Value], ...]
 
     def scene_key(self, *, reflectances: bool = True) -> tuple[tuple[str, Value], ...]:
-        """Tells scenes of one study apart; without reflectances, those that differ by more."""
-        if reflectances:
-            return self.scene_values
+        """Tells scenes of one study apart, whatever the sun's illuminance, to which light is
+        relative; without reflectances, those that differ by more.
+        """
         return tuple(
-            (name, "any" if name.endswith(".reflectance") else value)
+            (name, "any" if name.endswith(".reflectance") and not reflectances else value)
             for name, value in self.scene_values
             if name != "sun.illuminance_lx"
         )
@@ -58,7 +58,7 @@ def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
         scene_values=scene_values,
         system=system_of(study, values, inputs),
         radar=radar,
-        fidelity=_fidelity(groups.get("fidelity", {}), inputs),
+        fidelity=_fidelity(groups.get("fidelity", {}), radar, inputs),
         method=_method(groups.get("processing", {}), inputs),
         detection=_detection(groups.get("processing", {}), inputs),
         seed=_seed(groups.get("seed", {}).get("", study.seed)),
@@ -103,10 +103,18 @@ def _seed(value: Value) -> int:
     return value
 
 
-def _fidelity(values: Values, inputs: Inputs) -> Fidelity:
-    name = str(values.get("preset", "standard"))
-    base = knobs_of(inputs.objects.get(f"fidelity {name}", name))
-    knobs = {name: v for name, v in values.items() if name != "preset"}
+def _fidelity(values: Values, radar: RadarDesign | None, inputs: Inputs) -> Fidelity:
+    """Knobs over the preset or tolerance that is named; without one over `standard`, as those of
+    `Fidelity`; where no knob is named either, those of the default tolerance.
+    """
+    knobs = {name: v for name, v in values.items() if name not in ("preset", "tolerance")}
+    accuracy: Accuracy | None = "standard" if knobs else None
+    if "preset" in values:
+        name = str(values["preset"])
+        accuracy = inputs.objects.get(f"fidelity {name}", name)
+    elif "tolerance" in values:
+        accuracy = Tolerance.of(str(values["tolerance"]))
+    base = knobs_of(accuracy, radar.total_bandwidth_hz if radar else None)
     if is_file_function(str(knobs.get("radar", ""))):
         knobs["radar"] = placed("function", str(knobs["radar"]), inputs.folder)
     return base.with_(knobs)

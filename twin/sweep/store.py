@@ -21,6 +21,7 @@ from pydantic import ValidationError
 from hardware.files import place_beside, read_json
 from twin.digest import versions
 from twin.files import InputError, new_folder
+from twin.sweep.accuracy import accuracy_of, other_accuracy
 from twin.sweep.dataset import Progress, dataset
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     import xarray
 
 _TEXT_LENGTH = 300
+_TOLERANCES = ("light_tolerance", "radar_tolerance")
 
 
 class Store:
@@ -170,6 +172,8 @@ def create_or_resume(
 
 def _check(out: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
     """Raise InputError where a folder's points are of something else."""
+    if differs := other_accuracy(old["study"], new["study"]):
+        raise InputError(f"{out}: holds results of {differs}; expected the same, or a new folder")
     if old["study"] != new["study"]:
         raise InputError(
             f"{out}: holds results of another study; expected the same, or a new folder"
@@ -193,6 +197,15 @@ def _read_plan(out: Path) -> dict[str, Any]:
     if missing:
         raise InputError(f"{path}: lacks {', '.join(sorted(missing))}: of an older version")
     return plan
+
+
+def stored_tolerances(out: Path) -> dict[str, Any]:
+    """Knobs of a tolerance that a folder's sweep sets; none where there is no sweep."""
+    if not (out / "study.json").is_file():
+        return {}
+    knobs = accuracy_of(_read_plan(out)["study"])
+    named = {name: knobs.get(f"fidelity.{name}") for name in _TOLERANCES}
+    return {name: value for name, value in named.items() if value is not None}
 
 
 def _array_file(folder: Path, metric: str) -> Path:

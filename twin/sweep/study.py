@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
+from twin.sweep.accuracy import check_accuracy
 from twin.sweep.methods import check_functions, check_methods
 from twin.sweep.names import check_metrics
 from twin.sweep.objects import named
@@ -116,9 +118,17 @@ class Study(Strict):
             check_value(name, value)
         _ = self.axes
         check_effects(self.model, self.parameters, self.metrics)
+        check_accuracy(self.parameters)
         if self.model == "rendered":
             check_methods(self.values_of("processing.method"))
         return self
+
+    def with_set(self, values: dict[str, Value]) -> "Study":
+        """The same with other parameters that differ from scene and system in every point. Raises
+        InputError as a study does.
+        """
+        said = {name: getattr(self, name) for name in type(self).model_fields}
+        return type(self)(**{**said, "set": values})
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -162,6 +172,21 @@ class Study(Strict):
             values |= {name: column[place].item() for name, column in axis.columns.items()}
         return values
 
+    def same_render(self, index: int) -> NDArray[np.intp]:
+        """Points, in their order, that differ from a point at most in what a new render is not
+        needed for.
+        """
+        if not self.shape:
+            return np.zeros(1, np.intp)
+        places = np.unravel_index(index, self.shape)
+        each = [a.same_render(int(p)) for a, p in zip(self.axes, places, strict=True)]
+        return np.ravel_multi_index(np.ix_(*each), self.shape).ravel()
+
+    @cached_property
+    def digest(self) -> str:
+        """Of all that the study says."""
+        return sha256(self.model_dump_json(exclude={"folder"}).encode()).hexdigest()
+
     def columns(self, start: int, stop: int) -> dict[str, NDArray[Any]]:
         """What is set in a run of points, by parameter: arrays."""
         n = stop - start
@@ -188,6 +213,12 @@ class Axis:
     def is_optical(self) -> bool:
         """Whether a step along it may need another render."""
         return any(is_optical(name) for name in self.columns)
+
+    def same_render(self, place: int) -> NDArray[np.intp]:
+        """Places where all that may need another render is as in this one."""
+        optical = [column for name, column in self.columns.items() if is_optical(name)]
+        same = [column == column[place] for column in optical]
+        return np.flatnonzero(np.all([np.ones(len(self), bool), *same], axis=0))
 
 
 def load_study(path: str | Path) -> Study:

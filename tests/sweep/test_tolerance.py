@@ -1,0 +1,240 @@
+"""Sweeps to a tolerance: who shares a render, how fine it is, and what says the tolerance."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_sweep import assert_is_what_one_process_gives
+from typer.testing import CliRunner
+
+from twin.camera import capture
+from twin.camera.chain import Chain
+from twin.camera.light import render
+from twin.camera.permitted_error import PermittedError
+from twin.cli import app
+from twin.fidelity import PRESETS, Fidelity, Tolerance
+from twin.files import InputError
+from twin.radar import load_radar
+from twin.sweep import Study, load_study, open_sweep, run_sweep, shared_light
+from twin.sweep.evaluate import evaluate_chunk, outcome_of
+from twin.sweep.inputs import Held, inputs_of
+from twin.sweep.setup import setup
+
+#: Lit faces at several depths; sensors of noise between 1 and some 30 times the least.
+HEAD = """
+scene = "yard"
+metrics = ["snr_median", "psnr_db"]
+[set]
+"system.emitter.rows" = 16
+"system.emitter.columns" = 16
+"system.acquisition.n_patterns" = 256
+"""
+SENSORS = (
+    '[grid]\n"scene.rig.x_m" = [0.0, 0.5]\n"system.sky.illuminance_lx" = [1e5, 0.0, 1e3]\n'
+    '"system.readout.read_noise_e" = [3e4, 1e3, 5e3]\n'
+)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_rendered_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("_lights", "_groups", "_strictest"):
+        monkeypatch.setattr(shared_light, name, Held(32))
+    monkeypatch.setattr("twin.sweep.evaluate._CAPTURES", Held(32))
+
+
+def test_points_that_differ_after_the_light_share_one_render_within_what_each_permits(
+    study,
+) -> None:
+    """Two places of the rig, nine sensors: two renders, each that of the sensor with the least
+    noise, as a capture of it renders it; and every sensor's error is within its own tolerance.
+    """
+    plan = load_study(study(SENSORS, HEAD))
+    chunk = evaluate_chunk(plan, 0, plan.n_points)
+    assert not chunk.errors
+    assert chunk.renders == 2
+    inputs, least = inputs_of(plan), []
+    for index in range(9):
+        made = setup(plan, plan.point(index), inputs)
+        assert made.fidelity == Tolerance().knobs()
+        light = shared_light.light_of(plan, index, made, inputs)
+        chain = Chain.of(made.system, made.scene.sun)
+        permitted = PermittedError(chain, light, made.fidelity).of(light.light.cells)
+        assert np.sqrt(np.mean((light.light.error / permitted) ** 2)) <= 1
+        least.append(np.sqrt(np.mean(permitted**2)))
+    strictest = int(np.argmin(least))
+    assert (plan.point(strictest)["system.sky.illuminance_lx"]) == 0
+    made = setup(plan, plan.point(strictest), inputs)
+    alone = capture(made.scene, made.system, seed=made.seed)
+    counts = outcome_of(plan, strictest, inputs).capture.record.counts
+    np.testing.assert_array_equal(counts, alone.record.counts)
+
+
+def test_bits_do_not_depend_on_which_point_comes_first(study) -> None:
+    plan = load_study(study(SENSORS, HEAD))
+    together = evaluate_chunk(plan, 0, plan.n_points).values["psnr_db"]
+    for index in (17, 4):
+        for held in (shared_light._lights, shared_light._groups, shared_light._strictest):
+            held.__init__(32)
+        alone = evaluate_chunk(plan, index, index + 1).values["psnr_db"]
+        assert alone[0] == together[index]
+
+
+def test_a_sensor_that_a_wall_would_not_tell_is_rendered_for(
+    study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The choice by a wall is a guess, which the error of the scene's own light puts right."""
+    monkeypatch.setattr(shared_light, "_strictest_by_a_wall", lambda made, sensors: 0)
+    plan = load_study(study(SENSORS, HEAD))
+    inputs = inputs_of(plan)
+    made = setup(plan, plan.point(0), inputs)
+    key = shared_light.light_key(made)
+    sensors = shared_light._sensors(plan, plan.same_render(0), inputs)[key]
+    shared = shared_light._within_all(made, sensors)
+    assert max(shared.over.values()) <= 1
+    assert len(sensors) == 9
+
+
+def test_an_error_above_what_a_point_permits_is_told(study) -> None:
+    """Of that point alone, in its own noise."""
+    plan = load_study(study(SENSORS, HEAD))
+    inputs = inputs_of(plan)
+    noisy, quiet = (setup(plan, plan.point(i), inputs) for i in (0, 4))
+    rendered = render(
+        noisy.scene, noisy.system, fidelity=noisy.fidelity, seed=np.random.SeedSequence(1)
+    )
+    sensors = [(made.system, made.scene.sun) for made in (noisy, quiet)]
+    over = {one: shared_light._over(rendered, one, quiet.fidelity) for one in sensors}
+    assert over[sensors[0]] <= 1 < over[sensors[1]]
+    shared = shared_light._Shared(rendered, over)
+    assert shared.of(noisy).warnings == rendered.warnings
+    told = [str(w) for w in shared.of(quiet).warnings if w not in rendered.warnings]
+    assert len(told) == 1
+    assert f"{0.2 * over[sensors[1]]:.2g} of a pixel's noise" in told[0]
+
+
+def test_a_point_that_fails_leaves_the_others(study) -> None:
+    plan = load_study(study('[grid]\n"system.optics.f_number" = [1.0, -1.0, 2.0]\n', HEAD))
+    chunk = evaluate_chunk(plan, 0, 3)
+    assert list(chunk.errors) == [1]
+    assert np.isfinite(chunk.values["psnr_db"][[0, 2]]).all()
+
+
+def test_results_to_a_tolerance_do_not_depend_on_workers(study, tmp_path: Path) -> None:
+    path = study(SENSORS, HEAD)
+    run_sweep(path, out=tmp_path / "out", workers=2)
+    assert_is_what_one_process_gives(open_sweep(tmp_path / "out"), path)
+
+
+def test_who_shares_a_render_follows_from_the_study() -> None:
+    """Equal values of what may be rendered anew, wherever they stand."""
+    study = Study(
+        name="s",
+        metrics=["psnr_db"],
+        grid={"scene.rig.x_m": [0.0, 1.0], "processing.method": ["zero-fill", "lmmse"]},
+        zip=[
+            {"scene.rig.y_m": [0.0, 0.0, 1.0], "system.readout.read_noise_e": [1e3, 2e3, 1e3]},
+        ],
+    )
+    assert study.shape == (2, 3, 2)
+    assert study.same_render(1).tolist() == [0, 1, 2, 3]
+    assert study.same_render(11).tolist() == [10, 11]
+    assert Study(name="s", metrics=["psnr_db"]).same_render(0).tolist() == [0]
+
+
+def test_points_that_are_only_processed_otherwise_share_a_record(study) -> None:
+    plan = load_study(study('[grid]\n"processing.method" = ["zero-fill", "lmmse"]\n', HEAD))
+    inputs = inputs_of(plan)
+    one, other = (outcome_of(plan, index, inputs) for index in range(2))
+    assert one.capture is other.capture
+    assert one.score.psnr_db != other.score.psnr_db
+
+
+def _knobs(plan: Study) -> Fidelity:
+    return setup(plan, plan.point(0), inputs_of(plan)).fidelity
+
+
+def test_what_says_the_accuracy() -> None:
+    """A study's preset or tolerance; its knobs over that, over `standard` where it names none."""
+    assert _knobs(Study(name="s", metrics=["psnr_db"])) == Tolerance().knobs()
+    for said, expected in (
+        ({"fidelity.preset": "draft"}, PRESETS["draft"]),
+        ({"fidelity.tolerance": 0.1}, Tolerance(0.1).knobs()),
+        ({"fidelity.tolerance": "10 %"}, Tolerance(0.1).knobs()),
+        ({"fidelity.max_depth": 1}, Fidelity(max_depth=1)),
+        (
+            {"fidelity.tolerance": 0.1, "fidelity.noise": "none"},
+            Tolerance(0.1).knobs().with_(noise="none"),
+        ),
+    ):
+        assert _knobs(Study(name="s", metrics=["psnr_db"], set=said)) == expected
+    echo = Study(
+        name="s", metrics=["range_error_m"], set={"fidelity.tolerance": "0.2, 0.5 dB, 2 mm"}
+    )
+    bandwidth_hz = load_radar("hybrid-79").total_bandwidth_hz
+    assert _knobs(echo) == Tolerance(0.2, 0.5, 2e-3).knobs(bandwidth_hz)
+
+
+@pytest.mark.parametrize(
+    ("said", "complaint"),
+    [
+        ({"fidelity.preset": "draft", "fidelity.tolerance": 0.1}, "expected one of them"),
+        ({"fidelity.samples": 4, "fidelity.tolerance": 0.1}, "samples: has no effect beside"),
+        ({"fidelity.tolerance": 100.0}, "noise_share: 100.0 is not in 0.0001 to 10"),
+        ({"fidelity.tolerance": "0.1 s"}, "tolerance: '0.1 s'"),
+    ],
+)
+def test_what_no_accuracy_can_be_is_told(said: dict, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        Study(name="s", metrics=["psnr_db"], set=said)
+
+
+def test_what_is_asked_for_takes_the_place_of_what_the_study_sets(study, tmp_path: Path) -> None:
+    """Not of its knobs, and not of what it varies; another one does not go on in a folder."""
+    head = HEAD + '"fidelity.preset" = "standard"\n"fidelity.noise" = "none"\n'
+    path, out = study('[grid]\n"scene.rig.x_m" = [0.0]\n', head), tmp_path / "out"
+    run_sweep(path, out=out, workers=0, fidelity=Tolerance(0.5))
+    stored = open_sweep(out).attrs["study"]
+    assert '"fidelity.tolerance": "0.5"' in stored
+    assert "preset" not in stored
+    assert '"fidelity.noise": "none"' in stored
+    run_sweep(path, out=out, workers=0, fidelity=Tolerance(0.5))
+    with pytest.raises(InputError, match=r"of fidelity\.tolerance = 0\.5, not 0\.1; expected the"):
+        run_sweep(path, out=out, workers=0, fidelity=0.1)
+    varied = study('[grid]\n"fidelity.tolerance" = [0.1, 0.2]\n', HEAD)
+    with pytest.raises(InputError, match=r"varies fidelity\.tolerance"):
+        run_sweep(varied, out=tmp_path / "other", fidelity="draft")
+    closed = Study(name="c", model="closed-form", metrics=["snr"])
+    with pytest.raises(InputError, match="closed form does not depend on it"):
+        run_sweep(closed, out=tmp_path / "other", fidelity=0.1)
+
+
+def test_the_command_takes_a_tolerance_or_a_time(
+    study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a time allows is measured once: the same command goes on with it."""
+    from twin.trade.time_limit import TimedFidelity, TimedShare
+
+    path = str(study('[grid]\n"system.optics.f_number" = [1.0, 2.0]\n', HEAD))
+    measured = iter((0.5, 1.0))
+
+    def fidelity_within(*args: object, **options: object) -> TimedFidelity:
+        share = next(measured)
+        return TimedFidelity(Tolerance(share).knobs(), TimedShare(share, 0.1), None)
+
+    monkeypatch.setattr("twin.trade.fidelity_within", fidelity_within)
+
+    def sweep(*options: str) -> str:
+        found = CliRunner().invoke(app, ["sweep", path, "--workers", "0", *options])
+        if isinstance(found.exception, InputError):
+            return str(found.exception)
+        return found.output
+
+    assert "expected one of them" in sweep("--tolerance", "0.1", "--within", "1 s")
+    timed = ["--out", str(tmp_path / "timed"), "--within", "100 ms"]
+    assert "within 100 ms: camera: 0.5 of the noise" in sweep(*timed)
+    assert "2 points, 1 renders" in sweep(*timed)
+    assert next(measured) == 1.0  # not measured again
+    stated = ["--out", str(tmp_path / "stated"), "--tolerance", "0.5"]
+    assert "2 points, 1 renders" in sweep(*stated)
+    found = [open_sweep(tmp_path / name)["psnr_db"] for name in ("timed", "stated")]
+    np.testing.assert_array_equal(*found)

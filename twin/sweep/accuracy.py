@@ -1,0 +1,80 @@
+"""At which accuracy a study computes its points: what it says itself, and what it is asked for."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+from twin.errors import InputError
+from twin.fidelity import Accuracy, Fidelity, LightFidelity
+from twin.sweep.names import needs_radar
+
+if TYPE_CHECKING:
+    from twin.sweep.study import Study
+
+_ROOT, _UNSET = "fidelity.", "(not set)"
+TOLERANCE, PRESET = f"{_ROOT}tolerance", f"{_ROOT}preset"
+#: Numbers of paths, which a tolerance chooses itself.
+_CHOSEN = (f"{_ROOT}samples", f"{_ROOT}indirect_samples")
+
+
+def check_accuracy(parameters: Iterable[str]) -> None:
+    """Raise InputError for parameters of which one leaves the other without effect."""
+    given = set(parameters)
+    if {TOLERANCE, PRESET} <= given:
+        raise InputError(f"{TOLERANCE}, {PRESET}: expected one of them")
+    for name in _CHOSEN:
+        if {TOLERANCE, name} <= given:
+            raise InputError(f"{name}: has no effect beside {TOLERANCE}, by which paths are added")
+
+
+def with_accuracy(study: "Study", accuracy: Accuracy) -> "Study":
+    """The same study at a tolerance, a preset, or knobs, in place of the preset or tolerance that
+    it sets; knobs that it sets or varies stay.
+
+    Raises InputError where the study varies its preset or tolerance, or a knob without effect then.
+
+    >>> from twin.sweep import Study
+    >>> study = Study(name="lens", metrics=["psnr_db"], grid={"system.optics.f_number": [1, 2]})
+    >>> with_accuracy(study, 0.1).set
+    {'fidelity.tolerance': 0.1}
+    """
+    varied = [n for n in (TOLERANCE, PRESET) if n in study.parameters and n not in study.set]
+    if varied:
+        raise InputError(
+            f"{study.name}: varies {varied[0]}, expected no other tolerance or fidelity beside it"
+        )
+    own = {n: value for n, value in study.set.items() if n not in (TOLERANCE, PRESET)}
+    return study.with_set({**_said(accuracy, has_radar=needs_radar(study.metrics)), **own})
+
+
+def _said(accuracy: Accuracy, *, has_radar: bool) -> dict[str, Any]:
+    """As parameters of a study; without knobs of the radar where there is none."""
+    if isinstance(accuracy, str):
+        return {PRESET: accuracy}
+    if isinstance(accuracy, float | int):
+        return {TOLERANCE: float(accuracy)}
+    if not isinstance(accuracy, Fidelity):
+        return {TOLERANCE: str(accuracy)}
+    standard, said = Fidelity().said(), accuracy.said()
+    knobs = fields(accuracy) if has_radar else fields(LightFidelity)
+    changed = {f.name: said[f.name] for f in knobs if said[f.name] != standard[f.name]}
+    return {PRESET: "standard", **{f"{_ROOT}{name}": value for name, value in changed.items()}}
+
+
+def accuracy_of(study: Mapping[str, Any]) -> dict[str, Any]:
+    """What a study, as it is stored, sets of its accuracy."""
+    return {name: value for name, value in study["set"].items() if name.startswith(_ROOT)}
+
+
+def other_accuracy(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """How two studies, as they are stored, differ where it is in the accuracy alone, else ""."""
+    one, other = accuracy_of(old), accuracy_of(new)
+    rest = [
+        {**study, "set": {n: v for n, v in study["set"].items() if not n.startswith(_ROOT)}}
+        for study in (old, new)
+    ]
+    if one == other or rest[0] != rest[1]:
+        return ""
+    names = sorted(n for n in one.keys() | other.keys() if one.get(n) != other.get(n))
+    said = (f"{n} = {one.get(n, _UNSET)}, not {other.get(n, _UNSET)}" for n in names)
+    return "; ".join(said)

@@ -1,0 +1,198 @@
+"""Light of a study's points: rendered once for all that differ only after it.
+
+With a fixed number of paths, what is rendered does not depend on the sensor's noise. To a tolerance
+it does: the light is then as fine as the point asks whose noise permits the least, so which points
+share a render follows from the study alone, and not from which of them is computed first.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.camera.chain import Chain
+from twin.camera.equal_paths import sun_shape
+from twin.camera.light import render
+from twin.camera.mounting import devices
+from twin.camera.permitted_error import PermittedError
+from twin.camera.reflectance_rescaling import can_rescale, render_unit_reflectance
+from twin.camera.render_warnings import tolerance_warnings
+from twin.camera.rendered import DetectorLight, RenderedLight
+from twin.camera.truth import Truth
+from twin.fidelity import Fidelity
+from twin.scene import Sun
+from twin.sweep.inputs import ChangedError, Held, Inputs
+from twin.sweep.setup import Setup, setup
+from twin.sweep.study import Study
+from twin.system import System
+
+Array = NDArray[np.float64]
+#: What the noise of a point depends on beside the light.
+Sensor = tuple[System, Sun]
+
+#: Of points that share light, renders until one is within what all of them permit.
+_MOST_RENDERS = 3
+#: The light by which sensors are compared before any is rendered: a wall in the sun.
+_WALL_M, _WALL_REFLECTANCE = 5.0, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """A render, and of every sensor that it serves its error over the permitted one."""
+
+    rendered: RenderedLight
+    over: dict[Sensor, float]
+
+    def of(self, made: Setup) -> RenderedLight:
+        """For one of the sensors, with a warning where it is off by more than its tolerance."""
+        over = self.over[made.system, made.scene.sun]
+        if over <= 1 or len(self.over) == 1:  # a render warns of its own error itself
+            return self.rendered
+        permitted = _permitted(self.rendered, (made.system, made.scene.sun), made.fidelity)
+        warnings = (*self.rendered.warnings, *tolerance_warnings(over, permitted))
+        return replace(self.rendered, warnings=tuple(dict.fromkeys(warnings)))
+
+
+_lights, _groups, _strictest = Held(32), Held(32), Held(256)  # per process, by content
+
+
+def renders() -> int:
+    """How many renders this process has made."""
+    return _lights.made
+
+
+def light_of(study: Study, index: int, made: Setup, inputs: Inputs) -> RenderedLight:
+    """Light of a point, whose setup is ``made``.
+
+    Points that differ only later on share one render; with direct light alone also those that
+    differ in reflectance. To a tolerance the render is within what each of them permits.
+    """
+    key = (inputs.stamp, *light_key(made))
+    draw = light_seed(made)
+    if can_rescale(made.system, made.fidelity):
+        unit = _lights.get(
+            key,
+            lambda: render_unit_reflectance(
+                made.scene, made.system, fidelity=made.fidelity, seed=draw
+            ),
+        )
+        return unit.rescaled(made.scene)
+    if not made.fidelity.has_light_tolerance:
+        return _lights.get(
+            key, lambda: render(made.scene, made.system, fidelity=made.fidelity, seed=draw)
+        )
+    same = study.same_render(index)
+    group = (inputs.stamp, study.digest, int(same[0]))
+    sensors = _groups.get(group, lambda: _sensors(study, same, inputs))[key[1:]]
+    return _lights.get((*group, *key), lambda: _within_all(made, sensors)).of(made)
+
+
+def light_seed(made: Setup) -> np.random.SeedSequence:
+    """Of the paths of light, as `twin.capture` draws it."""
+    return np.random.SeedSequence(made.seed).spawn(2)[0]
+
+
+def light_key(made: Setup) -> tuple[Any, ...]:
+    """Tells renders of one study apart."""
+    emitter, detector, _ = devices(made.scene, made.system)
+    return (
+        made.scene_key(reflectances=not can_rescale(made.system, made.fidelity)),
+        *(_device_key(device) for device in (emitter, detector)),
+        made.system.image_shape,
+        made.system.n_detectors,
+        made.system.weather,
+        made.system.time_of_flight is None,
+        # The air's extinction is that at the emitter's wavelength.
+        made.system.emitter.peak_wavelength_m.value if made.system.weather else None,
+        made.fidelity.quality,
+        made.fidelity.start,
+        made.fidelity.light_tolerance,
+        made.fidelity.light_tolerance_relative,
+        made.seed,
+    )
+
+
+def _device_key(device: Any) -> tuple[Any, ...]:
+    return tuple(
+        value.tobytes() if isinstance(value, np.ndarray) else value
+        for value in vars(device).values()
+    )
+
+
+def _sensors(
+    study: Study, points: NDArray[np.intp], inputs: Inputs
+) -> dict[tuple[Any, ...], tuple[Sensor, ...]]:
+    """Sensors of points by the light that they share, in the order of the points; without points
+    that fail, which say so when their turn comes.
+    """
+    found: dict[tuple[Any, ...], dict[Sensor, None]] = {}
+    for index in points:
+        try:
+            made = setup(study, study.point(int(index)), inputs)
+            found.setdefault(light_key(made), {})[made.system, made.scene.sun] = None
+        except ChangedError:
+            raise
+        except Exception:
+            continue
+    return {key: tuple(sensors) for key, sensors in found.items()}
+
+
+def _within_all(made: Setup, sensors: tuple[Sensor, ...]) -> _Shared:
+    """A render within what every sensor permits: for the one that permits the least of a wall's
+    light, and where another permits less of the scene's, for that one.
+    """
+    chosen = _strictest.get(sensors, lambda: _strictest_by_a_wall(made, sensors))
+    best: _Shared | None = None
+    for _ in range(_MOST_RENDERS):
+        found = _rendered_for(made, sensors[chosen], sensors)
+        if best is None or max(found.over.values()) < max(best.over.values()):
+            best = found
+        worst = max(sensors, key=found.over.__getitem__)
+        if found.over[worst] <= 1 or worst == sensors[chosen]:
+            break
+        chosen = sensors.index(worst)
+    assert best is not None
+    return best
+
+
+def _rendered_for(made: Setup, sensor: Sensor, sensors: Sequence[Sensor]) -> _Shared:
+    system, sun = sensor
+    rendered = render(
+        replace(made.scene, sun=sun), system, fidelity=made.fidelity, seed=light_seed(made)
+    )
+    return _Shared(rendered, {one: _over(rendered, one, made.fidelity) for one in sensors})
+
+
+def _strictest_by_a_wall(made: Setup, sensors: Sequence[Sensor]) -> int:
+    """Index of the sensor that permits the least error of the light of a wall."""
+    if len(sensors) == 1 or made.system.time_of_flight:  # a wall has no lengths of paths
+        return 0
+    wall = _wall(made)
+    return int(np.argmax([_over(wall, sensor, made.fidelity) for sensor in sensors]))
+
+
+def _wall(made: Setup) -> RenderedLight:
+    """A wall across the field, with the same error in every cell."""
+    emitter, detector, _ = devices(made.scene, made.system)
+    shape, n_detectors = made.system.image_shape, made.system.n_detectors
+    shape = (shape[0], shape[1] // n_detectors)
+    cells = np.ones((n_detectors, shape[0] * shape[1]))
+    parts = np.ones(sun_shape(n_detectors))
+    seen = _WALL_REFLECTANCE / np.pi / _WALL_M**2
+    light = cells * seen * (2 * emitter.tan_half_field) ** 2 / cells[0].size
+    sun = parts * _WALL_REFLECTANCE / np.pi * (2 * detector.tan_half_field) ** 2 / parts.size
+    truth = Truth(*(np.full(made.system.image_shape, x) for x in (_WALL_REFLECTANCE, _WALL_M)))
+    return RenderedLight(DetectorLight(light, light), sun, truth, emitter, detector)
+
+
+def _over(rendered: RenderedLight, sensor: Sensor, fidelity: Fidelity) -> float:
+    """Error of the light over the permitted one, root mean square over the cells."""
+    light = rendered.light
+    permitted = np.maximum(_permitted(rendered, sensor, fidelity).of(light.cells), 1e-150)
+    return float(np.sqrt(np.mean((light.error / permitted) ** 2)))
+
+
+def _permitted(rendered: RenderedLight, sensor: Sensor, fidelity: Fidelity) -> PermittedError:
+    return PermittedError(Chain.of(*sensor), rendered, fidelity)
