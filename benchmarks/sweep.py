@@ -1,4 +1,6 @@
-"""Figures of sweeps: points per second, renders shared, what a second worker brings."""
+"""Figures of sweeps: points per second, renders shared, what a second worker brings, and what a
+tolerance costs and leaves of an error.
+"""
 
 import os
 import shutil
@@ -8,8 +10,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from benchmarks.timing import Figure
-from twin.sweep import run_sweep
+from twin.camera import capture
+from twin.fidelity import Fidelity
+from twin.sweep import Study, load_study, run_sweep
+from twin.sweep.evaluate import evaluate_chunk, outcome_of
+from twin.sweep.inputs import inputs_of
 
 _CLOSED = """
 model = "closed-form"
@@ -22,12 +31,12 @@ n = {n}
 "system.optics.f_number" = {{ low = 1.0, high = 4.0 }}
 "system.acquisition.integration_time_s" = {{ low = 1e-6, high = 1e-2, log = true }}
 """
+_FEW_PATHS = '"fidelity.samples" = 16\n"fidelity.max_depth" = 1'
 _RENDERED = """
 scene = "table1"
 metrics = ["snr_median", "psnr_db", "ssim"]
 [set]
-"fidelity.samples" = 16
-"fidelity.max_depth" = 1
+{fidelity}
 "system.acquisition.n_patterns" = 1024
 [grid]
 "system.detector.width_m" = ["150 um", "1 mm", "3 mm"]
@@ -36,6 +45,27 @@ metrics = ["snr_median", "psnr_db", "ssim"]
 "system.sky.illuminance_lx" = [0, 400, 1e3, 1e4, 1e5]
 "processing.method" = ["zero-fill", "lmmse"]
 """
+#: Sensors at places of the rig: points of one place share their light.
+_PLACES = """
+scene = "yard"
+metrics = ["snr_median", "psnr_db", "ssim"]
+[set]
+{fidelity}
+"system.acquisition.n_patterns" = 1024
+[grid]
+"scene.rig.x_m" = {places}
+"system.readout.read_noise_e" = [3e3, 1e4, 3e4]
+"system.sky.illuminance_lx" = [0, 400, 1e3, 1e4, 1e5]
+"processing.method" = ["zero-fill", "lmmse"]
+"""
+_STEP_M = 0.02
+_ACCURACIES = {
+    "standard": '"fidelity.preset" = "standard"',
+    "tolerance 0.2": '"fidelity.tolerance" = 0.2',
+    "tolerance 1": '"fidelity.tolerance" = 1.0',
+}
+#: 16 times the paths of `reference`, whose own error is not far below a tolerance of 0.2.
+_REFERENCE = Fidelity(samples=2**14, max_depth=8)
 _EACH_RENDERS = """
 scene = "yard"
 metrics = ["snr_median"]
@@ -51,9 +81,10 @@ def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
     for n in (100_000, 1_000_000):
         yield f"sweep, closed form, {n} points", _run(_CLOSED.format(n=n))[0], "s"
-    seconds, renders = _run(_RENDERED)
+    seconds, renders = _run(_RENDERED.replace("{fidelity}", _FEW_PATHS))
     yield "sweep, 900 rendered points, two workers", seconds, "s"
     yield "sweep, 900 rendered points: renders", float(renders), ""
+    yield from accuracy_figures()
     many, few = (_EACH_RENDERS.format(places=[i / 100 for i in range(n)]) for n in (96, 32))
     # A long run less a short one: what starting workers costs drops out. One core for each worker;
     # left alone, a single worker would take both.
@@ -62,6 +93,68 @@ def figures() -> Iterator[Figure]:
         with _cores(workers):
             taken.append(_run(many, workers)[0] - _run(few, workers)[0])
     yield "sweep, 64 points that each render: two workers over one", taken[0] / taken[1], ""
+
+
+def accuracy_figures() -> Iterator[Figure]:
+    """Time of 900 rendered points at `standard` and at a tolerance, and errors at both."""
+    kinds = {
+        "table1, 30 renders": _RENDERED,
+        "yard, 30 renders": _PLACES.replace("{places}", str(_places(30))),
+    }
+    for kind, text in kinds.items():
+        for name, accuracy in _ACCURACIES.items():
+            seconds = _cpu(text.replace("{fidelity}", accuracy))
+            yield f"sweep, 900 rendered points, {kind}, {name}: processor time", seconds, "s"
+    for name, accuracy in _ACCURACIES.items():
+        text = _PLACES.replace("{places}", str(_places(3))).replace("{fidelity}", accuracy)
+        yield from _errors(name, _study(text))
+
+
+def _places(n: int) -> list[float]:
+    return [round(_STEP_M * i, 3) for i in range(n)]
+
+
+def _study(text: str) -> Study:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "study.toml"
+        path.write_text(text)
+        return load_study(path)
+
+
+def _cpu(text: str) -> float:
+    """Processor time of all points in this process, once kernels are compiled."""
+    study = _study(text)
+    inputs = inputs_of(study)
+    evaluate_chunk(study.with_set({**study.set, "seed": 1}), 0, 1, inputs)
+    start = time.process_time()
+    chunk = evaluate_chunk(study, 0, study.n_points, inputs)
+    if chunk.errors:
+        raise RuntimeError(f"{len(chunk.errors)} points failed")
+    return time.process_time() - start
+
+
+def _errors(name: str, study: Study) -> Iterator[Figure]:
+    """Light of the quietest sensor against the reference's, over the noise of a pixel, root mean
+    square: of points, and of differences between neighbouring places.
+    """
+    inputs, light, stated, reference = inputs_of(study), [], [], []
+    for place in range(3):
+        outcome = outcome_of(study, place * study.n_points // 3, inputs)
+        found, made = outcome.capture, outcome.setup
+        noise = found.noise.cells_noise_e(made.system.patterns).reshape(found.cells_e.shape)
+        exact = capture(made.scene, made.system, seed=77, fidelity=_REFERENCE)
+        light.append(found.cells_e / noise)
+        stated.append(found.cells_error_e / noise)
+        reference.append(exact.cells_e / noise)
+    off = np.array(light) - reference
+    kind = f"sweep of the yard, {name}: error over a pixel's noise"
+    yield f"{kind}, stated", _rms(np.array(stated)), ""
+    yield f"{kind}, against the reference", _rms(off), ""
+    yield f"{kind}, of differences of neighbouring places", _rms(np.diff(off, axis=0)), ""
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 @contextmanager
