@@ -37,7 +37,7 @@ SENSORS = (
 
 @pytest.fixture(autouse=True)
 def _nothing_rendered_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_lights", "_groups", "_strictest"):
+    for name in ("_lights", "_groups", "_strictest", "_chains"):
         monkeypatch.setattr(shared_light, name, Held(32))
     monkeypatch.setattr("twin.sweep.evaluate._CAPTURES", Held(32))
 
@@ -83,7 +83,7 @@ def test_a_sensor_that_a_wall_would_not_tell_is_rendered_for(
     study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The choice by a wall is a guess, which the error of the scene's own light puts right."""
-    monkeypatch.setattr(shared_light, "_strictest_by_a_wall", lambda made, sensors: 0)
+    monkeypatch.setattr(shared_light, "_strictest_by_a_wall", lambda made, chains: 0)
     plan = load_study(study(SENSORS, HEAD))
     inputs = inputs_of(plan)
     made = setup(plan, plan.point(0), inputs)
@@ -103,7 +103,7 @@ def test_an_error_above_what_a_point_permits_is_told(study) -> None:
         noisy.scene, noisy.system, fidelity=noisy.fidelity, seed=np.random.SeedSequence(1)
     )
     sensors = [(made.system, made.scene.sun) for made in (noisy, quiet)]
-    over = {one: shared_light._over(rendered, one, quiet.fidelity) for one in sensors}
+    over = {one: shared_light._over(rendered, Chain.of(*one), quiet.fidelity) for one in sensors}
     assert over[sensors[0]] <= 1 < over[sensors[1]]
     shared = shared_light._Shared(rendered, over)
     assert shared.of(noisy).warnings == rendered.warnings

@@ -5,8 +5,9 @@ it does: the light is then as fine as the point asks whose noise permits the lea
 share a render follows from the study alone, and not from which of them is computed first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -50,12 +51,14 @@ class _Shared:
         over = self.over[made.system, made.scene.sun]
         if over <= 1 or len(self.over) == 1:  # a render warns of its own error itself
             return self.rendered
-        permitted = _permitted(self.rendered, (made.system, made.scene.sun), made.fidelity)
+        chain = Chain.of(made.system, made.scene.sun)
+        permitted = PermittedError(chain, self.rendered, made.fidelity)
         warnings = (*self.rendered.warnings, *tolerance_warnings(over, permitted))
         return replace(self.rendered, warnings=tuple(dict.fromkeys(warnings)))
 
 
-_lights, _groups, _strictest = Held(32), Held(32), Held(256)  # per process, by content
+#: Per process, by content.
+_lights, _groups, _strictest, _chains = Held(32), Held(32), Held(256), Held(256)
 
 
 def renders() -> int:
@@ -85,8 +88,8 @@ def light_of(study: Study, index: int, made: Setup, inputs: Inputs) -> RenderedL
         )
     same = study.same_render(index)
     group = (inputs.stamp, study.digest, int(same[0]))
-    sensors = _groups.get(group, lambda: _sensors(study, same, inputs))[key[1:]]
-    return _lights.get((*group, *key), lambda: _within_all(made, sensors)).of(made)
+    chains = _groups.get(group, lambda: _sensors(study, same, inputs))[key[1:]]
+    return _lights.get((*group, *key), lambda: _within_all(made, chains)).of(made)
 
 
 def light_seed(made: Setup) -> np.random.SeedSequence:
@@ -123,30 +126,33 @@ def _device_key(device: Any) -> tuple[Any, ...]:
 
 def _sensors(
     study: Study, points: NDArray[np.intp], inputs: Inputs
-) -> dict[tuple[Any, ...], tuple[Sensor, ...]]:
+) -> dict[tuple[Any, ...], dict[Sensor, Chain]]:
     """Sensors of points by the light that they share, in the order of the points; without points
     that fail, which say so when their turn comes.
     """
-    found: dict[tuple[Any, ...], dict[Sensor, None]] = {}
+    found: dict[tuple[Any, ...], dict[Sensor, Chain]] = {}
     for index in points:
         try:
             made = setup(study, study.point(int(index)), inputs)
-            found.setdefault(light_key(made), {})[made.system, made.scene.sun] = None
+            sensor = made.system, made.scene.sun
+            chain = _chains.get((inputs.stamp, sensor), partial(Chain.of, *sensor))
+            found.setdefault(light_key(made), {})[sensor] = chain
         except ChangedError:
             raise
         except Exception:
             continue
-    return {key: tuple(sensors) for key, sensors in found.items()}
+    return found
 
 
-def _within_all(made: Setup, sensors: tuple[Sensor, ...]) -> _Shared:
+def _within_all(made: Setup, chains: Mapping[Sensor, Chain]) -> _Shared:
     """A render within what every sensor permits: for the one that permits the least of a wall's
     light, and where another permits less of the scene's, for that one.
     """
-    chosen = _strictest.get(sensors, lambda: _strictest_by_a_wall(made, sensors))
+    sensors = tuple(chains)
+    chosen = _strictest.get(sensors, lambda: _strictest_by_a_wall(made, chains))
     best: _Shared | None = None
     for _ in range(_MOST_RENDERS):
-        found = _rendered_for(made, sensors[chosen], sensors)
+        found = _rendered_for(made, sensors[chosen], chains)
         if best is None or max(found.over.values()) < max(best.over.values()):
             best = found
         worst = max(sensors, key=found.over.__getitem__)
@@ -157,20 +163,21 @@ def _within_all(made: Setup, sensors: tuple[Sensor, ...]) -> _Shared:
     return best
 
 
-def _rendered_for(made: Setup, sensor: Sensor, sensors: Sequence[Sensor]) -> _Shared:
+def _rendered_for(made: Setup, sensor: Sensor, chains: Mapping[Sensor, Chain]) -> _Shared:
     system, sun = sensor
     rendered = render(
         replace(made.scene, sun=sun), system, fidelity=made.fidelity, seed=light_seed(made)
     )
-    return _Shared(rendered, {one: _over(rendered, one, made.fidelity) for one in sensors})
+    over = {one: _over(rendered, chain, made.fidelity) for one, chain in chains.items()}
+    return _Shared(rendered, over)
 
 
-def _strictest_by_a_wall(made: Setup, sensors: Sequence[Sensor]) -> int:
+def _strictest_by_a_wall(made: Setup, chains: Mapping[Sensor, Chain]) -> int:
     """Index of the sensor that permits the least error of the light of a wall."""
-    if len(sensors) == 1 or made.system.time_of_flight:  # a wall has no lengths of paths
+    if len(chains) == 1 or made.system.time_of_flight:  # a wall has no lengths of paths
         return 0
     wall = _wall(made)
-    return int(np.argmax([_over(wall, sensor, made.fidelity) for sensor in sensors]))
+    return int(np.argmax([_over(wall, chain, made.fidelity) for chain in chains.values()]))
 
 
 def _wall(made: Setup) -> RenderedLight:
@@ -187,12 +194,8 @@ def _wall(made: Setup) -> RenderedLight:
     return RenderedLight(DetectorLight(light, light), sun, truth, emitter, detector)
 
 
-def _over(rendered: RenderedLight, sensor: Sensor, fidelity: Fidelity) -> float:
+def _over(rendered: RenderedLight, chain: Chain, fidelity: Fidelity) -> float:
     """Error of the light over the permitted one, root mean square over the cells."""
     light = rendered.light
-    permitted = np.maximum(_permitted(rendered, sensor, fidelity).of(light.cells), 1e-150)
+    permitted = np.maximum(PermittedError(chain, rendered, fidelity).of(light.cells), 1e-150)
     return float(np.sqrt(np.mean((light.error / permitted) ** 2)))
-
-
-def _permitted(rendered: RenderedLight, sensor: Sensor, fidelity: Fidelity) -> PermittedError:
-    return PermittedError(Chain.of(*sensor), rendered, fidelity)
