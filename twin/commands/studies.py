@@ -73,19 +73,19 @@ def _accuracy_asked(
     within: float | None,
 ) -> "Accuracy | None":
     """What the options ask for; a time is measured on the first point, unless the folder has it."""
-    from twin.fidelity import DEFAULT_SHARE, PRESETS, Tolerance
+    from twin.fidelity import DEFAULT_SHARE, Tolerance
     from twin.sweep.accuracy import with_accuracy
     from twin.sweep.inputs import inputs_of
     from twin.sweep.run import folder_of
     from twin.sweep.setup import setup
-    from twin.sweep.store import stored_tolerances
+    from twin.sweep.store import stored_tolerance
 
     only_one(fidelity, tolerance, within)
     if within is None:
         return fidelity if tolerance is None else Tolerance.of(tolerance)
     with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent
-    if knobs := stored_tolerances(folder_of(study, out)):
-        return PRESETS["standard"].with_(knobs)
+    if knobs := stored_tolerance(folder_of(study, out)):
+        return knobs
     first = setup(study, study.point(0), inputs_of(study))
     return knobs_within(lambda: first.scene, first.system, first.radar, within)
 

@@ -86,8 +86,9 @@ class Tolerance:
         >>> str(Tolerance(0.1, echo_db=0.5))
         '0.1, 0.5 dB'
         """
-        absolute = ((self.echo_db, "dB"), (self.distance_m, "m"))
-        told = [f"{value!r} {unit}" for value, unit in absolute if value is not None]
+        cell = None if self.cell_share is None else 100 * self.cell_share
+        others = ((cell, "%"), (self.echo_db, "dB"), (self.distance_m, "m"))
+        told = [f"{value!r} {unit}" for value, unit in others if value is not None]
         return ", ".join([repr(self.noise_share), *told])
 
     def knobs(self, bandwidth_hz: float | None = None) -> Fidelity:

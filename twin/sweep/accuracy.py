@@ -5,7 +5,7 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from twin.errors import InputError
-from twin.fidelity import Accuracy, Fidelity, LightFidelity
+from twin.fidelity import Accuracy, Fidelity, LightFidelity, Tolerance
 from twin.sweep.names import needs_radar
 
 if TYPE_CHECKING:
@@ -53,12 +53,19 @@ def _said(accuracy: Accuracy, *, has_radar: bool) -> dict[str, Any]:
         return {PRESET: accuracy}
     if isinstance(accuracy, float | int):
         return {TOLERANCE: float(accuracy)}
-    if not isinstance(accuracy, Fidelity):
-        return {TOLERANCE: str(accuracy)}
-    standard, said = Fidelity().said(), accuracy.said()
-    knobs = fields(accuracy) if has_radar else fields(LightFidelity)
-    changed = {f.name: said[f.name] for f in knobs if said[f.name] != standard[f.name]}
-    return {PRESET: "standard", **{f"{_ROOT}{name}": value for name, value in changed.items()}}
+    if isinstance(accuracy, Tolerance):
+        plain = accuracy == Tolerance(accuracy.noise_share)
+        return {TOLERANCE: accuracy.noise_share if plain else str(accuracy)}
+    named: dict[str, Any]
+    base, named = Fidelity(), {PRESET: "standard"}
+    if (share := accuracy.light_tolerance) is not None:
+        base, named = Tolerance(share).knobs(), {TOLERANCE: share}
+    knobs = [f.name for f in fields(accuracy if has_radar else LightFidelity)]
+    usual, said = base.said(), accuracy.said()
+    changed = {f"{_ROOT}{n}": said[n] for n in knobs if said[n] != usual[n]}
+    if none := [n for n, value in changed.items() if value is None]:
+        raise InputError(f"{none[0]}: by bounds, which a study says by {TOLERANCE} alone")
+    return {**named, **changed}
 
 
 def accuracy_of(study: Mapping[str, Any]) -> dict[str, Any]:

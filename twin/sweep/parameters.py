@@ -63,6 +63,9 @@ def check_value(name: str, value: Value) -> Value:
     reflectance of the closed form that can't be.
     """
     check_name(name)
+    if name == "fidelity.tolerance":
+        Tolerance.of(str(value))
+        return value
     if isinstance(value, str) and (unit_of(name) or value.rstrip().endswith("%")):
         try:
             value = quantity(value, unit_of(name))
@@ -70,8 +73,6 @@ def check_value(name: str, value: Value) -> Value:
             raise InputError(f"{name} = {value!r:.60}: {error}") from None
     if name in LINK:
         check_bounds(name, value, *LINK[name])
-    if name == "fidelity.tolerance":
-        Tolerance.of(str(value))
     return value
 
 

@@ -20,8 +20,9 @@ from pydantic import ValidationError
 
 from hardware.files import place_beside, read_json
 from twin.digest import versions
+from twin.fidelity import Fidelity, Tolerance
 from twin.files import InputError, new_folder
-from twin.sweep.accuracy import accuracy_of, other_accuracy
+from twin.sweep.accuracy import TOLERANCE, accuracy_of, other_accuracy
 from twin.sweep.dataset import Progress, dataset
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     import xarray
 
 _TEXT_LENGTH = 300
-_TOLERANCES = ("light_tolerance", "radar_tolerance")
 
 
 class Store:
@@ -199,13 +199,14 @@ def _read_plan(out: Path) -> dict[str, Any]:
     return plan
 
 
-def stored_tolerances(out: Path) -> dict[str, Any]:
-    """Knobs of a tolerance that a folder's sweep sets; none where there is no sweep."""
-    if not (out / "study.json").is_file():
-        return {}
-    knobs = accuracy_of(_read_plan(out)["study"])
-    named = {name: knobs.get(f"fidelity.{name}") for name in _TOLERANCES}
-    return {name: value for name, value in named.items() if value is not None}
+def stored_tolerance(out: Path) -> Fidelity | None:
+    """Knobs of the tolerance that a folder's sweep sets; None where there is no such sweep."""
+    said = accuracy_of(_read_plan(out)["study"]) if (out / "study.json").is_file() else {}
+    if TOLERANCE not in said:
+        return None
+    knobs = Tolerance.of(str(said[TOLERANCE])).knobs()
+    radar = said.get("fidelity.radar_tolerance", knobs.radar_tolerance)
+    return knobs.with_(radar_tolerance=radar)
 
 
 def _array_file(folder: Path, metric: str) -> Path:
