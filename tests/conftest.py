@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
 # Matrices here are small: more threads wait for each other, at twice the processor's time.
@@ -21,14 +20,6 @@ import hardware
 from hardware import PatternSet
 
 sys.path.insert(0, str(Path(__file__).parent))  # helpers beside this file can be imported
-
-# Processes of pytest-xdist share the cores, as workers of a sweep do: the renderer's idle threads
-# wait for work busily.
-_PROCESSES = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-if _PROCESSES > 1 and find_spec("drjit"):
-    import drjit
-
-    drjit.set_thread_count(max(1, (os.cpu_count() or 1) // _PROCESSES))
 
 _SOURCES = Path(hardware.__file__).parent / "drivers" / "firmware"
 _STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")

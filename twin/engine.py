@@ -9,13 +9,23 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
 from twin.errors import EngineError
 
-__all__ = ["OLDEST_LLVM", "EngineError", "ensure_llvm", "llvm_version", "mitsuba", "sionna"]
+__all__ = [
+    "OLDEST_LLVM",
+    "EngineError",
+    "ensure_llvm",
+    "exr_threads",
+    "llvm_version",
+    "mitsuba",
+    "sionna",
+]
 
 #: Tried and found good: 19. Newer ones are expected to work, 17 and 18 were never tried.
 OLDEST_LLVM = 19
@@ -28,6 +38,7 @@ _WHERE = (
     "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
     "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
 )
+_EXR_THREADS = 2
 _REMEDY = (
     f"install libLLVM {OLDEST_LLVM} or newer (Debian, Ubuntu: sudo apt-get install libllvm19) "
     "or name one in DRJIT_LIBLLVM_PATH"
@@ -95,6 +106,24 @@ def _with_variant(name: str) -> ModuleType:
         ) from error
     mi.set_log_level(mi.LogLevel.Error)
     return mi
+
+
+@contextmanager
+def exr_threads() -> Iterator[None]:
+    """Threads that Mitsuba needs to read and write OpenEXR: it waits for tasks in Dr.Jit's pool,
+    with a pool of one thread, as on a single core, forever.
+    """
+    import drjit as dr
+
+    threads = dr.thread_count()
+    if threads >= _EXR_THREADS:
+        yield
+        return
+    dr.set_thread_count(_EXR_THREADS)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(threads)
 
 
 def ensure_llvm() -> Path:

@@ -5,10 +5,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from twin import engine
+from twin.camera.truth import Truth, write_truth
 from twin.engine import EngineError, ensure_llvm, llvm_version
+from twin.errors import InputError
+from twin.scene import load_scene
 
 OLD = sorted(
     path
@@ -126,3 +130,49 @@ def test_the_real_bad_ones_stop_with_one_line_before_the_abort(library: Path) ->
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "on which Dr.Jit aborts" in done.stderr
+
+
+def _textured(tmp_path: Path) -> None:
+    """A triangle whose texture is ``t.exr``."""
+    (tmp_path / "q.obj").write_text(
+        "v 5 1 1\nv 5 -1 1\nv 5 -1 -1\nvt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3\n"
+    )
+    (tmp_path / "s.xml").write_text(
+        '<scene version="3.0.0"><shape type="obj" id="q"><string name="filename" value="q.obj"/>'
+        '<bsdf type="diffuse" id="own"><texture type="bitmap" name="reflectance">'
+        '<string name="filename" value="t.exr"/><boolean name="raw" value="true"/></texture>'
+        "</bsdf></shape></scene>"
+    )
+
+
+def test_one_thread_reads_and_writes_openexr(tmp_path: Path) -> None:
+    """Mitsuba by itself waits forever there, as it does on a single core."""
+    code = f"""
+import drjit
+drjit.set_thread_count(1)
+import numpy as np
+from twin.camera.truth import Truth, write_truth
+from twin.engine import exr_threads, mitsuba
+from twin.scene import load_scene
+albedo = np.full((4, 4), 0.25)
+write_truth(Truth(albedo, 1 / albedo), {str(tmp_path / "truth.exr")!r})
+with exr_threads():
+    mitsuba().Bitmap(albedo.astype(np.float32)).write({str(tmp_path / "t.exr")!r})
+load_scene({str(tmp_path / "s.xml")!r})
+print(drjit.thread_count())
+"""
+    _textured(tmp_path)
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.split()[-1] == "1"
+
+
+def test_a_texture_that_is_no_picture_is_told(tmp_path: Path) -> None:
+    """Albedo and depth, as the twin itself writes them, are no colours."""
+    truth = Truth(np.full((4, 4), 0.25), np.ones((4, 4)))
+    write_truth(truth, tmp_path / "t.exr")
+    _textured(tmp_path)
+    with pytest.raises(InputError, match=r"t\.exr: texture of channels albedo, depth"):
+        load_scene(tmp_path / "s.xml")

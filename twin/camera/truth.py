@@ -8,7 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.engine import mitsuba
+from twin.engine import exr_threads, mitsuba
 from twin.optics.devices import CellGrid, Device, primary_rays
 from twin.optics.paths import albedo as reflectance
 from twin.optics.ray_sets import RowRays
@@ -84,4 +84,5 @@ def write_truth(truth: Truth, path: Path) -> None:
         ["albedo", "depth"],
     )
     np.array(bitmap, copy=False)[:] = np.stack([truth.albedo, truth.depth_m], axis=-1)
-    bitmap.write(str(path))
+    with exr_threads():
+        bitmap.write(str(path))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.engine import mitsuba
+from twin.engine import exr_threads, mitsuba
 from twin.files import InputError
 from twin.scene.markup import check_markup
 from twin.scene.texture import Reflectance, Texture
@@ -233,11 +233,15 @@ class _Reader:
         path = self.folder / str(texture.props["filename"])
         _check_size(path)
         try:
-            bitmap = mi.Bitmap(str(path))
+            with exr_threads():
+                bitmap = mi.Bitmap(str(path))
         except (RuntimeError, OSError) as error:
             raise InputError(f"{path}: texture can't be read") from error
         if texture.props.get("raw", False):
             bitmap.set_srgb_gamma(False)
+        if bitmap.pixel_format() == mi.Bitmap.PixelFormat.MultiChannel:
+            channels = ", ".join(field.name for field in bitmap.struct_())
+            raise InputError(f"{path}: texture of channels {channels}, expected grey or colours")
         grey = bitmap.convert(mi.Bitmap.PixelFormat.Y, mi.Struct.Type.Float32, srgb_gamma=False)
         image = np.array(grey, dtype=np.float32).reshape(bitmap.size()[1], bitmap.size()[0])
         return Texture(
