@@ -3,16 +3,19 @@
 Inner test sessions run in this process (pytester), on scenes/yard with 32 x 32 cells.
 """
 
+import hashlib
 import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from yard_32x32 import SYSTEM
 
+from twin.accuracy import Interval
 from twin.files import InputError
 from twin.regression.baseline import Baseline, read_baseline, write_baseline
 from twin.regression.checker import Regression
@@ -180,12 +183,27 @@ def test_figures_of_another_setup_are_not_compared(project, pytester) -> None:
 def test_a_baseline_outlives_knobs_that_are_newer_and_those_that_are_gone(
     project, pytester
 ) -> None:
+    """And knobs of the other sensor, which earlier versions kept too."""
     project(ITSELF, "--update-baseline", "first of all")
     known = read_baseline(baseline_of(pytester))
-    del known.setup["fidelity"]["radar_edges"]
+    del known.setup["fidelity"]["air_orders"]
     known.setup["fidelity"]["of_former_times"] = 200_000
+    known.setup["fidelity"]["radar_edges"] = 7
     write_baseline(known, baseline_of(pytester))
     project(ITSELF).assert_outcomes(passed=1)
+
+
+def test_a_knob_that_a_baseline_lacks_stood_where_it_did_then(project, pytester) -> None:
+    """Before there were tolerances light had fixed numbers of paths, whatever the default is."""
+    project(ITSELF, "--update-baseline", "first of all")
+    known = read_baseline(baseline_of(pytester))
+    del known.setup["fidelity"]["light_tolerance"]
+    write_baseline(known, baseline_of(pytester))
+    result = project(ITSELF)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        ["*fidelity: {'light_tolerance': None} in the baseline, {'light_tolerance': 0.2} now*"]
+    )
 
 
 def test_no_number_is_a_failure_and_no_baseline(project, pytester) -> None:
@@ -230,6 +248,7 @@ def test_a_damaged_baseline_is_told(content: bytes, tmp_path: Path) -> None:
         ("history", []),
         ("history", None),
         ("example", {}),
+        ("model_error", {"psnr_db": [9.0, 9.0]}),
         ("more", 1),
     ],
 )
@@ -241,6 +260,19 @@ def test_a_baseline_edited_by_hand_is_told(field: str, value: object, tmp_path: 
     path.write_text(json.dumps(json.loads(path.read_text()) | {field: value}))
     with pytest.raises(InputError, match=r"x\.json: is not as it was written: its digest"):
         read_baseline(path)
+
+
+def test_a_baseline_of_before_there_were_errors_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    write_baseline(replace(KNOWN, model_error={"psnr_db": [0.1, 0.02]}), path)
+    assert read_baseline(path).errors()["psnr_db"] == Interval(30.5, 0.1, 0.02)
+    content = json.loads(path.read_text())
+    for name in ("model_error", "format", "digest"):
+        del content[name]
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    path.write_text(json.dumps({"format": 2, "digest": digest, **content}))
+    assert read_baseline(path).errors()["psnr_db"] == Interval(30.5)
 
 
 def test_an_edited_baseline_fails_the_test_in_one_line(project, pytester) -> None:

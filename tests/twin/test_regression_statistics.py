@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import binom, hypergeom, ttest_1samp
 
 from benchmarks.planted_losses import planted, share_worse
+from twin.accuracy import Interval
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
 from twin.regression.runs import SeedResults, repeated, run_camera
 from twin.regression.statistics import compare, repeats, smallest_loss
@@ -298,6 +299,49 @@ def test_a_changed_offset_is_worse_either_way() -> None:
     same = compare([metric], {metric.name: before}, {metric.name: before}, paired=True)[0]
     assert not same.worse
     assert not same.better
+
+
+def test_what_the_errors_of_both_models_explain_is_no_loss() -> None:
+    """A level 0.3 dB lower, of other records: within 0.1 dB of standard error before and 0.1 dB
+    that were left out after, beyond a tenth of both; and gains are held to the same.
+    """
+    rng = np.random.default_rng(0)
+    before = {"psnr_db": 30 + 0.01 * rng.normal(size=48)}
+    after = {"psnr_db": 29.7 + 0.01 * rng.normal(size=48)}
+
+    def verdict(share: float, before=before, after=after):
+        errors = [{"psnr_db": Interval(30.0, 0.1 * share)}, {"psnr_db": Interval(29.7, 0, share)}]
+        return compare([one()], before, after, errors=errors if share else ())[0]
+
+    assert verdict(0).worse
+    assert "for errors of both models" not in str(verdict(0))
+    assert verdict(0.1).worse
+    explained = verdict(1)
+    assert not explained.worse
+    assert not explained.failed
+    assert "for errors of both models, as records differ, which explain the loss" in str(explained)
+    assert verdict(0, after, before).better
+    assert not verdict(1, after, before).better
+
+
+def test_errors_of_models_keep_the_false_alarms_and_find_what_is_larger() -> None:
+    """3000 comparisons of models with normal errors of 0.1 dB each, of figures that scatter by
+    0.2 dB: at most 1 % alarm (1.5 % would by chance once in 200 times), 1 dB is found.
+    """
+    rng, metric = np.random.default_rng(1), one()
+    errors = [{"psnr_db": Interval(30.0, 0.1)}] * 2
+
+    def alarms(loss: float, errors, times: int) -> float:
+        worse = 0
+        for _ in range(times):
+            level = 30 + 0.1 * rng.normal(size=2) - [0, loss]
+            before, after = ({"psnr_db": x + 0.2 * rng.normal(size=16)} for x in level)
+            worse += compare([metric], before, after, errors=errors)[0].worse
+        return worse / times
+
+    assert alarms(0.02, errors, 3000) <= 0.015
+    assert alarms(0.02, (), 300) > 0.1
+    assert alarms(1.5, errors, 300) > 0.99
 
 
 @pytest.mark.slow

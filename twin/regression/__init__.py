@@ -26,6 +26,8 @@ and after:
 A test fails when any figure became worse by more than its metric's ``tolerance``, in the mean or at
 single seeds, at a false-alarm probability of 1 % for all figures together
 (`twin.regression.statistics`). Pictures before and after are then in ``regression-pictures/``.
+Where records differ, of another render or version, the tolerance is wider by the model's errors
+before and now (`twin.regression.model_error`).
 Nothing is rounded in one's favour: a missing baseline fails, and so does one that was made with
 another scene, system or number of seeds, or was edited.
 

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.files import whole_file
+from twin.accuracy import Interval
 from twin.files import InputError
 
 _FORMAT = 2
@@ -32,6 +33,9 @@ class Baseline:
     history
         Why it is as it is, oldest first: reason, method, versions, means before and after, and the
         smallest loss that the figures find even when draws don't pair.
+    model_error
+        Of each metric's mean, statistical (standard deviation) and systematic (bound); none in
+        baselines of earlier versions, where it is 0.
     """
 
     setup: dict[str, Any]
@@ -39,6 +43,14 @@ class Baseline:
     records: str
     example: dict[str, Any]
     history: tuple[dict[str, Any], ...]
+    model_error: dict[str, list[float]] = field(default_factory=dict)
+
+    def errors(self) -> dict[str, Interval]:
+        """Mean figure of each metric with the model's error."""
+        return {
+            name: Interval(mean, *self.model_error.get(name, ()))
+            for name, mean in self.means().items()
+        }
 
     def arrays(self) -> dict[str, NDArray[np.float64]]:
         """Figures as arrays."""
@@ -93,9 +105,15 @@ def _digest(content: dict[str, Any]) -> str:
 
 
 def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Entries of two setups that are not the same, one line each."""
-    return [
-        f"{name}: {before.get(name)!r} in the baseline, {now.get(name)!r} now"
-        for name in sorted({*before, *now})
-        if before.get(name) != now.get(name)
-    ]
+    """Entries of two setups that are not the same, one line each; of entries with names of their
+    own, such as knobs, those that differ.
+    """
+
+    def told(name: str) -> str:
+        one, other = before.get(name), now.get(name)
+        if isinstance(one, dict) and isinstance(other, dict):
+            apart = [key for key in {**one, **other} if one.get(key) != other.get(key)]
+            one, other = ({key: part.get(key) for key in apart} for part in (one, other))
+        return f"{name}: {one!r} in the baseline, {other!r} now"
+
+    return [told(name) for name in sorted({*before, *now}) if before.get(name) != now.get(name)]

@@ -1,7 +1,7 @@
 """One test's comparison: run the method, hold it against its baseline, or make the baseline new."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from twin.accuracy import Interval
+from twin.camera.rendered import RenderedLight
 from twin.digest import digest, versions
-from twin.fidelity import Accuracy, Fidelity, knobs_of
+from twin.fidelity import Accuracy, Fidelity, LightFidelity, Noise, RadarFidelity, knobs_of
 from twin.files import InputError
-from twin.radar import RadarDesign, load_radar
+from twin.radar import RadarCapture, RadarDesign, load_radar
 from twin.regression.baseline import (
     Baseline,
     differences,
@@ -22,6 +24,7 @@ from twin.regression.baseline import (
     write_baseline,
 )
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
+from twin.regression.model_error import ERROR_SEEDS, echo_errors, light_errors, of_views
 from twin.regression.pictures import draw_echoes, draw_images, echo_example, image_example, save
 from twin.regression.runs import (
     Method,
@@ -42,6 +45,8 @@ from twin.system import System, load_system
 
 #: A method's outcome over seeds.
 _Run = Callable[[Sequence[int]], SeedResults]
+#: Mean figures by metric with the model's errors, worked out where they are needed.
+_Errors = Callable[[], Mapping[str, Interval]]
 #: Figure of a failure from outcome, example, figures before, verdicts.
 _Draw = Callable[[SeedResults, dict[str, Any], dict[str, Any], Sequence[Verdict]], Figure]
 
@@ -131,10 +136,21 @@ class Regression:
                 mirrored=not poses,
             )
 
-        setup = _setup("camera", views[0], poses, design, knobs, seeds, metrics)
+        def errors() -> dict[str, Interval]:
+            # Normal noise of the same draws changes little with the light, Poisson's a lot.
+            noise: Noise = "none" if knobs.noise == "none" else "gaussian"
+
+            def means(view: int, other: RenderedLight) -> dict[str, float]:
+                few = range(min(ERROR_SEEDS, seeds))
+                taken = (views[view], design, other, method, few, metrics, noise)
+                return run_camera(*taken, mirrored=not poses).means()
+
+            return of_views([light_errors(each, partial(means, i)) for i, each in enumerate(light)])
+
+        setup = _setup("camera", views[0], poses, design, knobs.part(LightFidelity), seeds, metrics)
         runs = partial(in_turn, run, len(views))
         return self._hold(
-            _IMAGES, runs, numbers, metrics, false_alarm, setup, own=method, name=name
+            _IMAGES, runs, numbers, metrics, false_alarm, setup, errors, own=method, name=name
         )
 
     def radar(
@@ -166,10 +182,17 @@ class Regression:
         def run(view: int, numbers: Sequence[int]) -> SeedResults:
             return run_radar(captures[view], design, detector, numbers, metrics, accuracy)
 
-        setup = _setup("radar", views[0], poses, design, knobs, seeds, metrics)
+        def errors() -> dict[str, Interval]:
+            def means(other: RadarCapture) -> dict[str, float]:
+                few = range(min(ERROR_SEEDS, seeds))
+                return run_radar(other, design, detector, few, metrics, accuracy).means()
+
+            return of_views([echo_errors(capture, means) for capture in captures])
+
+        setup = _setup("radar", views[0], poses, design, knobs.part(RadarFidelity), seeds, metrics)
         runs = partial(in_turn, run, len(views))
         return self._hold(
-            _ECHOES, runs, numbers, metrics, false_alarm, setup, own=detector, name=name
+            _ECHOES, runs, numbers, metrics, false_alarm, setup, errors, own=detector, name=name
         )
 
     def _hold(
@@ -180,6 +203,7 @@ class Regression:
         metrics: Sequence[Metric],
         false_alarm: float,
         setup: dict[str, Any],
+        errors: _Errors,
         *,
         own: str | Callable[..., Any],
         name: str,
@@ -204,7 +228,15 @@ class Regression:
         if self.reason is not None:
             example = shown.example(outcome)
             self._update(
-                path, known, outcome, metrics, false_alarm, setup, method=method, example=example
+                path,
+                known,
+                outcome,
+                metrics,
+                false_alarm,
+                setup,
+                errors(),
+                method=method,
+                example=example,
             )
             return ()
         if known is None:
@@ -212,10 +244,11 @@ class Regression:
                 f"{path}: no such baseline; make one: {self._remedy('what it is for')}",
                 pytrace=False,
             )
-        # A knob newer than the baseline stood then where it stands by default; one that is gone is
-        # a change of the twin, which its figures are to judge.
-        stood = known.setup.get("fidelity", {})
-        fidelity = {name: stood.get(name, usual) for name, usual in asdict(Fidelity()).items()}
+        # A knob newer than the baseline stood then where `Fidelity` has it, even if another value
+        # is the default now; one that is gone is a change of the twin, which its figures are to
+        # judge. Baselines of earlier versions have the knobs of the other sensor too.
+        stood, usual = known.setup.get("fidelity", {}), Fidelity().said()
+        fidelity = {name: stood.get(name, usual[name]) for name in setup["fidelity"]}
         if other := differences({**known.setup, "fidelity": fidelity}, setup):
             pytest.fail(
                 f"{path}: made with another setup: {'; '.join(other)}; "
@@ -223,11 +256,21 @@ class Regression:
                 pytrace=False,
             )
         views = _n_views(setup)
-        judge = partial(compare, metrics, known.arrays(), outcome.figures, false_alarm, views=views)
-        verdicts = judge(paired=known.records == outcome.records)
+        # On the same records the model's error is the same, and cancels.
+        is_same = known.records == outcome.records
+        judge = partial(
+            compare,
+            metrics,
+            known.arrays(),
+            outcome.figures,
+            false_alarm,
+            views=views,
+            errors=() if is_same else (known.errors(), errors()),
+        )
+        verdicts = judge(paired=is_same)
         failed = sorted({seed for verdict in verdicts for seed in verdict.failed})
         times = repeats(len(seeds), len(metrics), false_alarm)
-        if known.records == outcome.records and not repeated(run, outcome, failed, times):
+        if is_same and not repeated(run, outcome, failed, times):
             self.notes.append(f"{self.node}: {_DRAWS}")
             verdicts = judge(paired=False)
         if any(verdict.worse for verdict in verdicts):
@@ -246,6 +289,7 @@ class Regression:
         metrics: Sequence[Metric],
         false_alarm: float,
         setup: dict[str, Any],
+        errors: Mapping[str, Interval],
         *,
         method: str,
         example: dict[str, Any],
@@ -261,21 +305,19 @@ class Regression:
                     pytrace=False,
                 )
         figures = {n: [rounded(v) for v in values] for n, values in outcome.figures.items()}
-        if known and (known.setup, known.figures, known.records) == (
-            setup,
-            figures,
-            outcome.records,
-        ):
+        model_error = {
+            n: [rounded(e.standard_error), rounded(e.systematic)] for n, e in errors.items()
+        }
+        made = Baseline(setup, figures, outcome.records, example, (), model_error)
+        if known and replace(known, example=example, history=()) == made:
             self.notes.append(f"{path}: as before, left alone")
             return
         views = _n_views(setup)
+        find = partial(smallest_loss, n_metrics=len(metrics), false_alarm=false_alarm, views=views)
         finds = {
-            m.name: float(
-                f"{smallest_loss(m, outcome.figures[m.name], len(metrics), false_alarm, views):.3g}"
-            )
+            m.name: float(f"{find(m, outcome.figures[m.name], error=errors[m.name]):.3g}")
             for m in metrics
         }
-        made = Baseline(setup, figures, outcome.records, example, ())
         entry = {
             "reason": self.reason,
             "method": method,
@@ -318,7 +360,7 @@ def _setup(
     scene: Scene,
     poses: Sequence[Pose],
     design: System | RadarDesign,
-    fidelity: Fidelity,
+    fidelity: LightFidelity | RadarFidelity,
     seeds: int,
     metrics: Sequence[Metric],
 ) -> dict[str, Any]:

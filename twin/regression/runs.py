@@ -47,6 +47,10 @@ class SeedResults:
     results: list[Any]
     records: str
 
+    def means(self) -> dict[str, float]:
+        """Mean figure of each metric."""
+        return {name: float(values.mean()) for name, values in self.figures.items()}
+
 
 def image_method(method: Method) -> Callable[[SpiRecord], Any]:
     """A method as a function from a record to an image, detectors side by side, in electrons.

@@ -32,6 +32,15 @@ equally likely to be either (McNemar's exact test), is told beside.
 Failures of both runs are counted beyond the same limit, and are too many where Boschloo's exact
 test of two proportions gives a p-value of at most 0.2 p/m.
 
+Records of another render, or of another version of the model, differ by the model's own errors too,
+which all seeds share. The tolerance then is wider, in both tests, by
+
+    max(z(1 - 0.8 p/m), 1.96) sqrt(s_1^2 + s_2^2) + b_1 + b_2
+
+with quantiles z of a normal variable, the standard errors s of the mean before and after and the
+bounds b of what was left out, so that what lies within both intervals is no loss. The probability
+of false alarms stays as stated.
+
 Whether the method repeats itself is asked of the seeds that failed, each run `repeats` times anew.
 Where all of them give the same again, r times, runs pair. A method that fails at random, with any
 probability q up to a half, passes for one that repeats itself with probability 0.2 p/m at most: of
@@ -48,6 +57,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.accuracy import Interval
+from twin.accuracy.interval import TWO_SIDED_95
 from twin.errors import InputError
 from twin.regression.metrics import Metric
 
@@ -71,6 +82,7 @@ class Verdict:
     ``finds``: the smallest loss that would be found with `POWER` at this scatter. ``failed``: seeds
     that are worse by themselves, enough of them to fail the test, and ``chance`` the p-value of
     their number; ``no_number``: seeds whose figure is none, of which nothing can be compared.
+    ``model_error``: what the errors of both models may change, on top of ``tolerance``.
     """
 
     metric: Metric
@@ -84,16 +96,22 @@ class Verdict:
     failed: tuple[int, ...] = ()
     chance: float = 1.0
     no_number: tuple[int, ...] = ()
+    model_error: float = 0.0
+
+    @property
+    def allowed(self) -> float:
+        """Loss that is none: the tolerance, and what the model may be off by."""
+        return self.tolerance + self.model_error
 
     @property
     def worse(self) -> bool:
-        """Whether the loss is real and above the tolerance, in the mean or of single seeds."""
-        return bool(self.failed) or not self.low <= self.tolerance  # one that is no number is
+        """Whether the loss is real and above what is allowed, in the mean or of single seeds."""
+        return bool(self.failed) or not self.low <= self.allowed  # one that is no number is
 
     @property
     def better(self) -> bool:
-        """Whether it gained more than the tolerance."""
-        return self.high < -self.tolerance and not self.worse
+        """Whether it gained more than that."""
+        return self.high < -self.allowed and not self.worse
 
     def __str__(self) -> str:
         if self.no_number:
@@ -102,10 +120,18 @@ class Verdict:
         word = "WORSE" if self.worse else "better" if self.better else "same"
         return (
             f"{self.metric.name}: {self.before:.6g} before, {self.after:.6g} after: loss "
-            f"{self.loss:.3g}{unit} (at least {self.low:.3g}, tolerance {self.tolerance:.3g}; "
-            f"finds {self.finds:.2g} with {POWER:.0%} power): {word}{_at(self.failed)}"
+            f"{self.loss:.3g}{unit} (at least {self.low:.3g}, tolerance {self.tolerance:.3g}"
+            f"{self._of_models()}; finds {self.finds:.2g} with {POWER:.0%} power): "
+            f"{word}{_at(self.failed)}"
             + (f" (p = {self.chance:.2g} by chance)" if self.failed else "")
         )
+
+    def _of_models(self) -> str:
+        if not self.model_error:
+            return ""
+        within = self.tolerance < self.low <= self.allowed
+        so = ", which explain the loss" if within and not self.failed else ""
+        return f" and {self.model_error:.3g} for errors of both models, as records differ{so}"
 
 
 def _at(seeds: tuple[int, ...]) -> str:
@@ -123,6 +149,7 @@ def compare(
     *,
     paired: bool = False,
     views: int = 1,
+    errors: Sequence[Mapping[str, Interval]] = (),
 ) -> tuple[Verdict, ...]:
     """A verdict for each metric.
 
@@ -136,6 +163,8 @@ def compare(
         Whether both runs had the same records, seed by seed, of a method that repeats itself.
     views
         Seed i is of view i modulo this number.
+    errors
+        Mean figures with the model's errors, before and after, by metric, where records differ.
 
     Raises InputError for fewer than two seeds of a view, numbers of seeds that differ, no metrics,
     or a probability that is none.
@@ -145,26 +174,47 @@ def compare(
     if not 0 < false_alarm < 1:
         raise InputError(f"false_alarm: {false_alarm} is not between 0 and 1")
     each = false_alarm / len(metrics)
-    return tuple(_verdict(m, before[m.name], after[m.name], each, paired, views) for m in metrics)
-
-
-def smallest_loss(
-    metric: Metric, figures: Array, n_metrics: int, false_alarm: float, views: int = 1
-) -> float:
-    """Loss found with `POWER` when draws do not pair: each run scatters for itself."""
-    n, within = len(figures), figures - _usual(figures, views, np.mean)
-    apart = np.sqrt(2 * (within @ within) / (n - views) / n)
-    return _tolerance(metric, figures) + float(
-        apart
-        * (
-            _quantile(1 - _OF_MEAN * false_alarm / n_metrics, n - views)
-            + _quantile(POWER, n - views)
+    return tuple(
+        _verdict(
+            m,
+            before[m.name],
+            after[m.name],
+            each,
+            paired,
+            views,
+            [of_model[m.name] for of_model in errors],
         )
+        for m in metrics
     )
 
 
+def smallest_loss(
+    metric: Metric,
+    figures: Array,
+    n_metrics: int,
+    false_alarm: float,
+    views: int = 1,
+    error: Interval | None = None,
+) -> float:
+    """Loss found with `POWER` when draws do not pair: each run scatters for itself, and its model
+    has this ``error``.
+    """
+    n, within = len(figures), figures - _usual(figures, views, np.mean)
+    apart = np.sqrt(2 * (within @ within) / (n - views) / n)
+    each = _OF_MEAN * false_alarm / n_metrics
+    sure, of_models = _quantile(1 - each, n - views), _of_models([error] * 2 if error else [], each)
+    found = float(apart) * (sure + _quantile(POWER, n - views))
+    return _tolerance(metric, figures) + of_models + found
+
+
 def _verdict(
-    metric: Metric, before: Array, after: Array, false_alarm: float, paired: bool, views: int
+    metric: Metric,
+    before: Array,
+    after: Array,
+    false_alarm: float,
+    paired: bool,
+    views: int,
+    errors: Sequence[Interval],
 ) -> Verdict:
     before, after = np.asarray(before, float), np.asarray(after, float)
     n = len(before)
@@ -187,11 +237,31 @@ def _verdict(
     within = loss - _usual(loss, views, np.mean)
     mean, error = float(loss.mean()), float(np.sqrt(within @ within / free / n))
     reach = _quantile(1 - _OF_MEAN * false_alarm, free) * error
-    finds = tolerance + reach + _quantile(POWER, free) * error
+    of_models = _of_models(errors, _OF_MEAN * false_alarm)
+    allowed = tolerance + of_models
+    finds = allowed + reach + _quantile(POWER, free) * error
     single = (1 - _OF_MEAN) * false_alarm
-    failed, chance = _failed(sign * before, sign * after, tolerance, single, paired, views)
+    failed, chance = _failed(sign * before, sign * after, allowed, single, paired, views)
     high = np.inf if metric.either_way else mean + reach  # no change of it is a gain
-    return Verdict(metric, *ends, mean, mean - reach, high, tolerance, finds, failed, chance)
+    return Verdict(
+        metric,
+        *ends,
+        mean,
+        mean - reach,
+        high,
+        tolerance,
+        finds,
+        failed,
+        chance,
+        model_error=of_models,
+    )
+
+
+def _of_models(errors: Sequence[Interval], false_alarm: float) -> float:
+    """What errors of models change a figure by at most, with all but this probability."""
+    sure = _quantile(1 - false_alarm, np.inf)
+    statistical = float(np.linalg.norm([error.standard_error for error in errors]))
+    return max(sure, TWO_SIDED_95) * statistical + sum(error.systematic for error in errors)
 
 
 def _failed(
@@ -264,7 +334,7 @@ def _outlier(false_alarm: float, n: int) -> float:
 
 
 @lru_cache(maxsize=64)
-def _quantile(probability: float, free: int) -> float:
+def _quantile(probability: float, free: float) -> float:
     from scipy.stats import t
 
     return float(t.ppf(probability, free))
