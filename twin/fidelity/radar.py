@@ -82,7 +82,7 @@ class RadarFidelity(Knobs):
         the radar the echo is off by 1 to 3 times the tolerance, and is warned of.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
-        trihedral needs 3. None: of every body as many, up to 8, as may add more than a tenth of
+        trihedral needs 3. None: of every body as many, up to 6, as may add more than a tenth of
         `radar_tolerance` to its echo, as a coarse pass bounds it (`Propagation.decisions`).
     radar_images
         Reflections at large surfaces on the way to an object, and as many back. None: up to 2, of
@@ -94,8 +94,8 @@ class RadarFidelity(Knobs):
         small bodies with edges are off by 10 dB, mean over all angles (the Austin plates). Where
         pieces are longer than an eighth of a wavelength, the band's edges suffer first. On the
         street 250 000 more contributions, and 1 s more to find them. None: edges of those bodies to
-        whose echo they may add more than a tenth of `radar_tolerance`, in pieces of an eighth of
-        a wavelength.
+        whose echo they may add more than a tenth of `radar_tolerance`, in pieces of a wavelength,
+        from 0.1 of that down to 0.0125 shorter ones, to an eighth.
     radar_shadow_db
         Depth to which shadows of obstacles are computed on the way to a declared target: what comes
         round an edge, one way, fainter than this beside the straight wave is lost. 0: shadows

@@ -175,7 +175,7 @@ def _reflections(
     knobs = {"bounces": fidelity.radar_bounces, "images": fidelity.radar_images}
     kinds = [kind for kind, knob in knobs.items() if knob is None]
     decisions = on_reflections(choice, kinds, levels.names, level, levels.permitted)
-    return decisions, (choice.left_out.bounces + choice.left_out.images) / level
+    return decisions, choice.left_out.sum / level
 
 
 @dataclass(frozen=True, eq=False)

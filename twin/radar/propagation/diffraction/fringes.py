@@ -79,12 +79,16 @@ def _edges_of(
 
 
 def edge_echoes(
-    context: TracingContext, bodies: Sequence[Sharp], wavelength_m: float, most: int
+    context: TracingContext,
+    bodies: Sequence[Sharp],
+    wavelength_m: float,
+    most: int,
+    pieces_per_wavelength: float,
 ) -> tuple[Contributions, float]:
     """Contributions of all edges, without gains, and how many times longer than asked for pieces
-    are: with every image, about ``most`` at most.
+    are: ``pieces_per_wavelength``, and with every image about ``most`` at most.
     """
-    wanted_m = wavelength_m / _QUALITY.pieces_per_wavelength
+    wanted_m = wavelength_m / pieces_per_wavelength
     total = sum(float(body.edges.length_m.sum()) for body in bodies)
     longest = max(wanted_m, context.n_sources * total / most)
     contributions = []

@@ -57,6 +57,14 @@ LEAST_FALL = 1.05
 _SMALL_M = 0.02  # footprints, of which the rays to four points tell whether any part is seen
 #: Each effect that is left out may change a body's echo by so much.
 OF_TOLERANCE = 0.1
+#: Both kinds of reflections together, where levels turn out to be lower than the coarse pass found.
+_OF_ALL_REFLECTIONS = 0.5
+#: Where bounds decide, roots are not divided for the sake of paths of more reflections at bodies,
+#: which would take as long again as all else, ...
+_DIVIDED_BOUNCES = 3
+#: ... where the errors of these, of a body's roots of one size, are no more than so many tolerances
+#: together. They count in its estimated error, which warns from six tolerances on.
+_DEEP_ERROR = 2.0
 
 
 def scattered_by(
@@ -151,11 +159,10 @@ def scattered_by(
     budget.earlier_spacing_m = (valid and valid.spacing_m[0]) or None
     parts = search.leaves(whole, tubes, budget, _DEEPEST)
     for _ in range(_MOST_PASSES):
-        further = tally and tally.limits(budget.level)
         again = budget.renewed()
-        if further and search.limits and not further <= search.limits:
+        if tally and search.limits and _leaves_out_too_much(tally, search.limits, budget):
             # Levels have fallen, so that more reflections count.
-            search = search.within(further | search.limits)
+            search = search.within(tally.limits(budget.level) | search.limits)
             whole, tubes = search.part_of(*found)
             again = again or budget.another()
         if again is None:
@@ -191,6 +198,15 @@ def scattered_by(
     )
 
 
+def _leaves_out_too_much(tally: Tally, limits: Limits, budget: Budget) -> bool:
+    """Whether limits leave out more of a body's echo than further reflections may add, and there
+    are more that were followed.
+    """
+    most = _OF_ALL_REFLECTIONS * budget.tolerance * budget.level
+    exceeds = tally.left_out(limits).sum > most
+    return bool(exceeds.any()) and not tally.limits(budget.level) <= limits
+
+
 def _choice(
     tally: Tally | None, limits: Limits | None, budget: Budget, valid: Valid | None
 ) -> Choice | None:
@@ -207,6 +223,11 @@ def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
     echo, echoes = leaves.weight * leaves.echoes.total, leaves.echoes
     faint = budget.negligible(leaves.body, echo, echoes.strength, echoes.length_m, is_seen=True)
     return leaves.take(np.flatnonzero(~faint))
+
+
+def _is_deep(lit: Triangles) -> NDArray[np.bool_]:
+    is_deep: NDArray[np.bool_] = lit.bounces > _DIVIDED_BOUNCES
+    return is_deep
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,6 +404,16 @@ class _Search:
             roots = split_in_four(self.context, roots)
         return roots
 
+    def _may_stay_coarse(self, parts: Sequence["_TubeEchoes"], budget: Budget) -> NDArray[np.bool_]:
+        """Bodies of whose paths of many reflections the errors are small enough, (n_bodies,)."""
+        if not self.by_bounds:
+            return np.zeros(len(budget.level), dtype=bool)
+        square = np.zeros(len(budget.level))
+        for part in parts:
+            square += np.bincount(part.lit.body, part.error**2 * _is_deep(part.lit), len(square))
+        coarse: NDArray[np.bool_] = np.sqrt(square) <= _DEEP_ERROR * budget.tolerance * budget.level
+        return coarse
+
     def _lit_by_tubes(
         self, tubes: "_RootTubes", budget: Budget, deepest: int
     ) -> tuple[Triangles, Echoes] | None:
@@ -395,8 +426,10 @@ class _Search:
         depth = 0
         while root_tubes is not None:
             roots, square = root_tubes.roots, np.zeros(len(root_tubes.roots))
+            coarse = self._may_stay_coarse(root_tubes.echoes, budget)
             for part in root_tubes.echoes:
                 share = part.error / budget.allowed(part.lit.body)
+                share[_is_deep(part.lit) & coarse[part.lit.body]] = 0.0
                 square += np.bincount(part.root, share**2, len(roots))
             error = np.sqrt(square) * budget.allowed(roots.body)
             done = budget.affordable(roots.body, error, _PER_LEVEL)

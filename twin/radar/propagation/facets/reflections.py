@@ -23,7 +23,7 @@ Counts = NDArray[np.intp]
 
 #: Reflections at bodies that the coarse pass follows. Rays caught between touching objects go on
 #: for ever; on the yard's car the fourth to sixth add 2 %, all later ones 0.1 %.
-MOST_BOUNCES = 8
+MOST_BOUNCES = 6
 MOST_IMAGES = 2  # reflections at large surfaces, on the way out and back each
 _SURE = 3.0  # over the root of the sum of squares of errors, as of a body's estimated error
 _FAINT = 0.5  # of what is permitted: bound of what the coarse pass leaves out as faint
@@ -57,6 +57,11 @@ class Bounds:
 
     bounces: Array
     images: Array
+
+    @property
+    def sum(self) -> Array:
+        """Of both."""
+        return self.bounces + self.images
 
     def __add__(self, other: "Bounds") -> "Bounds":
         """Of both together."""
@@ -157,8 +162,8 @@ class Tally:
         last ones, as a ``fine`` pass found it.
         """
         fewer = Limits(limits.bounces - 1, limits.images - 1)
-        beyond = fine._left_out(Limits(*(n - 1 for n in (limits.bounces, limits.images))))
-        left_out = self._left_out(limits)
+        beyond = fine.left_out(Limits(*(n - 1 for n in (limits.bounces, limits.images))))
+        left_out = self.left_out(limits)
         _, bounces, _ = self._shape
         return Choice(
             limits,
@@ -166,10 +171,10 @@ class Tally:
                 np.where(limits.bounces < bounces, left_out.bounces, beyond.bounces),
                 np.where(limits.images < MOST_IMAGES, left_out.images, beyond.images),
             ),
-            self._left_out(fewer),
+            self.left_out(fewer),
         )
 
-    def _left_out(self, limits: Limits) -> Bounds:
+    def left_out(self, limits: Limits) -> Bounds:
         """Bounds of what limits leave out of the reflections that were followed."""
         bodies, bounces, orders = self._shape
         of_bounces, of_images = np.zeros(bodies), np.zeros(bodies)
