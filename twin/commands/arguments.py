@@ -65,7 +65,7 @@ def knobs_asked(
     bandwidth_hz = radar.total_bandwidth_hz if radar else None
     if within is None:
         asked = None if tolerance is None else Tolerance.of(tolerance)
-        return knobs_of(fidelity or asked, bandwidth_hz)
+        return knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
     return knobs_within(load, system, radar, within)
 
 

@@ -126,12 +126,12 @@ def trade(
     system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
     radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
     tolerance: Annotated[
-        float,
+        float | None,
         typer.Option(
-            help="Error that counts as unseen, over the sensor's own noise.",
+            help="Error that counts as unseen, over the sensor's own noise; default 0.2.",
             parser=quantity_of(None),
         ),
-    ] = 0.2,
+    ] = None,
     within: WithinOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
     out: Annotated[
@@ -142,14 +142,19 @@ def trade(
     """Measure time, memory and error of every fidelity level on a scene, and choose one."""
     from rich.console import Console
 
+    from twin.errors import InputError
+    from twin.fidelity import Tolerance
     from twin.trade import run_trade
     from twin.trade.report import print_trade
 
+    if tolerance is not None and within is not None:
+        raise InputError("--tolerance, --within: expected one of them")
+    asked = Tolerance() if tolerance is None else Tolerance(tolerance)
     found, folder = run_trade(
         scene,
         system,
         radar=None if radar == "none" else radar,
-        tolerance=tolerance,
+        tolerance=asked.noise_share,
         within_s=within,
         seed=seed,
         out=out,

@@ -10,8 +10,15 @@ from twin.fidelity.presets import PRESETS, Fidelity
 
 #: Of the sensor's own noise: an error of a fifth adds 4 % to its power, 0.17 dB.
 DEFAULT_SHARE = 0.2
-_LIGHT_PER_NOISE = (1e-4, 10.0)
+#: Of an echo, relative to itself.
 _RADAR = (1e-3, 1.0)
+_LIMITS = {
+    "noise_share": (1e-4, 10.0),
+    "cell_share": (1e-5, 1.0),
+    "echo_db": (20 * math.log10(1 + _RADAR[0]), 20 * math.log10(1 + _RADAR[1])),
+    "distance_m": (0.0, math.inf),
+}
+_EXPECTED = 'expected a share of the noise (0.2), "1 %" of a cell, "0.5 dB" of an echo or "2 mm"'
 _SPEED_OF_LIGHT = 299_792_458.0
 
 
@@ -28,7 +35,7 @@ class Tolerance:
         would take hours; 0.001 at least, 1 at most. Reflections are followed as far as bounds of
         what further ones add ask for, and edges diffract where a bound says that they count.
     echo_db
-        Of the level of a body's echo, in place of its share.
+        Of the level of a body's echo, in place of its share; 0.0087 to 6 dB.
     cell_share
         Of the light of each cell, or of the cells' mean where that is more, in place of a share of
         the noise; 1e-5 to 1.
@@ -49,15 +56,13 @@ class Tolerance:
     distance_m: float | None = None
 
     def __post_init__(self) -> None:
-        low, high = _LIGHT_PER_NOISE
-        if not is_number(self.noise_share) or not low <= self.noise_share <= high:
-            raise InputError(
-                f"tolerance: noise_share: {self.noise_share!r:.60} is not in {low:g} to {high:g}"
-            )
-        for name in ("cell_share", "echo_db", "distance_m"):
+        for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
-            if value is not None and not (is_number(value) and 0 < value < math.inf):
-                raise InputError(f"tolerance: {name}: {value!r:.60} is not above 0")
+            if value is None and name != "noise_share":
+                continue
+            if not is_number(value) or not low <= value <= high or value in (0, math.inf):
+                within = f"in {low:.3g} to {high:.3g}" if high < math.inf else "above 0"
+                raise InputError(f"tolerance: {name}: {value!r:.60} is not {within}")
 
     @classmethod
     def of(cls, text: str) -> "Tolerance":
@@ -69,15 +74,18 @@ class Tolerance:
         >>> Tolerance.of("2 mm").distance_m
         0.002
         """
+        if not isinstance(text, str):
+            raise InputError(f"tolerance: {text!r:.60} is no text; {_EXPECTED}")
         given: dict[str, float] = {}
         for item in text.split(","):
             name, unit = _meant(item.strip())
-            if name in given:
-                raise InputError(f"tolerance: {text!r:.60}: {name} twice")
             try:
-                given[name] = quantity(item.strip(), unit, bare=unit is None)
-            except InputError as error:
-                raise InputError(f"tolerance: {item.strip()!r:.60}: {error}") from None
+                value = quantity(item.strip(), unit, bare=unit is None)
+            except InputError:
+                raise InputError(f"tolerance: {text!r:.60}: {_EXPECTED}") from None
+            if name in given:
+                raise InputError(f"tolerance: {text!r:.60}: {name} twice; {_EXPECTED}")
+            given[name] = value
         return cls(**given)
 
     def __str__(self) -> str:

@@ -54,6 +54,8 @@ def _of_elements(grid: CellGrid, detector: Device, corners: tuple[Array, Array])
 
 def contrast(light: Array) -> Array:
     """Largest difference of light (rows, columns) among the cells around each, (n_cells,): what an
-    edge that just enters a cell may bring or take.
+    edge that just enters a cell may bring or take. Outside the image it is dark: the edge of the
+    detector's field may run through the cells there.
     """
-    return np.asarray((maximum_filter(light, 3) - minimum_filter(light, 3)).ravel())
+    brightest, darkest = maximum_filter(light, 3), minimum_filter(light, 3, mode="constant")
+    return np.asarray((brightest - darkest).ravel())

@@ -1,13 +1,16 @@
 """The smallest tolerance whose frames a time allows on this machine."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hardware.units import quantity
 from twin.camera import capture
 from twin.errors import InputError
-from twin.fidelity import Fidelity, RadarFidelity, Tolerance
+from twin.fidelity import DEFAULT, Fidelity
+from twin.fidelity.knobs import is_number
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.scene import Scene, load_scene
 from twin.scene.mitsuba import mitsuba_scene
@@ -17,11 +20,13 @@ from twin.system import System, load_system
 _SHARES = tuple(2.0 / 2**step for step in range(10))
 #: Of a frame's time from one tolerance to its half at least, before two have been measured.
 _LEAST_GROWTH = 1.1
+#: Of what a frame may take, what one may measure: frames scatter.
+_OF_LIMIT = 0.8
 
 
 @dataclass(frozen=True)
 class TimedShare:
-    """What a sensor's frame takes at a tolerance, a share of the sensor's noise."""
+    """What a sensor's frame takes at most at a tolerance, a share of the sensor's noise."""
 
     noise_share: float
     frame_s: float
@@ -45,33 +50,37 @@ class TimedFidelity:
 
 def fidelity_within(
     scene: str | Path | Scene,
-    frame_s: float,
+    frame_s: float | str,
     *,
     system: str | Path | System | None = "workable",
     radar: str | Path | RadarDesign | None = "hybrid-79",
     seed: int = 0,
 ) -> TimedFidelity:
     """The smallest tolerance at which a frame takes no longer than ``frame_s`` on this machine,
-    for the camera and the radar each; from 2 of the sensor's noise down to 0.004.
+    a number or text with a unit, for the camera and the radar each; from 2 of the sensor's noise
+    down to 0.004. What else the radar models, such as its bounces, is as by default.
 
     A frame is all from the scene to the counts, once kernels are compiled and the scene is loaded.
     It is measured, so what is chosen differs between machines and may differ between runs; results
-    depend on what was chosen alone. Choosing takes about twice ``frame_s`` beside the first frame.
+    depend on what was chosen alone. Choosing takes some times ``frame_s``.
 
     Raises InputError where a frame takes longer at the largest tolerance already.
     """
-    if not 0 < frame_s < float("inf"):
-        raise InputError(f"within: {frame_s:g} s is not above 0")
+    limit_s = _seconds(frame_s)
+    if system is None and radar is None:
+        raise InputError("system, radar: both are none, expected at least one of them")
+    if not isinstance(seed, int) or seed < 0:
+        raise InputError(f"seed: {seed!r:.60}: expected a whole number from 0")
     world = scene if isinstance(scene, Scene) else load_scene(scene)
     camera = echoes = None
-    knobs = Tolerance().knobs()
+    knobs = DEFAULT
     if system is not None:
         sensor, rendered = load_system(system), mitsuba_scene(world)
 
         def image(fidelity: Fidelity) -> object:
             return capture(world, sensor, seed=seed, fidelity=fidelity, mesh_scene=rendered)
 
-        camera = finest("camera", image, frame_s, None)
+        camera = finest("camera", image, limit_s)
         knobs = replace(knobs, light_tolerance=camera.noise_share)
     if radar is not None:
         design = load_radar(radar)
@@ -79,23 +88,27 @@ def fidelity_within(
         def burst(fidelity: Fidelity) -> object:
             return radar_capture(world, design, seed=seed, fidelity=fidelity)
 
-        echoes = finest("radar", burst, frame_s, design.total_bandwidth_hz)
-        found = Tolerance(echoes.noise_share).knobs(design.total_bandwidth_hz)
-        knobs = knobs.with_(found.part(RadarFidelity).said())
+        echoes = finest("radar", burst, limit_s)
+        knobs = replace(knobs, radar_tolerance=echoes.noise_share / 2)
     return TimedFidelity(knobs, camera, echoes)
 
 
-def finest(
-    sensor: str, frame: Callable[[Fidelity], object], limit_s: float, bandwidth_hz: float | None
-) -> TimedShare:
+def _seconds(frame_s: float | str) -> float:
+    value = quantity(frame_s, "s", bare=True) if isinstance(frame_s, str) else frame_s
+    if not is_number(value) or not 0 < value < math.inf:
+        raise InputError(f"within: {value!r:.60}: expected a time above 0 s")
+    return float(value)
+
+
+def finest(sensor: str, frame: Callable[[Fidelity], object], limit_s: float) -> TimedShare:
     """The last of the tolerances that stays within the limit, as far as the next ones are worth
     trying: a frame takes the longer, the smaller the tolerance.
     """
 
     def timed(share: float) -> TimedShare:
         start = time.perf_counter()
-        frame(Tolerance(share).knobs(bandwidth_hz))
-        return TimedShare(share, time.perf_counter() - start)
+        frame(replace(DEFAULT, light_tolerance=share, radar_tolerance=share / 2))
+        return TimedShare(share, (time.perf_counter() - start) / _OF_LIMIT)
 
     timed(_SHARES[0])  # compiles
     best = timed(_SHARES[0])

@@ -91,7 +91,13 @@ def echoes(
         Contributions.concatenate([paths, diffuse, surfaces]),
         names,
         roles=tuple(roles),
-        assumptions=(*prepared.assumptions, *edges.remarks, *on_clutter, *unconverged(bodies)),
+        assumptions=(
+            *prepared.assumptions,
+            *edges.remarks,
+            *on_clutter,
+            *_unbounded(fidelity),
+            *unconverged(bodies),
+        ),
         heard=_heard(Contributions.concatenate([surfaces, diffuse]), prepared, radar),
         warnings=silent_objects(scene, radar, roles),
         objects=tuple(item.name for item in prepared.items),
@@ -130,6 +136,19 @@ class _Levels:
 
 #: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
 _Decided = tuple[tuple[Decision, ...], Array]
+
+
+def _unbounded(fidelity: Fidelity) -> tuple[str, ...]:
+    """What fixed knobs leave out, without a bound."""
+    left_out = {
+        f"more than {fidelity.radar_bounces} bounces": fidelity.radar_bounces,
+        f"images beyond order {fidelity.radar_images}": fidelity.radar_images,
+        "sharp edges": None if fidelity.radar_edges else fidelity.radar_edges,
+    }
+    told = [effect for effect, fixed in left_out.items() if fixed is not None]
+    if not told:
+        return ()
+    return (f"stated errors do not hold what {', '.join(told)} add: a tolerance bounds it",)
 
 
 def _levels(
