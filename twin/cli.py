@@ -45,8 +45,8 @@ def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
     from twin.errors import TwinError
 
-    if not faulthandler.is_enabled():
-        faulthandler.enable()  # says where in the twin a library crashed
+    if sys.__stderr__ and not faulthandler.is_enabled():
+        faulthandler.enable(sys.__stderr__)  # says where in the twin a library crashed
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
     try:

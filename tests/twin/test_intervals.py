@@ -74,7 +74,7 @@ def test_a_figure_is_valid_json_whatever_its_value() -> None:
         "of": ["workable", "lmmse"],
         "name": "PSNR",
         "unit": "dB",
-        "value": "inf",
+        "value": None,
         "standard_error": 0.1,
-        "systematic": "nan",
+        "systematic": None,
     }

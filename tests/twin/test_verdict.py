@@ -365,7 +365,7 @@ def test_what_fog_does_to_distances_is_told(
             "[emitter]", f"[emitter]\nradiant_intensity_w_per_sr = {intensity}"
         )
         path.write_text(strong + "[time_of_flight]\n" + shutters)
-        found = capture(scene, load_system(path), seed=1)
+        found = capture(scene, load_system(path), seed=1, fidelity="standard")
         told = [w for w in found.warnings if "backscatter is" in w]
         if not visibility_m:
             assert found.range_error is None

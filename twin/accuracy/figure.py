@@ -32,7 +32,7 @@ class Figure:
     interval: Interval
 
     def entry(self) -> dict[str, Any]:
-        """Ready for JSON: what is infinite or no number is text."""
+        """Ready for JSON: null where there is no number, no end or no bound."""
         return {
             "of": list(self.of),
             "name": self.name,
@@ -46,5 +46,5 @@ class Figure:
         return f"{': '.join((*self.of, self.name))}: {self.interval.text(self.unit)}"
 
 
-def _number(value: float) -> float | str:
-    return float(value) if math.isfinite(value) else str(float(value))
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

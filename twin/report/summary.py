@@ -25,7 +25,7 @@ def write_summary(
     """Write ``summary.json``.
 
     Its ``figures`` have ``of`` (system or radar, then object or method), ``name``, ``unit``,
-    ``value``, ``standard_error`` and ``systematic``, numbers that are none or infinite as text; its
+    ``value``, ``standard_error`` and ``systematic``, null where nothing bounds them; its
     ``decisions`` are effects that were modelled or left out, with the bounds that decided.
     """
     figures = [figure for evaluation in evaluations for figure in camera_figures(evaluation)]
@@ -163,9 +163,9 @@ def _detected(evaluation: RadarEvaluation) -> Iterator[Figure]:
 
 
 def _finite(entry: dict[str, object]) -> dict[str, object]:
-    """Numbers that are none or infinite as text."""
+    """Null for numbers that are none or infinite."""
     return {
-        name: str(value) if isinstance(value, float) and not np.isfinite(value) else value
+        name: None if isinstance(value, float) and not np.isfinite(value) else value
         for name, value in entry.items()
     }
 
