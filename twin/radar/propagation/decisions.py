@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from twin.accuracy import Decision
 from twin.radar.propagation.facets.convergence import label_of
-from twin.radar.propagation.facets.reflections import Choice
+from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.scene.culling import OF_NOISE
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def on_edges(
 
 
 def on_reflections(
-    choice: Choice,
+    choice: ReflectionChoice,
     kinds: Sequence[str],
     objects: Sequence[tuple[str, ...]],
     level: Array,

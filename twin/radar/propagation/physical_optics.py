@@ -15,7 +15,7 @@ from twin.radar.propagation.diffraction.edge_bounds import edge_bound
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
-from twin.radar.propagation.facets.reflections import Choice
+from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.validity import still_valid
 from twin.radar.propagation.meshes.grouping import bodies_of
@@ -55,7 +55,7 @@ class Scattered:
     contributions: Contributions
     body: NDArray[np.int32]
     error: Array
-    choice: Choice | None = None
+    choice: ReflectionChoice | None = None
     traced: TracedFrame | None = None
     reused_share: float = 0.0
 

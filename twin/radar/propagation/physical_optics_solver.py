@@ -23,7 +23,7 @@ from twin.radar.propagation.facets.convergence import (
     unconverged,
 )
 from twin.radar.propagation.facets.earlier import TracedFrame
-from twin.radar.propagation.facets.reflections import MOST_IMAGES, Choice
+from twin.radar.propagation.facets.reflections import MOST_IMAGES, ReflectionChoice
 from twin.radar.propagation.physical_optics import (
     Scattered,
     at_antenna,
@@ -185,7 +185,7 @@ def _on_faint_bodies(
 
 
 def _reflections(
-    levels: _Levels, fidelity: Fidelity, choice: Choice | None, radar: RadarDesign
+    levels: _Levels, fidelity: Fidelity, choice: ReflectionChoice | None, radar: RadarDesign
 ) -> _Decided:
     """What was decided on further reflections."""
     if choice is None:

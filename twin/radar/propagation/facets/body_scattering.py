@@ -25,8 +25,8 @@ from twin.radar.propagation.facets.front_facets import (
 from twin.radar.propagation.facets.reflection_candidates import reflection_candidates
 from twin.radar.propagation.facets.reflections import (
     MOST_BOUNCES,
-    Choice,
     Limits,
+    ReflectionChoice,
     Tally,
 )
 from twin.radar.propagation.facets.scatterers import Scatterers
@@ -209,7 +209,7 @@ def _leaves_out_too_much(tally: Tally, limits: Limits, budget: Budget) -> bool:
 
 def _choice(
     tally: Tally | None, limits: Limits | None, budget: Budget, valid: Valid | None
-) -> Choice | None:
+) -> ReflectionChoice | None:
     """What limits leave out, of an earlier frame's echoes that are reused, too."""
     if tally is None or limits is None or budget.tally is None:
         return None

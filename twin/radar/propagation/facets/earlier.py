@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.errors import InputError
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.adaptive_subdivision import Leaves
-from twin.radar.propagation.facets.reflections import Choice
+from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import origin_of
 from twin.radar.propagation.facets.tubes import Tubes
@@ -185,7 +185,7 @@ class TracedEchoes:
     footprints: tuple[Footprints, ...]
     spacing_m: tuple[float, float]
     n_reused: int = 0
-    choice: Choice | None = None
+    choice: ReflectionChoice | None = None
 
 
 @dataclass(frozen=True, eq=False)

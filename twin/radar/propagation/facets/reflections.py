@@ -76,7 +76,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class ReflectionChoice:
     """Reflections that are computed, and the bounds of what is ``left_out`` beyond these, and of
     what would be ``without`` the last of them as well.
     """
@@ -157,7 +157,7 @@ class Tally:
         fine.faintest = np.inf
         return fine
 
-    def choice(self, limits: Limits, fine: "Tally") -> Choice:
+    def choice(self, limits: Limits, fine: "Tally") -> ReflectionChoice:
         """What limits leave out. Of more reflections than were followed that is the bound of the
         last ones, as a ``fine`` pass found it.
         """
@@ -165,7 +165,7 @@ class Tally:
         beyond = fine.left_out(Limits(*(n - 1 for n in (limits.bounces, limits.images))))
         left_out = self.left_out(limits)
         _, bounces, _ = self._shape
-        return Choice(
+        return ReflectionChoice(
             limits,
             Bounds(
                 np.where(limits.bounces < bounces, left_out.bounces, beyond.bounces),
