@@ -143,18 +143,17 @@ def trade(
     from rich.console import Console
 
     from twin.errors import InputError
-    from twin.fidelity import Tolerance
+    from twin.fidelity import DEFAULT_SHARE
     from twin.trade import run_trade
     from twin.trade.report import print_trade
 
     if tolerance is not None and within is not None:
         raise InputError("--tolerance, --within: expected one of them")
-    asked = Tolerance() if tolerance is None else Tolerance(tolerance)
     found, folder = run_trade(
         scene,
         system,
         radar=None if radar == "none" else radar,
-        tolerance=asked.noise_share,
+        tolerance=DEFAULT_SHARE if tolerance is None else tolerance,
         within_s=within,
         seed=seed,
         out=out,
