@@ -247,8 +247,6 @@ def test_messages_name_what_is_wrong_in_words_of_files(tmp_path) -> None:
         WORKABLE.optics.f_number.model_copy(update={"value": "x"})
     told = r"scene\.rig\.x_m = array\(\[ ?1\.\]\): expected a number"
     with pytest.raises(InputError, match=told):
-        InputError, match=r"scene\.rig\.x_m = array\(\[ ?1\.\]\): expected a number"
-    ):
         load_scene("table1").with_({"rig.x_m": np.array([1.0])})
 
 
