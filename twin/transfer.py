@@ -14,11 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ALIGNMENT = 64  # bytes: what Dr.Jit's own arrays have
+#: Bytes beyond the end that a kernel may read, where no memory need be: Dr.Jit takes the memory of
+#: arrays of NumPy as it is, and reads vectors of up to 16 numbers of 8 bytes.
+_BEYOND = 16 * 8
 
 
 def aligned(values: NDArray[Any]) -> NDArray[Any]:
-    """A flat copy where the engine's arrays begin, to be handed over element by element."""
-    room = np.empty(values.nbytes + _ALIGNMENT, dtype=np.uint8)
+    """A flat copy where the engine's arrays begin, with memory behind it for the last vector of a
+    kernel, to be handed over element by element.
+    """
+    room = np.empty(values.nbytes + _ALIGNMENT + _BEYOND, dtype=np.uint8)
     start = -room.ctypes.data % _ALIGNMENT
     copy = room[start : start + values.nbytes].view(values.dtype)
     copy[:] = values.ravel()

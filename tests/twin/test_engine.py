@@ -13,6 +13,7 @@ from twin.camera.truth import Truth, write_truth
 from twin.engine import EngineError, ensure_llvm, llvm_version
 from twin.errors import InputError
 from twin.scene import load_scene
+from twin.transfer import aligned
 
 OLD = sorted(
     path
@@ -176,3 +177,19 @@ def test_a_texture_that_is_no_picture_is_told(tmp_path: Path) -> None:
     _textured(tmp_path)
     with pytest.raises(InputError, match=r"t\.exr: texture of channels albedo, depth"):
         load_scene(tmp_path / "s.xml")
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.uint32, np.uint8])
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 1000])
+def test_arrays_of_the_engine_have_memory_behind_them(count: int, kind: type) -> None:
+    """Kernels read vectors of 16 numbers of memory that NumPy allots: at the end of a page, without
+    memory behind, the process crashed.
+    """
+    handed = aligned(np.arange(count).astype(kind))
+    room: np.ndarray = handed
+    while isinstance(room.base, np.ndarray):
+        room = room.base
+    behind = room.ctypes.data + room.nbytes - (handed.ctypes.data + handed.nbytes)
+    assert handed.ctypes.data % 64 == 0
+    assert behind >= (-count % 16) * handed.itemsize
+    np.testing.assert_array_equal(handed, np.arange(count).astype(kind))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
+from twin.transfer import aligned
 
 #: Of each ray its cell, and its point in the cell, across and up, each from 0 to 1.
 Points = tuple[Any, Any, Any]
@@ -93,7 +94,7 @@ class CellRays:
     def points(self, rows: int, columns: int, rng: Any) -> Points:
         """Cells of the rays of a grid, and their points."""
         mi, each = mitsuba(), np.repeat(self.samples, self.sets)
-        owner = mi.UInt32(np.repeat(np.arange(len(each), dtype=np.uint32), each))
+        owner = mi.UInt32(aligned(np.repeat(np.arange(len(each), dtype=np.uint32), each)))
         # From a ray's number to its number in the sequence.
         back = np.repeat(self.first, self.sets) - self.set_starts
         back = dr.gather(mi.UInt32, mi.UInt32(back.astype(np.uint32)), owner)

@@ -17,6 +17,7 @@ from twin.radar import RadarDesign
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.materials import surface_of
 from twin.scene import Scene
+from twin.transfer import aligned
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -94,7 +95,7 @@ def _is_visible(
     towards = np.sign(-np.sum(normal * away, axis=1))[:, None] * normal
     off = _OFF_SURFACE * (np.linalg.norm(point, axis=1) + 1e-3)
     start = point + off[:, None] * towards
-    columns = [mi.Float(np.ascontiguousarray(v, dtype=np.float32)) for v in (*start.T, *-away.T)]
+    columns = [mi.Float(aligned(v.astype(np.float32))) for v in (*start.T, *-away.T)]
     reach = mi.Float((distance * (1 - 1e-5) - off).astype(np.float32))
     ray: Any = mi.Ray3f(mi.Point3f(*columns[:3]), mi.Vector3f(*columns[3:]), reach, 0.0, [])
     return 1.0 - np.array(prepared.world.scene.ray_test(ray)).astype(np.float64)

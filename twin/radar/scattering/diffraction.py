@@ -18,6 +18,7 @@ from twin.radar.scattering.edges import Edges
 from twin.radar.scattering.fringe import moment, observed
 from twin.radar.scattering.target import MeshTarget
 from twin.radar.scattering.wave import Polarization, Radar
+from twin.transfer import aligned, vector
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -140,8 +141,8 @@ def _visible(target: MeshTarget, radar: Radar, points: Array, outside: Array) ->
     size = np.linalg.norm(away, axis=1)
     start += nudge * away / size[:, None]
     reach = np.minimum(size * min(radar.distance_m, 1e30), 3 * engine.radius_m)
-    ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f((away / size[:, None]).T))
-    ray.maxt = mi.Float(reach)
+    ray = mi.Ray3f(vector(mi, start, "Point3f"), vector(mi, away / size[:, None], "Vector3f"))
+    ray.maxt = mi.Float(aligned(reach.astype(np.float32)))
     return ~np.array(engine.scene.ray_test(ray), dtype=bool)
 
 
