@@ -14,6 +14,7 @@ from twin.optics.devices import Device
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.transport import transport
+from twin.optics.unseen import contrast
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
@@ -151,3 +152,13 @@ def test_nothing_in_sight_takes_no_time() -> None:
     taken = capture(far, YARD, seed=1, fidelity=Fidelity(light_tolerance=1e-4))
     assert not taken.cells_e.any()
     assert taken.void
+
+
+def test_the_edge_of_the_field_may_run_through_the_cells_at_the_border() -> None:
+    """Outside the image it is dark, so the contrast of those cells is their light; of cells that
+    are as bright as those around them there is none.
+    """
+    light = np.full((4, 5), 3.0)
+    inside = np.zeros(light.shape, dtype=bool)
+    inside[1:-1, 1:-1] = True
+    np.testing.assert_array_equal(contrast(light).reshape(light.shape), np.where(inside, 0, 3.0))

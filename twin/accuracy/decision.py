@@ -22,7 +22,9 @@ class Decision:
     unit
         Of both: ``of a pixel's noise``, ``of the echo``, ``dB``.
     taken
-        Whether it is modelled. An effect whose bound is below what is permitted is left out.
+        Whether it is modelled. An effect whose bound is below what is permitted is left out; so is
+        one that no model follows, such as reflections beyond the last: its bound is in the
+        systematic error all the same.
     cost_s
         Time that it took, NaN where it was not measured or not taken.
 
