@@ -55,6 +55,23 @@ def test_light_of_the_yard_is_within_its_tolerance(reference: np.ndarray, tolera
     assert told <= 1.02 * tolerance
 
 
+def test_a_sensor_far_below_its_noise_keeps_an_image_to_compare_with(
+    reference: np.ndarray,
+) -> None:
+    """A thousandth of the light: its noise is 50 times the image. A fifth of that would leave no
+    image; a quarter of a fifth of the image's own root mean square leaves one.
+    """
+    dim = YARD.with_(
+        {"emitter.radiant_intensity_w_per_sr": YARD.emitter.radiant_intensity_w_per_sr.value / 1e3}
+    )
+    mean = reference.mean(axis=0) / 1e3
+    taken = capture(load_scene("yard"), dim, seed=1, fidelity=Fidelity(light_tolerance=0.2))
+    image = np.sqrt(np.mean(mean**2))
+    assert noise_e(taken, dim) > 20 * image
+    assert np.sqrt(np.mean((taken.cells_e - mean) ** 2)) < 0.2 * 0.25 * image
+    assert not taken.warnings
+
+
 def test_same_seed_same_bits() -> None:
     runs = [
         capture(load_scene("yard"), YARD, seed=3, fidelity=Fidelity(light_tolerance=0.5)).cells_e

@@ -49,14 +49,37 @@ def with_light_within(
 
     found = gather_within(tracer, limit, problem.corners, problem.largest_indirect(tracer))
     light = replace(of_bucket(found.light), left_out=found.left_out)
-    over = _rms(light.error / permitted.of(light.cells))
+    return _told(
+        replace(rendered, light=light),
+        permitted,
+        found.indirect_over,
+        taken=found.indirect_taken,
+        cost_s=found.cost_s,
+    )
+
+
+def _told(
+    rendered: RenderedLight,
+    permitted: PermittedError,
+    indirect_over: float,
+    *,
+    taken: bool,
+    cost_s: float = math.nan,
+) -> RenderedLight:
+    """The same with a warning of an error beyond the permitted one, and the decision on indirect
+    light, whose bound is ``indirect_over`` the permitted error.
+    """
+    light = rendered.light
+    over, tolerance = (
+        _rms(light.error / permitted.of(light.cells)),
+        permitted.tolerance_of(light.cells),
+    )
     decision = permitted.decision(
-        "indirect light", found.indirect_over, LEFT_OUT, found.indirect_taken, found.cost_s
+        "indirect light", (indirect_over, LEFT_OUT), tolerance, taken, cost_s
     )
     return replace(
         rendered,
-        light=light,
-        warnings=tolerance_warnings(over, permitted),
+        warnings=tolerance_warnings(over, permitted, light.cells),
         decisions=(*rendered.decisions, decision),
     )
 
@@ -84,13 +107,8 @@ def _equally(
         # Their number by its square root; the error falls as their number to the power -0.75.
         side = math.isqrt(samples) * min(max(1.1 * over ** (2 / 3), 1.4), 4.0)
         samples = min(math.ceil(side) ** 2, _MOST_SAMPLES)
-    decision = permitted.decision("indirect light", indirect, LEFT_OUT, taken, math.nan)
-    return replace(
-        lit,
-        light=replace(lit.light, left_out=0.0 if taken else largest),
-        warnings=tolerance_warnings(over, permitted),
-        decisions=(*rendered.decisions, decision),
-    )
+    lit = replace(lit, light=replace(lit.light, left_out=0.0 if taken else largest))
+    return _told(lit, permitted, indirect, taken=taken)
 
 
 def with_sun_within(
@@ -123,8 +141,8 @@ def with_sun_within(
     found = gather_within(tracer, limit, largest_indirect=indirect, in_the_dark=paths)
     decision = permitted.decision(
         "the sun's indirect light, by its shot noise",
-        found.indirect_over * SUN_SHARE,
-        LEFT_OUT * SUN_SHARE,
+        (found.indirect_over * SUN_SHARE, LEFT_OUT * SUN_SHARE),
+        permitted.tolerance,
         found.indirect_taken,
         found.cost_s,
     )

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 #: Error of the image's noise by the sun's light, over that which light may be off by.
 SUN_SHARE = 0.025
+#: Of the image's root mean square, below which a pixel's noise no longer says what light may be off
+#: by: with the default a score's PSNR is then known to 0.2 dB.
+IMAGE_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,8 @@ class PermittedError:
         share, relative = self.fidelity.light_tolerance, self.fidelity.light_tolerance_relative
         permitted = np.full(cells.shape, np.inf)
         if share is not None:
-            permitted = share * self.noise(cells)
+            # Of a sensor far below its noise the light must still be an image to compare with.
+            permitted = share * np.minimum(self.noise(cells), IMAGE_SHARE * _rms(cells) or np.inf)
         if relative is not None:
             permitted = np.minimum(permitted, relative * np.maximum(cells, cells.mean()))
         return permitted
@@ -76,18 +80,26 @@ class PermittedError:
         given = (self.fidelity.light_tolerance, self.fidelity.light_tolerance_relative)
         return min(value for value in given if value is not None)
 
+    def tolerance_of(self, cells: Array) -> float:
+        """What these cells may be off by, root mean square, in `unit`."""
+        noise = self.noise(cells)
+        lit = np.isfinite(noise)
+        if self.fidelity.light_tolerance is None or not lit.any():
+            return self.tolerance
+        return _rms(self.of(cells)[lit]) / _rms(noise[lit])
+
     @property
     def unit(self) -> str:
         """Of the tolerance."""
         return "of a pixel's noise" if self.fidelity.light_tolerance else "of a cell's light"
 
     def decision(
-        self, effect: str, over: float, permitted: float, taken: bool, cost_s: float
+        self, effect: str, bounds: tuple[float, float], tolerance: float, taken: bool, cost_s: float
     ) -> Decision:
-        """Of an effect's bound, and what is permitted, over the tolerance."""
-        tolerance = self.fidelity.light_tolerance or self.tolerance
-        bounds = (over * tolerance, permitted * tolerance)
-        return Decision("camera", effect, *bounds, self.unit, taken, cost_s if taken else math.nan)
+        """Of an effect's bound, and what is permitted, both over a tolerance in `unit`."""
+        bound, permitted = (tolerance * value for value in bounds)
+        cost_s = cost_s if taken else math.nan
+        return Decision("camera", effect, bound, permitted, self.unit, taken, cost_s)
 
     def sun_error(self, sun: Array, largest: float) -> Array:
         """What the sum of each detector's sunlight may be off by, (n_detectors,), in the unit of
@@ -123,3 +135,7 @@ class PermittedError:
         ones = np.ones_like(self.rendered.light.cells)
         light = replace(self.rendered.light, cells=ones, error=ones)
         return self.chain.powers(replace(self.rendered, light=light))
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))

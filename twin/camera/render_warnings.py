@@ -40,14 +40,18 @@ def truncation_warnings(
     return [CaptureWarning("rendering", text)]
 
 
-def tolerance_warnings(over: float, permitted: PermittedError) -> tuple[CaptureWarning, ...]:
-    """Light whose error over the permitted one, root mean square over the cells, is above 1."""
+def tolerance_warnings(
+    over: float, permitted: PermittedError, cells: Array
+) -> tuple[CaptureWarning, ...]:
+    """Light ``cells`` whose error over the permitted one, root mean square over the cells, is above
+    1.
+    """
     if over <= 1:
         return ()
-    tolerance = permitted.tolerance
+    tolerance = permitted.tolerance_of(cells)
     text = (
         f"light is off by {over * tolerance:.2g} {permitted.unit}, root mean square over the "
-        f"image, where {tolerance:g} are allowed: no more paths are traced"
+        f"image, where {tolerance:.2g} are allowed: no more paths are traced"
     )
     return (CaptureWarning("tolerance", text),)
 

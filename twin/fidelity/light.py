@@ -31,11 +31,13 @@ class LightFidelity(Knobs):
         ``auto`` is the side with more cells.
     light_tolerance
         Error that light transport may add to the image, root mean square over the cells, as a share
-        of the noise of a pixel: paths are added cell by cell until their own scatter says that it
-        is less, and bounces end by chance, so that no light is lost; ``samples``, ``max_depth`` and
-        ``indirect_samples`` then do not count. Line sensors and time of flight have as many paths
-        in every cell, and bounces up to ``max_depth``. Indirect light is left out where a bound of
-        it is below a tenth of the tolerance. None: as many paths as ``samples`` says.
+        of the noise of a pixel, or of a quarter of the image's own root mean square where that is
+        less (a sensor far below its noise): paths are added cell by cell until their own scatter
+        says that it is less, and bounces end by chance, so that no light is lost; ``samples``,
+        ``max_depth`` and ``indirect_samples`` then do not count. Line sensors and time of flight
+        have as many paths in every cell, and bounces up to ``max_depth``. Indirect light is left
+        out where a bound of it is below a tenth of the tolerance. None: as many paths as
+        ``samples`` says.
     light_tolerance_relative
         The same as a share of the light itself: of each cell's, or of the cells' mean where that is
         more. With both, each cell's error is within the stricter one.

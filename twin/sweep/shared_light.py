@@ -53,7 +53,8 @@ class _Shared:
             return self.rendered
         chain = Chain.of(made.system, made.scene.sun)
         permitted = PermittedError(chain, self.rendered, made.fidelity)
-        warnings = (*self.rendered.warnings, *tolerance_warnings(over, permitted))
+        more = tolerance_warnings(over, permitted, self.rendered.light.cells)
+        warnings = (*self.rendered.warnings, *more)
         return replace(self.rendered, warnings=tuple(dict.fromkeys(warnings)))
 
 
