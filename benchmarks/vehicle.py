@@ -135,7 +135,7 @@ def _rates() -> Iterator[Figure]:
             port = free.getsockname()[1]
         with tempfile.TemporaryDirectory() as folder:
             setup = Path(folder) / "setup.json"
-            command = [sys.executable, "-m", "twin", "serve", scene, "--radar", f"tcp:{port}"]
+            command = [sys.executable, "-m", "twin", "serve", scene, "--radar-at", f"tcp:{port}"]
             command += ["--radar-setup", str(setup)]
             with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as it:
                 assert it.stdout is not None

@@ -1,13 +1,17 @@
-"""Settings of a camera's measurement, also from a TOML file."""
+"""Settings of a camera's measurement, and the TOML file that holds them."""
 
+import json
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hardware.drivers.messages import MAX_SHUTTERS
 from hardware.errors import InputError
-from hardware.files import read_toml
+from hardware.files import read_toml, whole_file
 from hardware.patterns import OwnPatterns, Patterns, PatternSet, own_patterns
 from hardware.records.state import ALWAYS_OPEN, AT_ORIGIN, QuaternionPose, Shutter
 from hardware.units import quantity, unit_of
@@ -76,6 +80,10 @@ class SpiSettings:
                     raise InputError(f"{name}: {error}") from error
 
 
+_PATTERN_FIELDS = tuple(field.name for field in fields(PatternSet))
+_FILE_FIELDS = ("file", "mode")
+
+
 def read_settings(path: str | Path) -> SpiSettings:
     """Read a file: the fields of `SpiSettings`, and those of `PatternSet` in a table ``patterns``;
     or of a user's own patterns ``file``, beside it, and ``mode``. Times may say their unit:
@@ -83,34 +91,108 @@ def read_settings(path: str | Path) -> SpiSettings:
 
     Raises FileNotFoundError; InputError naming the file and the field.
     """
-    fields = read_toml(path)
-    table = fields.pop("patterns", {})
-    if not isinstance(table, dict):
-        raise InputError(
-            f"{path}: patterns = {table!r:.60}: expected a table of rows, columns, count"
-        )
     try:
+        content = read_toml(path)
+    except InputError as error:
+        raise InputError(
+            f"{error}; expected a camera's settings, patterns and times in TOML"
+        ) from error
+    try:
+        table = content.pop("patterns", None)
+        known = [field.name for field in fields(SpiSettings)]
+        _check_names("", content, known, ())
+        if not isinstance(table, dict):
+            shown = "patterns: missing" if table is None else f"patterns = {table!r:.60}"
+            raise InputError(f"{shown}: expected a table of rows, columns, count")
+        _check_names("", content, known, ("integration_time_s",))
         patterns = _patterns(_tuples(table), Path(path).parent)
-        return SpiSettings(patterns, **_state({n: _in_unit(n, v) for n, v in fields.items()}))
+        return SpiSettings(patterns, **_state({n: _in_unit(n, v) for n, v in content.items()}))
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: {str(error).replace('__init__()', 'it')}") from error
+        raise InputError(f"{path}: {error}") from error
+
+
+def write_settings(settings: SpiSettings, path: str | Path) -> None:
+    """Write a file that `read_settings` reads back, whole or not at all; a user's own patterns go
+    to ``NAME-patterns.npy`` beside it.
+    """
+    path, shown = Path(path), settings.patterns
+    if isinstance(shown, OwnPatterns):
+        beside = path.with_name(f"{path.stem}-patterns.npy")
+        with whole_file(beside) as partial, partial.open("wb") as file:
+            np.save(file, np.uint8(shown.levels > 0))
+        table: dict[str, Any] = {"file": beside.name, "mode": shown.mode}
+    else:
+        table = {name: getattr(shown, name) for name in _PATTERN_FIELDS}
+    state = {f.name: getattr(settings, f.name) for f in fields(settings) if f.name != "patterns"}
+    text = "\n".join([*_lines(state), "", "[patterns]", *_lines(table)])
+    with whole_file(path) as partial:
+        partial.write_text(text + "\n", encoding="utf-8")
+
+
+def _lines(values: Mapping[str, Any]) -> list[str]:
+    """``name = value``: finite numbers, text and lists of them are the same in JSON and TOML."""
+    return [
+        f"{name} = {json.dumps(value, allow_nan=False, ensure_ascii=False)}"
+        for name, value in values.items()
+        if value is not None
+    ]
+
+
+def _check_names(
+    table: str, given: Iterable[str], known: Iterable[str], needed: Iterable[str]
+) -> None:
+    """Raise InputError for a field that is unknown or missing."""
+    known, given = list(known), list(given)
+    for name in given:
+        if name not in known:
+            raise InputError(f"{table}{name}: no such field, expected {', '.join(known)}")
+    for name in needed:
+        if name not in given:
+            raise InputError(f"{table}{name}: missing")
 
 
 def _patterns(table: dict[str, Any], folder: Path) -> Patterns:
-    if "file" not in table:
+    if "file" in table:
+        if unknown := sorted(set(table) - set(_FILE_FIELDS)):
+            raise InputError(
+                f"patterns.{unknown[0]}: patterns of a file have `file` and `mode` alone"
+            )
+        if not isinstance(table["file"], str):
+            raise InputError(f"patterns.file: {table['file']!r:.60}, expected the name of a file")
+        return own_patterns(folder / table["file"], table.get("mode", "differential"))
+    needed = ("rows", "columns", "count")
+    _check_names("patterns.", table, (*_PATTERN_FIELDS, "file"), needed)
+    for name in needed:
+        _check_whole(f"patterns.{name}", table[name])
+    subset = table.get("subset")
+    if subset is not None and not isinstance(subset, tuple):
+        raise InputError(f"patterns.subset: {subset!r:.60}, expected a list of rows")
+    for row in subset or ():
+        _check_whole("patterns.subset", row)
+    try:
         return PatternSet(**table)
-    if unknown := sorted(set(table) - {"file", "mode"}):
-        raise InputError(f"patterns.{unknown[0]}: patterns of a file have `file` and `mode` alone")
-    return own_patterns(folder / table["file"], table.get("mode", "differential"))
+    except InputError as error:
+        raise InputError(f"patterns.{error}") from error
 
 
-def _state(fields: dict[str, Any]) -> dict[str, Any]:
+def _check_whole(name: str, value: Any) -> None:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise InputError(f"{name}: {value!r:.60}, expected a whole number")
+
+
+def _state(given: dict[str, Any]) -> dict[str, Any]:
     """Fields with pose and shutters as their types."""
-    made = dict(fields)
+    made = dict(given)
     if "pose" in made:
         made["pose"] = QuaternionPose.from_numbers(made["pose"])
     if "shutters" in made:
         made["shutters"] = tuple(map(Shutter.from_numbers, made["shutters"]))
+    for name in ("integration_time_s", "pattern_period_s", "pulse_width_s"):
+        value = made.get(name, 0.0)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{name}: {value!r:.60}, expected a number of seconds")
+    if not isinstance(made.get("upload", False), bool):
+        raise InputError(f"upload: {made['upload']!r:.60}, expected true or false")
     return made
 
 
@@ -124,8 +206,8 @@ def _in_unit(name: str, value: Any) -> Any:
         raise InputError(f"{name} = {value!r:.60}: {error}") from None
 
 
-def _tuples(fields: dict[str, Any]) -> dict[str, Any]:
+def _tuples(given: dict[str, Any]) -> dict[str, Any]:
     def frozen(value: Any) -> Any:
         return tuple(map(frozen, value)) if isinstance(value, list) else value
 
-    return {name: frozen(value) for name, value in fields.items()}
+    return {name: frozen(value) for name, value in given.items()}

@@ -14,7 +14,7 @@ from radar_cubes import WIDE, Echo, cube
 from ugv_command import SETTINGS, ugv
 
 import hardware
-from hardware import PatternSet, SpiRecord, reconstruct
+from hardware import PatternSet, SpiRecord, own_patterns, reconstruct
 from hardware.calibration import (
     CalibrationTarget,
     CameraCalibration,
@@ -23,13 +23,14 @@ from hardware.calibration import (
     write_calibration,
 )
 from hardware.capture import capture
-from hardware.drivers import SpiCamera
+from hardware.drivers import SpiCamera, SpiSettings
 from hardware.drivers.clock import ClockModel
 from hardware.drivers.messages import State
-from hardware.drivers.settings import read_settings
+from hardware.drivers.settings import read_settings, write_settings
+from hardware.patterns import Patterns
 from hardware.radar import Detection
 from hardware.recording import Log, read_messages, read_records
-from hardware.records import QuaternionPose
+from hardware.records import QuaternionPose, Shutter
 
 
 def record(cells: np.ndarray, device: str = "camera") -> SpiRecord:  # type: ignore[type-arg]
@@ -232,6 +233,14 @@ def test_settings_name_what_is_wrong(tmp_path: Path) -> None:
     assert read_settings(path).patterns == PatternSet(8, 8, 64)
     for broken, message in (
         (SETTINGS.replace("1e-5", "-1"), "integration_time_s: -1"),
+        (SETTINGS.replace("1e-5", "true"), "integration_time_s: True, expected a number"),
+        (SETTINGS.replace("integration_time_s = 1e-5", ""), "toml: integration_time_s: missing"),
+        (SETTINGS.replace("rows = 8", ""), r"patterns\.rows: missing"),
+        (SETTINGS.replace("rows = 8", 'rows = "8"'), r"patterns\.rows: '8', expected a whole"),
+        (SETTINGS + "rate = 2", r"patterns\.rate: no such field, expected rows, columns"),
+        ("integration_time_s = 1e-5", "patterns: missing: expected a table"),
+        ('{"format": "ugv-radio-setup"}', "no valid TOML: .* expected a camera's settings"),
+        ("[acquisition]", "acquisition: no such field, expected patterns, integration_time_s"),
         (SETTINGS.replace("rows = 8", "rows = 7"), "rows: 7"),
         ("colour = 1\n" + SETTINGS, "colour"),
         ("x", "camera.toml"),
@@ -239,6 +248,29 @@ def test_settings_name_what_is_wrong(tmp_path: Path) -> None:
         path.write_text(broken)
         with pytest.raises(ValueError, match=message):
             read_settings(path)
+
+
+@pytest.mark.parametrize(
+    "patterns",
+    [
+        PatternSet(8, 4, 16, "zigzag", "reference"),
+        PatternSet.of(4, 4, [5, 0, 3], "plain"),
+        own_patterns(np.arange(32).reshape(2, 4, 4) % 3 == 0, "plain"),
+    ],
+)
+def test_settings_are_read_as_written(tmp_path: Path, patterns: Patterns) -> None:
+    written = SpiSettings(
+        patterns,
+        1 / 3e6,
+        pattern_period_s=1e-5 / 3,
+        shutters=(Shutter(1e7, 0.1), Shutter(1e7, 2 / 3)),
+        pulse_width_s=1e-8,
+        pose=QuaternionPose(1, 2, 3),
+        exposures_per_frame=64,
+        upload=True,
+    )
+    write_settings(written, tmp_path / "camera.toml")
+    assert vars(read_settings(tmp_path / "camera.toml")) == vars(written)
 
 
 # Calibration.

@@ -32,15 +32,18 @@ from hardware.drivers.messages import (
     from_frame,
     to_frame,
 )
+from hardware.drivers.settings import read_settings, write_settings
 from hardware.patterns import hadamard_rows
 from hardware.recording import Log
 from hardware.records import Flag, Shutter
 from hardware.sources import open_source
+from twin import cli
 from twin.camera.acquisition import capture
 from twin.camera.stream import stills
 from twin.files import InputError
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock
+from twin.serve.configuration import configure_system, settings_of
 from twin.serve.faults import CameraFaults, parse_faults
 from twin.serve.line import TcpPort, Terminal
 from twin.system import load_system
@@ -353,10 +356,13 @@ def test_a_port_that_is_taken(world) -> None:
             TcpPort("127.0.0.1", port)
 
 
-def test_the_command() -> None:
+def test_the_command(tmp_path: Path) -> None:
+    """The settings that it writes are those of the system, and a driver measures with them."""
+    settings = tmp_path / "camera.toml"
     command = [sys.executable, "-m", "twin", "serve", "yard"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    options = ["--spi", "pty", "--pace", "fast", "--system", "led-16x16"]
+    options = ["--spi-at", "pty", "--pace", "fast", "--system", "led-16x16"]
+    options += ["--spi-settings", str(settings)]
     with subprocess.Popen(
         [*command, *options], stdout=subprocess.PIPE, env=environment, text=True
     ) as process:
@@ -364,7 +370,10 @@ def test_the_command() -> None:
         found = re.search(r"led-16x16: (/dev/\S+)", line)
         assert found, line
         shown = load_system("led-16x16")
-        own = SpiSettings(shown.patterns, shown.acquisition.integration_time_s.value)
+        own = read_settings(settings)
+        assert own.patterns == shown.patterns
+        assert own.integration_time_s == shown.acquisition.integration_time_s.value
+        assert own.pattern_period_s == shown.acquisition.pattern_period_s.value
         with SpiCamera(found[1], own, patience=PATIENCE) as camera:
             assert camera.acquire().counts.any()
         process.send_signal(signal.SIGINT)
@@ -372,8 +381,42 @@ def test_the_command() -> None:
     nothing = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert nothing.returncode == 2
     assert nothing.stderr == (
-        "twin: error: serve: nothing to serve, expected --spi or --radar or both\n"
+        "twin: error: serve: nothing to serve, expected --spi-at or --radar-at or both\n"
     )
+
+
+PHASES = {"modulation_hz": [10e6, 1e7 / 3], "contrast": 0.9}
+GATES = {"pulse_width_s": 7e-9, "pulse_rate_hz": 1e5, "gate_width_s": 8e-9}
+
+
+@pytest.mark.parametrize("shown", [{}, PHASES, GATES | {"gate_delays_s": [1e-8, 1e-8 / 3]}])
+def test_settings_of_a_system_change_nothing_of_it(tmp_path: Path, shown: dict) -> None:
+    """What `--spi-settings` writes, read back and set, is the system's own measurement."""
+    changes = {f"time_of_flight.{name}": value for name, value in shown.items()}
+    system = load_system("led-16x16").with_(changes)
+    write_settings(settings_of(system), tmp_path / "camera.toml")
+    measured = configure_system(system, read_settings(tmp_path / "camera.toml"))
+    assert measured.patterns == system.patterns
+    for field in ("integration_time_s", "pattern_period_s", "order", "mode"):
+        assert (
+            getattr(measured.acquisition, field).value == getattr(system.acquisition, field).value
+        )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--spi", "pty"], "--system and --radar name the designs, --spi-at and --radar-at where"),
+        (["--radar", "tcp:5555", "--design", "prototype"], "--radar-at where they are"),
+        (["--spi-settings", "camera.toml", "--radar-at", "tcp:5555"], "expected --spi-at too"),
+        (["--radar-setup", "radar.json", "--spi-at", "pty"], "expected --radar-at too"),
+    ],
+)
+def test_options_that_do_not_fit(monkeypatch, capsys, options: list[str], message: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["twin", "serve", "yard", *options])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert message in capsys.readouterr().err
 
 
 def test_nobody_there() -> None:

@@ -551,8 +551,8 @@ def test_the_command(tmp_path: Path) -> None:
     design.write_text("\n".join(['base = "hybrid-79"', 'name = "small"', "[waveform]", *lines]))
     setup = tmp_path / "setup.json"
     port = int(np.random.default_rng().integers(20000, 60000))
-    command = [sys.executable, "-m", "twin", "serve", "fig3b", "--radar", f"tcp:{port}"]
-    command += ["--design", str(design), "--pace", "fast", "--radar-setup", str(setup)]
+    command = [sys.executable, "-m", "twin", "serve", "fig3b", "--radar-at", f"tcp:{port}"]
+    command += ["--radar", str(design), "--pace", "fast", "--radar-setup", str(setup)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=environment, **pipes) as process:
@@ -581,7 +581,7 @@ def test_the_command(tmp_path: Path) -> None:
 
 
 def test_no_such_pace(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["serve", "fig3b", "--radar", "tcp:5555", "--pace", "slow"]
+    arguments = ["serve", "fig3b", "--radar-at", "tcp:5555", "--pace", "slow"]
     monkeypatch.setattr(sys, "argv", ["twin", *arguments])
     with pytest.raises(SystemExit) as stopped:
         cli.main()

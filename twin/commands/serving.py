@@ -19,14 +19,14 @@ from twin.commands.arguments import (
 def serve(
     scene: SceneArgument,
     *,
-    spi: Annotated[
+    system: Annotated[str, typer.Option(help="The camera: bundled system or TOML.")] = "workable",
+    radar: Annotated[str, typer.Option(help="The radar: bundled design or TOML.")] = "prototype",
+    spi_at: Annotated[
         str | None, typer.Option(help="Where the camera sits: pty, or tcp:HOST:PORT.")
     ] = None,
-    radar: Annotated[
+    radar_at: Annotated[
         str | None, typer.Option(help="Where the radar's radio listens: tcp:HOST:PORT.")
     ] = None,
-    system: Annotated[str, typer.Option(help="The camera: bundled system or TOML.")] = "workable",
-    design: Annotated[str, typer.Option(help="Bundled radar or TOML file.")] = "prototype",
     pace: Annotated[
         str, typer.Option(help="real: device time is the host's; fast: it never waits.")
     ] = "real",
@@ -50,9 +50,14 @@ def serve(
     fidelity: FidelityOption = None,
     tolerance: ToleranceOption = None,
     within: WithinOption = None,
+    spi_settings: Annotated[
+        Path | None, typer.Option(help="TOML to write: patterns and times for a driver.")
+    ] = None,
     radar_setup: Annotated[
         Path | None, typer.Option(help="JSON to write: schedule and front end for a driver.")
     ] = None,
+    spi: Annotated[str | None, typer.Option(hidden=True)] = None,
+    design: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Virtual devices: the twin behind the devices' own protocols, until interrupted."""
     from typing import get_args
@@ -65,43 +70,54 @@ def serve(
 
     if pace not in get_args(Pace):
         raise InputError(f"pace: {pace!r}, expected {' or '.join(get_args(Pace))}")
-    if spi is None and radar is None:
-        raise InputError("serve: nothing to serve, expected --spi or --radar or both")
+    if spi is not None or design is not None or radar.startswith("tcp:"):
+        raise InputError(
+            "serve: --system and --radar name the designs, --spi-at and --radar-at where they are"
+        )
+    if spi_at is None and radar_at is None:
+        raise InputError("serve: nothing to serve, expected --spi-at or --radar-at or both")
+    for option, file, where, place in (
+        ("--spi-settings", spi_settings, "--spi-at", spi_at),
+        ("--radar-setup", radar_setup, "--radar-at", radar_at),
+    ):
+        if file is not None and place is None:
+            raise InputError(f"{option}: expected {where} too, that device is not served")
     how: Pace = "real" if pace == "real" else "fast"
-    spi_at = parse_address(spi) if spi not in (None, "pty") else None
-    radar_at = parse_address(radar) if radar is not None else None
-    for address in (spi_at, radar_at):
+    camera_address = parse_address(spi_at) if spi_at not in (None, "pty") else None
+    radio_address = parse_address(radar_at) if radar_at is not None else None
+    for address in (camera_address, radio_address):
         if address is not None and not address.loopback:
             print(f"warning: {address.host}: whoever reaches it can use it", file=sys.stderr)
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
-    sweeper = load_radar(design) if radar_at is not None else None
+    sweeper = load_radar(radar) if radio_address is not None else None
     knobs = knobs_asked(
         lambda: loaded,
-        system if spi is not None else None,
+        system if spi_at is not None else None,
         sweeper,
         fidelity=fidelity,
         tolerance=tolerance,
         within=within,
     )
     devices = []
-    if spi is not None:
+    if spi_at is not None:
         devices.append(
             serve_camera(
                 loaded,
                 system,
-                spi_at,
+                camera_address,
                 pace=how,
                 faults=spi_fault or (),
                 seed=seed,
                 fidelity=knobs,
+                settings=spi_settings,
             )
         )
-    if radar_at is not None and sweeper is not None:
+    if radio_address is not None and sweeper is not None:
         devices.append(
             serve_radar(
                 loaded,
                 sweeper,
-                radar_at,
+                radio_address,
                 pace=how,
                 faults=radar_fault or (),
                 seed=seed,

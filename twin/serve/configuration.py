@@ -1,4 +1,4 @@
-"""Configuration of a camera's system by the settings of a host."""
+"""A camera's system and the settings of its host, one from the other."""
 
 import numpy as np
 
@@ -11,6 +11,22 @@ from twin.toml import plain
 
 #: Limits of the integration time, s.
 INTEGRATION_S = (1e-7, 1.0)
+
+
+def settings_of(system: System) -> SpiSettings:
+    """What a host sets where it measures as the system's file says: the inverse of
+    `configure_system`.
+
+    Raises InputError for grey patterns, which no camera takes.
+    """
+    shown, responses = system.acquisition, shutters(system)
+    return SpiSettings(
+        system.patterns,
+        shown.integration_time_s.value,
+        shown.pattern_period_s.value,
+        shutters=tuple(response.recorded for response in responses),
+        pulse_width_s=responses[0].pulse_width_s,
+    )
 
 
 def configure_system(system: System, settings: SpiSettings) -> System:

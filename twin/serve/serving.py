@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hardware.drivers.radio.setup import write_setup
+from hardware.drivers.settings import write_settings
 from twin.camera.stream import still_light, stills
 from twin.fidelity import Accuracy
 from twin.files import InputError
@@ -14,6 +15,7 @@ from twin.radar import RadarDesign, load_radar
 from twin.scene import Scene
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock, Pace
+from twin.serve.configuration import settings_of
 from twin.serve.faults import CameraFaults, RadioFaults, parse_faults
 from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.prefetcher import Prefetcher
@@ -119,13 +121,16 @@ def serve_camera(
     faults: Sequence[str] = (),
     seed: int = 0,
     fidelity: Accuracy | None = None,
+    settings: Path | None = None,
 ) -> ServedDevice:
     """The single-pixel camera behind its protocol, at an address or on a pseudo-terminal (None).
 
-    Each run gives the records of `stills` with ``seed``, from the first on; the rest as
-    `serve_radar`. Raises InputError.
+    Each run gives the records of `stills` with ``seed``, from the first on; ``settings`` is the
+    settings file of the driver to write; the rest as `serve_radar`. Raises InputError.
     """
     fault_chances, design = parse_faults(faults, CameraFaults), load_system(system)
+    if settings is not None:
+        write_settings(settings_of(design), settings)
     light = still_light(scene, design, seed=seed, fidelity=fidelity)
     clock = DeviceClock(pace, fault_chances.drift)
     line: Line = Terminal() if address is None else TcpPort(address.host, address.port)
