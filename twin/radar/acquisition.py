@@ -344,7 +344,9 @@ def _worlds(
             f"{_MOST_CELLS}"
         )
     if poses is None:
-        poses = track.poses(scene.rig.pose) if track else [scene.rig.pose]
+        if track is None:
+            return [scene]
+        poses = track.poses(scene.rig.pose)
     return [scene.after(i * interval).at(pose) for i, pose in enumerate(poses)]
 
 

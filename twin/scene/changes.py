@@ -1,7 +1,7 @@
 """A scene with some of its values changed, by dotted names; the names of a study say the same."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from twin.scene.model import FARTHEST_M, FARTHEST_ORIGIN_M
 from twin.toml import changed_name, check_changes, no_such_field
 
 if TYPE_CHECKING:
-    from twin.scene.model import Pose, Scene, SceneObject, Target
+    from twin.scene.model import Pose, Rig, Scene, SceneObject, Target
 
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 _OBJECT = (
@@ -94,7 +94,7 @@ def _in_unit(name: str, value: Any) -> Any:
 def _with(scene: "Scene", name: str, value: Any) -> "Scene":
     group, _, rest = name.partition(".")
     if group == "rig":
-        return scene.at(_moved(scene.rig.pose, rest, value))
+        return replace(scene, rig=_placed(scene.rig, _moved(scene.rig.pose, rest, value)))
     if group == "sun":
         return replace(scene, sun=replace(scene.sun, **{rest: value}))
     which, _, what = rest.rpartition(".")
@@ -104,49 +104,82 @@ def _with(scene: "Scene", name: str, value: Any) -> "Scene":
         raise InputError(f"scene.{group}: no {which!r}; there are {known}")
     if what.startswith("shift_"):
         return _shifted(scene, which, "xyz".index(what[len("shift_")]), value)
+    if what == "velocity_m_per_s":
+        return _at_velocity(scene, which, value)
     items = tuple(replace(i, **{what: value}) if which in ("*", i.name) else i for i in items)
     held: dict[str, Any] = {group: items}
-    scene = replace(scene, **held)
-    return _carried(scene, which) if what == "velocity_m_per_s" else scene
+    return replace(scene, **held)
 
 
-def _carried(scene: "Scene", which: str) -> "Scene":
-    """Targets that move as their objects do."""
-    moving = {item.name: item.velocity_m_per_s for item in scene.objects}
-    return replace(
-        scene,
-        targets=tuple(
-            replace(t, velocity_m_per_s=moving[t.object])
-            if t.object is not None and which in ("*", t.object)
-            else t
-            for t in scene.targets
-        ),
-    )
+def _placed(rig: "Rig", pose: "Pose") -> "Rig":
+    """The rig at another pose now, and on the way that leads from there."""
+    if rig.motion is None:
+        return replace(rig, pose=pose)
+    return rig.following(rig.motion.displaced(pose.transform * rig.pose.transform.inv()))
+
+
+def _at_velocity(scene: "Scene", which: str, velocity: Any) -> "Scene":
+    """The scene with an object at another velocity, and what it carries; ``*``: with all that no
+    other carries.
+    """
+    meant = [o for o in scene.objects if o.name == which or (which == "*" and not o.parent)]
+    for item in meant:
+        if item.motion is not None:
+            how = f"its parent {item.parent!r}" if item.parent else "its own motion"
+            raise InputError(
+                f"scene.objects.{item.name}.velocity_m_per_s: it moves by {how}, expected an "
+                "object without a motion"
+            )
+    changed = {o.name: replace(o, velocity_m_per_s=velocity) for o in meant}
+    return _with_objects(scene, changed, lambda target: replace(target, velocity_m_per_s=velocity))
+
+
+def _with_objects(
+    scene: "Scene", changed: Mapping[str, "SceneObject"], target: Callable[["Target"], "Target"]
+) -> "Scene":
+    """A scene with some of its objects changed, and all that these carry moved along.
+
+    ``target`` changes those on objects that have no motion, as their object was changed.
+    """
+    then = {item.name: item for item in scene.objects}
+    now = {**then, **changed}
+
+    def follow(name: str) -> None:
+        for child in [item for item in now.values() if item.parent == name]:
+            assert child.motion is not None  # as all have that have a parent
+            now[child.name] = child.following(
+                child.motion.with_parent(name, now[name].course), name
+            )
+            follow(child.name)
+
+    for name in changed:
+        follow(name)
+
+    def carried(item: "Target") -> "Target":
+        if item.object is None or now[item.object] is then[item.object]:
+            return item
+        if now[item.object].motion is None:
+            return target(item)
+        return item.carried(then[item.object], now[item.object])
+
+    targets = tuple(carried(item) for item in scene.targets)
+    return replace(scene, objects=tuple(now.values()), targets=targets)
 
 
 def _shifted(scene: "Scene", name: str, axis: int, by_m: float) -> "Scene":
-    """The scene with an object elsewhere, and the targets that it carries."""
+    """The scene with an object elsewhere, and all that it carries."""
     if isinstance(by_m, bool) or not isinstance(by_m, int | float) or not np.isfinite(by_m):
         raise InputError(
             f"scene.objects.{name}.shift_{'xyz'[axis]}_m = {by_m!r}: expected a number"
         )
     shift = np.eye(3)[axis] * by_m
+    meant = [o for o in scene.objects if o.name == name or (name == "*" and not o.parent)]
 
     def target(item: "Target") -> "Target":
         x, y, z = (np.asarray(item.position_m) + shift).tolist()
         return replace(item, position_m=(x, y, z))
 
-    def moved(item: "SceneObject") -> "SceneObject":
-        return item.moved(shift)
-
-    return replace(
-        scene,
-        objects=tuple(moved(o) if name in ("*", o.name) else o for o in scene.objects),
-        targets=tuple(
-            target(t) if t.object is not None and name in ("*", t.object) else t
-            for t in scene.targets
-        ),
-    )
+    return _with_objects(scene, {o.name: o.moved(shift) for o in meant}, target)
 
 
 def _moved(pose: "Pose", what: str, value: Any) -> "Pose":

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from hardware.units import quantity
 from twin.files import InputError
 from twin.geometry import Geometry
+from twin.motion import Kinematics, Motion, Product, Still, Straight
 from twin.scene.materials import Material
 from twin.scene.texture import Reflectance, Texture
 
@@ -66,6 +67,10 @@ class SceneObject:
     ``reflectance`` at 1550 nm: one number, or a texture looked up by the geometry's ``uv``.
     ``radar`` overrides what the object is to a radar; ``thickness_m`` is that of an open mesh that
     stands for a sheet. ``pose`` leads from the geometry's own frame to the world.
+
+    ``motion`` gives the pose at times from now on, of an object that does more than go straight on
+    at ``velocity_m_per_s``; of one with a motion that is the velocity, now, of the middle of its
+    box (`middle_m`). ``parent`` names the object that carries it. `following` sets all of these.
     """
 
     name: str
@@ -76,6 +81,8 @@ class SceneObject:
     radar: RadarRole | None = None
     thickness_m: float | None = None
     pose: RigidTransform = IN_PLACE
+    motion: Motion | None = None
+    parent: str | None = None
 
     def __post_init__(self) -> None:
         place = f"objects.{self.name}"
@@ -103,9 +110,59 @@ class SceneObject:
         corners = self._placed(self.geometry.shape.hull)
         return np.array([corners.min(axis=0), corners.max(axis=0)])
 
+    @property
+    def middle_m(self) -> Array:
+        """Middle of the box around the geometry in its own frame, in the world, (3,)."""
+        middle: Array = self.pose.apply(self.geometry.sphere[0])
+        return middle
+
+    @property
+    def moves(self) -> bool:
+        """Whether it ever moves."""
+        return any(self.velocity_m_per_s) if self.motion is None else self.motion.moves
+
+    @cached_property
+    def course(self) -> Motion:
+        """Its pose, velocity and acceleration at times in seconds from now on."""
+        if self.motion is not None:
+            return self.motion
+        still = Still(self.pose)
+        return Product((Straight(self.velocity_m_per_s), still)) if self.moves else still
+
+    @cached_property
+    def state(self) -> Kinematics:
+        """How it moves now."""
+        return self.course.at(0.0)
+
+    def following(self, motion: Motion, parent: str | None = None) -> "SceneObject":
+        """The same object where a motion of its frame in the world has it at time 0.
+
+        Raises InputError for a velocity beyond `FASTEST_M_PER_S`.
+        """
+        state = motion.at(0.0)
+        middle = state.pose.apply(self.geometry.sphere[0])
+        x, y, z = state.at_world(middle)[0].tolist()
+        return replace(
+            self, pose=state.pose, motion=motion, parent=parent, velocity_m_per_s=(x, y, z)
+        )
+
+    def after(self, seconds: float) -> "SceneObject":
+        """The same object later; itself if it does not move."""
+        if not self.moves:
+            return self
+        if self.motion is None:
+            return self.moved(seconds * np.asarray(self.velocity_m_per_s))
+        return self.following(self.motion.later(seconds), self.parent)
+
     def moved(self, by_m: Sequence[float] | Array) -> "SceneObject":
-        """The same object farther on by a vector (3,) of the world."""
-        return replace(self, pose=RigidTransform.from_translation(by_m) * self.pose)
+        """The same object farther on by a vector (3,) of the world, and all of its way.
+
+        What has a parent moves within the parent's frame.
+        """
+        shift = RigidTransform.from_translation(by_m)
+        if self.motion is None:
+            return replace(self, pose=shift * self.pose)
+        return self.following(self.motion.displaced(shift), self.parent)
 
     def _placed(self, rows: slice | NDArray[np.integer]) -> Array:
         vertices: Array = self.pose.apply(self.geometry.vertices_m[rows])
@@ -133,17 +190,27 @@ class Pose:
         angles = (self.yaw_deg, self.pitch_deg, self.roll_deg)
         return Rotation.from_euler("ZYX", angles, degrees=True)
 
+    @property
+    def transform(self) -> RigidTransform:
+        """From the posed frame to its parent."""
+        return RigidTransform.from_components(np.asarray(self.position_m, float), self.rotation)
+
     @staticmethod
     def from_axes(position_m: Array, forward: Array, up: Array) -> "Pose":
         """Pose that looks along ``forward`` with ``up`` as near to up as that allows."""
         x = forward / np.linalg.norm(forward)
         y = np.cross(up, x)
         y /= np.linalg.norm(y)
-        matrix = np.column_stack([x, y, np.cross(x, y)])
+        turn = Rotation.from_matrix(np.column_stack([x, y, np.cross(x, y)]))
+        return Pose.of(RigidTransform.from_components(np.asarray(position_m), turn))
+
+    @staticmethod
+    def of(transform: RigidTransform) -> "Pose":
+        """Pose of a frame from which a transform leads to the world."""
         with warnings.catch_warnings():  # straight up or down: roll is 0 then, which is right
             warnings.simplefilter("ignore", UserWarning)
-            yaw, pitch, roll = Rotation.from_matrix(matrix).as_euler("ZYX", degrees=True)
-        px, py, pz = (float(p) for p in position_m)
+            yaw, pitch, roll = transform.rotation.as_euler("ZYX", degrees=True)
+        px, py, pz = transform.translation.tolist()
         return Pose((px, py, pz), float(yaw), float(pitch), float(roll))
 
 
@@ -189,12 +256,41 @@ def _words(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Rig:
-    """The vehicle's sensors: one pose, and each device's offset and boresight in its frame."""
+    """The vehicle's sensors: one pose, and each device's offset and boresight in its frame.
+
+    ``motion`` gives the pose at times from now on, if the rig moves.
+    """
 
     pose: Pose
     emitter: Pose = Pose((0.0, 0.0, 0.0))
     detector: Pose = Pose((0.0, -0.05, 0.0))
     radar: Pose = Pose((0.0, 0.0, -0.3))
+    motion: Motion | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it ever moves."""
+        return self.motion is not None and self.motion.moves
+
+    @cached_property
+    def course(self) -> Motion:
+        """Its pose, velocity and acceleration at times in seconds from now on."""
+        if self.motion is not None:
+            return self.motion
+        return Still(self.pose.transform)
+
+    @cached_property
+    def state(self) -> Kinematics:
+        """How it moves now."""
+        return self.course.at(0.0)
+
+    def following(self, motion: Motion) -> "Rig":
+        """The same rig where a motion of its frame in the world has it at time 0."""
+        return replace(self, pose=Pose.of(motion.pose_at(0.0)), motion=motion)
+
+    def after(self, seconds: float) -> "Rig":
+        """The same rig later; itself if it has no motion."""
+        return self if self.motion is None else self.following(self.motion.later(seconds))
 
     def device(self, name: str) -> tuple[Array, Array]:
         """Origin (3,) in metres from the rig's position, and axes (3, 3) with the rows forward,
@@ -294,6 +390,13 @@ class Target:
         x, y, z = place.tolist()
         return replace(self, position_m=(x, y, z))
 
+    def carried(self, then: SceneObject, now: SceneObject) -> "Target":
+        """The same target on its object, which has moved on from where it was."""
+        place = now.pose.apply(then.pose.inv().apply(np.asarray(self.position_m)))
+        x, y, z = place.tolist()
+        u, v, w = now.state.at_world(place)[0].tolist()
+        return replace(self, position_m=(x, y, z), velocity_m_per_s=(u, v, w))
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -335,9 +438,9 @@ class Scene:
         changes
             By dotted name: ``rig.x_m`` (y, z), ``rig.yaw_deg`` (pitch, roll);
             ``sun.azimuth_deg``, ``.elevation_deg``, ``.illuminance_lx``;
-            ``objects.NAME.reflectance``, ``.shift_x_m`` (y, z; targets it carries move too),
-            ``.velocity_m_per_s``, ``.radar``, ``.thickness_m``; ``targets.NAME.rcs_m2``. NAME may
-            be ``*``: all of them.
+            ``objects.NAME.reflectance``, ``.shift_x_m`` (y, z; what it carries moves too),
+            ``.velocity_m_per_s`` (of one without a motion), ``.radar``, ``.thickness_m``;
+            ``targets.NAME.rcs_m2``. NAME may be ``*``: all of them.
 
         Raises InputError naming field, value and what was expected.
 
@@ -351,27 +454,50 @@ class Scene:
         return changed(self, changes)
 
     def at(self, pose: Pose) -> "Scene":
-        """The same scene seen from another pose."""
-        return replace(self, rig=replace(self.rig, pose=pose))
+        """The same scene seen from another pose, at which the rig stands still."""
+        return replace(self, rig=replace(self.rig, pose=pose, motion=None))
 
     def after(self, seconds: float) -> "Scene":
-        """The same scene later: everything that moves has moved, the rig stands where it stood."""
+        """The same scene later: all that moves has moved and turned, the rig on its trajectory too.
+
+        A rig without one stands where it stood. Raises InputError for a time that a trajectory does
+        not cover.
+        """
         if seconds == 0:
             return self
+        first, last = self.span_s
+        if not first <= seconds <= last:
+            raise InputError(
+                f"scene {self.name}: time {seconds:g} s from now on: its trajectories cover "
+                f"{first:g} to {last:g} s"
+            )
+        objects = tuple(item.after(seconds) for item in self.objects)
+        carriers = {
+            then.name: (then, now)
+            for then, now in zip(self.objects, objects, strict=True)
+            if now.motion is not None
+        }
         return replace(
             self,
-            objects=tuple(
-                o.moved(seconds * np.asarray(o.velocity_m_per_s)) if any(o.velocity_m_per_s) else o
-                for o in self.objects
+            rig=self.rig.after(seconds),
+            objects=objects,
+            targets=tuple(
+                t.carried(*carriers[t.object]) if t.object in carriers else t.after(seconds)
+                for t in self.targets
             ),
-            targets=tuple(t.after(seconds) for t in self.targets),
         )
 
     @property
     def at_rest(self) -> bool:
         """Whether nothing moves but the rig."""
-        velocities = [o.velocity_m_per_s for o in self.objects]
-        return not np.any(velocities + [t.velocity_m_per_s for t in self.targets])
+        velocities = [t.velocity_m_per_s for t in self.targets]
+        return not (np.any(velocities) or any(item.moves for item in self.objects))
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last time from now on that all trajectories cover."""
+        motions = [self.rig.motion, *(item.motion for item in self.objects)]
+        return Product((Still(IN_PLACE), *(m for m in motions if m is not None))).span_s
 
     @property
     def triangles(self) -> int:

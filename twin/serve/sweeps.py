@@ -49,7 +49,7 @@ class RadarSweeps:
             raise InputError(f"reuse: {reuse} sweeps traced together, expected at least 1")
         self._scene, self._radar = scene, radar
         self._seed, self._fidelity = seed, fidelity
-        self._stops = scene.track.poses(scene.rig.pose) if scene.track else [scene.rig.pose]
+        self._stops = scene.track.poses(scene.rig.pose) if scene.track else ()
         self._last: tuple[int, RadarEcho] | None = None  # stop and echo
         self._reuse = reuse
         self._full: tuple[int, Propagation] | None = None  # number and what was found
@@ -68,7 +68,9 @@ class RadarSweeps:
         return replace(record, device_time_ns=record.device_time_ns + begun_ns)
 
     def _without_tracing(self, number: int, stop: int) -> RadarEcho | None:
-        if self._last is None or self._last[0] != stop or not self._scene.at_rest:
+        if self._last is None or self._last[0] != stop:
+            return None
+        if self._scene.rig.moves or not self._scene.at_rest:
             return None
         return self._last[1].reseeded(self._seed + number)
 
@@ -91,10 +93,10 @@ class RadarSweeps:
             self._radar,
             seed=self._seed + number,
             fidelity=self._fidelity,
-            poses=[self._stops[self._stop(number)]],
+            poses=[self._stops[self._stop(number)]] if self._stops else None,
             earlier=earlier,
             keep=keep,
         )
 
     def _stop(self, number: int) -> int:
-        return min(number, len(self._stops) - 1)
+        return min(number, max(len(self._stops) - 1, 0))

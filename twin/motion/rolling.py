@@ -1,0 +1,114 @@
+"""Rolling without slipping: the way that the axle travels sets the angle."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twin.motion.kinematics import Array, Kinematics
+from twin.motion.motion import Motion, cut, gauss_nodes
+from twin.motion.turning import Vector, about_axis
+
+_CHUNK_S = 64.0  # the angle is summed up over chunks of time of this length
+
+
+@dataclass(frozen=True, eq=False)
+class Rolling(Motion):
+    """A wheel within the frame ``carrier``, turned by the way its axle travels over its radius.
+
+    ``axis`` points to the left of where it rolls, ``up`` away from the road, ``centre_m`` is the
+    middle of the wheel; all in the carrier's frame. What counts is the way along the wheel's own
+    heading, so that the inner wheels of a bend turn slower, and backwards is negative. The rate is
+    exact; the angle is its integral from time 0, or from the carrier's first time if that is later.
+    """
+
+    carrier: Motion
+    axis: Vector
+    centre_m: Vector
+    radius_m: float
+    up: Vector = (0.0, 0.0, 1.0)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """The carrier's."""
+        return self.carrier.span_s
+
+    @property
+    def moves(self) -> bool:
+        """Whether the carrier does."""
+        return self.carrier.moves
+
+    def breaks_s(self, start_s: float, end_s: float) -> Array:
+        """Those of the carrier, no farther apart than the angle allows."""
+        breaks = self.carrier.breaks_s(start_s, end_s)
+        turns = np.abs(np.diff(self._angle(breaks)))
+        parts = np.maximum(1, np.ceil(turns / (math.pi / 4))).astype(int)
+        pieces = [
+            np.linspace(a, b, n, endpoint=False)
+            for a, b, n in zip(breaks, breaks[1:], parts, strict=False)
+        ]
+        return np.concatenate([*pieces, [end_s]])
+
+    def _at(self, times_s: Array) -> Kinematics:
+        rate, change = self._rate(times_s)
+        return about_axis(self.axis, self.centre_m, self._angle(times_s), rate, change)
+
+    @cached_property
+    def _heading(self) -> Array:
+        heading = np.cross(self.axis, self.up)
+        unit: Array = heading / np.linalg.norm(heading)
+        return unit
+
+    def _rate(self, times_s: Array) -> tuple[Array, Array]:
+        """Angular velocity and acceleration about the axis, (n,) each."""
+        state = self.carrier._at(times_s)
+        _, velocity, acceleration = (
+            part[:, 0] for part in state.of_points(np.reshape(self.centre_m, (1, 3)))
+        )
+        heading = state.pose.rotation.apply(self._heading)
+        turning = np.cross(state.angular_velocity_rad_per_s, heading)
+        along = np.sum(velocity * heading, axis=1)
+        gaining = np.sum(acceleration * heading + velocity * turning, axis=1)
+        return along / self.radius_m, gaining / self.radius_m
+
+    def _angle(self, times_s: Array) -> Array:
+        """Integral of the rate from time 0 to each time, (n,), in rad."""
+        first, last = self.span_s
+        start = min(max(0.0, first), last)
+        angle = np.zeros(len(times_s))
+        for sense in (1.0, -1.0):
+            there = np.flatnonzero((times_s - start) * sense > 0)
+            if len(there):
+                angle[there] = self._integral(start, sense, times_s[there])
+        return angle
+
+    def _integral(self, start: float, sense: float, times_s: Array) -> Array:
+        """Of the rate from ``start`` to times that all lie before or all after it."""
+        chunks = np.abs(times_s - start).max() / _CHUNK_S
+        known, angles = self._table(start, sense, 2 ** math.ceil(math.log2(max(chunks, 1.0))))
+        at = np.searchsorted(sense * known, sense * times_s, side="right") - 1
+        return angles[at] + self._steps(known[at], times_s)
+
+    def _steps(self, start_s: Array, end_s: Array) -> Array:
+        """Integrals of the rate over intervals within which the carrier moves smoothly, (n,)."""
+        nodes, weights = gauss_nodes(start_s, end_s)
+        rate = self._rate(nodes.ravel())[0].reshape(nodes.shape)
+        return np.sum(weights * rate, axis=1)
+
+    def _table(self, start: float, sense: float, chunks: int) -> tuple[Array, Array]:
+        """Times from ``start`` on, one way, with the angle at each."""
+        if (sense, chunks) not in self._tables:
+            first, last = self.span_s
+            end = min(max(start + sense * chunks * _CHUNK_S, first), last)
+            low, high = sorted((start, end))
+            # What comes after a time must not change the sum before it: chunks are always cut.
+            own = cut(low, high, _CHUNK_S)
+            times = np.union1d(own, self.carrier.breaks_s(low, high))[:: int(sense)]
+            steps = self._steps(times[:-1], times[1:])
+            self._tables[sense, chunks] = times, np.concatenate([[0.0], np.cumsum(steps)])
+        return self._tables[sense, chunks]
+
+    @cached_property
+    def _tables(self) -> dict[tuple[float, int], tuple[Array, Array]]:
+        return {}
