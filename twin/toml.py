@@ -51,12 +51,15 @@ class Strict(BaseModel):
 
     ``limits``: least and largest value of sourced numbers that no device has, beside what a field's
     own type says: within them products of several stay finite.
+
+    The text below a field says what it means: it stands in the JSON Schema, which editors show, and
+    in the reference.
     """
 
     alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by content: classes like ``Sourced[float]`` cannot be found by their name."""
@@ -88,12 +91,21 @@ class Strict(BaseModel):
         properties = handler.resolve_ref_schema(found).get("properties", {})
         for name, field in cls.model_fields.items():
             if name in properties and holds_numbers(field.annotation):
-                unit = unit_of(name)
-                said = f"in {unit}, or text with a unit" if unit else "or text in per cent"
                 properties[name] = _with_text(properties[name])
                 if not issubclass(cls, Sourced):  # whose field says it
-                    properties[name]["description"] = f"a number {said}"
+                    said = " ".join(filter(None, [field.description, cls.form_of(name)]))
+                    properties[name]["description"] = said
         return found
+
+    @classmethod
+    def form_of(cls, name: str) -> str:
+        """How a field of numbers is written: its unit, and the limits beside its type's own."""
+        unit = unit_of(name)
+        said = f"A number in {unit}, or text with a unit" if unit else "A number or text in per cent"
+        if name in cls.limits:
+            least, most = cls.limits[name]
+            said += f"; {least:g} to {most:g}"
+        return f"{said}."
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """The same with some fields changed, validated as a file is: pydantic's own copy takes
@@ -196,8 +208,11 @@ class Sourced(Strict, Generic[T]):
     """A value with where it comes from: a source, or the reason why it is assumed."""
 
     value: T
+    """The value itself."""
     source: Words | None = None
+    """Where it was read."""
     assumed: Words | None = None
+    """Why it is assumed."""
 
     @model_validator(mode="before")
     @classmethod
@@ -229,7 +244,9 @@ class Entry(Strict):
     """A catalogue entry: a name, and sections of sourced values."""
 
     name: Name
+    """As results name it. Default: that of a file with a base."""
     description: str = ""
+    """What it is, in words."""
 
     def values(self) -> list[tuple[str, Sourced[Any]]]:
         """Every sourced value with its dotted name, in the order of the sections."""

@@ -17,17 +17,24 @@ class Optical(Strict):
     """Lambertian reflectance at 1550 nm."""
 
     reflectance: Sourced[Reflectance]
+    """Lambertian reflectance at 1550 nm."""
 
 
 class RadioBand(Strict):
     """Permittivity and conductivity, valid between two carrier frequencies."""
 
     from_hz: Positive
+    """Lowest carrier for which the values hold."""
     to_hz: Positive
+    """Highest carrier for which the values hold."""
     relative_permittivity: Annotated[Positive, Field(ge=1)]
+    """Real part."""
     conductivity_s_per_m: NonNegative
+    """From the loss: eps'' f_GHz / 17.98."""
     source: str | None = None
+    """Where the values were read."""
     assumed: str | None = None
+    """Why these values are assumed."""
 
     @model_validator(mode="after")
     def _ascends(self) -> "RadioBand":
@@ -40,22 +47,31 @@ class Radio(Strict):
     """ITU-R P.2040 name where it is valid at the carrier, cited values elsewhere."""
 
     itu: str | None = None
+    """Row of ITU-R P.2040, used where it is valid at the carrier."""
     cited: tuple[RadioBand, ...] = ()
+    """Values for bands of carriers, used where no valid ITU row applies."""
 
 
 class Surface(Strict):
-    """Roughness, and gamma of the radar's backscatter: sigma_0 = gamma cos(angle of incidence)."""
+    """Roughness, and what the radar sees of it."""
 
     rms_height_m: Sourced[NonNegative]
+    """Root mean square height of the surface at scales below its mesh."""
     backscatter_gamma: Sourced[Annotated[NonNegative, Field(le=10)]] | None = None
+    """gamma of the radar's backscatter at 24 to 94 GHz: sigma_0 = gamma cos(angle of incidence).
+    Default: none.
+    """
 
 
 class Material(Strict):
     """One row of the table."""
 
     optical: Optical
+    """At 1550 nm."""
     radio: Radio = Radio()
+    """At the radar's carrier; a radar at a carrier for which nothing is given is an error."""
     surface: Surface | None = None
+    """Roughness."""
 
 
 class _Table(RootModel[dict[str, Material]]):

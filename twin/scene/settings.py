@@ -25,9 +25,13 @@ Vector = tuple[Finite, Finite, Finite]
 
 class _Mount(Strict):
     offset_m: Vector = (0.0, 0.0, 0.0)
+    """Place in the rig's frame: x forward, y left, z up."""
     yaw_deg: Finite = 0.0
+    """Turn about z, positive to the left."""
     pitch_deg: Finite = 0.0
+    """Turn about y, positive nose down."""
     roll_deg: Finite = 0.0
+    """Turn about x."""
 
     def pose(self) -> Pose:
         return Pose(self.offset_m, self.yaw_deg, self.pitch_deg, self.roll_deg)
@@ -35,18 +39,28 @@ class _Mount(Strict):
 
 class _Rig(Strict):
     position_m: Vector
+    """Place of the rig in the scene: x forward, y left, z up."""
     yaw_deg: Finite = 0.0
+    """Turn about z, positive to the left."""
     pitch_deg: Finite = 0.0
+    """Turn about y, positive nose down."""
     roll_deg: Finite = 0.0
+    """Turn about x."""
     emitter: _Mount = _Mount()
+    """The pattern projector on the rig."""
     detector: _Mount = _Mount(offset_m=(0.0, -0.05, 0.0))
+    """The camera's detector on the rig."""
     radar: _Mount = _Mount(offset_m=(0.0, 0.0, -0.3))
+    """The radar on the rig."""
 
 
 class _Sun(Strict):
     azimuth_deg: Finite
+    """Of the direction to the sun, from x towards y."""
     elevation_deg: Annotated[Finite, Field(ge=-90, le=90)]
+    """Of the direction to the sun, above the horizon."""
     illuminance_lx: Annotated[NonNegative, Field(le=BRIGHTEST_LX)]
+    """On a plane normal to the sun; a system's `sky` takes its place."""
 
 
 _Speed = Annotated[Finite, Field(ge=-FASTEST_M_PER_S, le=FASTEST_M_PER_S)]
@@ -54,23 +68,40 @@ _Speed = Annotated[Finite, Field(ge=-FASTEST_M_PER_S, le=FASTEST_M_PER_S)]
 
 class _Object(Strict):
     velocity_m_per_s: tuple[_Speed, _Speed, _Speed] = (0.0, 0.0, 0.0)
+    """Velocity in the scene."""
     radar: RadarRole | None = None
+    """What the object is to the radar, in place of the rule's choice: mirror (`surface`), scatterer
+    by physical optics (`optics`), scatterer by a table of its far field (`table`), a declared
+    target (`declared`), or an obstacle only (`obstacle`).
+    """
     thickness_m: Positive | None = None
+    """Thickness of the sheet that an open mesh stands for. Default: that of the mesh, or an opaque
+    one.
+    """
 
 
 class _Track(Strict):
     step_m: Vector
+    """From one stop of the rig to the next."""
     count: Count
+    """Stops."""
     interval_s: Positive | None = None
+    """From the beginning of a burst to the next stop's. Default: as long as a burst takes."""
 
 
 class _Target(Strict):
     name: str
+    """As reports name it."""
     object: str | None = None
+    """Object of the scene that the target moves with. Default: it stands still."""
     position_m: Vector
+    """Where a radar should find it."""
     rcs_m2: Positive
+    """Radar cross-section."""
     rcs_source: str | None = None
+    """Where the cross-section was read."""
     rcs_assumed: str | None = None
+    """Why this cross-section is assumed."""
 
     @model_validator(mode="after")
     def _one_origin(self) -> "_Target":
@@ -83,11 +114,17 @@ class SceneSettings(Strict):
     """Content of one ``scene.toml``."""
 
     description: str = ""
+    """What the scene is, in words."""
     rig: _Rig
+    """Where the sensors are."""
     track: _Track | None = None
+    """Stops of the rig, of which the radar's images are made. Default: it stands still."""
     sun: _Sun
+    """Where the sun stands and how bright it is."""
     objects: dict[str, _Object] = {}
+    """By the id of a shape in `scene.xml`: what is not in the mesh."""
     targets: tuple[_Target, ...] = ()
+    """True targets, with which detections are compared."""
 
     def make_rig(self) -> Rig:
         """The rig with its devices."""

@@ -24,32 +24,36 @@ Value = bool | int | float | str
 
 
 class Range(Strict):
-    """Bounds of a sampled parameter; ``log``: uniform in its logarithm."""
+    """Bounds of a sampled parameter."""
 
     low: Finite | str
+    """Lower end, a number or text with a unit."""
     high: Finite | str
+    """Upper end, a number or text with a unit."""
     log: bool = False
+    """Draw uniformly in the logarithm."""
 
 
 class Sample(Strict):
-    """Points drawn from ranges: Latin hypercube, or Sobol's scrambled sequence (SciPy).
-
-    ``saltelli``: ``n`` base points, a power of two, each with its crossings: n (d + 2) points of d
-    parameters in all, which tell sensitivities of first and total order (SALib).
-    """
+    """Points drawn from ranges."""
 
     method: Literal["latin-hypercube", "sobol", "saltelli"]
+    """`latin-hypercube`, `sobol` (Sobol's scrambled sequence, SciPy), or `saltelli`: `n` base
+    points, each with its crossings, n (d + 2) points of d parameters in all, which tell
+    sensitivities of first and total order (SALib).
+    """
     n: Annotated[int, Field(strict=True, ge=1, le=10**7)]
+    """Points; with `saltelli` a power of two."""
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    """Of the draw."""
     ranges: Annotated[dict[str, Range], Field(min_length=1)]
+    """Bounds by dotted name of the parameter."""
 
 
 class Study(Strict):
     """A study, as its TOML file says it.
 
-    ``grid``: every combination of values; ``zip``: parameters that change together; ``sample``:
-    drawn points. All of them together make the product of their dimensions. ``set``: parameters
-    that differ from scene and system in every point.
+    ``grid``, ``zip`` and ``sample`` together make the product of their dimensions.
 
     In Python scene, system, radar, parts and fidelities may be objects as well as names, as fields
     and as values of ``scene``, ``system``, ``radar``, ``system.SECTION.part``, ``fidelity.preset``;
@@ -70,18 +74,33 @@ class Study(Strict):
     """
 
     name: Name
+    """Of the study and its folder under `runs`. Default: the file's."""
     model: Literal["rendered", "closed-form"] = "rendered"
+    """`rendered`: each point through the whole chain; `closed-form`: from formulas, a million
+    points in a second.
+    """
     scene: str = "yard"
+    """Name, file or folder of the scene."""
     system: str = "workable"
+    """Name or file of the optical system."""
     radar: str = "hybrid-79"
+    """Name or file of the radar, for metrics of the radar."""
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    """Of noise and of light paths."""
     metrics: Annotated[tuple[str, ...], Field(min_length=1)]
+    """What is measured of each point, by name; or a function of one's own, `file.py:function`."""
     set: dict[str, Value] = {}
+    """Parameters, by dotted name, that differ from scene and system in every point."""
     grid: dict[str, Annotated[list[Value], Field(min_length=1)]] = {}
+    """Parameters of which every combination of the values is a point."""
     zip: list[dict[str, Annotated[list[Value], Field(min_length=1)]]] = []
+    """Tables of parameters that change together."""
     sample: Sample | None = None
+    """Points drawn from ranges."""
     folder: Path = Path()
+    """Folder to which names of files in the study are relative; a file's own, never in the file."""
     objects: Annotated[dict[str, Any], Field(exclude=True, repr=False)] = {}
+    """In Python: objects by the names that they get."""
 
     if not TYPE_CHECKING:
 

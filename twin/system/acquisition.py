@@ -17,21 +17,29 @@ Duration = Annotated[Positive, Field(ge=1e-9, le=1e3)]
 
 
 class Acquisition(Strict):
-    """Which patterns are shown, and for how long.
-
-    ``columns``: of a line sensor, whose pixels are binned to them; default one per pixel.
-    ``patterns``: a user's own in place of Hadamard rows, the first ``n_patterns`` of a file (in
-    Python of an array) of as many rows and columns as the emitter, see `hardware.own_patterns`;
-    ``order`` does not count then.
-    """
+    """Which patterns are shown, and for how long."""
 
     integration_time_s: Sourced[Duration]
+    """Time for which one exposure collects light."""
     pattern_period_s: Sourced[Duration]
+    """From the beginning of one exposure to the next; not below the integration time."""
     n_patterns: Sourced[Count]
+    """Patterns shown; as many as there are cells make a complete Hadamard set."""
     order: Sourced[Order]
+    """Which Hadamard patterns come first, see `hardware.patterns.orders`; does not count with
+    `patterns`.
+    """
     mode: Sourced[Mode]
+    """How a row of +1 and -1 becomes light. `differential`: each pattern is followed by its
+    complement; `plain`: the lit pattern alone; `reference`: all cells lit and all dark once, then
+    the lit patterns; `s-matrix`: the cells where the row is -1.
+    """
     columns: Sourced[Count] | None = None
+    """Columns to which the pixels of a line sensor are binned. Default: one per pixel."""
     patterns: Sourced[OwnPatternSource] | None = None
+    """File of a user's own patterns in place of Hadamard rows (in Python an array), of as many rows
+    and columns as the emitter, of which the first `n_patterns` are shown.
+    """
 
     @model_validator(mode="after")
     def _fits(self) -> "Acquisition":
@@ -51,10 +59,8 @@ class Acquisition(Strict):
 class TimeOfFlight(Strict):
     """Distance from the time that light takes; every pattern is shown once for each shutter.
 
-    Indirect: power modulated at each of ``modulation_hz``, the detector sensitive half of the time,
-    in step, at ``phase_steps`` phases; ``contrast`` of the modulation and the detector together.
-    Gated: pulses of ``pulse_width_s``, ``pulse_rate_hz`` of them a second, the detector open for
-    ``gate_width_s`` after each of ``gate_delays_s``; radiant intensity is that of the pulse.
+    Indirect: the light's power is modulated and the detector sensitive in step, at several phases.
+    Gated: the light comes in pulses, and the detector is open for a while after each.
     """
 
     alternatives: ClassVar = (
@@ -63,12 +69,21 @@ class TimeOfFlight(Strict):
     )
 
     modulation_hz: Sourced[Annotated[tuple[Positive, ...], Field(min_length=1)]] | None = None
+    """Indirect: frequencies at which the light's power is modulated, one after another, while the
+    detector is sensitive half of the time, in step.
+    """
     phase_steps: Sourced[Annotated[int, Field(strict=True, ge=3, le=16)]] | None = None
+    """Indirect: phases of the detector for each frequency. Default: 4."""
     contrast: Sourced[Fraction] | None = None
+    """Indirect: contrast of the modulation and the detector together."""
     pulse_width_s: Sourced[Positive] | None = None
+    """Gated: length of a pulse; the radiant intensity is that of the pulse."""
     pulse_rate_hz: Sourced[Positive] | None = None
+    """Gated: pulses per second."""
     gate_width_s: Sourced[Positive] | None = None
+    """Gated: for how long the detector is open after each pulse."""
     gate_delays_s: Sourced[Annotated[tuple[NonNegative, ...], Field(min_length=1)]] | None = None
+    """Gated: from the beginning of the pulse to the opening of each gate."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> "TimeOfFlight":

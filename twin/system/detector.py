@@ -15,20 +15,8 @@ from twin.toml import Count, Finite, NonNegative, Positive, Sourced, Strict
 class Photodetector(Strict):
     """Photodiode, or one of the equal pixels of a sensor.
 
-    ``width_m`` is the diameter of a disc or the side of a square; a rectangle has ``height_m`` too.
-    ``line_rate_hz``: readouts per second at most. ``responsivity_csv``: a vendor's curve,
-    wavelength and A/W, in place of one number.
-
     An avalanche photodiode multiplies by ``gain``, and adds the noise of doing so: by the
-    ``excess_noise_factor`` at that gain, or by the ``ionisation_ratio`` k of its two carriers, of
-    which F = k M + (1 - k) (2 - 1 / M) (McIntyre, IEEE Trans. Electron Devices 13, 1966, p. 164).
-    Responsivity and dark current are then those at the terminals, gain included; all of the dark
-    current is taken to be multiplied.
-
-    ``function``: a user's own detector with its readout, a class or function that makes a
-    `twin.Detector` of the `System`: ``file.py:name``, the name of an entry point of the group
-    ``twin.detector``, or in Python itself. Shape and width are still those of the area; what it
-    makes of responsivity and dark current is its own.
+    ``excess_noise_factor`` at that gain, or by the ``ionisation_ratio`` of its two carriers.
     """
 
     alternatives: ClassVar = (("excess_noise_factor",), ("ionisation_ratio",))
@@ -39,17 +27,38 @@ class Photodetector(Strict):
     }
 
     shape: Sourced[Literal["disc", "square", "rectangle"]]
+    """Outline of the photosensitive area of one pixel."""
     width_m: Sourced[Positive]
+    """Diameter of a disc, or side of a square or rectangle."""
     height_m: Sourced[Positive] | None = None
+    """Other side of a rectangle; with that shape alone."""
     pixels: Sourced[Count] | None = None
+    """Pixels of a line sensor. Default: a single detector."""
     responsivity_a_per_w: Sourced[Positive]
+    """Photocurrent per light power at the emitter's wavelength; with `gain`, at the terminals."""
     responsivity_csv: Sourced[str] | None = None
+    """File of the vendor's curve, wavelength and A/W, in place of the one number."""
     dark_current_a: Sourced[NonNegative]
+    """Current without light at the terminals, of one pixel; with `gain` all of it is taken to be
+    multiplied.
+    """
     gain: Sourced[Annotated[Finite, Field(ge=1, le=1e8)]] | None = None
+    """Electrons at the terminals for each one that a photon frees, of an avalanche photodiode.
+    Default: 1.
+    """
     excess_noise_factor: Sourced[Annotated[Finite, Field(ge=1, le=1e8)]] | None = None
+    """Mean square over squared mean of the avalanche's multiplication at that gain."""
     ionisation_ratio: Sourced[Annotated[NonNegative, Field(le=1)]] | None = None
+    """Ratio k of the ionisation of both carriers, from which the excess noise F = k M + (1 - k) (2
+    - 1 / M) follows (McIntyre, IEEE Trans. Electron Devices 13, 1966, p. 164).
+    """
     line_rate_hz: Sourced[Positive] | None = None
+    """Readouts per second at most. Default: as many as there are patterns."""
     function: Sourced[OwnCode] | None = None
+    """A user's own detector with its readout: a class or function that makes a `twin.Detector` of
+    the `System`, as `file.py:name`, the name of an entry point of the group `twin.detector`, or in
+    Python itself. Shape and width are still those of the area.
+    """
 
     @model_validator(mode="after")
     def _has_its_sides(self) -> "Photodetector":
@@ -126,13 +135,8 @@ def quantum_limit_a_per_w(wavelength_m: float) -> float:
 
 
 class Readout(Strict):
-    """Amplifier and ADC.
-
-    A transimpedance amplifier (``transimpedance_ohm``) averages the current over the integration
-    time; a capacitive one (``feedback_capacitance_f``, CTIA) collects the charge, up to
-    ``full_well_e``, and has its reset noise in ``read_noise_e``. Below ``flicker_corner_hz`` the
-    amplifier's noise density grows as 1/f. ``bandwidth_hz``: of the amplifier's one pole, which
-    carries a share of each exposure into the next; default: wide enough to settle.
+    """Amplifier and ADC. The amplifier is a transimpedance one, or a capacitive one that collects
+    the charge.
     """
 
     alternatives: ClassVar = (("transimpedance_ohm",), ("feedback_capacitance_f", "full_well_e"))
@@ -145,15 +149,27 @@ class Readout(Strict):
     }
 
     transimpedance_ohm: Sourced[Positive] | None = None
+    """Of a transimpedance amplifier, which averages the current over the integration time."""
     feedback_capacitance_f: Sourced[Positive] | None = None
+    """Of a capacitive amplifier (CTIA), which collects the charge."""
     full_well_e: Sourced[Positive] | None = None
+    """Charge up to which a capacitive amplifier collects. Default: up to the converter's rail."""
     temperature_k: Sourced[NonNegative]
+    """Of the amplifier's resistor, for its Johnson noise."""
     read_noise_e: Sourced[NonNegative]
+    """Noise of one readout, rms, the reset noise of a capacitive amplifier included."""
     flicker_corner_hz: Sourced[NonNegative] | None = None
+    """Frequency below which the amplifier's noise density grows as 1/f. Default: nowhere."""
     bandwidth_hz: Sourced[Positive] | None = None
+    """Of the amplifier's one pole, which carries a share of each exposure into the next. Default:
+    wide enough to settle.
+    """
     adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=31)]]
+    """Bits of the converter."""
     adc_full_scale_v: Sourced[Positive]
+    """Voltage of the converter's highest code."""
     adc_offset_v: Sourced[NonNegative]
+    """Voltage at the converter without any light, so that noise is not cut off at zero."""
 
     @model_validator(mode="after")
     def _is_one_amplifier(self) -> "Readout":

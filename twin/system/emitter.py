@@ -20,48 +20,56 @@ class Emitter(Strict):
     With all cells lit it has ``radiant_intensity_w_per_sr`` on its axis and, without
     ``viewing_angle_deg``, in every direction of the field; a single lit cell has that same radiant
     intensity inside its own solid angle.
-
-    viewing_angle_deg
-        Full angle at which a lobe cos^m has fallen to one half; default: a flat field.
-    projection
-        ``lens`` images each cell into the field; ``none``: bare LEDs at ``pitch_m``, each with its
-        lobe over the whole field and its share of the radiant intensity.
-    blur_rms_deg
-        Standard deviation of the projection's Gaussian blur.
-    fill_factor
-        Share of a cell that is lit, a square in its middle, which holds all of the cell's light.
-    contrast_ratio
-        Lit over dark; default: dark cells emit nothing.
-    intensity_spread, intensity_seed
-        Relative standard deviation of unequal cells, and the draw that makes them.
-    intensity_noise
-        Relative fluctuation of the whole emitter from exposure to exposure, rms.
-    switching_time_s
-        10 to 90 % of a cell switched on or off, exponential.
-    kind, source_diameter_m
-        For eye safety alone: which standard holds, and the diameter of the apparent source; without
-        it a source too small to be resolved is taken, the worst case.
     """
 
     rows: Sourced[GridSize]
+    """Rows of cells, top to bottom."""
     columns: Sourced[GridSize]
+    """Columns of cells, left to right; 1 with a line sensor, whose pixels are the columns."""
     field_of_view_deg: Sourced[FieldAngle]
+    """Full angle of the square field that is lit, from edge to edge."""
     radiant_intensity_w_per_sr: Sourced[Annotated[NonNegative, Field(le=1e9)]]
+    """Radiant intensity on the axis with all cells lit; of a single lit cell the same inside its
+    own solid angle.
+    """
     peak_wavelength_m: Sourced[Positive]
+    """Wavelength at which the emission line peaks."""
     line_fwhm_m: Sourced[Positive]
+    """Full width at half maximum of the emission line, a Gaussian."""
     spectrum_csv: Sourced[str] | None = None
+    """File of the emission line as the vendor gives it, wavelength and any unit, in place of the
+    Gaussian.
+    """
     viewing_angle_deg: Sourced[FieldAngle] | None = None
+    """Full angle at which a lobe cos^m has fallen to one half. Default: a flat field."""
     projection: Sourced[Literal["lens", "none"]] | None = None
+    """`lens` (default) images each cell into the field; `none`: bare LEDs at `pitch_m`, each with
+    its lobe over the whole field and its share of the radiant intensity.
+    """
     pitch_m: Sourced[Positive] | None = None
+    """Distance between bare LEDs; with `projection` none alone."""
     blur_rms_deg: Sourced[Annotated[NonNegative, Field(lt=45)]] | None = None
+    """Standard deviation of the projection's Gaussian blur. Default: none."""
     fill_factor: Sourced[Fraction] | None = None
+    """Share of a cell that is lit, a square in its middle, which holds all of the cell's light.
+    Default: 1.
+    """
     contrast_ratio: Sourced[Annotated[Finite, Field(gt=1)]] | None = None
+    """Light of a lit cell over that of a dark one. Default: dark cells emit nothing."""
     intensity_spread: Sourced[Annotated[NonNegative, Field(lt=1)]] | None = None
+    """Relative standard deviation of unequal cells. Default: all are equal."""
     intensity_seed: Sourced[Annotated[int, Field(strict=True, ge=0)]] | None = None
+    """Seed of the draw that makes the cells unequal. Default: 0."""
     intensity_noise: Sourced[Annotated[NonNegative, Field(lt=1)]] | None = None
+    """Relative fluctuation of the whole emitter from exposure to exposure, rms. Default: none."""
     switching_time_s: Sourced[NonNegative] | None = None
+    """Time in which a cell is switched on or off, 10 to 90 %, exponential. Default: at once."""
     kind: Sourced[Literal["led", "laser"]] | None = None
+    """For eye safety alone, `led` (IEC 62471) or `laser` (IEC 60825-1)."""
     source_diameter_m: Sourced[Positive] | None = None
+    """For eye safety alone: diameter of the apparent source. Default: too small to be resolved, the
+    worst case.
+    """
 
     @model_validator(mode="after")
     def _line_is_at_its_peak(self) -> "Emitter":

@@ -22,18 +22,20 @@ _SUPERSATURATED = 1.05
 
 
 class Sky(Strict):
-    """The sun a system is meant for; takes precedence over the scene's.
-
-    Either ``illuminance_lx`` on the plane normal to the sun, with the direct spectrum of ASTM G-173
-    (that of a sun 42 deg high), or ``sun_elevation_deg`` in a clear sky, which gives both
-    illuminance and spectrum: a low sun is redder, with 2.2 times as much at 1550 nm per lux at
-    10 deg.
+    """The sun a system is meant for; takes precedence over the scene's. A low sun is redder, with
+    2.2 times as much at 1550 nm per lux at 10 deg.
     """
 
     alternatives: ClassVar = (("illuminance_lx",), ("sun_elevation_deg",))
 
     illuminance_lx: Sourced[_Illuminance] | None = None
+    """On the plane normal to the sun, with the direct spectrum of ASTM G-173 (that of a sun 42 deg
+    high).
+    """
     sun_elevation_deg: Sourced[Annotated[Finite, Field(ge=-90, le=90)]] | None = None
+    """Height of the sun in a clear sky, which gives both illuminance and spectrum; negative: below
+    the horizon.
+    """
 
     @model_validator(mode="after")
     def _one_of_them(self) -> "Sky":
@@ -45,32 +47,42 @@ class Sky(Strict):
 class Weather(Strict):
     """The air between the devices and what they look at, the same everywhere.
 
-    Extinction comes from what is named: fog, haze and clear air by ``visibility_m`` (2 % contrast
-    at 550 nm) and ``visibility_model``; rain and snow by their rates (melted, for snow); smoke by
-    its mass per volume. They add up.
-
-    ``single_scattering_albedo``, ``asymmetry`` (mean cosine) and ``lidar_ratio_sr`` (extinction
-    over backscatter) belong to the particles together; without a lidar ratio the phase function
-    is that of Henyey and Greenstein. Temperature, pressure and water vapour are the radar's.
-
-    ``function``: a user's own air in place of all these laws, a class or function that makes a
-    `twin.OwnWeather` of this section, whose numbers it may read: ``file.py:name``, the name of an
-    entry point of the group ``twin.weather``, or in Python itself.
+    Extinction comes from what is named: fog, haze and clear air by their visibility, rain and snow
+    by their rates, smoke by its mass per volume. They add up. Albedo, asymmetry and lidar ratio
+    belong to the particles together; temperature, pressure and water vapour are the radar's.
     """
 
     visibility_m: Sourced[Annotated[Positive, Field(ge=1)]] | None = None
+    """Distance of 2 % contrast at 550 nm in fog, haze or clear air."""
     visibility_model: Sourced[Literal["kim", "kruse"]] | None = None
+    """How extinction at the emitter's wavelength follows from the visibility. Default: `kim`."""
     rain_mm_per_h: Sourced[Annotated[NonNegative, Field(le=1000)]] | None = None
+    """Rate of rain. Default: none."""
     snow_mm_per_h: Sourced[Annotated[NonNegative, Field(le=1000)]] | None = None
+    """Rate of snow, melted. Default: none."""
     snow_kind: Sourced[Literal["dry", "wet"]] | None = None
+    """Needed with snow."""
     smoke_kg_per_m3: Sourced[Annotated[NonNegative, Field(le=1)]] | None = None
+    """Mass of smoke per volume. Default: none."""
     single_scattering_albedo: Sourced[Annotated[NonNegative, Field(le=1)]]
+    """Share of the particles' extinction that is scattered; the rest is absorbed."""
     asymmetry: Sourced[Annotated[Finite, Field(gt=-1, lt=1)]]
+    """Mean cosine of the scattering angle, of all particles together."""
     lidar_ratio_sr: Sourced[Positive] | None = None
+    """Extinction over backscatter of all particles together. Default: the phase function is that of
+    Henyey and Greenstein.
+    """
     temperature_k: Sourced[Annotated[Positive, Field(ge=150, le=350)]] | None = None
+    """Of the air, for the radar. Default: 288.15 K (ITU-R P.835)."""
     pressure_pa: Sourced[Annotated[Positive, Field(ge=1e3, le=2e5)]] | None = None
+    """Of the air, for the radar. Default: 101 325 Pa (ITU-R P.835)."""
     water_vapour_kg_per_m3: Sourced[Annotated[NonNegative, Field(le=0.1)]] | None = None
+    """Of the air, for the radar. Default: 7.5e-3 kg/m^3 (ITU-R P.835)."""
     function: Sourced[OwnCode] | None = None
+    """A user's own air in place of all these laws: a class or function that makes a
+    `twin.OwnWeather` of this section, whose numbers it may read, as `file.py:name`, the name of an
+    entry point of the group `twin.weather`, or in Python itself.
+    """
 
     @model_validator(mode="before")
     @classmethod

@@ -13,20 +13,24 @@ _SUN_BAND_M = (280e-9, 4000e-9)
 
 
 class Filter(Strict):
-    """Band-pass filter, flat inside its width.
-
-    ``transmission_csv``: a vendor's curve, wavelength and transmission, in place of the flat top;
-    ``transmission`` is then a factor beside it. ``effective_index``: of the interference stack,
-    which moves the band to shorter wavelengths with angle. ``place``: ``before lens`` (default),
-    light meets it at the angle of the field; ``behind lens``, in the cone of the f-number.
-    """
+    """Band-pass filter, flat inside its width."""
 
     center_wavelength_m: Sourced[Positive]
+    """Middle of the pass band at normal incidence."""
     width_m: Sourced[Positive]
+    """Full width of the pass band, which is flat."""
     transmission: Sourced[Fraction]
+    """Transmission inside the band; with `transmission_csv` a factor beside the curve."""
     transmission_csv: Sourced[str] | None = None
+    """File of the vendor's curve, wavelength and transmission, in place of the flat top."""
     effective_index: Sourced[Annotated[Positive, Field(gt=1)]] | None = None
+    """Refractive index of the interference stack, which moves the band to shorter wavelengths with
+    angle. Default: the band does not move.
+    """
     place: Sourced[Literal["before lens", "behind lens"]] | None = None
+    """`before lens` (default): light meets the filter at the angle of the field; `behind lens`: in
+    the cone of the f-number.
+    """
 
     @model_validator(mode="after")
     def _in_the_table(self) -> "Filter":
@@ -45,23 +49,30 @@ FASTEST_F_NUMBER = 0.5
 
 
 class Optics(Strict):
-    """Lens before the detector.
-
-    ``field_stop``: ``matched``, the detector's area is spread over a square field;
-    ``detector``, the detector's own outline behind the lens is what is seen.
-    ``edge_illumination``: vignetting beyond cos^4, what is left at the middle of the field's edge.
-    ``blur_rms_deg``: standard deviation of the lens's Gaussian blur, some 0.1 deg for a Fresnel
-    lens. ``focus_m``: the pupil has its true size and is focused there; default: a pinhole in
-    position, in focus everywhere. Of surfaces nearer than 100 of its radii its area is taken into
-    account by a form factor, whose error is warned of.
-    """
+    """Lens before the detector."""
 
     limits: ClassVar = {"f_number": (FASTEST_F_NUMBER, 1e6)}
 
     f_number: Sourced[Annotated[Positive, Field(ge=FASTEST_F_NUMBER)]]
+    """Focal length over diameter of the pupil."""
     transmission: Sourced[Fraction]
+    """Of the lens."""
     field_of_view_deg: Sourced[FieldAngle]
+    """Full angle that the detector sees, from edge to edge."""
     field_stop: Sourced[Literal["matched", "detector"]]
+    """`matched`: the detector's area is spread over a square field; `detector`: the detector's own
+    outline behind the lens is what is seen.
+    """
     edge_illumination: Sourced[Fraction] | None = None
+    """Vignetting beyond cos^4: what is left of the light at the middle of the field's edge.
+    Default: 1.
+    """
     blur_rms_deg: Sourced[Annotated[NonNegative, Field(lt=45)]] | None = None
+    """Standard deviation of the lens's Gaussian blur, some 0.1 deg for a Fresnel lens. Default:
+    none.
+    """
     focus_m: Sourced[Positive] | None = None
+    """Distance at which the lens is focused, with a pupil of its true size. Default: a pinhole in
+    position, in focus everywhere. Of surfaces nearer than 100 of its radii its area is taken into
+    account by a form factor, whose error is warned of.
+    """

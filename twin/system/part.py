@@ -21,12 +21,19 @@ class Part(Entry):
     """A part one can buy, or one the paper describes: one section of a system."""
 
     emitter: Emitter | None = None
+    """A pattern projector."""
     filter: Filter | None = None
+    """A band-pass filter."""
     optics: Optics | None = None
+    """A lens."""
     detector: Photodetector | None = None
+    """A photodiode or sensor."""
     readout: Readout | None = None
+    """An amplifier and converter."""
     sky: Sky | None = None
+    """A sun."""
     weather: Weather | None = None
+    """A state of the air."""
 
     @model_validator(mode="after")
     def _is_one_thing(self) -> "Part":

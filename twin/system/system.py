@@ -30,14 +30,23 @@ class System(Entry):
     """
 
     emitter: Emitter
+    """The pattern projector."""
     filter: Filter
+    """The band-pass filter."""
     optics: Optics
+    """The lens before the detector."""
     detector: Photodetector
+    """The photodiode or sensor."""
     readout: Readout
+    """The amplifier and the converter."""
     acquisition: Acquisition
+    """Which patterns are shown, and for how long."""
     sky: Sky | None = None
+    """The sun the system is meant for. Default: the scene's."""
     time_of_flight: TimeOfFlight | None = None
+    """Distance from the time that light takes. Default: an image without distances."""
     weather: Weather | None = None
+    """The air. Default: nothing absorbs or scatters."""
 
     @model_validator(mode="after")
     def _patterns_exist(self) -> "System":

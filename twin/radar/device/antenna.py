@@ -19,19 +19,18 @@ Array = NDArray[np.float64]
 
 
 class Antenna(Strict):
-    """One pattern for transmitting and receiving.
-
-    ``gain_dbi``: G0 cos^q, zero behind, with G0 = 2 (q + 1). Or ``pattern_file`` (see
-    `antenna_pattern_file`) and which of its axes looks ahead: ``x`` (default; theta from above, phi
-    from ahead to the left) or ``z`` (theta from ahead, phi from the left upwards). Planet files
-    always look along x.
-    """
+    """One pattern for transmitting and receiving: a closed form, or a file's."""
 
     alternatives: ClassVar = (("gain_dbi",), ("pattern_file", "pattern_axis"))
 
     gain_dbi: Sourced[Annotated[Positive, Field(ge=3.0103, le=60)]] | None = None
+    """G0 of a pattern G0 cos^q, zero behind, with G0 = 2 (q + 1)."""
     pattern_file: Sourced[str] | None = None
+    """File of a measured or computed pattern, see `twin.radar.device.antenna_pattern_file`."""
     pattern_axis: Sourced[Literal["x", "z"]] | None = None
+    """Which axis of the file looks ahead: `x` (default; theta from above, phi from ahead to the
+    left) or `z` (theta from ahead, phi from the left upwards). Planet files always look along x.
+    """
 
     @model_validator(mode="after")
     def _is_one_or_the_other(self) -> "Antenna":

@@ -44,10 +44,7 @@ Places = Annotated[tuple[Place, ...], Field(min_length=1, max_length=256)]
 class Waveform(Strict):
     """See `OfdmWaveform`. Of a radar that steps its carrier, this is the first step's.
 
-    In place of ``symbols``, a user's own: ``symbols_file``, an array (n_subcarriers,) of complex
-    numbers of modulus 1 as ``.npy``; or ``function``, which gives such an array for this section:
-    ``file.py:function``, the name of an entry point of the group ``twin.waveform``, or in Python
-    itself.
+    In place of ``symbols``, a user's own: ``symbols_file`` or ``function``.
 
     >>> def random_phases(waveform):
     ...     rng = np.random.default_rng(0)
@@ -60,15 +57,29 @@ class Waveform(Strict):
     alternatives: ClassVar = (("symbols",), ("symbols_file",), ("function",))
 
     carrier_hz: Sourced[Annotated[Positive, Field(le=1e13)]]
+    """Middle of the band; of a radar that steps its carrier, in the first step."""
     n_subcarriers: Sourced[Count]
+    """N: subcarrier n lies at carrier + (n - N // 2) spacing."""
     subcarrier_spacing_hz: Sourced[Positive]
+    """df: range resolution c / (2 N df), unambiguous range c / (2 df)."""
     n_slots: Sourced[Count]
+    """M: slots that are processed together."""
     slot_period_s: Sourced[Annotated[Positive, Field(ge=1e-9, le=1e3)]]
+    """T: velocity resolution lambda / (2 M T), unambiguous to +/- lambda / (4 T)."""
     repeats: Sourced[Count]
+    """Symbols per slot that the receiver averages coherently."""
     prefix_s: Sourced[NonNegative]
+    """Cyclic prefix before the first of them; echoes from beyond c prefix / 2 fall out of step."""
     symbols: Sourced[Symbols] | None = None
+    """`zadoff-chu`: constant modulus, flat envelope; `flat`: all ones, an impulse in time."""
     symbols_file: Sourced[str] | None = None
+    """File of a user's own symbols, an array (n_subcarriers,) of complex numbers of modulus 1 as
+    `.npy`.
+    """
     function: Sourced[OwnCode] | None = None
+    """What gives such an array for this section: `file.py:function`, the name of an entry point of
+    the group `twin.waveform`, or in Python itself.
+    """
 
     @model_validator(mode="after")
     def _says_its_symbols(self) -> "Waveform":
@@ -95,48 +106,52 @@ class Waveform(Strict):
 
 
 class FrontEndDesign(Strict):
-    """Power, noise figure, losses (two-way, all told), mixer and converter.
-
-    noise_counts
-        Root mean square of one averaged sample's noise, in counts of 16 bits: the gain. Full scale
-        is +/- 2^15 counts.
-    adc_bits
-        Of the converter, whose full scale is the record's. It takes every repeat by itself, noise
-        included, before they are averaged; default: nothing but the record's own 16 bits.
-    iq_gain_db, iq_phase_deg
-        Of the receiver's quadrature branch against the in-phase one; default 0.
-    """
+    """Power, noise figure, losses, mixer and converter."""
 
     transmit_power_w: Sourced[Positive]
+    """At the antenna's port."""
     noise_figure_db: Sourced[Annotated[NonNegative, Field(le=100)]]
+    """Of the receiver, over 290 K."""
     losses_db: Sourced[Annotated[NonNegative, Field(le=300)]]
+    """Two-way, all told."""
     noise_counts: Sourced[Positive]
+    """Root mean square of one averaged sample's noise, in counts of 16 bits: the gain. Full scale
+    is +/- 2^15 counts.
+    """
     adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=16)]] | None = None
+    """Of the converter, whose full scale is the record's. It takes every repeat by itself, noise
+    included, before they are averaged. Default: nothing but the record's own 16 bits.
+    """
     iq_gain_db: Sourced[Annotated[Finite, Field(ge=-20, le=20)]] | None = None
+    """Gain of the receiver's quadrature branch over the in-phase one. Default: 0."""
     iq_phase_deg: Sourced[Annotated[Finite, Field(gt=-90, lt=90)]] | None = None
+    """Phase of the receiver's quadrature branch against the in-phase one, beyond 90 deg. Default:
+    0.
+    """
 
 
 class Leakage(Strict):
-    """What goes straight from transmitter to receiver: received over sent power, at the ports, and
-    its delay. The same for every pair of antennas.
-    """
+    """What goes straight from transmitter to receiver, the same for every pair of antennas."""
 
     level_db: Sourced[Annotated[Finite, Field(ge=-300, le=0)]]
+    """Received over sent power, at the ports."""
     delay_s: Sourced[Annotated[NonNegative, Field(le=1.0)]]
+    """From transmitter to receiver."""
 
 
 class Oscillator(Strict):
-    """Phase noise of the carrier: single sideband over offset, straight between points where both
-    are logarithms, constant beyond the first and the last.
-
-    shared
-        One oscillator mixes up and down: what has not changed within an echo's delay cancels.
-        Otherwise each way has its own, of the same kind.
-    """
+    """Phase noise of the carrier: single sideband over offset."""
 
     offset_hz: Sourced[Annotated[tuple[Positive, ...], Field(min_length=1)]]
+    """Offsets from the carrier, ascending."""
     phase_noise_dbc_per_hz: Sourced[tuple[Annotated[Finite, Field(ge=-400, le=0)], ...]]
+    """Single-sideband noise at each offset; straight between points where both are logarithms,
+    constant beyond the first and the last.
+    """
     shared: Sourced[bool]
+    """One oscillator mixes up and down: what has not changed within an echo's delay cancels.
+    Otherwise each way has its own, of the same kind.
+    """
 
     @model_validator(mode="after")
     def _is_a_curve(self) -> "Oscillator":
@@ -156,35 +171,36 @@ class Oscillator(Strict):
 
 
 class Steps(Strict):
-    """A carrier that steps upwards from the waveform's.
-
-    settling_s
-        From the end of one step's slots to the next one's.
-    random_phase
-        Whether the carrier comes back from each retune with a phase of its own.
-    timing_rms_s
-        Of the delay between sending and sampling, drawn anew at each step.
-    """
+    """A carrier that steps upwards from the waveform's."""
 
     count: Sourced[Annotated[int, Field(strict=True, ge=1, le=4096)]]
+    """Carriers, one after another."""
     spacing_hz: Sourced[Positive]
+    """From one carrier to the next."""
     settling_s: Sourced[Annotated[NonNegative, Field(le=1e3)]]
+    """From the end of one step's slots to the next one's."""
     random_phase: Sourced[bool]
+    """Whether the carrier comes back from each retune with a phase of its own."""
     timing_rms_s: Sourced[Annotated[NonNegative, Field(le=1.0)]]
+    """Of the delay between sending and sampling, drawn anew at each step."""
 
 
 class Elements(Strict):
     """Phase centres of the antennas: x ahead, y left, z up; transmitters take turns by slot."""
 
     transmitters_m: Sourced[Places]
+    """Phase centres x, y, z of the transmitters, which take turns by slot."""
     receivers_m: Sourced[Places]
+    """Phase centres x, y, z of the receivers."""
 
 
 class Band(Strict):
     """Where the radar may transmit."""
 
     low_hz: Sourced[Positive]
+    """Lowest frequency that may be sent; below it there is a warning."""
     high_hz: Sourced[Positive]
+    """Highest frequency that may be sent; above it there is a warning."""
 
     @model_validator(mode="after")
     def _ascends(self) -> "Band":
@@ -197,13 +213,21 @@ class RadarDesign(Entry):
     """One radar; without `elements` it has one transmitter and one receiver at the same place."""
 
     waveform: Waveform
+    """The OFDM waveform."""
     front_end: FrontEndDesign
+    """Power, noise, losses, converter."""
     antenna: Antenna
+    """One pattern for transmitting and receiving."""
     band: Band
+    """Where the radar may transmit."""
     elements: Elements | None = None
+    """Places of the antennas. Default: one transmitter and one receiver at the same place."""
     steps: Steps | None = None
+    """A carrier that steps upwards. Default: one carrier."""
     leakage: Leakage | None = None
+    """What goes straight from transmitter to receiver. Default: nothing."""
     oscillator: Oscillator | None = None
+    """Phase noise of the carrier. Default: none."""
 
     @model_validator(mode="after")
     def _waveform_is_possible(self) -> "RadarDesign":
