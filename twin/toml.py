@@ -91,17 +91,19 @@ class Strict(BaseModel):
         properties = handler.resolve_ref_schema(found).get("properties", {})
         for name, field in cls.model_fields.items():
             if name in properties and holds_numbers(field.annotation):
-                properties[name] = _with_text(properties[name])
-                if not issubclass(cls, Sourced):  # whose field says it
-                    said = " ".join(filter(None, [field.description, cls.form_of(name)]))
-                    properties[name]["description"] = said
+                form = "" if issubclass(cls, Sourced) else cls.form_of(name)  # its field says it
+                said = " ".join(filter(None, [field.description, form]))
+                properties[name] = _with_text(properties[name]) | {"description": said}
+        for entry in properties.values():
+            if "description" in entry:  # no lines of the source's width
+                entry["description"] = " ".join(entry["description"].split())
         return found
 
     @classmethod
     def form_of(cls, name: str) -> str:
         """How a field of numbers is written: its unit, and the limits beside its type's own."""
         unit = unit_of(name)
-        said = f"A number in {unit}, or text with a unit" if unit else "A number or text in per cent"
+        said = f"A number in {unit}, or text with a unit" if unit else "A number, or in per cent"
         if name in cls.limits:
             least, most = cls.limits[name]
             said += f"; {least:g} to {most:g}"
@@ -207,12 +209,12 @@ def _fields_set(section: BaseModel) -> dict[str, Any]:
 class Sourced(Strict, Generic[T]):
     """A value with where it comes from: a source, or the reason why it is assumed."""
 
-    value: T
-    """The value itself."""
-    source: Words | None = None
-    """Where it was read."""
-    assumed: Words | None = None
-    """Why it is assumed."""
+    # Docstrings below fields would be looked for, in vain, for each class such as `Sourced[float]`.
+    model_config = ConfigDict(use_attribute_docstrings=False)
+
+    value: T = Field(description="The value itself.")
+    source: Words | None = Field(default=None, description="Where the value was read.")
+    assumed: Words | None = Field(default=None, description="Why the value is assumed.")
 
     @model_validator(mode="before")
     @classmethod

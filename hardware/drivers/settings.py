@@ -26,18 +26,21 @@ class SpiSettings:
     patterns
         Shown over and over. By name where the device knows the order, else sent bit by bit; a
         user's own must be binary for that.
-    integration_time_s, pattern_period_s
-        Of one exposure, and from one to the next; period 0: the shortest.
+    integration_time_s
+        Time for which one exposure collects light.
+    pattern_period_s
+        From the beginning of one exposure to the next; 0: the shortest that the device can.
     gain
         Step of the device's amplifier, from 0.
     exposures_per_frame
-        0: the device chooses.
+        Exposures that the device sends together; 0: it chooses.
     shutters
-        As in `SpiRecord`.
+        For time of flight, each pattern is shown once behind each: modulation frequency (Hz), phase
+        (rad), delay of a gate (s), its width (s). All 0: always open.
     pulse_width_s
         Length of the emitter's pulse where the shutters are gates, for the records.
     pose
-        Of the rig, for the records.
+        Of the rig, for the records: x, y, z (m) and the quaternion, real part first.
     upload
         Send the patterns even where the device knows their order.
     """

@@ -55,8 +55,10 @@ class PatternSet(Patterns):
 
     Parameters
     ----------
-    rows, columns
-        Cells of the virtual image; powers of two.
+    rows
+        Rows of cells of the virtual image, a power of two.
+    columns
+        Columns of cells, a power of two.
     count
         Number of Hadamard rows shown, 1 to ``rows * columns``.
     order

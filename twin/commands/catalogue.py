@@ -33,26 +33,17 @@ def parts(
 
 
 def schema(
-    kind: Annotated[str, typer.Argument(help="system, radar, part or scene.")] = "system",
+    kind: Annotated[
+        str,
+        typer.Argument(help="system, radar, part, scene, materials, study or camera (settings)."),
+    ] = "system",
 ) -> None:
     """Print the JSON Schema of a TOML file, for editors that check while one types."""
     import json
 
-    from twin.files import InputError
-    from twin.radar.device.design import RadarDesign
-    from twin.scene.settings import SceneSettings
-    from twin.system import Part, System
-    from twin.toml import Strict
+    from twin.schemas import file_schema
 
-    models: dict[str, type[Strict]] = {
-        "system": System,
-        "radar": RadarDesign,
-        "part": Part,
-        "scene": SceneSettings,
-    }
-    if kind not in models:
-        raise InputError(f"schema: {kind!r}: expected {', '.join(models)}")
-    print(json.dumps(models[kind].model_json_schema(), indent=1))
+    print(json.dumps(file_schema(kind), indent=1))
 
 
 def systems() -> None:

@@ -74,8 +74,8 @@ class Material(Strict):
     """Roughness."""
 
 
-class _Table(RootModel[dict[str, Material]]):
-    pass
+class MaterialTable(RootModel[dict[str, Material]]):
+    """Content of one ``materials.toml``: rows by name."""
 
 
 def load_materials(path: Path) -> dict[str, Material]:
@@ -90,7 +90,7 @@ def load_materials(path: Path) -> dict[str, Material]:
 def _table(path: Path, content: bytes) -> dict[str, Material]:
     """``content`` of the file is in the key alone: its name stays when it changes."""
     try:
-        return _Table.model_validate(read_toml(path)).root
+        return MaterialTable.model_validate(read_toml(path)).root
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
 
