@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.calibration import CameraCalibration, RadarCalibration
 from hardware.errors import InputError
+from hardware.formatting import number, si
 from hardware.radar import Detection
 from hardware.radar.process import Frame, Processing, frames
 from hardware.reconstruction import Method, reconstruct
@@ -75,7 +76,7 @@ def _image(
     picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
     log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
     return RecordSummary(
-        (f"image {np.nanmin(cells):.3g} to {np.nanmax(cells):.3g} {unit}",), image.warnings
+        (f"image {number(np.nanmin(cells))} to {number(np.nanmax(cells))} {unit}",), image.warnings
     )
 
 
@@ -115,7 +116,7 @@ def _detections(
         points = ros.points(cloud(detections), stamp, sensor.strip("/"))
         log.message(f"{sensor}/detections", ros.POINTS, points, received.host_ns, stamp)
         ranged = bool(detections) and not np.isnan(detections[0].range_m)
-        strongest = f", the strongest at {detections[0].range_m:.3f} m" if ranged else ""
+        strongest = f", the strongest at {si(detections[0].range_m, 'm', 4)}" if ranged else ""
         followed = ""
         if tracks:
             time_ns = int(record.device_time_ns[frame.burst].flat[0])

@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from hardware.files import read_toml as read_checked
+from hardware.formatting import setting_text
 from hardware.own_functions import is_file_function
 from hardware.units import quantity, unit_of
 from twin.files import InputError
@@ -258,6 +259,14 @@ class Entry(Strict):
             if isinstance(part := getattr(self, section), Strict)
             for name in type(part).model_fields
             if isinstance(value := getattr(part, name), Sourced)
+        ]
+
+    def assumed(self) -> list[tuple[str, str]]:
+        """Names of the values that are assumed, with what they are and why, in words."""
+        return [
+            (name, f"{name} = {setting_text(name, value.value)}: {value.assumed}")
+            for name, value in self.values()
+            if value.assumed
         ]
 
     def with_(self, changes: Mapping[str, Any]) -> Self:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hardware.errors import InputError
+from hardware.formatting import number, quantity_text, si
 
 if TYPE_CHECKING:
     from hardware.reconstruction import Mixing, RangeImage, Reconstruction
@@ -57,15 +58,15 @@ def reconstruct(
         f"{rows} x {columns}"
     )
     print(
-        f"{solve.name}: {1e3 * elapsed:.3g} ms; cells {np.nanmin(reconstruction.image):.3g} to "
-        f"{np.nanmax(reconstruction.image):.3g} e-"
+        f"{solve.name}: {si(elapsed, 's')}; cells {number(np.nanmin(reconstruction.image))} to "
+        f"{number(np.nanmax(reconstruction.image))} e-"
     )
     print(f"noise of one measurement: {_noise(reconstruction)}")
     arrays = {"image": reconstruction.image, "noise_electrons": reconstruction.noise_electrons}
     if reconstruction.standard_error is not None:
         known = reconstruction.standard_error[np.isfinite(reconstruction.standard_error)]
-        error = f"{float(np.median(known)):.3g} e- (median)" if known.size else "unknown"
-        within = f"95 % lie within {reconstruction.errors_in_95:.3g} of them"
+        error = f"{number(float(np.median(known)))} e- (median)" if known.size else "unknown"
+        within = f"95 % lie within {number(reconstruction.errors_in_95)} of them"
         print(f"standard error of a cell: {error}; {within}")
         arrays["standard_error"] = reconstruction.standard_error
         arrays["errors_in_95"] = np.array(reconstruction.errors_in_95)
@@ -88,9 +89,9 @@ def _noise(reconstruction: "Reconstruction") -> str:
 
     is_known = np.isfinite(reconstruction.noise_electrons)
     if is_known.any():
-        return f"{float(np.median(reconstruction.noise_electrons[is_known])):.3g} e- (median)"
+        return f"{number(float(np.median(reconstruction.noise_electrons[is_known])))} e- (median)"
     most = float(np.median(reconstruction.most_noise_electrons))
-    bound = f", at most {most:.3g} e- (median)" if np.isfinite(most) else ""
+    bound = f", at most {number(most)} e- (median)" if np.isfinite(most) else ""
     return f"not told by this record{bound}"
 
 
@@ -108,16 +109,20 @@ def _distances(record: "SpiRecord", ranges: "RangeImage") -> str:
     import numpy as np
 
     hz = np.unique([shutter.modulation_hz for shutter in record.shutters])
-    how = f"phases at {', '.join(f'{f / 1e6:g}' for f in hz)} MHz" if hz.any() else "gates"
-    head = f"{len(record.shutters)} {how}, distances up to {ranges.longest_m:.4g} m"
+    how = (
+        f"phases at {', '.join(quantity_text(float(f), 'Hz', 6) for f in hz)}"
+        if hz.any()
+        else "gates"
+    )
+    head = f"{len(record.shutters)} {how}, distances up to {si(ranges.longest_m, 'm', 4)}"
     sure = ranges.confidence > 0.95
     if not sure.any():
         return f"{head}: none surer than 95 %"
     low, high = np.percentile(ranges.distance_m[sure], [5, 95])
     return (
-        f"{head}: {low:.4g} to {high:.4g} m (5 to 95 % of the {np.count_nonzero(sure)} of "
-        f"{sure.size} cells surer than 95 %), amplitude {np.median(ranges.amplitude[sure]):.3g} e- "
-        "(median)"
+        f"{head}: {si(low, 'm', 4)} to {si(high, 'm', 4)} (5 to 95 % of the "
+        f"{np.count_nonzero(sure)} of {sure.size} cells surer than 95 %), amplitude "
+        f"{number(float(np.median(ranges.amplitude[sure])))} e- (median)"
     )
 
 

@@ -23,6 +23,7 @@ from hardware.commands.radar import (
     processing,
 )
 from hardware.errors import InputError
+from hardware.formatting import si
 
 if TYPE_CHECKING:
     import threading
@@ -341,7 +342,7 @@ def calibrate_radar(
         print(f"warning: {source}: {warning}", file=sys.stderr)
     result = RadarCalibration.of(record.device, frame.detections, target)
     write_calibration(result, out)
-    print(f"range offset {1e3 * result.range_offset_m:.2f} mm; written: {out}")
+    print(f"range offset {si(result.range_offset_m, 'm')}; written: {out}")
 
 
 def _records(

@@ -9,6 +9,7 @@ import typer
 
 from hardware.commands.quantities import quantity_of
 from hardware.errors import InputError
+from hardware.formatting import si
 
 if TYPE_CHECKING:
     from hardware.radar.process import Processing
@@ -159,8 +160,8 @@ def image(
     power = np.abs(focused.value) ** 2
     down, cross = np.unravel_index(np.argmax(power), power.shape)
     print(
-        f"{record}: {focused.n_bursts} bursts; resolution {focused.down_resolution_m:.3g} m "
-        f"down-range (Eq. 7), {focused.cross_resolution_m:.3g} m cross-range (Eq. 6)"
+        f"{record}: {focused.n_bursts} bursts; resolution {si(focused.down_resolution_m, 'm')} "
+        f"down-range (Eq. 7), {si(focused.cross_resolution_m, 'm')} cross-range (Eq. 6)"
     )
     print(
         f"peak {10 * np.log10(1e3 * power.max()) if power.any() else -np.inf:.1f} dBm at "

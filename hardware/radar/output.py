@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.formatting import number, with_error
 from hardware.radar.detection import Detection
 from hardware.radar.imaging import RadarImage
 
@@ -56,26 +57,40 @@ def write_image(path: Path, image: RadarImage) -> None:
             writer.writerow([f"{down:.6g}", *map("{:.2f}".format, row)])
 
 
+_HEAD = ("range", "range rate", "azimuth", "SNR", "cross-section", "")
+
+
 def table_rows(detections: Sequence[Detection], most: int = 20) -> Iterable[str]:
-    """Detections as a table for a terminal."""
-    yield "   range, m    +/-   rate, m/s    +/-   azimuth, deg   SNR, dB   RCS, m^2"
-    for d in detections[:most]:
-        yield (
-            f"{_column(d.range_m, '.4f', 11)} {_column(d.range_error_m, '.4f', 6)} "
-            f"{_column(d.range_rate_m_per_s, '+.3f', 11)} "
-            f"{_column(d.range_rate_error_m_per_s, '.3f', 6)} "
-            f"{_column(np.degrees(d.azimuth_rad), '+.2f', 14)} {d.snr_db:9.1f} "
-            f"{_column(d.rcs_m2, '.3g', 11)}{_alternatives(d)}"
-        )
+    """Detections as a table for a terminal, each value with its standard error."""
+    rows = [_HEAD, *(_cells(detection) for detection in detections[:most])]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        aligned = (f"{text:>{width}}" for text, width in zip(row, widths, strict=True))
+        yield f"  {'  '.join(aligned)}".rstrip()
     if len(detections) > most:
         yield f"  ... and {len(detections) - most} more"
 
 
-def _column(value: float, form: str, width: int) -> str:
-    """A number in its column; a dash where it is not measured."""
-    return f"{'-' if np.isnan(value) else format(value, form):>{width}}"
+def _cells(d: Detection) -> tuple[str, ...]:
+    """Texts under the head; a dash for what is not measured."""
+    azimuth = with_error(np.degrees(d.azimuth_rad), np.degrees(d.azimuth_error_rad), "deg")
+    return (
+        _known(d.range_m, with_error(d.range_m, d.range_error_m, "m")),
+        _known(
+            d.range_rate_m_per_s,
+            with_error(d.range_rate_m_per_s, d.range_rate_error_m_per_s, "m/s"),
+        ),
+        _known(d.azimuth_rad, azimuth),
+        f"{d.snr_db:.1f} dB",
+        _known(d.rcs_m2, f"{number(d.rcs_m2)} m^2"),
+        _alternatives(d),
+    )
+
+
+def _known(value: float, text: str) -> str:
+    return "-" if np.isnan(value) else text
 
 
 def _alternatives(detection: Detection) -> str:
     others = ", ".join(f"{rate:+.3f}" for rate in detection.range_rate_alternatives_m_per_s)
-    return f"  rate ambiguous, or {others}" if others else ""
+    return f"rate ambiguous, or {others} m/s" if others else ""

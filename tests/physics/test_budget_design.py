@@ -116,7 +116,8 @@ def test_the_users_own_detector_is_what_is_computed(monkeypatch, capsys, tmp_pat
         done = budget(*asked, "--out", str(tmp_path / "b"), monkeypatch=monkeypatch, capsys=capsys)
         assert done[0] == 0
         assert "mine: a wall square to the rig" in done[1]
-        assert f"assumed: detector.width_m = {float(width)}: given without a source" in done[1]
+        shown = {"150e-6": "150 um", "1.5e-3": "1.5 mm"}[width]
+        assert f"assumed: detector.width_m = {shown}: given without a source" in done[1]
         content = json.loads((tmp_path / "b" / "budget.json").read_text())
         (found,) = content["walls"]
         assert (content["system"], found["distance_m"], found["reflectance"]) == ("mine", 3.0, 0.4)

@@ -54,10 +54,10 @@ def test_two_figures_agree_where_their_errors_explain_the_difference() -> None:
 @pytest.mark.parametrize(
     ("interval", "printed"),
     [
-        (Interval(27.3123, 0.05), "27.31 ± 0.10"),
-        (Interval(27.3123, 0.3), "27.3 ± 0.6"),
-        (Interval(0.017, 0.0002), "0.0170 ± 0.0004"),
-        (Interval(2.5e6, 1e4), "2.5e+06 ± 2e+04"),
+        (Interval(27.3123, 0.05), "27.312 ± 0.098"),
+        (Interval(27.3123, 0.3), "27.31 ± 0.59"),
+        (Interval(0.017, 0.0002), "0.01700 ± 0.00039"),
+        (Interval(2.5e6, 1e4), "2.500e6 ± 2.0e4"),
         (Interval(5.0), "5"),
         (Interval(math.nan), "nan"),
         (Interval(5.0, 0.1, math.inf), "5, error not bounded"),

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from hardware.formatting import number, si
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -41,8 +43,8 @@ class Decision:
     cost_s: float = math.nan
 
     def __str__(self) -> str:
-        took = f" ({1e3 * self.cost_s:.3g} ms)" if self.cost_s >= 0 else ""
+        took = f" ({si(self.cost_s, 's')})" if self.cost_s >= 0 else ""
         return (
-            f"{self.sensor}: {self.effect}: at most {self.bound:.2g} {self.unit}, "
-            f"{self.permitted:.2g} permitted: {'taken' if self.taken else 'left out'}{took}"
+            f"{self.sensor}: {self.effect}: at most {number(self.bound, 2)} {self.unit}, "
+            f"{number(self.permitted, 2)} permitted: {'taken' if self.taken else 'left out'}{took}"
         )

@@ -23,7 +23,7 @@ class Figure:
         Its value and error. A figure that was asked for, and not computed, has no error.
 
     >>> print(Figure(("workable",), "SNR per pixel, median", "", Interval(4.31, 0.02)))
-    workable: SNR per pixel, median: 4.31 ± 0.04
+    workable: SNR per pixel, median: 4.310 ± 0.039
     """
 
     of: tuple[str, ...]

@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from hardware.formatting import with_error
+
 #: Standard deviations within which 95 of 100 draws of a normal distribution lie.
 TWO_SIDED_95 = 1.96
 
@@ -74,27 +76,12 @@ class Interval:
         return self.text()
 
     def text(self, unit: str = "") -> str:
-        """In words, to the digits that the half-width leaves.
+        """In words, to two digits of the half-width, see `hardware.formatting.with_error`.
 
         >>> Interval(-3.21, 0.2).text("dB"), Interval(-3.21, 0.0, math.inf).text("dB")
-        ('-3.2 ± 0.4 dB', '-3.21 dB, error not bounded')
+        ('-3.21 ± 0.39 dB', '-3.21 dB, error not bounded')
         """
-        unit = f" {unit}" if unit else ""
-        if not math.isfinite(self.half_width) and math.isfinite(self.value):
-            return f"{self.value:.4g}{unit}, error not bounded"
-        return f"{self._number()}{unit}"
-
-    def _number(self) -> str:
-        half = self.half_width
-        if not math.isfinite(self.value) or half <= 1e-12 * abs(self.value):
-            return f"{self.value:.4g}"
-        # Two digits of a half-width that starts with 1, else one.
-        place = math.floor(math.log10(half))
-        decimals = -place + (1 if half / 10.0**place < 2 else 0)
-        if place > -7 and max(abs(self.value), half) < 1e6:
-            shown = max(decimals, 0)
-            return f"{self.value:.{shown}f} ± {half:.{shown}f}"
-        return f"{self.value:.{_digits(self.value, half)}g} ± {half:.2g}"
+        return with_error(self.value, self.half_width, unit)
 
 
 def propagated(function: Callable[..., float], *of: Interval) -> Interval:
@@ -122,9 +109,3 @@ def propagated(function: Callable[..., float], *of: Interval) -> Interval:
         math.hypot(*(change(i, figure.standard_error) for i, figure in enumerate(of))),
         math.fsum(change(i, figure.systematic) for i, figure in enumerate(of)),
     )
-
-
-def _digits(value: float, half: float) -> int:
-    if not value:
-        return 2
-    return max(math.floor(math.log10(abs(value))) - math.floor(math.log10(half)) + 1, 2)

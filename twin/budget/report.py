@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from hardware.formatting import number, quantity_text, si
 from twin.budget.design import WallRow
 from twin.budget.frame_rate import FrameRate
 from twin.budget.table1 import REFLECTANCES, AuditRow
-from twin.report.style import BLUE, GREY, ORANGE, new_figure, si
+from twin.report.style import BLUE, GREY, ORANGE, new_figure
 from twin.system import System
 
 
@@ -54,15 +55,17 @@ def print_design(system: System, rows: Sequence[WallRow], console: Console) -> N
     for row in rows:
         noise = row.budget.noise_e
         table.add_row(
-            f"{row.distance_m:g} m",
+            quantity_text(row.distance_m, "m"),
             f"{row.reflectance:.0%}",
             si(row.signal_w, "W"),
-            f"{row.budget.signal_e:.3g}, {row.budget.background_e:.3g}, {row.budget.dark_e:.3g}",
-            f"{row.budget.total_noise_e:.3g}, {max(noise, key=lambda name: noise[name])}",
+            ", ".join(
+                map(number, (row.budget.signal_e, row.budget.background_e, row.budget.dark_e))
+            ),
+            f"{number(row.budget.total_noise_e)}, {max(noise, key=lambda name: noise[name])}",
             f"{row.fill:.0%}",
-            "void (saturated)" if row.saturates else f"{row.snr_per_pixel:.3g}",
+            "void (saturated)" if row.saturates else number(row.snr_per_pixel),
             si(row.minimum_time_s, "s"),
-            f"{row.maximum_distance_m:.3g} m",
+            si(row.maximum_distance_m, "m"),
         )
     console.print(table)
 
@@ -91,20 +94,20 @@ def plot_design(system: System, rows: Sequence[WallRow]) -> Figure:
     """SNR per pixel over the wall's distance, by reflectance."""
     figure = new_figure((5.2, 3.6))
     axis = figure.subplots()
-    for number, rho in enumerate(sorted({row.reflectance for row in rows})):
+    for place, rho in enumerate(sorted({row.reflectance for row in rows})):
         of_rho = sorted((r for r in rows if r.reflectance == rho), key=lambda r: r.distance_m)
         axis.loglog(
             [row.distance_m for row in of_rho],
             [row.snr_per_pixel for row in of_rho],
-            "os^v"[number % 4] + "-",
-            color=(BLUE, ORANGE, GREY)[number % 3],
+            "os^v"[place % 4] + "-",
+            color=(BLUE, ORANGE, GREY)[place % 3],
             label=f"reflectance {rho:g}",
         )
     axis.axhline(1.0, color=GREY, lw=0.8)
     axis.set_xlabel("distance of the wall (m)")
     axis.set_ylabel("signal / noise per pixel")
     far = max((r.maximum_distance_m for r in rows if r.maximum_distance_m < math.inf), default=0.0)
-    axis.set_title(f"{system.name}: SNR 1 at up to {far:.3g} m")
+    axis.set_title(f"{system.name}: SNR 1 at up to {si(far, 'm')}")
     axis.legend(frameon=False)
     return figure
 
@@ -113,8 +116,8 @@ def plot_budget(rows: Sequence[AuditRow]) -> Figure:
     """Photon-limited and fitted times over the printed ones, cell by cell."""
     figure = new_figure((1.5 * len(rows) + 2.5, 3.6))
     axis = figure.subplots()
-    for number, row in enumerate(rows):
-        place = number + np.array([-0.22, 0.0, 0.22])
+    for column, row in enumerate(rows):
+        place = column + np.array([-0.22, 0.0, 0.22])
         axis.plot(place, row.photon_limited_s / row.printed_time_s, "o", color=BLUE)
         axis.plot(place, row.time_s / row.printed_time_s, "s", color=ORANGE, mfc="none")
     axis.axhline(1.0, color=GREY, lw=0.8)
@@ -138,16 +141,17 @@ def _table1(rows: Sequence[AuditRow]) -> Table:
             table.add_row(
                 row.sensor
                 if i == 0
-                else f"  read noise {row.read_noise_e:.3g} e-"
+                else f"  read noise {number(row.read_noise_e)} e-"
                 if i == 1
                 else "",
                 f"{rho:.0%}",
-                f"{row.printed_distance_m[i]:g} m, {si(float(row.printed_time_s[i]), 's')}",
+                f"{quantity_text(float(row.printed_distance_m[i]), 'm')}, "
+                f"{quantity_text(float(row.printed_time_s[i]), 's')}",
                 si(float(row.photon_limited_s[i]), "s"),
-                f"{row.implied_read_noise_e[i]:.3g} e-",
+                f"{number(float(row.implied_read_noise_e[i]))} e-",
                 f"{si(float(row.time_s[i]), 's')} ({row.residual[i]:+.0%})",
-                f"{row.distance_m[i]:.2f} m",
-                f"{row.distance_sigma_m[i]:.2g} m",
+                si(float(row.distance_m[i]), "m"),
+                si(float(row.distance_sigma_m[i]), "m", 2),
             )
     return table
 
@@ -159,7 +163,7 @@ def _rates(rates: Sequence[FrameRate]) -> Table:
     for rate in rates:
         table.add_row(
             rate.sensor,
-            f"{rate.distance_m:g} m, {rate.reflectance:.0%}",
+            f"{quantity_text(rate.distance_m, 'm')}, {rate.reflectance:.0%}",
             "" if rate.printed is None else f"{rate.printed:g}",
             f"{rate.plain:.1f}",
             f"{rate.differential:.1f}",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from hardware.formatting import number, si
 from twin.optics.eye_safety import (
     CLASS_1_TIME_S,
     LAMP_DISTANCE_M,
@@ -25,7 +26,6 @@ from twin.optics.eye_safety import (
     mpe_j_per_m2,
     t2_s,
 )
-from twin.report.style import si
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -164,17 +164,17 @@ def print_safety(system: System, rows: Sequence[Hazard], console: Console) -> No
     table = Table("limit", "clause", "wavelength", "exposure", "allowed", "margin", box=None)
     table.title = f"{system.name}: eye safety; a margin below 1 exceeds the limit"
     for row in rows:
-        cells = (row.name, row.clause, f"{row.wavelength_m * 1e9:g} nm")
+        cells = (row.name, row.clause, f"{number(1e9 * row.wavelength_m, 4)} nm")
         values = (si(row.exposure, row.unit), si(row.limit, row.unit))
         style = "" if row.margin >= 1 else "bold"
-        table.add_row(*cells, *values, f"{row.margin:.3g}", style=style)
+        table.add_row(*cells, *values, number(row.margin), style=style)
     console.print(table)
     ratios = Table("pulse", "exposure, J/m^2", "energy into the aperture, J", box=None)
     ratios.title = "What 1550 nm may give over what 850 nm may (laser, one pulse, point source)"
     for duration, exposure, energy in zip(
         DURATIONS_S, *wavelength_ratio(np.array(DURATIONS_S)), strict=True
     ):
-        ratios.add_row(si(duration, "s"), f"{exposure:.3g}", f"{energy:.3g}")
+        ratios.add_row(si(duration, "s"), number(exposure), number(energy))
     console.print(ratios)
 
 

@@ -327,11 +327,7 @@ def _thick_air(system: System, depth_m: Array) -> list[CaptureWarning]:
 
 
 def _assumed(system: System) -> tuple[str, ...]:
-    return tuple(
-        f"{name} = {value.value}: {value.assumed}"
-        for name, value in system.values()
-        if value.assumed
-    )
+    return tuple(said for _, said in system.assumed())
 
 
 def _warnings(

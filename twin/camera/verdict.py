@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.formatting import number
 from hardware.records import Flag, SpiRecord
 from twin.accuracy import Interval
 from twin.camera.backscatter_ranging import BackscatterRangeError
@@ -218,7 +219,7 @@ def _on_detectors(at_rail: Bools) -> str:
 
 
 def _two_digits(value: float) -> str:
-    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+    return f"{value:.0f}" if value >= 10 else number(value, 2)
 
 
 class _Rails:

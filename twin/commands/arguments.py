@@ -1,11 +1,13 @@
 """Arguments that several commands take."""
 
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hardware.commands.quantities import quantity_of
+from hardware.formatting import quantity_text
 
 if TYPE_CHECKING:
     from twin.fidelity import Fidelity
@@ -87,5 +89,5 @@ def knobs_within(
     from twin.trade import fidelity_within
 
     chosen = fidelity_within(load(), within, system=system, radar=radar)
-    print(f"within {1e3 * within:g} ms: {chosen}")
+    print(f"within {quantity_text(within, 's')}: {chosen}", file=sys.stderr)
     return chosen.fidelity

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from hardware.formatting import setting_text
+
 
 def parts(
     name: Annotated[
@@ -24,7 +26,7 @@ def parts(
     print(f"{part.kind} {part.name}: {part.description}")
     for field, value in part.values():
         origin = f"assumed: {value.assumed}" if value.assumed else value.source
-        print(f"  {field} = {value.value}  ({origin})")
+        print(f"  {field} = {setting_text(field, value.value)}  ({origin})")
     if plot is not None:
         from twin.report.part_figure import plot_part
 

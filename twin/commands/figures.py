@@ -53,9 +53,9 @@ def budget(
         rho = _numbers("reflectances", reflectances, None, most=1.0)
         write = _own_design(design, z, rho, console)
         concerned = {name.split(".")[0] for name, _ in design.values()}
-    for name, value in design.values():
-        if value.assumed and name.split(".")[0] in concerned:
-            print(f"assumed: {name} = {value.value}: {value.assumed}")
+    for name, said in design.assumed():
+        if name.split(".")[0] in concerned:
+            print(f"assumed: {said}")
     if out is not None:
         with whole_folder(out) as folder:
             write(folder)

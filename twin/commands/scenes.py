@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.formatting import number
 from twin.commands import loading
 from twin.commands.arguments import (
     FidelityOption,
@@ -118,8 +119,9 @@ def run(
             for seen in result.radar.picture.seen:
                 print(
                     f"{seen.name}: seen {seen.down_range_m:.3f} m ahead, "
-                    f"{seen.cross_range_m:+.3f} m to the left; cross-section {seen.rcs_m2:.3g}, "
-                    f"declared {seen.declared_rcs_m2:.3g} m^2"
+                    f"{seen.cross_range_m:+.3f} m to the left; "
+                    f"cross-section {number(seen.rcs_m2)}, "
+                    f"declared {number(seen.declared_rcs_m2)} m^2"
                 )
     if explain:
         _print_decisions(result)
@@ -138,8 +140,8 @@ def check(scene: SceneArgument, pose: PoseOption = None) -> None:
     columns = ("object", "triangles", "size (m)", "nearest (m)", "material", "reflectance", "")
     table = Table(*columns, title=f"{loaded.name}: {loaded.triangles} triangles", box=None)
     for row in check_scene(loaded):
-        size = " x ".join(f"{s:.3g}" for s in row.size_m)
-        cells = (row.name, str(row.triangles), size, f"{row.nearest_m:.3g}")
+        size = " x ".join(map(number, row.size_m))
+        cells = (row.name, str(row.triangles), size, number(row.nearest_m))
         table.add_row(*cells, row.material, row.reflectance, "; ".join(row.remarks))
     Console(width=None if sys.stdout.isatty() else 140).print(table)
     print(f"rig: {loaded.rig.pose}")

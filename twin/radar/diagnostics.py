@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.formatting import number
 from hardware.waveform import C_M_PER_S
 from twin.geometry import are_too_large, shapes_of
 from twin.radar.device.design import RadarDesign
@@ -39,13 +40,10 @@ def assumptions(
     scene: Scene, radar: RadarDesign, propagation: Propagation, air: Atmosphere, solver: Solver
 ) -> tuple[str, ...]:
     """Everything that a capture takes for granted, the design's assumed values included."""
-    values = [
-        f"{name} = {value.value}: {value.assumed}"
-        for name, value in radar.values()
-        if value.assumed
-    ]
+    values = [said for _, said in radar.assumed()]
     targets = [
-        f"cross-section of {t.name} = {t.rcs_m2:g} m^2: {t.origin.removeprefix('assumed: ')}"
+        f"cross-section of {t.name} = {number(t.rcs_m2, 4)} m^2: "
+        f"{t.origin.removeprefix('assumed: ')}"
         for t in scene.targets
         if t.origin.startswith("assumed: ")
     ]

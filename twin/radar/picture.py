@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial import ConvexHull, QhullError
 
+from hardware.formatting import si
 from hardware.radar.imaging import RadarImage, image
 from hardware.records import QuaternionPose, RadarRecord
 from hardware.records.state import positions, rotations
@@ -62,12 +63,12 @@ class TrackPicture:
 
     def __str__(self) -> str:
         """What the picture shows."""
-        resolution = f"{100 * self.image.cross_resolution_m:.1f} cm"
+        resolution = si(self.image.cross_resolution_m, "m")
         text = f"image over the track: {len(self.told_apart)} of {len(self.seen)} targets"
         if not self.told_apart:
             return f"{text} (resolution across {resolution})"
         worst = max(abs(s.cross_off_m) for s in self.told_apart)
-        return f"{text}, within {1e3 * worst:.0f} mm across (resolution {resolution})"
+        return f"{text}, within {si(worst, 'm', 2)} across (resolution {resolution})"
 
 
 def track_picture(scene: Scene, radar: RadarDesign, record: RadarRecord) -> TrackPicture | None:

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
+from hardware.formatting import number, si
 from twin.accuracy import Decision
 from twin.camera.evaluation import Evaluation
 from twin.radar.evaluation import RadarEvaluation
-from twin.report.style import si
 
 HEAD = ("sensor", "effect", "adds at most", "permitted", "", "taken", "time")
 
@@ -26,8 +26,8 @@ def rows(told: Sequence[tuple[str, Decision]]) -> list[tuple[str, ...]]:
         (
             name,
             decision.effect,
-            f"{decision.bound:.2g}",
-            f"{decision.permitted:.2g}",
+            number(decision.bound, 2),
+            number(decision.permitted, 2),
             decision.unit,
             "yes" if decision.taken else "no",
             si(decision.cost_s, "s") if decision.cost_s >= 0 else "",

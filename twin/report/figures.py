@@ -9,6 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hardware.formatting import quantity_text
 from hardware.patterns import OwnPatterns
 from twin.camera.evaluation import Evaluation
 from twin.camera.verdict import ImageVerdict
@@ -150,4 +151,4 @@ def _above(verdict: ImageVerdict) -> str:
 
 
 def _lux(lux: float) -> str:
-    return f"{lux / 1e3:g} klx" if lux >= 1e3 else f"{lux:g} lx"
+    return quantity_text(lux, "lx")

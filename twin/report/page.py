@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from hardware.formatting import number, quantity_text, setting_text, si
 from twin import __version__
 from twin.accuracy import Interval
 from twin.camera.evaluation import Evaluation
@@ -20,7 +21,6 @@ from twin.progress import Stages
 from twin.radar.evaluation import RadarEvaluation
 from twin.report import decisions, figures, radar_figures
 from twin.report.radar_summary import radar_summary
-from twin.report.style import si
 from twin.scene import Scene
 
 _TEMPLATE = Path(__file__).parent
@@ -63,7 +63,7 @@ def write_report(
         evaluations=evaluations,
         columns=[_summary(e) for e in evaluations],
         images={name: base64.b64encode(data).decode() for name, data in images.items()},
-        settings=[(d, d.values()) for d in _designs(evaluations, radar)],
+        settings=[(d, _settings(d)) for d in _designs(evaluations, radar)],
         assumptions=evaluations[0].capture.assumptions if evaluations else (),
         radar=radar_summary(radar) if radar else None,
         warnings=(*scene.warnings, *_warnings(evaluations, radar)),
@@ -108,6 +108,11 @@ def _designs(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -
     return [*(e.system for e in evaluations), *([radar.radar] if radar else [])]
 
 
+def _settings(design: Any) -> list[tuple[str, str, Any]]:
+    """Name, value in words, and the value with its source."""
+    return [(name, setting_text(name, value.value), value) for name, value in design.values()]
+
+
 def _warnings(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -> list[str]:
     named = [(e.system.name, e.capture.warnings) for e in evaluations]
     if radar:
@@ -130,39 +135,40 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "what it is": system.description,
         "patterns": f"{patterns.count} of {patterns.columns} x {patterns.rows}, {patterns.mode}"
         + (f", own ({patterns.digest[:8]})" if patterns.digest else ""),
-        "frame time": f"{si(system.frame_time_s, 's')} ({1 / system.frame_time_s:.3g} frames/s)",
-        "sun in the band": f"{capture.sun_irradiance_w_per_m2:.4g} W/m² "
-        f"at {capture.illuminance_lx:g} lx",
+        "frame time": f"{si(system.frame_time_s, 's')} "
+        f"({number(1 / system.frame_time_s)} frames/s)",
+        "sun in the band": f"{number(capture.sun_irradiance_w_per_m2, 4)} W/m² "
+        f"at {quantity_text(capture.illuminance_lx, 'lx')}",
         "emitter line inside the filter": f"{capture.in_band_fraction:.1%}",
         "detector lens": f"focal length {si(lens.focal_length_m, 'm')}, "
         f"pupil {si(lens.pupil_diameter_m, 'm')}, "
-        f"field {system.optics.field_of_view_deg.value:g}° {lens.outline}",
+        f"field {number(system.optics.field_of_view_deg.value, 4)}° {lens.outline}",
         "signal on the detector, mean": _si(
             float(capture.signal_w.mean()), error.signal, error.signal_systematic
         ),
         "sun on the detector": _si(capture.background_w, error.background),
         "electrons per exposure": f"signal {intervals.signal_e}, sun {intervals.background_e}, "
-        f"dark {noise.dark_e:.3g}",
+        f"dark {number(noise.dark_e)}",
         "noise per exposure": f"{intervals.noise_e} e- predicted, "
         + (
-            f"{measured_noise_e:.4g} e- found in the record"
+            f"{number(measured_noise_e, 4)} e- found in the record"
             if np.isfinite(measured_noise_e)
             else "not told by the record"
         ),
-        "noise per pixel": f"{noise.pixel_noise_e(patterns):.3g} e-",
+        "noise per pixel": f"{number(float(noise.pixel_noise_e(patterns)))} e-",
         "verdict": str(verdict),
         "best pixel": "none" if verdict.void else f"SNR {intervals.snr_best}",
         "pixels above their noise": "none" if verdict.void else f"{intervals.above_noise_share}",
-        "Monte-Carlo error of the twin over sensor noise": f"median {np.median(rendering):.2g}, "
-        f"root mean square {np.sqrt(np.mean(rendering**2)):.2g}",
+        "Monte-Carlo error of the twin over sensor noise": "median "
+        f"{number(float(np.median(rendering)), 2)}, "
+        f"root mean square {number(float(np.sqrt(np.mean(rendering**2))), 2)}",
         "reconstructions": "no image" if verdict.void else "; ".join(named),
     }
 
 
 def _si(value: float, statistical: float, systematic: float = 0.0) -> str:
-    """With an SI prefix, and the half-width of its interval in per cent."""
-    share = Interval(1.0, statistical, systematic).half_width
-    return f"{si(value, 'W')} ± {100 * share:.2g} %" if np.isfinite(share) else si(value, "W")
+    """With an SI prefix and its interval; ``statistical``, ``systematic``: shares of the value."""
+    return Interval(value, value * statistical, value * systematic).text("W")
 
 
 def _per_value(evaluation: Evaluation) -> float:

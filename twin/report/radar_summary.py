@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 from scipy import constants
 
+from hardware.formatting import number, quantity_text, si, with_error
 from hardware.radar import Detection
 from twin.accuracy import Interval
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.intervals import body_level
 from twin.radar.propagation.facets.convergence import percent
-from twin.report.style import si
 
 _CFAR = {"ca": "cell-averaging", "go": "greatest-of", "os": "ordered-statistic"}
 
@@ -21,14 +21,14 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "name": evaluation.radar.name,
         "description": evaluation.radar.description,
         "waveform": _waveform(evaluation),
-        "budget": [(n, f"{v:.4g} {unit}") for n, v, unit in budget_figures(evaluation)],
+        "budget": [(n, f"{number(v, 4)} {unit}") for n, v, unit in budget_figures(evaluation)],
         "targets": _targets(evaluation),
         "headlines": str(evaluation).splitlines(),
         "missed": [f"{t.name}: {evaluation.expectation(t)}" for t in evaluation.missed],
         "further": _further(evaluation),
         "others": _others(evaluation),
         "roles": [
-            (a.name, str(a.role), f"{a.over_fresnel_zone:.3g}")
+            (a.name, str(a.role), number(a.over_fresnel_zone))
             for a in evaluation.capture.propagation.roles
         ],
         "bodies": [
@@ -59,7 +59,7 @@ def _waveform(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
             f"{wave.n_subcarriers} subcarriers of {si(wave.subcarrier_spacing_hz, 'Hz')}",
         ),
         *_parts(evaluation),
-        ("range", f"cell {si(seen.range_cell_m, 'm')}, unambiguous to {wave.max_range_m:.1f} m"),
+        ("range", f"cell {si(seen.range_cell_m, 'm')}, unambiguous to {si(wave.max_range_m, 'm')}"),
         (
             "interval",
             f"{wave.n_slots} slots of {si(wave.slot_period_s, 's')}, "
@@ -67,8 +67,8 @@ def _waveform(evaluation: RadarEvaluation) -> list[tuple[str, str]]:
         ),
         (
             "range rate",
-            f"cell {seen.velocity_cell_m_per_s:.3f} m/s, "
-            f"unambiguous to ± {seen.max_velocity_m_per_s:.2f} m/s",
+            f"cell {si(seen.velocity_cell_m_per_s, 'm/s')}, "
+            f"unambiguous to ± {si(seen.max_velocity_m_per_s, 'm/s')}",
         ),
     ]
 
@@ -101,8 +101,8 @@ def _picture(evaluation: RadarEvaluation) -> list[dict[str, str]]:
             "name": seen.name,
             "place": f"{seen.down_range_m:.3f} m ahead, {seen.cross_range_m:+.3f} m to the left",
             "off": si(seen.off_m, "m"),
-            "rcs": f"{seen.rcs_m2:.3g} m²",
-            "declared": f"{seen.declared_rcs_m2:.3g} m²",
+            "rcs": f"{number(seen.rcs_m2)} m²",
+            "declared": f"{number(seen.declared_rcs_m2)} m²",
         }
         for seen in evaluation.picture.seen
     ]
@@ -153,17 +153,17 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
         rows.append(
             {
                 "name": target.name,
-                "rcs": f"{target.rcs_m2:g} m²",
-                "range": f"{target.range_m:.4f} m",
-                "rate": f"{target.range_rate_m_per_s:+.3f} m/s",
+                "rcs": f"{number(target.rcs_m2)} m²",
+                "range": si(target.range_m, "m", 5),
+                "rate": quantity_text(target.range_rate_m_per_s, "m/s", 4),
                 "power": f"{_db(target.received_w * 1e3):.1f} dBm",
-                "found_range": _off(model.range_m, target.wrapped_range_m, 1e3, "mm")
+                "found_range": _off(model.range_m, target.wrapped_range_m, "m")
                 if model
                 else "not detected",
-                "found_rate": _off(model.range_rate_m_per_s, target.range_rate_m_per_s, 1.0, "m/s")
+                "found_rate": _off(model.range_rate_m_per_s, target.range_rate_m_per_s, "m/s")
                 if model
                 else "",
-                "found_power": _off(model.level_dbm, _db(target.received_w * 1e3), 1.0, "dB")
+                "found_power": _off(model.level_dbm, _db(target.received_w * 1e3), "dB")
                 if model
                 else "",
                 "snr": f"{detection.snr_db:.1f} dB" if detection else "",
@@ -172,13 +172,12 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
     return rows
 
 
-def _off(measured: Interval, true: float, scale: float, unit: str) -> str:
+def _off(measured: Interval, true: float, unit: str) -> str:
     """What was measured less the truth, with what the model may be off by."""
-    off = scale * (measured.value - true)
-    if np.isnan(off):
-        return "not measured"
-    errors = (scale * measured.standard_error, scale * measured.systematic)
-    return f"{'+' if off > 0 else ''}{Interval(off, *errors).text(unit)}"
+    off = measured.value - true
+    return (
+        "not measured" if np.isnan(off) else with_error(off, measured.half_width, unit, sign=True)
+    )
 
 
 def _further(evaluation: RadarEvaluation) -> list[str]:
@@ -204,10 +203,10 @@ def _others(evaluation: RadarEvaluation) -> list[str]:
 def _place(detection: Detection) -> str:
     """Range, range rate and SNR of a detection, as far as measured."""
     parts = [
-        "" if np.isnan(detection.range_m) else f"{detection.range_m:.3f} m",
+        "" if np.isnan(detection.range_m) else si(detection.range_m, "m", 4),
         ""
         if np.isnan(detection.range_rate_m_per_s)
-        else f"{detection.range_rate_m_per_s:+.3f} m/s",
+        else quantity_text(detection.range_rate_m_per_s, "m/s"),
         f"{detection.snr_db:.1f} dB",
     ]
     return ", ".join(part for part in parts if part)

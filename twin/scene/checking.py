@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hardware.formatting import number
 from twin.scene.model import Scene, SceneObject
 from twin.scene.texture import Texture
 
@@ -41,14 +42,14 @@ def _report(item: SceneObject, scene: Scene) -> ObjectReport:
     if max(np.abs(item.box_m - scene.rig.position_m).max(), 0) > 1e4:
         remarks.append("reaches beyond 10 km: float32 rays lose up to 0.3 % of the light")
     if any(item.velocity_m_per_s):
-        remarks.append("moves at {:g}, {:g}, {:g} m/s".format(*item.velocity_m_per_s))
-    textured = isinstance(item.reflectance, Texture)
+        remarks.append(f"moves at {', '.join(map(number, item.velocity_m_per_s))} m/s")
+    reflectance = item.reflectance
     return ObjectReport(
         name=item.name,
         triangles=len(item.geometry.faces),
         size_m=(float(size[0]), float(size[1]), float(size[2])),
         nearest_m=float(np.linalg.norm(outside)),
         material=item.material,
-        reflectance="texture" if textured else f"{item.reflectance:g}",
+        reflectance="texture" if isinstance(reflectance, Texture) else number(reflectance),
         remarks=tuple(remarks),
     )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from hardware.formatting import number, quantity_text
 from hardware.units import quantity
 from twin.files import InputError
 from twin.geometry import Geometry
@@ -183,6 +184,19 @@ class Pose:
         _check_vector("rig.position_m", self.position_m)
         for name in ("yaw_deg", "pitch_deg", "roll_deg"):
             _check(f"rig.{name}", getattr(self, name), -MOST_TURN_DEG, MOST_TURN_DEG)
+
+    def __str__(self) -> str:
+        x, y, z = (number(value, 6) for value in self.position_m)
+        turns = ", ".join(
+            f"{name} {number(value, 4)} deg"
+            for name, value in (
+                ("yaw", self.yaw_deg),
+                ("pitch", self.pitch_deg),
+                ("roll", self.roll_deg),
+            )
+            if value
+        )
+        return f"x {x} m, y {y} m, z {z} m; {turns or 'looks along x'}"
 
     @cached_property
     def rotation(self) -> Rotation:
@@ -355,6 +369,10 @@ class Sun:
         _check("sun.azimuth_deg", self.azimuth_deg)
         _check("sun.elevation_deg", self.elevation_deg, -90.0, 90.0)
         _check("sun.illuminance_lx", self.illuminance_lx, 0.0, BRIGHTEST_LX)
+
+    def __str__(self) -> str:
+        turn = f"azimuth {number(self.azimuth_deg)} deg, elevation {number(self.elevation_deg)} deg"
+        return f"{turn}, {quantity_text(self.illuminance_lx, 'lx')}"
 
     @property
     def direction(self) -> Array:

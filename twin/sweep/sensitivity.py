@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.formatting import with_error
 from twin.files import InputError
 from twin.sweep.dataset import column
 
@@ -40,14 +41,10 @@ class Share:
 
     def __str__(self) -> str:
         """Both orders with their errors."""
-        told = f"first {self.first:6.3f}{_interval(self.first_error)}"
+        told = f"first {with_error(self.first, self.first_error)}"
         if np.isnan(self.total):
             return f'{told}, total: needs method = "saltelli"'
-        return f"{told}, total {self.total:6.3f}{_interval(self.total_error)}"
-
-
-def _interval(error: float) -> str:
-    return f" +/- {error:.3f}" if error else ""
+        return f"{told}, total {with_error(self.total, self.total_error)}"
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hardware.formatting import number
 from twin.files import InputError
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
 from twin.sweep.dataset import column, half_width
@@ -156,4 +157,4 @@ def _label(array: "xarray.DataArray") -> str:
 
 
 def _short(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float | np.floating) else str(value)
+    return number(float(value)) if isinstance(value, float | np.floating) else str(value)

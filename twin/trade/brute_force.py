@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.formatting import with_error
 from twin.camera.light import render_light
 from twin.optics.devices import Device
 from twin.optics.paths import TracingQuality
@@ -49,10 +50,10 @@ class Agreement:
         return abs(self.difference) <= _SIGMAS * self.standard_error + _ALLOWANCE
 
     def __str__(self) -> str:
+        off = with_error(100 * self.difference, 100 * self.standard_error, "%", sign=True)
         how = f"{self.patterns} of {self.of_exposures} exposures, {self.renders_each} renders each"
         return (
-            f"transport over brute force: {100 * self.difference:+.3f} % "
-            f"+- {100 * self.standard_error:.3f} % ({how} of {self.paths_each} paths; worst "
+            f"transport over brute force: {off} ({how} of {self.paths_each} paths; worst "
             f"pattern {self.worst_sigmas:.1f} sigma){self.idealised}"
         )
 

@@ -15,9 +15,10 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 from rich.console import Console
 from rich.table import Table
 
+from hardware.formatting import number, si
 from twin import __version__
 from twin.fidelity import Fidelity
-from twin.report.style import BLUE, GREY, ORANGE, new_figure, si
+from twin.report.style import BLUE, GREY, ORANGE, new_figure
 from twin.trade.measurement import LevelMeasurement, Model, front
 from twin.trade.result import Trade
 
@@ -76,9 +77,9 @@ def markdown(trade: Trade) -> Iterator[str]:
     radar = f", radar `{trade.radar}`" if trade.radar else ""
     yield (
         f"`twin trade {trade.scene}`: system `{trade.system}` (noise of a pixel "
-        f"{trade.pixel_noise_e:.3g} e-){radar}. Times are medians of warm runs, in brackets over "
-        f"one complex FFT of 2^20 points ({si(trade.fft_s, 's')}); in bold the level chosen for "
-        f"{_asked(trade)}. {len(trade.measurements)} levels were "
+        f"{number(trade.pixel_noise_e)} e-){radar}. Times are medians of warm runs, in brackets "
+        f"over one complex FFT of 2^20 points ({si(trade.fft_s, 's')}); in bold the level chosen "
+        f"for {_asked(trade)}. {len(trade.measurements)} levels were "
         "measured; these are the fastest for their error, the presets and the references."
     )
     for model, title in _MODELS.items():
@@ -127,7 +128,7 @@ def _bodies(trade: Trade) -> list[tuple[str, ...]]:
             row[0].body,
             f"{row[0].level_db:.0f} dB",
             *(
-                f"{_number(100 * e.error)} %{'' if e.is_converged else ', not converged'}"
+                f"{number(100 * e.error)} %{'' if e.is_converged else ', not converged'}"
                 for e in row
             ),
             row[0].reference,
@@ -143,8 +144,8 @@ def _brute_force_lines(trade: Trade) -> Iterator[str]:
     for m in trade.of("light"):
         if m.fidelity is None:
             yield (
-                f"- {m.name} takes {_number(m.cost.seconds / choice.cost.seconds)} times as long "
-                f"as {choice.name}, for {_number(m.over_noise)} of the sensor's noise ({m.note})"
+                f"- {m.name} takes {number(m.cost.seconds / choice.cost.seconds)} times as long "
+                f"as {choice.name}, for {number(m.over_noise)} of the sensor's noise ({m.note})"
             )
 
 
@@ -248,9 +249,8 @@ def _title(trade: Trade, model: Model) -> str:
     measurement = choice.measurement
     end = "enough" if choice.within else "not enough, and the most accurate"
     time = si(measurement.cost.seconds, "s")
-    return (
-        f"{model}: {measurement.name}: {end}\n{measurement.over_noise:.2g} of the noise in {time}"
-    )
+    error = number(measurement.over_noise, 2)
+    return f"{model}: {measurement.name}: {end}\n{error} of the noise in {time}"
 
 
 def _table_levels(trade: Trade, model: Model) -> list[LevelMeasurement]:
@@ -273,28 +273,23 @@ def _is_choice(trade: Trade, m: LevelMeasurement) -> bool:
 
 
 def _cells(trade: Trade, m: LevelMeasurement) -> tuple[str, ...]:
-    error = f"{_number(m.error, 3)} {m.unit}"
+    error = f"{number(m.error, 3)} {m.unit}"
     if m.model == "light":
         error += f", {si(m.detail['error_w'], 'W')}"
         if "relative" in m.detail:
-            error += f", {_number(100 * m.detail['relative'])} %"
+            error += f", {number(100 * m.detail['relative'])} %"
     elif m.model == "radar":
         error += f", {m.detail['error_db']:.0f} dB"
     median = m.detail.get("median_over_noise")
     scaled = " (scaled)" if "scaled" in m.note else ""
     return (
         m.name,
-        f"{si(m.cost.seconds, 's')} ({_number(m.cost.seconds / trade.fft_s)}){scaled}",
+        f"{si(m.cost.seconds, 's')} ({number(m.cost.seconds / trade.fft_s)}){scaled}",
         f"{m.cost.peak_bytes / 2**20:.0f} MiB",
         error,
-        _number(m.over_noise),
-        "" if median is None else f"{median:.2g}",
+        number(m.over_noise),
+        "" if median is None else number(median, 2),
     )
-
-
-def _number(value: float, digits: int = 2) -> str:
-    """Significant digits, large numbers without an exponent."""
-    return f"{value:,.0f}" if value >= 10**digits else f"{value:.{digits}g}"
 
 
 def _csv_row(trade: Trade, m: LevelMeasurement) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hardware.formatting import number, si
 from hardware.units import quantity
 from twin.camera import capture
 from twin.errors import InputError
@@ -32,7 +33,7 @@ class TimedShare:
     frame_s: float
 
     def __str__(self) -> str:
-        return f"{self.noise_share:.3g} of the noise, {1e3 * self.frame_s:.3g} ms a frame"
+        return f"{number(self.noise_share)} of the noise, {si(self.frame_s, 's')} a frame"
 
 
 @dataclass(frozen=True)
