@@ -17,7 +17,10 @@ from tests.physics.radar_worlds import (
     trihedral,
     world,
 )
-from twin.fidelity import Fidelity
+from twin.fidelity import DEFAULT, Fidelity, Tolerance
+from twin.radar import radar_capture
+from twin.radar.evaluation import evaluate_radar
+from twin.radar.intervals import body_level
 from twin.radar.propagation.facets.convergence import band_of, summed_by
 from twin.radar.propagation.physical_optics import (
     at_antenna,
@@ -70,9 +73,30 @@ def decided(found: Propagation, what: str, name: str) -> tuple[int, float]:
 
 
 def test_named_knobs_decide_by_themselves() -> None:
+    """And nothing bounds what they leave out, which the figures say."""
     found = trace(world(ball("ball", (8, 0, 0), level=3)), RADAR, fidelity=Fidelity())
     assert found.decisions == ()
-    assert [body.systematic for body in found.bodies] == [0.0]
+    (body,) = found.bodies
+    assert (body.systematic, body.is_bounded) == (0.0, False)
+    assert body_level(body).systematic == np.inf
+    (decided,) = trace(world(ball("ball", (8, 0, 0), level=3)), RADAR, fidelity=DEFAULT).bodies
+    assert decided.is_bounded
+    assert body_level(decided).half_width < 1
+
+
+def test_what_is_decided_by_default_is_a_fifth_of_the_noise() -> None:
+    assert Tolerance(0.2).knobs() == DEFAULT
+    assert None is DEFAULT.radar_bounces is DEFAULT.radar_images is DEFAULT.radar_edges
+
+
+def test_detections_under_fixed_knobs_are_not_bounded() -> None:
+    """The statistical part stays."""
+    scene = world(trihedral("corner", (12, 0, 0)))
+    for fidelity, is_bounded in ((Fidelity(), False), (DEFAULT, True)):
+        taken = radar_capture(scene, RADAR, fidelity=fidelity)
+        level = evaluate_radar(RADAR, taken).intervals[0].level_dbm
+        assert 0 < level.standard_error < 1
+        assert np.isfinite(level.systematic) == is_bounded
 
 
 def test_nothing_faces_a_ball_alone() -> None:
@@ -112,6 +136,36 @@ def beside_a_mirror() -> Scene:
     return world(ball("ball", (9, 1, 0), level=4), ground(-1.0), wall)
 
 
+def between_walls() -> Scene:
+    """A ball in a corridor, whose walls show it ever again."""
+    walls = [
+        quad(f"wall {y}", [[0, y, -3], [40, y, -3], [40, y, 3], [0, y, 3]]) for y in (-0.7, 0.9)
+    ]
+    return world(ball("ball", (9, 0.3, 0), level=4), *walls)
+
+
+def test_images_beyond_the_last_are_bounded_where_there_are_any() -> None:
+    """Between two walls there are, in a right corner there are none, since two reflections there
+    send everything back: the third of three mirrors has nothing to show.
+    """
+    corner, corridor = (
+        trace(make(), RADAR, fidelity=BY_BOUNDS) for make in (beside_a_mirror, between_walls)
+    )
+    assert decided(corner, "reflections at large surfaces", "ball") == (2, 0.0)
+    most, bound = decided(corridor, "reflections at large surfaces", "ball")
+    assert most == 2
+    assert bound > 0.01
+
+
+def test_what_is_not_followed_is_warned_of() -> None:
+    """A third reflection at the walls of a corridor may add more than is permitted."""
+    taken = radar_capture(between_walls(), RADAR, fidelity=BY_BOUNDS)
+    (warning,) = (w for w in taken.warnings if w.kind == "tolerance")
+    assert warning.startswith("reflections at large surfaces beyond 2, ball: at most ")
+    alone = radar_capture(world(ball("ball", (8, 0, 0), level=4)), RADAR, fidelity=BY_BOUNDS)
+    assert [w for w in alone.warnings if w.kind == "tolerance"] == []
+
+
 def strong_beside_weak() -> Scene:
     """Behind a large trihedral a small ball on a floor: its errors count 40 dB below."""
     return world(
@@ -134,7 +188,15 @@ def grazing_floor() -> Scene:
 
 
 @pytest.mark.parametrize(
-    "make", [facing_plates, beside_a_mirror, strong_beside_weak, between_posts, grazing_floor]
+    "make",
+    [
+        facing_plates,
+        beside_a_mirror,
+        between_walls,
+        strong_beside_weak,
+        between_posts,
+        grazing_floor,
+    ],
 )
 def test_errors_are_within_what_is_told(make) -> None:
     """Of every body, against three times as fine with all reflections. What is told is three

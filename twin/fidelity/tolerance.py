@@ -149,9 +149,8 @@ def _meant(item: str) -> tuple[str, str | None]:
     return "noise_share", None
 
 
-#: Of what is computed without being told: light to a tolerance. Echoes as in the preset `standard`:
-#: reflections by bounds, as a `Tolerance` asks for them, take 1.6 times as long.
-DEFAULT = Fidelity(light_tolerance=DEFAULT_SHARE)
+#: Of what is computed without being told.
+DEFAULT = Tolerance().knobs()
 
 #: What results may be off by: knobs, a preset's name, a tolerance, or a share of the noise.
 Accuracy = Fidelity | Tolerance | str | float

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from hardware.formatting import number
 from hardware.waveform import C_M_PER_S
+from twin.accuracy import Decision
 from twin.geometry import are_too_large, shapes_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
@@ -92,6 +93,7 @@ def warnings(
         messages.append(CaptureWarning("rendering", text))
     messages += [CaptureWarning("model", text) for text in bursts[0].warnings]
     messages += [CaptureWarning("rendering", text) for text in _unconverged(bursts)]
+    messages += [CaptureWarning("tolerance", text) for text in _not_followed(bursts)]
     messages += _coarse(scene, radar, bursts[0])
     messages += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
     messages += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
@@ -115,6 +117,23 @@ def _unconverged(bursts: Sequence[Propagation]) -> list[str]:
         if body.estimated_error > largest.estimated_error:
             worst[body.objects] = body
     return unconverged(worst.values())
+
+
+def _not_followed(bursts: Sequence[Propagation]) -> list[str]:
+    """On effects that no model follows although they may add more than is permitted, each at the
+    burst where it may add the most.
+    """
+    worst: dict[str, Decision] = {}
+    for decision in (decision for burst in bursts for decision in burst.decisions):
+        if not decision.taken and decision.bound > decision.permitted:
+            known = worst.setdefault(decision.effect, decision)
+            if decision.bound > known.bound:
+                worst[decision.effect] = decision
+    return [
+        f"{decision.effect}: at most {decision.bound:.2g} {decision.unit} is left out, "
+        f"{decision.permitted:.2g} permitted; it is in the stated errors"
+        for decision in worst.values()
+    ]
 
 
 def _antennas(radar: RadarDesign) -> str:

@@ -46,7 +46,7 @@ def body_level(body: BodyEcho) -> Interval:
     return Interval(
         body.level_db,
         _in_db(statistical / body.amplitude) / TWO_SIDED_95,
-        _in_db(systematic / body.amplitude),
+        _in_db(systematic / body.amplitude) if body.is_bounded else np.inf,
     )
 
 
@@ -98,7 +98,8 @@ def _shares(
             for body, error in zip(near, each, strict=True)
         ]
         found.append(float(np.linalg.norm([max(own), *spread])))
-    return (found[0], found[1]) if found else (0.0, 0.0)
+    statistical, systematic = found or (0.0, 0.0)
+    return statistical, systematic if all(b.is_bounded for b in near) else np.inf
 
 
 def _cells(body: BodyEcho, waveform: OfdmWaveform) -> float:
@@ -148,7 +149,8 @@ def _intervals(
         snr = 10 ** (detection.snr_db / 10) * n_channels
         if not 0 < snr < np.inf:
             return [np.inf if r else 0.0 for r in shares]
-        return [by_noise * float(np.sqrt(2 * snr)) * r if r else 0.0 for r in shares]
+        by_share = by_noise * float(np.sqrt(2 * snr))
+        return [by_share * r if 0 < r < np.inf else r for r in shares]
 
     level_dbm = 10 * np.log10(detection.power_w * 1e3) if detection.power_w > 0 else np.nan
     half_c = C_M_PER_S / 2

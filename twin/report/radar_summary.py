@@ -35,7 +35,8 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
             (
                 body.name,
                 body_level(body).text("dB"),
-                f"{percent(body.estimated_error)} %",
+                f"{percent(body.estimated_error)} %"
+                + ("" if body.is_bounded else ", what fixed knobs leave out aside"),
                 f"{percent(body.tolerance)} %" + ("" if body.is_converged else ", exceeded"),
             )
             for body in evaluation.capture.propagation.bodies

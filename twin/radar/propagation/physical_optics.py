@@ -66,12 +66,14 @@ def scattered(
     fidelity: Fidelity,
     earlier: TracedFrame | None = None,
     *,
+    has_more_images: NDArray[np.bool_] | None = None,
     keep: bool = False,
 ) -> Scattered:
     """Echoes of bodies to within ``fidelity.radar_tolerance``.
 
-    Valid paths of an ``earlier`` frame are reused. ``keep``: whether later frames may reuse this
-    one, which is then traced in full.
+    ``has_more_images`` (n_objects,): whether there are paths to an object by more reflections than
+    those of any image; None where that is not known. Valid paths of an ``earlier`` frame are
+    reused. ``keep``: whether later frames may reuse this one, which is then traced in full.
     """
     body = _bodies(prepared)
     if not (prepared.worth & (body >= 0)).any():
@@ -98,12 +100,20 @@ def scattered(
         OF_NOISE * noise_amplitude(radar) / loss_of(radar),
         valid,
         by_images=by_images,
+        has_more_images=None if has_more_images is None else _of_any(has_more_images, body),
         with_footprints=keep,
     )
     traced = TracedFrame(radar, str(fidelity.radar), setting, echoes) if keep else None
     contributions = Contributions.concatenate(echoes.contributions)
     share = echoes.n_reused / max(len(contributions), 1)
     return Scattered(contributions, body, echoes.error, echoes.choice, traced, share)
+
+
+def _of_any(objects: NDArray[np.bool_], body: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Of every body, whether it holds of any of its objects."""
+    found = np.zeros(body.max() + 1, dtype=bool)
+    found[body[objects & (body >= 0)]] = True
+    return found
 
 
 def loss_of(radar: RadarDesign) -> float:

@@ -37,7 +37,11 @@ from twin.radar.propagation.physical_optics import (
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
-from twin.radar.propagation.scene.scattering_models import assign_scattering_models, declared_alone
+from twin.radar.propagation.scene.scattering_models import (
+    Assignment,
+    assign_scattering_models,
+    declared_alone,
+)
 from twin.radar.propagation.scene.silent import silent_objects
 from twin.radar.propagation.single_paths import mirror_echoes, point_echoes
 from twin.radar.synthesis import Contributions
@@ -62,9 +66,10 @@ def echoes(
     """
     is_rough = fidelity.radar == "rough"
     roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True)
-    images = MOST_IMAGES if fidelity.radar_images is None else fidelity.radar_images
-    prepared = prepare_scene(scene, radar, roles, images, is_rough=is_rough)
-    of_bodies = scattered(prepared, radar, fidelity, earlier, keep=keep)
+    prepared, has_more_images = _prepared(scene, radar, roles, fidelity, is_rough)
+    of_bodies = scattered(
+        prepared, radar, fidelity, earlier, has_more_images=has_more_images, keep=keep
+    )
     traced = Contributions.concatenate([of_bodies.contributions, behind(prepared, fidelity)])
     surfaces = at_antenna(traced, prepared, radar)
     levels = _levels(prepared, radar, fidelity, of_bodies, surfaces)
@@ -86,7 +91,8 @@ def echoes(
     names, paths = by_delay(
         [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
     )
-    bodies = levels.bodies(of_bodies.error * loss_of(radar), left_out)
+    unbounded = _unbounded(fidelity, prepared)
+    bodies = levels.bodies(of_bodies.error * loss_of(radar), left_out, is_bounded=not unbounded)
     return Propagation(
         Contributions.concatenate([paths, diffuse, surfaces]),
         names,
@@ -95,7 +101,7 @@ def echoes(
             *prepared.assumptions,
             *edges.remarks,
             *on_clutter,
-            *_unbounded(fidelity),
+            *unbounded,
             *unconverged(bodies),
         ),
         heard=_heard(Contributions.concatenate([surfaces, diffuse]), prepared, radar),
@@ -106,6 +112,19 @@ def echoes(
         traced=of_bodies.traced,
         reused_share=of_bodies.reused_share,
     )
+
+
+def _prepared(
+    scene: Scene,
+    radar: RadarDesign,
+    roles: Sequence[Assignment],
+    fidelity: Fidelity,
+    is_rough: bool,
+) -> tuple[PreparedScene, NDArray[np.bool_] | None]:
+    """With the images that are followed; by bounds also to which objects there are further ones."""
+    if fidelity.radar_images is not None:
+        return prepare_scene(scene, radar, roles, fidelity.radar_images, is_rough=is_rough), None
+    return prepare_scene(scene, radar, roles, MOST_IMAGES + 1, is_rough=is_rough).up_to(MOST_IMAGES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,21 +147,25 @@ class _Levels:
         """Of each effect that is left out."""
         return OF_TOLERANCE * self.tolerance
 
-    def bodies(self, error: Array, left_out: Array) -> tuple[BodyEcho, ...]:
+    def bodies(self, error: Array, left_out: Array, *, is_bounded: bool) -> tuple[BodyEcho, ...]:
         """With their errors and bounds of what is left out, the latter relative."""
         limits = self.tolerance, self.floor
-        return body_echoes(self.names, self.echo, error, *limits, left_out, self.spans)
+        return body_echoes(
+            self.names, self.echo, error, *limits, left_out, self.spans, is_bounded=is_bounded
+        )
 
 
 #: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
 _Decided = tuple[tuple[Decision, ...], Array]
 
 
-def _unbounded(fidelity: Fidelity) -> tuple[str, ...]:
+def _unbounded(fidelity: Fidelity, prepared: PreparedScene) -> tuple[str, ...]:
     """What fixed knobs leave out, without a bound."""
     left_out = {
         f"more than {fidelity.radar_bounces} bounces": fidelity.radar_bounces,
-        f"images beyond order {fidelity.radar_images}": fidelity.radar_images,
+        f"images beyond order {fidelity.radar_images}": (
+            fidelity.radar_images if len(prepared.flats) else None
+        ),
         "sharp edges": None if fidelity.radar_edges else fidelity.radar_edges,
     }
     told = [effect for effect, fixed in left_out.items() if fixed is not None]

@@ -84,6 +84,21 @@ class PreparedScene:
         )
         return replace(self, images=tuple(images), context=seen)
 
+    def up_to(self, order: int) -> "tuple[PreparedScene, NDArray[np.bool_]]":
+        """The same with images of so many reflections at most, and to which objects paths by
+        further ones are worth tracing, (n_objects,).
+        """
+        orders = np.array([len(image.patches) for image in self.images])
+        some = np.flatnonzero(orders <= order)
+        if len(some) == len(orders):
+            return self, np.zeros(len(self.items), dtype=bool)
+        fewer = replace(
+            self.with_images([self.images[k] for k in some]),
+            all_images=tuple(i for i in self.all_images if len(i.patches) <= order),
+            worth=self.worth[some],
+        )
+        return fewer, np.asarray(self.worth[orders > order].any(axis=0))
+
     def via(self, image: int) -> tuple[str, ...]:
         """Names of the objects that make an image."""
         patches = self.images[image].patches

@@ -39,9 +39,10 @@ class BodyEcho:
     body; ``estimated_error``: within which the error most likely is (95 % of bodies), relative to
     that root mean square, or to the least level that ``fidelity.radar_tolerance`` is relative to;
     ``tolerance``: what was asked for; ``systematic``: share of the estimate that bounds what was
-    left out (`Propagation.decisions`). ``amplitude``, ``level_amplitude``: of the echo, and of the
-    level that errors are relative to, received over sent. ``ranges_m``, ``range_rates_m_per_s``:
-    least and most of its contributions.
+    left out (`Propagation.decisions`); ``is_bounded``: whether that holds all that was left out,
+    which fixed knobs do without a bound. ``amplitude``, ``level_amplitude``: of the echo, and of
+    the level that errors are relative to, received over sent. ``ranges_m``,
+    ``range_rates_m_per_s``: least and most of its contributions.
     """
 
     objects: tuple[str, ...]
@@ -53,6 +54,7 @@ class BodyEcho:
     level_amplitude: float = 0.0
     ranges_m: tuple[float, float] = (-np.inf, np.inf)
     range_rates_m_per_s: tuple[float, float] = (-np.inf, np.inf)
+    is_bounded: bool = True
 
     @property
     def name(self) -> str:
@@ -101,6 +103,8 @@ def body_echoes(
     floor: float,
     left_out: Array | None = None,
     spans: Array | None = None,
+    *,
+    is_bounded: bool = True,
 ) -> tuple[BodyEcho, ...]:
     """Bodies with an echo, the strongest first.
 
@@ -118,6 +122,8 @@ def body_echoes(
         Bound of what was left out of each echo, relative to the level that errors are relative to.
     spans
         As `spans_by` gives them, where known.
+    is_bounded
+        Whether ``left_out`` holds all that was left out.
     """
     level = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
     strongest = level.max(initial=0.0)
@@ -138,6 +144,7 @@ def body_echoes(
             level_amplitude=float(reference[i]),
             ranges_m=(float(spans[i, 0, 0]), float(spans[i, 0, 1])),
             range_rates_m_per_s=(float(spans[i, 1, 0]), float(spans[i, 1, 1])),
+            is_bounded=is_bounded,
         )
         for i in np.argsort(-level, kind="stable")
         if level[i] > 0

@@ -91,7 +91,8 @@ class Tally:
 
     ``order``: of each image; ``permitted``: of each effect that is left out, relative to a body's
     level; ``faintest``: what the coarse pass may leave out, likewise; ``bounces`` as given, or
-    None; ``by_images``: whether images are left out.
+    None; ``by_images``: whether images are left out; ``has_more_images`` (n_bodies,): whether paths
+    lead to a body by more reflections at large surfaces than those of any image.
     """
 
     def __init__(
@@ -103,8 +104,11 @@ class Tally:
         bounces: int | None = None,
         *,
         by_images: bool = True,
+        has_more_images: NDArray[np.bool_] | None = None,
     ) -> None:
         self._order, self._bounces, self._by_images = order, bounces, by_images
+        every = np.ones(n_bodies, dtype=bool)
+        self._has_more_images = every if has_more_images is None else has_more_images
         self.permitted = permitted
         self.faintest = _FAINT * permitted / _SURE
         self._shape = n_bodies, MOST_BOUNCES, int(order.max(initial=0)) + 1
@@ -153,13 +157,14 @@ class Tally:
             self.permitted,
             self._bounces,
             by_images=self._by_images,
+            has_more_images=self._has_more_images,
         )
         fine.faintest = np.inf
         return fine
 
     def choice(self, limits: Limits, fine: "Tally") -> ReflectionChoice:
         """What limits leave out. Of more reflections than were followed that is the bound of the
-        last ones, as a ``fine`` pass found it.
+        last ones, as a ``fine`` pass found it; nothing where no path has more of them.
         """
         fewer = Limits(limits.bounces - 1, limits.images - 1)
         beyond = fine.left_out(Limits(*(n - 1 for n in (limits.bounces, limits.images))))
@@ -169,7 +174,11 @@ class Tally:
             limits,
             Bounds(
                 np.where(limits.bounces < bounces, left_out.bounces, beyond.bounces),
-                np.where(limits.images < MOST_IMAGES, left_out.images, beyond.images),
+                np.where(
+                    limits.images < MOST_IMAGES,
+                    left_out.images,
+                    np.where(self._has_more_images, beyond.images, 0.0),
+                ),
             ),
             self.left_out(fewer),
         )
