@@ -64,8 +64,8 @@ _OF_ALL_REFLECTIONS = 0.5
 _DIVIDED_BOUNCES = 3
 #: ... where the errors of these, of a body's roots of one size, are no more than so many tolerances
 #: together. They count in its estimated error, and in the bound of what is reflected still more
-#: often: on the yard's car 4 % of its echo, of 2 tolerances 9 %, in the same time.
-_DEEP_ERROR = 0.25
+#: often: on the yard's car 6 % of its echo, of 2 tolerances 9 %, in the same time.
+_DEEP_ERROR = 0.5
 
 
 def scattered_by(
@@ -244,11 +244,6 @@ def _worth_it(leaves: Leaves, budget: Budget) -> Leaves:
     return leaves.take(np.flatnonzero(~faint))
 
 
-def _is_deep(lit: Triangles) -> NDArray[np.bool_]:
-    is_deep: NDArray[np.bool_] = lit.bounces > _DIVIDED_BOUNCES
-    return is_deep
-
-
 @dataclass(frozen=True, eq=False)
 class _TubeEchoes:
     """Echoes of triangles that ray tubes light, one for each receiver: the ``root`` of the tube,
@@ -272,6 +267,17 @@ class _TubeEchoes:
             self.is_lit[rows],
             self.error[rows],
         )
+
+    def deep(self, bodies: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which are of many reflections and return from some bodies (n_bodies,)."""
+        is_deep: NDArray[np.bool_] = (self.lit.bounces > _DIVIDED_BOUNCES) & bodies[self.lit.body]
+        return is_deep
+
+
+def _without_deep(echoes: Sequence[_TubeEchoes], bodies: NDArray[np.bool_]) -> list[_TubeEchoes]:
+    """Echoes but those of many reflections from some bodies (n_bodies,)."""
+    rest = [part.take(np.flatnonzero(~part.deep(bodies))) for part in echoes]
+    return [part for part in rest if len(part.root)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -429,7 +435,8 @@ class _Search:
             return np.zeros(len(budget.level), dtype=bool)
         square = np.zeros(len(budget.level))
         for part in parts:
-            square += np.bincount(part.lit.body, part.error**2 * _is_deep(part.lit), len(square))
+            is_deep = part.lit.bounces > _DIVIDED_BOUNCES
+            square += np.bincount(part.lit.body, part.error**2 * is_deep, len(square))
         coarse: NDArray[np.bool_] = np.sqrt(square) <= _DEEP_ERROR * budget.tolerance * budget.level
         return coarse
 
@@ -442,20 +449,32 @@ class _Search:
         """
         lit: list[tuple[Triangles, Echoes]] = []
         root_tubes: _RootTubes | None = tubes
-        depth = 0
+        search, depth = self, 0
+        stays_coarse = np.zeros(len(budget.level), dtype=bool)
         while root_tubes is not None:
             roots, square = root_tubes.roots, np.zeros(len(root_tubes.roots))
-            coarse = self._may_stay_coarse(root_tubes.echoes, budget)
-            for part in root_tubes.echoes:
+            # Deep paths to these were accepted as they were before the last division.
+            echoes = _without_deep(root_tubes.echoes, stays_coarse)
+            further = self._may_stay_coarse(echoes, budget) & ~stays_coarse
+            for part in echoes:
+                ends = part.deep(further)
+                budget.accept(part.lit, part.error, ends)
+                some = np.flatnonzero(ends & part.is_lit)
+                if len(some):
+                    lit.append((part.lit.take(some), part.echoes.take(some)))
+            echoes = _without_deep(echoes, further)
+            stays_coarse |= further
+            if stays_coarse.all():
+                search = replace(self, bounces=min(self.bounces, _DIVIDED_BOUNCES))
+            for part in echoes:
                 share = part.error / budget.allowed(part.lit.body)
-                share[_is_deep(part.lit) & coarse[part.lit.body]] = 0.0
                 square += np.bincount(part.root, share**2, len(roots))
             error = np.sqrt(square) * budget.allowed(roots.body)
             done = budget.affordable(roots.body, error, _PER_LEVEL)
             if depth == deepest:
                 done[:] = True
             done |= ~largest(np.where(done, 0.0, square), MOST_ROOTS // 4)
-            for part in root_tubes.echoes:
+            for part in echoes:
                 ends = done[part.root]
                 budget.accept(part.lit, part.error, ends)
                 some = np.flatnonzero(ends & part.is_lit)
@@ -466,9 +485,9 @@ class _Search:
                 break
             times = min(2 if len(rest) < _FEW else 1, deepest - depth)
             divided = (roots.take(rows) for rows in portions(rest, 4**times))
-            root_tubes = self._root_tubes(self._divided(some, times) for some in divided)
+            root_tubes = search._root_tubes(self._divided(some, times) for some in divided)
             depth += times
         if not lit:
             return None
-        triangles, echoes = zip(*lit, strict=True)
-        return Triangles.concatenate(triangles), Echoes.concatenate(echoes)
+        triangles, of_triangles = zip(*lit, strict=True)
+        return Triangles.concatenate(triangles), Echoes.concatenate(of_triangles)
