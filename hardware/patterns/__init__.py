@@ -1,6 +1,7 @@
 """Hadamard pattern sets: which patterns are shown, in which order, and their fast transform.
 
-A user's own sets stand beside them (`hardware.patterns.own`).
+A user's own sets stand beside them (`hardware.patterns.own`), and the scan of one cell after
+another (`hardware.patterns.raster`).
 
 A virtual image of ``rows x columns`` cells (both powers of two) is flattened row by row. Its
 patterns are rows of the Sylvester matrix H = H_rows (x) H_columns, entries +1 and -1, which a
@@ -19,6 +20,7 @@ from hardware.errors import InputError
 from hardware.patterns.interface import MOST_CELLS, Mode, Patterns
 from hardware.patterns.orders import ORDERS, ordered_indices
 from hardware.patterns.own import OwnPatterns, own_patterns
+from hardware.patterns.raster import RasterScan
 from hardware.patterns.transform import fwht, fwht_in_place, hadamard_rows
 
 __all__ = [
@@ -28,6 +30,7 @@ __all__ = [
     "OwnPatterns",
     "PatternSet",
     "Patterns",
+    "RasterScan",
     "fwht",
     "fwht_in_place",
     "hadamard_rows",

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns import OwnPatterns, PatternSet
+from hardware.patterns import OwnPatterns, PatternSet, RasterScan
 
 
 def patterns_from_record(
@@ -16,10 +16,16 @@ def patterns_from_record(
     packed: NDArray[np.integer] | None = None,
     grey_levels: NDArray[np.integer] | None = None,
     **fields: Any,
-) -> PatternSet | OwnPatterns:
+) -> PatternSet | OwnPatterns | RasterScan:
     """Patterns of the fields of a record. Raises InputError for what does not fit together, and
     for a user's own patterns whose digest is not that of their content.
     """
+    if order == "raster":
+        count = fields.pop("count")
+        scan = RasterScan(**fields)
+        if scan.count != count:
+            raise InputError(f"patterns: a scan of {scan.count} cells, expected {count}")
+        return scan
     if order != "own":
         return PatternSet(order=order, **fields)  # type: ignore[arg-type]
     rows, columns, count, mode = (fields[n] for n in ("rows", "columns", "count", "mode"))

@@ -2,10 +2,10 @@
 
 A rectangular pulse that comes back after t fills the share R(t) of a gate: the overlap of
 [t, t + pulse] with [delay, delay + width], over the pulse's length. One surface of amplitude A in
-a cell gives A R_k(t) in gate k, whether gates overlap, join or leave gaps. Least squares over A
-leaves a likelihood of t alone; its mean is the distance, its width the error. For two gates side by
-side that is the range from their ratio (Laurenzis, Christnacher and Monnin, Optics Letters 32,
-2007).
+a cell gives A R_k(t) in gate k, whether gates overlap, join or leave gaps. Least squares over A,
+and over a constant in all gates where there is one, leaves a likelihood of t alone; its mean is the
+distance, its width the error. For two gates side by side that is the range from their ratio
+(Laurenzis, Christnacher and Monnin, Optics Letters 32, 2007).
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,9 @@ def share(delay_s: Array, gate_delay_s: float, gate_width_s: float, pulse_width_
     return np.maximum(last - first, 0) / pulse_width_s
 
 
-def echo(images: Array, errors: Array, gates: Array, pulse_width_s: float) -> Echo:
+def echo(
+    images: Array, errors: Array, gates: Array, pulse_width_s: float, *, background: bool = False
+) -> Echo:
     """The most likely echo of each cell.
 
     Parameters
@@ -57,6 +59,8 @@ def echo(images: Array, errors: Array, gates: Array, pulse_width_s: float) -> Ec
         Delay and width of each, s.
     pulse_width_s
         Of the light's rectangular pulse.
+    background
+        Whether each cell has a constant of its own in all of its gates, which is fitted along.
 
     The mean and the standard deviation are those of the posterior within reach of the gate that
     holds most of the likeliest echo, all beginnings alike before; what is left of one gate alone is
@@ -67,10 +71,12 @@ def echo(images: Array, errors: Array, gates: Array, pulse_width_s: float) -> Ec
     it, it falls with the probability of that by chance.
     """
     errors = np.maximum(errors, _LEAST * np.abs(images).max(initial=0.0) or 1.0)
+    if background:
+        images = images - _mean(images, errors)
     place, step = _search(gates, pulse_width_s)
     n_blocks = -(-images.shape[1] * len(place) // _AT_ONCE)
     blocks = [
-        _echo(*block, gates, pulse_width_s, place, step)
+        _echo(*block, gates, pulse_width_s, place, step, background)
         for block in zip(
             np.array_split(images, n_blocks, axis=1),
             np.array_split(errors, n_blocks, axis=1),
@@ -81,32 +87,40 @@ def echo(images: Array, errors: Array, gates: Array, pulse_width_s: float) -> Ec
 
 
 def _echo(
-    images: Array, errors: Array, gates: Array, pulse_width_s: float, place: Array, step: Array
+    images: Array,
+    errors: Array,
+    gates: Array,
+    pulse_width_s: float,
+    place: Array,
+    step: Array,
+    background: bool,
 ) -> tuple[Array, Array, Array, Array]:
-    """The fields of `Echo` for some of the cells."""
-    own = errors
+    """The fields of `Echo` for some of the cells; of ``images`` a background is taken out."""
+    own, freedom = errors, len(gates) - 2 - background
     responses = np.stack([share(place, d, g, pulse_width_s) for d, g in gates])
-    gain = _gain(responses, images, errors)
+    gain = _gain(responses, images, errors, background)
     nearest = gates[responses[:, gain.argmax(axis=1)].argmax(axis=0)]
     low, high = np.maximum(nearest[:, 0] - pulse_width_s, 0), nearest.sum(axis=1)
-    if len(gates) > 2:
-        *_, best = _closer(images, errors, gates, pulse_width_s, low, high)
+    if freedom > 0:
+        *_, best = _closer(images, errors, gates, pulse_width_s, low, high, background)
         chi2 = ((images / errors) ** 2).sum(axis=0) - 2 * best
-        scale = np.sqrt(np.maximum(chi2 / (len(gates) - 2), 1))
+        scale = np.sqrt(np.maximum(chi2 / freedom, 1))
         gain, errors = gain / scale[:, None] ** 2, errors * scale
     weight = np.exp(gain - gain.max(axis=1, keepdims=True)) * step
     within = (place > low[:, None]) & (place < high[:, None])
     none = np.exp(-gain.max(axis=1)) * step.sum()
     confidence = (weight * within).sum(axis=1) / (weight.sum(axis=1) + none)
-    mean, spread, _ = _closer(images, errors, gates, pulse_width_s, low, high)
+    mean, spread, _ = _closer(images, errors, gates, pulse_width_s, low, high, background)
     there = np.stack([share(mean, d, g, pulse_width_s) for d, g in gates])
+    if background:
+        there = there - _mean(there, errors)
     wanted = (there * images / errors**2).sum(axis=0)
     amplitude = np.divide(
         wanted, ((there / errors) ** 2).sum(axis=0), out=np.zeros_like(mean), where=wanted > 0
     )
     loose = np.hypot(own, _TOLERANCE * amplitude)
     chi2 = (((images - amplitude * there) / loose) ** 2).sum(axis=0)
-    _, doubt = contradiction(chi2, len(gates) - 2)
+    _, doubt = contradiction(chi2, freedom)
     return amplitude, mean, spread, confidence * doubt
 
 
@@ -121,17 +135,31 @@ def _search(gates: Array, pulse_width_s: float) -> tuple[Array, Array]:
     return place[noticed], step[noticed]
 
 
-def _gain(responses: Array, images: Array, errors: Array) -> Array:
+def _mean(values: Array, errors: Array) -> Array:
+    """Weighted mean of the gates, by cell."""
+    weight = 1 / errors**2
+    return np.asarray((weight * values).sum(axis=0) / weight.sum(axis=0))
+
+
+def _gain(responses: Array, images: Array, errors: Array, background: bool) -> Array:
     """Log-likelihood over that of no echo, the amplitude being the best one that is not negative:
     (n_cells, n) for responses (n_gates, n).
     """
     wanted = (images / errors**2).T @ responses
     power = (1 / errors**2).T @ responses**2
+    if background:  # what of a response is no constant
+        power -= ((1 / errors**2).T @ responses) ** 2 / (1 / errors**2).sum(axis=0)[:, None]
     return np.maximum(wanted, 0) ** 2 / np.maximum(power, np.finfo(float).tiny) / 2
 
 
 def _closer(
-    images: Array, errors: Array, gates: Array, pulse_width_s: float, low: Array, high: Array
+    images: Array,
+    errors: Array,
+    gates: Array,
+    pulse_width_s: float,
+    low: Array,
+    high: Array,
+    background: bool,
 ) -> tuple[Array, Array, Array]:
     """Mean and standard deviation of the posterior from ``low`` to ``high``, looked at ever closer
     where it is narrow; and the log-likelihood of the best beginning over that of no echo.
@@ -141,10 +169,15 @@ def _closer(
     for _ in range(_LOOKS):
         place = low[:, None] + (high - low)[:, None] * middle
         wanted, power = np.zeros_like(place), np.full_like(place, np.finfo(float).tiny)
+        shared = np.zeros_like(place)
         for image, error, (delay, width) in zip(images, errors, gates, strict=True):
             response = share(place, delay, width, pulse_width_s)
             wanted += (image / error**2)[:, None] * response
             power += (response / error[:, None]) ** 2
+            shared += response / error[:, None] ** 2
+        if background:
+            power -= shared**2 / (1 / errors**2).sum(axis=0)[:, None]
+            power = np.maximum(power, np.finfo(float).tiny)
         gain = np.maximum(wanted, 0) ** 2 / power / 2
         best = np.maximum(best, gain.max(axis=1))
         weight = np.exp(gain - gain.max(axis=1, keepdims=True))
@@ -155,3 +188,38 @@ def _closer(
         spread = np.sqrt(variance + ((high - low) / _POINTS) ** 2 / 12)
         low, high = np.maximum(low, mean - 5 * spread), np.minimum(high, mean + 5 * spread)
     return mean, spread, best
+
+
+def bounds(
+    amplitude: Array,
+    delay_s: Array,
+    variance: Array,
+    gates: Array,
+    pulse_width_s: float,
+    *,
+    background: bool = False,
+) -> tuple[Array, Array]:
+    """Cramer-Rao bounds of an echo's amplitude and of its beginning, s, both (n_cells,): what no
+    unbiased estimate falls below whose noise is normal, of variance (n_gates, n_cells).
+
+    With W the inverse variances and R, R' the gates' responses and their slopes, less their
+    weighted means where there is a background: 1 / var A = R W R - (R W R')^2 / (R' W R'), and the
+    same with R and A R' exchanged (Kay, Fundamentals of Statistical Signal Processing I, 1993,
+    section 3.7). Where no response has a slope the delay's bound is infinite.
+    """
+    step = 1e-4 * pulse_width_s
+    late, early, here = (
+        np.stack([share(delay_s + shift, d, g, pulse_width_s) for d, g in gates])
+        for shift in (step, -step, 0.0)
+    )
+    slope, weight = (late - early) / (2 * step), 1 / variance
+    if background:
+        errors = np.sqrt(variance)
+        here, slope = here - _mean(here, errors), slope - _mean(slope, errors)
+    tiny = np.finfo(float).tiny
+    both, own = (weight * here * slope).sum(axis=0), (weight * here**2).sum(axis=0)
+    steep = np.maximum((weight * slope**2).sum(axis=0), tiny)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        of_amplitude = 1 / np.sqrt(np.maximum(own - both**2 / steep, 0))
+        of_delay = 1 / np.sqrt(np.maximum(steep - both**2 / own, 0)) / amplitude
+    return of_amplitude, of_delay

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import Patterns, PatternSet
+from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
+from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE, gates_tell_background
 from hardware.reconstruction.sensing import Mixing, Sensing
 from hardware.records import Flag, SpiRecord
 
@@ -29,6 +30,8 @@ def fits_in_memory(name: str, patterns: Patterns) -> bool:
     """Whether a method's matrices for a set of patterns fit into memory."""
     from hardware.reconstruction.walsh_blocks import MOST_BYTES, bytes_needed
 
+    if isinstance(patterns, RasterScan):
+        return True
     if not isinstance(patterns, PatternSet):  # the matrix, its eigenvectors, both in cells
         return 8 * patterns.count * (3 * patterns.n_cells + 2 * patterns.count) <= MOST_BYTES
     subset = patterns.count < patterns.n_cells
@@ -145,6 +148,7 @@ def reconstruct(
         warnings=(
             *_flagged(record),
             *_unmeasured(sensing),
+            *_with_background(received),
             *_without_scatter(received, most),
             *_smoothed(cells, measured, sensing),
         ),
@@ -180,15 +184,22 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
             yield f"{bad} of {n} exposures are marked {flag.name.lower()}"
 
 
+def _with_background(record: SpiRecord) -> Iterator[str]:
+    """Of a plain scan whose gates do not tell it."""
+    scan = isinstance(record.patterns, RasterScan) and record.patterns.mode == "plain"
+    if scan and not gates_tell_background(record):
+        yield BACKGROUND_IN_IMAGE
+
+
 def _unmeasured(sensing: Sensing) -> Iterator[str]:
     if not sensing.measures_level:
-        hadamard = isinstance(sensing.patterns, PatternSet)
-        yield LEVEL_UNKNOWN if hadamard else LEVEL_UNMEASURED
+        own = isinstance(sensing.patterns, OwnPatterns)
+        yield LEVEL_UNMEASURED if own else LEVEL_UNKNOWN
     if unknown := int(np.count_nonzero(~sensing.measured)):
         lit = "no pattern lights"
-        if sensing.patterns.mode == "plain":
+        if sensing.patterns.mode == "plain" and isinstance(sensing.patterns, PatternSet):
             lit = "every pattern lights"
-        if not isinstance(sensing.patterns, PatternSet):
+        if isinstance(sensing.patterns, OwnPatterns):
             lit = "all patterns light alike"
         yield f"{unknown} of {sensing.n_cells} cells have no value: what {lit} is not measured"
 
@@ -211,6 +222,8 @@ def _without_scatter(record: SpiRecord, most: Array) -> Iterator[str]:
 def _smoothed(cells: Array, measured: Measurements, sensing: Sensing) -> Iterator[str]:
     """Where smoothing a full set that shows nothing twice took more than noise does."""
     patterns = sensing.patterns
+    if isinstance(patterns, RasterScan):
+        return
     paired = patterns.mode in ("differential", "complementary")
     if paired or sensing.is_dense or not measured.noise_told.any():
         return

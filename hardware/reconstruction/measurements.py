@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns import Patterns, PatternSet
+from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan, fwht
 from hardware.reconstruction.noise import finest_patterns, noise_beside_detail, noise_of_sums
+from hardware.reconstruction.scanning import scanned_cells
 from hardware.records import SpiRecord
 
 Array = NDArray[np.float64]
@@ -94,7 +95,12 @@ def measurements(record: SpiRecord) -> Measurements:
     A user's own plain set: twice (lit) less the mean of all, which takes the background out. Own
     patterns that are shown once do not tell noise from detail: they are smoothed by the photons'
     own noise, and all their scatter is the most that noise can be.
+
+    A raster scan: the Hadamard transform of its cells (`hardware.reconstruction.scanning`), which
+    shows nothing twice either.
     """
+    if isinstance(record.patterns, RasterScan):
+        return _of_scan(record, record.patterns)
     electrons, patterns = record.electrons, record.patterns
     values = measured_values(electrons, patterns)
     if patterns.mode in ("differential", "complementary"):
@@ -105,7 +111,7 @@ def measurements(record: SpiRecord) -> Measurements:
         level = np.abs((lit + complement).mean(axis=0)) / patterns.n_cells
         return Measurements(values, noise, most, np.isfinite(most), level)
     rounding = (2 * record.electrons_per_count) ** 2 / 12
-    if not isinstance(patterns, PatternSet):
+    if not isinstance(patterns, PatternSet):  # a user's own
         scatter = values.var(axis=0)
         most = np.maximum(scatter, rounding) if len(values) > 1 else np.full_like(scatter, np.nan)
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
@@ -125,6 +131,21 @@ def measurements(record: SpiRecord) -> Measurements:
     return Measurements(values, noise, most, told, level)
 
 
+def _of_scan(record: SpiRecord, scan: RasterScan) -> Measurements:
+    """The Hadamard transform of the cells, with the noise that the finest patterns show."""
+    whole, n = PatternSet(scan.rows, scan.columns, scan.n_cells, "natural", "plain"), scan.n_cells
+    cells = scanned_cells(record)
+    values, finest = fwht(cells), finest_patterns(whole)
+    scatter = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
+    rounding = n * record.electrons_per_count**2 / 12
+    most = np.maximum(scatter, rounding) if finest.size > 1 else np.full_like(scatter, np.nan)
+    noise, photons = noise_beside_detail(values, whole), n * np.maximum(cells.mean(axis=0), 0.0)
+    noise = np.where(noise > MOST_OVER_PHOTONS * photons, 0.0, noise)
+    told = (noise > 0) & np.isfinite(most)
+    noise = np.minimum(np.maximum(noise, rounding), scatter)
+    return Measurements(values, noise, most, told, np.abs(cells).max(axis=0))
+
+
 def measured_values(electrons: Array, patterns: Patterns) -> Array:
     """Measurements (count, n_images) of exposures (n_exposures, n_detectors), as
     `measurements` explains them; linear in the exposures.
@@ -134,8 +155,9 @@ def measured_values(electrons: Array, patterns: Patterns) -> Array:
         return lit - complement
     if patterns.mode == "reference":
         return np.asarray(2 * electrons[2:] - electrons[0] - electrons[1])
-    if not isinstance(patterns, PatternSet):
+    if isinstance(patterns, OwnPatterns):
         return np.asarray(2 * (electrons - electrons.mean(axis=0)))
+    assert isinstance(patterns, PatternSet)  # a scan has `scanned_cells`
     return _without_constant(electrons, patterns, finest_patterns(patterns))
 
 

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.patterns import RasterScan
 from hardware.reconstruction.depth import C_M_PER_S, depth
 from hardware.reconstruction.gating import Echo, echo
 from hardware.reconstruction.imaging import LEVEL_UNKNOWN, Reconstruction, reconstruct
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Method, Solve
+from hardware.reconstruction.scanning import gates_tell_background, images_by_shutter
 from hardware.reconstruction.sensing import Mixing
 from hardware.records import Flag, Shutter, SpiRecord
 
@@ -62,6 +64,8 @@ def range_image(
 ) -> RangeImage:
     """Amplitude and distance of every cell of a record with phase shutters or gates.
 
+    A raster scan needs no method: the shutters of each cell alone say its distance.
+
     Raises InputError for a record whose shutter was always open, one with both, a frequency
     whose phases leave its phasor open, and whatever `reconstruct` refuses.
 
@@ -77,6 +81,8 @@ def range_image(
         )
     if modulated:
         list(_phase_systems(record.shutters))  # refuses what no image could mend
+    if isinstance(record.patterns, RasterScan) and mixing is None:
+        return _of_scan(record.received)
     solve = method_of(method)
     by_shutter = [reconstruct(part, solve, mixing=mixing) for part in record.by_shutter]
     images = np.stack([one.image for one in by_shutter])
@@ -94,6 +100,23 @@ def range_image(
         standard_error_m=np.where(unknown, np.inf, ranges.standard_error_m),
         confidence=np.where(unknown, 0.0, ranges.confidence),
         warnings=(*ranges.warnings, *level, *((AT_RAIL,) if blind.any() else ())),
+    )
+
+
+def _of_scan(record: SpiRecord) -> RangeImage:
+    """Each cell from its own exposures."""
+    shape = (len(record.shutters), -1, record.patterns.rows, record.patterns.columns)
+    images, errors = (part.reshape(shape) for part in images_by_shutter(record))
+    ranges = distances(record, np.nan_to_num(images), np.nan_to_num(errors, nan=1.0), "scan")
+    unlit = record.patterns.unmeasured_cells.reshape(shape[2:])
+    blind = _blind(record)[:, None, None] | unlit
+    return replace(
+        ranges,
+        amplitude=np.where(unlit, np.nan, ranges.amplitude),
+        distance_m=np.where(unlit, np.nan, ranges.distance_m),
+        standard_error_m=np.where(blind, np.inf, ranges.standard_error_m),
+        confidence=np.where(blind, 0.0, ranges.confidence),
+        warnings=(*ranges.warnings, *((AT_RAIL,) if _blind(record).any() else ())),
     )
 
 
@@ -177,7 +200,13 @@ def _from_gates(method: str, images: Array, errors: Array, record: SpiRecord) ->
     gates = np.array([(one.gate_delay_s, one.gate_width_s) for one in record.shutters])
     stated = record.pulse_width_s > 0
     flat = images.reshape(len(images), -1), errors.reshape(len(images), -1)
-    echoes = echo(*flat, gates, record.pulse_width_s) if stated else _brightest(*flat, gates)
+    scan = isinstance(record.patterns, RasterScan) and record.patterns.mode == "plain"
+    over_background = scan and gates_tell_background(record)
+    echoes = (
+        echo(*flat, gates, record.pulse_width_s, background=over_background)
+        if stated
+        else _brightest(*flat, gates)
+    )
     lit = echoes.amplitude > 0
     distance, error, confidence, amplitude = (
         values.reshape(images.shape[1:])

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns import OwnPatterns, Patterns, PatternSet, fwht_in_place, hadamard_rows
+from hardware.patterns import (
+    OwnPatterns,
+    Patterns,
+    PatternSet,
+    RasterScan,
+    fwht_in_place,
+    hadamard_rows,
+)
 
 Array = NDArray[np.float64]
 
@@ -47,7 +54,8 @@ class Sensing:
     """Which combinations of an image's cells are measured.
 
     Applies to arrays ``(n_cells, ...)`` without forming a matrix, unless there is a mixing or the
-    patterns are a user's own.
+    patterns are a user's own. A raster scan is taken by the Hadamard transform of its cells: an
+    orthogonal one, which leaves white noise white, so that every method takes it as a whole set.
     """
 
     patterns: Patterns
@@ -74,12 +82,16 @@ class Sensing:
     @property
     def count(self) -> int:
         """Measurements."""
-        return self.patterns.count
+        return self.patterns.n_cells if self._is_scan else self.patterns.count
+
+    @property
+    def _is_scan(self) -> bool:
+        return isinstance(self.patterns, RasterScan)
 
     @property
     def is_dense(self) -> bool:
         """Whether it is a matrix, and no rows of the Hadamard matrix."""
-        return self.mixing is not None or not isinstance(self.patterns, PatternSet)
+        return self.mixing is not None or isinstance(self.patterns, OwnPatterns)
 
     @property
     def indices(self) -> NDArray[np.intp]:
@@ -88,6 +100,8 @@ class Sensing:
         """
         if isinstance(self.patterns, PatternSet):
             return self.patterns.indices
+        if self._is_scan:
+            return np.arange(self.patterns.n_cells)
         raise InputError("patterns: are a user's own, expected rows of the Hadamard matrix")
 
     def forward(self, cells: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twin import cli
-from twin.budget.safety import hazards, wavelength_ratio
+from twin.budget.safety import wavelength_ratio
 from twin.optics.eye_safety import (
     aperture_m,
     c4,
@@ -22,6 +22,7 @@ from twin.optics.eye_safety import (
     retinal_weight,
     t2_s,
 )
+from twin.optics.hazards import hazards
 from twin.system import System, load_system
 
 

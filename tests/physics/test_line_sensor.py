@@ -62,7 +62,7 @@ def test_the_sun_falls_on_every_column() -> None:
     lens = collection(LINE)
     here = Device(np.zeros(3), np.eye(3), lens.tan_half_field)
     problem = LightProblem(mitsuba_scene(wall(5.0)), here, here, np.array([-1.0, 0, 0]))
-    parts = sun_light(problem, 256, quality=TracingQuality(16, 1), seed=1).total
+    parts = sun_light(problem, (32, 256), quality=TracingQuality(16, 1), seed=1).total
     expected = 0.5 / np.pi * mean_cos_power(4, lens.tan_half_field, "square") * lens.field_area
     assert parts.sum() == pytest.approx(expected, rel=1e-3)
     assert parts.shape == (32, 256)

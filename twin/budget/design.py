@@ -121,6 +121,10 @@ class _SystemBudget:
     @classmethod
     def of(cls, system: System) -> "_SystemBudget":
         check_has_closed_form(system.detector)
+        if system.is_raster:
+            raise InputError(
+                "acquisition.order: closed formulas know pattern sets, expected none of raster"
+            )
         lens = collection(system)
         dark = Sky(illuminance_lx=Sourced(value=0.0, source="no sky section"))
         sky = passband(system, system.sky or dark)

@@ -10,6 +10,7 @@ from hardware.records import SpiRecord
 from twin.accuracy import Decision
 from twin.camera import light
 from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_range_error
+from twin.camera.cell_noise import cells_noise_e as noise_of_cells
 from twin.camera.chain import Chain
 from twin.camera.distortion import distortions
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
@@ -55,6 +56,12 @@ AIR_ASSUMPTION = (
     "are scattered once"
 )
 
+#: Holds for a detector whose field follows the lit cell.
+SCAN_ASSUMPTION = (
+    "scanning receiver: its field is centred on the lit spot at every distance, as behind a common "
+    "mirror; only light of the first bounce comes from there, all other is left out"
+)
+
 #: Holds for every capture; printed with it.
 MODEL_ASSUMPTIONS = (
     "surfaces are Lambertian, two-sided and flat-shaded",
@@ -78,7 +85,8 @@ class Capture:
     between exposures and clipping (`Distortion`); 0 where the detector is saturated, and everywhere
     in a void record.
     ``range_error``: error of time-of-flight distances due to backscatter, None where there is none.
-    ``background_w`` is the sun's power on one detector, mean over the detectors.
+    ``background_w`` is the sun's power on one detector, mean over the detectors. ``distance_m``:
+    half the way from the emitter over each cell's surface to the detector, infinite where none is.
     """
 
     record: SpiRecord
@@ -97,6 +105,7 @@ class Capture:
     assumptions: tuple[str, ...]
     warnings: tuple[CaptureWarning, ...]
     light_systematic_e: Array
+    distance_m: Array
     decisions: tuple[Decision, ...] = ()
     range_error: BackscatterRangeError | None = None
     model_error: ModelError = NO_ERROR
@@ -193,12 +202,11 @@ def measure(
     power = chain.powers(rendered)
     signal_w, counts, flags = chain.measure_frame(power, rng=rng, noise=noise)
     sun_w = float(chain.open_share.mean()) * power.sun_w
-    budgets = chain.noise_by_detector(signal_w, power.sun_w)
-    noise_e = np.array([budget.cells_noise_e(system.patterns) for budget in budgets])
+    cells_noise_e = noise_of_cells(chain, power, signal_w)
+    noise_e = cells_noise_e / np.sqrt(len(chain.shutters))
     # An image is the sum over all shutters; the light of dark cells is the same in every exposure.
     to_e = (1 - dark_share(system)) * chain.front_end.electrons_per_watt
     cells_e = to_e * power.cells_w.sum(axis=0)
-    cells_noise_e = np.sqrt(len(chain.shutters)) * noise_e
     image_noise_e = np.median(cells_noise_e, axis=1)
     sky, depth_m = chain.sky, rendered.truth.depth_m
     record = chain.record(scene.rig.pose, counts, flags)
@@ -208,7 +216,7 @@ def measure(
     distortion = distortions(chain, power)
     hidden = saturated_detectors(record, own) | distortion.total.hides(image_noise_e)
     signal_factor = np.maximum(distortion.total.signal_factor, 0)[:, None]
-    noise_and_error_e = np.hypot(cells_noise_e, distortion.total.error_e[:, None])
+    noise_and_error_e = np.hypot(cells_noise_e, distortion.total.cells_error_e)
     backscatter_e = to_e * power.backscatter_w.sum(axis=0)
     scene_e = _without(cells_e, backscatter_e)
     unknown = hidden[:, None] | record.patterns.unmeasured_cells
@@ -249,6 +257,7 @@ def measure(
         decisions=rendered.decisions,
         range_error=range_error,
         model_error=model_error(chain, power, signal_w),
+        distance_m=rendered.half_paths_m(),
     )
 
 
@@ -265,7 +274,9 @@ def _without(cells_e: Array, backscatter_e: Array) -> Array:
 
 def _assumptions(scene: Scene, system: System) -> tuple[str, ...]:
     air = (AIR_ASSUMPTION,) if system.weather else ()
-    return (*MODEL_ASSUMPTIONS, *air, *_idealised(system), *scene.assumptions, *_assumed(system))
+    scan = (SCAN_ASSUMPTION,) if system.optics.is_scanned else ()
+    fixed = (*MODEL_ASSUMPTIONS, *air, *scan)
+    return (*fixed, *_idealised(system), *scene.assumptions, *_assumed(system))
 
 
 def _idealised(system: System) -> tuple[str, ...]:

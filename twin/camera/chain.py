@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
@@ -37,7 +38,8 @@ class Powers:
     its Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,).
     ``backscatter_w``: the part of ``cells_w`` that the air scattered back. ``left_out_w``: bound of
     each cell's light that the render left out, (n_detectors, n_cells). ``sun_error_w``
-    (n_detectors,): standard error of ``sun_w``.
+    (n_detectors,): standard error of ``sun_w``. ``sun_of_cells_w`` (n_cells,): the sun while a cell
+    is lit, of a detector whose field follows it; ``sun_w`` is then the mean.
     """
 
     cells_w: Array
@@ -46,6 +48,16 @@ class Powers:
     backscatter_w: Array
     left_out_w: Array
     sun_error_w: Array
+    sun_of_cells_w: Array | None = None
+
+    def sun_by_exposure(self, patterns: Patterns) -> Array:
+        """Sun on the detectors, W: (n_detectors,), or (n_exposures, 1, n_detectors) where it is not
+        the same in all exposures.
+        """
+        if self.sun_of_cells_w is None:
+            return self.sun_w
+        lit = np.repeat(self.sun_of_cells_w, patterns.n_exposures // patterns.count)
+        return lit[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,17 +114,43 @@ class Chain:
         cells = self._through_shutters(rendered.light.cells, rendered.paths)
         air = rendered.backscatter
         backscatter = self._through_shutters(air.light, air.paths) if air else np.zeros_like(cells)
+        lit = watt * self._share_of_pulses(cells, rendered.paths)
         return Powers(
             cells_w=watt * cells,
-            error_w=watt * rendered.light.error,
+            error_w=lit * rendered.light.error,
             sun_w=self.sun_power(rendered),
             backscatter_w=watt * backscatter,
-            left_out_w=watt * np.full_like(rendered.light.error, rendered.light.left_out),
+            left_out_w=lit * np.full_like(rendered.light.error, rendered.light.left_out),
             sun_error_w=self._sun_error(rendered),
+            sun_of_cells_w=self._sun_of_cells(rendered),
         )
+
+    def _share_of_pulses(self, cells: Array, paths: Paths | None) -> Array | float:
+        """Share of each cell's light that gates collect, all together and averaged over the
+        exposure, (n_detectors, n_cells); of light that is always on 1.
+        """
+        if paths is None or self.shutters[0].light_share == 1:
+            return 1.0
+        light = paths.light().reshape(1, -1)
+        nothing = np.full_like(light, self.shutters[0].light_share)
+        return np.divide(cells.sum(axis=0), light, out=nothing, where=light > 0)
+
+    def _sun_of_cells(self, rendered: "RenderedLight") -> Array | None:
+        """Of a detector that follows the lit cell: sun from the cells that it sees with it."""
+        optics = self.system.optics
+        if not optics.is_scanned:
+            return None
+        side = optics.receiver_cells.value if optics.receiver_cells else 1
+        collected = self.lens.transmission * self.lens.pupil_area_m2
+        parts = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
+        seen = side**2 * uniform_filter(parts, side, mode="nearest")
+        return np.asarray(seen[rendered.cell_parts()].ravel())
 
     def sun_power(self, rendered: "RenderedLight") -> Array:
         """Power of the sun on the detectors, (n_detectors,)."""
+        followed = self._sun_of_cells(rendered)
+        if followed is not None:
+            return followed.mean(keepdims=True)
         collected = self.lens.transmission * self.lens.pupil_area_m2
         sun = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
         return self._of_detectors(sun)
@@ -122,6 +160,9 @@ class Chain:
         collected = self.lens.transmission * self.lens.pupil_area_m2
         passed = self.sky.sun_at(rendered.part_angles_deg())
         each = collected * passed * np.broadcast_to(rendered.sun_error, passed.shape)
+        if self.system.optics.is_scanned:  # of one exposure, root mean square
+            seen = self.system.receiver_share * self.system.patterns.n_cells
+            return np.sqrt(seen * np.mean(each**2, keepdims=True).reshape(1))
         return np.sqrt(self._of_detectors(each**2))
 
     def _of_detectors(self, parts: Array) -> Array:
@@ -151,12 +192,15 @@ class Chain:
         """
         fluctuating = None if noise == "none" else rng
         signal_w = frame_signal(self.system, power.cells_w, rng=fluctuating, mean_w=mean_w)
-        settled_w = self.amplifier_output(self.exposure_power(signal_w, power.sun_w), power.sun_w)
+        exposed_w = self.exposure_power(signal_w, power.sun_by_exposure(self.patterns))
+        settled_w = self.amplifier_output(exposed_w, power.sun_w)
         counts, flags = checked_exposure(self.front_end, settled_w, rng, noise)
         return signal_w, counts, flags
 
     def exposure_power(self, signal_w: Array, sun_w: Array) -> Array:
-        """Signal and sun of every exposure in turn, (n_exposures x n_shutters, n_detectors), W."""
+        """Signal and sun of every exposure in turn, (n_exposures x n_shutters, n_detectors), W;
+        ``sun_w`` as `Powers.sun_by_exposure` gives it.
+        """
         power_w = signal_w + self.open_share[:, None] * sun_w
         return np.asarray(power_w.reshape(-1, power_w.shape[-1]))
 
@@ -194,9 +238,10 @@ class Chain:
         n, system = len(counts), self.system
         period_ns = system.acquisition.pattern_period_s.value * 1e9
         exposures = np.arange(number * n, (number + 1) * n)
+        turns = exposures // len(self.shutters) if system.gates_at_once else exposures
         return SpiRecord(
             counts=counts,
-            device_time_ns=np.rint(exposures * period_ns).astype(np.int64),
+            device_time_ns=np.rint(turns * period_ns).astype(np.int64),
             sequence=(exposures % 2**32).astype(np.uint32),
             flags=flags,
             patterns=self.patterns,

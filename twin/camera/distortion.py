@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import Patterns, PatternSet, fwht_in_place
+from hardware.patterns import Patterns, PatternSet, RasterScan, fwht_in_place
 from hardware.reconstruction.measurements import measured_values
 from hardware.reconstruction.sensing import Sensing
 from twin.camera.chain import Chain, Powers
@@ -21,12 +21,15 @@ class Distortion:
 
     ``signal_factor`` (n_detectors,): least-squares factor between the image and the true one.
     ``error_e`` (n_detectors,): root mean square of the residual. ``contrast_e``: standard deviation
-    of the true image of all detectors.
+    of the true image of all detectors. ``cells_error_e`` (n_detectors, n_cells): of each cell,
+    where an exposure's distortion is in its own cell alone, as that of a raster scan; else
+    (n_detectors, 1) of all.
     """
 
     signal_factor: Array
     error_e: Array
     contrast_e: float
+    cells_error_e: Array
 
     def hides(self, noise_e: Array) -> Bools:
         """Detectors whose image is lost: the error is at least the remaining contrast, and larger
@@ -55,26 +58,36 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
     """
     patterns, detector, n_shutters = chain.patterns, chain.front_end, len(chain.shutters)
 
+    sun_w = power.sun_by_exposure(patterns)
+    unlit_w = np.zeros((patterns.n_exposures, n_shutters, len(power.sun_w)))
+    dark_w = chain.exposure_power(unlit_w, sun_w)
+
     def image(exposed_w: Array, *, cut: bool) -> Array:
         linear = exposed_w * detector.electrons_per_watt + detector.dark_e
         electrons = detector.mean_e(exposed_w) if cut else linear
+        if isinstance(patterns, RasterScan):  # the background is known from other gates
+            unlit = dark_w * detector.electrons_per_watt + detector.dark_e
+            electrons = electrons - (detector.mean_e(dark_w) if cut else unlit)
         summed = electrons.reshape(-1, n_shutters, electrons.shape[-1]).sum(axis=1)
         return _image(summed, patterns)
 
-    ideal_w = chain.exposure_power(ideal_signal(chain.system, power.cells_w), power.sun_w)
+    ideal_w = chain.exposure_power(ideal_signal(chain.system, power.cells_w), sun_w)
     slow_w = chain.amplifier_output(
-        chain.exposure_power(chain.mean_signal(power), power.sun_w), power.sun_w
+        chain.exposure_power(chain.mean_signal(power), sun_w), power.sun_w
     )
     true = image(ideal_w, cut=False)
     return Distortions(
-        lag=_against(true, image(slow_w, cut=False)),
-        clipping=_against(true, image(ideal_w, cut=True)),
-        total=_against(true, image(slow_w, cut=True)),
+        lag=_against(true, image(slow_w, cut=False), patterns),
+        clipping=_against(true, image(ideal_w, cut=True), patterns),
+        total=_against(true, image(slow_w, cut=True), patterns),
     )
 
 
 def _image(electrons: Array, patterns: Patterns) -> Array:
     """Measured cells (n_cells, n_detectors) of exposures (n_exposures, n_detectors)."""
+    if isinstance(patterns, RasterScan):
+        each = 2 if patterns.mode == "differential" else 1
+        return electrons[::each] - (electrons[1::2] if each == 2 else 0.0)
     values = measured_values(electrons, patterns)
     if not isinstance(patterns, PatternSet):
         return (Sensing(patterns).pseudo_inverse @ values)[~patterns.unmeasured_cells]
@@ -83,9 +96,11 @@ def _image(electrons: Array, patterns: Patterns) -> Array:
     return fwht_in_place(coefficients)[~patterns.unmeasured_cells] / patterns.n_cells
 
 
-def _against(true: Array, image: Array) -> Distortion:
+def _against(true: Array, image: Array, patterns: Patterns) -> Distortion:
     power = np.sum(true**2, axis=0)
     kept = np.ones_like(power)
     np.divide(np.sum(true * image, axis=0), power, out=kept, where=power > 0)
-    error = np.sqrt(np.mean((image - kept * true) ** 2, axis=0))
-    return Distortion(kept, error, float(true.std()))
+    off = image - kept * true
+    error = np.sqrt(np.mean(off**2, axis=0))
+    own = np.abs(off.T) if isinstance(patterns, RasterScan) else error[:, None]
+    return Distortion(kept, error, float(true.std()), own)

@@ -33,6 +33,8 @@ def with_light(
 ) -> RenderedLight:
     """The same with the emitter's light, and its paths for a system with time of flight."""
     shape = (system.emitter.rows.value, system.emitter.columns.value)
+    if system.optics.is_scanned:  # all else comes from beside the detector's field
+        quality = replace(quality, max_depth=1)
     light = emitter_light(
         problem, shape, system.n_detectors, quality=quality, seed=seed, start=start
     )
@@ -89,14 +91,19 @@ def of_bucket(gathered: CellLight) -> DetectorLight:
 
 
 def sun_light(
-    problem: LightProblem, n_detectors: int, *, quality: TracingQuality, seed: int
+    problem: LightProblem, shape: tuple[int, int], *, quality: TracingQuality, seed: int
 ) -> CellLight:
     """Irradiance on the pupil per irradiance of the sun, by part of the field, (rows, columns); the
     columns are those of a line sensor.
     """
-    return sunlight(problem, sun_shape(n_detectors), quality=quality, seed=seed)
+    return sunlight(problem, shape, quality=quality, seed=seed)
 
 
-def sun_shape(n_detectors: int) -> tuple[int, int]:
-    """Parts of the detector's field, rows and columns."""
-    return SUN_PARTS, SUN_PARTS if n_detectors == 1 else n_detectors
+def sun_shape(system: System) -> tuple[int, int]:
+    """Parts of the detector's field, rows and columns: of one that follows the lit cell as large as
+    cells, over twice the field's sides.
+    """
+    if system.optics.is_scanned:
+        rows, columns = system.image_shape
+        return 2 * rows, 2 * columns
+    return SUN_PARTS, SUN_PARTS if system.n_detectors == 1 else system.n_detectors

@@ -9,7 +9,7 @@ backscatter itself.
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from hardware.patterns import PatternSet
+from hardware.patterns import OwnPatterns
 from hardware.reconstruction import (
     METHODS,
     Method,
@@ -26,6 +26,7 @@ from twin.camera.intervals import (
     capture_intervals,
     score_intervals,
 )
+from twin.camera.range_score import RangeScore, range_score
 from twin.camera.score import Score, score_of
 from twin.camera.verdict import ImageVerdict
 from twin.system import System
@@ -55,6 +56,11 @@ class Evaluation:
         """The scores, with what the model may be off by."""
         return tuple(score_intervals(self.capture, image) for image in self.reconstructions)
 
+    @cached_property
+    def ranges(self) -> RangeScore | None:
+        """Errors of the distances, None without time of flight."""
+        return range_score(self.capture)
+
     @property
     def verdict(self) -> ImageVerdict:
         """Quality of an image of the record."""
@@ -70,7 +76,8 @@ class Evaluation:
 
     def __str__(self) -> str:
         """The result in one line, as the command prints it."""
-        return f"{self.system.name}: {self.verdict}; {self.best}"
+        ranges = f"; distances off by {self.ranges}" if self.ranges else ""
+        return f"{self.system.name}: {self.verdict}; {self.best}{ranges}"
 
 
 def evaluate(
@@ -100,7 +107,7 @@ def evaluate(
     False
     """
     record = capture.record
-    bundled = SHOWN if isinstance(record.patterns, PatternSet) else SHOWN_OF_OWN
+    bundled = SHOWN_OF_OWN if isinstance(record.patterns, OwnPatterns) else SHOWN
     shown = [METHODS[name] for name in bundled if fits_in_memory(name, record.patterns)]
     if method is not None and (own := method_of(method)) not in shown:
         shown.append(own)

@@ -62,7 +62,7 @@ def render(
     chain = Chain.of(system, scene.sun)
     rendered = render_light(problem, chain, truth, fidelity, seed.spawn(2), stage=stage)
     cosines = incidence_cosines(problem.scene, rendered.emitter, truth.albedo.shape)
-    left_out = rendered.light.left_out + _left_out(scene, rendered, cosines, fidelity)
+    left_out = rendered.light.left_out + _left_out(scene, system, rendered, cosines, fidelity)
     return replace(
         rendered,
         light=replace(rendered.light, left_out=left_out),
@@ -70,13 +70,17 @@ def render(
     )
 
 
-def _left_out(scene: Scene, rendered: RenderedLight, cosines: Array, fidelity: Fidelity) -> Array:
-    """Bound of what fixed knobs leave out of each cell: bounces, and rounding of rays."""
+def _left_out(
+    scene: Scene, system: System, rendered: RenderedLight, cosines: Array, fidelity: Fidelity
+) -> Array:
+    """Bound of what fixed knobs leave out of each cell: bounces, and rounding of rays. A detector
+    that follows the lit cell is lit by the first bounce.
+    """
     light, n_detectors = rendered.light, len(rendered.light.cells)
     shares = np.stack(np.hsplit(rounding_share(cosines), n_detectors)).reshape(n_detectors, -1)
     one_bucket = rendered.paths is None and n_detectors == 1
     # To a tolerance bounces of one bucket end by chance, and their bound is known already.
-    endless = fidelity.has_light_tolerance and one_bucket
+    endless = (fidelity.has_light_tolerance and one_bucket) or system.optics.is_scanned
     if not (endless or lie_in_a_plane(item.vertices_m for item in scene.objects)):
         indirect = light.indirect_share if n_detectors == 1 else None
         shares = shares + bounces_share(rendered.truth.albedo, float(fidelity.max_depth), indirect)
@@ -138,7 +142,7 @@ def render_light(
         if fidelity.has_light_tolerance:
             rendered = with_sun_within(rendered, problem, chain, fidelity, quality, second)
         else:
-            sun = sun_light(problem, system.n_detectors, quality=sun_quality, seed=second)
+            sun = sun_light(problem, sun_shape(system), quality=sun_quality, seed=second)
             rendered = replace(rendered, sun=sun.total, sun_error=sun.standard_error)
         direct = direct_sunlight(problem, rendered.sun.shape)
         rendered = replace(rendered, sun=rendered.sun + direct)
@@ -165,4 +169,4 @@ def _no_light(system: System) -> DetectorLight:
 
 
 def _no_sun(system: System) -> Array:
-    return np.zeros(sun_shape(system.n_detectors))
+    return np.zeros(sun_shape(system))

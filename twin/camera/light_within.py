@@ -100,6 +100,7 @@ def _equally(
         permitted = PermittedError(chain, lit, fidelity)
         limit = permitted.of(lit.light.cells)
         over, indirect = _rms(lit.light.error / limit), largest * _rms(1 / limit)
+        taken = taken and not system.optics.is_scanned
         if over <= 1 or samples >= _MOST_SAMPLES:
             break
         if indirect <= LEFT_OUT:
@@ -107,7 +108,8 @@ def _equally(
         # Their number by its square root; the error falls as their number to the power -0.75.
         side = math.isqrt(samples) * min(max(1.1 * over ** (2 / 3), 1.4), 4.0)
         samples = min(math.ceil(side) ** 2, _MOST_SAMPLES)
-    lit = replace(lit, light=replace(lit.light, left_out=0.0 if taken else largest))
+    left_out = 0.0 if taken else largest * system.receiver_share
+    lit = replace(lit, light=replace(lit.light, left_out=left_out))
     return _told(lit, permitted, indirect, taken=taken)
 
 
@@ -123,11 +125,13 @@ def with_sun_within(
     image is its shot noise.
     """
     system = chain.system
-    shape = sun_shape(system.n_detectors)
+    shape = sun_shape(system)
     tracer = problem.from_sun(shape, quality, seed)
     permitted = PermittedError(chain, rendered, fidelity)
     one = system.n_detectors == 1
     parts, largest = rendered.sun.size if one else shape[0], _SUNLIT * tracer.largest_weight
+    if system.optics.is_scanned:  # each part is the whole sun of an exposure
+        parts = parts**2
 
     def limit(light: Array) -> Array:
         error = permitted.sun_error(light, largest)

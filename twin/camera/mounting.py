@@ -46,7 +46,8 @@ def devices(scene: Scene, system: System) -> tuple[Device, Device, Collection]:
     )
     detector = Device(
         *scene.rig.device("detector"),
-        tan_half_field=lens.tan_half_field,
+        # One that follows the spot is not stopped by the field's border.
+        tan_half_field=lens.tan_half_field * (2 if optics.is_scanned else 1),
         outline=lens.outline,
         blur_tan=_tan(optics.blur_rms_deg.value) if optics.blur_rms_deg else 0.0,
         edge_illumination=optics.edge_illumination.value if optics.edge_illumination else 1.0,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.accuracy import Decision
+from twin.camera.cell_noise import cells_noise_e
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import dark_share
 from twin.fidelity import LightFidelity
@@ -62,14 +63,11 @@ class PermittedError:
     def noise(self, cells: Array) -> Array:
         """Noise of each pixel, in the unit of the light of the cells."""
         power, chain = self._unit, self.chain
-        patterns = chain.system.patterns
         # Behind a shutter that weights paths by their length light is that of the paths.
         is_plain = [shutter.response is None for shutter in chain.shutters]
         lit = np.where(np.reshape(is_plain, (-1, 1, 1)), power.cells_w * cells, power.cells_w)
         signal = chain.mean_signal(replace(power, cells_w=lit))
-        budgets = chain.noise_by_detector(signal, power.sun_w)
-        noise_e = np.array([budget.cells_noise_e(patterns) for budget in budgets])
-        noise_e = noise_e * np.sqrt(len(chain.shutters))
+        noise_e = cells_noise_e(chain, replace(power, cells_w=lit), signal)
         to_e = chain.front_end.electrons_per_watt * (1 - dark_share(chain.system))
         with np.errstate(divide="ignore"):
             return np.asarray(noise_e / (to_e * power.error_w))

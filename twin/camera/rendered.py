@@ -58,14 +58,41 @@ class RenderedLight:
         """Angle of incidence at the detector, to its axis, of each cell of the virtual image (rows,
         columns) at its true depth.
         """
+        seen = self._seen()
+        cos = seen @ self.detector.axes[0] / np.linalg.norm(seen, axis=-1)
+        return np.degrees(np.arccos(np.clip(cos, -1, 1)))
+
+    def cell_parts(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Row and column of the part of the detector's field in which it sees each cell of the
+        virtual image, at its true depth; beyond the field's border the nearest.
+        """
+        ahead, left, up = np.moveaxis(self._seen() @ self.detector.axes.T, -1, 0)
+        half, (rows, columns) = self.detector.tan_half_field * ahead, self.sun.shape
+        row, column = ((1 - side / half) / 2 * n for side, n in ((up, rows), (left, columns)))
+        return (
+            np.clip(np.floor(row), 0, rows - 1).astype(np.intp),
+            np.clip(np.floor(column), 0, columns - 1).astype(np.intp),
+        )
+
+    def half_paths_m(self) -> Array:
+        """Half the way from the emitter over the middle of each cell to the detector, infinite
+        where there is no surface, (rows, columns).
+        """
+        depth = self.truth.depth_m
+        out = np.sqrt(1 + sum(x**2 for x in field_points(depth.shape, self.emitter.tan_half_field)))
+        return np.asarray(depth * (out + np.linalg.norm(self._seen(), axis=-1)) / 2)
+
+    def _seen(self) -> Array:
+        """Towards each cell of the virtual image at its true depth, from the detector, in the
+        world's axes, (rows, columns, 3).
+        """
         left, up = field_points(self.truth.depth_m.shape, self.emitter.tan_half_field)
         along, depth = np.stack([np.ones_like(left), left, up], axis=-1), self.truth.depth_m
         seen = along @ self.emitter.axes
         near = np.isfinite(depth)
         shift = self.emitter.origin_m - self.detector.origin_m
         seen[near] += shift / depth[near, None]
-        cos = seen @ self.detector.axes[0] / np.linalg.norm(seen, axis=-1)
-        return np.degrees(np.arccos(np.clip(cos, -1, 1)))
+        return np.asarray(seen)
 
     def part_angles_deg(self) -> Array:
         """The same of each part of the detector's field."""

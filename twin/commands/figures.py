@@ -111,8 +111,9 @@ def safety(
     """Margin to the exposure limits of the eye, beside the same light at 850 nm."""
     from rich.console import Console
 
-    from twin.budget.safety import assumptions, hazards, print_safety, write_safety
+    from twin.budget.safety import print_safety, write_safety
     from twin.files import InputError, check_out, whole_folder
+    from twin.optics.hazards import assumptions, hazards
     from twin.system import load_system
 
     check_out(out)

@@ -31,6 +31,9 @@ class FrontEnd:
 
     All electrons are those at the detector's terminals, behind an avalanche's ``gain`` M, whose
     ``excess_noise`` F makes their shot noise M F times their mean (McIntyre 1966).
+
+    Where a digitiser takes all gates of the same pulses, T is the time that a gate is open in all;
+    ``electrons_per_watt`` still is of the power averaged over the whole exposure.
     """
 
     electrons_per_watt: float
@@ -48,7 +51,9 @@ class FrontEnd:
     @classmethod
     def of(cls, system: System, responsivity_a_per_w: float | None = None) -> "FrontEnd":
         """Front end of a system, its responsivity by default the plain number it gives."""
-        q, t = constants.e, system.acquisition.integration_time_s.value
+        q, exposure_s = constants.e, system.acquisition.integration_time_s.value
+        tof = system.time_of_flight
+        t = exposure_s * (tof.open_share if tof and tof.at_once else 1.0)
         readout, detector = system.readout, system.detector
         responsivity = responsivity_a_per_w or detector.responsivity_a_per_w.value
         volts_per_count = readout.adc_full_scale_v.value / 2**readout.adc_bits.value
@@ -61,7 +66,7 @@ class FrontEnd:
             assert readout.feedback_capacitance_f is not None  # a Readout has one of the two
             volts_per_e = q / readout.feedback_capacitance_f.value
         return cls(
-            electrons_per_watt=responsivity * t / q,
+            electrons_per_watt=responsivity * exposure_s / q,
             dark_e=detector.dark_current_a.value * system.pixels_per_detector * t / q,
             johnson_e=float(np.sqrt(johnson_c2)) / q,
             read_e=readout.read_noise_e.value,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import Patterns, PatternSet, fwht_in_place
+from hardware.patterns import Patterns, PatternSet, RasterScan, fwht_in_place
 from hardware.reconstruction.sensing import Sensing
 from twin.errors import InputError
 
@@ -55,6 +55,8 @@ class NoiseBudget:
         One measurement is the difference of two exposures, or twice one exposure less a constant.
         """
         per_value = np.sqrt(2.0) if patterns.mode == "differential" else 2.0
+        if isinstance(patterns, RasterScan):  # each cell has its own exposure
+            return float(self.total_noise_e * (per_value if patterns.mode != "plain" else 1.0))
         if not isinstance(patterns, PatternSet):
             return float(np.sqrt(np.mean(self._least_squares_noise_e(patterns) ** 2)))
         return float(per_value * self.total_noise_e * np.sqrt(patterns.count) / patterns.n_cells)
@@ -67,6 +69,8 @@ class NoiseBudget:
         variances in place of 4 count.
         """
         pixel = self.pixel_noise_e(patterns)
+        if isinstance(patterns, RasterScan):
+            return np.full(patterns.n_cells, pixel)
         if not isinstance(patterns, PatternSet):
             return self._least_squares_noise_e(patterns)
         added = np.zeros(patterns.n_cells)

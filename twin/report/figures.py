@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hardware.formatting import quantity_text
-from hardware.patterns import OwnPatterns
+from hardware.patterns import OwnPatterns, RasterScan
 from twin.camera.evaluation import Evaluation
 from twin.camera.verdict import ImageVerdict
 from twin.camera.view import View
@@ -102,7 +102,10 @@ def signal(evaluation: Evaluation) -> Figure:
         left.legend(markerscale=5, frameon=False, loc="upper right")
     else:
         left.plot(counts, ".", ms=1.6, color=BLUE)
-    left.set_xlabel(f"{'own' if own else 'Hadamard'} pattern ({patterns.order} order)")
+    kind = "own" if own else "Hadamard"
+    scanned = f"cell of the scan, {len(record.shutters)} shutters each"
+    raster = isinstance(patterns, RasterScan)
+    left.set_xlabel(scanned if raster else f"{kind} pattern ({patterns.order} order)")
     left.set_ylabel("ADC counts")
     used = np.ptp(counts) / 2**record.adc_bits
     left.set_title(f"the patterns move {used:.2%} of the converter's range")

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import math
 import platform
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -17,11 +18,14 @@ from twin import __version__
 from twin.accuracy import Interval
 from twin.camera.evaluation import Evaluation
 from twin.camera.view import View
+from twin.errors import InputError
+from twin.optics.hazards import least_margins
 from twin.progress import Stages
 from twin.radar.evaluation import RadarEvaluation
 from twin.report import decisions, figures, radar_figures
 from twin.report.radar_summary import radar_summary
 from twin.scene import Scene
+from twin.system import System
 
 _TEMPLATE = Path(__file__).parent
 
@@ -61,7 +65,7 @@ def write_report(
         scene=scene,
         seed=seed,
         evaluations=evaluations,
-        columns=[_summary(e) for e in evaluations],
+        columns=_columns(evaluations),
         images={name: base64.b64encode(data).decode() for name, data in images.items()},
         settings=[(d, _settings(d)) for d in _designs(evaluations, radar)],
         assumptions=evaluations[0].capture.assumptions if evaluations else (),
@@ -120,6 +124,28 @@ def _warnings(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) 
     return [f"{name}: {warning}" for name, warnings in named for warning in warnings]
 
 
+def _columns(evaluations: Sequence[Evaluation]) -> list[dict[str, str]]:
+    """Key figures of each system, by name; those of several at equal frame time too."""
+    columns = [_summary(evaluation) for evaluation in evaluations]
+    longest_s = max((e.system.frame_time_s for e in evaluations), default=0.0)
+    for column, evaluation in zip(columns, evaluations, strict=True):
+        frames = longest_s / evaluation.system.frame_time_s
+        snr = evaluation.verdict.snr_median * math.sqrt(frames)
+        found = "none" if evaluation.verdict.void else f"{number(snr)}, {number(frames)} averaged"
+        column[f"median SNR of all frames in {si(longest_s, 's')}"] = found
+    return columns
+
+
+def _safety(system: System) -> str:
+    """Least margin to the exposure limits of the eye."""
+    try:
+        normal, fault = least_margins(system)
+    except InputError as error:
+        return str(error)
+    told = f"margin {number(normal.margin)} ({normal.name}; {normal.clause})"
+    return told if fault is None else f"{told}; {number(fault.margin)} ({fault.name})"
+
+
 def _summary(evaluation: Evaluation) -> dict[str, str]:
     """Key figures of one system, by name."""
     capture, system = evaluation.capture, evaluation.system
@@ -134,9 +160,13 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "system": system.name,
         "what it is": system.description,
         "patterns": f"{patterns.count} of {patterns.columns} x {patterns.rows}, {patterns.mode}"
+        + (", one cell at a time" if system.is_raster else "")
         + (f", own ({patterns.digest[:8]})" if patterns.digest else ""),
         "frame time": f"{si(system.frame_time_s, 's')} "
         f"({number(1 / system.frame_time_s)} frames/s)",
+        "mean power sent out": si(system.mean_power_w, "W"),
+        "eye safety": _safety(system),
+        "distances, absolute error": str(evaluation.ranges or "none: no time of flight"),
         "sun in the band": f"{number(capture.sun_irradiance_w_per_m2, 4)} W/m² "
         f"at {quantity_text(capture.illuminance_lx, 'lx')}",
         "emitter line inside the filter": f"{capture.in_band_fraction:.1%}",

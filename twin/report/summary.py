@@ -67,6 +67,7 @@ def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
     yield Figure(of, "sun on the detector", "W", Interval(sun_w, sun_w * error.background))
     exact = (
         ("frame time", "s", system.frame_time_s),
+        ("mean power sent out", "W", system.mean_power_w),
         ("illuminance", "lx", capture.illuminance_lx),
         ("sun in the band", "W/m²", capture.sun_irradiance_w_per_m2),
         ("emitter line inside the filter", "", capture.in_band_fraction),
@@ -76,9 +77,23 @@ def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
     for name, unit, value in exact:
         yield Figure(of, name, unit, Interval(value))
     yield from _cell_errors(evaluation)
+    yield from _range_errors(evaluation)
     for image, score in zip(evaluation.reconstructions, evaluation.score_intervals, strict=True):
         yield Figure((*of, image.method), "PSNR", "dB", score.psnr_db)
         yield Figure((*of, image.method), "SSIM", "", score.ssim)
+
+
+def _range_errors(evaluation: Evaluation) -> Iterator[Figure]:
+    """Errors of distances, of a system with time of flight."""
+    ranges = evaluation.ranges
+    if ranges is None or not ranges.sure_share:
+        return
+    for name, value in (
+        ("absolute error of a distance, median", ranges.median_m),
+        ("absolute error of a distance, 90 %", ranges.worst_tenth_m),
+        ("standard error of a distance as the vehicle gives it, median", ranges.claimed_m),
+    ):
+        yield Figure((evaluation.system.name,), name, "m", Interval(value, systematic=np.inf))
 
 
 def _cell_errors(evaluation: Evaluation) -> Iterator[Figure]:

@@ -112,6 +112,11 @@ class VirtualCamera:
             raise InputError(
                 f"{system.name}: {system.n_detectors} detectors, the protocol carries up to 255"
             )
+        if system.is_raster:
+            raise InputError(
+                f"{system.name}: a raster scan, the protocol is that of a camera that shows "
+                "patterns: expected another acquisition.order"
+            )
         self.start_up()
 
     def start_up(self) -> None:

@@ -93,6 +93,11 @@ def _pixel_terms(
             "metrics: minimum_time_s and maximum_distance_m know how the noise of the bundled "
             "photodiode grows with time, and not that of a detector.function"
         )
+    if system.is_raster:
+        raise InputError(
+            "metrics: minimum_time_s and maximum_distance_m know pattern sets, whose pixels share "
+            "the noise of all exposures, and not acquisition.order raster"
+        )
     factor = taken.noise.pixel_noise_e(system.patterns) / taken.noise.total_noise_e
     has_tia = system.readout.transimpedance_ohm is not None
     growing = [noise["fluctuation of the emitter"]]

@@ -187,7 +187,7 @@ def _wall(made: Setup) -> RenderedLight:
     shape, n_detectors = made.system.image_shape, made.system.n_detectors
     shape = (shape[0], shape[1] // n_detectors)
     cells = np.ones((n_detectors, shape[0] * shape[1]))
-    parts = np.ones(sun_shape(n_detectors))
+    parts = np.ones(sun_shape(made.system))
     seen = _WALL_REFLECTANCE / np.pi / _WALL_M**2
     light = cells * seen * (2 * emitter.tan_half_field) ** 2 / cells[0].size
     sun = parts * _WALL_REFLECTANCE / np.pi * (2 * detector.tan_half_field) ** 2 / parts.size

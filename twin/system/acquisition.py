@@ -25,9 +25,11 @@ class Acquisition(Strict):
     """From the beginning of one exposure to the next; not below the integration time."""
     n_patterns: Sourced[Count]
     """Patterns shown; as many as there are cells make a complete Hadamard set."""
-    order: Sourced[Order]
+    order: Sourced[Order | Literal["raster"]]
     """Which Hadamard patterns come first, see `hardware.patterns.orders`; does not count with
-    `patterns`.
+    `patterns`. `raster`: one cell after another, as a scanning LIDAR lights them, `plain` (gates in
+    which no echo falls tell the background) or `differential` (an exposure in the dark after each
+    lit one).
     """
     mode: Sourced[Mode]
     """How a row of +1 and -1 becomes light. `differential`: each pattern is followed by its
@@ -65,7 +67,7 @@ class TimeOfFlight(Strict):
 
     alternatives: ClassVar = (
         ("modulation_hz", "phase_steps", "contrast"),
-        ("pulse_width_s", "pulse_rate_hz", "gate_width_s", "gate_delays_s"),
+        ("pulse_width_s", "pulse_rate_hz", "gate_width_s", "gate_delays_s", "readout"),
     )
 
     modulation_hz: Sourced[Annotated[tuple[Positive, ...], Field(min_length=1)]] | None = None
@@ -84,6 +86,11 @@ class TimeOfFlight(Strict):
     """Gated: for how long the detector is open after each pulse."""
     gate_delays_s: Sourced[Annotated[tuple[NonNegative, ...], Field(min_length=1)]] | None = None
     """Gated: from the beginning of the pulse to the opening of each gate."""
+    readout: Sourced[Literal["in turn", "waveform"]] | None = None
+    """Gated. `in turn`: each gate has an exposure of its own, over all of which the amplifier
+    integrates; `waveform`: a digitiser takes all gates of the same pulses, and the amplifier's
+    noise and the dark current are those of the time that a gate is open. Default: in turn.
+    """
 
     @model_validator(mode="after")
     def _one_kind(self) -> "TimeOfFlight":
@@ -96,6 +103,8 @@ class TimeOfFlight(Strict):
                 "needs either modulation_hz and contrast, or pulse_width_s, pulse_rate_hz, "
                 "gate_width_s and gate_delays_s"
             )
+        if self.modulation_hz is not None and self.readout is not None:
+            raise InputError("readout: belongs to gates, expected none beside modulation_hz")
         for name in ("pulse_width_s", "gate_width_s"):
             width = getattr(self, name)
             if width and self.pulse_rate_hz and width.value * self.pulse_rate_hz.value > 1:
@@ -108,6 +117,27 @@ class TimeOfFlight(Strict):
                     f"under way (pulse_rate_hz = {self.pulse_rate_hz.value:g})"
                 )
         return self
+
+    @property
+    def at_once(self) -> bool:
+        """Whether all gates are taken of the same pulses."""
+        return self.readout is not None and self.readout.value == "waveform"
+
+    @property
+    def emitter_share(self) -> float:
+        """Share of the time that the emitter is on: of pulses their length times their rate, of
+        modulated light, whose radiant intensity is the mean, all of it.
+        """
+        if self.pulse_width_s is None or self.pulse_rate_hz is None:
+            return 1.0
+        return self.pulse_width_s.value * self.pulse_rate_hz.value
+
+    @property
+    def open_share(self) -> float:
+        """Share of the time that the detector is open in one shutter."""
+        if self.gate_width_s is None or self.pulse_rate_hz is None:
+            return 0.5
+        return self.gate_width_s.value * self.pulse_rate_hz.value
 
     @property
     def n_phases(self) -> int:

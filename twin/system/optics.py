@@ -59,10 +59,13 @@ class Optics(Strict):
     """Of the lens."""
     field_of_view_deg: Sourced[FieldAngle]
     """Full angle that the detector sees, from edge to edge."""
-    field_stop: Sourced[Literal["matched", "detector"]]
+    field_stop: Sourced[Literal["matched", "detector", "scanned"]]
     """`matched`: the detector's area is spread over a square field; `detector`: the detector's own
-    outline behind the lens is what is seen.
+    outline behind the lens is what is seen; `scanned`, of a raster scan: the area is spread over
+    `receiver_cells` x `receiver_cells` cells around the lit one, which it follows.
     """
+    receiver_cells: Sourced[Annotated[int, Field(strict=True, ge=1, le=1024)]] | None = None
+    """Cells to a side that a scanned detector sees at one time. Default: 1."""
     edge_illumination: Sourced[Fraction] | None = None
     """Vignetting beyond cos^4: what is left of the light at the middle of the field's edge.
     Default: 1.
@@ -76,3 +79,16 @@ class Optics(Strict):
     position, in focus everywhere. Of surfaces nearer than 100 of its radii its area is taken into
     account by a form factor, whose error is warned of.
     """
+
+    @model_validator(mode="after")
+    def _cells_are_of_a_scan(self) -> "Optics":
+        if self.receiver_cells is not None and not self.is_scanned:
+            raise InputError(
+                f"receiver_cells = {self.receiver_cells.value}: belongs to field_stop scanned"
+            )
+        return self
+
+    @property
+    def is_scanned(self) -> bool:
+        """Whether the detector's field follows the lit cell."""
+        return self.field_stop.value == "scanned"

@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from pydantic import model_validator
 
-from hardware.patterns import Patterns, PatternSet
+from hardware.patterns import Patterns, PatternSet, RasterScan
 from twin.files import InputError, catalog_folder
 from twin.system.acquisition import Acquisition, TimeOfFlight
 from twin.system.curves import check_curves
@@ -112,13 +113,57 @@ class System(Entry):
                 shape=(self.emitter.rows.value, self.emitter.columns.value),
                 mode=self.acquisition.mode.value,
             )
+        if self.is_raster:
+            return RasterScan(
+                self.emitter.rows.value, self.emitter.columns.value, self.acquisition.mode.value
+            )
         return PatternSet(
             rows=self.emitter.rows.value,
             columns=self.emitter.columns.value,
             count=self.acquisition.n_patterns.value,
-            order=self.acquisition.order.value,
+            order=self.acquisition.order.value,  # type: ignore[arg-type]
             mode=self.acquisition.mode.value,
         )
+
+    @property
+    def is_raster(self) -> bool:
+        """Whether one cell is lit after another."""
+        own = self.acquisition.patterns is not None
+        return self.acquisition.order.value == "raster" and not own
+
+    @model_validator(mode="after")
+    def _scan_is_whole(self) -> "System":
+        acquisition, optics = self.acquisition, self.optics
+        if not self.is_raster:
+            if optics.is_scanned:
+                raise InputError("optics.field_stop: scanned belongs to acquisition.order raster")
+            return self
+        n_cells = self.patterns.n_cells
+        if acquisition.n_patterns.value != n_cells:
+            raise InputError(
+                f"acquisition.n_patterns = {acquisition.n_patterns.value}: a raster scan lights "
+                f"every cell, expected {n_cells}"
+            )
+        if not self.emitter.has_lens or self.n_detectors > 1:
+            raise InputError(
+                "acquisition.order: raster needs emitter.projection lens and one pixel"
+            )
+        tof = self.time_of_flight
+        gates = len(tof.gate_delays_s.value) if tof and tof.gate_delays_s else 0
+        if acquisition.mode.value == "plain" and gates < 4 and not (tof and tof.modulation_hz):
+            raise InputError(
+                "acquisition.mode: a plain raster scan needs at least 4 gates (time_of_flight), of "
+                "which those without an echo tell the background; else differential"
+            )
+        if optics.is_scanned and self.weather:
+            raise InputError(
+                "weather: the light that air scatters into a field that follows the lit cell is "
+                "not modelled: expected none, or optics.field_stop matched"
+            )
+        side = optics.receiver_cells.value if optics.receiver_cells else 1
+        if side > min(self.emitter.rows.value, self.emitter.columns.value):
+            raise InputError(f"optics.receiver_cells = {side}: more than the field has")
+        return self
 
     @model_validator(mode="after")
     def _lens_has_an_image(self) -> "System":
@@ -173,14 +218,22 @@ class System(Entry):
     def focal_length_m(self) -> float:
         """Of the lens that spreads the detector, a line sensor's whole, over the field."""
         tangent = math.tan(math.radians(self.optics.field_of_view_deg.value) / 2)
-        field_area = (4 if self.has_square_field else math.pi) * tangent**2
+        field_area = (4 if self.has_square_field else math.pi) * tangent**2 * self.receiver_share
         pixels = self.detector.pixels.value if self.detector.pixels else 1
         return math.sqrt(self.detector.area_m2 * pixels / field_area)
 
     @property
+    def receiver_share(self) -> float:
+        """Share of the field that the detector sees at one time: 1, or some cells of a scan."""
+        if not self.optics.is_scanned:
+            return 1.0
+        side = self.optics.receiver_cells.value if self.optics.receiver_cells else 1
+        return side**2 / (self.emitter.rows.value * self.emitter.columns.value)
+
+    @property
     def has_square_field(self) -> bool:
         """Whether what the detector sees is a square, not a disc."""
-        return self.optics.field_stop.value == "matched" or self.detector.shape.value == "square"
+        return self.optics.field_stop.value != "detector" or self.detector.shape.value == "square"
 
     @property
     def pixels_per_detector(self) -> int:
@@ -190,7 +243,25 @@ class System(Entry):
     @property
     def frame_time_s(self) -> float:
         """Time to show all patterns once."""
-        return self.n_exposures * self.acquisition.pattern_period_s.value
+        turns = self.patterns.n_exposures if self.gates_at_once else self.n_exposures
+        return turns * self.acquisition.pattern_period_s.value
+
+    @property
+    def gates_at_once(self) -> bool:
+        """Whether all gates of a pattern are taken in the same exposure."""
+        return self.time_of_flight is not None and self.time_of_flight.at_once
+
+    @property
+    def mean_power_w(self) -> float:
+        """Mean power that the emitter sends out during a frame, W: in the solid angle of its field,
+        of which patterns send the lit cells' share.
+        """
+        half = math.radians(self.emitter.field_of_view_deg.value) / 2
+        field_sr = 4 * math.asin(math.sin(half) ** 2)
+        peak_w = self.emitter.radiant_intensity_w_per_sr.value * field_sr
+        pulsed = self.time_of_flight.emitter_share if self.time_of_flight else 1.0
+        lit = self.patterns.signal(np.ones(self.patterns.n_cells)).mean() / self.patterns.n_cells
+        return float(peak_w * pulsed * lit)
 
     @property
     def n_exposures(self) -> int:

@@ -9,8 +9,9 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import Patterns, PatternSet, fwht
+from hardware.patterns import Patterns, PatternSet, RasterScan, fwht
 from hardware.reconstruction.sensing import Sensing
+from twin.camera.cell_noise import cells_noise_e
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import dark_share
 from twin.camera.light import render_light
@@ -199,6 +200,8 @@ def _pixel_noise(case: CameraCase, rendered: RenderedLight) -> Array:
     chain = case.chain
     power = chain.powers(rendered)
     signal_w, _, _ = chain.measure_frame(power, rng=np.random.default_rng(0), noise="none")
+    if isinstance(case.system.patterns, RasterScan):
+        return np.asarray(np.sqrt(np.mean(cells_noise_e(chain, power, signal_w) ** 2, axis=1)))
     budgets = chain.noise_by_detector(signal_w, power.sun_w)
     pixel_e = np.array([budget.pixel_noise_e(case.system.patterns) for budget in budgets])
     return np.sqrt(len(chain.shutters)) * pixel_e
@@ -290,6 +293,8 @@ def distributions(
 
 def measurable_part(cells: Array, patterns: Patterns) -> Array:
     """Part of images (n, n_cells) that the patterns shown can tell; the rest is never measured."""
+    if isinstance(patterns, RasterScan):
+        return cells
     if not isinstance(patterns, PatternSet):
         own = Sensing(patterns)
         return (own.pseudo_inverse @ own.forward(cells.T)).T
