@@ -25,6 +25,12 @@ from hardware.reconstruction import Reconstruction as Reconstruction
 from hardware.reconstruction import method_of as method_of
 from hardware.reconstruction import range_image as range_image
 from hardware.reconstruction import reconstruct as reconstruct
+from hardware.reconstruction.motion import CellMotion as CellMotion
+from hardware.reconstruction.motion import Compensation as Compensation
+from hardware.reconstruction.motion import Homography as Homography
+from hardware.reconstruction.motion import Motion as Motion
+from hardware.reconstruction.motion import Shift as Shift
+from hardware.reconstruction.motion import ShiftTrack as ShiftTrack
 from hardware.recording import Log as Log
 from hardware.recording import read_records as read_records
 from hardware.records import Flag as Flag

@@ -8,6 +8,14 @@ from numpy.typing import NDArray
 
 from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
+from hardware.reconstruction.motion.compensated import (
+    ERRORS_IN_95,
+    MovingScene,
+    check_known,
+    moving_scene,
+)
+from hardware.reconstruction.motion.knobs import STANDARD, Compensation
+from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
 from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE, gates_tell_background
@@ -52,7 +60,8 @@ class Reconstruction:
     (`hardware.reconstruction.measurements`). Standard errors hold ``most_noise_electrons``, the
     most that it can be; both are NaN, of which a warning tells, where no two exposures show it.
     ``level_error_electrons``, by detector, is what all cells of an image may be too low by
-    together, where no pattern tells their mean; else 0.
+    together, where no pattern tells their mean; else 0. ``motion`` is what the image was
+    compensated for, None where nothing moved.
     """
 
     method: str
@@ -63,6 +72,7 @@ class Reconstruction:
     most_noise_electrons: NDArray[np.float64]
     level_error_electrons: NDArray[np.float64]
     warnings: tuple[str, ...]
+    motion: Motion | None = None
 
     @property
     def picture(self) -> NDArray[np.float64]:
@@ -71,7 +81,13 @@ class Reconstruction:
 
 
 def reconstruct(
-    record: SpiRecord, method: str | Method | Solve = "lmmse", *, mixing: Mixing | None = None
+    record: SpiRecord,
+    method: str | Method | Solve = "lmmse",
+    *,
+    mixing: Mixing | None = None,
+    motion: Motion | None = None,
+    compensation: Compensation = STANDARD,
+    reference_ns: int | None = None,
 ) -> Reconstruction:
     """Reconstruct an image from a record.
 
@@ -85,6 +101,15 @@ def reconstruct(
         1/f^2 prior, noise level taken from the record.
     mixing
         Calibrated map from image cells to emitter elements, where these are no clean grid.
+    motion
+        How the image moved while it was measured; None: it is taken as at rest. The image is then
+        that of the reference time. ``lmmse`` and ``tv`` solve for the moving image itself; other
+        methods take the measurements as they would be at rest
+        (`hardware.reconstruction.motion.compensated`).
+    compensation
+        Knobs of motion compensation.
+    reference_ns
+        Reference time of the motion on the device's clock; None: the middle of the record.
 
     Patterns that were lost on their way are left out, as if they had not been asked for. Where the
     one that lights all cells is missing (Hadamard row 0), the level of the image is unknown: its
@@ -97,7 +122,8 @@ def reconstruct(
     image's range. ``OPENBLAS_NUM_THREADS=1`` fixes it.
 
     Raises InputError for an unknown method, a mixing that does not fit, patterns whose matrices
-    would not fit into memory, or a record in which too much is lost.
+    would not fit into memory, a record in which too much is lost, or a motion that does not fit the
+    image, or moves it too far.
 
     A camera of 1 electron a count before one bright cell, in background:
 
@@ -127,9 +153,18 @@ def reconstruct(
     sensing = Sensing(received.patterns, mixing)
     measured = measurements(received)
     variance, most = measured.noise_variance, measured.most_noise_variance
-    cells, error = _solved(solve, measured.values, variance, sensing)
-    if error is not None and (most > variance).any():
-        error = _solved(solve, measured.values, most, sensing)[1]
+    moving = None
+    if motion is not None:
+        check_known(record.patterns, mixing)
+        arrived = record.received
+        moving = moving_scene(record, arrived, variance, motion, compensation, reference_ns)
+    told_of_motion: tuple[str, ...] = ()
+    if moving:
+        cells, error, told_of_motion = _compensated(solve, moving, measured, sensing)
+    else:
+        cells, error = _solved(solve, measured.values, variance, sensing)
+        if error is not None and (most > variance).any():
+            error = _solved(solve, measured.values, most, sensing)[1]
     if error is not None and received.patterns.mode == "reference":
         error = np.hypot(error, _error_of_the_references(most, sensing))
     if not sensing.measures_level and error is not None:
@@ -141,7 +176,7 @@ def reconstruct(
         method=solve.name,
         image=np.where(told, cells, np.nan).T.reshape(shape),
         standard_error=None if error is None else np.where(told, error, np.nan).T.reshape(shape),
-        errors_in_95=solve.errors_in_95(sensing),
+        errors_in_95=ERRORS_IN_95 if moving else solve.errors_in_95(sensing),
         noise_electrons=np.sqrt(np.where(measured.noise_told, variance, np.nan)),
         most_noise_electrons=np.sqrt(most),
         level_error_electrons=measured.most_level * (not sensing.measures_level),
@@ -150,8 +185,9 @@ def reconstruct(
             *_unmeasured(sensing),
             *_with_background(received),
             *_without_scatter(received, most),
-            *_smoothed(cells, measured, sensing),
+            *(told_of_motion if moving else _smoothed(cells, measured, sensing)),
         ),
+        motion=moving.motion if moving else None,
     )
 
 
@@ -165,6 +201,20 @@ def _solved(
     errors = [error for _, error in solved if error is not None]
     cells = np.stack([cells for cells, _ in solved], axis=1)
     return cells, np.stack(errors, axis=1) if errors else None
+
+
+def _compensated(
+    solve: Method, moving: MovingScene, measured: Measurements, sensing: Sensing
+) -> tuple[Array, Array | None, tuple[str, ...]]:
+    """Cells and standard errors of a moving scene, ``(n_cells, n_detectors)``, and warnings."""
+    if solve.name == "lmmse":
+        return moving.linear(measured.most_noise_variance)
+    if solve.name == "tv":
+        cells, told = moving.edges()
+        return cells, None, told
+    values, told = moving.at_rest(sensing.indices)
+    cells, _ = _solved(solve, values, measured.noise_variance, sensing)
+    return cells, None, told
 
 
 def _error_of_the_references(variance: Array, sensing: Sensing) -> Array:

@@ -1,0 +1,274 @@
+"""Images of what moves while it is measured: operators against sums over exposures of scenes in
+closed form, limits, and what compensation gains.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from moving_scenes import AnalyticScene, moving_record, psnr
+
+from hardware import (
+    CellMotion,
+    Compensation,
+    Flag,
+    Homography,
+    InputError,
+    Motion,
+    PatternSet,
+    Shift,
+    ShiftTrack,
+    reconstruct,
+)
+from hardware.patterns import hadamard_rows
+from hardware.reconstruction.motion.knobs import STANDARD
+from hardware.reconstruction.motion.operators import moving_patterns
+from hardware.reconstruction.motion.timing import timed_rows
+
+N, DOWN, RIGHT = 32, 4.0, 10.0
+SCENE = AnalyticScene.of(3, N, 12.0)
+MODES = ("differential", "plain", "reference", "s-matrix", "complementary")
+SHIFT = Shift(DOWN, RIGHT)
+AS_HOMOGRAPHY = Homography(np.array([[0, 0, DOWN], [0, 0, RIGHT], [0, 0, 0]]))
+TURN = Homography(np.array([[0, -0.3, 4.5], [0.3, 0, -4.5], [0, 0, 0]]))
+
+
+def moving(time_s: float) -> np.ndarray:
+    return SCENE.cells(N, DOWN * time_s, RIGHT * time_s).ravel()
+
+
+def resting(_: float) -> np.ndarray:
+    return SCENE.cells(N, 0.0, 0.0).ravel()
+
+
+def timed(mode: str, n: int = 16, *, apart: bool = False, order: str = "sequency"):
+    patterns = PatternSet(n, n, 60, order, mode)
+    time_s = np.linspace(-0.5, 0.5, patterns.n_exposures)
+    arms = np.zeros((patterns.n_exposures, patterns.n_arms))
+    return timed_rows(patterns, arms, time_s, pairs_apart=apart), patterns, time_s
+
+
+@pytest.mark.parametrize("motion", [SHIFT, AS_HOMOGRAPHY, TURN])
+@pytest.mark.parametrize("mode", MODES)
+def test_the_adjoint_is_the_transpose(motion: Motion, mode: str, path: None) -> None:
+    """<A x, y> = <x, A^T y> for random x and y, to roundoff."""
+    rows, _, _ = timed(mode, apart=mode == "differential")
+    operator = moving_patterns(rows, motion, (16, 16), STANDARD)
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=operator.grid.shape), rng.normal(size=rows.count)
+    ahead, back = float(operator.forward(x) @ y), float(np.vdot(x, operator.adjoint(y)))
+    assert ahead == pytest.approx(back, rel=1e-10)
+
+
+@pytest.mark.parametrize("mode", ["differential", "plain", "s-matrix"])
+def test_shifts_measure_what_each_exposure_lights(mode: str) -> None:
+    """Squares of constant light, a cell and a half in size, moved: the overlap of each with every
+    lit cell, exposure by exposure, in closed form. Exact to roundoff.
+    """
+    rows, patterns, time_s = timed(mode, apart=True)
+    operator = moving_patterns(rows, SHIFT, (16, 16), Compensation(oversampling=2))
+    grid = operator.grid
+    rng = np.random.default_rng(1)
+    x = rng.random(grid.shape)
+    top = -grid.above - 0.5 + np.arange(grid.shape[0] + 1) / 2
+    left = -grid.left - 0.5 + np.arange(grid.shape[1] + 1) / 2
+    edges = np.arange(17) - 0.5
+
+    def overlaps(sources: np.ndarray) -> np.ndarray:
+        low, high = (
+            np.maximum.outer(edges[:-1], sources[:-1]),
+            np.minimum.outer(edges[1:], sources[1:]),
+        )
+        return np.maximum(high - low, 0.0)
+
+    masks = patterns.masks().reshape(-1, 16, 16)
+    light = np.array(
+        [
+            np.vdot(mask, overlaps(top + DOWN * t) @ x @ overlaps(left + RIGHT * t).T)
+            for mask, t in zip(masks, time_s, strict=True)
+        ]
+    )
+    pairs = mode == "differential"
+    expected = light[0::2] - light[1::2] if pairs else 2 * (light - light.mean())
+    np.testing.assert_allclose(operator.forward(x), expected, atol=1e-9)
+
+
+def test_warps_that_are_shifts_are_shifts() -> None:
+    """Sparse matrices and interpolation in time, against the exact operator, of a smooth image:
+    step^2 / 8 of its second difference, and what is linear between unknowns.
+    """
+    rows, _, _ = timed("differential", n=32)
+    knobs = Compensation(step_cells=0.1)
+    one = moving_patterns(rows, SHIFT, (N, N), knobs)
+    other = moving_patterns(rows, AS_HOMOGRAPHY, (N, N), knobs)
+    assert one.grid == other.grid
+    down, along = (np.arange(size)[:, None] for size in one.grid.shape)
+    x = np.sin(down / 9) @ np.cos(along.T / 11)
+    np.testing.assert_allclose(one.forward(x), other.forward(x), atol=2e-3 * N * N)
+
+
+@pytest.mark.parametrize(
+    "motion", [SHIFT, AS_HOMOGRAPHY, CellMotion(np.zeros((N, N, 2)) + (DOWN, RIGHT))]
+)
+def test_known_motion_is_taken_out(motion: Motion) -> None:
+    """A moving full set, 10 cells a frame, noise of 3 % of a cell: 70 % of the loss is regained."""
+    patterns = PatternSet(N, N, N * N)
+    truth = resting(0.0).reshape(N, N)
+    moved = moving_record(moving, patterns, noise=0.03)
+    images = [
+        reconstruct(moved, motion=motion).image[0],
+        reconstruct(moved).image[0],
+        reconstruct(moving_record(resting, patterns, noise=0.03)).image[0],
+    ]
+    found, as_static, static = (psnr(image / 1e5, truth) for image in images)
+    assert static - as_static > 15
+    assert (found - as_static) / (static - as_static) > 0.7
+
+
+@pytest.mark.parametrize("mode", MODES[:4])
+@pytest.mark.parametrize("method", ["lmmse", "tv", "zero-fill", "fista"])
+def test_all_modes_and_methods_gain(mode: str, method: str) -> None:
+    """128 of 1024 patterns."""
+    patterns = PatternSet(N, N, 128, "sequency", mode)
+    record = moving_record(moving, patterns, noise=0.03)
+    truth = resting(0.0).reshape(N, N)
+    with_motion, without = (reconstruct(record, method, motion=m).image[0] for m in (SHIFT, None))
+    seen = np.isfinite(without)
+    assert psnr(with_motion[seen] / 1e5, truth[seen]) > 2 + psnr(without[seen] / 1e5, truth[seen])
+
+
+@pytest.mark.parametrize("velocity", [0.0, 1e-9])
+def test_no_motion_gives_the_bits_of_none(velocity: float) -> None:
+    record = moving_record(moving, PatternSet(N, N, 64), noise=0.03)
+    for motion in (Shift(velocity, velocity), Homography(np.full((3, 3), velocity / 1e3))):
+        found, without = (reconstruct(record, motion=m) for m in (motion, None))
+        np.testing.assert_array_equal(found.image, without.image)
+        np.testing.assert_array_equal(found.standard_error, without.standard_error)
+        assert found.motion is None
+
+
+def test_hardly_any_motion_is_nearly_none() -> None:
+    """Just above the knob: the same image within the solver's residual, of one unknown a cell."""
+    record = moving_record(resting, PatternSet(N, N, N * N), noise=0.03)
+    knobs = Compensation(oversampling=1, residual=1e-4, error_samples=0)
+    found = reconstruct(record, motion=Shift(1e-4, 1e-4), compensation=knobs)
+    without = reconstruct(record)
+    assert found.motion is not None
+    np.testing.assert_allclose(found.image, without.image, atol=0.02 * np.ptp(without.image))
+
+
+def test_a_set_faster_than_a_cell_per_exposure() -> None:
+    """32 patterns, 100 cells: pattern and complement at their own times; it is an image of what
+    stood there, better than as static.
+    """
+    scene = AnalyticScene.of(5, N, 60.0, finest=4.0)
+    patterns = PatternSet(N, N, 32)
+    record = moving_record(lambda t: scene.cells(N, 0.0, 100 * t).ravel(), patterns, noise=0.003)
+    truth = scene.cells(N, 0.0, 0.0)
+    found, without = (reconstruct(record, motion=m).image[0] for m in (Shift(0, 100), None))
+    assert psnr(found / 1e5, truth) > 1 + psnr(without / 1e5, truth)
+
+
+def test_exposures_that_are_lost_keep_the_times_of_the_others() -> None:
+    patterns = PatternSet(N, N, 256)
+    record = moving_record(moving, patterns, noise=0.01)
+    lost = np.random.default_rng(0).random(len(record.flags)) < 0.1
+    lost[:2] = False
+    counts = np.where(lost[:, None], 0, record.counts).astype(np.int32)
+    gappy = replace(record, counts=counts, flags=np.where(lost, Flag.LOST, 0).astype(np.uint8))
+    truth = resting(0.0).reshape(N, N)
+    whole, part, static = (
+        psnr(reconstruct(r, motion=m).image[0] / 1e5, truth)
+        for r, m in ((record, SHIFT), (gappy, SHIFT), (gappy, None))
+    )
+    assert whole - 6 < part < whole + 0.5  # a fifth of the pairs are gone
+    assert part > static + 4
+
+
+def test_one_pattern_is_its_level() -> None:
+    record = moving_record(moving, PatternSet(N, N, 1), noise=0.0)
+    found = reconstruct(record, motion=SHIFT).image[0]
+    assert np.ptp(found) < 1e-6 * found.mean()
+    assert found.mean() == pytest.approx(1e5 * resting(0.0).mean(), rel=0.01)
+
+
+def test_standard_errors_hold_the_cells() -> None:
+    """95 % of all cells within `errors_in_95` of them, pooled over scenes: 93 to 100 %."""
+    inside = []
+    for seed in range(4):
+        scene = AnalyticScene.of(seed, N, 12.0)
+        record = moving_record(
+            lambda t, s=scene: s.cells(N, DOWN * t, RIGHT * t).ravel(),
+            PatternSet(N, N, 256),
+            electrons=1e4,
+            noise=0.1,
+        )
+        found = reconstruct(record, motion=SHIFT)
+        error = np.abs(found.image[0] / 1e4 - scene.cells(N, 0, 0))
+        assert found.standard_error is not None
+        inside.append(error < found.errors_in_95 * found.standard_error[0] / 1e4)
+    assert np.mean(inside) > 0.93
+
+
+def test_the_same_seed_gives_the_same_bits() -> None:
+    record = moving_record(moving, PatternSet(N, N, 64), noise=0.03)
+    one, two = (reconstruct(record, motion=SHIFT) for _ in range(2))
+    np.testing.assert_array_equal(one.image, two.image)
+    np.testing.assert_array_equal(one.standard_error, two.standard_error)
+
+
+def test_the_reference_time_is_a_choice() -> None:
+    """The image at the frame's end stands where the scene stands then."""
+    record = moving_record(moving, PatternSet(N, N, 512), noise=0.01)
+    end_ns = int(record.device_time_ns[-1])
+    found = reconstruct(record, motion=SHIFT, reference_ns=end_ns).image[0]
+    assert psnr(found / 1e5, moving(0.5).reshape(N, N)) > 6 + psnr(
+        found / 1e5, resting(0.0).reshape(N, N)
+    )
+
+
+def test_a_track_is_followed() -> None:
+    """Uneven motion: a spline through displacements, against the mean velocity."""
+
+    def place(t: float) -> float:
+        return 5 * np.sin(5 * t)
+
+    record = moving_record(
+        lambda t: SCENE.cells(N, 0.0, place(t)).ravel(), PatternSet(N, N, 512), noise=0.01
+    )
+    times = np.linspace(-0.6, 0.6, 25)
+    track = ShiftTrack(times, np.column_stack([0 * times, [place(t) for t in times]]))
+    truth = resting(0.0).reshape(N, N)
+    found, mean = (
+        psnr(reconstruct(record, motion=m).image[0] / 1e5, truth)
+        for m in (track, Shift(0.0, (place(0.5) - place(-0.5))))
+    )
+    assert found > mean + 3
+
+
+@pytest.mark.parametrize(
+    ("motion", "told"),
+    [
+        (lambda: Shift(np.nan, 0.0), "motion: down_cells_per_s: holds what is not a number"),
+        (lambda: CellMotion(np.zeros((4, 4, 2))), "motion: cells_per_s: of 4 x 4 cells"),
+        (lambda: CellMotion(np.zeros((4, 4))), r"motion: cells_per_s: shape \(4, 4\)"),
+        (lambda: Homography(np.full((3, 3), np.nan)), "motion: rate: holds what is not a number"),
+        (lambda: Shift(0.0, 1e9), "motion: moves the image by 4.84e.08 cells"),
+        (lambda: Homography(1e6 * np.eye(3)[::-1]), "motion: "),
+        (lambda: ShiftTrack(np.zeros(2), np.zeros((2, 2))), "motion: time_s: do not ascend"),
+        (lambda: ShiftTrack(np.arange(2) * 0.1, np.ones((2, 2))), "motion: time_s: 0 to 0.1 s"),
+    ],
+)
+def test_bad_motion_is_named(motion, told: str) -> None:
+    record = moving_record(moving, PatternSet(N, N, 16))
+    with pytest.raises(InputError, match=f"^{told}"):
+        reconstruct(record, motion=motion())
+
+
+def test_walsh_rows_of_products() -> None:
+    """What `ShiftedPatterns` rests on: row i of n x m is the product of rows of n and of m."""
+    rows = hadamard_rows(np.arange(32), 32).reshape(32, 4, 8)
+    parts = hadamard_rows(np.arange(4), 4), hadamard_rows(np.arange(8), 8)
+    np.testing.assert_array_equal(
+        rows, [np.outer(parts[0][i // 8], parts[1][i % 8]) for i in range(32)]
+    )
