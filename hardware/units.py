@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 #: Units that end a name; of two that fit the longer one holds.
 _ENDS = {
     "_kg_per_m3": "kg/m^3",
+    "_deg_per_s": "deg/s",
     "_mm_per_h": "mm/h",
     "_m_per_s": "m/s",
     "_w_per_sr": "W/sr",

@@ -9,6 +9,15 @@ from scipy.spatial.transform import RigidTransform
 Array = NDArray[np.float64]
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Cross products of vectors (..., 3): a fifth of the time of NumPy's for a few."""
+    product: Array = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+    return product
+
+
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+
+
 @dataclass(frozen=True, eq=False)
 class Kinematics:
     """State of a moving frame at one time, arrays (3,), or at n times, arrays (n, 3).
@@ -42,16 +51,40 @@ class Kinematics:
         own = self.angular_velocity_rad_per_s
         return Kinematics(
             self.pose * inner.pose,
-            self.velocity_m_per_s + np.cross(own, arm) + slip,
+            self.velocity_m_per_s + cross(own, arm) + slip,
             own + spin,
             self.acceleration_m_per_s2
-            + np.cross(self.angular_acceleration_rad_per_s2, arm)
-            + np.cross(own, np.cross(own, arm))  # towards the axis
-            + 2 * np.cross(own, slip)  # Coriolis
+            + cross(self.angular_acceleration_rad_per_s2, arm)
+            + cross(own, cross(own, arm))  # towards the axis
+            + 2 * cross(own, slip)  # Coriolis
             + turn.apply(inner.acceleration_m_per_s2),
             self.angular_acceleration_rad_per_s2
-            + np.cross(own, spin)
+            + cross(own, spin)
             + turn.apply(inner.angular_acceleration_rad_per_s2),
+        )
+
+    def carrying(self, pose: RigidTransform) -> "Kinematics":
+        """State of a frame that stands at a pose within this one."""
+        arm = self.pose.rotation.apply(pose.translation)
+        own, change = self.angular_velocity_rad_per_s, self.angular_acceleration_rad_per_s2
+        turning = cross(own, arm)
+        return Kinematics(
+            self.pose * pose,
+            self.velocity_m_per_s + turning,
+            own,
+            self.acceleration_m_per_s2 + cross(change, arm) + cross(own, turning),
+            change,
+        )
+
+    def carried_by(self, pose: RigidTransform) -> "Kinematics":
+        """State of this frame where all that it is told in stands at a pose."""
+        turn = pose.rotation
+        return Kinematics(
+            pose * self.pose,
+            turn.apply(self.velocity_m_per_s),
+            turn.apply(self.angular_velocity_rad_per_s),
+            turn.apply(self.acceleration_m_per_s2),
+            turn.apply(self.angular_acceleration_rad_per_s2),
         )
 
     def of_points(self, points_m: ArrayLike) -> tuple[Array, Array, Array]:
@@ -71,13 +104,13 @@ class Kinematics:
             )
         )
         rate = self.angular_velocity_rad_per_s[..., None, :]
-        turning = np.cross(rate, arm)
+        turning = cross(rate, arm)
         return (
             place + arm,
             velocity + turning,
             acceleration
-            + np.cross(self.angular_acceleration_rad_per_s2[..., None, :], arm)
-            + np.cross(rate, turning),
+            + cross(self.angular_acceleration_rad_per_s2[..., None, :], arm)
+            + cross(rate, turning),
         )
 
     def at_world(self, points_m: ArrayLike) -> tuple[Array, Array]:
@@ -86,12 +119,12 @@ class Kinematics:
         For a state at one time.
         """
         arm = np.asarray(points_m, dtype=np.float64) - self.pose.translation
-        turning = np.cross(self.angular_velocity_rad_per_s, arm)
+        turning = cross(self.angular_velocity_rad_per_s, arm)
         return (
             self.velocity_m_per_s + turning,
             self.acceleration_m_per_s2
-            + np.cross(self.angular_acceleration_rad_per_s2, arm)
-            + np.cross(self.angular_velocity_rad_per_s, turning),
+            + cross(self.angular_acceleration_rad_per_s2, arm)
+            + cross(self.angular_velocity_rad_per_s, turning),
         )
 
 

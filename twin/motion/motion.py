@@ -3,17 +3,18 @@
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
-from functools import reduce
-from operator import mul
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from twin.files import InputError
 from twin.motion.kinematics import Array, Kinematics, at_rest
 
+_STATES_HELD, _MOST_HELD = 16, 4096  # states of what carries others, and times of each
 EVER = (-math.inf, math.inf)
 
 
@@ -34,11 +35,34 @@ class Motion(ABC):
         """Whether its frame ever moves."""
         return True
 
+    @property
+    def repeats_after_s(self) -> float | None:
+        """After which all comes round again, if it does."""
+        return None
+
     def breaks_s(self, start_s: float, end_s: float) -> Array:
         """Times, both ends included, between which a polynomial of degree 15 follows it to
         rounding.
         """
         return np.array([start_s, end_s])
+
+    @property
+    def sample_s(self) -> Array:
+        """Times, closely spaced, at which all that it does shows."""
+        return np.zeros(1)
+
+    def fastest(self, centre_m: ArrayLike, radius_m: float) -> float:
+        """Bound of the speed of all points of a sphere in the frame, at `sample_s`, in m/s."""
+        state = self.at(self.samples_s)
+        velocity = state.of_points(np.reshape(centre_m, (1, 3)))[1][:, 0]
+        turning = np.linalg.norm(state.angular_velocity_rad_per_s, axis=-1)
+        return float((np.linalg.norm(velocity, axis=-1) + radius_m * turning).max())
+
+    @property
+    def samples_s(self) -> Array:
+        """Those of `sample_s` at which it is defined."""
+        first, last = self.span_s
+        return np.unique(np.clip(self.sample_s, first, last))
 
     def at(self, times_s: ArrayLike) -> Kinematics:
         """State of the frame at one time, or at times (n,).
@@ -148,7 +172,7 @@ class Straight(Motion):
         return any(self.velocity_m_per_s)
 
     def _at(self, times_s: Array) -> Kinematics:
-        velocity = np.broadcast_to(np.asarray(self.velocity_m_per_s, float), (len(times_s), 3))
+        velocity = np.tile(np.asarray(self.velocity_m_per_s, float), (len(times_s), 1))
         zero = np.zeros_like(velocity)
         poses = RigidTransform.from_translation(times_s[:, None] * velocity)
         return Kinematics(poses, velocity, zero, zero, zero)
@@ -171,6 +195,17 @@ class Product(Motion):
         """Whether any part does."""
         return any(part.moves for part in self.parts)
 
+    @property
+    def repeats_after_s(self) -> float | None:
+        """That of the only part that moves."""
+        moving = [part for part in self.parts if part.moves]
+        return moving[0].repeats_after_s if len(moving) == 1 else None
+
+    @property
+    def sample_s(self) -> Array:
+        """Those of all parts."""
+        return np.unique(np.concatenate([part.sample_s for part in self.parts]))
+
     def breaks_s(self, start_s: float, end_s: float) -> Array:
         """Those of all parts."""
         return np.unique(np.concatenate([part.breaks_s(start_s, end_s) for part in self.parts]))
@@ -184,7 +219,20 @@ class Product(Motion):
         return Product((first, Still(carrier.inv() * by * carrier), *others))
 
     def _at(self, times_s: Array) -> Kinematics:
-        return reduce(mul, (part._at(times_s) for part in self.parts))
+        place: RigidTransform | None = None  # of what stands before the first part that moves
+        state: Kinematics | None = None
+        for part in self.parts:
+            if isinstance(part, Still):
+                if state is not None:
+                    state = state.carrying(part.pose)
+                else:
+                    place = part.pose if place is None else place * part.pose
+            elif state is not None:
+                state = state * part._at(times_s)
+            else:
+                state = part._at(times_s)
+                state = state if place is None else state.carried_by(place)
+        return at_rest(place, len(times_s)) if state is None else state
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +252,16 @@ class Parent(Motion):
         """Whether the parent does."""
         return self.motion.moves
 
+    @property
+    def repeats_after_s(self) -> float | None:
+        """The parent's."""
+        return self.motion.repeats_after_s
+
+    @property
+    def sample_s(self) -> Array:
+        """The parent's."""
+        return self.motion.sample_s
+
     def breaks_s(self, start_s: float, end_s: float) -> Array:
         """The parent's."""
         return self.motion.breaks_s(start_s, end_s)
@@ -214,7 +272,18 @@ class Parent(Motion):
         return replace(self, motion=given)
 
     def _at(self, times_s: Array) -> Kinematics:
-        return self.motion._at(times_s)
+        # All that it carries asks for the same times.
+        key = times_s.tobytes()
+        if key not in self._held:
+            state = self.motion._at(times_s)
+            if len(times_s) > _MOST_HELD:
+                return state
+            self._held[key] = state
+        return self._held[key]
+
+    @cached_property
+    def _held(self) -> LRUCache[bytes, Kinematics]:
+        return LRUCache(_STATES_HELD)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +298,16 @@ class Later(Motion):
         """That of the motion, on the new clock."""
         first, last = self.motion.span_s
         return first - self.by_s, last - self.by_s
+
+    @property
+    def repeats_after_s(self) -> float | None:
+        """The motion's."""
+        return self.motion.repeats_after_s
+
+    @property
+    def sample_s(self) -> Array:
+        """Those of the motion, on the new clock."""
+        return self.motion.sample_s - self.by_s
 
     def later(self, by_s: float) -> Motion:
         """From both times on."""

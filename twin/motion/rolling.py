@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.motion.kinematics import Array, Kinematics
+from twin.motion.kinematics import Array, Kinematics, cross
 from twin.motion.motion import Motion, cut, gauss_nodes
 from twin.motion.turning import Vector, about_axis
 
@@ -39,6 +39,11 @@ class Rolling(Motion):
         """Whether the carrier does."""
         return self.carrier.moves
 
+    @property
+    def sample_s(self) -> Array:
+        """The carrier's."""
+        return self.carrier.sample_s
+
     def breaks_s(self, start_s: float, end_s: float) -> Array:
         """Those of the carrier, no farther apart than the angle allows."""
         breaks = self.carrier.breaks_s(start_s, end_s)
@@ -67,7 +72,7 @@ class Rolling(Motion):
             part[:, 0] for part in state.of_points(np.reshape(self.centre_m, (1, 3)))
         )
         heading = state.pose.rotation.apply(self._heading)
-        turning = np.cross(state.angular_velocity_rad_per_s, heading)
+        turning = cross(state.angular_velocity_rad_per_s, heading)
         along = np.sum(velocity * heading, axis=1)
         gaining = np.sum(acceleration * heading + velocity * turning, axis=1)
         return along / self.radius_m, gaining / self.radius_m
@@ -76,18 +81,23 @@ class Rolling(Motion):
         """Integral of the rate from time 0 to each time, (n,), in rad."""
         first, last = self.span_s
         start = min(max(0.0, first), last)
-        angle = np.zeros(len(times_s))
-        for sense in (1.0, -1.0):
-            there = np.flatnonzero((times_s - start) * sense > 0)
-            if len(there):
-                angle[there] = self._integral(start, sense, times_s[there])
+        period = self.carrier.repeats_after_s
+        if period is not None:
+            rounds = np.floor((times_s - start) / period)
+            whole = self._integral(start, np.array([start + period]))
+            return rounds * whole + self._integral(start, times_s - rounds * period)
+        after = times_s >= start
+        angle = np.empty(len(times_s))
+        angle[after] = self._integral(start, times_s[after])
+        angle[~after] = self._integral(start, times_s[~after], -1)
         return angle
 
-    def _integral(self, start: float, sense: float, times_s: Array) -> Array:
-        """Of the rate from ``start`` to times that all lie before or all after it."""
-        chunks = np.abs(times_s - start).max() / _CHUNK_S
+    def _integral(self, start: float, times_s: Array, sense: int = 1) -> Array:
+        """Of the rate from ``start`` to times that all lie after it, or before it."""
+        chunks = np.abs(times_s - start).max(initial=0.0) / _CHUNK_S
         known, angles = self._table(start, sense, 2 ** math.ceil(math.log2(max(chunks, 1.0))))
         at = np.searchsorted(sense * known, sense * times_s, side="right") - 1
+        at = np.maximum(at, 0)
         return angles[at] + self._steps(known[at], times_s)
 
     def _steps(self, start_s: Array, end_s: Array) -> Array:
@@ -96,7 +106,7 @@ class Rolling(Motion):
         rate = self._rate(nodes.ravel())[0].reshape(nodes.shape)
         return np.sum(weights * rate, axis=1)
 
-    def _table(self, start: float, sense: float, chunks: int) -> tuple[Array, Array]:
+    def _table(self, start: float, sense: int, chunks: int) -> tuple[Array, Array]:
         """Times from ``start`` on, one way, with the angle at each."""
         if (sense, chunks) not in self._tables:
             first, last = self.span_s
@@ -104,11 +114,11 @@ class Rolling(Motion):
             low, high = sorted((start, end))
             # What comes after a time must not change the sum before it: chunks are always cut.
             own = cut(low, high, _CHUNK_S)
-            times = np.union1d(own, self.carrier.breaks_s(low, high))[:: int(sense)]
+            times = np.union1d(own, self.carrier.breaks_s(low, high))[::sense]
             steps = self._steps(times[:-1], times[1:])
             self._tables[sense, chunks] = times, np.concatenate([[0.0], np.cumsum(steps)])
         return self._tables[sense, chunks]
 
     @cached_property
-    def _tables(self) -> dict[tuple[float, int], tuple[Array, Array]]:
+    def _tables(self) -> dict[tuple[int, int], tuple[Array, Array]]:
         return {}

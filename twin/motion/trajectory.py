@@ -25,6 +25,7 @@ NORM_TOLERANCE = 1e-3
 #: A way that is repeated ends where it began within these.
 CLOSED_M, CLOSED_RAD = 1e-6, 1e-6
 Label = Callable[[int], str]
+_SMOOTH_TURN_RAD = 0.5  # between breaks, so that Gauss-Legendre follows it to rounding
 #: Poses beyond both ends of a closed way that the spline sees: each weighs 0.27 of the one before.
 _WRAPPED = 28
 
@@ -99,11 +100,23 @@ class Trajectory(Motion):
         turned = self._rotations[0].inv() * self._rotations
         return bool(np.ptp(self.positions_m, axis=0).any() or turned.magnitude().any())
 
-    def breaks_s(self, start_s: float, end_s: float) -> Array:
+    @property
+    def repeats_after_s(self) -> float | None:
+        """From the first pose to the last, if it repeats."""
+        return float(np.ptp(self.times_s)) if self.outside == "repeat" else None
+
+    @property
+    def sample_s(self) -> Array:
         """Its own times, each step in four."""
-        knots = np.interp(
-            np.arange(4 * len(self.times_s) - 3) / 4, np.arange(len(self.times_s)), self.times_s
-        )
+        count = len(self.times_s)
+        return np.interp(np.arange(4 * count - 3) / 4, np.arange(count), self.times_s)
+
+    def breaks_s(self, start_s: float, end_s: float) -> Array:
+        """Its own times, and more of them within a step that turns far."""
+        turns = (self._rotations[:-1].inv() * self._rotations[1:]).magnitude()
+        parts = np.maximum(1, np.ceil(turns / _SMOOTH_TURN_RAD)).astype(int)
+        steps = np.repeat(np.diff(self.times_s) / parts, parts)
+        knots = self.times_s[0] + np.concatenate([[0.0], np.cumsum(steps)])
         if self.outside == "repeat":
             length = self.times_s[-1] - self.times_s[0]
             turns = np.arange(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from twin.motion.kinematics import Array, Kinematics
+from twin.motion.kinematics import Array, Kinematics, cross
 from twin.motion.motion import Motion, cut
 
 Vector = tuple[float, float, float]
@@ -25,6 +25,11 @@ class Turning(Motion):
     def moves(self) -> bool:
         """Unless the rate is zero."""
         return self.rate_rad_per_s != 0
+
+    @property
+    def repeats_after_s(self) -> float | None:
+        """Of one turn."""
+        return 2 * math.pi / abs(self.rate_rad_per_s) if self.moves else None
 
     def breaks_s(self, start_s: float, end_s: float) -> Array:
         """An eighth of a turn apart."""
@@ -56,6 +61,16 @@ class Swinging(Motion):
         """Unless the amplitude is zero."""
         return self.amplitude_rad != 0
 
+    @property
+    def repeats_after_s(self) -> float | None:
+        """The period."""
+        return self.period_s
+
+    @property
+    def sample_s(self) -> Array:
+        """Of one period."""
+        return self.period_s * np.arange(32) / 32
+
     def breaks_s(self, start_s: float, end_s: float) -> Array:
         """An eighth of a period apart, closer where it swings far."""
         return cut(start_s, end_s, self.period_s / 8 / max(1.0, abs(self.amplitude_rad)))
@@ -86,11 +101,11 @@ def about_axis(
     rotation = Rotation.from_rotvec(angle[:, None] * unit)
     arm = -rotation.apply(centre)  # from the centre to the frame's origin
     spin, change = rate[:, None] * unit, acceleration[:, None] * unit
-    velocity = np.cross(spin, arm)
+    velocity = cross(spin, arm)
     return Kinematics(
         RigidTransform.from_components(centre + arm, rotation),
         velocity,
         spin,
-        np.cross(change, arm) + np.cross(spin, velocity),
+        cross(change, arm) + cross(spin, velocity),
         change,
     )

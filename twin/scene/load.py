@@ -25,6 +25,7 @@ from twin.scene.model import (
     Scene,
     SceneObject,
 )
+from twin.scene.motion_tree import MotionTree
 from twin.scene.settings import SceneSettings, load_settings
 from twin.scene.texture import Reflectance, Texture
 
@@ -68,7 +69,13 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
 
     meshes = _MeshFiles(path)
     objects = tuple(_object(path, shape, meshes, materials, settings) for shape in document.shapes)
+    tree = MotionTree(toml, objects, settings) if settings else None
+    if tree:
+        objects = tree.objects()
     rig, warnings = _rig(settings, document, objects, pose)
+    if tree:
+        rig = rig if pose else tree.rig(rig)
+        warnings += tree.warnings
     if not np.abs(rig.position_m).max() <= FARTHEST_ORIGIN_M:
         raise InputError(
             f"{toml if settings and not pose else path}: rig: position_m = "
@@ -98,7 +105,7 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
         objects=objects,
         rig=rig,
         sun=settings.make_sun() if settings else sun,
-        targets=settings.make_targets() if settings else (),
+        targets=tree.targets(tree.settings.make_targets()) if tree else (),
         track=settings.make_track() if settings else None,
         materials={o.material: materials.table[o.material] for o in objects},
         assumptions=materials.assumptions(),

@@ -4,6 +4,8 @@ Axes and points of a motion are those of the scene as its files draw it: what ca
 moves that drawing, and the object moves within it.
 """
 
+from dataclasses import replace
+
 from scipy.spatial.transform import RigidTransform
 
 from twin.motion import Motion, Parent, Product, Still
@@ -23,7 +25,9 @@ def moving(item: SceneObject, own: Motion, carrier: Product | None = None) -> Sc
     not cover.
     """
     if carrier is None:
-        return item.following(Product((own, Still(item.pose))))
+        motion = Product((own, Still(item.pose)))
+        # What stands is what it would be without a motion.
+        return item.following(motion) if motion.moves else replace(item, pose=motion.pose_at(0.0))
     parent = carrier.parts[0]
     assert isinstance(parent, Parent)
     return item.following(Product((*carrier.parts, own, Still(item.pose))), parent.name)

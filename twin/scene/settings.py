@@ -18,6 +18,7 @@ from twin.scene.model import (
     Target,
     Track,
 )
+from twin.scene.motion_settings import MotionSettings
 from twin.toml import Count, Finite, NonNegative, Positive, Strict, describe, read_toml
 
 Vector = tuple[Finite, Finite, Finite]
@@ -37,21 +38,43 @@ class _Mount(Strict):
         return Pose(self.offset_m, self.yaw_deg, self.pitch_deg, self.roll_deg)
 
 
+_Speed = Annotated[Finite, Field(ge=-FASTEST_M_PER_S, le=FASTEST_M_PER_S)]
+_Velocity = tuple[_Speed, _Speed, _Speed]
+
+
 class _Rig(Strict):
-    position_m: Vector
-    """Place of the rig in the scene: x forward, y left, z up."""
+    position_m: Vector | None = None
+    """Place of the rig in the scene: x forward, y left, z up; of one on a trajectory none."""
     yaw_deg: Finite = 0.0
     """Turn about z, positive to the left."""
     pitch_deg: Finite = 0.0
     """Turn about y, positive nose down."""
     roll_deg: Finite = 0.0
     """Turn about x."""
+    velocity_m_per_s: _Velocity = (0.0, 0.0, 0.0)
+    """Velocity of the rig, in the scene or within its parent's frame."""
+    parent: str | None = None
+    """Id of the object that carries the rig."""
+    motion: MotionSettings | None = None
+    """How the rig moves beside a constant velocity."""
     emitter: _Mount = _Mount()
     """The pattern projector on the rig."""
     detector: _Mount = _Mount(offset_m=(0.0, -0.05, 0.0))
     """The camera's detector on the rig."""
     radar: _Mount = _Mount(offset_m=(0.0, 0.0, -0.3))
     """The radar on the rig."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> "_Rig":
+        way = None if self.motion is None else self.motion.trajectory
+        if (self.position_m is None) == (way is None or way.as_drawn):
+            raise InputError("needs either `position_m` or `motion.trajectory` without `as_drawn`")
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is given a motion of its own or a parent's."""
+        return any((*self.velocity_m_per_s, self.parent, self.motion))
 
 
 class _Sun(Strict):
@@ -63,12 +86,14 @@ class _Sun(Strict):
     """On a plane normal to the sun; a system's `sky` takes its place."""
 
 
-_Speed = Annotated[Finite, Field(ge=-FASTEST_M_PER_S, le=FASTEST_M_PER_S)]
-
-
 class _Object(Strict):
-    velocity_m_per_s: tuple[_Speed, _Speed, _Speed] = (0.0, 0.0, 0.0)
-    """Velocity in the scene."""
+    velocity_m_per_s: _Velocity = (0.0, 0.0, 0.0)
+    """Velocity in the scene, or within its parent's frame."""
+    parent: str | None = None
+    """Id of the object that carries it: it moves and turns with that, and its own motion is that
+    within the parent's frame."""
+    motion: MotionSettings | None = None
+    """How it moves beside a constant velocity."""
     radar: RadarRole | None = None
     """What the object is to the radar, in place of the rule's choice: mirror (`surface`), scatterer
     by physical optics (`optics`), scatterer by a table of its far field (`table`), a declared
@@ -127,9 +152,10 @@ class SceneSettings(Strict):
     """True targets, with which detections are compared."""
 
     def make_rig(self) -> Rig:
-        """The rig with its devices."""
+        """The rig with its devices, as drawn."""
         at = self.rig
-        pose = Pose(at.position_m, at.yaw_deg, at.pitch_deg, at.roll_deg)
+        place = at.position_m or (0.0, 0.0, 0.0)
+        pose = Pose(place, at.yaw_deg, at.pitch_deg, at.roll_deg)
         return Rig(pose, at.emitter.pose(), at.detector.pose(), at.radar.pose())
 
     def make_track(self) -> Track | None:
@@ -142,7 +168,7 @@ class SceneSettings(Strict):
         return Sun(self.sun.azimuth_deg, self.sun.elevation_deg, self.sun.illuminance_lx)
 
     def velocity(self, name: str | None) -> Vector:
-        """Velocity of an object; zero unless it is named."""
+        """Velocity of an object, as given; zero unless it is named."""
         return self.objects[name].velocity_m_per_s if name in self.objects else (0.0, 0.0, 0.0)
 
     def radar_role(self, name: str) -> RadarRole | None:
@@ -154,7 +180,7 @@ class SceneSettings(Strict):
         return self.objects[name].thickness_m if name in self.objects else None
 
     def make_targets(self) -> tuple[Target, ...]:
-        """True targets, moving with their objects."""
+        """True targets, moving as straight as their objects do."""
         return tuple(
             Target(
                 name=target.name,
@@ -174,6 +200,8 @@ def load_settings(path: Path, object_names: set[str]) -> SceneSettings:
         settings = SceneSettings.model_validate(read_toml(path))
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
+    if settings.track is not None and settings.rig.moves:
+        raise InputError(f"{path}: track: the rig moves by itself, expected one of both")
     carried = {target.object for target in settings.targets}
     for name, item in settings.objects.items():
         if item.radar == "declared" and name not in carried:
@@ -181,6 +209,8 @@ def load_settings(path: Path, object_names: set[str]) -> SceneSettings:
                 f"{path}: objects.{name}.radar = 'declared', but no target has it as its object"
             )
     named = {**{f"objects.{name}": name for name in settings.objects}}
+    named |= {f"objects.{n}.parent": o.parent for n, o in settings.objects.items() if o.parent}
+    named |= {"rig.parent": settings.rig.parent} if settings.rig.parent else {}
     named |= {f"targets.{t.name}.object": t.object for t in settings.targets if t.object}
     for place, name in named.items():
         if name not in object_names:
