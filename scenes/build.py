@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from body_meshes import box, car, join, loft, person
+from body_meshes import AXLES, box, car, join, limb, loft, person, wheel
 
 HERE = Path(__file__).resolve().parent
 
@@ -81,7 +81,7 @@ def placed(parts, xy, yaw_deg=0.0):
     return {name: mesh.copy().apply_transform(to_scene) for name, mesh in parts.items()}
 
 
-def trihedral():
+def trihedral(apex=TRIHEDRAL_APEX):
     """Triangular trihedral of the wanted boresight RCS, opening towards the radar.
 
     The inner faces are three right isosceles triangles of leg a. The back is one apex
@@ -89,7 +89,7 @@ def trihedral():
     """
     wavelength = C / CARRIER_HZ
     leg = (3 * wavelength**2 * TRIHEDRAL_RCS / (4 * np.pi)) ** 0.25
-    bore = (RADAR - TRIHEDRAL_APEX) / np.linalg.norm(RADAR - TRIHEDRAL_APEX)
+    bore = (RADAR - apex) / np.linalg.norm(RADAR - apex)
     left = np.cross([0, 0, 1], bore)
     left /= np.linalg.norm(left)
     up = np.cross(bore, left)
@@ -98,12 +98,12 @@ def trihedral():
         bore / np.sqrt(3)
         + np.sqrt(2 / 3) * (np.cos(turn)[:, None] * left + np.sin(turn)[:, None] * up)
     )
-    vertices = np.vstack([[0, 0, 0], tips, -0.004 * bore]) + TRIHEDRAL_APEX
+    vertices = np.vstack([[0, 0, 0], tips, -0.004 * bore]) + apex
     faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [4, 2, 1], [4, 3, 2], [4, 1, 3]]
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if mesh.volume < 0:
         mesh.invert()
-    foot = TRIHEDRAL_APEX + 0.004 * bore
+    foot = apex + 0.004 * bore
     stand = join(
         cylinder(foot[:2], 0.006, 0.012, foot[2] - 0.011, around=24),
         cylinder(foot[:2], 0.09, 0, 0.012),
@@ -244,6 +244,147 @@ def street():
     }
 
 
+# ---------------------------------------------------------------- crossing
+
+# Everything comes round after 60 s: the rig ten times in ten minutes.
+LAP_S, LAP_STEP_S = 60.0, 0.25
+RIG_SPEED, RIG_STRAIGHT, RIG_TURN = 5.0, 70.0, 80.0  # m/s; m of one straight and one bend
+RIG_START = (20.0, (0.0, 0.0), 0.0)  # m along the first straight; x, y there; heading in deg
+CAR_SPEED, CAR_STRAIGHT, CAR_TURN = 1.4, 14.0, 28.0
+CAR_START = (6.5, (12.0, 0.1), 90.0)  # of the rear axle
+WALK_SPEED, WALK_STRAIGHT, WALK_TURN, WALK_S = 1.3, 7.0, 6.0, 20.0
+WALK_START = (1.0, (7.3, -1.1), 0.0)
+HIP, SHOULDER, KNEE, ELBOW = 0.88, 1.39, 0.50, 1.12  # heights of the joints
+CROSSING_WALLS = {"wall_left": (1.3, 6.5), "wall_right": (-7.0, -1.3)}
+CROSSING_POSTS = {"post_near": (9.0, 1.25), "post_gate": (16.6, 1.15), "post_far": (30.0, -1.6)}
+CROSSING_APEX = np.array([8.6, 0.75, 1.0])
+
+
+def course(start, speed, straight, turn, lap_s, side):
+    """Closed way of two straights and two bends whose curvature comes and goes as a raised cosine,
+    at constant speed: times, x, y, yaw in deg. ``side``: 1 turns left, -1 right.
+    """
+    begun, place, heading_deg = start
+    half = straight + turn
+    assert abs(2 * half - speed * lap_s) < 1e-9
+
+    def heading(s):
+        turns, along = np.divmod(s, half)
+        u = np.clip((along - straight) / turn, 0, 1)
+        return np.pi * side * (turns + u - np.sin(2 * np.pi * u) / (2 * np.pi))
+
+    times = np.arange(round(lap_s / LAP_STEP_S) + 1) * LAP_STEP_S
+    s = begun + speed * times
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    step = np.diff(s)[:, None] / 2
+    fine = heading((s[1:] + s[:-1])[:, None] / 2 + step * nodes)
+    ways = np.stack([(step * weights * f(fine)).sum(axis=1) for f in (np.cos, np.sin)], axis=1)
+    xy = np.vstack([[0, 0], np.cumsum(ways, axis=0)])
+    xy[-1] = xy[0]  # to rounding already
+    to_world = np.radians(heading_deg) - heading(begun)
+    c, s_ = np.cos(to_world), np.sin(to_world)
+    x, y = (xy @ np.array([[c, s_], [-s_, c]]) + place).T
+    yaw = np.degrees(heading(s) + to_world)
+    return np.stack([times, x, y, 0 * x, yaw], axis=1)
+
+
+def crossing_courses():
+    """Ways of the frames of the rig, the car (rear axle, on the ground) and the person."""
+    rig = course(RIG_START, RIG_SPEED, RIG_STRAIGHT, RIG_TURN, LAP_S, 1)
+    rig[:, 3] = RIG[2]
+    return {
+        "rig": rig,
+        "car": course(CAR_START, CAR_SPEED, CAR_STRAIGHT, CAR_TURN, LAP_S, 1),
+        "person": course(WALK_START, WALK_SPEED, WALK_STRAIGHT, WALK_TURN, WALK_S, -1),
+    }
+
+
+def crossing_car():
+    """Body from the middle of the rear axle on the ground; tyre and rim about their own axle."""
+    body = {name: mesh.copy() for name, mesh in car().items()}
+    for mesh in body.values():
+        mesh.apply_translation([-AXLES[0], 0, 0])
+    tyre, rim = wheel()
+    return {
+        **{name: body[name] for name in ("car", "car_windows", "car_plate")},
+        "tyre": tyre,
+        "rim": rim,
+    }
+
+
+def walker():
+    """A person in parts that faces x, its limbs hanging straight, each where it stands."""
+    about = trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1])
+    torso = limb(
+        [(0, 0, 0.86), (0, 0, 0.95), (0, 0, 1.10), (0, 0, 1.25), (-0.01, 0, 1.38), (0, 0, 1.45)],
+        [0.145, 0.165, 0.150, 0.170, 0.175, 0.110],
+        flat=(0.66, 1.0),
+        around=50,
+        fold=(0.004, 0.22),
+    ).apply_transform(about)
+    neck = limb([(0, 0, 1.43), (0.005, 0, 1.56)], [0.055, 0.052], around=32)
+    head = trimesh.creation.icosphere(subdivisions=3).apply_scale([0.098, 0.076, 0.118])
+    parts = {"person": torso, "head": join(neck, head.apply_translation([0.01, 0, 1.632]))}
+    for side, s in (("left", 1), ("right", -1)):
+        foot = trimesh.creation.icosphere(subdivisions=2).apply_scale([0.135, 0.05, 0.05])
+        parts |= {
+            f"thigh_{side}": limb(
+                [(0, s * 0.095, HIP), (0, s * 0.095, 0.7), (0, s * 0.095, KNEE)],
+                [0.088, 0.076, 0.064],
+                around=36,
+                fold=(0.004, 0.32),
+                phase=1.0 + s,
+            ),
+            f"shin_{side}": join(
+                limb(
+                    [(0, s * 0.095, KNEE), (0, s * 0.095, 0.3), (0, s * 0.095, 0.12)],
+                    [0.064, 0.060, 0.055],
+                    around=36,
+                    fold=(0.003, 0.27),
+                    phase=0.5 + s,
+                ),
+                foot.apply_translation([0.05, s * 0.10, 0.05]),
+            ),
+            f"arm_{side}": limb(
+                [(0, s * 0.195, SHOULDER), (0, s * 0.21, 1.25), (0, s * 0.215, ELBOW)],
+                [0.058, 0.052, 0.047],
+                around=28,
+                fold=(0.003, 0.27),
+                phase=2.0 - s,
+            ),
+            f"forearm_{side}": limb(
+                [(0, s * 0.215, ELBOW), (0, s * 0.215, 0.87), (0, s * 0.215, 0.76)],
+                [0.047, 0.036, 0.034],
+                around=28,
+            ),
+        }
+    return parts
+
+
+def crossing():
+    """Ground, walls, posts and a trihedral in the scene; car and person in their own frames."""
+    posts = {name: cylinder(xy, 0.04, 0, 1.1) for name, xy in CROSSING_POSTS.items()}
+    walls = {
+        name: box([17.0, low, 0], [17.25, high, 2.5])
+        for name, (low, high) in CROSSING_WALLS.items()
+    }
+    return {
+        "ground": ground((-60.0, -50.0), 160.0, 32),
+        **walls,
+        "wall_back": box([11.75, 32.4, 0], [12.0, 38.4, 2.5]),  # of the way back
+        **posts,
+        **trihedral(CROSSING_APEX),
+        **crossing_car(),
+        **walker(),
+    }
+
+
+def write_course(path, rows):
+    lines = ["time_s,x_m,y_m,z_m,yaw_deg"]
+    lines += [",".join(f"{value:.9f}".rstrip("0").rstrip(".") for value in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
+
+
 # ---------------------------------------------------------------- files
 
 
@@ -290,6 +431,7 @@ def main():
         "street": street(),
         "fig3a": cylinders(0.0),
         "fig3b": cylinders(0.075, -0.075),
+        "crossing": crossing(),
     }
     for scene, meshes in scenes.items():
         folder = HERE / scene if scene == "bodies" else HERE / scene / "meshes"
@@ -298,6 +440,8 @@ def main():
             mesh, uv = mesh if isinstance(mesh, tuple) else (mesh, None)
             write_ply(folder / f"{name}.ply", mesh, uv)
             print(f"{scene}/{name}: {len(mesh.faces)} triangles")
+    for name, rows in crossing_courses().items():
+        write_course(HERE / "crossing" / f"{name}.csv", rows)
     textures = HERE / "yard" / "textures"
     textures.mkdir(parents=True, exist_ok=True)
     write_png(textures / "chart.png", chart_texture())
