@@ -1,17 +1,19 @@
 """The command ``ugv``: what the vehicle does with its records. Errors are one line, exit code 2."""
 
+import os
 import sys
 
 import typer
 
 from hardware.commands import images, log, radar
+from hardware.commands.output import version_option
 from hardware.errors import HardwareError
 from hardware.files import one_line, said
 
 app = typer.Typer(
     name="ugv",
     help="Records from sensors, images and detections from records.",
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -19,8 +21,14 @@ for room in (images, radar, log):
     room.register(app)
 
 
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("ugv-twin")
+
+
 @app.callback()
-def _ugv() -> None:
+def _ugv(version: version_option("ugv", _version) = False) -> None:  # type: ignore[valid-type]
     """Records from sensors, images and detections from records."""
 
 
@@ -30,7 +38,9 @@ def main() -> None:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except HardwareError as error:
         message = str(error)
-    except SystemExit as error:  # commands return; only a user's own code ends the program
+    except SystemExit as error:  # commands return; a user's own code, and completion, do not
+        if "_UGV_COMPLETE" in os.environ:
+            raise
         message = f"code of one's own called sys.exit({error})"
     except OSError as error:
         message = said(error)

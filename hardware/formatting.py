@@ -1,10 +1,12 @@
-"""Figures as text, for terminals and reports: digits by the error, SI prefixes, no raw reprs."""
+"""Figures as text, for terminals and reports: digits by the error, SI prefixes, no raw reprs; and
+as JSON.
+"""
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any
-
-import numpy as np
 
 from hardware.units import unit_of
 
@@ -105,7 +107,7 @@ def setting_text(name: str, value: Any) -> str:
     >>> setting_text("time_of_flight.modulation_hz", (1e7, 1.1e7)), setting_text("x", True)
     ('10 MHz, 11 MHz', 'true')
     """
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):  # of NumPy
         value = value.tolist()
     if isinstance(value, bool):
         return str(value).lower()
@@ -119,6 +121,34 @@ def setting_text(name: str, value: Any) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str):
         more = f", ... ({len(value)})" if len(value) > _MOST_ITEMS else ""
         return ", ".join(setting_text(name, item) for item in value[:_MOST_ITEMS]) + more
+    return str(value)
+
+
+def json_text(content: Any) -> str:
+    """A JSON document, null for numbers that are none or infinite."""
+    return json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False)
+
+
+def plain(value: Any) -> Any:
+    """Content as JSON knows it: dataclasses, arrays and paths too; text of anything else.
+
+    >>> plain({"range_m": (1.0, math.nan), "file": None})
+    {'range_m': [1.0, None], 'file': None}
+    """
+    if hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, str):
+        return str(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, Iterable):
+        return [plain(each) for each in value]
     return str(value)
 
 

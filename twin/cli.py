@@ -7,13 +7,15 @@ import sys
 
 import typer
 
-from twin.commands import catalogue, figures, scenes, serving, studies
+from hardware.commands.output import version_option, with_output
+from twin import __version__
+from twin.commands import catalogue, figures, scenes, serving, studies, with_stages
 from twin.progress import interrupts
 
 app = typer.Typer(
     name="twin",
     help="Digital twin of a vehicle's single-pixel camera and radar.",
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -24,20 +26,20 @@ for command in (
     studies.trade,
     studies.sweep,
     studies.show,
-    serving.serve,
     figures.budget,
     figures.safety,
     figures.rcs,
     catalogue.systems,
     catalogue.parts,
-    catalogue.schema,
 ):
-    app.command()(command)
-app.command("import")(scenes.import_)
+    app.command()(with_output(command, f"twin {command.__name__}", during=with_stages))
+app.command("import")(with_output(scenes.import_, "twin import"))
+app.command()(with_output(serving.serve, "twin serve", has_json=False, during=with_stages))
+app.command()(catalogue.schema)
 
 
 @app.callback()
-def _twin() -> None:
+def _twin(version: version_option("twin", lambda: __version__) = False) -> None:  # type: ignore[valid-type]
     """Digital twin of a vehicle's single-pixel camera and radar."""
 
 
@@ -53,7 +55,9 @@ def main() -> None:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except TwinError as error:
         message = str(error)
-    except SystemExit as error:  # commands return; only a user's own code ends the program
+    except SystemExit as error:  # commands return; a user's own code, and completion, do not
+        if "_TWIN_COMPLETE" in os.environ:
+            raise
         message = f"code of one's own called sys.exit({error})"
     except OSError as error:
         from hardware.files import said

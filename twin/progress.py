@@ -13,6 +13,9 @@ OpenStage = Callable[[str], AbstractContextManager[Any]]
 #: the next stage raises it again.
 interrupts: list[int] = []
 
+#: Told of each stage that ends, with its time in s.
+listeners: list[Callable[[str, float], None]] = []
+
 
 def silently(name: str) -> AbstractContextManager[None]:
     """A stage that nobody is told of."""
@@ -59,5 +62,8 @@ class Stages:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            took_s = time.perf_counter() - start
+            self.seconds[name] = self.seconds.get(name, 0.0) + took_s
+            for listener in listeners:
+                listener(name, took_s)
             self._progress.advance(self._task)

@@ -103,11 +103,24 @@ def parse_range(text: str, name: str) -> Array:
     return angles
 
 
+#: Of the table.
+COLUMNS = ("azimuth_deg", "elevation_deg", "rcs_dbsm")
+
+
+def rows(result: "Sweep") -> Iterator[tuple[float, ...]]:
+    """Values under `COLUMNS`, an angle each."""
+    return zip(
+        result.azimuth_deg.tolist(),
+        result.elevation_deg.tolist(),
+        result.cross_section_dbsm.tolist(),
+        strict=True,
+    )
+
+
 def csv_lines(result: "Sweep") -> Iterator[str]:
     """The table, header first."""
-    yield "azimuth_deg,elevation_deg,rcs_dbsm"
-    rows = (result.azimuth_deg, result.elevation_deg, result.cross_section_dbsm)
-    for azimuth, elevation, value in zip(*rows, strict=True):
+    yield ",".join(COLUMNS)
+    for azimuth, elevation, value in rows(result):
         yield f"{azimuth:.10g},{elevation:.10g},{value:.4f}"
 
 

@@ -1,26 +1,35 @@
 """The commands ``ugv reconstruct`` and ``ugv methods``: images from a camera's record."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.commands.output import Output, with_output
 from hardware.errors import InputError
 from hardware.formatting import number, quantity_text, si
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hardware.reconstruction import Mixing, RangeImage, Reconstruction
     from hardware.records import SpiRecord
+
+    Array = NDArray[np.floating]
+
+#: Chance from which on a cell's distance counts as known.
+_SURE = 0.95
 
 
 def register(app: typer.Typer) -> None:
     """Add the camera's commands."""
-    app.command()(reconstruct)
-    app.command()(methods)
+    for command in (reconstruct, methods):
+        app.command()(with_output(command, f"ugv {command.__name__}"))
 
 
 def reconstruct(
+    say: Output,
     record: Annotated[Path, typer.Argument(help="Record of a single-pixel camera (HDF5).")],
     method: Annotated[str, typer.Option(help="See `ugv methods`; or file.py:function.")] = "lmmse",
     mixing: Annotated[
@@ -43,65 +52,106 @@ def reconstruct(
 
     solve, loaded = method_of(method), read_record(record)
     start = time.perf_counter()
+    say.step(f"read {record}")
     calibrated = _mixing(mixing) if mixing else None
     reconstruction = to_image(loaded, solve, mixing=calibrated)
     timed = any(shutter != ALWAYS_OPEN for shutter in loaded.shutters)
     ranges = range_image(loaded, solve, mixing=calibrated) if timed else None
     elapsed = time.perf_counter() - start
+    say.step(f"reconstructed by {solve.name}")
     for warning in dict.fromkeys((*reconstruction.warnings, *(ranges.warnings if ranges else ()))):
-        print(f"warning: {record}: {warning}", file=sys.stderr)
+        say.warn(f"{record}: {warning}")
     detectors, rows, columns = reconstruction.image.shape
-    patterns = loaded.patterns
-    print(
+    patterns, low, high = loaded.patterns, *_extremes(reconstruction.image)
+    say.line(
         f"{record}: {loaded.received.patterns.count} of {patterns.n_cells} patterns "
         f"({patterns.order}, {patterns.mode}), {detectors} image{'s' if detectors > 1 else ''} of "
         f"{rows} x {columns}"
     )
-    print(
-        f"{solve.name}: {si(elapsed, 's')}; cells {number(np.nanmin(reconstruction.image))} to "
-        f"{number(np.nanmax(reconstruction.image))} e-"
+    say.verdict(f"{solve.name}: {si(elapsed, 's')}; cells {number(low)} to {number(high)} e-")
+    say.line(f"noise of one measurement: {_noise(reconstruction)}")
+    figures = [("least cell", "e-", low), ("greatest cell", "e-", high)]
+    figures.append(
+        ("noise of one measurement, median", "e-", _median(reconstruction.noise_electrons))
     )
-    print(f"noise of one measurement: {_noise(reconstruction)}")
     arrays = {"image": reconstruction.image, "noise_electrons": reconstruction.noise_electrons}
     if reconstruction.standard_error is not None:
-        known = reconstruction.standard_error[np.isfinite(reconstruction.standard_error)]
-        error = f"{number(float(np.median(known)))} e- (median)" if known.size else "unknown"
+        typical = _median(reconstruction.standard_error)
+        error = f"{number(typical)} e- (median)" if np.isfinite(typical) else "unknown"
         within = f"95 % lie within {number(reconstruction.errors_in_95)} of them"
-        print(f"standard error of a cell: {error}; {within}")
+        say.line(f"standard error of a cell: {error}; {within}")
+        figures.append(("standard error of a cell, median", "e-", typical))
         arrays["standard_error"] = reconstruction.standard_error
         arrays["errors_in_95"] = np.array(reconstruction.errors_in_95)
     if ranges:
-        print(_distances(loaded, ranges))
+        say.line(_distances(loaded, ranges))
+        figures += _distance_figures(ranges)
         arrays |= {
             "amplitude": ranges.amplitude,
             "distance_m": ranges.distance_m,
             "distance_standard_error_m": ranges.standard_error_m,
             "distance_confidence": ranges.confidence,
         }
+    say.add(
+        record=record,
+        method=solve.name,
+        seconds=elapsed,
+        shape=reconstruction.image.shape,
+        patterns=loaded.received.patterns.count,
+        figures=[dict(zip(("name", "unit", "value"), each, strict=True)) for each in figures],
+    )
     target = out or record.with_name(f"{record.stem}-{solve.name}.npz")
     with target.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
-    print(f"written: {target}")
+    say.written(target)
+
+
+def _extremes(image: "Array") -> tuple[float, float]:
+    import numpy as np
+
+    return float(np.nanmin(image)), float(np.nanmax(image))
+
+
+def _median(values: "Array") -> float:
+    """Of what is known; NaN where nothing is."""
+    import numpy as np
+
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
+
+
+def _distance_figures(ranges: "RangeImage") -> list[tuple[str, str, float]]:
+    """Of the cells surer than 95 %."""
+    import numpy as np
+
+    sure = ranges.confidence > _SURE
+    low, high = np.percentile(ranges.distance_m[sure], [5, 95]) if sure.any() else (np.nan, np.nan)
+    return [
+        ("share of cells surer than 95 %", "", float(sure.mean())),
+        ("distance, 5 % of these are nearer", "m", float(low)),
+        ("distance, 5 % of these are farther", "m", float(high)),
+    ]
 
 
 def _noise(reconstruction: "Reconstruction") -> str:
     import numpy as np
 
-    is_known = np.isfinite(reconstruction.noise_electrons)
-    if is_known.any():
-        return f"{number(float(np.median(reconstruction.noise_electrons[is_known])))} e- (median)"
+    if np.isfinite(known := _median(reconstruction.noise_electrons)):
+        return f"{number(known)} e- (median)"
     most = float(np.median(reconstruction.most_noise_electrons))
     bound = f", at most {number(most)} e- (median)" if np.isfinite(most) else ""
     return f"not told by this record{bound}"
 
 
-def methods() -> None:
+def methods(say: Output) -> None:
     """List the reconstruction methods."""
     from hardware.reconstruction import METHODS, load_plugins
 
     load_plugins()
-    for name, method in sorted(METHODS.items()):
-        print(f"{name}: {method.summary}")
+    known = sorted(METHODS.items())
+    for name, method in known:
+        say.verdict(f"{name}: {method.summary}")
+    say.add(methods=[{"name": name, "summary": method.summary} for name, method in known])
 
 
 def _distances(record: "SpiRecord", ranges: "RangeImage") -> str:
@@ -115,7 +165,7 @@ def _distances(record: "SpiRecord", ranges: "RangeImage") -> str:
         else "gates"
     )
     head = f"{len(record.shutters)} {how}, distances up to {si(ranges.longest_m, 'm', 4)}"
-    sure = ranges.confidence > 0.95
+    sure = ranges.confidence > _SURE
     if not sure.any():
         return f"{head}: none surer than 95 %"
     low, high = np.percentile(ranges.distance_m[sure], [5, 95])

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from hardware.commands.output import Output, with_output
 from hardware.commands.quantities import quantity_of
 from hardware.commands.radar import (
     CfarMethod,
@@ -56,14 +56,15 @@ _MaxAge = Annotated[
 def register(app: typer.Typer) -> None:
     """Add the commands to an application."""
     for command in (capture, process, replay, info, recover, export):
-        app.command()(command)
+        app.command()(with_output(command, f"ugv {command.__name__}"))
     calibrate = typer.Typer(help="Calibrate against a reference target at a known distance.")
-    calibrate.command("camera")(calibrate_camera)
-    calibrate.command("radar")(calibrate_radar)
+    calibrate.command("camera")(with_output(calibrate_camera, "ugv calibrate camera"))
+    calibrate.command("radar")(with_output(calibrate_radar, "ugv calibrate radar"))
     app.add_typer(calibrate, name="calibrate")
 
 
 def capture(
+    say: Output,
     urls: Annotated[
         list[str],
         typer.Argument(
@@ -103,10 +104,13 @@ def capture(
             for received in incoming:
                 n[received.topic] += 1
                 missed[received.topic] += _nothing_heard(received)
+                say.step(f"{received.topic}: record {n[received.topic]}")
         finally:
             if over.is_set():
-                print("stopped")
-            print(f"{out}: {n.total()} records in {time.monotonic() - begun:.1f} s")
+                say.line("stopped")
+            took_s = time.monotonic() - begun
+            say.verdict(f"{out}: {n.total()} records in {took_s:.1f} s")
+            say.add(log=out, records=dict(n), seconds=took_s, stopped=over.is_set())
         if not n:
             raise InputError(f"{', '.join(urls)}: no record came")
     for topic in n:
@@ -116,10 +120,11 @@ def capture(
                 "heard: the bursts reach the radio after their time. Give the setup more time "
                 "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
             )
-    _tell({url.removeprefix("replay:").partition("?")[0]: end for url, end in endings.items()})
+    _tell(say, {url.removeprefix("replay:").partition("?")[0]: end for url, end in endings.items()})
 
 
 def process(
+    say: Output,
     source: Annotated[str, typer.Argument(help="A log, or the URL of a sensor.")],
     *,
     out: Annotated[
@@ -166,6 +171,7 @@ def process(
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
     n, failed, ending = 0, False, Ending()
+    results: list[dict[str, str]] = []
     with asked_to_end() as over, Log(target) as log:
         incoming = _records(source, settings, radar_setup, over, ending)
         for received in itertools.islice(incoming, records or None):
@@ -187,23 +193,28 @@ def process(
                     raise
                 # Too little of this record arrived; the next one may be whole.
                 failed = True
-                print(f"warning: {received.topic}: not processed: {error}", file=sys.stderr)
+                say.warn(f"{received.topic}: not processed: {error}")
                 continue
             n += 1
+            say.step(f"processed record {n}, of {received.topic}")
             for warning in outcome.warnings:
-                print(f"warning: {received.topic}: {warning}", file=sys.stderr)
+                say.warn(f"{received.topic}: {warning}")
             for line in outcome.lines:
-                print(f"{received.topic}: {line}")
+                say.verdict(f"{received.topic}: {line}")
+            if say.json:
+                results += [{"topic": received.topic, "result": line} for line in outcome.lines]
         if over.is_set():
-            print("stopped")
+            say.line("stopped")
         if not n:
             whole = "whole " if failed else ""
             raise InputError(f"{source}: no {whole}record in it{_because(ending)}")
-    print(f"written: {target}")
-    _tell({source.removeprefix("replay:").partition("?")[0]: ending})
+    say.add(source=source, records=n, results=results)
+    say.written(target)
+    _tell(say, {source.removeprefix("replay:").partition("?")[0]: ending})
 
 
 def replay(
+    say: Output,
     path: Annotated[Path, typer.Argument(help="A log.")],
     speed: Annotated[float, typer.Option(help="Times the recorded pace.")] = 1.0,
 ) -> None:
@@ -212,16 +223,22 @@ def replay(
     from hardware.sources import replay as play
 
     first_ns, ending = None, Ending()
+    records: list[dict[str, Any]] = []
     for received in play(path, speed=speed, ending=ending):
         first_ns = received.host_ns if first_ns is None else first_ns
         since_s = (received.host_ns - first_ns) * 1e-9
-        print(f"{since_s:10.3f} s  {received.topic}  {_flags(received)}", flush=True)
+        flags = _flag_counts(received.record.flags)
+        told = ", ".join(f"{n} {name}" for name, n in flags.items())
+        say.verdict(f"{since_s:10.3f} s  {received.topic}  {told}".rstrip())
+        if say.json:
+            records.append({"topic": received.topic, "time_s": since_s, "flags": flags})
     if first_ns is None:
         raise InputError(f"{path}: no record in it{_because(ending)}")
-    _tell({path: ending})
+    say.add(log=path, records=records)
+    _tell(say, {path: ending})
 
 
-def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
+def info(say: Output, path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
     """Print the contents of a log."""
     from hardware.recording.reading import Ending, read_messages, unpack_record
     from hardware.records import SpiRecord
@@ -244,22 +261,34 @@ def info(path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
     if ending.fault and not counts:
         raise InputError(f"{path}: no whole message in it: {ending.fault}")
     length_s = max(times[1] - times[0], 0) * 1e-9 if counts else 0.0
-    print(f"{path}: {sum(counts.values())} messages over {length_s:.3f} s")
+    say.verdict(f"{path}: {sum(counts.values())} messages over {length_s:.3f} s")
     for topic, n in sorted(counts.items()):
-        print(f"  {topic}: {n} x {types[topic]}")
+        say.line(f"  {topic}: {n} x {types[topic]}")
     for device in sorted(devices):
-        print(f"  device: {device}")
-    print("  flags: " + (", ".join(f"{n} {name}" for name, n in flags.items()) or "none"))
+        say.line(f"  device: {device}")
+    say.line("  flags: " + (", ".join(f"{n} {name}" for name, n in flags.items()) or "none"))
     for topic, n in sorted(missing.items()):
         if n:
-            print(f"  missing: {n} exposures of {topic}, between its records")
+            say.line(f"  missing: {n} exposures of {topic}, between its records")
     if ending.fault:
-        print(f"  {ending.advice(path)}")
+        say.verdict(f"  {ending.advice(path)}")
+    say.add(
+        log=path,
+        duration_s=length_s,
+        topics=[
+            {"topic": topic, "messages": n, "type": types[topic], "missing": missing[topic]}
+            for topic, n in sorted(counts.items())
+        ],
+        devices=sorted(devices),
+        flags=flags,
+        fault=ending.fault,
+    )
     if ending.lost:
         raise typer.Exit(_DATA_LOST)
 
 
 def recover(
+    say: Output,
     path: Annotated[Path, typer.Argument(help="A log that was cut short.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Instead of in its own place.")
@@ -271,15 +300,18 @@ def recover(
     from hardware.recording import recover as run
 
     result = run(path, out)
-    print(f"{out or path}: {result.kept} messages; {result.ending.fault or 'nothing was wrong'}")
+    fault = result.ending.fault
+    say.verdict(f"{out or path}: {result.kept} messages; {fault or 'nothing was wrong'}")
+    say.add(log=out or path, messages=result.kept, fault=fault, original=result.original)
     if result.original:
-        print(f"as it was: {result.original}")
+        say.line(f"as it was: {result.original}")
     if result.ending.lost:
-        print(f"warning: {path}: {result.ending.lost}", file=sys.stderr)
+        say.warn(f"{path}: {result.ending.lost}")
         raise typer.Exit(_DATA_LOST)
 
 
 def export(
+    say: Output,
     path: Annotated[Path, typer.Argument(help="A log.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the SigMF recordings.")],
 ) -> None:
@@ -297,11 +329,13 @@ def export(
             n += 1
     if not n:
         raise InputError(f"{path}: no radar record in it{_because(ending)}")
-    print(f"{out}: {n} recordings")
-    _tell({path: ending})
+    say.verdict(f"{out}: {n} recordings")
+    say.add(recordings=n, folder=out)
+    _tell(say, {path: ending})
 
 
 def calibrate_camera(
+    say: Output,
     dark: Annotated[str, typer.Argument(help="Log or URL: the lens covered.")],
     flat: Annotated[str, typer.Argument(help="Log or URL: the target fills the view.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
@@ -318,10 +352,11 @@ def calibrate_camera(
     target = CalibrationTarget(distance, reflectance)
     pair = [_first(_records(source, settings), source, SpiRecord) for source in (dark, flat)]
     write_calibration(CameraCalibration.of(pair[0], pair[1], target), out)
-    print(f"written: {out}")
+    say.written(out)
 
 
 def calibrate_radar(
+    say: Output,
     source: Annotated[str, typer.Argument(help="Log or URL: the target in view.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
     distance: Annotated[float, typer.Option(help="Of the target, m.", parser=quantity_of("m"))],
@@ -339,10 +374,12 @@ def calibrate_radar(
     record = _first(_records(source, None, radar_setup), source, RadarRecord)
     frame = processed(record)
     for warning in frame.warnings:
-        print(f"warning: {source}: {warning}", file=sys.stderr)
+        say.warn(f"{source}: {warning}")
     result = RadarCalibration.of(record.device, frame.detections, target)
     write_calibration(result, out)
-    print(f"range offset {si(result.range_offset_m, 'm')}; written: {out}")
+    say.verdict(f"range offset {si(result.range_offset_m, 'm')}")
+    say.add(range_offset_m=result.range_offset_m)
+    say.written(out)
 
 
 def _records(
@@ -364,11 +401,11 @@ def _because(ending: "Ending") -> str:
     return f" ({ending.fault})" if ending.fault else ""
 
 
-def _tell(endings: Mapping[str | Path, "Ending"]) -> None:
+def _tell(say: Output, endings: Mapping[str | Path, "Ending"]) -> None:
     """Warn of incomplete logs; where data are lost, exit with status 1."""
     for path, ending in endings.items():
         if ending.fault:
-            print(f"warning: {path}: {ending.advice(path)}", file=sys.stderr)
+            say.warn(f"{path}: {ending.advice(path)}")
     if any(ending.lost for ending in endings.values()):
         raise typer.Exit(_DATA_LOST)
 
@@ -404,11 +441,6 @@ def _nothing_heard(received: "Received") -> bool:
 
     record = received.record
     return isinstance(record, RadarRecord) and bool((record.flags & Flag.OVERRUN).all())
-
-
-def _flags(received: "Received") -> str:
-    counts = _flag_counts(received.record.flags)
-    return ", ".join(f"{n} {name}" for name, n in counts.items())
 
 
 def _flag_counts(flags: object) -> dict[str, int]:

@@ -1,12 +1,12 @@
 """The commands ``ugv detect`` and ``ugv image``: detections and images from a radar's record."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.commands.output import Output, with_output
 from hardware.commands.quantities import quantity_of
 from hardware.errors import InputError
 from hardware.formatting import si
@@ -31,8 +31,8 @@ MovingOnly = Annotated[bool, typer.Option(help="Leave out static targets.")]
 
 def register(app: typer.Typer) -> None:
     """Add the radar's commands."""
-    app.command()(detect)
-    app.command()(image)
+    for command in (detect, image):
+        app.command()(with_output(command, f"ugv {command.__name__}"))
 
 
 def processing(
@@ -70,6 +70,7 @@ def _shape(asked: str | None) -> float | str | None:
 
 
 def detect(
+    say: Output,
     record: Record,
     *,
     false_alarm: FalseAlarm = None,
@@ -103,22 +104,29 @@ def detect(
         raise InputError(f"{calibration}: the calibration of a camera, expected a radar's")
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
     loaded, table = read_radar_record(record), []
+    say.step(f"read {record}")
     for frame in frames(loaded, how):
-        _warn(record, frame.warnings)
+        say.step(f"processed burst {frame.burst}")
+        _warn(say, record, frame.warnings)
         detections = calibrated(frame, loaded, reference)
-        print(f"{record}: burst {frame.burst}: {len(detections)} detections{frame.by}")
+        say.verdict(f"{record}: burst {frame.burst}: {len(detections)} detections{frame.by}")
         for line in table_rows(detections) if detections else ():
-            print(line)
+            say.line(line)
         if png and frame.burst == 0:
             write_png(png, frame.image.power_w)
-            print(f"written: {png} (range downwards, rate to the right)")
+            say.written(png, " (range downwards, rate to the right)")
         table += [(frame.burst, detection) for detection in detections]
+    say.add(
+        record=record,
+        detections=[{"burst": burst, **vars(detection)} for burst, detection in table],
+    )
     target = out or record.with_name(f"{record.stem}-detections.csv")
     write_detections(target, table)
-    print(f"written: {target}")
+    say.written(target)
 
 
 def image(
+    say: Output,
     record: Record,
     *,
     near: Annotated[
@@ -150,32 +158,45 @@ def image(
 
     if cells < 1 or not near < far or not width > 0:
         raise InputError(f"image: {cells} cells from {near:g} to {far:g} m, {width:g} m wide")
+    loaded = read_radar_record(record)
+    say.step(f"read {record}")
     focused = focus(
-        read_radar_record(record),
+        loaded,
         np.linspace(near, far, cells),
         np.linspace(-width / 2, width / 2, cells),
         wall=Wall(*wall) if wall else None,
     )
-    _warn(record, focused.warnings)
+    say.step("focused")
+    _warn(say, record, focused.warnings)
     power = np.abs(focused.value) ** 2
     down, cross = np.unravel_index(np.argmax(power), power.shape)
-    print(
+    say.line(
         f"{record}: {focused.n_bursts} bursts; resolution {si(focused.down_resolution_m, 'm')} "
         f"down-range (Eq. 7), {si(focused.cross_resolution_m, 'm')} cross-range (Eq. 6)"
     )
-    print(
-        f"peak {10 * np.log10(1e3 * power.max()) if power.any() else -np.inf:.1f} dBm at "
-        f"{focused.down_range_m[down]:.3f} m, {focused.cross_range_m[cross]:+.3f} m to the left"
+    peak_dbm = 10 * np.log10(1e3 * power.max()) if power.any() else -np.inf
+    down_m, cross_m = focused.down_range_m[down], focused.cross_range_m[cross]
+    say.verdict(f"peak {peak_dbm:.1f} dBm at {down_m:.3f} m, {cross_m:+.3f} m to the left")
+    say.add(
+        record=record,
+        bursts=focused.n_bursts,
+        figures=[
+            {"name": "resolution, down-range", "unit": "m", "value": focused.down_resolution_m},
+            {"name": "resolution, cross-range", "unit": "m", "value": focused.cross_resolution_m},
+            {"name": "peak", "unit": "dBm", "value": peak_dbm},
+            {"name": "down-range of the peak", "unit": "m", "value": down_m},
+            {"name": "cross-range of the peak", "unit": "m", "value": cross_m},
+        ],
     )
     target = out or record.with_name(f"{record.stem}-image.csv")
     write_image(target, focused)
-    print(f"written: {target}")
+    say.written(target)
     if png:
         # As seen from above: far on top, left on the left.
         write_png(png, power[::-1, ::-1], span_db=25.0)
-        print(f"written: {png}")
+        say.written(png)
 
 
-def _warn(record: Path, warnings: tuple[str, ...]) -> None:
+def _warn(say: Output, record: Path, warnings: tuple[str, ...]) -> None:
     for warning in warnings:
-        print(f"warning: {record}: {warning}", file=sys.stderr)
+        say.warn(f"{record}: {warning}")

@@ -1,5 +1,10 @@
 """The command ``ugv``, as a user runs it."""
 
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -79,3 +84,44 @@ def test_errors_are_one_line(record, arguments: list[str], message: str) -> None
     assert done.returncode == 2
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_version_help_and_completion() -> None:
+    assert ugv("--version").stdout == f"ugv {version('ugv-twin')}\n"
+    assert ugv("detect", "-h").stdout == ugv("detect", "--help").stdout
+    asked = {"_UGV_COMPLETE": "complete_bash", "COMP_WORDS": "ugv rec", "COMP_CWORD": "1"}
+    code = "import sys; sys.argv = ['ugv']; from hardware.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **asked},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert {"reconstruct", "recover"} <= set(done.stdout.split())
+
+
+def test_quiet_verbose_and_a_document(record: tuple[Path, SpiRecord], tmp_path: Path) -> None:
+    """The verdict alone; times beside the same lines; the numbers of what is written."""
+    path, made = record
+    out = tmp_path / "image.npz"
+    words = ("reconstruct", path, "--out", out)
+    plain = ugv(*words)
+    quiet = ugv(*words, "-q")
+    assert quiet.stderr == ""
+    assert [line[:6] for line in quiet.stdout.splitlines()] == ["lmmse:"]
+    assert f"read {path}" in ugv(*words, "-v").stderr
+    done = ugv(*words, "--json")
+    content = json.loads(done.stdout)
+    assert len(done.stderr.splitlines()) == len((plain.stdout + plain.stderr).splitlines())
+    image = reconstruct(made).image
+    values = {figure["name"]: figure["value"] for figure in content["figures"]}
+    assert values["least cell"] == pytest.approx(image.min())
+    assert values["greatest cell"] == pytest.approx(image.max())
+    assert content["shape"] == [2, 8, 16]
+    assert content["written"] == [str(out)]
+
+
+def test_methods_as_a_document() -> None:
+    named = {method["name"] for method in json.loads(ugv("methods", "--json").stdout)["methods"]}
+    assert named == set(METHODS)

@@ -1,6 +1,5 @@
 """Budgets as tables for a terminal, as JSON, and as a plot: of a system, and the paper's table."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from hardware.formatting import number, quantity_text, si
+from hardware.formatting import json_text, number, quantity_text, si
 from twin.budget.design import WallRow
 from twin.budget.frame_rate import FrameRate
 from twin.budget.table1 import REFLECTANCES, AuditRow
@@ -29,10 +28,14 @@ def print_budget(rows: Sequence[AuditRow], rates: Sequence[FrameRate], console: 
     console.print(_rates(rates))
 
 
+def budget_content(rows: Sequence[AuditRow], rates: Sequence[FrameRate]) -> dict[str, Any]:
+    """Every number of the tables, for JSON."""
+    return {"table1": rows, "frame_rates": rates}
+
+
 def write_budget(rows: Sequence[AuditRow], rates: Sequence[FrameRate], folder: Path) -> None:
     """``budget.json`` with every number, ``budget.png`` with times over printed times."""
-    content = {"table1": [_plain(row) for row in rows], "frame_rates": [asdict(r) for r in rates]}
-    (folder / "budget.json").write_text(json.dumps(content, indent=1))
+    (folder / "budget.json").write_text(json_text(budget_content(rows, rates)))
     plot_budget(rows).savefig(folder / "budget.png", metadata={"Software": None})
 
 
@@ -70,24 +73,18 @@ def print_design(system: System, rows: Sequence[WallRow], console: Console) -> N
     console.print(table)
 
 
+def design_content(system: System, rows: Sequence[WallRow]) -> dict[str, Any]:
+    """Every number of the table, for JSON."""
+    walls = [{**asdict(row), "saturates": row.saturates} for row in rows]
+    return {"system": system.name, "frame_time_s": system.frame_time_s, "walls": walls}
+
+
 def write_design(system: System, rows: Sequence[WallRow], folder: Path) -> None:
     """``budget.json`` with every number of a system, null for NaN and infinity; ``budget.png`` with
     the SNR over distance.
     """
-    walls = [
-        {
-            name: _finite(value)
-            for name, value in {**asdict(row), "saturates": row.saturates}.items()
-        }
-        for row in rows
-    ]
-    content = {"system": system.name, "frame_time_s": system.frame_time_s, "walls": walls}
-    (folder / "budget.json").write_text(json.dumps(content, indent=1, allow_nan=False))
+    (folder / "budget.json").write_text(json_text(design_content(system, rows)))
     plot_design(system, rows).savefig(folder / "budget.png", metadata={"Software": None})
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def plot_design(system: System, rows: Sequence[WallRow]) -> Figure:
@@ -171,10 +168,3 @@ def _rates(rates: Sequence[FrameRate]) -> Table:
             f"{rate.differential_overlapped:.1f}",
         )
     return table
-
-
-def _plain(row: AuditRow) -> dict[str, Any]:
-    return {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in vars(row).items()
-    }

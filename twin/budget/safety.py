@@ -1,6 +1,5 @@
 """Margin of a design to the exposure limits of the eye, and its dependence on wavelength."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from hardware.formatting import number, si
+from hardware.formatting import json_text, number, si
 from twin.optics.eye_safety import class_1_ael_j, mpe_j_per_m2
 from twin.optics.hazards import Hazard, assumptions
 from twin.system import System
@@ -54,10 +53,23 @@ def print_safety(system: System, rows: Sequence[Hazard], console: Console) -> No
     console.print(ratios)
 
 
+def safety_verdict(rows: Sequence[Hazard]) -> str:
+    """Of the least margin at the first wavelength, the emitter's own."""
+    own = [row for row in rows if row.wavelength_m == rows[0].wavelength_m]
+    least = min(own, key=lambda row: row.margin)
+    word = "within" if least.margin >= 1 else "beyond"
+    return f"{word} the limits of the eye, least margin {number(least.margin)} ({least.name})"
+
+
 def write_safety(system: System, rows: Sequence[Hazard], folder: Path) -> None:
     """``safety.json`` with every number."""
+    (folder / "safety.json").write_text(json_text(safety_content(system, rows)))
+
+
+def safety_content(system: System, rows: Sequence[Hazard]) -> dict[str, Any]:
+    """Every number of the tables, for JSON."""
     exposure, energy = wavelength_ratio(np.array(DURATIONS_S))
-    content = {
+    return {
         "system": system.name,
         "hazards": [{**asdict(row), "margin": row.margin} for row in rows],
         "assumed": assumptions(system),
@@ -67,4 +79,3 @@ def write_safety(system: System, rows: Sequence[Hazard], folder: Path) -> None:
             "energy": energy.tolist(),
         },
     }
-    (folder / "safety.json").write_text(json.dumps(content, indent=1))

@@ -1,11 +1,11 @@
 """Arguments that several commands take."""
 
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.commands.output import Output
 from hardware.commands.quantities import quantity_of
 from hardware.formatting import quantity_text
 
@@ -50,6 +50,7 @@ WithinOption = Annotated[
 
 
 def knobs_asked(
+    say: Output,
     load: "Callable[[], Scene]",
     system: "System | str | None",
     radar: "RadarDesign | None",
@@ -68,7 +69,7 @@ def knobs_asked(
     if within is None:
         asked = None if tolerance is None else Tolerance.of(tolerance)
         return knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
-    return knobs_within(load, system, radar, within)
+    return knobs_within(say, load, system, radar, within)
 
 
 def only_one(fidelity: str | None, tolerance: str | None, within: float | None) -> None:
@@ -80,6 +81,7 @@ def only_one(fidelity: str | None, tolerance: str | None, within: float | None) 
 
 
 def knobs_within(
+    say: Output,
     load: "Callable[[], Scene]",
     system: "System | str | None",
     radar: "RadarDesign | None",
@@ -89,5 +91,5 @@ def knobs_within(
     from twin.trade import fidelity_within
 
     chosen = fidelity_within(load(), within, system=system, radar=radar)
-    print(f"within {quantity_text(within, 's')}: {chosen}", file=sys.stderr)
+    say.line(f"within {quantity_text(within, 's')}: {chosen}")
     return chosen.fidelity

@@ -1,22 +1,23 @@
 """`twin budget`, `safety`, `rcs`: figures of a design, a lamp, a mesh."""
 
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.commands.output import Output
 from hardware.commands.quantities import quantity_of
+from hardware.formatting import si
+from twin.commands import console_of
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from twin.system import System
 
 
 def budget(
+    say: Output,
     system: Annotated[
         str | None, typer.Option(help="Bundled system or TOML file; none: the paper's Table 1.")
     ] = None,
@@ -34,8 +35,6 @@ def budget(
     out: Annotated[Path | None, typer.Option(help="Folder for budget.json and budget.png.")] = None,
 ) -> None:
     """A system of one's own in closed form; without one, the paper's Table 1 and frame rates."""
-    from rich.console import Console
-
     from twin.files import InputError, check_out, whole_folder
     from twin.system import load_system
 
@@ -44,48 +43,59 @@ def budget(
     if not of_table_1 and (whole_line or before_lens):
         raise InputError("--whole-line, --filter-before-lens: are of the paper's table: --table-1")
     design = load_system(system or "paper")
-    console = Console(width=None if sys.stdout.isatty() else 150)
     if of_table_1:
-        write = _table_1(design, console, whole_line=whole_line, filter_before_lens=before_lens)
+        write = _table_1(say, design, whole_line=whole_line, filter_before_lens=before_lens)
         concerned = {"emitter", "filter", "optics", "sky"}
     else:
         z = _numbers("distances", distances, "m")
         rho = _numbers("reflectances", reflectances, None, most=1.0)
-        write = _own_design(design, z, rho, console)
+        write = _own_design(say, design, z, rho)
         concerned = {name.split(".")[0] for name, _ in design.values()}
-    for name, said in design.assumed():
-        if name.split(".")[0] in concerned:
-            print(f"assumed: {said}")
+    assumed = [said for name, said in design.assumed() if name.split(".")[0] in concerned]
+    say.add(assumed=assumed)
+    for said in assumed:
+        say.line(f"assumed: {said}")
     if out is not None:
         with whole_folder(out) as folder:
             write(folder)
-        print(f"written: {out / 'budget.json'}")
+        say.written(out / "budget.json")
 
 
-def _table_1(design: "System", console: "Console", **options: bool) -> "Callable[[Path], None]":
+def _table_1(say: Output, design: "System", **options: bool) -> "Callable[[Path], None]":
     """Print the paper's table with the emitter, filter and lens of a system; how to write it."""
     from twin.budget import SENSORS, audit, frame_rates, link_of
-    from twin.budget.report import print_budget, write_budget
+    from twin.budget.report import budget_content, print_budget, write_budget
     from twin.system import load_part
 
     parts = [load_part(name) for name in SENSORS]
     rows = [audit(link_of(design, part, **options), part) for part in parts]
     rates = [rate for part in parts if "paper" not in part.name for rate in frame_rates(part)]
-    print_budget(rows, rates, console)
+    say.add(**budget_content(rows, rates))
+    print_budget(rows, rates, console_of(say))
+    off = [float(share) for row in rows for share in row.residual]
+    verdict = f"one read noise a sensor gives times {min(off):+.0%} to {max(off):+.0%} off Table 1"
+    say.add(verdict=verdict)
+    say.verdict(verdict)
     return lambda folder: write_budget(rows, rates, folder)
 
 
 def _own_design(
-    design: "System", distances_m: list[float], reflectances: list[float], console: "Console"
+    say: Output, design: "System", distances_m: list[float], reflectances: list[float]
 ) -> "Callable[[Path], None]":
     """Print a system's own budget; how to write it."""
     from twin.budget.design import left_out, wall_rows
-    from twin.budget.report import print_design, write_design
+    from twin.budget.report import design_content, print_design, write_design
 
     rows = wall_rows(design, distances_m, reflectances)
-    print_design(design, rows, console)
-    if missing := left_out(design):
-        print(f"left out: {', '.join(missing)}")
+    missing = left_out(design)
+    say.add(**design_content(design, rows), left_out=missing)
+    print_design(design, rows, console_of(say))
+    if missing:
+        say.line(f"left out: {', '.join(missing)}")
+    far = max(row.maximum_distance_m for row in rows)
+    verdict = f"{design.name}: SNR 1 per pixel at up to {si(far, 'm')}"
+    say.add(verdict=verdict)
+    say.verdict(verdict)
     return lambda folder: write_design(design, rows, folder)
 
 
@@ -105,13 +115,12 @@ def _numbers(name: str, text: str, unit: str | None, most: float = math.inf) -> 
 
 
 def safety(
+    say: Output,
     system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
     out: Annotated[Path | None, typer.Option(help="Folder for safety.json.")] = None,
 ) -> None:
     """Margin to the exposure limits of the eye, beside the same light at 850 nm."""
-    from rich.console import Console
-
-    from twin.budget.safety import print_safety, write_safety
+    from twin.budget.safety import print_safety, safety_content, safety_verdict, write_safety
     from twin.files import InputError, check_out, whole_folder
     from twin.optics.hazards import assumptions, hazards
     from twin.system import load_system
@@ -123,16 +132,19 @@ def safety(
     except InputError as error:
         raise InputError(f"{system}: emitter.peak_wavelength_m: {error}") from error
     rows += hazards(design, 850e-9)
-    print_safety(design, rows, Console(width=None if sys.stdout.isatty() else 150))
+    say.add(verdict=safety_verdict(rows), **safety_content(design, rows))
+    print_safety(design, rows, console_of(say))
     for line in assumptions(design):
-        print(f"assumed: {line}")
+        say.line(f"assumed: {line}")
+    say.verdict(f"{design.name}: {safety_verdict(rows)}")
     if out is not None:
         with whole_folder(out) as folder:
             write_safety(design, rows, folder)
-        print(f"written: {out / 'safety.json'}")
+        say.written(out / "safety.json")
 
 
 def rcs(
+    say: Output,
     mesh: Annotated[Path, typer.Argument(help="PLY, OBJ, STL or glTF file.")],
     *,
     carrier_hz: Annotated[
@@ -178,7 +190,7 @@ def rcs(
     Facets count by exact integrals, divided to the tolerance where shadows end on them or the radar
     is near; what they light of each other by rays that are as close as the tolerance asks for.
     """
-    from twin.rcs import Request, csv_lines, run
+    from twin.rcs import COLUMNS, Request, csv_lines, rows, run
 
     result = run(
         Request(
@@ -197,8 +209,10 @@ def rcs(
         out,
     )
     for warning in result.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        say.warn(warning)
+    say.add(rows=[dict(zip(COLUMNS, row, strict=True)) for row in rows(result)])
     if out is None:
-        print("\n".join(csv_lines(result)))
+        say.verdict("\n".join(csv_lines(result)))
     else:
-        print(f"written: {out}, {out.with_suffix('.png')}")
+        say.written(out)
+        say.written(out.with_suffix(".png"))

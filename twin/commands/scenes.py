@@ -1,13 +1,13 @@
 """`twin run`, `check`, `import`: a scene, and everything the sensors make of it."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.commands.output import Output
 from hardware.formatting import number
-from twin.commands import loading
+from twin.commands import console_of, loading
 from twin.commands.arguments import (
     FidelityOption,
     PoseOption,
@@ -19,9 +19,11 @@ from twin.commands.arguments import (
 
 if TYPE_CHECKING:
     from twin.job import Result
+    from twin.radar.evaluation import RadarEvaluation
 
 
 def run(
+    say: Output,
     scene: SceneArgument,
     *,
     system: Annotated[
@@ -69,13 +71,14 @@ def run(
     with loading():
         from twin.job import run as run_job
         from twin.radar import load_radar
-        from twin.radar.propagation.scene.scattering_models import ScatteringModel
+        from twin.report.summary import summary
         from twin.scene import load_scene, parse_pose, parse_track
 
     design = None if radar == "none" else load_radar(radar)
     camera = None if system == "none" else system
     at = parse_pose(pose) if pose is not None else None
     knobs = knobs_asked(
+        say,
         lambda: load_scene(scene, at),
         camera,
         design,
@@ -98,39 +101,57 @@ def run(
         method=method,
         detection=detection,
     )
+    _tell_verdicts(say, result)
+    if result.radar:
+        _tell_roles(say, result.radar)
+    if explain:
+        _print_decisions(say, result)
+    say.add(
+        scene=result.scene.name,
+        out=result.out,
+        seconds=result.seconds,
+        **summary(result.evaluations, result.radar),
+    )
+    say.written(result.out / "report.html", name="report")
+
+
+def _tell_verdicts(say: Output, result: "Result") -> None:
+    """Warnings, and what each sensor achieved."""
     for warning in result.scene.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        say.warn(warning)
+    verdicts = []
     for evaluation in result.evaluations:
         for warning in evaluation.capture.warnings:
-            print(f"warning: {evaluation.system.name}: {warning}", file=sys.stderr)
-        print(evaluation)
+            say.warn(f"{evaluation.system.name}: {warning}")
+        say.verdict(evaluation)
+        verdicts.append({"of": evaluation.system.name, "verdict": str(evaluation)})
     if result.radar:
+        name = result.radar.radar.name
         for warning in result.radar.capture.warnings:
-            print(f"warning: {result.radar.radar.name}: {warning}", file=sys.stderr)
-        tables = [
-            a.name
-            for a in result.radar.capture.propagation.roles
-            if a.role is ScatteringModel.TABLE
-        ]
-        if tables:
-            print(f"{result.radar.radar.name}: tables stand for {', '.join(tables)}")
-        print(result.radar)
-        if result.radar.picture:
-            for seen in result.radar.picture.seen:
-                print(
-                    f"{seen.name}: seen {seen.down_range_m:.3f} m ahead, "
-                    f"{seen.cross_range_m:+.3f} m to the left; "
-                    f"cross-section {number(seen.rcs_m2)}, "
-                    f"declared {number(seen.declared_rcs_m2)} m^2"
-                )
-    if explain:
-        _print_decisions(result)
-    print(f"report: {result.out / 'report.html'}")
+            say.warn(f"{name}: {warning}")
+        say.verdict(result.radar)
+        verdicts.append({"of": name, "verdict": str(result.radar)})
+    say.add(verdicts=verdicts)
 
 
-def check(scene: SceneArgument, pose: PoseOption = None) -> None:
+def _tell_roles(say: Output, radar: "RadarEvaluation") -> None:
+    """Objects for which tables stand, and targets in the picture of a track."""
+    from twin.radar.propagation.scene.scattering_models import ScatteringModel
+
+    roles = radar.capture.propagation.roles
+    tables = [role.name for role in roles if role.role is ScatteringModel.TABLE]
+    if tables:
+        say.line(f"{radar.radar.name}: tables stand for {', '.join(tables)}")
+    for seen in radar.picture.seen if radar.picture else ():
+        say.line(
+            f"{seen.name}: seen {seen.down_range_m:.3f} m ahead, "
+            f"{seen.cross_range_m:+.3f} m to the left; cross-section {number(seen.rcs_m2)}, "
+            f"declared {number(seen.declared_rcs_m2)} m^2"
+        )
+
+
+def check(say: Output, scene: SceneArgument, pose: PoseOption = None) -> None:
     """Validate a scene and list what it holds."""
-    from rich.console import Console
     from rich.table import Table
 
     from twin.scene import load_scene, parse_pose
@@ -139,18 +160,31 @@ def check(scene: SceneArgument, pose: PoseOption = None) -> None:
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
     columns = ("object", "triangles", "size (m)", "nearest (m)", "material", "reflectance", "")
     table = Table(*columns, title=f"{loaded.name}: {loaded.triangles} triangles", box=None)
-    for row in check_scene(loaded):
+    rows = check_scene(loaded)
+    for row in rows:
         size = " x ".join(map(number, row.size_m))
         cells = (row.name, str(row.triangles), size, number(row.nearest_m))
         table.add_row(*cells, row.material, row.reflectance, "; ".join(row.remarks))
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
-    print(f"rig: {loaded.rig.pose}")
-    print(f"sun: {loaded.sun}")
+    console_of(say, 140).print(table)
+    say.line(f"rig: {loaded.rig.pose}")
+    say.line(f"sun: {loaded.sun}")
     for warning in loaded.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        say.warn(warning)
+    odd = sum(bool(row.remarks) for row in rows)
+    verdict = f"{len(rows)} objects, {odd} with remarks, {len(loaded.warnings)} warnings"
+    say.verdict(f"{loaded.name}: {verdict}")
+    say.add(
+        scene=loaded.name,
+        verdict=verdict,
+        triangles=loaded.triangles,
+        objects=rows,
+        rig=loaded.rig.pose,
+        sun=loaded.sun,
+    )
 
 
 def import_(
+    say: Output,
     model: Annotated[Path, typer.Argument(help="glTF, OBJ, STL or PLY file.")],
     folder: Annotated[Path, typer.Argument(help="Scene folder to write, e.g. scenes/NAME.")],
     scale: Annotated[float, typer.Option(help="Metres per unit of the model.")] = 1.0,
@@ -180,13 +214,13 @@ def import_(
         texture_as_reflectance=texture_as_reflectance,
     )
     for note in notes:
-        print(f"note: {note}")
-    print(f"scene: {folder}")
+        say.line(f"note: {note}")
+    say.add(notes=notes)
+    say.verdict(f"scene: {folder}")
 
 
-def _print_decisions(result: "Result") -> None:
+def _print_decisions(say: Output, result: "Result") -> None:
     """What was taken and left out, as a table."""
-    from rich.console import Console
     from rich.table import Table
 
     from twin.report.decisions import HEAD, decisions_of, rows
@@ -194,4 +228,4 @@ def _print_decisions(result: "Result") -> None:
     table = Table(*HEAD, box=None, title="what was modelled, by bounds")
     for row in rows(decisions_of(result.evaluations, result.radar)):
         table.add_row(*row)
-    Console(width=None if sys.stdout.isatty() else 150).print(table)
+    console_of(say).print(table)

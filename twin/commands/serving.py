@@ -1,11 +1,11 @@
 """`twin serve`: the twin behind the protocols of the devices."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from hardware.commands.output import Output
 from twin.commands.arguments import (
     FidelityOption,
     PoseOption,
@@ -17,6 +17,7 @@ from twin.commands.arguments import (
 
 
 def serve(
+    say: Output,
     scene: SceneArgument,
     *,
     system: Annotated[str, typer.Option(help="The camera: bundled system or TOML.")] = "workable",
@@ -87,10 +88,11 @@ def serve(
     radio_address = parse_address(radar_at) if radar_at is not None else None
     for address in (camera_address, radio_address):
         if address is not None and not address.loopback:
-            print(f"warning: {address.host}: whoever reaches it can use it", file=sys.stderr)
+            say.warn(f"{address.host}: whoever reaches it can use it")
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
     sweeper = load_radar(radar) if radio_address is not None else None
     knobs = knobs_asked(
+        say,
         lambda: loaded,
         system if spi_at is not None else None,
         sweeper,
@@ -127,5 +129,5 @@ def serve(
             )
         )
     for device in devices:
-        print(f"{device.name}: {device.url}", flush=True)
+        say.verdict(f"{device.name}: {device.url}")
     run(devices)

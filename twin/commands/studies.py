@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hardware.commands.output import Output
 from hardware.commands.quantities import quantity_of
+from twin.commands import console_of
 from twin.commands.arguments import (
     FidelityOption,
     SceneArgument,
@@ -17,6 +19,8 @@ from twin.commands.arguments import (
 )
 
 if TYPE_CHECKING:
+    import xarray
+
     from twin.fidelity import Accuracy
     from twin.sweep import Study
 
@@ -24,6 +28,7 @@ _REASONS = 3  # of failed points that are printed
 
 
 def sweep(
+    say: Output,
     study: Annotated[Path, typer.Argument(help="TOML file: what is varied, what is measured.")],
     out: Annotated[Path | None, typer.Option(help="Folder; default runs/NAME.")] = None,
     scheduler: Annotated[
@@ -43,19 +48,29 @@ def sweep(
     from twin.sweep import load_study, run_sweep
 
     plan = load_study(study)
-    accuracy = _accuracy_asked(plan, out, fidelity=fidelity, tolerance=tolerance, within=within)
+    accuracy = _accuracy_asked(
+        say, plan, out, fidelity=fidelity, tolerance=tolerance, within=within
+    )
     done = run_sweep(
         plan, out=out, scheduler=scheduler, workers=workers, yes=yes, fidelity=accuracy
     )
     failed = f", {done.n_failed} failed" if done.n_failed else ""
     void = f", {done.n_void} void" if done.n_void else ""
-    print(
-        f"{done.n_points} points{failed}{void}, {done.renders} renders: {done.out / 'results.zarr'}"
+    results = done.out / "results.zarr"
+    say.verdict(f"{done.n_points} points{failed}{void}, {done.renders} renders: {results}")
+    say.add(
+        points=done.n_points,
+        failed=done.n_failed,
+        void=done.n_void,
+        renders=done.renders,
+        results=results,
+        without_effect=done.without_effect,
+        reasons=[{"reason": reason, "points": n} for reason, n in done.reasons],
     )
     for kind, n in done.warned:
-        print(f"warning: {kind}: {n} points", file=sys.stderr)
+        say.warn(f"{kind}: {n} points")
     if done.without_effect:
-        print(f"warning: no metric changes with {', '.join(done.without_effect)}", file=sys.stderr)
+        say.warn(f"no metric changes with {', '.join(done.without_effect)}")
     for reason, n in done.reasons[:_REASONS]:
         print(f"failed: {n} points: {reason}", file=sys.stderr)
     if len(done.reasons) > _REASONS:
@@ -65,6 +80,7 @@ def sweep(
 
 
 def _accuracy_asked(
+    say: Output,
     study: "Study",
     out: Path | None,
     *,
@@ -87,19 +103,26 @@ def _accuracy_asked(
     if knobs := stored_tolerance(folder_of(study, out)):
         return knobs
     first = setup(study, study.point(0), inputs_of(study))
-    return knobs_within(lambda: first.scene, first.system, first.radar, within)
+    return knobs_within(say, lambda: first.scene, first.system, first.radar, within)
 
 
 def show(
+    say: Output,
     sweep: Annotated[Path, typer.Argument(help="Folder of a sweep.")],
     metric: Annotated[str | None, typer.Option(help="What is drawn; default the first.")] = None,
     x: Annotated[str | None, typer.Option(help="Parameter to the right.")] = None,
     y: Annotated[str | None, typer.Option(help="Parameter upwards; none: a line.")] = None,
     front: Annotated[str | None, typer.Option(help="Second metric: a Pareto front.")] = None,
     void: Annotated[bool, typer.Option("--void", help="Draw points of void records too.")] = False,
+    csv: Annotated[
+        Path | None, typer.Option(help="CSV file to write: the designs on the front.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="PNG file; default in the folder.")] = None,
 ) -> None:
-    """Draw a sweep: a metric over parameters, a Pareto front, or what moves the metric most."""
+    """Draw a sweep: a metric over parameters, what moves it most, or a Pareto front of two, whose
+    designs are listed.
+    """
+    from twin.errors import InputError
     from twin.sweep import open_sweep
     from twin.sweep.dataset import metrics_of
     from twin.sweep.sensitivity import sensitivities
@@ -107,21 +130,56 @@ def show(
 
     data = open_sweep(sweep)
     metric = metric or metrics_of(data)[0]
+    if csv is not None and front is None:
+        raise InputError("--csv: are the designs on a front: --front METRIC")
     if front is not None:
+        _tell_front(say, data, metric, front, void=void, csv=csv)
         figure = plot_front(data, metric, front, void=void)
     elif x is not None:
         figure = plot_plane(data, metric, x, y, void=void)
     else:
         shares = sensitivities(data, metric, void=void)
-        for name, share in sorted(shares.items(), key=lambda item: -item[1].first):
-            print(f"{share}: {name}")
+        ordered = sorted(shares.items(), key=lambda item: -item[1].first)
+        for name, share in ordered:
+            say.verdict(f"{share}: {name}")
+        say.add(
+            metric=metric,
+            sensitivities=[{"parameter": name, **vars(share)} for name, share in ordered],
+        )
         figure = plot_sensitivities(data, metric, shares, void=void)
     out = out or sweep / f"{metric.replace(':', '.')}.png"
     figure.savefig(out, dpi=150)
-    print(f"written: {out}")
+    say.written(out)
+
+
+def _tell_front(
+    say: Output,
+    data: "xarray.Dataset",
+    metric: str,
+    second: str,
+    *,
+    void: bool,
+    csv: Path | None,
+) -> None:
+    """The designs on a front as a table, and as a CSV file."""
+    from rich.table import Table
+
+    from twin.sweep.front import designs_on_front, write_designs
+
+    designs = designs_on_front(data, metric, second, void=void)
+    table = Table(*designs.heads, box=None, title=designs.title)
+    for cells in designs.cells:
+        table.add_row(*cells)
+    console_of(say).print(table)
+    say.verdict(designs.verdict)
+    say.add(metrics=[metric, second], verdict=designs.verdict, designs=designs.rows)
+    if csv is not None:
+        write_designs(designs, csv)
+        say.written(csv)
 
 
 def trade(
+    say: Output,
     scene: SceneArgument,
     system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
     radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
@@ -140,12 +198,10 @@ def trade(
     ] = None,
 ) -> None:
     """Measure time, memory and error of every fidelity level on a scene, and choose one."""
-    from rich.console import Console
-
     from twin.errors import InputError
     from twin.fidelity import DEFAULT_SHARE
     from twin.trade import run_trade
-    from twin.trade.report import print_trade
+    from twin.trade.report import as_code, print_trade, trade_content
 
     if tolerance is not None and within is not None:
         raise InputError("--tolerance, --within: expected one of them")
@@ -159,6 +215,9 @@ def trade(
         out=out,
     )
     for warning in found.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    print_trade(found, Console(width=None if sys.stdout.isatty() else 150))
-    print(f"written: {folder / 'trade.md'}")
+        say.warn(warning)
+    print_trade(found, console_of(say))
+    take = as_code(found.fidelity)
+    say.verdict(f"take: {take}")
+    say.add(**{**trade_content(found), "verdict": take})
+    say.written(folder / "trade.md")

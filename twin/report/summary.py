@@ -1,13 +1,14 @@
 """``summary.json``: every figure of a run with its unit and interval, and what was left out."""
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.formatting import json_text
 from twin.accuracy import Decision, Figure, Interval, propagated
 from twin.camera.evaluation import Evaluation
 from twin.camera.verdict import lit_cells
@@ -22,7 +23,13 @@ _FORMAT, _VERSION = "ugv-twin-summary", 1
 def write_summary(
     evaluations: Sequence[Evaluation], radar: RadarEvaluation | None, folder: Path
 ) -> None:
-    """Write ``summary.json``.
+    """Write `summary` as ``summary.json``."""
+    text = json_text(summary(evaluations, radar))
+    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
+
+
+def summary(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -> dict[str, Any]:
+    """Every figure of a run, and every decision of its models.
 
     Its ``figures`` have ``of`` (system or radar, then object or method), ``name``, ``unit``,
     ``value``, ``standard_error`` and ``systematic``, null where nothing bounds them; its
@@ -33,14 +40,12 @@ def write_summary(
     if radar:
         figures += radar_figures(radar)
         decisions += radar.capture.decisions
-    content = {
+    return {
         "format": _FORMAT,
         "version": _VERSION,
         "figures": [figure.entry() for figure in figures],
-        "decisions": [_finite(asdict(decision)) for decision in decisions],
+        "decisions": [asdict(decision) for decision in decisions],
     }
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
 
 
 def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
@@ -175,14 +180,6 @@ def _detected(evaluation: RadarEvaluation) -> Iterator[Figure]:
         for name, angle in (("azimuth", model.azimuth_rad), ("elevation", model.elevation_rad)):
             if not np.isnan(angle.value):
                 yield Figure(of, name, "rad", angle)
-
-
-def _finite(entry: dict[str, object]) -> dict[str, object]:
-    """Null for numbers that are none or infinite."""
-    return {
-        name: None if isinstance(value, float) and not np.isfinite(value) else value
-        for name, value in entry.items()
-    }
 
 
 def _rms(values: NDArray[np.float64]) -> float:

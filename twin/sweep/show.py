@@ -77,7 +77,7 @@ def plot_front(data: "xarray.Dataset", first: str, second: str, *, void: bool = 
     """All points in the plane of two metrics, and those that no other point beats in both."""
     columns = [column(data, name, void=void) for name in (first, second)]
     one, two = (values.to_numpy().ravel() for values in columns)
-    front = pareto_front(np.stack([_gain(first, one), _gain(second, two)]))
+    front = pareto_front(np.stack([gain(first, one), gain(second, two)]))
     figure = new_figure((6.0, 4.2))
     axis = figure.subplots()
     axis.plot(one, two, ".", color=GREY, markersize=4, label="points")
@@ -134,7 +134,8 @@ def pareto_front(gains: Array) -> NDArray[np.intp]:
     return np.asarray(order[gains[1, order] > best])
 
 
-def _gain(name: str, values: Array) -> Array:
+def gain(name: str, values: Array) -> Array:
+    """A metric so that more is better."""
     return -values if name in _COSTS else values
 
 

@@ -1,8 +1,6 @@
 """Results as a table for terminal and README, as JSON, CSV, and a plot of the Pareto front."""
 
 import csv
-import json
-import math
 import os
 import platform
 from collections.abc import Iterator
@@ -15,7 +13,7 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 from rich.console import Console
 from rich.table import Table
 
-from hardware.formatting import number, si
+from hardware.formatting import json_text, number, si
 from twin import __version__
 from twin.fidelity import Fidelity
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
@@ -33,8 +31,7 @@ _SMALLEST = 1e-9  # what a logarithmic axis shows of an error of 0
 
 def write_trade(trade: Trade, folder: Path) -> None:
     """``trade.json``, ``trade.csv`` of all levels, ``trade.md`` with the front, ``trade.png``."""
-    content = json.dumps(_finite(_content(trade)), indent=1, allow_nan=False)
-    (folder / "trade.json").write_text(content)
+    (folder / "trade.json").write_text(json_text(trade_content(trade)))
     (folder / "trade.md").write_text("\n".join(markdown(trade)) + "\n")
     rows = [_csv_row(trade, m) for m in trade.measurements]
     with (folder / "trade.csv").open("w", newline="") as file:
@@ -69,7 +66,6 @@ def print_trade(trade: Trade, console: Console) -> None:
         console.print(line, highlight=False, markup=False)
     for line in _brute_force_lines(trade):
         console.print(line.removeprefix("- "), highlight=False, markup=False)
-    console.print(f"take: {as_code(trade.fidelity)}", highlight=False, markup=False)
 
 
 def markdown(trade: Trade) -> Iterator[str]:
@@ -314,7 +310,8 @@ def _csv_row(trade: Trade, m: LevelMeasurement) -> dict[str, Any]:
     }
 
 
-def _content(trade: Trade) -> dict[str, Any]:
+def trade_content(trade: Trade) -> dict[str, Any]:
+    """Everything that was measured, for JSON."""
     agreement = trade.agreement
     return {
         "scene": trade.scene,
@@ -339,12 +336,3 @@ def _content(trade: Trade) -> dict[str, Any]:
             {"level": m.name, **asdict(error)} for m in trade.measurements for error in m.bodies
         ],
     }
-
-
-def _finite(value: Any) -> Any:
-    """JSON knows no infinity: None stands for it."""
-    if isinstance(value, dict):
-        return {key: _finite(x) for key, x in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(x) for x in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

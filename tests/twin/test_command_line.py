@@ -1,0 +1,155 @@
+"""What all commands of `twin` share: version, help, completion, quiet, verbose, JSON."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from twin import cli
+from twin.commands import catalogue
+
+ROOT = Path(__file__).parents[2]
+MESSAGES = "Digital twin of a vehicle's single-pixel camera and radar."
+
+
+@pytest.fixture
+def twin(monkeypatch, capsys):
+    """The command, in this process: exit status, standard output, standard error."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["twin", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        told = capsys.readouterr()
+        return ended.value.code or 0, told.out, told.err
+
+    return call
+
+
+@pytest.fixture
+def plate(tmp_path: Path) -> Path:
+    corners = np.array([[0, -0.1, -0.1], [0, 0.1, -0.1], [0, 0.1, 0.1], [0, -0.1, 0.1]])
+    trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]]).export(tmp_path / "plate.ply")
+    return tmp_path / "plate.ply"
+
+
+def run(*arguments: str, **environment: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, *arguments],
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_version_and_help(twin) -> None:
+    from twin import __version__
+
+    assert twin("--version") == (0, f"twin {__version__}\n", "")
+    assert twin("-h") == twin("--help")
+    assert MESSAGES in twin("-h")[1]
+    assert twin("safety", "-h") == twin("safety", "--help")
+
+
+def test_help_loads_no_library_of_size() -> None:
+    """What keeps `twin --help` below a tenth of a second."""
+    heavy = "numpy", "scipy", "pydantic", "rich", "matplotlib", "mitsuba", "xarray", "trimesh"
+    code = f"import sys, twin.cli; print([m for m in {heavy} if m in sys.modules])"
+    assert run("-c", code).stdout == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "found"), [("twin sa", "safety"), ("twin budget --dist", "--distances")]
+)
+def test_a_shell_completes_commands_and_options(words: str, found: str) -> None:
+    code = "import sys; sys.argv = ['twin']; from twin.cli import main; main()"
+    n = len(words.split()) - 1
+    asked = {"_TWIN_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(n)}
+    done = run("-c", code, **asked)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert found in done.stdout.split()
+
+
+DOCUMENTS = {
+    "systems": ["systems"],
+    "parts": ["parts"],
+    "parts fb1550-12": ["values"],
+    "budget": ["table1", "frame_rates", "verdict", "assumed"],
+    "budget --system workable": ["walls", "verdict", "left_out"],
+    "safety": ["hazards", "verdict", "ratio_1550_to_850"],
+    "check table1": ["objects", "rig", "sun", "verdict"],
+}
+
+
+@pytest.mark.parametrize("command", list(DOCUMENTS))
+def test_one_document_on_standard_output_and_all_else_beside_it(twin, command: str) -> None:
+    """The lines are those that stand on standard output without the option."""
+    words = command.split()
+    code, lines, _ = twin(*words)
+    assert code == 0
+    code, document, told = twin(*words, "--json")
+    content = json.loads(document)
+    assert code == 0
+    assert content["command"] == f"twin {words[0]}"
+    assert told == lines
+    for name in DOCUMENTS[command]:
+        assert name in content
+    assert twin(*words, "--json", "-q")[1:] == (document, "")
+
+
+def test_numbers_that_are_none_are_null(twin, plate: Path) -> None:
+    """Nothing comes back edge on: minus infinity in the table, null in JSON."""
+    words = ("rcs", plate, "--carrier-hz", "10e9", "--azimuth", "0:90:90")
+    code, document, told = twin(*words, "--json")
+    rows = json.loads(document)["rows"]
+    assert code == 0
+    assert told.splitlines()[-1] == "90,0,-inf"
+    assert [row["azimuth_deg"] for row in rows] == [0.0, 90.0]
+    assert rows[1]["rcs_dbsm"] is None
+    assert rows[0]["rcs_dbsm"] == pytest.approx(
+        float(told.splitlines()[-2].split(",")[2]), abs=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "name"), [("safety", "safety.json"), ("budget --system workable", "budget.json")]
+)
+def test_the_document_holds_what_the_file_holds(twin, tmp_path, command: str, name: str) -> None:
+    document = json.loads(twin(*command.split(), "--json", "--out", tmp_path / "out")[1])
+    written = json.loads((tmp_path / "out" / name).read_text())
+    assert {key: document[key] for key in written} == written
+    assert document["written"] == [str(tmp_path / "out" / name)]
+
+
+def test_quiet_leaves_the_verdict(twin) -> None:
+    assert twin("safety", "-q")[1] == (
+        "workable: within the limits of the eye, least margin 3.69 (laser, continuous, 100 s)\n"
+    )
+    assert len(twin("budget", "--system", "paper", "--quiet")[1].splitlines()) == 1
+    assert "expected one of them" in twin("safety", "-q", "-v")[2]
+
+
+def test_verbose_tells_stages_and_times(twin, plate: Path) -> None:
+    words = ("rcs", plate, "--carrier-hz", "10e9", "--azimuth", "0:4:1")
+    _, printed, told = twin(*words)
+    _, again, more = twin(*words, "-v")
+    assert again == printed
+    steps = [line for line in more.splitlines() if line not in told.splitlines()]
+    assert steps
+    assert all(" s  " in line and line.endswith("s") for line in steps)
+
+
+def test_every_command_has_the_options(twin) -> None:
+    """But `schema`, whose only output is a document, and `serve`, which prints no verdict."""
+    for command in cli.app.registered_commands:
+        name = command.name or command.callback.__name__
+        if command.callback is not catalogue.schema:
+            shown = twin(name, "--help")[1]
+            assert "--quiet" in shown
+            assert ("--json" in shown) == (name != "serve")
