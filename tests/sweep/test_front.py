@@ -1,0 +1,82 @@
+"""The designs on a Pareto front: against every pair compared, printed, as CSV and as JSON."""
+
+import csv
+import json
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies import CLOSED, write
+from typer.testing import CliRunner
+
+from twin.cli import app
+from twin.sweep import load_study, open_sweep, run_sweep
+from twin.sweep.front import designs_on_front
+
+GRID = """
+[grid]
+"system.optics.f_number" = [0.8, 1.0, 1.4, 2.0]
+"system.detector.width_m" = ["500 um", "1 mm", "3 mm"]
+"link.reflectance" = [0.2, 0.8]
+"""
+METRICS = ("snr", "minimum_time_s")
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("front")
+    study = load_study(write(folder, GRID, CLOSED))
+    return run_sweep(study, out=folder / "out", workers=0).out
+
+
+def test_no_other_design_beats_them_in_both(swept: Path) -> None:
+    """More signal over noise and less time are better; each is compared with all others."""
+    data = open_sweep(swept)
+    snr, time_s = (data[name].to_numpy().ravel() for name in METRICS)
+
+    def beats(a: int, b: int) -> bool:
+        better = snr[a] > snr[b] or time_s[a] < time_s[b]
+        return bool(snr[a] >= snr[b] and time_s[a] <= time_s[b] and better)
+
+    beaten = {b for a, b in product(range(len(snr)), repeat=2) if beats(a, b)}
+    designs = designs_on_front(data, *METRICS)
+    assert {row["point"] for row in designs.rows} == set(range(len(snr))) - beaten
+    assert designs.n_points == len(snr)
+
+
+def test_each_has_the_parameters_of_its_point(swept: Path) -> None:
+    data, study = open_sweep(swept), load_study(swept.parent / "study.toml")
+    for row in designs_on_front(data, *METRICS).rows:
+        point = study.point(row["point"])
+        for name, value in point.items():
+            assert row[name] == pytest.approx(value)
+        place = np.unravel_index(row["point"], data["snr"].shape)
+        assert row["snr"] == data["snr"].to_numpy()[place]
+
+
+def test_printed_as_a_table_as_csv_and_as_json(swept: Path, tmp_path: Path) -> None:
+    """All three from the same rows."""
+    words = ["show", str(swept), "--metric", METRICS[0], "--front", METRICS[1]]
+    words += ["--csv", str(tmp_path / "front.csv"), "--out", str(tmp_path / "front.png")]
+    rows = designs_on_front(open_sweep(swept), *METRICS).rows
+    shown = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert shown.exit_code == 0
+    assert f"{len(rows)} of 24 points are beaten by none" in shown.stdout
+    assert "3 mm" in shown.stdout
+    document = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
+    assert [design["point"] for design in document["designs"]] == [row["point"] for row in rows]
+    assert document["designs"][0]["snr"] == rows[0]["snr"]
+    assert document["written"] == [str(tmp_path / "front.csv"), str(tmp_path / "front.png")]
+    with (tmp_path / "front.csv").open(newline="") as file:
+        read = list(csv.DictReader(file))
+    assert list(read[0]) == list(rows[0])
+    assert [float(row["snr"]) for row in read] == [row["snr"] for row in rows]
+
+
+def test_designs_without_a_front_are_refused(swept: Path, tmp_path: Path) -> None:
+    words = ["show", str(swept), "--csv", str(tmp_path / "front.csv")]
+    refused = CliRunner().invoke(app, words)
+    assert refused.exit_code == 1
+    assert "--csv: are the designs on a front" in str(refused.exception)
+    assert list(tmp_path.iterdir()) == []
