@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 VEHICLE := .venv-vehicle
 PEERS := .venv-peers
+DOCS := .venv-docs
 PIP_FLAGS := -q --disable-pip-version-check
 # Files of tests side by side: fixtures that a file shares are made once.
 TOGETHER := -n 2 --dist loadfile
 
-.PHONY: demo test test-vehicle test-slow test-peers lint bench extremes install clean
+.PHONY: demo test test-vehicle test-slow test-peers lint docs docs-links bench extremes install clean
 
 demo: install
 	$(BIN)/twin run scenes/yard
@@ -35,6 +36,14 @@ lint: install
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+# The documentation as a site in build/docs; nothing is fetched while it is built.
+docs: $(DOCS)/.installed
+	$(DOCS)/bin/python -m sphinx -W --keep-going -E -q -b html docs build/docs
+
+# Links to elsewhere: asks the network.
+docs-links: $(DOCS)/.installed
+	$(DOCS)/bin/python -m sphinx -q -b linkcheck docs build/docs-links
 
 # Every axis pushed until a result leaves its stated error; writes docs/extremes.md.
 extremes: install
@@ -66,5 +75,13 @@ $(PEERS)/.installed: pyproject.toml
 	$(PEERS)/bin/pip install $(PIP_FLAGS) pytest pytest-timeout hypothesis -e .[accelerated,peers]
 	@touch $@
 
+# Sphinx by itself; the project and what it needs are those of $(VENV).
+$(DOCS)/.installed: requirements-docs.lock $(VENV)/.installed
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/pip install $(PIP_FLAGS) -r requirements-docs.lock
+	echo "import site; site.addsitedir('$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')')" \
+	    > "$$($(DOCS)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/project.pth"
+	@touch $@
+
 clean:
-	rm -rf $(VENV) $(VEHICLE) $(PEERS) runs bench.json
+	rm -rf $(VENV) $(VEHICLE) $(PEERS) $(DOCS) build runs bench.json

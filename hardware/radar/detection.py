@@ -37,14 +37,38 @@ _ON_TAPERED = 0.2  # share of the false alarms of the windowed map, at least
 
 @dataclass(frozen=True)
 class Detection:
-    """One target: range, range rate (positive: receding) and power.
+    """One target. What was not measured is NaN.
 
-    ``power_w``: received by one antenna. Standard errors follow from the SNR and the window;
-    without a window they are the Cramer-Rao bounds. Values not measured are NaN: the rate from a
-    single slot, the range from a single subcarrier; azimuth (positive: left), elevation and
-    cross-section where array or antenna do not determine them.
-    ``range_rate_alternatives_m_per_s``: other range rates that the record cannot exclude, likeliest
-    first; direction and error of the range rate are valid if none of them is the true one.
+    Standard errors follow from the SNR and the window; without a window they are the Cramer-Rao
+    bounds.
+
+    Parameters
+    ----------
+    range_m
+        From the antenna; NaN from a single subcarrier.
+    range_rate_m_per_s
+        Positive: receding; NaN from a single slot.
+    power_w
+        Received by one antenna.
+    snr_db
+        Power of the peak over the noise of the map.
+    range_error_m
+        Standard error of the range.
+    range_rate_error_m_per_s
+        Standard error of the range rate.
+    azimuth_rad
+        In the antenna's frame, positive to the left; NaN where the array does not determine it.
+    azimuth_error_rad
+        Standard error of the azimuth.
+    elevation_rad
+        In the antenna's frame, positive upwards; NaN where the array does not determine it.
+    elevation_error_rad
+        Standard error of the elevation.
+    rcs_m2
+        Radar cross-section; NaN where gain or losses are unknown.
+    range_rate_alternatives_m_per_s
+        Other range rates that the record cannot exclude, likeliest first; direction and error of
+        the range rate are valid if none of them is the true one.
     """
 
     range_m: float

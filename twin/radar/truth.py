@@ -17,14 +17,37 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrueTarget:
-    """One target at the first burst. ``received_w`` is the direct path's at the first carrier, air
-    and slot loss included.
+    """One target at the first burst.
 
-    ``visible``: a direct path exists, or its mesh is heard. ``wrapped_range_m`` is the range as
-    the subcarriers' spacing wraps it. ``nearer_m`` and ``farther_m``: by how much the surface of
-    its object comes closer and reaches beyond; ``slower`` and ``faster`` the same of its rates
-    within the interval. ``rate_change_m_per_s``: by which the range rate of a target that crosses
-    grows from the interval's middle to its end.
+    Parameters
+    ----------
+    name
+        As the scene names it.
+    range_m
+        From the radar.
+    range_rate_m_per_s
+        Positive: receding.
+    azimuth_deg
+        In the radar's frame, positive to the left.
+    rcs_m2
+        Declared cross-section.
+    received_w
+        Power of the direct path at the first carrier, air and slot loss included.
+    visible
+        Whether a direct path exists, or its mesh is heard.
+    wrapped_range_m
+        The range as the subcarriers' spacing wraps it.
+    nearer_m
+        By how much the surface of its object comes closer.
+    farther_m
+        By how much the surface of its object reaches beyond.
+    slower_m_per_s
+        By how much rates of its object are below its own within the interval.
+    faster_m_per_s
+        By how much rates of its object are above its own within the interval.
+    rate_change_m_per_s
+        By which the range rate of a target that crosses grows from the interval's middle to its
+        end.
     """
 
     name: str

@@ -1,0 +1,62 @@
+"""Pages of metrics and of knobs."""
+
+from dataclasses import fields
+
+from tables import table
+
+from hardware.units import unit_of
+from twin.fidelity import PRESETS, Fidelity, LightFidelity, RadarFidelity
+from twin.schemas import documented
+from twin.sweep.names import CLOSED_FORM, ERRORS, RENDERED
+
+
+def metrics_page() -> str:
+    """What a study may measure."""
+    text = (
+        "# Metrics\n\nWhat a [study](file-study.md) measures of each point. A function of one's "
+        "own, `file.py:function`, takes a `twin.sweep.metrics.Outcome`.\n"
+    )
+    for title, known in (
+        ("Rendered points", RENDERED),
+        ('Closed form, `model = "closed-form"`', CLOSED_FORM),
+    ):
+        rows = [
+            (
+                f"`{n}`",
+                "" if m.unit == "1" else m.unit,
+                m.meaning,
+                "radar" if m.of_radar else "camera",
+            )
+            for n, m in known.items()
+        ]
+        text += f"\n## {title}\n\n" + table(("metric", "unit", "what it is", "sensor"), rows)
+    text += "\nOf each rendered metric `NAME` there are further columns:\n\n"
+    return text + table(
+        ("column", "what it is"), ((f"`NAME.{kind}`", said) for kind, said in ERRORS.items())
+    )
+
+
+def knobs_page() -> str:
+    """Knobs of fidelity with their presets."""
+    text = (
+        "# Knobs of fidelity\n\nFields of `twin.Fidelity`, in a study `fidelity.KNOB`. Each bounds "
+        "an error; see [fidelity and tolerance](../../explanation/fidelity.md).\n"
+    )
+    for title, kind in (("Light", LightFidelity), ("Radar", RadarFidelity)):
+        meanings = documented(kind)
+        rows = [
+            (
+                f"`{field.name}`",
+                unit_of(field.name) or "",
+                *(_value(getattr(knobs, field.name)) for knobs in (Fidelity(), *PRESETS.values())),
+                meanings[field.name],
+            )
+            for field in fields(kind)
+        ]
+        heads = ("knob", "unit", "value alone", *(f"`{name}`" for name in PRESETS), "meaning")
+        text += f"\n## {title}\n\n" + table(heads, rows)
+    return text
+
+
+def _value(value: object) -> str:
+    return f"`{value}`"

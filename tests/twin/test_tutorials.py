@@ -1,0 +1,116 @@
+"""Tutorials and how-to pages run as they stand, each in a folder of its own, block after block."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+QUICK = ("tutorials/*_*", "howto/fits", "howto/materials", "howto/camera_settings")
+LONG = ("howto/weather", "howto/own_parts", "howto/studies")
+PAGES = [
+    *(page for name in QUICK for page in sorted((ROOT / "docs").glob(f"{name}.md"))),
+    *(pytest.param(ROOT / "docs" / f"{name}.md", marks=pytest.mark.slow) for name in LONG),
+]
+BLOCK = re.compile(r"^```(.+)\n((?::\w+: .*\n)*)([\s\S]*?)^```$", re.MULTILINE)
+
+
+def free_port() -> str:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return str(server.getsockname()[1])
+
+
+@contextmanager
+def running(command: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
+    """A command in the background, until it listens; ended by Ctrl-C."""
+    with (folder / "background.log").open("w") as log:
+        process = subprocess.Popen(
+            ["bash", "-c", f"exec {command}"], cwd=folder, env=environment, stdout=log, stderr=log
+        )
+        try:
+            wanted, since = set(re.findall(r"tcp:([\d.]+):(\d+)", command)), time.monotonic()
+            while not all(listens(host, int(port)) for host, port in wanted):
+                told = (folder / "background.log").read_text()
+                assert process.poll() is None, told
+                assert time.monotonic() - since < 120, told
+                time.sleep(0.2)
+            yield
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(30)
+
+
+def listens(host: str, port: int) -> bool:
+    """Whether the port is taken; a connection would be the one that a camera has room for."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError:
+            return True
+    return False
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    """Both commands and the packages as they stand here; as few threads as in other tests."""
+    for name, module in (("twin", "twin"), ("ugv", "hardware")):
+        command = tmp_path / "bin" / name
+        command.parent.mkdir(exist_ok=True)
+        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {module} "$@"\n')
+        command.chmod(0o755)
+    path = f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    return {**os.environ, "PATH": path, "PYTHONPATH": f"{ROOT}{os.pathsep}."}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_runs(page: Path, tmp_path: Path, environment: dict[str, str]) -> None:
+    text = page.read_text()
+    for port in ("5555", "5556"):
+        text = text.replace(f":{port}", f":{free_port()}")
+    folder = tmp_path / "user"
+    folder.mkdir()
+    done = 0
+    with ExitStack() as background:
+        for head, options, body in BLOCK.findall(text):
+            caption = re.search(r":caption: (\S+)", options)
+            if caption:
+                (folder / caption[1]).write_text(body)
+                continue
+            if head == "sh background":
+                background.enter_context(running(body, folder, environment))
+                continue
+            if head not in ("sh", "python"):
+                continue
+            command = ["bash", "-ec"] if head == "sh" else [sys.executable, "-c"]
+            result = subprocess.run(
+                [*command, body], cwd=folder, env=environment, capture_output=True, text=True,
+                timeout=240,
+            )  # fmt: skip
+            assert result.returncode == 0, f"{body}\n{result.stdout}\n{result.stderr}"
+            assert "Traceback" not in result.stderr
+            done += 1
+    assert done >= 1
+    for name, words in TOLD.get(page.stem, {}).items():
+        assert (folder / name).stat().st_size > 0, name
+        assert words == "" or words in (folder / name).read_text(), name
+
+
+#: Files that a page promises, and words in them.
+TOLD = {
+    "choose_a_detector": {
+        "runs/detectors/psnr_db.png": "",
+        "best/report.html": "best",
+        "best/record.h5": "",
+    },
+    "bring_a_scene": {"first/report.html": "inverse", "first/summary.json": "PSNR"},
+    "drive_a_device": {"camera-processed.mcap": "", "radar-processed.mcap": ""},
+}
