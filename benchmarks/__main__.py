@@ -32,6 +32,7 @@ _ROOMS = (
     "sweep",
     "vehicle",
     "stream",
+    "driving",
     "commands",
     "stated_errors",
 )

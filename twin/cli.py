@@ -9,7 +9,7 @@ import typer
 
 from hardware.commands.output import version_option, with_output
 from twin import __version__
-from twin.commands import catalogue, figures, scenes, serving, studies, with_stages
+from twin.commands import catalogue, driving, figures, scenes, serving, studies, with_stages
 from twin.progress import interrupts
 
 app = typer.Typer(
@@ -26,6 +26,7 @@ for command in (
     studies.trade,
     studies.sweep,
     studies.show,
+    driving.drive,
     figures.budget,
     figures.safety,
     figures.rcs,

@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import IO, Self
 
 from mcap.writer import CompressionType, Writer
 
@@ -39,6 +39,10 @@ class Log:
     extrinsics
         Poses of sensors on the rig, by frame: x y z (m), quaternion w x y z. In the tree of
         transforms such a sensor is a child of the rig; others are children of the world.
+    file
+        Opened at ``path`` for writing in place of a new file.
+    about
+        Words about the log, by name, which stand at its beginning.
     """
 
     def __init__(
@@ -47,15 +51,19 @@ class Log:
         *,
         flush_s: float = 0.5,
         extrinsics: Mapping[str, Sequence[float]] | None = None,
+        file: IO[bytes] | None = None,
+        about: Mapping[str, str] | None = None,
     ) -> None:
         self._extrinsics = {
             name: _pose(name, values) for name, values in (extrinsics or {}).items()
         }
         self.path = Path(path)
-        self._file = self.path.open("xb")
+        self._file = self.path.open("xb") if file is None else file
         hold(self._file)
         self._writer = Writer(self._file, _CHUNK_BYTES, CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="ugv")
+        if about is not None:
+            self._writer.add_metadata("about", dict(about))
         self._flush_s, self._flushed_s = flush_s, time.monotonic()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}

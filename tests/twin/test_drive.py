@@ -1,0 +1,347 @@
+"""`twin drive`: one clock for both sensors, truth beside them, the same bytes after any kill."""
+
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hardware.errors import InputError
+from hardware.files import hold
+from hardware.processing import process
+from hardware.recording import Log, read_messages, read_records
+from hardware.records import RadarRecord, SpiRecord
+from twin.cli import app
+from twin.drive import DeviceClock, Drive, drive
+from twin.drive.log import MARKS
+from twin.drive.sensors import CameraFrames
+from twin.drive.truth import Mark, ObjectStates
+from twin.fidelity import Fidelity
+from twin.motion.trajectory import through
+from twin.radar import load_radar
+from twin.scene import Scene, load_scene
+from twin.system import load_system
+
+#: Frames of 12.8 ms and bursts of 0.6 ms, rendered and traced in a moment.
+CAMERA = load_system("workable").with_(
+    {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}
+)
+RADAR = load_radar("hybrid-79").with_({"waveform.n_slots": 16, "waveform.n_subcarriers": 128})
+FAST = Fidelity(samples=4, max_depth=1, radar="targets")
+CLOCKS = {"camera_clock": DeviceClock(2e-3, 50.0), "radar_clock": DeviceClock(-1e-3, -30.0)}
+
+
+def driven_scene(until_s: float = 10.0) -> Scene:
+    """The patches of `table1` before a rig that drives at 5 m/s and turns left."""
+    scene = load_scene("table1")
+    times = np.linspace(0, until_s, 5)
+    places = np.stack([5 * times, 0.1 * times**2, np.full(5, 1.2)], axis=1)
+    turned = Rotation.from_rotvec(np.outer(0.05 * times, [0, 0, 1]))
+    rig = scene.rig.following(through(times, places, turned, "error"))
+    return replace(scene, rig=rig)
+
+
+def plan(**changes: object) -> Drive:
+    settings = {
+        "scene": driven_scene(),
+        "system": CAMERA,
+        "radar": RADAR,
+        "duration_s": 0.045,
+        "fidelity": FAST,
+        "radar_period_s": 0.02,
+        "truth_period_s": 0.01,
+        "seed": 3,
+        **CLOCKS,
+    }
+    return Drive(**(settings | changes))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a whole drive."""
+    path = tmp_path_factory.mktemp("drive") / "whole.mcap"
+    done = drive(plan(), path)
+    assert done.complete
+    assert (done.events, done.resumed) == (3 + 3 + 5, 0)
+    return path
+
+
+def test_a_log_cut_at_any_byte_is_gone_on_with_to_the_same_bytes(
+    whole: Path, tmp_path: Path
+) -> None:
+    """What a kill leaves is the first bytes of the log: some of its header, a chunk, an index, the
+    summary, or all but the end.
+    """
+    data = whole.read_bytes()
+    rng = np.random.default_rng(0)
+    cuts = [0, 5, 40, 200, *rng.integers(300, len(data), 4).tolist(), len(data) - 3]
+    path = tmp_path / "cut.mcap"
+    for size in cuts:
+        path.write_bytes(data[:size])
+        done = drive(plan(), path)
+        assert done.complete
+        assert path.read_bytes() == data, size
+    assert done.resumed == done.events == 11  # only the footer was missing
+    before = path.stat().st_mtime_ns
+    again = drive(plan(), path)
+    assert again.complete
+    assert (again.events, again.computed_s, path.stat().st_mtime_ns) == (11, 0.0, before)
+
+
+def test_bytes_damaged_behind_the_last_whole_event_do_not_matter(
+    whole: Path, tmp_path: Path
+) -> None:
+    """Power loss may leave pages of zeros at the end of a file."""
+    data = whole.read_bytes()
+    path = tmp_path / "zeros.mcap"
+    path.write_bytes(data[: len(data) // 2] + bytes(5000))
+    assert drive(plan(), path).complete
+    assert path.read_bytes() == data
+    path.write_bytes(data[:1000] + bytes(1000) + data[2000:])
+    assert drive(plan(), path).complete
+    assert path.read_bytes() == data
+
+
+def test_a_drive_that_is_asked_to_end_is_gone_on_with(whole: Path, tmp_path: Path) -> None:
+    over, path = threading.Event(), tmp_path / "stopped.mcap"
+
+    def tell(reference_s: float) -> None:
+        if reference_s > 0.015:
+            over.set()
+
+    done = drive(plan(), path, over=over, tell=tell)
+    assert not done.complete
+    assert 0 < done.events < 11
+    assert len(list(read_records(path))) >= 1  # as any unfinished log
+    again = drive(plan(), path)
+    assert again.complete
+    assert again.resumed == done.events
+    assert path.read_bytes() == whole.read_bytes()
+
+
+def test_other_files_are_refused_and_left_as_they_are(whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(whole.read_bytes()[:3000])
+    for changes, told in (({"seed": 4}, "seed: 3, not 4"), ({"truth_period_s": 0.02}, "content")):
+        with pytest.raises(InputError, match=f"log of another drive.*{told}"):
+            drive(plan(**changes), path)
+    path.write_bytes(b"something else")
+    with pytest.raises(InputError, match="no log of a drive"):
+        drive(plan(), path)
+    assert path.read_bytes() == b"something else"
+    path.unlink()
+    with Log(path) as log:
+        log.flush()
+    with pytest.raises(InputError, match="no log of a drive"):
+        drive(plan(), path)
+    path.write_bytes(whole.read_bytes()[:3000])
+    with path.open("rb") as file:
+        hold(file)
+        with pytest.raises(InputError, match="still being written"):
+            drive(plan(), path)
+
+
+def test_bytes_that_this_software_would_not_write_are_told(whole: Path, tmp_path: Path) -> None:
+    """As of another version of a library: the digest is right, a chunk is packed differently."""
+    from mcap.writer import CompressionType, Writer
+
+    path = tmp_path / "packed.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, 1 << 20, CompressionType.NONE)
+        writer.start(profile="ros2", library="ugv")
+        log = drive_log_about(whole)
+        writer.add_metadata("about", log)
+        ids: dict[str, int] = {}
+        for logged in read_messages(whole):
+            if logged.topic not in ids:
+                schema = writer.register_schema(logged.schema.name, "ros2msg", logged.schema.data)
+                ids[logged.topic] = writer.register_channel(logged.topic, "cdr", schema)
+            message = logged.message
+            writer.add_message(
+                ids[logged.topic], message.log_time, message.data, message.publish_time, 0
+            )
+        writer.flush()
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="written anew, it differs from byte"):
+        drive(plan(), path)
+    assert path.read_bytes() == before
+
+
+def drive_log_about(path: Path) -> dict[str, str]:
+    from twin.drive.log import _about
+
+    found = _about(path)
+    assert found is not None
+    return found
+
+
+def test_device_clocks_keep_nanoseconds_over_an_hour_of_100_ppm() -> None:
+    """Against exact fractions: the reference at which a device has counted n ns, to half a ns."""
+    clock = DeviceClock(1.5, 100.0)
+    rate = 1 + Fraction(100, 10**6)
+    for elapsed in (0, 1, 819_200_000, 3_600 * 10**9, 3_600 * 10**9 + 7):
+        assert abs(clock.reference_ns(elapsed) - elapsed / rate) <= Fraction(51, 100)
+    hour = 3_600 * 10**9
+    assert hour - clock.reference_ns(hour) == pytest.approx(0.36e9, rel=2e-4)
+    assert clock.model.device_ns(hour) == hour + 1_500_000_000 + 360_000_000
+    steps = np.diff([clock.reference_ns(k * 12_800_000) for k in range(280_000, 281_250)])
+    assert steps.min() >= 12_798_720 - 1
+    assert steps.max() <= 12_798_720 + 1
+
+
+def test_exposures_and_slots_stand_on_one_clock(whole: Path) -> None:
+    """Device times follow each device's own clock; its model in the log gives the reference, on
+    which the camera's 12.8 ms are 50 ppm shorter, the radar's 20 ms 30 ppm longer.
+    """
+    by_kind: dict[type, list] = {SpiRecord: [], RadarRecord: []}
+    for received in read_records(whole):
+        by_kind[type(received.record)].append(received)
+    cameras, radars = by_kind[SpiRecord], by_kind[RadarRecord]
+    assert (len(cameras), len(radars)) == (3, 3)
+    assert [r.topic for r in (cameras[0], radars[0])] == ["/spi/record", "/radar/record"]
+    for k, received in enumerate(cameras):
+        times = received.record.device_time_ns
+        assert times[0] == 2_000_000 + k * 12_800_000
+        assert np.diff(times).tolist() == [100_000] * 127
+        begun = received.clock.host_ns(int(times[0]))
+        assert abs(begun - k * 12_800_000 / (1 + 50e-6)) <= 1
+        assert received.record.sequence[0] == 128 * k
+        assert received.host_ns >= received.clock.host_ns(int(times[-1]))
+    for k, received in enumerate(radars):
+        first = int(received.record.device_time_ns.flat[0])
+        assert first == -1_000_000 + k * 20_000_000
+        assert abs(received.clock.host_ns(first) - k * 20_000_000 / (1 - 30e-6)) <= 1
+    marks = [Mark.unpack(m.message.data) for m in read_messages(whole) if m.topic == MARKS]
+    assert [mark.event for mark in marks] == list(range(11))
+    assert sorted(mark.end_ns for mark in marks) == [mark.end_ns for mark in marks]
+    last = marks[-1]
+    assert last.device_ns["camera"] == last.end_ns + 2_000_000 + round(50e-6 * last.end_ns)
+
+
+def test_frame_k_depends_on_seed_and_k_alone(whole: Path) -> None:
+    third = [r.record for r in read_records(whole) if isinstance(r.record, SpiRecord)][2]
+    event = [e for e in plan().events() if e.kind == "camera"][2]
+    alone = CameraFrames(plan())(2, event.begin_ns).record
+    np.testing.assert_array_equal(alone.counts, third.counts)
+    np.testing.assert_array_equal(alone.device_time_ns, third.device_time_ns)
+    other = CameraFrames(plan(seed=4))(2, event.begin_ns).record
+    assert (other.counts != third.counts).any()
+
+
+def test_truth_beside_the_records(whole: Path) -> None:
+    """Poses, twists and boxes of all things against the scene and each other; the pose in a record
+    is the rig's at the frame's beginning.
+    """
+    scene, states, stamps = driven_scene(), {}, []
+    for logged in read_messages(whole):
+        if logged.topic == "/truth/objects":
+            states[logged.message.publish_time] = ObjectStates.unpack(logged.message.data)
+        if logged.topic.startswith("/truth/camera/"):
+            stamps.append(logged.message.publish_time)
+    first = states[0]
+    assert first.names[: 1 + len(scene.objects)] == ("rig", *(o.name for o in scene.objects))
+    for row, item in enumerate(scene.objects, 1):
+        corners = item.vertices_m[np.unique(item.geometry.faces)]
+        np.testing.assert_allclose(first.boxes_m[row], [corners.min(0), corners.max(0)])
+    np.testing.assert_allclose(first.twists[1:], 0)
+    early, late = states[10_000_000], states[30_000_000]
+    np.testing.assert_allclose(
+        (late.poses[0, :3] - early.poses[0, :3]) / 0.02, early.twists[0, :3], atol=0.01
+    )
+    turn = (
+        Rotation.from_quat(late.poses[0, [4, 5, 6, 3]])
+        * Rotation.from_quat(early.poses[0, [4, 5, 6, 3]]).inv()
+    )
+    np.testing.assert_allclose(turn.as_rotvec() / 0.02, early.twists[0, 3:], atol=1e-3)
+    record = next(r for r in read_records(whole) if isinstance(r.record, SpiRecord)).record
+    assert record.pose.position_m == pytest.approx(scene.rig.position_m)
+    assert len(stamps) == 6
+    assert set(stamps) <= set(states)  # states at the time of every truth image
+
+
+def test_the_vehicle_processes_the_log_and_reads_no_truth(whole: Path, tmp_path: Path) -> None:
+    with Log(tmp_path / "processed.mcap") as log:
+        for received in read_records(whole):
+            summary = process(received, log)
+            assert summary.lines
+    topics = {logged.topic for logged in read_messages(tmp_path / "processed.mcap")}
+    assert topics == {"/spi/image", "/radar/detections"}
+
+
+def test_a_world_at_rest_is_rendered_once_and_its_noise_is_new(tmp_path: Path) -> None:
+    still = plan(scene=load_scene("table1"), radar=None)
+    frames = CameraFrames(still)
+    first, second = (frames(k, 0).record for k in (0, 1))
+    assert (first.counts != second.counts).any()
+    np.testing.assert_array_equal(CameraFrames(still)(1, 0).record.counts, second.counts)
+    assert drive(still, tmp_path / "still.mcap").complete
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"duration_s": 0.0}, "duration: 0 s: expected a time above 0"),
+        ({"duration_s": float("nan")}, "duration: nan s: expected a time above 0"),
+        ({"duration_s": 0.0004}, "shorter than the first frame of every sensor"),
+        ({"duration_s": 10.5}, "the trajectories of table1 end after 10 s"),
+        ({"system": None, "radar": None}, "both are none"),
+        ({"radar_period_s": 1e-4}, "expected at least a burst of hybrid-79"),
+        ({"truth_period_s": 0.0}, "truth period: 0 s"),
+        ({"seed": -1}, "seed: -1"),
+    ],
+)
+def test_drives_that_cannot_be_are_refused_before_any_work(
+    changes: dict[str, object], told: str
+) -> None:
+    with pytest.raises(InputError, match=told):
+        plan(**changes)
+
+
+@pytest.mark.parametrize("values", [(0.0, 2e4), (float("nan"), 0.0), (0.0, float("inf"))])
+def test_clocks_that_are_none_are_refused(values: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="expected a number from"):
+        DeviceClock(*values)
+
+
+def command(path: Path, *options: str) -> list[str]:
+    scene = ["yard", "--radar", "none", "--fidelity", "draft", "--duration", "15 s"]
+    return [sys.executable, "-m", "twin", "drive", *scene, "--out", str(path), *options]
+
+
+def test_the_command_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    short = [*command(path)[3:], "--duration", "900 ms", "--camera-drift-ppm", "100"]
+    app(short, standalone_mode=False)
+    assert "11 events, 900 ms of 900 ms; computed at" in capsys.readouterr().out
+    app(short, standalone_mode=False)
+    assert "complete already, 11 events were there" in capsys.readouterr().out
+    with pytest.raises(InputError, match=r"log of another drive \(duration_s: 0.9, not 15.0\)"):
+        app(command(path)[3:], standalone_mode=False)
+    with pytest.raises(InputError, match="nothing ends the motion of table1"):
+        app(["drive", "table1", "--out", str(path)], standalone_mode=False)
+
+
+@pytest.mark.slow
+def test_killed_ten_times_at_random_and_gone_on_with(tmp_path: Path) -> None:
+    whole, killed, rng = tmp_path / "whole.mcap", tmp_path / "killed.mcap", random.Random(5)
+    begun = time.monotonic()
+    subprocess.run(command(whole), check=True, capture_output=True)
+    whole_s = time.monotonic() - begun
+    for _ in range(10):
+        process = subprocess.Popen(command(killed), stdout=subprocess.DEVNULL)
+        time.sleep(rng.uniform(0.2, 0.6) * whole_s)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    subprocess.run(command(killed), check=True, capture_output=True)
+    digests = {hashlib.sha256(path.read_bytes()).hexdigest() for path in (whole, killed)}
+    assert len(digests) == 1

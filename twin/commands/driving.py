@@ -1,0 +1,122 @@
+"""`twin drive`: both sensors along the trajectories of a scene, into one log."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hardware.commands.output import Output
+from hardware.commands.quantities import quantity_of
+from twin.commands.arguments import (
+    FidelityOption,
+    SceneArgument,
+    ToleranceOption,
+    WithinOption,
+    knobs_asked,
+)
+
+
+def drive(
+    say: Output,
+    scene: SceneArgument,
+    *,
+    out: Annotated[Path, typer.Option(help="Log to write (MCAP), or to go on with.")],
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            help="Of the drive; default as long as the scene's trajectories.",
+            parser=quantity_of("s"),
+        ),
+    ] = None,
+    system: Annotated[str, typer.Option(help="Bundled system or TOML file; `none`.")] = "workable",
+    radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
+    radar_period: Annotated[
+        float,
+        typer.Option(help="From burst to burst of the radar.", parser=quantity_of("s")),
+    ] = 0.1,
+    truth_period: Annotated[
+        float,
+        typer.Option(
+            help="Between samples of poses, twists and boxes beside those of frames and bursts.",
+            parser=quantity_of("s"),
+        ),
+    ] = 0.1,
+    camera_offset: Annotated[
+        float, typer.Option(help="Of the camera's clock at the start.", parser=quantity_of("s"))
+    ] = 0.0,
+    camera_drift_ppm: Annotated[float, typer.Option(help="Of the camera's clock.")] = 0.0,
+    radar_offset: Annotated[
+        float, typer.Option(help="Of the radar's clock at the start.", parser=quantity_of("s"))
+    ] = 0.0,
+    radar_drift_ppm: Annotated[float, typer.Option(help="Of the radar's clock.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    tolerance: ToleranceOption = None,
+    fidelity: FidelityOption = None,
+    within: WithinOption = None,
+) -> None:
+    """Drive a scene: records of both sensors and the truth in one log (MCAP), as `ugv process`
+    reads it. The same command goes on with a drive that was cut short, to the same bytes.
+    """
+    import math
+
+    from hardware.formatting import number, quantity_text
+    from hardware.interruption import asked_to_end
+    from twin.drive import DeviceClock, Drive
+    from twin.drive import drive as record
+    from twin.drive.run import progress_of
+    from twin.errors import InputError
+    from twin.radar import load_radar
+    from twin.scene import load_scene
+    from twin.system import load_system
+
+    world = load_scene(scene)
+    camera = None if system == "none" else load_system(system)
+    design = None if radar == "none" else load_radar(radar)
+    last_s = world.span_s[1]
+    if duration is None and not math.isfinite(last_s):
+        raise InputError(f"--duration: nothing ends the motion of {world.name}, expected a time")
+    clocks = []
+    for device, offset, drift in (
+        ("camera", camera_offset, camera_drift_ppm),
+        ("radar", radar_offset, radar_drift_ppm),
+    ):
+        try:
+            clocks.append(DeviceClock(offset, drift))
+        except InputError as error:
+            raise InputError(f"clock of the {device}: {error}") from None
+    if not out.parent.is_dir():
+        raise InputError(f"--out: {out.parent} is no folder")
+    knobs = knobs_asked(
+        say, lambda: world, camera, design, fidelity=fidelity, tolerance=tolerance, within=within
+    )
+    plan = Drive(
+        scene=world,
+        system=camera,
+        radar=design,
+        duration_s=last_s if duration is None else duration,
+        fidelity=knobs,
+        seed=seed,
+        radar_period_s=radar_period,
+        truth_period_s=truth_period,
+        camera_clock=clocks[0],
+        radar_clock=clocks[1],
+    )
+    with asked_to_end() as over, progress_of(plan) as tell:
+        done = record(plan, out, over=over, tell=tell)
+    if done.resumed:
+        kept = "complete already" if done.complete and done.computed_s == 0 else "gone on with"
+        say.line(f"{out}: {kept}, {done.resumed} events were there")
+    covered, whole = (quantity_text(time_s, "s", 4) for time_s in (done.covered_s, plan.duration_s))
+    pace = f"; computed at {number(done.pace)} of real time" if done.computed_s else ""
+    say.verdict(f"{done.events} events, {covered} of {whole}{pace}")
+    say.add(
+        events=done.events,
+        resumed=done.resumed,
+        covered_s=done.covered_s,
+        of_real_time=done.pace,
+        complete=done.complete,
+    )
+    say.written(out)
+    if not done.complete:
+        say.warn("stopped; the same command goes on")
+        raise typer.Exit(130)

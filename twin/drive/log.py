@@ -1,0 +1,239 @@
+"""The log of a drive: events one after another, and the same bytes after any number of kills.
+
+Each event ends with a mark and closes its chunk. What a kill left is written anew, event by event,
+over the same bytes, which it must equal; what follows the last whole event is cut off.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Metadata
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+
+from hardware.errors import InputError
+from hardware.files import is_held, naming
+from hardware.recording import Log, read_messages
+from hardware.recording.reading import Ending, LoggedMessage
+from hardware.recording.ros import Definition
+from twin.drive.truth import CLOCK, Mark
+
+MARKS = "/truth/clock"
+_MAGIC_BYTES, _MOST_ABOUT_BYTES = len(MCAP0_MAGIC), 1 << 16
+
+
+class DifferentBytesError(InputError):
+    """What is written anew is not what stands in the file."""
+
+
+class DriveLog:
+    """The log of a drive, new or gone on with.
+
+    Parameters
+    ----------
+    path
+        A new file, or what is left of the log of the same drive.
+    about
+        Words at the beginning of the log; ``digest`` tells drives apart.
+
+    Raises InputError for another file at ``path``, one that is being written, or one whose bytes
+    are not those that this software writes.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, str]) -> None:
+        self.path, self.events, self.complete = path, 0, False
+        left = _left(path, about)
+        self.complete = left.complete
+        if left.complete:
+            self.events = left.events
+            return
+        with naming(path):
+            self._output = _Output(path)
+        self._log = Log(path, flush_s=float("inf"), file=self._output, about=about)  # type: ignore[arg-type]
+        try:
+            for messages in left.whole:
+                for logged in messages:
+                    definition = Definition(logged.schema.name, logged.schema.data.decode())
+                    times = (logged.message.log_time, logged.message.publish_time)
+                    self._log.message(logged.topic, definition, logged.message.data, *times)
+                self._log.flush()
+                self.events += 1
+        except DifferentBytesError:
+            self._output.close()
+            raise
+        self._output.cut()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self.complete:
+            self._output.close()
+
+    def event(self, mark: Mark, write: Callable[[Log], None]) -> None:
+        """Append an event: what ``write`` writes, and its mark."""
+        write(self._log)
+        self._log.message(MARKS, CLOCK, mark.pack(), mark.end_ns, mark.end_ns)
+        self._log.flush()
+        self._output.flush()
+        self.events += 1
+
+    def finish(self) -> None:
+        """Write index and footer, and close."""
+        self._log.close()
+        self.complete = True
+
+
+@dataclass
+class _Left:
+    """What a file holds of a drive: its whole events, each a list of messages, as they are read."""
+
+    complete: bool = False
+    events: int = 0
+    whole: Iterator[list[LoggedMessage]] = field(default_factory=lambda: iter(()))
+
+
+def _left(path: Path, about: Mapping[str, str]) -> _Left:
+    if not path.exists() or path.stat().st_size == 0:
+        return _Left()
+    if is_held(path):
+        raise InputError(f"{path}: still being written by another process")
+    found = _about(path)
+    if found is None:
+        if path.stat().st_size < _MOST_ABOUT_BYTES and _begins(about, path.read_bytes()):
+            return _Left()
+        raise InputError(f"{path}: exists, and is no log of a drive: expected a new file")
+    if found.get("digest") != about["digest"]:
+        raise InputError(
+            f"{path}: exists, and is the log of another drive ({_difference(found, about)}): "
+            "expected a new file"
+        )
+    ending = Ending()
+    marks = _count(path, ending)
+    with path.open("rb") as file:
+        file.seek(-_MAGIC_BYTES, 2)
+        if ending.fault is None and file.read() == MCAP0_MAGIC:
+            return _Left(complete=True, events=marks)
+    return _Left(whole=_whole_events(path))
+
+
+def _count(path: Path, ending: Ending) -> int:
+    return sum(logged.topic == MARKS for logged in read_messages(path, ending))
+
+
+def _whole_events(path: Path) -> Iterator[list[LoggedMessage]]:
+    """Messages of each event up to the first that is damaged."""
+    ending, messages, expected = Ending(), list[LoggedMessage](), 0
+    for logged in read_messages(path, ending):
+        if ending.fault is not None:
+            return
+        messages.append(logged)
+        if logged.topic != MARKS:
+            continue
+        if Mark.unpack(logged.message.data).event != expected:
+            return
+        yield messages
+        messages, expected = [], expected + 1
+
+
+def _about(path: Path) -> dict[str, str] | None:
+    """Words at the beginning of a log; None where there are none."""
+    with path.open("rb") as file:
+        data = file.read(_MOST_ABOUT_BYTES)
+    at = _MAGIC_BYTES
+    for kind in (Opcode.HEADER, Opcode.METADATA):
+        length = int.from_bytes(data[at + 1 : at + 9], "little")
+        body = data[at + 9 : at + 9 + length]
+        if len(data) < at + 9 or data[at] != kind or len(body) < length:
+            return None
+        at += 9 + length
+    try:
+        return dict(Metadata.read(ReadDataStream(BytesIO(body))).metadata)
+    except (McapError, ValueError):
+        return None
+
+
+def _begins(about: Mapping[str, str], data: bytes) -> bool:
+    """Whether data are the first bytes of a log with these words, cut before its first event."""
+    stream = BytesIO()
+    writer = Writer(stream, 1 << 20, CompressionType.ZSTD)
+    writer.start(profile="ros2", library="ugv")
+    writer.add_metadata("about", dict(about))
+    return stream.getvalue().startswith(data)
+
+
+def _difference(found: Mapping[str, str], about: Mapping[str, str]) -> str:
+    """The words that differ, in words."""
+    other = [
+        f"{name}: {found.get(name, 'none')}, not {value}"
+        for name, value in about.items()
+        if name != "digest" and found.get(name) != value
+    ]
+    return "; ".join(other) or "of other content, or made by another version of this software"
+
+
+class _Output:
+    """A file that is written from its beginning: bytes that are there already must be the same."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: IO[bytes] = path.open("r+b" if path.exists() else "x+b")
+        self._there = self._file.seek(0, 2)
+        self._at = self._file.seek(0)
+
+    @property
+    def closed(self) -> bool:
+        """Whether it is."""
+        return self._file.closed
+
+    def fileno(self) -> int:
+        """Of the file."""
+        return self._file.fileno()
+
+    def tell(self) -> int:
+        """Bytes written or compared so far."""
+        return self._at
+
+    def write(self, data: bytes) -> int:
+        """Compare what is there, append the rest."""
+        piece = memoryview(data)
+        if self._at < self._there:
+            known = self._file.read(min(len(piece), self._there - self._at))
+            if known != piece[: len(known)]:
+                raise DifferentBytesError(
+                    f"{self._path}: written anew, it differs from byte {self._at} on: it was made "
+                    "by other versions of the libraries, or damaged; expected a new file"
+                )
+            self._at += len(known)
+            piece = piece[len(known) :]
+        if len(piece):
+            self._file.write(piece)
+            self._at += len(piece)
+        return len(data)
+
+    def cut(self) -> None:
+        """Remove what follows."""
+        self._file.seek(self._at)
+        self._file.truncate()
+        self._there = self._at
+        self._file.flush()
+
+    def flush(self) -> None:
+        """To the system."""
+        if not self.closed:
+            self._file.flush()
+
+    def close(self) -> None:
+        """The file; what is in memory of an event that is not whole is lost."""
+        self._file.close()

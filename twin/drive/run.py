@@ -1,0 +1,173 @@
+"""Driving: events in the order of their time, each to the log as soon as it is complete."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from hardware.recording import Log
+from twin.drive.log import DriveLog
+from twin.drive.plan import Drive, Event
+from twin.drive.sensors import CameraFrames, RadarBursts
+from twin.drive.truth import STATES, Mark, ObjectStates, images_of
+from twin.progress import interrupts
+
+#: Called with the reference time that is recorded, s.
+Tell = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What a call of `drive` did: events in the log, of which ``resumed`` were there before; the
+    time that they cover, of which ``computed_s`` was computed in ``elapsed_s``; and whether the log
+    is complete.
+    """
+
+    path: Path
+    events: int
+    resumed: int
+    covered_s: float
+    computed_s: float
+    elapsed_s: float
+    complete: bool
+
+    @property
+    def pace(self) -> float:
+        """Seconds of the drive computed in one second."""
+        return self.computed_s / self.elapsed_s if self.elapsed_s > 0 else 0.0
+
+
+def drive(
+    plan: Drive,
+    path: str | Path,
+    *,
+    over: threading.Event | None = None,
+    tell: Tell = lambda reference_s: None,
+) -> Driven:
+    """Record a drive to a log, or go on with it.
+
+    A log that a kill, a full disk or ``over`` cut short is gone on with by the same call, and ends
+    with the same bytes as one that was not; a complete one is left as it is. What was computed of
+    an event that is not whole is lost. Memory does not grow with the duration.
+
+    Raises InputError for a file at ``path`` that is not the log of this drive, and as `capture` and
+    `radar_capture`.
+    """
+    path, over = Path(path), over or threading.Event()
+    about = {
+        "scene": plan.scene.name,
+        "system": plan.system.name if plan.system else "none",
+        "radar": plan.radar.name if plan.radar else "none",
+        "duration_s": repr(float(plan.duration_s)),
+        "seed": str(plan.seed),
+        "digest": plan.digest,
+    }
+    start = time.monotonic()
+    with DriveLog(path, about) as log:
+        resumed = log.events
+        begun_s = covered_s = _end_of(plan, resumed)
+        tell(begun_s)
+        if not log.complete:
+            write = _writer(plan)
+            for event in islice(plan.events(), resumed, None):
+                if over.is_set() or interrupts:
+                    break
+                log.event(_mark(plan, event, log.events), write(event))
+                covered_s = 1e-9 * event.end_ns
+                tell(covered_s)
+            else:
+                log.finish()
+        return Driven(
+            path=path,
+            events=log.events,
+            resumed=resumed,
+            covered_s=covered_s,
+            computed_s=covered_s - begun_s,
+            elapsed_s=time.monotonic() - start,
+            complete=log.complete,
+        )
+
+
+def _end_of(plan: Drive, n_events: int) -> float:
+    """Reference time, s, at which so many events are complete."""
+    last = deque(islice(plan.events(), n_events), maxlen=1)
+    return 1e-9 * last[0].end_ns if last else 0.0
+
+
+def _mark(plan: Drive, event: Event, number: int) -> Mark:
+    clocks = {"camera": plan.camera_clock, "radar": plan.radar_clock}
+    shown = {name: clock.model.device_ns(event.end_ns) for name, clock in clocks.items()}
+    return Mark(number, event.kind, event.number, event.begin_ns, event.end_ns, shown)
+
+
+def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
+    """What writes the messages of an event."""
+    camera, radar = CameraFrames(plan), RadarBursts(plan)
+
+    def states(log: Log, at_ns: int, log_ns: int) -> None:
+        message = ObjectStates.of(plan.scene.after(1e-9 * at_ns)).pack(at_ns)
+        log.message("/truth/objects", STATES, message, log_ns, at_ns)
+
+    def frame(log: Log, event: Event) -> None:
+        taken = camera(event.number, event.begin_ns)
+        model = plan.camera_clock.model
+        log.record("/spi/record", taken.record, host_ns=event.end_ns, clock=model)
+        middle_ns = (event.begin_ns + event.end_ns) // 2
+        for topic, (definition, message) in images_of(taken.truth, middle_ns).items():
+            log.message(topic, definition, message, event.end_ns, middle_ns)
+        for at_ns in (event.begin_ns, middle_ns):
+            states(log, at_ns, event.end_ns)
+
+    def burst(log: Log, event: Event) -> None:
+        record = radar(event.number, event.begin_ns)
+        model = plan.radar_clock.model
+        log.record("/radar/record", record, host_ns=event.end_ns, clock=model)
+        states(log, event.begin_ns, event.end_ns)
+
+    def write(event: Event) -> Callable[[Log], None]:
+        if event.kind == "camera":
+            return lambda log: frame(log, event)
+        if event.kind == "radar":
+            return lambda log: burst(log, event)
+        return lambda log: states(log, event.begin_ns, event.end_ns)
+
+    return write
+
+
+@contextmanager
+def progress_of(plan: Drive) -> Iterator[Tell]:
+    """A bar on a terminal: reference time, and its ratio to real time."""
+    import sys
+
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn("{task.description:<24}"),
+        BarColumn(),
+        TextColumn("{task.fields[pace]}"),
+        TimeRemainingColumn(),
+        console=Console(file=sys.stderr),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+    with bar:
+        task, start = bar.add_task("", total=plan.duration_s, pace=""), time.monotonic()
+        first: list[float] = []
+
+        def tell(reference_s: float) -> None:
+            first[:] = first or [reference_s]
+            elapsed_s = time.monotonic() - start
+            pace = (reference_s - first[0]) / elapsed_s if elapsed_s > 0 else 0.0
+            bar.update(
+                task,
+                completed=reference_s,
+                description=f"{reference_s:.2f} of {plan.duration_s:g} s",
+                pace=f"{pace:.3g} of real time",
+            )
+
+        yield tell

@@ -1,0 +1,89 @@
+"""What the sensors of a drive send: frame k of the camera, burst k of the radar."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hardware.records import RadarRecord, SpiRecord
+from twin.camera.acquisition import Capture, capture, measure
+from twin.camera.light import render
+from twin.camera.rendered import RenderedLight
+from twin.drive.plan import Drive
+from twin.radar import RadarEcho, radar_echo
+
+
+def seed_of(seed: int, sensor: int, number: int) -> int:
+    """Seed of one frame of one sensor."""
+    words = np.random.SeedSequence([seed, sensor, number]).generate_state(2, np.uint32)
+    return int(words[0]) << 31 | int(words[1]) >> 1
+
+
+@dataclass(frozen=True)
+class CameraFrames:
+    """The camera of a drive. A world at rest is rendered once."""
+
+    drive: Drive
+
+    def __call__(self, number: int, begin_ns: int) -> Capture:
+        """Frame ``number``, which begins at a time of the reference, its record in device time."""
+        drive, system = self.drive, self.drive.system
+        assert system is not None
+        seed = seed_of(drive.seed, 0, number)
+        if drive.moves:
+            world = drive.scene.after(1e-9 * begin_ns)
+            taken = capture(world, system, seed=seed, fidelity=drive.fidelity)
+        else:
+            rng = np.random.default_rng(seed)
+            noise = drive.fidelity.noise
+            taken = measure(drive.scene, system, self._still, rng=rng, noise=noise)
+        return replace(taken, record=self._timed(taken.record, number))
+
+    @cached_property
+    def _still(self) -> RenderedLight:
+        drive, seed = self.drive, np.random.SeedSequence([self.drive.seed, 2])
+        assert drive.system is not None
+        return render(drive.scene, drive.system, fidelity=drive.fidelity, seed=seed)
+
+    def _timed(self, record: SpiRecord, number: int) -> SpiRecord:
+        drive, n = self.drive, len(record.counts)
+        assert drive.system is not None
+        begin = drive.camera_clock.after_start(round(number * 1e9 * drive.system.frame_time_s))
+        return replace(
+            record,
+            device_time_ns=record.device_time_ns + begin,
+            sequence=((number * n + np.arange(n)) % 2**32).astype(np.uint32),
+        )
+
+
+class RadarBursts:
+    """The radar of a drive. A world at rest is traced once, where that gives the same bits."""
+
+    def __init__(self, drive: Drive) -> None:
+        self._drive, self._still = drive, None
+
+    _still: RadarEcho | None
+
+    def __call__(self, number: int, begin_ns: int) -> RadarRecord:
+        """Burst ``number``, which begins at a time of the reference, in device time."""
+        drive, seed = self._drive, seed_of(self._drive.seed, 1, number)
+        record = self._echo(begin_ns, seed).record()
+        begin = drive.radar_clock.after_start(round(number * 1e9 * drive.radar_period_s))
+        return replace(record, device_time_ns=record.device_time_ns + begin)
+
+    def _echo(self, begin_ns: int, seed: int) -> RadarEcho:
+        drive = self._drive
+        assert drive.radar is not None
+        if self._still is not None and (again := self._still.reseeded(seed)) is not None:
+            return again
+        weather = drive.system.weather if drive.system else None
+        echo = radar_echo(
+            replace(drive.scene, track=None).after(1e-9 * begin_ns),
+            drive.radar,
+            seed=seed,
+            fidelity=drive.fidelity,
+            weather=weather,
+        )
+        if not drive.moves:
+            self._still = echo.condensed()
+        return echo
