@@ -9,7 +9,7 @@ PIP_FLAGS := -q --disable-pip-version-check
 # Files of tests side by side: fixtures that a file shares are made once.
 TOGETHER := -n 2 --dist loadfile
 
-.PHONY: demo test test-vehicle test-slow test-peers lint docs docs-links bench extremes install clean
+.PHONY: demo test test-vehicle test-slow test-peers lint docs docs-links notebooks bench extremes install clean
 
 demo: install
 	$(BIN)/twin run scenes/yard
@@ -44,6 +44,10 @@ docs: $(DOCS)/.installed
 # Links to elsewhere: asks the network.
 docs-links: $(DOCS)/.installed
 	$(DOCS)/bin/python -m sphinx -q -b linkcheck docs build/docs-links
+
+# Stores with the notebooks what they show.
+notebooks: install
+	$(BIN)/jupyter execute --inplace --NotebookClient.record_timing=False notebooks/*.ipynb
 
 # Every axis pushed until a result leaves its stated error; writes docs/extremes.md.
 extremes: install
