@@ -20,6 +20,7 @@ from twin.commands.arguments import (
 if TYPE_CHECKING:
     from twin.job import Result
     from twin.radar.evaluation import RadarEvaluation
+    from twin.scene import Scene
 
 
 def run(
@@ -150,8 +151,19 @@ def _tell_roles(say: Output, radar: "RadarEvaluation") -> None:
         )
 
 
-def check(say: Output, scene: SceneArgument, pose: PoseOption = None) -> None:
-    """Validate a scene and list what it holds."""
+def check(
+    say: Output,
+    scene: SceneArgument,
+    *,
+    pose: PoseOption = None,
+    system: Annotated[
+        str, typer.Option(help="Camera whose cells motion is told in; `none`.")
+    ] = "workable",
+    radar: Annotated[
+        str, typer.Option(help="Radar whose cells motion is told in; `none`.")
+    ] = "hybrid-79",
+) -> None:
+    """Validate a scene, list what it holds, and what moves how fast."""
     from rich.table import Table
 
     from twin.scene import load_scene, parse_pose
@@ -168,6 +180,8 @@ def check(say: Output, scene: SceneArgument, pose: PoseOption = None) -> None:
     console_of(say, 140).print(table)
     say.line(f"rig: {loaded.rig.pose}")
     say.line(f"sun: {loaded.sun}")
+    if loaded.rig.moves or not loaded.at_rest:
+        _print_motion(say, loaded, system, radar)
     for warning in loaded.warnings:
         say.warn(warning)
     odd = sum(bool(row.remarks) for row in rows)
@@ -181,6 +195,24 @@ def check(say: Output, scene: SceneArgument, pose: PoseOption = None) -> None:
         rig=loaded.rig.pose,
         sun=loaded.sun,
     )
+
+
+def _print_motion(say: Output, scene: "Scene", system: str, radar: str) -> None:
+    """What moves, as a table."""
+    from rich.table import Table
+
+    from twin.radar import load_radar
+    from twin.report.motion import HEAD, headline, motion_reports
+    from twin.system import load_system
+
+    camera = None if system == "none" else load_system(system)
+    design = None if radar == "none" else load_radar(radar)
+    table = Table(*HEAD, title=headline(scene, camera, design), box=None)
+    reports = motion_reports(scene, camera, design)
+    for report in reports:
+        table.add_row(*report.cells)
+    console_of(say).print(table)
+    say.add(motion=reports)
 
 
 def import_(

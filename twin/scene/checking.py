@@ -41,7 +41,9 @@ def _report(item: SceneObject, scene: Scene) -> ObjectReport:
         remarks.append("faces wound both ways")
     if max(np.abs(item.box_m - scene.rig.position_m).max(), 0) > 1e4:
         remarks.append("reaches beyond 10 km: float32 rays lose up to 0.3 % of the light")
-    if any(item.velocity_m_per_s):
+    if item.motion is not None and item.motion.moves:
+        remarks.append(f"moves on {item.parent}" if item.parent else "moves")
+    elif any(item.velocity_m_per_s):
         remarks.append(f"moves at {', '.join(map(number, item.velocity_m_per_s))} m/s")
     reflectance = item.reflectance
     return ObjectReport(
