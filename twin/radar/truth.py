@@ -7,7 +7,12 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.one_way.motion import lengthening
+from twin.radar.propagation.one_way.motion import (
+    RigidMotions,
+    lengthening,
+    radar_motion,
+    relative_motion,
+)
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.scene import Scene, Target
@@ -94,9 +99,9 @@ def _true(
     ahead, left, up = (float(x) for x in axes @ towards / distance)
     wave = radar.ofdm
     half_s = wave.n_slots * wave.slot_period_s / 2
-    velocity = np.asarray(target.velocity_m_per_s)
-    rate, acceleration = map(float, lengthening(velocity, towards / distance, distance))
-    change = acceleration * half_s
+    velocity, faster = relative_motion(scene, target)
+    rate, acceleration = map(float, lengthening(velocity, towards / distance, distance, faster))
+    change = abs(acceleration) * half_s
     gain = float(wave.slot_gain(np.array(2 * rate / wave.wavelength_m)))
     gain *= float(air.amplitude_transmission(np.array(2 * distance / C_M_PER_S), wave.carrier_hz))
     power = radar.received_power_w(distance, target.rcs_m2, (ahead, left, up))
@@ -128,9 +133,15 @@ def _spans(target: Target, scene: Scene, radar_m: Array, half_s: float) -> tuple
         return np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
     offset_m = item.vertices_m - radar_m
     ranges = np.linalg.norm(offset_m, axis=1)
-    velocity = np.asarray(item.velocity_m_per_s)
-    rates, accelerations = lengthening(velocity, offset_m / ranges[:, None], ranges)
-    change = accelerations * half_s
+    own = radar_motion(scene)
+    velocity, faster = RigidMotions.of([item], radar_m).at(0, offset_m)
+    rates, accelerations = lengthening(
+        velocity - own.velocity_m_per_s,
+        offset_m / ranges[:, None],
+        ranges,
+        faster - own.acceleration_m_per_s2,
+    )
+    change = np.abs(accelerations) * half_s
     nearest = _nearest(offset_m[item.geometry.faces])
     return (
         np.array([nearest, ranges.max()]),

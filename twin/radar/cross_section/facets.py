@@ -24,6 +24,7 @@ from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.shadows import visible_samples
 from twin.radar.propagation.facets.triangles import Triangles, incident_on
 from twin.radar.propagation.one_way.beams import AntennaGain
+from twin.radar.propagation.one_way.device_motion import MovingBodies, MovingImages
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.scattering.arrays import ComplexVector3, Index, Mask, Vector3
 from twin.radar.scattering.kernel import turned
@@ -120,7 +121,7 @@ def _radars(
         table=mi.Float64(aligned(table(target.surfaces, material_hz))),
         orders=mi.UInt32(aligned(np.zeros(count, dtype=np.uint32))),
         positions=mi.Float64(aligned(np.stack(places, axis=1))),
-        velocities=mi.Float64(aligned(np.zeros(3 * count))),
+        motions=MovingImages(mi.Float64(aligned(np.zeros(3 * count)))),
         axes=mi.Float64(aligned(np.tile(np.eye(3), (count, 1)))),
         levels=mi.Float64(0),
         marks=mi.UInt32(0),
@@ -299,7 +300,7 @@ def _scatterers(context: TracingContext, subject: Subject) -> Scatterers:
         antenna=_Isotropic(context.mi, (zero, zero, zero), None, one, one, one, 1),
         answers=context.mi.Bool(aligned(np.ones(kinds, dtype=bool))),
         surface=context.mi.UInt32(aligned(subject.surface)),
-        velocity=context.mi.Float64(aligned(np.zeros(3 * kinds))),
+        motions=MovingBodies(context.mi.Float64(aligned(np.zeros(3 * kinds)))),
         parts=dr.arange(context.mi.UInt32, count),
     )
 

@@ -4,7 +4,12 @@ import numpy as np
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.one_way.motion import lengthening, turning
+from twin.radar.propagation.one_way.motion import (
+    lengthening,
+    radar_motion,
+    relative_motion,
+    turning,
+)
 from twin.radar.propagation.result import PathName, Propagation, by_delay
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene
@@ -16,6 +21,7 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
     What is left out: multipath, clutter, shadows.
     """
     offset, axes = scene.rig.device("radar")
+    spin = radar_motion(scene).spin_rad_per_s
     sent = radar.front_end.transmit_power_w.value
     names, paths = [], []
     for target in scene.targets:
@@ -25,9 +31,10 @@ def straight_paths(scene: Scene, radar: RadarDesign) -> Propagation:
         received = radar.received_power_w(distance, target.rcs_m2, (ahead, left, up))
         if received == 0:
             continue
-        velocity = np.asarray(target.velocity_m_per_s)
-        rate, acceleration = lengthening(velocity, towards / distance, distance)
-        turn = (axes @ turning(velocity, towards / distance, distance)).reshape(1, 3)
+        velocity, faster = relative_motion(scene, target)
+        rate, acceleration = lengthening(velocity, towards / distance, distance, faster)
+        turn = turning(velocity, towards / distance, distance)
+        turn = (axes @ (turn - np.cross(spin, towards / distance))).reshape(1, 3)
         direction = np.array([[ahead, left, up]])
         names.append(PathName((target.name,), target.name))
         paths.append(

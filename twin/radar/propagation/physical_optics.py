@@ -213,8 +213,7 @@ def _sharp(prepared: PreparedScene, body: NDArray[np.int32]) -> list[Sharp]:
         items = tuple(prepared.originals[i] for i in members)
         edges, owner = edges_of(items, tuple(prepared.anchor_m.tolist()))
         whose: NDArray[np.uint32] = members[owner].astype(np.uint32)
-        velocity = np.array(items[0].velocity_m_per_s)
-        edges_of_bodies.append(Sharp(edges, whose, reflection[whose], velocity))
+        edges_of_bodies.append(Sharp(edges, whose, reflection[whose], prepared.motions))
     return edges_of_bodies
 
 
@@ -245,7 +244,7 @@ def surface_clutter(
     scene: Scene, prepared: PreparedScene, fidelity: Fidelity, seed: int
 ) -> tuple[Contributions, list[str]]:
     """Contributions of rough surfaces, and which ones have no gamma or one that is assumed."""
-    surfaces, remarks = [], []
+    surfaces, remarks, motions = [], [], prepared.motions
     for number, (item, role) in enumerate(zip(prepared.items, prepared.roles, strict=True)):
         if role is not ScatteringModel.SURFACE:
             continue
@@ -256,7 +255,7 @@ def surface_clutter(
         elif gamma.value:
             is_slab = number >= len(prepared.world.items) and item.thickness_m is None
             sources = tuple(np.flatnonzero(prepared.worth[:, number]).tolist())
-            surfaces.append(SurfaceClutter(item, number, gamma.value, is_slab, sources))
+            surfaces.append(SurfaceClutter(item, number, gamma.value, is_slab, sources, motions))
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
     if not surfaces:
@@ -273,13 +272,17 @@ def at_antenna(traced: Contributions, prepared: PreparedScene, radar: RadarDesig
     """
     departure, arrival = traced.departure @ prepared.axes.T, traced.arrival @ prepared.axes.T
     gain = np.sqrt(radar.antenna.gain(departure) * radar.antenna.gain(arrival))
+    turning = [traced.departure_per_s, traced.arrival_per_s]
+    if (spin := prepared.radar_motion.spin_rad_per_s).any():  # the antenna turns under the wave
+        turning[0] = turning[0] - np.cross(spin, traced.departure)
+        turning[1] = turning[1] - np.cross(spin, traced.arrival)
     return replace(
         traced,
         amplitude=traced.amplitude * gain * loss_of(radar),
         departure=departure,
         arrival=arrival,
-        departure_per_s=traced.departure_per_s @ prepared.axes.T,
-        arrival_per_s=traced.arrival_per_s @ prepared.axes.T,
+        departure_per_s=turning[0] @ prepared.axes.T,
+        arrival_per_s=turning[1] @ prepared.axes.T,
     )
 
 

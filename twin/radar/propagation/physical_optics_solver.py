@@ -24,6 +24,7 @@ from twin.radar.propagation.facets.convergence import (
 )
 from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.facets.reflections import MOST_IMAGES, ReflectionChoice
+from twin.radar.propagation.one_way.motion import target_motion
 from twin.radar.propagation.physical_optics import (
     Scattered,
     at_antenna,
@@ -87,7 +88,7 @@ def echoes(
     diffuse = at_antenna(Contributions.concatenate([edges.echoes, clutter]), prepared, radar)
     diffuse = diffuse.in_proportion_to_wavelength()
     mirrors = _mirrors(prepared, radar, fidelity)
-    points = _points(prepared, radar, declared_alone(scene, roles), fidelity)
+    points = _points(scene, prepared, radar, declared_alone(scene, roles), fidelity)
     names, paths = by_delay(
         [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
     )
@@ -263,13 +264,20 @@ def _mirrors(
 
 
 def _points(
-    prepared: PreparedScene, radar: RadarDesign, declared: Sequence[Target], fidelity: Fidelity
+    scene: Scene,
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    declared: Sequence[Target],
+    fidelity: Fidelity,
 ) -> tuple[list[PathName], Contributions]:
     """Echoes of declared points; a path around an edge names the obstacle."""
     if not declared:
         return [], Contributions.none()
     obstacles = screens(prepared, fidelity.radar_shadow_db)
-    echoes, two_way = point_echoes(prepared.context, declared, prepared.anchor_m, obstacles)
+    motions = [target_motion(scene, target) for target in declared]
+    echoes, two_way = point_echoes(
+        prepared.context, declared, motions, prepared.anchor_m, obstacles
+    )
 
     def over(item: int) -> tuple[str, ...]:
         return (prepared.items[item].name,) if item >= 0 else ()

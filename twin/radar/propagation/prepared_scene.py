@@ -14,6 +14,7 @@ from scipy.constants import speed_of_light
 from twin.engine import mitsuba
 from twin.geometry import shapes_of
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.one_way.motion import PointMotion, RigidMotions, radar_motion
 from twin.radar.propagation.one_way.path import TracingContext, tracing_context, with_images
 from twin.radar.propagation.scene.culling import (
     OF_NOISE,
@@ -50,7 +51,8 @@ class PreparedScene:
     Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
     the objects as the scene has them, their large triangles undivided. ``images`` are those of
     ``all_images`` over which there is any echo; ``worth`` (n_images, n_objects): whether paths
-    between an image and an object that scatters are traced; ``untraced`` (n_objects,): bound
+    between an image and an object that scatters are traced; ``motions`` are those of objects, by
+    number; ``untraced`` (n_objects,): bound
     of the echo of each by all those that are not, in amplitude before losses.
     """
 
@@ -65,6 +67,8 @@ class PreparedScene:
     flats: Flats
     all_images: tuple[Image, ...]
     images: tuple[Image, ...]
+    motions: RigidMotions
+    radar_motion: PointMotion
     worth: NDArray[np.bool_]
     untraced: Array
     context: TracingContext
@@ -77,11 +81,9 @@ class PreparedScene:
 
     def with_images(self, images: Sequence[Image]) -> "PreparedScene":
         """The same with other images."""
-        velocities = np.array([item.velocity_m_per_s for item in self.items]).reshape(-1, 3)
         order = max(len(image.patches) for image in images)
-        seen = with_images(
-            self.context, images, self.flats, velocities, self.surface_of_object, order
-        )
+        motions = self.radar_motion, self.motions
+        seen = with_images(self.context, images, self.flats, motions, self.surface_of_object, order)
         return replace(self, images=tuple(images), context=seen)
 
     def up_to(self, order: int) -> "tuple[PreparedScene, NDArray[np.bool_]]":
@@ -98,6 +100,21 @@ class PreparedScene:
             worth=self.worth[some],
         )
         return fewer, np.asarray(self.worth[orders > order].any(axis=0))
+
+    @property
+    def moves(self) -> bool:
+        """Whether any object, or the radar, moves now."""
+        motions = self.motions
+        return bool(
+            self.accelerates
+            or motions.velocity_m_per_s.any()
+            or self.radar_motion.velocity_m_per_s.any()
+        )
+
+    @property
+    def accelerates(self) -> bool:
+        """Whether any object, or the radar, turns or accelerates now."""
+        return not (self.radar_motion.is_uniform and self.motions.are_uniform)
 
     def via(self, image: int) -> tuple[str, ...]:
         """Names of the objects that make an image."""
@@ -158,6 +175,8 @@ def prepare_scene(
         flats=mirrors,
         all_images=tuple(candidate_images),
         images=(),
+        motions=RigidMotions.of(items, anchor),
+        radar_motion=radar_motion(scene),
         worth=np.zeros((0, len(items)), dtype=bool),
         untraced=np.zeros(len(items)),
         context=tracing_context(

@@ -13,7 +13,7 @@ from scipy.constants import speed_of_light
 
 from twin.radar.propagation.diffraction.around_edges import Screens, all_paths_to_points
 from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
-from twin.radar.propagation.one_way.motion import lengthening, turning
+from twin.radar.propagation.one_way.motion import PointMotion, lengthening, turning
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import between, paths_to_points
 from twin.radar.scattering.kernel import turned
@@ -54,9 +54,11 @@ def mirror_echoes(context: TracingContext) -> Contributions:
     )
     amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * polarization, axis=1)
     none = np.zeros(count, dtype=np.uint32)
-    motion = -exact.velocity, -exact.back, exact.length
-    rate, acceleration = lengthening(*motion)
+    own, faster, _ = (part[0] for part in context.motions.on_host())
+    motion = own - exact.velocity, -exact.back, exact.length
+    rate, acceleration = lengthening(*motion, faster - exact.acceleration)
     aside = turning(*motion)
+    departing = aside + np.cross(exact.spin, exact.back)
     return Contributions(
         amplitude=amplitude,
         delay_s=(exact.length + nearest.extra) / speed_of_light,
@@ -67,7 +69,7 @@ def mirror_echoes(context: TracingContext) -> Contributions:
         object=none,
         source=exact.source,
         receiver=none,
-        departure_per_s=np.einsum("nij,nj->ni", exact.axes, aside),
+        departure_per_s=np.einsum("nij,nj->ni", exact.axes, departing),
         arrival_per_s=-aside,
     ).take(np.flatnonzero(share))
 
@@ -86,14 +88,17 @@ class TwoWayPath:
 def point_echoes(
     context: TracingContext,
     targets: Sequence[Target],
+    motions: Sequence[PointMotion],
     anchor_m: Array,
     obstacles: Screens | None = None,
 ) -> tuple[Contributions, list[TwoWayPath]]:
-    """Echoes of declared points over every pair of images, and around edges of obstacles: amplitude
-    per wavelength; ``object`` is the index into the list of paths returned beside them.
+    """Echoes of declared points, which move so, over every pair of images, and around edges of
+    obstacles: amplitude per wavelength; ``object`` is the index into the list of paths returned
+    beside them.
     """
     places = np.array([t.position_m for t in targets]).reshape(-1, 3) - anchor_m
-    velocity = np.array([t.velocity_m_per_s for t in targets]).reshape(-1, 3)
+    velocity = np.array([m.velocity_m_per_s for m in motions]).reshape(-1, 3)
+    acceleration = np.array([m.acceleration_m_per_s2 for m in motions]).reshape(-1, 3)
     strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
     paths = [
         all_paths_to_points(context, obstacles, i, places, np.zeros_like(places))
@@ -118,6 +123,7 @@ def point_echoes(
             )
             amplitude = strength[at] * np.sum(one.field * other.field, axis=1)
             number = len(two_way) + np.arange(len(at))
+            motion = velocity[at], acceleration[at]
             two_way += [TwoWayPath(*ends) for ends in zip(at, one.over, other.over, strict=True)]
-            contributions.append(between(one, other, amplitude, velocity[at], number))
+            contributions.append(between(one, other, amplitude, motion, number))
     return Contributions.concatenate(contributions), two_way

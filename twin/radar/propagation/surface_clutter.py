@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.geometry import Geometry
+from twin.radar.propagation.one_way.motion import RigidMotions
 from twin.radar.propagation.one_way.path import LEVEL, TracingContext, offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
 from twin.radar.synthesis import Contributions
@@ -36,7 +37,7 @@ _BEYOND = 12.0  # offsets of rays: a ray through walls ends up to 8 of them befo
 @dataclass(frozen=True, eq=False)
 class SurfaceClutter:
     """A rough surface: the object and its number, gamma, whether it is a closed wall that the radar
-    sees through, and the images from which paths to it are traced.
+    sees through, the images from which paths to it are traced, and the motions of all objects.
     """
 
     item: SceneObject
@@ -44,6 +45,7 @@ class SurfaceClutter:
     gamma: float
     is_slab: bool
     sources: tuple[int, ...]
+    motions: RigidMotions
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +175,7 @@ def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> 
     """Echoes from image i to image j >= i, and the same paths reversed."""
     paths = [_paths(context, rough, points, source) for source in rough.sources]
     scale = float(context.wavelength[0]) / (4 * np.pi) ** 1.5
-    velocity = np.asarray(rough.item.velocity_m_per_s)
+    velocity, acceleration = rough.motions.at(rough.number, points.place)
     contributions = []
     for i, (forward_path, falling) in enumerate(paths):
         for return_path, rising in paths[i:]:
@@ -185,8 +187,8 @@ def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> 
             amplitude = scale * np.sqrt(sigma) * np.exp(1j * points.phase[at])
             one, other = forward_path.take(at), return_path.take(at)
             amplitude *= np.sum(one.field * other.field, axis=1)
-            number = np.full(len(at), rough.number)
-            contributions.append(between(one, other, amplitude, velocity, number).and_reversed())
+            number, motion = np.full(len(at), rough.number), (velocity[at], acceleration[at])
+            contributions.append(between(one, other, amplitude, motion, number).and_reversed())
     return contributions
 
 

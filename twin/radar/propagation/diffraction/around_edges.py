@@ -331,14 +331,20 @@ def _point_paths(
     ends = (chain[1] - chain[0], chain[-2] - chain[-1])
     pulls = (chain[last - 1] - chain[last - 2], chain[last] - chain[last + 1])
     back, departure, one, other = (_unit(v) for v in (*ends, *pulls))
-    velocity = np.array([item.velocity_m_per_s for item in obstacles.items])[paths.item]
+    motions, edge = obstacles.prepared.motions, paths.stops.mean(axis=1)
+    velocity = motions.at(paths.item, edge)[0]
+    rate = np.sum(velocity * (one + other), axis=1)
+    own = obstacles.prepared.radar_motion.velocity_m_per_s
+    if own.any():  # which moves along another direction than straight from the point
+        seen = np.einsum("nij,nj->ni", unobstructed.axes, back)
+        rate -= (departure + seen) @ own
     return replace(
         unobstructed,
         back=back,
         departure=departure,
         extra=unobstructed.extra + paths.longer_m,
         field=unobstructed.field * paths.amplitude[:, None],
-        rate=np.sum(velocity * (one + other), axis=1),
+        rate=rate,
         clear=np.ones(len(paths.point), dtype=bool),
         over=paths.item,
     )

@@ -146,12 +146,12 @@ def _answers(
     )
     if not len(rows):
         return Contributions.none()
-    velocity = np.array([item.velocity_m_per_s for item in obstacles.items])
     objects = facets.object[rows]
+    motion = obstacles.prepared.motions.at(objects, middle[rows])
     amplitude = _radiated(
         obstacles, facets.take(rows), forward_path, return_path, surface_of_object
     )
-    return between(forward_path, return_path, amplitude, velocity[objects], objects)
+    return between(forward_path, return_path, amplitude, motion, objects)
 
 
 def _radiated(

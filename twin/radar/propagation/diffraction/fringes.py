@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.geometry import Geometry
+from twin.radar.propagation.one_way.motion import RigidMotions
 from twin.radar.propagation.one_way.path import TracingContext, offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
 from twin.radar.scattering.diffraction import (
@@ -39,13 +40,13 @@ class Sharp:
     """The sharp edges of one rigid body, relative to the anchor.
 
     Per edge (n,): ``object``, the number of the one that it belongs to; ``reflection``, what its
-    surface reflects of what a conductor would. ``velocity`` (3,).
+    surface reflects of what a conductor would. ``motions`` of objects, by number.
     """
 
     edges: Edges
     object: NDArray[np.uint32]
     reflection: NDArray[np.complex128]
-    velocity: Array
+    motions: RigidMotions
 
 
 #: By the first object of a body: the others, the anchor, and what was found last.
@@ -117,7 +118,9 @@ def _diffracted(
             at = np.flatnonzero(forward_path.clear & return_path.clear & apart)
             pair = forward_path.take(at), return_path.take(at)
             amplitude = _amplitude(body, segments.take(at), *pair, wavelength_m)
-            echo = between(*pair, amplitude, body.velocity, body.object[segments.edge[at]])
+            number = body.object[segments.edge[at]]
+            motion = body.motions.at(number, segments.middle_m[at])
+            echo = between(*pair, amplitude, motion, number)
             contributions.append(echo.take(echo.amplitude != 0).and_reversed())
     return contributions
 

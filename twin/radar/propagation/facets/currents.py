@@ -14,6 +14,7 @@ from twin.radar.propagation.facets.triangles import (
     Triangles,
     incident_on,
 )
+from twin.radar.propagation.one_way.device_motion import turning
 from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.one_way.path import (
     Axes,
@@ -22,7 +23,6 @@ from twin.radar.propagation.one_way.path import (
     along,
     mirrored_axes,
     one_way_path,
-    turning,
 )
 from twin.radar.propagation.scene.slabs import SlabTransmission
 from twin.radar.scattering.arrays import Complex, ComplexVector3, Index, Real, Vector3
@@ -254,19 +254,23 @@ def _turning(
 ) -> Real:
     """Largest rate at which the difference of path length between two corners grows, m/s."""
     number = dr.gather(context.mi.UInt32, context.world.object_index, lit.face)
-    own = context.mi.Vector3d(
-        *(dr.gather(context.mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
-    )
+    own = scatterers.motions.at(context.mi, number, lit.center)
     incident = lit.center - wave.origin
     length = dr.norm(incident)
     a, b, c = lit.corners
     size = dr.maximum(
         dr.squared_norm(b - a), dr.maximum(dr.squared_norm(c - b), dr.squared_norm(a - c))
     )
-    rate = dr.norm(turning(own - wave.velocity, incident / length, length))
-    return dr.sqrt(size) * (
-        rate + dr.norm(turning(own - return_path.velocity, -return_path.back, return_path.length))
+    there = turning(own.velocity - wave.motion.velocity, incident / length, length)
+    again = turning(
+        own.velocity - return_path.motion.velocity, -return_path.back, return_path.length
     )
+    if own.spin is None:
+        return dr.sqrt(size) * (dr.norm(there) + dr.norm(again))
+    # The triangle turns, too: of the change of the gradient what lies in its plane counts.
+    change = there + again - dr.cross(own.spin, incident / length - return_path.back)
+    _, normal = plane_of(context, lit.face)
+    return dr.sqrt(size) * dr.norm(change - dr.dot(change, normal) * normal)
 
 
 def _most(

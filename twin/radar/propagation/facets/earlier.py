@@ -78,6 +78,7 @@ def setting_of(
             ),
             prepared.anchor_m,
             prepared.place,
+            *vars(prepared.radar_motion).values(),
             prepared.axes,
             flats.object,
             flats.point,

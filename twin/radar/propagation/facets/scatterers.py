@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from twin.radar.device.antenna import Antenna
 from twin.radar.propagation.facets.convexity import convex_parts
 from twin.radar.propagation.one_way.beams import AntennaGain, antenna_gain
+from twin.radar.propagation.one_way.device_motion import MovingBodies
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.transfer import aligned
 
@@ -32,7 +33,7 @@ class Scatterers:
         Whether paths between the image and the facet are traced.
 
     On the device: the ``antenna``; per object ``answers``, whether it scatters, its ``surface`` and
-    ``velocity``; per facet ``parts``, the number of its convex part (`convexity.convex_parts`).
+    ``motions``; per facet ``parts``, the number of its convex part (`convexity.convex_parts`).
     ``half_time_s``: half the duration of the burst, 0 where nothing moves.
     """
 
@@ -43,7 +44,7 @@ class Scatterers:
     antenna: AntennaGain
     answers: Any
     surface: Any
-    velocity: Any
+    motions: MovingBodies
     parts: Any
     half_time_s: float = 0.0
 
@@ -62,7 +63,6 @@ def scatterers(
         shape = item.geometry.shape
         counts[rows] &= ~shape.is_double
         outward[rows] = shape.outward
-    velocities = np.array([item.velocity_m_per_s for item in prepared.items], dtype=np.float64)
     return Scatterers(
         body=body[world.object_of_face].astype(np.intp),
         counts=counts,
@@ -71,9 +71,9 @@ def scatterers(
         antenna=antenna_gain(mi, antenna, prepared.axes),
         answers=mi.Bool(aligned(body >= 0)),
         surface=mi.UInt32(prepared.surface_of_object),
-        velocity=mi.Float64(velocities.ravel()),
+        motions=MovingBodies.of(mi, prepared.motions, prepared.accelerates),
         parts=mi.UInt32(aligned(convex_parts(world))),
-        half_time_s=half_time_s if velocities.any() else 0.0,
+        half_time_s=half_time_s if prepared.moves else 0.0,
     )
 
 

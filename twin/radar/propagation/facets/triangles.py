@@ -13,6 +13,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.one_way.device_motion import Moving
 from twin.radar.propagation.one_way.path import (
     Axes,
     TracingContext,
@@ -34,12 +35,12 @@ _ON_HOST = "body", "is_ray", "first", "bounces"  # what triangles have there
 class Incident:
     """Incident waves at points, on the device; see `path.OneWayPath`.
 
-    ``origin`` is the point from which each spreads, ``velocity`` that point's, ``axes`` the world's
+    ``origin`` is the point from which each spreads, ``motion`` that point's, ``axes`` the world's
     axes mirrored in all mirrors and facets on the path.
     """
 
     origin: Vector3
-    velocity: Vector3
+    motion: Moving
     axes: Axes
     field: ComplexVector3
     departure: Vector3
@@ -64,7 +65,6 @@ class Waves:
         w = self.incident
         vectors = (
             w.origin,
-            w.velocity,
             *w.axes,
             w.field.re,
             w.field.im,
@@ -75,18 +75,19 @@ class Waves:
             *(axis for v in vectors for axis in v),
             *vars(w.transmission).values(),
             self.plane_deviation,
+            *w.motion.columns(),
         ]
 
     @staticmethod
     def of(columns: Sequence[Any], vector: Any) -> "Waves":
         """From these arrays."""
-        origin, velocity, x, y, z, re, im, departure, lit_point = (
-            vector(*columns[i : i + 3]) for i in range(0, 27, 3)
+        origin, x, y, z, re, im, departure, lit_point = (
+            vector(*columns[i : i + 3]) for i in range(0, 24, 3)
         )
-        transmission = SlabTransmission(*columns[27:31])
-        field = ComplexVector3(re, im)
-        incident = Incident(origin, velocity, (x, y, z), field, departure, transmission)
-        return Waves(incident, lit_point, columns[31])
+        transmission = SlabTransmission(*columns[24:28])
+        field, motion = ComplexVector3(re, im), Moving.of_columns(columns[29:], vector)
+        incident = Incident(origin, motion, (x, y, z), field, departure, transmission)
+        return Waves(incident, lit_point, columns[28])
 
     def at(self, index: Index) -> "Waves":
         """The waves with these indices."""
@@ -234,7 +235,7 @@ def incident_on(context: TracingContext, lit: Triangles) -> Incident:
     )
     return Incident(
         origin=image_place(context, lit.source),
-        velocity=path.velocity,
+        motion=path.motion,
         axes=mirrored_axes(context, lit.source),
         field=path.field,
         departure=path.departure,

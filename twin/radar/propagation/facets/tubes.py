@@ -308,11 +308,9 @@ def _lit_on(
     wave = incident_on(context, some)
     _, normal, _, reflected_field = reflection(context, scatterers, some, wave)
     number = dr.gather(mi.UInt32, context.world.object_index, some.face)
-    own = mi.Vector3d(
-        *(dr.gather(mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
-    )
     origin = wave.origin - 2 * dr.dot(wave.origin - some.center, normal) * normal
-    velocity = wave.velocity - 2 * dr.dot(wave.velocity - own, normal) * normal
+    image = wave.origin, wave.motion
+    motion = scatterers.motions.mirrored(mi, number, image, some.center, normal)
     new = mi.UInt32(aligned(face.astype(np.uint32)))
     point, across = plane_of(context, new)
 
@@ -337,7 +335,7 @@ def _lit_on(
     x, y, z = (axis - 2 * dr.dot(axis, normal) * normal for axis in wave.axes)
     transmission = SlabTransmission(*(value + wide for value in vars(wave.transmission).values()))
     field = ComplexVector3(reflected_field.re, reflected_field.im + wide)
-    incident = Incident(origin, velocity, (x, y, z), field, wave.departure, transmission)
+    incident = Incident(origin, motion, (x, y, z), field, wave.departure, transmission)
     waves = Waves(incident, lit_point, mi.Float64(aligned(deviation_m)))
     a, b, c = (dr.select(is_ray, around(corner), onto(corner)) for corner in some.corners)
     triangles = replace(

@@ -39,6 +39,7 @@ from twin.radar.propagation.facets.earlier import (
 from twin.radar.propagation.facets.front_facets import lit_facets, portions
 from twin.radar.propagation.facets.reflections import Bounds
 from twin.radar.propagation.facets.scatterers import Scatterers
+from twin.radar.propagation.one_way.motion import RigidMotions
 from twin.radar.propagation.one_way.path import TracingContext, image_place
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image
@@ -163,14 +164,19 @@ def _changed(before: Setting, now: Setting) -> Mask | None:
 def _alike(one: SceneObject, other: SceneObject) -> bool:
     if one is other:
         return True
-    compared = ("velocity_m_per_s", "thickness_m")
-    if any(getattr(one, name) != getattr(other, name) for name in compared):
+    if one.thickness_m != other.thickness_m or not _move_alike(one, other):
         return False
     if one.geometry is other.geometry and one.pose is other.pose:
         return True
     return np.array_equal(one.geometry.faces, other.geometry.faces) and np.array_equal(
         one.vertices_m, other.vertices_m
     )
+
+
+def _move_alike(one: SceneObject, other: SceneObject) -> bool:
+    motions = RigidMotions.of([one, other], one.middle_m)
+    pairs = (values for name, values in vars(motions).items() if name != "anchor_m")
+    return all(np.array_equal(*pair) for pair in pairs)
 
 
 def _united(boxes: Array) -> Array:

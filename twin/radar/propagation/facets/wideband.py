@@ -28,10 +28,8 @@ from twin.radar.propagation.one_way.internal_reflections import (
 from twin.radar.propagation.one_way.path import (
     TracingContext,
     along,
-    lengthening,
     mirrored_axes,
     one_way_path,
-    turning,
 )
 from twin.radar.synthesis import Contributions
 from twin.transfer import aligned, host
@@ -92,18 +90,16 @@ def _contributions(
         context, lit.receiver, place, mi.Vector3d(0), mi.Bool(True), tested=False
     )
     number = dr.gather(mi.UInt32, context.world.object_index, lit.face)
-    own = mi.Vector3d(
-        *(dr.gather(mi.Float64, scatterers.velocity, 3 * number + i) for i in range(3))
-    )
+    own = scatterers.motions.at(mi, number, place)
     towards = place - wave.origin
     forward_length = dr.norm(towards)
     motions = (
-        (own - wave.velocity, towards / forward_length, forward_length),
-        (own - return_path.velocity, -return_path.back, return_path.length),
+        (wave.motion, towards / forward_length, forward_length),
+        (return_path.motion, -return_path.back, return_path.length),
     )
-    there, again = (lengthening(*motion) for motion in motions)
+    there, again = (own.lengthening(*motion) for motion in motions)
     shown = wave.axes, mirrored_axes(context, lit.receiver)
-    turns = [along(turning(*motion), axes) for motion, axes in zip(motions, shown, strict=True)]
+    turns = [along(own.turning(*motion), axes) for motion, axes in zip(motions, shown, strict=True)]
     values: list[Any] = [wave.transmission.extra + return_path.transmission.extra]
     values += [there[0] + again[0], there[1] + again[1]]
     values += [along(towards / forward_length, wave.axes), return_path.departure]

@@ -1,4 +1,7 @@
-"""Which objects are one body: those that touch, by their boxes, and move alike.
+"""Which objects are one body: those that touch, by their boxes, and move alike as one rigid body.
+
+A wheel that turns on a car is a body of its own: its echo changes unlike the car's. Rays between
+both are traced all the same.
 
 Boxes of like size are looked up in one tree of their middles, so what is compared grows with the
 number of neighbours, not with that of all pairs.
@@ -13,12 +16,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from twin.radar.propagation.one_way.motion import RigidMotions
 from twin.scene import SceneObject
 from twin.scene.boxes import boxes_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
+_ROUNDING = 1e-9  # of velocities, accelerations and angular velocities, in SI units
 _NEAR = 0.02  # of the larger one's size: objects closer than this are one body
 
 
@@ -39,11 +45,29 @@ def bodies_of(items: Sequence[SceneObject]) -> Indices:
 def touching(items: Sequence[SceneObject]) -> Indices:
     """Pairs of objects, the lower number first, that touch and move alike, (n, 2)."""
     boxes = boxes_of(items)
-    velocity = np.array([item.velocity_m_per_s for item in items]).reshape(-1, 3)
     pairs = near_pairs(boxes)[0]
+    return pairs[_move_alike(items, pairs, boxes.mean(axis=1))]
+
+
+def _move_alike(items: Sequence[SceneObject], pairs: Indices, middle_m: Array) -> Mask:
+    """Whether both of a pair (n, 2) would move alike as one rigid body, (n,): exactly so where none
+    has a motion of its own, else but for the rounding of motions that lead to the same.
+    """
+    motions = RigidMotions.of(items, np.zeros(3))
     first, second = pairs.T
-    alike = (velocity[first] == velocity[second]).all(axis=1)
-    return pairs[alike]
+    if not any(item.motion is not None for item in items):
+        same: Mask = (motions.velocity_m_per_s[first] == motions.velocity_m_per_s[second]).all(
+            axis=1
+        )
+        return same
+    places = middle_m[first]
+    states = [
+        (*motions.at(number, places), motions.spin_rad_per_s[number]) for number in (first, second)
+    ]
+    alike = np.ones(len(pairs), dtype=bool)
+    for one, other in zip(*states, strict=True):
+        alike &= (np.abs(one - other) <= _ROUNDING * (1 + np.abs(one))).all(axis=1)
+    return alike
 
 
 def near_pairs(boxes: Array) -> tuple[Indices, int]:

@@ -14,7 +14,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.one_way.motion import NEAREST_M
+from twin.radar.propagation.one_way.device_motion import Moving, MovingImages, gathered
+from twin.radar.propagation.one_way.motion import NEAREST_M, PointMotion, RigidMotions
 from twin.radar.propagation.scene.images import Image, in_plane
 from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene
 from twin.radar.propagation.scene.slabs import SlabTransmission, Walls, cross, no_slab
@@ -46,7 +47,7 @@ class TracingContext:
     """Arrays that all paths share: world, antenna, images, reflection coefficients.
 
     ``order`` is the largest number of reflections; ``table`` the one of `scattering.surface`;
-    ``positions`` and ``velocities`` (3 n) are those of the images, ``axes`` (9 n) the world's axes
+    ``positions`` (3 n) and ``motions`` are those of the images, ``axes`` (9 n) the world's axes
     mirrored for each image.
     """
 
@@ -61,7 +62,7 @@ class TracingContext:
     table: Real
     orders: Index
     positions: Real
-    velocities: Real
+    motions: MovingImages
     axes: Real
     levels: Real
     marks: Index
@@ -90,7 +91,7 @@ def tracing_context(
     table: Real,
     walls: Walls | None,
 ) -> TracingContext:
-    """The context on the device for the radar itself, without images."""
+    """The context on the device for the radar itself, at rest and without images."""
     return TracingContext(
         mi=mi,
         world=world,
@@ -103,7 +104,7 @@ def tracing_context(
         table=table,
         orders=mi.UInt32(0),
         positions=mi.Float64(aligned(place)),
-        velocities=mi.Float64(aligned(np.zeros(3))),
+        motions=MovingImages.of(mi, [PointMotion.still()], accelerated=False),
         axes=mi.Float64(aligned(np.eye(3).ravel())),
         levels=mi.Float64(0),
         marks=mi.UInt32(0),
@@ -117,12 +118,12 @@ def with_images(
     context: TracingContext,
     images: Sequence[Image],
     flats: Flats,
-    velocities: Array,
+    motions: tuple[PointMotion, RigidMotions],
     surface_of_object: NDArray[np.uint32],
     order: int,
 ) -> TracingContext:
     """The context with images of the radar of up to ``order`` reflections, in patches of objects
-    with velocities (n, 3) and surfaces (n,).
+    with these surfaces (n,); ``motions`` of the radar, and of objects relative to the anchor.
     """
     mi = context.mi
     levels = np.zeros((len(images), order, LEVEL))
@@ -146,7 +147,7 @@ def with_images(
         n_sources=len(images),
         orders=mi.UInt32(aligned(np.array([len(i.patches) for i in images], dtype=np.uint32))),
         positions=mi.Float64(aligned(np.concatenate([i.place for i in images]))),
-        velocities=mi.Float64(aligned(_velocities(images, flats, velocities).ravel())),
+        motions=_motions(mi, images, flats, *motions),
         axes=mi.Float64(aligned(_axes(images, flats).ravel())),
         levels=mi.Float64(aligned(levels if levels.size else np.zeros(1))),
         marks=mi.UInt32(aligned(marks if marks.size else np.zeros(1, dtype=np.uint32))),
@@ -162,14 +163,18 @@ def _windows(flats: Flats, patches: NDArray[np.int64]) -> Array:
     return np.hstack(columns)
 
 
-def _velocities(images: Sequence[Image], flats: Flats, velocities: Array) -> Array:
-    """Velocities of images (n, 3), by those of objects, whose patches keep their normals."""
-    of_images = np.zeros((len(images), 3))
-    for velocity, image in zip(of_images, images, strict=True):
-        for number in image.patches:
-            moving, normal = velocities[flats.object[number]], flats.normal[number]
-            velocity -= 2 * ((velocity - moving) @ normal) * normal
-    return of_images
+def _motions(
+    mi: Any, images: Sequence[Image], flats: Flats, radar: PointMotion, objects: RigidMotions
+) -> MovingImages:
+    """Motions of images, by those of the radar and of the objects that mirror it."""
+    of_images = []
+    for image in images:
+        motion = replace(radar, spin_rad_per_s=np.zeros(3))  # of the world's axes
+        for level, number in enumerate(image.patches):
+            flat = flats.point[number], flats.normal[number], objects, int(flats.object[number])
+            motion = motion.mirrored(image.places[level], *flat)
+        of_images.append(motion)
+    return MovingImages.of(mi, of_images, not (radar.is_uniform and objects.are_uniform))
 
 
 def _axes(images: Sequence[Image], flats: Flats) -> Array:
@@ -191,7 +196,7 @@ class OneWayPath:
 
     ``back`` and ``length``: unit vector and distance from the point to the image; ``departure``:
     unit vector from the radar; ``field``: incident field of a wave sent with amplitude 1, without
-    spreading and phase; ``velocity``: the image's, by moving mirrors; ``clear``: whether the path
+    spreading and phase; ``motion``: the image's; ``clear``: whether the path
     meets all its mirrors and no occluder; ``transmission``: of the walls that it crosses.
     """
 
@@ -199,7 +204,7 @@ class OneWayPath:
     length: Real
     departure: Vector3
     field: ComplexVector3
-    velocity: Vector3
+    motion: Moving
     clear: Mask
     transmission: SlabTransmission
 
@@ -239,9 +244,9 @@ def one_way_path(
         field = reflected(field, travel, mirror.normal, coefficients).where(has, field)
         travel = dr.select(has, away, travel)
         cross_walls(mirror.place, away, mirror.distance, has & path.clear)
-    velocity = _gathered(mi, context.velocities, 3 * source, active)
+    motion = context.motions.at(mi, source, active)
     return OneWayPath(
-        path.back, path.length, path.departure, field, velocity, path.clear, transmission
+        path.back, path.length, path.departure, field, motion, path.clear, transmission
     )
 
 
@@ -297,7 +302,7 @@ def _to_image(
 ) -> _PathToImage:
     mi = context.mi
     order = dr.gather(mi.UInt32, context.orders, source, active)
-    image = _gathered(mi, context.positions, 3 * source, active)
+    image = gathered(mi, context.positions, 3 * source, active)
     towards = image - place
     length = dr.norm(towards)
     back = towards / dr.maximum(length, NEAREST_M)
@@ -309,7 +314,7 @@ def _to_image(
         has = active & (order > level)
         row = source * context.order + level
         before, point, normal = (
-            _gathered(mi, context.levels, LEVEL * row + 3 * i, has) for i in range(3)
+            gathered(mi, context.levels, LEVEL * row + 3 * i, has) for i in range(3)
         )
         segment_vector = aim - at
         distance = dr.norm(segment_vector)
@@ -347,27 +352,14 @@ def _to_image(
     return _PathToImage(back, length, -towards_radar, clear, mirrors, aim, distance)
 
 
-def lengthening(velocity: Vector3, direction: Vector3, length: Real) -> tuple[Real, Real]:
-    """As `motion.lengthening`, on the device."""
-    rate = dr.dot(velocity, direction)
-    across = velocity - rate * direction
-    return rate, dr.squared_norm(across) / dr.maximum(length, NEAREST_M)
-
-
-def turning(velocity: Vector3, direction: Vector3, length: Real) -> Vector3:
-    """As `motion.turning`, on the device."""
-    across = velocity - dr.dot(velocity, direction) * direction
-    return across / dr.maximum(length, NEAREST_M)
-
-
 def image_place(context: TracingContext, source: Index) -> Vector3:
     """Places of images."""
-    return _gathered(context.mi, context.positions, 3 * source, True)
+    return gathered(context.mi, context.positions, 3 * source, True)
 
 
 def mirrored_axes(context: TracingContext, source: Index) -> Axes:
     """The world's axes mirrored for an image."""
-    x, y, z = (_gathered(context.mi, context.axes, 9 * source + 3 * i, True) for i in range(3))
+    x, y, z = (gathered(context.mi, context.axes, 9 * source + 3 * i, True) for i in range(3))
     return x, y, z
 
 
@@ -426,7 +418,3 @@ def offset(place: Vector3) -> Real:
 def offset_m(place: Array) -> Array:
     """As `offset`, on the host: of places (n, 3), (n, 1)."""
     return OFF_SURFACE * (np.linalg.norm(place, axis=1, keepdims=True) + 1e-3)
-
-
-def _gathered(mi: Any, values: Real, index: Index, active: Mask | bool) -> Vector3:
-    return mi.Vector3d(*(dr.gather(mi.Float64, values, index + i, active) for i in range(3)))

@@ -26,8 +26,9 @@ class PointPaths:
 
     ``length``: of the direct path, which sets the spreading; ``extra``: what walls and diffraction
     around obstacles add to it; ``over``: number of the obstacle around which it is diffracted, -1
-    for none; ``rate``: growth of the length by that obstacle's motion, m/s; ``axes`` (n, 3, 3): the
-    world's axes as the image shows them.
+    for none; ``rate``: growth of the length by that obstacle's motion, m/s; ``velocity``,
+    ``acceleration`` and ``spin`` of the image; ``axes`` (n, 3, 3): the world's axes as it shows
+    them.
     """
 
     source: NDArray[np.uint32]
@@ -37,6 +38,8 @@ class PointPaths:
     departure: Array
     field: NDArray[np.complex128]
     velocity: Array
+    acceleration: Array
+    spin: Array
     axes: Array
     clear: NDArray[np.bool_]
     over: NDArray[np.int64]
@@ -89,7 +92,8 @@ def paths_to_points(
         + [p.rho_re, p.rho_im, p.lag],
         n,
     )
-    field, velocity = re + 1j * im, np.array(context.velocities).reshape(-1, 3)[sources]
+    field = re + 1j * im
+    velocity, acceleration, spin = (part[sources] for part in context.motions.on_host())
     axes = np.array(context.axes).reshape(-1, 3, 3)[sources]
     return PointPaths(
         source=sources,
@@ -99,6 +103,8 @@ def paths_to_points(
         departure=departure,
         field=field,
         velocity=velocity,
+        acceleration=acceleration,
+        spin=spin,
         axes=axes,
         clear=clear,
         over=np.full(n, -1),
@@ -111,7 +117,7 @@ def between(
     forward_path: PointPaths,
     return_path: PointPaths,
     amplitude: NDArray[np.complex128],
-    velocity: Array,
+    motion: tuple[Array, Array],
     number: NDArray[np.integer],
 ) -> Contributions:
     """Echoes by a forward and a return path each, with the internal reflections of walls.
@@ -120,15 +126,20 @@ def between(
     ----------
     amplitude
         Of each point (n,), without the spreading, which is 1 over both lengths.
-    velocity, number
-        Velocity of the points, (n, 3) or (3,), and number of the object of each, (n,).
+    motion, number
+        Velocity and acceleration of the points, (n, 3) or (3,) each, and number of the object of
+        each, (n,).
     """
     paths = (forward_path, return_path)
+    velocity, acceleration = motion
     moved = [(velocity - path.velocity, -path.back, path.length) for path in paths]
-    rates = [lengthening(*motion) for motion in moved]
+    rates = [
+        lengthening(*way, acceleration - path.acceleration)
+        for path, way in zip(paths, moved, strict=True)
+    ]
     turns = [
-        np.einsum("nij,nj->ni", path.axes, turning(*motion))
-        for path, motion in zip(paths, moved, strict=True)
+        np.einsum("nij,nj->ni", path.axes, turning(*way) + np.cross(path.spin, path.back))
+        for path, way in zip(paths, moved, strict=True)
     ]
     length_m = forward_path.length + forward_path.extra + return_path.length + return_path.extra
     rate_m_per_s = rates[0][0] + rates[1][0] + forward_path.rate + return_path.rate

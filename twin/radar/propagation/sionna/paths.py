@@ -20,7 +20,14 @@ from hardware.waveform import C_M_PER_S
 from twin.engine import sionna
 from twin.geometry import mitsuba_mesh, planes
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.one_way.motion import lengthening, turning
+from twin.radar.propagation.one_way.motion import (
+    PointMotion,
+    RigidMotions,
+    lengthening,
+    radar_motion,
+    target_motion,
+    turning,
+)
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
 from twin.radar.propagation.scene.materials import radio_properties, surface_of
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
@@ -130,6 +137,7 @@ class _RadioWorld:
         self.radar = radar
         self.offset, self.axes = scene.rig.device("radar")
         self.origin = scene.rig.position_m + self.offset
+        self.motion = radar_motion(scene)
         self.roles = assign_scattering_models(scene, radar.ofdm.wavelength_m)
         self.surfaces = {a.name for a in self.roles if a.role is ScatteringModel.SURFACE}
         self.assumptions: list[str] = []
@@ -333,7 +341,7 @@ class _RadioWorld:
         if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in interactions):
             return None
         planes = [
-            (*self._plane(m, primitive), np.array(m.velocity_m_per_s))
+            (*self._plane(m, primitive), RigidMotions.of([m], self.origin), 0)
             if isinstance(m, SceneObject)
             else None
             for m, primitive in zip(interactions, raw.primitives, strict=True)
@@ -341,19 +349,21 @@ class _RadioWorld:
         vertices = raw.vertices.copy()
         at = next((i for i, m in enumerate(interactions) if isinstance(m, Target)), None)
         if at is None:
-            place, velocity = np.zeros(3), np.zeros(3)
+            place, moving = np.zeros(3), self.motion
             sections = [planes]
         else:
             place = np.asarray(self.targets_met[raw.objects[at]].position_m) - self.origin
-            velocity = np.array(interactions[at].velocity_m_per_s)
+            moving = target_motion(self.scene, self.targets_met[raw.objects[at]])
             vertices[at] = place
             sections = [planes[:at], planes[:at:-1]]
-        motions = [_path_motion(place, velocity, p) for p in sections]
+        motions = [_path_motion(place, moving, self.motion, p) for p in sections]
         # Length with its first and second derivative, of both paths together.
         length, rate, acceleration = np.sum([lengths for lengths, _ in motions], axis=0)
         turns = [_mirrored_back(turn, p) for (_, turn), p in zip(motions, sections, strict=True)]
         # A path without a target ends at the radar's own image.
         turns = [*turns, -motions[0][1]][:2]
+        ends = self._direction(vertices[0]), self._direction(vertices[-1])
+        spin = self._in_antenna(self.motion.spin_rad_per_s)
         name = PathName(
             tuple(m.name for m in interactions), None if at is None else interactions[at].name
         )
@@ -362,10 +372,10 @@ class _RadioWorld:
             delay_s=np.array([length / C_M_PER_S]),
             delay_rate=np.array([rate / C_M_PER_S]),
             delay_acceleration_per_s=np.array([acceleration / C_M_PER_S]),
-            departure=self._direction(vertices[0]),
-            arrival=self._direction(vertices[-1]),
-            departure_per_s=self._in_antenna(turns[0]),
-            arrival_per_s=self._in_antenna(turns[1]),
+            departure=ends[0],
+            arrival=ends[1],
+            departure_per_s=self._in_antenna(turns[0]) - np.cross(spin, ends[0]),
+            arrival_per_s=self._in_antenna(turns[1]) - np.cross(spin, ends[1]),
         )
         amplitude = np.array([complex(raw.amplitude * self._gain(echo))])
         return _Refined(name, replace(echo, amplitude=amplitude))
@@ -386,25 +396,28 @@ class _RadioWorld:
 
 
 def _path_motion(
-    place: Array, velocity: Array, planes: "list[Any]"
+    place: Array, moving: PointMotion, radar: PointMotion, planes: "list[Any]"
 ) -> tuple[tuple[float, float, float], Array]:
     """Of the path from the radar, in the origin, over planes that move (a point, the unit
-    normal and the velocity each), the first one first, to a point that moves: its length with the
-    first and second derivative in time, and the derivative of its direction at the point.
+    normal, motions and the number of its own among them), the first one first, to a point that
+    moves: its length with the first and second derivative in time, and the derivative of its
+    direction at the point, as the axes see it that the planes mirror.
     """
-    image, drift = np.zeros(3), np.zeros(3)
-    for start, normal, moving in planes:
+    image, motion = np.zeros(3), replace(radar, spin_rad_per_s=np.zeros(3))
+    for start, normal, motions, number in planes:
+        motion = motion.mirrored(image, start, normal, motions, number)
         image = image - 2 * ((image - start) @ normal) * normal
-        drift = drift - 2 * ((drift - moving) @ normal) * normal
     length = float(np.linalg.norm(place - image))
-    motion = velocity - drift, (place - image) / length, length
-    rate, acceleration = lengthening(*motion)
-    return (length, float(rate), float(acceleration)), turning(*motion)
+    towards, velocity = (place - image) / length, moving.velocity_m_per_s - motion.velocity_m_per_s
+    faster = moving.acceleration_m_per_s2 - motion.acceleration_m_per_s2
+    rate, acceleration = lengthening(velocity, towards, length, faster)
+    turn = turning(velocity, towards, length) - np.cross(motion.spin_rad_per_s, towards)
+    return (length, float(rate), float(acceleration)), turn
 
 
 def _mirrored_back(direction: Array, planes: "list[Any]") -> Array:
     """A direction at the end of a path over planes, mirrored back to the radar."""
-    for _, normal, _ in reversed(planes):
+    for _, normal, *_ in reversed(planes):
         direction = direction - 2 * (direction @ normal) * normal
     return direction
 
