@@ -433,7 +433,10 @@ def test_other_results_and_too_many_points_are_refused(study, tmp_path: Path) ->
     one = study('[grid]\n"link.distance_m" = [1.0]\n', CLOSED, name="one")
     two = study('[grid]\n"link.distance_m" = [2.0]\n', CLOSED, name="two")
     run_sweep(one, out=tmp_path / "out")
-    with pytest.raises(InputError, match="another study"):
+    with pytest.raises(
+        InputError,
+        match=r"of another study: name = one, not two; .*distance_m = 1, not 2; expected",
+    ):
         run_sweep(two, out=tmp_path / "out")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter").write_text("x")

@@ -318,6 +318,6 @@ def test_a_wrong_motion_is_refused(tmp_path: Path, toml: str, message: str) -> N
 
 def test_a_rig_needs_one_place(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="needs either `position_m` or"):
-        scene(tmp_path, rig="[rig]\n")
+        scene(tmp_path, rig="[rig]\nvelocity_m_per_s = [1.0, 0.0, 0.0]\n")
     with pytest.raises(InputError, match="needs either `position_m` or"):
         scene(tmp_path, rig=RIG + "[rig.motion.trajectory]\nfile = 'car.csv'\n")

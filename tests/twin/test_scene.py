@@ -53,8 +53,9 @@ def scene(
 ) -> Path:
     file = '<string name="filename" value="thing.ply"/>' if plugin == "ply" else ""
     text = XML.format(material=material, reflectance=reflectance, plugin=plugin, file=file)
+    folder.mkdir(exist_ok=True)
     (folder / "scene.xml").write_text(text)
-    if toml:
+    if toml is not None:
         (folder / "scene.toml").write_text(toml)
     ply(folder / "thing.ply", **mesh)
     return folder
@@ -255,8 +256,35 @@ def test_impossible_reflectances(tmp_path: Path, value: str) -> None:
     assert_refused(scene(tmp_path, reflectance=value), "'thing'", "expected 0 to 1")
 
 
-def test_unknown_materials(tmp_path: Path) -> None:
-    assert_refused(scene(tmp_path, material="unobtainium"), "'thing'", "'unobtainium'", "concrete")
+MINIMAL = {
+    "none": None,
+    "empty": "",
+    "a description": 'description = "mine"\n',
+    "a sun": TOML[TOML.index("[sun]") :],
+    "a mount alone": "[rig.detector]\noffset_m = [0.0, -0.1, 0.0]\n",
+}
+
+
+@pytest.mark.parametrize("toml", MINIMAL.values(), ids=MINIMAL.keys())
+def test_whatever_scene_toml_leaves_out_is_defaulted_with_a_warning(tmp_path, toml) -> None:
+    """As without the file: a material of no row, the rig and the sun; what it says holds."""
+    folder = scene(tmp_path, material="unobtainium", reflectance="0.7", toml=toml)
+    loaded, bare = load_scene(folder), load_scene(scene(tmp_path / "bare", toml=None))
+    assert loaded.objects[0].reflectance == pytest.approx(0.7)
+    assert loaded.rig.pose == bare.rig.pose
+    told = " ".join(loaded.warnings)
+    assert "unobtainium" in told
+    assert "rig placed at" in told
+    says_sun = toml is not None and "[sun]" in toml
+    assert ("sun defaulted" in told) == (not says_sun)
+    assert (loaded.sun == bare.sun) == (not says_sun)
+    assert ("sensor offsets defaulted" in told) == (toml is None or "[rig" not in toml)
+    if toml is not None and "[rig" in toml:
+        assert loaded.rig.detector.position_m == (0.0, -0.1, 0.0)
+
+
+def test_a_rig_that_turns_needs_a_place(tmp_path: Path) -> None:
+    assert_refused(scene(tmp_path, toml="[rig]\nyaw_deg = 5\n"), "rig: needs either `position_m`")
 
 
 def test_a_bare_scene_may_bring_its_own_reflectance(tmp_path: Path) -> None:
@@ -265,12 +293,25 @@ def test_a_bare_scene_may_bring_its_own_reflectance(tmp_path: Path) -> None:
     assert any("paint" in w for w in loaded.warnings)
 
 
-def test_a_table_beside_the_scene_takes_precedence(tmp_path: Path) -> None:
-    folder = scene(tmp_path, material="unobtainium", reflectance="0.5")
-    (folder / "materials.toml").write_text(
-        '[unobtainium.optical]\nreflectance = { value = 0.25, source = "made up" }\n'
-    )
-    assert load_scene(folder).objects[0].reflectance == 0.25
+def test_a_table_beside_the_scene_extends_the_bundled_one(tmp_path: Path) -> None:
+    """Rows of its own, rows in place of bundled ones, of which a note tells; all others stay."""
+    row = '[{}.optical]\nreflectance = {{ value = {}, source = "made up" }}\n'
+    for name, value in (("unobtainium", 0.25), ("brick", 0.125), ("concrete", None)):
+        folder = scene(tmp_path / name, material=name, reflectance="0.5")
+        (folder / "materials.toml").write_text(row.format("unobtainium", 0.25))
+        (folder.parent / "materials.toml").write_text(row.format("brick", 0.125))
+        table = load_materials(scenes_folder() / "materials.toml")
+        expected = table[name].optical.reflectance.value if value is None else value
+        loaded = load_scene(folder)
+        assert loaded.objects[0].reflectance == expected
+        place = folder.parent / "materials.toml"
+        assert loaded.notes == (f"{place}: takes the place of the rows brick",)
+        assert set(loaded.notes) <= set(loaded.assumptions)
+    assert load_scene("table1").notes == ()
+
+
+def test_a_wrong_table_beside_the_scene_is_refused(tmp_path: Path) -> None:
+    folder = scene(tmp_path)
     (folder / "materials.toml").write_text(
         '[unobtainium.optical]\nreflectance = { value = -0.25, source = "made up" }\n'
     )
@@ -380,3 +421,9 @@ def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path, to_uv:
     a, b = (render_truth(world, camera, (8, 8)).albedo for world in (ours, stock))
     np.testing.assert_allclose(a, b, atol=2e-3)
     assert np.ptp(a) > 0.2
+
+
+@pytest.mark.parametrize("name", ["model.stl", "model.GLB", "model.obj"])
+def test_a_model_is_no_scene_and_how_it_becomes_one(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"solid")
+    assert_refused(tmp_path / name, f"`twin import {tmp_path / name} scenes/model`")

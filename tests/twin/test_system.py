@@ -206,3 +206,21 @@ def test_what_is_wrong_is_told_before_what_is_missing(tmp_path: Path) -> None:
     path.write_text('name = "x"\n[emitter]\nrows = 7\n[optics]\nf_number = -1\n')
     with pytest.raises(InputError, match=r"mine\.toml: optics\.f_number\.value = -1: .*missing"):
         load_system(path)
+
+
+@pytest.mark.parametrize(
+    ("grid", "note"),
+    [
+        ("rows = 64", None),
+        ("columns = 128", "samples half of the 8192 patterns of 128 x 64 cells"),
+        ("rows = 128\ncolumns = 128", "n_patterns = 4096: samples a quarter of the 16384 patterns"),
+        ("rows = 1024\ncolumns = 64", "samples 6.2 % of the 65536"),
+    ],
+)
+def test_another_grid_with_the_patterns_of_its_base_says_what_it_samples(
+    tmp_path: Path, grid: str, note: str | None
+) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(f'base = "workable"\n[emitter]\n{grid}\n')
+    found = load_system(path).sampling_note
+    assert found is None if note is None else note in found

@@ -275,7 +275,8 @@ def _without(cells_e: Array, backscatter_e: Array) -> Array:
 def _assumptions(scene: Scene, system: System) -> tuple[str, ...]:
     air = (AIR_ASSUMPTION,) if system.weather else ()
     scan = (SCAN_ASSUMPTION,) if system.optics.is_scanned else ()
-    fixed = (*MODEL_ASSUMPTIONS, *air, *scan)
+    sampled = (system.sampling_note,) if system.sampling_note else ()
+    fixed = (*MODEL_ASSUMPTIONS, *air, *scan, *sampled)
     return (*fixed, *_idealised(system), *scene.assumptions, *_assumed(system))
 
 

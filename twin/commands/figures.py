@@ -87,8 +87,10 @@ def _own_design(
     from twin.budget.report import design_content, print_design, write_design
 
     rows = wall_rows(design, distances_m, reflectances)
+    if note := design.sampling_note:
+        say.line(f"note: {note}")
     missing = left_out(design)
-    say.add(**design_content(design, rows), left_out=missing)
+    say.add(**design_content(design, rows), left_out=missing, note=design.sampling_note)
     print_design(design, rows, console_of(say))
     if missing:
         say.line(f"left out: {', '.join(missing)}")

@@ -118,10 +118,14 @@ def run(
 
 def _tell_verdicts(say: Output, result: "Result") -> None:
     """Warnings, and what each sensor achieved."""
+    for note in result.scene.notes:
+        say.line(f"note: {note}")
     for warning in result.scene.warnings:
         say.warn(warning)
     verdicts = []
     for evaluation in result.evaluations:
+        if sampled := evaluation.system.sampling_note:
+            say.line(f"note: {evaluation.system.name}: {sampled}")
         for warning in evaluation.capture.warnings:
             say.warn(f"{evaluation.system.name}: {warning}")
         say.verdict(evaluation)
@@ -182,6 +186,8 @@ def check(
     say.line(f"sun: {loaded.sun}")
     if loaded.rig.moves or not loaded.at_rest:
         _print_motion(say, loaded, system, radar)
+    for note in loaded.notes:
+        say.line(f"note: {note}")
     for warning in loaded.warnings:
         say.warn(warning)
     odd = sum(bool(row.remarks) for row in rows)
@@ -192,6 +198,7 @@ def check(
         verdict=verdict,
         triangles=loaded.triangles,
         objects=rows,
+        notes=loaded.notes,
         rig=loaded.rig.pose,
         sun=loaded.sun,
     )

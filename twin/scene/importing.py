@@ -12,7 +12,7 @@ from twin.files import InputError, whole_folder
 from twin.geometry import Geometry
 from twin.scene.beside import missing_files
 from twin.scene.imported_materials import ImportedBsdfs, imported_material, texture_coordinates
-from twin.scene.materials import find_materials, load_materials
+from twin.scene.materials import materials_of
 from twin.scene.meshes import load_quietly
 from twin.scene.model import Array
 
@@ -64,7 +64,7 @@ def import_model(
     loaded = load_quietly(model, trimesh.load_scene)
     axis = up or _UP.get(model.suffix.lower(), "z")
     place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
-    table = load_materials(find_materials(folder))
+    table, _ = materials_of(folder)
     materials = ImportedBsdfs(table, material, texture_as_reflectance)
     parts, notes = _parts(loaded, model, place, materials)
     low = np.min([part.vertices_m.min(axis=0) for part, _ in parts.values()], axis=0)
@@ -104,10 +104,10 @@ def _check(model: Path, folder: Path, scale: float, up: str | None, material: st
         raise InputError(f"scale: {scale}: expected metres per unit, above 0")
     if up not in (None, "y", "z"):
         raise InputError(f"up: {up!r}: expected y or z")
-    table = find_materials(folder)
-    if material not in load_materials(table):
+    table, _ = materials_of(folder)
+    if material not in table:
         raise InputError(
-            f"material: {material!r} is not in {table}; known: {', '.join(load_materials(table))}"
+            f"material: {material!r} is not in the table of materials; known: {', '.join(table)}"
         )
 
 

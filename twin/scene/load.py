@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Hashable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from twin.geometry import Geometry
 from twin.scene import xml
 from twin.scene.defaults import default_pose, default_sun
 from twin.scene.enclosure import encloses
-from twin.scene.materials import find_materials, load_materials, row_of
+from twin.scene.materials import Material, materials_of, row_of
 from twin.scene.meshes import primitive, read_mesh
 from twin.scene.model import (
     FARTHEST_M,
@@ -32,6 +31,9 @@ from twin.scene.texture import Reflectance, Texture
 _FALLBACK = "generic"
 
 _MESH_PLUGINS = ("ply", "obj", "stl")
+
+#: Of files that `twin import` reads.
+MODEL_SUFFIXES = frozenset({".glb", ".gltf", ".obj", ".ply", ".stl"})
 
 _COARSE_M = 1e-3  # step of a mesh file's float32 coordinates that is warned of
 
@@ -64,8 +66,8 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
             raise InputError(f"{path}: two shapes have the id {name!r}")
     toml = path.parent / "scene.toml"
     settings = load_settings(toml, set(names)) if toml.is_file() else None
-    table_path = find_materials(path.parent)
-    materials = _Materials(path, table_path, strict=settings is not None)
+    table, notes = materials_of(path.parent)
+    materials = _Materials(path, table)
 
     meshes = _MeshFiles(path)
     objects = tuple(_object(path, shape, meshes, materials, settings) for shape in document.shapes)
@@ -90,10 +92,11 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     inside = tuple(item.name for item in objects if encloses(item, rig.position_m))
     if inside:
         warnings.append(f"the rig stands inside {_list(inside)}")
-    if settings is None:
+    sun = settings.make_sun() if settings else None
+    if sun is None:
         sun = default_sun(rig.pose)
         warnings.append(
-            f"no scene.toml: sun defaulted to azimuth {sun.azimuth_deg:.0f} deg, "
+            f"{_without(settings, 'a sun')}: sun defaulted to azimuth {sun.azimuth_deg:.0f} deg, "
             f"elevation {sun.elevation_deg:.0f} deg, {sun.illuminance_lx:.0f} lx"
         )
         if document.emitters:
@@ -104,11 +107,12 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
         description=settings.description if settings else "",
         objects=objects,
         rig=rig,
-        sun=settings.make_sun() if settings else sun,
+        sun=sun,
         targets=tree.targets(tree.settings.make_targets()) if tree else (),
         track=settings.make_track() if settings else None,
         materials={o.material: materials.table[o.material] for o in objects},
-        assumptions=materials.assumptions(),
+        assumptions=(*materials.assumptions(), *notes),
+        notes=notes,
         warnings=(*warnings, *materials.warnings()),
     )
 
@@ -121,6 +125,11 @@ def _find(scene: str | Path) -> Path:
             raise InputError(f"{path}: this folder has no scene.xml")
         return path / "scene.xml"
     if path.is_file():
+        if path.suffix.lower() in MODEL_SUFFIXES:
+            raise InputError(
+                f"{path}: is a model, expected a scene: `twin import {path} scenes/{path.stem}` "
+                f"makes one, `twin run scenes/{path.stem}` runs it"
+            )
         return path
     if bundled.is_file():
         return bundled
@@ -247,30 +256,31 @@ def _rig(
     objects: Sequence[SceneObject],
     pose: Pose | None,
 ) -> tuple[Rig, list[str]]:
-    if settings:
-        rig = settings.make_rig()
-        return (replace(rig, pose=pose) if pose else rig), []
-    if pose:
-        return Rig(pose), ["no scene.toml: sensor offsets defaulted"]
+    given = settings or SceneSettings()
+    offsets = "" if given.rig else "sensor offsets defaulted"
+    if at := pose or given.rig_pose():
+        told = [f"{_without(settings, 'a rig')}: {offsets}"] if offsets else []
+        return given.make_rig(at), told
     chosen, why = default_pose(document.camera, objects)
-    at = ", ".join(f"{p:.4g}" for p in chosen.position_m)
-    return Rig(chosen), [
-        f"no scene.toml: rig placed at ({at}) m, yaw {chosen.yaw_deg:.1f}, "
-        f"pitch {chosen.pitch_deg:.1f}, roll {chosen.roll_deg:.1f} deg ({why}); "
-        "sensor offsets defaulted"
+    place = ", ".join(f"{p:.4g}" for p in chosen.position_m)
+    told = [
+        f"{_without(settings, 'a place of the rig')}: rig placed at ({place}) m, "
+        f"yaw {chosen.yaw_deg:.1f}, pitch {chosen.pitch_deg:.1f}, "
+        f"roll {chosen.roll_deg:.1f} deg ({why}){f'; {offsets}' if offsets else ''}"
     ]
+    return given.make_rig(chosen), told
+
+
+def _without(settings: SceneSettings | None, what: str) -> str:
+    return "no scene.toml" if settings is None else f"scene.toml without {what}"
 
 
 class _Materials:
     """Finds each shape's row and reflectance; collects what had to be defaulted."""
 
-    def __init__(self, path: Path, table_path: Path, strict: bool) -> None:
+    def __init__(self, path: Path, table: dict[str, Material]) -> None:
         self.path = path
-        self.table_path = table_path
-        bundled = load_materials(scenes_folder() / "materials.toml")
-        # A table of the user's own need not know what stands in for unknown materials.
-        self.table = {_FALLBACK: bundled[_FALLBACK], **load_materials(table_path)}
-        self.strict = strict
+        self.table = table
         self.used: dict[str, None] = {}
         self.own: dict[str, list[str]] = {}
         self.left_out: dict[str, list[str]] = {}
@@ -292,10 +302,10 @@ class _Materials:
                 self.overruled[f"{row}: {given:g} in the XML, {value:g} in the table"] = None
             return row, value
         name = surface.radio_type or surface.id or shape.name
-        if self.strict or surface.radio_type:
+        if surface.radio_type:
             raise InputError(
-                f"{self.path}: shape {shape.name!r}: material {name!r} is not in "
-                f"{self.table_path}; known: {', '.join(self.table)}"
+                f"{self.path}: shape {shape.name!r}: material {name!r} is not in the table of "
+                f"materials; known: {', '.join(self.table)}"
             )
         if given is not None:
             told = "an image" if isinstance(given, Texture) else f"{given:g}"

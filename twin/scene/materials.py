@@ -95,12 +95,23 @@ def _table(path: Path, content: bytes) -> dict[str, Material]:
         raise InputError(f"{path}: {describe(error)}") from error
 
 
-def find_materials(scene_folder: Path) -> Path:
-    """The table that holds for a scene: its own, its parent folder's, or the bundled one."""
-    for folder in (scene_folder, scene_folder.parent):
-        if (folder / "materials.toml").is_file():
-            return folder / "materials.toml"
-    return scenes_folder() / "materials.toml"
+def materials_of(scene_folder: Path) -> tuple[dict[str, Material], tuple[str, ...]]:
+    """The table that holds for a scene, and notes: the bundled one, extended by ``materials.toml``
+    of the scene's parent folder, and by that of its own, whose rows take the place of those of the
+    same name. Raises as `load_materials`.
+    """
+    bundled = scenes_folder() / "materials.toml"
+    table, notes = dict(load_materials(bundled)), list[str]()
+    for folder in (scene_folder.parent, scene_folder):
+        path = folder / "materials.toml"
+        if not path.is_file() or path.samefile(bundled):
+            continue
+        rows = load_materials(path)
+        replaced = [name for name in rows if name in table and rows[name] != table[name]]
+        if replaced:
+            notes.append(f"{path}: takes the place of the rows {', '.join(replaced)}")
+        table |= rows
+    return table, tuple(notes)
 
 
 def row_of(name: str, table: dict[str, Material]) -> str | None:

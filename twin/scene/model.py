@@ -421,7 +421,7 @@ class Scene:
     """A validated scene. Scenes are equal that have the same name, path and content.
 
     ``materials`` are the rows that its objects use, by name; ``warnings`` name everything that was
-    defaulted.
+    defaulted, ``notes`` the rows of materials that take the place of bundled ones.
     """
 
     name: str
@@ -435,6 +435,7 @@ class Scene:
     materials: Mapping[str, Material] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and self._content == other._content

@@ -32,7 +32,7 @@ class MotionTree:
     def rig(self, rig: Rig) -> Rig:
         """The rig where time 0 has it."""
         given = self.settings.rig
-        if not given.moves:
+        if given is None or not given.moves:
             return rig
         carrier = self._carrier(given.parent, ("rig",))
         pose = rig.pose.transform

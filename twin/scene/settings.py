@@ -44,7 +44,9 @@ _Velocity = tuple[_Speed, _Speed, _Speed]
 
 class _Rig(Strict):
     position_m: Vector | None = None
-    """Place of the rig in the scene: x forward, y left, z up; of one on a trajectory none."""
+    """Place of the rig in the scene: x forward, y left, z up; of one on a trajectory none. Default:
+    that of a scene without a rig, if no angle and no motion is given either.
+    """
     yaw_deg: Finite = 0.0
     """Turn about z, positive to the left."""
     pitch_deg: Finite = 0.0
@@ -66,10 +68,21 @@ class _Rig(Strict):
 
     @model_validator(mode="after")
     def _one_place(self) -> "_Rig":
-        way = None if self.motion is None else self.motion.trajectory
-        if (self.position_m is None) == (way is None or way.as_drawn):
+        turned = any((self.yaw_deg, self.pitch_deg, self.roll_deg))
+        is_twofold = self.position_m is not None and self._on_way
+        if is_twofold or (not self.is_placed and (turned or self.moves)):
             raise InputError("needs either `position_m` or `motion.trajectory` without `as_drawn`")
         return self
+
+    @property
+    def _on_way(self) -> bool:
+        way = None if self.motion is None else self.motion.trajectory
+        return way is not None and not way.as_drawn
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether it says where the rig is, by a position or a trajectory."""
+        return self.position_m is not None or self._on_way
 
     @property
     def moves(self) -> bool:
@@ -140,22 +153,29 @@ class SceneSettings(Strict):
 
     description: str = ""
     """What the scene is, in words."""
-    rig: _Rig
-    """Where the sensors are."""
+    rig: _Rig | None = None
+    """Where the sensors are. Default: at the XML's camera, else where something can be seen."""
     track: _Track | None = None
     """Stops of the rig, of which the radar's images are made. Default: it stands still."""
-    sun: _Sun
-    """Where the sun stands and how bright it is."""
+    sun: _Sun | None = None
+    """Where the sun stands and how bright it is. Default: high, to the right behind the rig."""
     objects: dict[str, _Object] = {}
     """By the id of a shape in `scene.xml`: what is not in the mesh."""
     targets: tuple[_Target, ...] = ()
     """True targets, with which detections are compared."""
 
-    def make_rig(self) -> Rig:
-        """The rig with its devices, as drawn."""
+    def rig_pose(self) -> Pose | None:
+        """Where the rig is drawn; None where nothing says it."""
         at = self.rig
-        place = at.position_m or (0.0, 0.0, 0.0)
-        pose = Pose(place, at.yaw_deg, at.pitch_deg, at.roll_deg)
+        if at is None or not at.is_placed:
+            return None
+        return Pose(at.position_m or (0.0, 0.0, 0.0), at.yaw_deg, at.pitch_deg, at.roll_deg)
+
+    def make_rig(self, pose: Pose) -> Rig:
+        """The rig with its devices at a pose."""
+        at = self.rig
+        if at is None:
+            return Rig(pose)
         return Rig(pose, at.emitter.pose(), at.detector.pose(), at.radar.pose())
 
     def make_track(self) -> Track | None:
@@ -163,9 +183,10 @@ class SceneSettings(Strict):
         at = self.track
         return None if at is None else Track(at.step_m, at.count, at.interval_s)
 
-    def make_sun(self) -> Sun:
-        """The sun."""
-        return Sun(self.sun.azimuth_deg, self.sun.elevation_deg, self.sun.illuminance_lx)
+    def make_sun(self) -> Sun | None:
+        """The sun; None where nothing says it."""
+        at = self.sun
+        return None if at is None else Sun(at.azimuth_deg, at.elevation_deg, at.illuminance_lx)
 
     def velocity(self, name: str | None) -> Vector:
         """Velocity of an object, as given; zero unless it is named."""
@@ -200,7 +221,7 @@ def load_settings(path: Path, object_names: set[str]) -> SceneSettings:
         settings = SceneSettings.model_validate(read_toml(path))
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error)}") from error
-    if settings.track is not None and settings.rig.moves:
+    if settings.track is not None and settings.rig is not None and settings.rig.moves:
         raise InputError(f"{path}: track: the rig moves by itself, expected one of both")
     carried = {target.object for target in settings.targets}
     for name, item in settings.objects.items():
@@ -210,7 +231,8 @@ def load_settings(path: Path, object_names: set[str]) -> SceneSettings:
             )
     named = {**{f"objects.{name}": name for name in settings.objects}}
     named |= {f"objects.{n}.parent": o.parent for n, o in settings.objects.items() if o.parent}
-    named |= {"rig.parent": settings.rig.parent} if settings.rig.parent else {}
+    if settings.rig is not None and settings.rig.parent:
+        named["rig.parent"] = settings.rig.parent
     named |= {f"targets.{t.name}.object": t.object for t in settings.targets if t.object}
     for place, name in named.items():
         if name not in object_names:

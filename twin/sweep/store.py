@@ -19,6 +19,7 @@ from numpy.lib.format import open_memmap
 from pydantic import ValidationError
 
 from hardware.files import place_beside, read_json
+from hardware.formatting import setting_text
 from twin.digest import versions
 from twin.fidelity import Fidelity, Tolerance
 from twin.files import InputError, new_folder
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
     import xarray
 
 _TEXT_LENGTH = 300
+#: Of two studies, that are told.
+_MOST_DIFFERENCES = 4
+_UNSET = "(not set)"
 
 
 class Store:
@@ -174,9 +178,12 @@ def _check(out: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
     """Raise InputError where a folder's points are of something else."""
     if differs := other_accuracy(old["study"], new["study"]):
         raise InputError(f"{out}: holds results of {differs}; expected the same, or a new folder")
-    if old["study"] != new["study"]:
+    if different := _differences("", old["study"], new["study"]):
+        shown = "; ".join(different[:_MOST_DIFFERENCES])
+        if len(different) > _MOST_DIFFERENCES:
+            shown += f" and {len(different) - _MOST_DIFFERENCES} more"
         raise InputError(
-            f"{out}: holds results of another study; expected the same, or a new folder"
+            f"{out}: holds results of another study: {shown}; expected the same, or a new folder"
         )
     for kind, what in (("versions", "other versions of"), ("inputs", "other content of")):
         names = old[kind].keys() | new[kind].keys()
@@ -185,6 +192,20 @@ def _check(out: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
                 f"{out}: holds results of {what} {', '.join(other)}; expected the same, or a new "
                 "folder"
             )
+
+
+def _differences(name: str, old: Any, new: Any) -> list[str]:
+    """What differs between two studies as they are stored, by dotted name: the old, the new."""
+    if old == new:
+        return []
+    if isinstance(old, dict) and isinstance(new, dict):
+        return [
+            text
+            for key in dict.fromkeys((*old, *new))
+            for text in _differences(f"{name}.{key}".lstrip("."), old.get(key), new.get(key))
+        ]
+    was, now = (_UNSET if value is None else setting_text("", value) for value in (old, new))
+    return [f"{name} = {was}, not {now}" if was != now else f"{name}: other values"]
 
 
 def _read_plan(out: Path) -> dict[str, Any]:

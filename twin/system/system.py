@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import model_validator
 
+from hardware.formatting import number
 from hardware.patterns import Patterns, PatternSet, RasterScan
 from twin.files import InputError, catalog_folder
 from twin.system.acquisition import Acquisition, TimeOfFlight
@@ -123,6 +124,20 @@ class System(Entry):
             count=self.acquisition.n_patterns.value,
             order=self.acquisition.order.value,  # type: ignore[arg-type]
             mode=self.acquisition.mode.value,
+        )
+
+    @property
+    def sampling_note(self) -> str | None:
+        """What is left out where fewer patterns are shown than there are cells: of the user's own
+        choice, or since another grid kept its base's number of patterns.
+        """
+        shown, n_cells = self.patterns.count, self.patterns.n_cells
+        if shown >= n_cells:
+            return None
+        share = _SHARES.get(shown / n_cells, f"{number(100 * shown / n_cells, 2)} %")
+        return (
+            f"acquisition.n_patterns = {shown}: samples {share} of the {n_cells} patterns of "
+            f"{self.patterns.columns} x {self.patterns.rows} cells"
         )
 
     @property
@@ -268,6 +283,9 @@ class System(Entry):
         """Exposures of one frame: every pattern with every shutter."""
         shutters = self.time_of_flight.n_shutters if self.time_of_flight else 1
         return self.patterns.n_exposures * shutters
+
+
+_SHARES = {0.5: "half", 0.25: "a quarter", 0.125: "an eighth"}
 
 
 def load_system(name: "str | Path | System") -> System:
