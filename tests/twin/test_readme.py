@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hardware.recording import Log, ros
+from hardware.records.state import QuaternionPose
+from twin.scene import load_scene
 from twin.sweep import load_study
 from twin.sweep.evaluate import evaluate_chunk
 from twin.system import load_system
@@ -40,8 +43,31 @@ def test_the_system_file_loads(tmp_path: Path) -> None:
     assert load_system(tmp_path / "mine.toml").optics.f_number.value == 0.8
 
 
+def test_the_scenes_motion_loads(tmp_path: Path) -> None:
+    shapes = "".join(
+        f'<shape type="sphere" id="{name}"><float name="radius" value="0.3"/>'
+        f'<point name="center" x="{x}" y="0.6" z="0.3"/><bsdf type="diffuse" id="{row}"/></shape>'
+        for name, row, x in (("car", "car_paint", 6), ("wheel", "rubber", 5), ("arm", "skin", 7))
+    )
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{shapes}</scene>')
+    sun = "[sun]\nazimuth_deg = 0.0\nelevation_deg = 38.0\nilluminance_lx = 1e5\n"
+    (tmp_path / "scene.toml").write_text(blocks("toml")[2] + sun)
+    with Log(tmp_path / "drive.mcap") as log:
+        for stamp in (10**18, 10**18 + 10**9):
+            pose = QuaternionPose(x_m=(stamp - 10**18) * 1e-9)
+            message = ros.transform(pose, stamp, "world", "rig")
+            log.message("/tf", ros.TRANSFORMS, message, stamp, stamp)
+    scene = load_scene(tmp_path).after(0.5)
+    car, wheel, arm = scene.objects
+    assert scene.rig.pose.position_m == pytest.approx((0.5, 0.0, 0.0))
+    assert car.middle_m[0] == pytest.approx(6.7)
+    assert wheel.middle_m[0] == pytest.approx(5.7)
+    assert wheel.state.angular_velocity_rad_per_s[1] == pytest.approx(1.4 / 0.3)
+    assert arm.state.angular_velocity_rad_per_s.any()
+
+
 def test_a_system_of_own_parts_loads(tmp_path: Path) -> None:
-    text = "".join(blocks("toml")[2:])
+    text = "".join(blocks("toml")[3:])
     (tmp_path / "mine.toml").write_text(f'base = "workable"\n{text}')
     np.save(tmp_path / "masks.npy", np.zeros((512, 64, 64), np.uint8))
     assert load_system(tmp_path / "mine.toml").patterns.count == 512
