@@ -321,3 +321,10 @@ def test_a_rig_needs_one_place(tmp_path: Path) -> None:
         scene(tmp_path, rig="[rig]\nvelocity_m_per_s = [1.0, 0.0, 0.0]\n")
     with pytest.raises(InputError, match="needs either `position_m` or"):
         scene(tmp_path, rig=RIG + "[rig.motion.trajectory]\nfile = 'car.csv'\n")
+
+
+def test_a_rig_beyond_all_speeds_is_refused(tmp_path: Path) -> None:
+    fast = rows("0,0,0,1,0", "1,1e5,0,1,0", "2,4e5,0,1,0")
+    rig = "[rig.motion.trajectory]\nfile = 'car.csv'\n"
+    with pytest.raises(InputError, match=r"rig\.motion: a point of it moves at .*100000 m/s"):
+        scene(tmp_path, "", rig=rig, car=fast)

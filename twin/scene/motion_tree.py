@@ -39,9 +39,11 @@ class MotionTree:
         own = self._own("rig", given.velocity_m_per_s, given.motion, pose, given.parent, carrier)
         parts = () if carrier is None else carrier.parts
         try:
-            return rig.following(Product((*parts, own, Still(pose))))
+            found = rig.following(Product((*parts, own, Still(pose))))
         except InputError as error:
             raise InputError(f"{self.path}: rig: {error}") from None
+        self._check_speed("rig", found.course.fastest((0.0, 0.0, 0.0), 0.0))
+        return found
 
     def targets(self, targets: Sequence[Target]) -> tuple[Target, ...]:
         """Targets, carried by their objects."""
@@ -73,13 +75,15 @@ class MotionTree:
             found = moving(item, own, carrier)
         except InputError as error:
             raise InputError(f"{self.path}: {place}: {error}") from None
-        speed = found.course.fastest(*item.geometry.sphere)
-        if speed > FASTEST_M_PER_S:
-            raise InputError(
-                f"{self.path}: {place}.motion: a point of it moves at {speed:.3g} m/s, expected "
-                f"at most {FASTEST_M_PER_S:g} m/s"
-            )
+        self._check_speed(place, found.course.fastest(*item.geometry.sphere))
         return found
+
+    def _check_speed(self, place: str, speed_m_per_s: float) -> None:
+        if speed_m_per_s > FASTEST_M_PER_S:
+            raise InputError(
+                f"{self.path}: {place}.motion: a point of it moves at {speed_m_per_s:.3g} m/s, "
+                f"expected at most {FASTEST_M_PER_S:g} m/s"
+            )
 
     def _carrier(self, parent: str | None, below: tuple[str, ...]) -> Product | None:
         if parent is None:
