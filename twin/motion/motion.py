@@ -3,11 +3,9 @@
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-from cachetools import LRUCache
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
@@ -272,18 +270,17 @@ class Parent(Motion):
         return replace(self, motion=given)
 
     def _at(self, times_s: Array) -> Kinematics:
-        # All that it carries asks for the same times.
+        # All that it carries asks for the same times. The tuple is replaced as a whole: threads may
+        # share a scene.
+        held: tuple[tuple[bytes, Kinematics], ...] = self.__dict__.get("_held", ())
         key = times_s.tobytes()
-        if key not in self._held:
-            state = self.motion._at(times_s)
-            if len(times_s) > _MOST_HELD:
+        for known, state in held:
+            if known == key:
                 return state
-            self._held[key] = state
-        return self._held[key]
-
-    @cached_property
-    def _held(self) -> LRUCache[bytes, Kinematics]:
-        return LRUCache(_STATES_HELD)
+        state = self.motion._at(times_s)
+        if len(times_s) <= _MOST_HELD:
+            self.__dict__["_held"] = ((key, state), *held[: _STATES_HELD - 1])
+        return state
 
 
 @dataclass(frozen=True, eq=False)
