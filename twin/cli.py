@@ -60,6 +60,10 @@ def main() -> None:
         if "_TWIN_COMPLETE" in os.environ:
             raise
         message = f"code of one's own called sys.exit({error})"
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] in ("twin", "hardware"):
+            raise
+        message = f"{error}; the simulator's libraries: pip install 'ugv-twin[twin]'"
     except OSError as error:
         from hardware.files import said
 

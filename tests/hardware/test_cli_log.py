@@ -1,5 +1,6 @@
 """The commands around the log, as a user runs them, and calibration."""
 
+import csv
 import json
 import time
 from collections import Counter
@@ -225,6 +226,28 @@ def test_export_writes_one_capture_a_step(tmp_path: Path) -> None:
     assert names == ["radar-000000.sigmf-data", "radar-000000.sigmf-meta"]
     assert (tmp_path / "iq" / names[0]).read_bytes() == made.iq.astype("<i2").tobytes()
     assert len(json.loads((tmp_path / "iq" / names[1]).read_text())["captures"]) == 6
+
+
+def test_documents_hold_what_is_printed_and_written(tmp_path: Path) -> None:
+    """`ugv info` of a log, and `ugv detect` of a record, whose CSV has the same columns."""
+    with Log(tmp_path / "run.mcap") as log:
+        log.record("/spi/record", record(np.full(64, 9.0)), host_ns=0)
+        log.record("/radar/record", radar_record(), host_ns=10**9)
+    content = json.loads(ugv("info", tmp_path / "run.mcap", "--json").stdout)
+    counts = {topic["topic"]: topic["messages"] for topic in content["topics"]}
+    assert counts["/spi/record"] == counts["/radar/record"] == 1
+    assert not content["fault"]
+    made = cube(WIDE, [Echo((6.0, 0.0, 0.0))], noise_w=1e-10)
+    hardware.write_radar_record(made, tmp_path / "radar.h5")
+    done = ugv("detect", tmp_path / "radar.h5", "--json")
+    found = json.loads(done.stdout)["detections"]
+    with (tmp_path / "radar-detections.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(found) == len(rows) >= 1
+    assert list(found[0]) == list(rows[0])
+    assert found[0]["range_m"] == float(rows[0]["range_m"])
+    assert found[0]["azimuth_rad"] is None  # of one antenna
+    assert rows[0]["azimuth_rad"] == ""
 
 
 def test_settings_name_what_is_wrong(tmp_path: Path) -> None:

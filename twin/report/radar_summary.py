@@ -43,7 +43,7 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         ],
         "assumptions": evaluation.capture.assumptions,
         "window": evaluation.how.window,
-        "false_alarm": evaluation.how.cfar.false_alarm,
+        "false_alarm": number(evaluation.how.cfar.false_alarm),
         "detection": evaluation.frame.detection,
         "cfar": _CFAR[evaluation.how.cfar.method],
         "picture": _picture(evaluation),
@@ -204,10 +204,10 @@ def _others(evaluation: RadarEvaluation) -> list[str]:
 def _place(detection: Detection) -> str:
     """Range, range rate and SNR of a detection, as far as measured."""
     parts = [
-        "" if np.isnan(detection.range_m) else si(detection.range_m, "m", 4),
+        "" if np.isnan(detection.range_m) else f"{detection.range_m:.3f} m",
         ""
         if np.isnan(detection.range_rate_m_per_s)
-        else quantity_text(detection.range_rate_m_per_s, "m/s"),
+        else f"{detection.range_rate_m_per_s:+.3f} m/s",
         f"{detection.snr_db:.1f} dB",
     ]
     return ", ".join(part for part in parts if part)
