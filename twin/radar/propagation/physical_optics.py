@@ -178,13 +178,19 @@ def _pieces(fidelity: Fidelity) -> float:
 
 
 def edge_bounds(prepared: PreparedScene, radar: RadarDesign) -> Array:
-    """Bounds of the amplitude of the sharp edges of every body, (n_bodies,), before losses."""
+    """Bounds of the amplitude of the sharp edges of every body, (n_bodies,), before losses; 0 of
+    bodies to which no path is traced, since their whole echo is below the noise.
+    """
     body, beam = _bodies(prepared), beam_of(radar.antenna)
     antennas = image_antennas_of(prepared.images, prepared.flats, prepared.axes[0], beam)
     boxes = boxes_of(prepared.originals) - prepared.anchor_m
     bounds = []
+    is_traced = np.asarray(prepared.worth.any(axis=0))
     for number, sharp in enumerate(_sharp(prepared, body)):
         members = np.flatnonzero(body == number)
+        if not is_traced[members].any():
+            bounds.append(0.0)
+            continue
         box = np.array([[boxes[members, 0].min(axis=0), boxes[members, 1].max(axis=0)]])
         gain = most_gain(beam, antennas.place, antennas.axis, box)[:, 0]
         bounds.append(edge_bound(sharp, antennas, gain, prepared.wavelength_m))

@@ -50,6 +50,10 @@ from twin.scene import Scene, Target
 
 Array = NDArray[np.float64]
 
+#: From the radar and so many images on, those of one reflection are followed alone: paths between
+#: all pairs of them take minutes, as in a city. The bound of the others is told.
+_MANY_IMAGES = 32
+
 
 def echoes(
     scene: Scene,
@@ -103,6 +107,7 @@ def echoes(
             *edges.remarks,
             *on_clutter,
             *unbounded,
+            *_round_obstacles(fidelity, levels),
             *unconverged(bodies),
         ),
         heard=_heard(Contributions.concatenate([surfaces, diffuse]), prepared, radar),
@@ -124,8 +129,11 @@ def _prepared(
 ) -> tuple[PreparedScene, NDArray[np.bool_] | None]:
     """With the images that are followed; by bounds also to which objects there are further ones."""
     if fidelity.radar_images is not None:
-        return prepare_scene(scene, radar, roles, fidelity.radar_images, is_rough=is_rough), None
-    return prepare_scene(scene, radar, roles, MOST_IMAGES + 1, is_rough=is_rough).up_to(MOST_IMAGES)
+        images = fidelity.radar_images
+        return prepare_scene(scene, radar, roles, images, is_rough=is_rough), None
+    prepared = prepare_scene(scene, radar, roles, MOST_IMAGES + 1, is_rough=is_rough)
+    followed, has_further = prepared.up_to(MOST_IMAGES)
+    return prepared.up_to(1) if len(followed.images) > _MANY_IMAGES else (followed, has_further)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +181,16 @@ def _unbounded(fidelity: Fidelity, prepared: PreparedScene) -> tuple[str, ...]:
     if not told:
         return ()
     return (f"stated errors do not hold what {', '.join(told)} add: a tolerance bounds it",)
+
+
+def _round_obstacles(fidelity: Fidelity, levels: _Levels) -> tuple[str, ...]:
+    """On ways to bodies round others, which no bound decides on."""
+    if fidelity.radar_shadowed or len(levels.names) < 2:
+        return ()
+    return (
+        "what comes round obstacles' edges to bodies is left out, and in no stated error "
+        "(fidelity.radar_shadowed)",
+    )
 
 
 def _levels(

@@ -116,6 +116,8 @@ def _diffracted(
             # A piece nearer than it is long is no point; one at the radar itself, nothing.
             apart = np.minimum(forward_path.length, return_path.length) > segments.length_m
             at = np.flatnonzero(forward_path.clear & return_path.clear & apart)
+            if not len(at):
+                continue
             pair = forward_path.take(at), return_path.take(at)
             amplitude = _amplitude(body, segments.take(at), *pair, wavelength_m)
             number = body.object[segments.edge[at]]

@@ -64,8 +64,9 @@ _OF_ALL_REFLECTIONS = 0.5
 _DIVIDED_BOUNCES = 3
 #: ... where the errors of these, of a body's roots of one size, are no more than so many tolerances
 #: together. They count in its estimated error, and in the bound of what is reflected still more
-#: often: on the yard's car 6 % of its echo, of 2 tolerances 9 %, in the same time.
-_DEEP_ERROR = 0.5
+#: often: on the yard's car 4 % of its echo. With twice as much the street's car is off by 5.1 % in
+#: place of 2.9 %, with less nothing gains.
+_DEEP_ERROR = 0.25
 
 
 def scattered_by(

@@ -169,13 +169,13 @@ class Tally:
         fewer = Limits(limits.bounces - 1, limits.images - 1)
         beyond = fine.left_out(Limits(*(n - 1 for n in (limits.bounces, limits.images))))
         left_out = self.left_out(limits)
-        _, bounces, _ = self._shape
+        _, bounces, orders = self._shape
         return ReflectionChoice(
             limits,
             Bounds(
                 np.where(limits.bounces < bounces, left_out.bounces, beyond.bounces),
                 np.where(
-                    limits.images < MOST_IMAGES,
+                    limits.images < orders - 1,
                     left_out.images,
                     np.where(self._has_more_images, beyond.images, 0.0),
                 ),
