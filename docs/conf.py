@@ -11,7 +11,7 @@ about = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 project = about["name"]
 version = release = about["version"]
 author = "the ugv-twin authors"
-project_copyright = "Apache-2.0"
+project_copyright = "the ugv-twin authors; Apache-2.0"
 
 extensions = [
     "myst_nb",
@@ -19,6 +19,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "docstrings",
+    "equations",
     "generated_reference",
     "plain_diagrams",
 ]
@@ -41,9 +42,11 @@ autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
 
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "ugv-twin"
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
 html_copy_source = False
 html_show_sphinx = False
 copybutton_exclude = ".linenos, .gp, .go"

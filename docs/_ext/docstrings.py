@@ -8,6 +8,7 @@ from typing import Any
 
 from sphinx.ext.napoleon import Config, NumpyDocstring
 
+_ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
 _CONFIG = Config(napoleon_use_rtype=False)
 
 
@@ -39,7 +40,21 @@ def process(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[
         lines[:] = NumpyDocstring(text, _CONFIG, app, what, name, obj, options).lines()
 
 
+def shorten(
+    app: Any,
+    what: str,
+    name: str,
+    obj: Any,
+    options: Any,
+    signature: str | None,
+    returns: str | None,
+) -> tuple[str | None, str | None]:
+    """Arrays by their element's type alone."""
+    return tuple(text and _ARRAY.sub(r"ndarray[\1]", text) for text in (signature, returns))  # type: ignore[return-value]
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Sphinx's entry point."""
     app.connect("autodoc-process-docstring", process)
+    app.connect("autodoc-process-signature", shorten)
     return {"parallel_read_safe": True}

@@ -20,7 +20,7 @@ def commands_page(name: str, app: typer.Typer) -> str:
     text = f"# The command `{name}`\n\n{_INTRODUCTIONS[name]}\n"
     options = [p for p in group.params if p.param_type_name == "option"]
     if options:
-        text += "\nOptions of every command:\n\n" + _options(options)
+        text += "\nOptions of the program itself:\n\n" + _options(options)
     for command in sorted(group.commands):
         text += _command(f"{name} {command}", group.commands[command])
     return text

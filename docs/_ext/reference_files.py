@@ -123,7 +123,7 @@ def _sections(model: type[BaseModel], place: str, skip: set[str]) -> Iterator[st
             key, kind = inner
             below.append((key.format(".".join(filter(None, [place, name]))), kind))
             rows.append(
-                (f"`[{below[-1][0]}]`", "", _default(field), "a section", field.description or "")
+                (f"`[{below[-1][0]}]`", "", _default(field), "section", field.description or "")
             )
     heading = f"\n## `[{place}]`\n\n" if place else "\n## Top level\n\n"
     yield heading + _first_paragraphs(model) + "\n\n" + table(HEADS, rows)
@@ -286,7 +286,7 @@ def _kind(field: Any) -> str:
     from hardware.patterns import PatternSet
 
     hints = get_type_hints(SpiSettings) | get_type_hints(PatternSet)
-    special = {"patterns": "a section", "shutters": "list of 4 numbers", "pose": "7 numbers"}
+    special = {"patterns": "section", "shutters": "list of 4 numbers", "pose": "7 numbers"}
     return special.get(field.name) or values_of(hints[field.name])
 
 

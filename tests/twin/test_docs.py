@@ -10,6 +10,18 @@ TOUR = (ROOT / "docs" / "tour.md").read_text()
 GLOSSARY = (ROOT / "docs" / "glossary.md").read_text()
 
 
+def pins(lock: str) -> dict[str, str]:
+    lines = re.findall(r"^([\w.-]+)==(\S+?);?$", (ROOT / lock).read_text(), re.MULTILINE)
+    return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in lines}
+
+
+def test_the_site_is_built_with_the_versions_that_the_project_has() -> None:
+    ours, site = pins("requirements.lock"), pins("requirements-docs.lock")
+    shared = ours.keys() & site.keys()
+    assert len(shared) > 20
+    assert {name: ours[name] for name in shared} == {name: site[name] for name in shared}
+
+
 def packages() -> set[str]:
     found = (p.parent for name in ("twin", "hardware") for p in (ROOT / name).rglob("__init__.py"))
     return {".".join(folder.relative_to(ROOT).parts) for folder in found}

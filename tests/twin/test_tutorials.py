@@ -15,11 +15,13 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 QUICK = ("tutorials/*_*", "howto/fits", "howto/materials", "howto/camera_settings")
-LONG = ("howto/weather", "howto/own_parts", "howto/studies")
+LONG = ("quickstart", "howto/weather", "howto/own_parts", "howto/studies")
 PAGES = [
     *(page for name in QUICK for page in sorted((ROOT / "docs").glob(f"{name}.md"))),
     *(pytest.param(ROOT / "docs" / f"{name}.md", marks=pytest.mark.slow) for name in LONG),
 ]
+#: What an installation does beside what it installs.
+INSTALLATION = {"make demo\n": "twin run yard", ". .venv/bin/activate\n": "true"}
 BLOCK = re.compile(r"^```(.+)\n((?::\w+: .*\n)*)([\s\S]*?)^```$", re.MULTILINE)
 
 
@@ -91,10 +93,10 @@ def test_a_page_runs(page: Path, tmp_path: Path, environment: dict[str, str]) ->
             if head not in ("sh", "python"):
                 continue
             command = ["bash", "-ec"] if head == "sh" else [sys.executable, "-c"]
+            command.append(INSTALLATION.get(body, body))
             result = subprocess.run(
-                [*command, body], cwd=folder, env=environment, capture_output=True, text=True,
-                timeout=240,
-            )  # fmt: skip
+                command, cwd=folder, env=environment, capture_output=True, text=True, timeout=240
+            )
             assert result.returncode == 0, f"{body}\n{result.stdout}\n{result.stderr}"
             assert "Traceback" not in result.stderr
             done += 1
