@@ -69,7 +69,7 @@ class Motion(ABC):
         """
         times = np.asarray(times_s, dtype=np.float64)
         if times.ndim > 1:
-            raise ValueError(f"times of shape {times.shape}: expected one time or a row of them")
+            raise InputError(f"times of shape {times.shape}: expected one time or a row of them")
         first, last = self.span_s
         inside = np.isfinite(times) & (times >= first) & (times <= last)
         if not inside.all():
