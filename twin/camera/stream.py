@@ -5,11 +5,12 @@ Moving the rig costs nothing; moving geometry would rebuild the renderer's accel
 
 import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hardware.records import SpiRecord
+from twin.camera.acquisition import capture
 from twin.camera.chain import Chain
 from twin.camera.light import render, render_light
 from twin.camera.mounting import check_rig, light_problem
@@ -105,3 +106,41 @@ def still_light(
     """Light of `stills`: that of every system with the same emitter, optics and detector."""
     light_seed, _ = np.random.SeedSequence(seed).spawn(2)
     return render(scene, system, fidelity=knobs_of(fidelity), seed=light_seed)
+
+
+def moves(scene: Scene) -> bool:
+    """Whether anything in a scene does, its rig or an object."""
+    return scene.rig.moves or not scene.at_rest
+
+
+@dataclass(frozen=True, eq=False)
+class MovingFrames:
+    """Frame k of a camera in a world that moves, k frames after the scene's own instant.
+
+    Frame k is drawn from ``seed`` + k and depends on nothing else; frame 0 is that of `capture`.
+    Raises InputError as `capture`, and where a trajectory ends before the frame does.
+    """
+
+    scene: Scene
+    system: System
+    seed: int = 0
+    fidelity: Accuracy | None = None
+
+    def __call__(self, number: int) -> SpiRecord:
+        """The record of one frame, in any order."""
+        world = self.scene.after(number * self.system.frame_time_s)
+        taken = capture(world, self.system, seed=self.seed + number, fidelity=self.fidelity)
+        return numbered(taken.record, self.system, number)
+
+
+def numbered(record: SpiRecord, system: System, number: int, start_ns: int = 0) -> SpiRecord:
+    """A record of a single frame as number ``number`` of a series without pauses that began at
+    ``start_ns`` of the device's clock.
+    """
+    n = len(record.counts)
+    begin_ns = start_ns + round(number * 1e9 * system.frame_time_s)
+    return replace(
+        record,
+        device_time_ns=record.device_time_ns + begin_ns,
+        sequence=((number * n + np.arange(n)) % 2**32).astype(np.uint32),
+    )

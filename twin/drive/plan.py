@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
+from twin.camera.stream import moves
 from twin.digest import digest, source_digest, versions
 from twin.drive.clocks import DeviceClock
 from twin.errors import InputError
@@ -99,7 +100,7 @@ class Drive:
     @property
     def moves(self) -> bool:
         """Whether anything does."""
-        return self.scene.rig.moves or not self.scene.at_rest
+        return moves(self.scene)
 
     def events(self) -> Iterator[Event]:
         """All measurements in the order in which they are complete."""

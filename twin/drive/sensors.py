@@ -5,10 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
-from hardware.records import RadarRecord, SpiRecord
+from hardware.records import RadarRecord
 from twin.camera.acquisition import Capture, capture, measure
 from twin.camera.light import render
 from twin.camera.rendered import RenderedLight
+from twin.camera.stream import numbered
 from twin.drive.plan import Drive
 from twin.radar import RadarEcho, radar_echo
 
@@ -37,23 +38,14 @@ class CameraFrames:
             rng = np.random.default_rng(seed)
             noise = drive.fidelity.noise
             taken = measure(drive.scene, system, self._still, rng=rng, noise=noise)
-        return replace(taken, record=self._timed(taken.record, number))
+        begin_ns = drive.camera_clock.after_start(0)
+        return replace(taken, record=numbered(taken.record, system, number, begin_ns))
 
     @cached_property
     def _still(self) -> RenderedLight:
         drive, seed = self.drive, np.random.SeedSequence([self.drive.seed, 2])
         assert drive.system is not None
         return render(drive.scene, drive.system, fidelity=drive.fidelity, seed=seed)
-
-    def _timed(self, record: SpiRecord, number: int) -> SpiRecord:
-        drive, n = self.drive, len(record.counts)
-        assert drive.system is not None
-        begin = drive.camera_clock.after_start(round(number * 1e9 * drive.system.frame_time_s))
-        return replace(
-            record,
-            device_time_ns=record.device_time_ns + begin,
-            sequence=((number * n + np.arange(n)) % 2**32).astype(np.uint32),
-        )
 
 
 class RadarBursts:

@@ -1,5 +1,6 @@
 """The virtual camera: the twin behind hardware/drivers/PROTOCOL.md, independent of the line."""
 
+import logging
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -40,14 +41,21 @@ from hardware.patterns import OwnPatterns, Patterns, PatternSet
 from hardware.records import Flag, SpiRecord
 from twin import __version__
 from twin.camera.chain import Chain
+from twin.engine import EngineError
 from twin.files import InputError
 from twin.scene import Sun
 from twin.serve.clock import DeviceClock
 from twin.serve.configuration import INTEGRATION_S, configure_system
+from twin.serve.frames import FramesAhead
 from twin.serve.table import UploadedTable
 from twin.system import System
 
+_log = logging.getLogger(__name__)
+
 _FRAME_EXPOSURES = 64
+#: Interval at which a record that is computed is looked for; frames of a run before it is told that
+#: they are late.
+_LOOK_S, _SETS_BEFORE_TOLD = 0.01, 2
 _ENOUGH_PATTERNS = 8  # patterns that tell most orders apart
 #: All but complementary, which takes a second detector behind a mirror.
 _MODES = sum(1 << code for code, mode in enumerate(MODE_CODES) if mode != "complementary")
@@ -68,6 +76,7 @@ class _CameraRun:
     exposure: int = 0
     frames: int = 0
     dropped: int = 0
+    told: bool = False
 
 
 class VirtualCamera:
@@ -108,6 +117,7 @@ class VirtualCamera:
         chain = Chain.of(system, sun)
         self._adc_bits = chain.front_end.adc_bits
         self._n_shutters = len(chain.shutters)
+        self._run: _CameraRun | None = None
         if system.n_detectors > 255:
             raise InputError(
                 f"{system.name}: {system.n_detectors} detectors, the protocol carries up to 255"
@@ -121,12 +131,13 @@ class VirtualCamera:
 
     def start_up(self) -> None:
         """Switch on or reset: clear all state but the time."""
+        self._close_run()
         self._deframer = Deframer()
         self._state, self._booted = State.IDLE, True
         self._configuration: Configured | None = None
         self._configured_system = self.system
         self._table = UploadedTable()
-        self._run: _CameraRun | None = None
+        self._run = None
         self._mark = Flag.RESET  # on the next exposure
         self._send_message(self._status())
 
@@ -144,19 +155,53 @@ class VirtualCamera:
         due = run.start_ns + self._since(run.set * made.exposures + stop)
         if (left := self.clock.left_s(due)) > 0:
             return left
-        if run.record is None:
-            run.record = next(run.records)
+        if run.record is None and not self._next_record(run):
+            return _LOOK_S if self._run is run and self._state == State.RUNNING else None
         self._send_frame(run, made, stop)
         self.clock.wait_until(due)
         if stop == made.exposures:
             run.set, run.exposure, run.record = run.set + 1, 0, None
             if run.set == run.sets:
-                self._state = State.ARMED
-                self._send_message(self._status())
+                self._end_run()
                 return None
         else:
             run.exposure = stop
         return 0.0
+
+    def _next_record(self, run: _CameraRun) -> bool:
+        """Take the next record of a run; whether it is there. A run of which it fails ends."""
+        frames = run.records
+        if isinstance(frames, FramesAhead) and not frames.ready():
+            return False
+        try:
+            run.record = next(run.records)
+        except (InputError, EngineError) as error:
+            _log.error("%s: frame %d: %s", self.system.name, run.set, error)
+            self._end_run()
+            return False
+        self._warn_late(run)
+        return True
+
+    def _warn_late(self, run: _CameraRun) -> None:
+        """Tell once in a run that records come later than they were measured."""
+        made = self._configuration
+        if made is None or self.clock.pace == "fast" or run.told:
+            return
+        lasts_s = made.exposures * made.pattern_period_s
+        first = made.exposures_per_frame
+        due = run.start_ns + self._since(run.set * made.exposures + min(first, made.exposures))
+        late_s = (self.clock.now_ns() - due) / 1e9
+        if run.set >= _SETS_BEFORE_TOLD and late_s > lasts_s:
+            run.told = True
+            _log.warning(
+                "%s: slower than real time: a frame lasts %.3g s, frame %d is sent %.3g s late; "
+                "none is lost",
+                *(self.system.name, lasts_s, run.set, late_s),
+            )
+
+    def _end_run(self) -> None:
+        self._state = State.ARMED
+        self._send_message(self._status())
 
     def _send_frame(self, run: _CameraRun, made: Configured, stop: int) -> None:
         assert run.record is not None
@@ -344,11 +389,17 @@ class VirtualCamera:
         if self._run is None or number != self._run.number:
             if self._state != State.ARMED:
                 raise _RefusedError(Refusal.STATE, "Start: arm first")
+            self._close_run()
             self._run = _CameraRun(
                 number, sets, self.clock.now_ns(), self._records(self._configured_system)
             )
             self._state, self._booted = State.RUNNING, False
         return self._status()
+
+    def _close_run(self) -> None:
+        """End what computes the records of the run before."""
+        if self._run is not None and isinstance(self._run.records, FramesAhead):
+            self._run.records.close()
 
     def _stop(self) -> Status:
         if self._state == State.RUNNING:

@@ -2,13 +2,15 @@
 
 import ipaddress
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 from hardware.drivers.radio.setup import write_setup
 from hardware.drivers.settings import write_settings
-from twin.camera.stream import still_light, stills
+from hardware.records import SpiRecord
+from twin.camera.stream import MovingFrames, moves, still_light, stills
 from twin.fidelity import Accuracy
 from twin.files import InputError
 from twin.radar import RadarDesign, load_radar
@@ -17,6 +19,7 @@ from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock, Pace
 from twin.serve.configuration import settings_of
 from twin.serve.faults import CameraFaults, RadioFaults, parse_faults
+from twin.serve.frames import FramesAhead
 from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.prefetcher import Prefetcher
 from twin.serve.radio import VirtualRadio
@@ -125,20 +128,33 @@ def serve_camera(
 ) -> ServedDevice:
     """The single-pixel camera behind its protocol, at an address or on a pseudo-terminal (None).
 
-    Each run gives the records of `stills` with ``seed``, from the first on; ``settings`` is the
-    settings file of the driver to write; the rest as `serve_radar`. Raises InputError.
+    Each run gives the records of `stills` with ``seed``, from the first on, or of `MovingFrames`
+    where something moves: then it begins at the scene's own instant, and frames that take longer to
+    compute than to measure are sent late, of which a warning tells. ``settings`` is the settings
+    file of the driver to write; the rest as `serve_radar`. Raises InputError.
     """
     fault_chances, design = parse_faults(faults, CameraFaults), load_system(system)
     if settings is not None:
         write_settings(settings_of(design), settings)
-    light = still_light(scene, design, seed=seed, fidelity=fidelity)
+    if moves(scene):
+        MovingFrames(scene, design, seed, fidelity)(0)  # errors are told now
+
+        def records(asked: System) -> Iterator[SpiRecord]:
+            frames = MovingFrames(scene, asked, seed, fidelity)
+            return map(frames, count()) if pace == "fast" else FramesAhead(frames)
+    else:
+        light = still_light(scene, design, seed=seed, fidelity=fidelity)
+
+        def records(asked: System) -> Iterator[SpiRecord]:
+            return stills(scene, asked, seed=seed, fidelity=fidelity, rendered=light)
+
     clock = DeviceClock(pace, fault_chances.drift)
     line: Line = Terminal() if address is None else TcpPort(address.host, address.port)
     server = CameraServer(
         lambda send, overrun: VirtualCamera(
             design,
             scene.sun,
-            lambda asked: stills(scene, asked, seed=seed, fidelity=fidelity, rendered=light),
+            records,
             clock=clock,
             send=send,
             overrun=overrun,

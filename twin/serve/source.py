@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
-from itertools import count
+from itertools import chain, count
 from typing import get_args
 from urllib.parse import parse_qsl, unquote
 
@@ -25,11 +25,11 @@ from hardware.drivers.clock import ClockModel
 from hardware.errors import DeviceError
 from hardware.recording.reading import Received
 from hardware.records import RadarRecord, SpiRecord
-from twin.camera.stream import still_light, stills
+from twin.camera.stream import MovingFrames, moves, still_light, stills
 from twin.errors import EngineError, InputError
 from twin.fidelity import Accuracy
 from twin.radar import load_radar
-from twin.scene import load_scene
+from twin.scene import Scene, load_scene
 from twin.serve.clock import DeviceClock, Pace
 from twin.serve.configuration import configure_system
 from twin.serve.prefetcher import Prefetcher
@@ -63,7 +63,8 @@ def records(
         Accuracy settings, each with the error it bounds.
 
     A record is yielded once the device would have measured it (``real``), or as soon as it is
-    computed (``fast``). The scene is read, and rendered for the camera, before this returns. Raises
+    computed (``fast``); one that takes longer to compute than to measure comes late. The scene is
+    read, and rendered for the camera, before this returns. Raises
     InputError for errors in the URL, in the files that it names or in the settings; DeviceError
     where the engine fails.
     """
@@ -80,12 +81,22 @@ def records(
     if options["system"] != "none":
         system = _system(url, options["system"], settings)
         with _engine_as_device(url):
-            light = still_light(scene, system, seed=seed, fidelity=fidelity)
-        camera = stills(scene, system, seed=seed, fidelity=fidelity, rendered=light)
+            camera = _camera(scene, system, seed, fidelity)
     if options["radar"] != "none":
         radar = RadarSweeps(scene, load_radar(options["radar"]), seed, fidelity)
     clock = DeviceClock(paces[options["pace"]])
     return _received(camera, radar, clock, over or threading.Event())
+
+
+def _camera(
+    scene: Scene, system: System, seed: int, fidelity: Accuracy | None
+) -> Iterator[SpiRecord]:
+    """Records of a camera: its first frame is computed before this returns."""
+    if not moves(scene):
+        light = still_light(scene, system, seed=seed, fidelity=fidelity)
+        return stills(scene, system, seed=seed, fidelity=fidelity, rendered=light)
+    frames = MovingFrames(scene, system, seed, fidelity)
+    return chain([frames(0)], map(frames, count(1)))
 
 
 @contextmanager

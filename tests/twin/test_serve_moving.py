@@ -1,0 +1,153 @@
+"""The moving world behind the camera's protocol: frames of their own instants, late if need be."""
+
+import logging
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from hardware.drivers.framing import Deframer, encode
+from hardware.drivers.messages import (
+    Arm,
+    Configure,
+    Configured,
+    Measurement,
+    Start,
+    State,
+    Status,
+    from_frame,
+    to_frame,
+)
+from hardware.errors import InputError
+from hardware.records import SpiRecord
+from twin.camera.acquisition import capture
+from twin.camera.stream import MovingFrames
+from twin.fidelity import Fidelity
+from twin.scene import load_scene
+from twin.serve.camera import VirtualCamera
+from twin.serve.clock import DeviceClock
+from twin.serve.frames import FramesAhead
+from twin.system import System, load_system
+
+SYSTEM = load_system("workable").with_(
+    {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 8}
+)
+QUICK = Fidelity(samples=4, max_depth=1)
+FRAME_S = 1.6e-3
+
+
+class ComputedSlowly(FramesAhead):
+    """Frames that are ready so many seconds after the one before was taken; after ``last`` none."""
+
+    def __init__(self, frames: MovingFrames, takes_s: float, last: int = 100) -> None:
+        self._frames, self._takes_s, self._last = frames, takes_s, last
+        self._next, self._ready_s = 0, time.monotonic() + takes_s
+        self.closed = False
+
+    def __next__(self) -> SpiRecord:
+        if self._next > self._last:
+            raise InputError("scene yard: time 9 s from now on: its trajectories cover 0 to 8 s")
+        self._next, self._ready_s = self._next + 1, time.monotonic() + self._takes_s
+        return self._frames(self._next - 1)
+
+    def ready(self) -> bool:
+        return time.monotonic() >= self._ready_s
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Host:
+    """A camera without a line, configured and started, and what it sends."""
+
+    def __init__(self, takes_s: float, last: int = 100, sets: int = 5) -> None:
+        self.made: list[ComputedSlowly] = []
+        self._sent, self._deframer = bytearray(), Deframer()
+
+        def records(asked: System) -> Iterator[SpiRecord]:
+            frames = MovingFrames(load_scene("yard"), asked, 5, QUICK)
+            self.made.append(ComputedSlowly(frames, takes_s, last))
+            return self.made[-1]
+
+        self.camera = VirtualCamera(
+            SYSTEM,
+            load_scene("yard").sun,
+            records,
+            clock=DeviceClock("real"),
+            send=lambda data: self._sent.extend(data) is None,
+        )
+        self.answers()
+        configured = self.ask(Configure(8, 8, 8, 1, 0, 0, 16, 80e-6, 100e-6))
+        assert isinstance(configured, Configured)
+        self.ask(Arm(configured.table_crc))
+        self.ask(Start(1, sets))
+
+    def ask(self, message: object) -> object:
+        self.camera.receive(encode(to_frame(message, 1)))
+        return self.answers()[-1]
+
+    def answers(self) -> list[object]:
+        found = [from_frame(frame) for frame in self._deframer.feed(bytes(self._sent))]
+        self._sent.clear()
+        return found
+
+    def served(self, seconds: float) -> list[object]:
+        """What it sends in a while, asked as the server asks it."""
+        found, end_s = [], time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            begun_s = time.monotonic()
+            left_s = self.camera.poll()
+            if self.made[0].ready() is False:
+                assert time.monotonic() - begun_s < 0.05  # it goes on answering
+            found += self.answers()
+            if left_s is None:
+                break
+            time.sleep(min(left_s, 0.002))
+        return found
+
+
+def test_frames_are_those_of_the_world_at_their_own_instants() -> None:
+    """Frame k is the capture of the scene after k frames; device time and numbers go on."""
+    scene = load_scene("yard")
+    frames = MovingFrames(scene, SYSTEM, 3, QUICK)
+    for number in (0, 4):
+        record = frames(number)
+        world = scene.after(number * SYSTEM.frame_time_s)
+        expected = capture(world, SYSTEM, seed=3 + number, fidelity=QUICK).record
+        np.testing.assert_array_equal(record.counts, expected.counts)
+        assert record.device_time_ns[0] == round(number * 1e9 * FRAME_S)
+        assert record.sequence.tolist() == list(range(16 * number, 16 * (number + 1)))
+
+
+def test_a_device_that_computes_slowly_sends_late_and_says_so(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """100 ms for a frame of 1.6 ms: no frame is lost, times in them are those of the device's own
+    clock, and one warning tells how late they are.
+    """
+    host = Host(takes_s=0.1)
+    with caplog.at_level(logging.WARNING):
+        sent = host.served(30.0)
+    frames = [message for message in sent if isinstance(message, Measurement)]
+    assert len(frames) == 5
+    assert np.diff([frame.time_ns for frame in frames]).tolist() == [1_600_000] * 4
+    expected = MovingFrames(load_scene("yard"), SYSTEM, 5, QUICK)
+    counts = np.concatenate([frame.counts for frame in frames])
+    np.testing.assert_array_equal(counts, np.concatenate([expected(k).counts for k in range(5)]))
+    told = [record.message for record in caplog.records]
+    assert len(told) == 1
+    assert "slower than real time: a frame lasts 0.0016 s, frame 2 is sent" in told[0]
+
+
+def test_a_run_ends_where_a_trajectory_does(caplog: pytest.LogCaptureFixture) -> None:
+    host = Host(takes_s=0.0, last=1)
+    with caplog.at_level(logging.ERROR):
+        sent = host.served(30.0)
+    assert sum(isinstance(message, Measurement) for message in sent) == 2
+    assert isinstance(sent[-1], Status)
+    assert sent[-1].state == State.ARMED
+    assert "its trajectories cover 0 to 8 s" in caplog.text
+    host.ask(Start(2, 1))
+    assert host.made[0].closed
+    assert len(host.made) == 2
