@@ -16,6 +16,7 @@ from twin.camera.distortion import distortions
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
 from twin.camera.light import render
 from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_side
+from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
 from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
@@ -66,14 +67,21 @@ SCAN_ASSUMPTION = (
 MODEL_ASSUMPTIONS = (
     "surfaces are Lambertian, two-sided and flat-shaded",
     SUN_ASSUMPTION,
-    "nothing moves during a frame",
     "amplifier: linear up to the rails",
 )
+
+#: Holds where light is rendered once for all exposures of a frame, and where it is not.
+STILL_ASSUMPTION = "nothing moves during a frame"
+MOVING_ASSUMPTION = "the truth of a frame in which things move is that of its middle"
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
     """A record with the truth behind it. Only ``record`` exists on the vehicle.
+
+    Where things move during the frame, all that is one number for a frame is that of its middle:
+    truth, cells and what follows from them, so that reconstructions are compared with the image in
+    the middle; ``signal_w`` is of each exposure, and the record's pose that of the start.
 
     ``cells_e`` (rows, columns) are the mean electrons of each cell, lit alone for one exposure (a
     line sensor's columns side by side). ``cells_error_e`` is their Monte-Carlo standard error,
@@ -180,12 +188,23 @@ def capture(
     """
     light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
     knobs = knobs_of(fidelity)
+    world = world_in_motion(scene, system, knobs)
+    seen = scene
+    if world is not None:
+        seen, mesh_scene = scene.after(world.duration_s / 2), None
     rendered = render(
-        scene, system, fidelity=knobs, seed=light_seed, mesh_scene=mesh_scene, stage=stage
+        seen, system, fidelity=knobs, seed=light_seed, mesh_scene=mesh_scene, stage=stage
     )
+    frame = None
+    if world is not None:
+        with stage("motion"):
+            chain = Chain.of(system, scene.sun, detector)
+            frame = frame_light(world, chain, rendered, knobs, light_seed.spawn(2))
     with stage("detector"):
         rng = np.random.default_rng(noise_seed)
-        return measure(scene, system, rendered, rng=rng, noise=knobs.noise, detector=detector)
+        return measure(
+            seen, system, rendered, rng=rng, noise=knobs.noise, detector=detector, frame=frame
+        )
 
 
 def measure(
@@ -196,11 +215,19 @@ def measure(
     rng: np.random.Generator,
     noise: Noise = "full",
     detector: Detector | None = None,
+    frame: FrameLight | None = None,
 ) -> Capture:
-    """Light to counts: filter, lens, detector, amplifier and converter of a system."""
+    """Light to counts: filter, lens, detector, amplifier and converter of a system.
+
+    ``frame``: light of each exposure where something moves; the scene and the light rendered are
+    then those of its middle.
+    """
     chain = Chain.of(system, scene.sun, detector)
     power = chain.powers(rendered)
-    signal_w, counts, flags = chain.measure_frame(power, rng=rng, noise=noise)
+    mean_w, open_w = (frame.signal_w, frame.sun_w) if frame else (None, None)
+    signal_w, counts, flags = chain.measure_frame(
+        power, rng=rng, noise=noise, mean_w=mean_w, sun_w=open_w
+    )
     sun_w = float(chain.open_share.mean()) * power.sun_w
     cells_noise_e = noise_of_cells(chain, power, signal_w)
     noise_e = cells_noise_e / np.sqrt(len(chain.shutters))
@@ -209,7 +236,7 @@ def measure(
     cells_e = to_e * power.cells_w.sum(axis=0)
     image_noise_e = np.median(cells_noise_e, axis=1)
     sky, depth_m = chain.sky, rendered.truth.depth_m
-    record = chain.record(scene.rig.pose, counts, flags)
+    record = chain.record(frame.pose if frame else scene.rig.pose, counts, flags)
     own = "" if type(chain.front_end) is FrontEnd else type(chain.front_end).__name__
     # At a rail the slope of the response is zero, and so is the SNR; as it is in cells that the
     # patterns do not measure.
@@ -236,6 +263,7 @@ def measure(
         *_diffraction(system, chain.lens),
         *(range_error.warnings if range_error else ()),
         *rendered.warnings,
+        *(frame.warnings if frame else ()),
     )
     return Capture(
         record=record,
@@ -251,10 +279,10 @@ def measure(
         sun_irradiance_w_per_m2=float(sky.sun_w_per_m2[0]),
         in_band_fraction=float(sky.emitter[0]),
         illuminance_lx=sky.illuminance_lx,
-        assumptions=(*_assumptions(scene, system), *_own(own)),
+        assumptions=(*_assumptions(scene, system, frame), *_own(own)),
         warnings=warnings,
         light_systematic_e=side_by_side(to_e * power.left_out_w, system),
-        decisions=rendered.decisions,
+        decisions=(*rendered.decisions, *((frame.decision,) if frame else ())),
         range_error=range_error,
         model_error=model_error(chain, power, signal_w),
         distance_m=rendered.half_paths_m(),
@@ -272,11 +300,12 @@ def _without(cells_e: Array, backscatter_e: Array) -> Array:
     return np.where(rest > _ROUNDING * cells_e, rest, 0.0)
 
 
-def _assumptions(scene: Scene, system: System) -> tuple[str, ...]:
+def _assumptions(scene: Scene, system: System, frame: FrameLight | None) -> tuple[str, ...]:
     air = (AIR_ASSUMPTION,) if system.weather else ()
     scan = (SCAN_ASSUMPTION,) if system.optics.is_scanned else ()
     sampled = (system.sampling_note,) if system.sampling_note else ()
-    fixed = (*MODEL_ASSUMPTIONS, *air, *scan, *sampled)
+    rest = (MOVING_ASSUMPTION if frame else STILL_ASSUMPTION,)
+    fixed = (*MODEL_ASSUMPTIONS, *rest, *air, *scan, *sampled)
     return (*fixed, *_idealised(system), *scene.assumptions, *_assumed(system))
 
 

@@ -155,6 +155,11 @@ class Chain:
         sun = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
         return self._of_detectors(sun)
 
+    def sun_weight(self, rendered: "RenderedLight") -> Array:
+        """That power per unit of each part of `RenderedLight.sun`."""
+        collected = self.lens.transmission * self.lens.pupil_area_m2
+        return np.asarray(collected * self.sky.sun_at(rendered.part_angles_deg()))
+
     def _sun_error(self, rendered: "RenderedLight") -> Array:
         """Standard error of that power, (n_detectors,)."""
         collected = self.lens.transmission * self.lens.pupil_area_m2
@@ -185,15 +190,18 @@ class Chain:
         rng: np.random.Generator,
         noise: Noise = "full",
         mean_w: Array | None = None,
+        sun_w: Array | None = None,
     ) -> tuple[Array, NDArray[np.int32], NDArray[np.uint8]]:
         """One frame: signal (n_exposures, n_shutters, n_detectors) in W; counts and flags.
 
-        ``mean_w``: `mean_signal` of these powers, if already computed.
+        ``mean_w``: `mean_signal` of these powers, if already computed; or that of light that
+        changes from exposure to exposure, then with the sun's power in each of them, ``sun_w``
+        (n_exposures, n_shutters, n_detectors).
         """
         fluctuating = None if noise == "none" else rng
         signal_w = frame_signal(self.system, power.cells_w, rng=fluctuating, mean_w=mean_w)
-        exposed_w = self.exposure_power(signal_w, power.sun_by_exposure(self.patterns))
-        settled_w = self.amplifier_output(exposed_w, power.sun_w)
+        sun_w = power.sun_by_exposure(self.patterns) if sun_w is None else sun_w
+        settled_w = self.amplifier_output(self.exposure_power(signal_w, sun_w), power.sun_w)
         counts, flags = checked_exposure(self.front_end, settled_w, rng, noise)
         return signal_w, counts, flags
 

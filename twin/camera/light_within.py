@@ -17,8 +17,10 @@ from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 
 Array = NDArray[np.float64]
+#: Effects that a decision is about.
+INDIRECT, SUN_INDIRECT = "indirect light", "the sun's indirect light, by its shot noise"
 #: Radiance per irradiance of the sun that a surface has at most, with light of ten bounces.
-_SUNLIT = 10 / math.pi
+SUNLIT = 10 / math.pi
 #: Number of paths that would meet what all of them miss in 5 of 100 cases.
 _MISSED = 3.0
 #: Paths of a cell where all cells have the same number: to begin with, and at most.
@@ -129,7 +131,7 @@ def with_sun_within(
     tracer = problem.from_sun(shape, quality, seed)
     permitted = PermittedError(chain, rendered, fidelity)
     one = system.n_detectors == 1
-    parts, largest = rendered.sun.size if one else shape[0], _SUNLIT * tracer.largest_weight
+    parts, largest = rendered.sun.size if one else shape[0], SUNLIT * tracer.largest_weight
     if system.optics.is_scanned:  # each part is the whole sun of an exposure
         parts = parts**2
 
@@ -144,7 +146,7 @@ def with_sun_within(
     paths = _MISSED * rendered.sun.size * largest / least if least else math.inf
     found = gather_within(tracer, limit, largest_indirect=indirect, in_the_dark=paths)
     decision = permitted.decision(
-        "the sun's indirect light, by its shot noise",
+        SUN_INDIRECT,
         (found.indirect_over * SUN_SHARE, LEFT_OUT * SUN_SHARE),
         permitted.tolerance,
         found.indirect_taken,

@@ -41,6 +41,11 @@ class LightFidelity(Knobs):
     light_tolerance_relative
         The same as a share of the light itself: of each cell's, or of the cells' mean where that is
         more. With both, each cell's error is within the stricter one.
+    motion_tolerance
+        Error of an exposure's light by interpolation between instants, where something moves during
+        a frame, root mean square over patterns, as a share of the exposure's noise: light is
+        rendered at as many instants as that takes, each cell at its own. Light of `Tolerance` has
+        half of its own. None: nothing moves during a frame.
     noise
         ``none``: counts of the mean, rounded. ``gaussian``: shot noise as a normal distribution,
         wrong in shape below some 100 electrons. ``full``: Poisson.
@@ -59,6 +64,7 @@ class LightFidelity(Knobs):
     light_tolerance_relative: float | None = field(
         default=None, metadata=optional_tolerance(1e-5, 1.0)
     )
+    motion_tolerance: float | None = field(default=None, metadata=optional_tolerance(1e-4, 10.0))
     noise: Noise = field(default="full", metadata=one_of(Noise))
     air_orders: int = field(default=12, metadata=whole(0))
 

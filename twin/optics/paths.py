@@ -24,6 +24,7 @@ from twin.optics.devices import (
     vectors,
 )
 from twin.optics.scattering import Medium, ScatteredPath
+from twin.transfer import vector
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,10 @@ class TracingQuality:
 
 @dataclass(frozen=True, eq=False)
 class SunLight:
-    """Directional light; radiances are per unit irradiance on the plane normal to it."""
+    """Directional light; radiances are per unit irradiance on the plane normal to it.
+
+    ``direction``: unit vector towards it, (3,); or of each instant of the rays, (n, 3).
+    """
 
     direction: Array
 
@@ -112,12 +116,21 @@ class Connection(NamedTuple):
 
 class _SunConnector:
     def __init__(self, light: SunLight) -> None:
-        (self.direction,) = vectors(light.direction[None])
+        self.turns = light.direction.ndim == 2
+        if self.turns:
+            self.directions = vector(mitsuba(), light.direction, "Vector3f")
+        else:
+            (self.direction,) = vectors(light.direction[None])
 
     def __call__(self, hit: Any, rng: Any) -> Connection:
         mi = mitsuba()
-        ray = hit.spawn_ray(self.direction)
-        return Connection(self.direction, ray, mi.Float(1), mi.Float(0), ())
+        direction = self.direction_at(hit) if self.turns else self.direction
+        ray = hit.spawn_ray(direction)
+        return Connection(direction, ray, mi.Float(1), mi.Float(0), ())
+
+    def direction_at(self, hit: Any) -> Any:
+        """Towards the sun, at the instant of each hit."""
+        return dr.gather(mitsuba().Vector3f, self.directions, mitsuba().UInt32(hit.time))
 
 
 class _DeviceConnector:
@@ -192,8 +205,10 @@ def albedo(hit: Any, active: Any = True) -> Any:
     return hit.bsdf().eval_diffuse_reflectance(hit, active)[0]
 
 
-def random_numbers(n: int, *seed: int) -> Any:
-    """A generator of ``n`` independent streams."""
+def random_numbers(n: int, *seed: int, streams: Any = None) -> Any:
+    """A generator of ``n`` independent streams, or of those given, (n,)."""
     mi = mitsuba()
-    state = int(np.random.SeedSequence(list(seed)).generate_state(1)[0])
-    return mi.PCG32(size=n, initstate=dr.opaque(mi.UInt64, state))
+    state = dr.opaque(mi.UInt64, int(np.random.SeedSequence(list(seed)).generate_state(1)[0]))
+    if streams is not None:
+        return mi.PCG32(initstate=state, initseq=streams)
+    return mi.PCG32(size=n, initstate=state)

@@ -40,6 +40,14 @@ class RowRays:
         """Number of rays."""
         return (self.last - self.first) * columns * self.samples
 
+    def instants(self) -> Any:
+        """Number of each ray's instant; None where all rays are of one."""
+        return None
+
+    def streams(self) -> Any:
+        """Of each ray its stream of random numbers; None: its place among the rays."""
+        return None
+
     def points(self, rows: int, columns: int, rng: Any) -> Points:
         """Cells of the rays of a grid, and their points; without ``rng`` the middles of strata."""
         mi = mitsuba()
@@ -72,6 +80,9 @@ class CellRays:
         Of the random numbers that shift the sequences.
     key
         Of all other random numbers.
+    instant
+        Number of the instant at which each cell is looked at, (n,). The same path of a cell then
+        has the same random numbers at all instants.
     """
 
     cells: NDArray[np.integer]
@@ -80,6 +91,7 @@ class CellRays:
     sets: int
     shift: int
     key: tuple[int, ...]
+    instant: NDArray[np.integer] | None = None
 
     @cached_property
     def set_starts(self) -> NDArray[np.int64]:
@@ -91,18 +103,43 @@ class CellRays:
         """Number of rays."""
         return int(self.samples.sum()) * self.sets
 
+    def instants(self) -> Any:
+        """Number of each ray's instant; None where all rays are of one."""
+        if self.instant is None:
+            return None
+        mi, (owner, _) = mitsuba(), self._owner_and_number
+        instant = mi.UInt32(aligned(self.instant.astype(np.uint32)))
+        return mi.Float(dr.gather(mi.UInt32, instant, owner // self.sets))
+
+    def streams(self) -> Any:
+        """Of each ray its stream of random numbers; None: its place among the rays."""
+        if self.instant is None:
+            return None
+        mi, (owner, number) = mitsuba(), self._owner_and_number
+        # Scrambled: streams of numbers that differ by powers of 2 are alike.
+        return mi.sample_tea_64(self._own_set(owner)[1], number)
+
     def points(self, rows: int, columns: int, rng: Any) -> Points:
         """Cells of the rays of a grid, and their points."""
+        mi, (owner, number) = mitsuba(), self._owner_and_number
+        cell, own_set = self._own_set(owner)
+        across, up = mi.sample_tea_32(own_set, dr.opaque(mi.UInt32, self.shift))
+        return cell, mi.radical_inverse_2(number, across), mi.sobol_2(number, up)
+
+    @cached_property
+    def _owner_and_number(self) -> tuple[Any, Any]:
+        """Set to which each ray belongs, among all sets, and its number in the set's sequence."""
         mi, each = mitsuba(), np.repeat(self.samples, self.sets)
         owner = mi.UInt32(aligned(np.repeat(np.arange(len(each), dtype=np.uint32), each)))
-        # From a ray's number to its number in the sequence.
         back = np.repeat(self.first, self.sets) - self.set_starts
         back = dr.gather(mi.UInt32, mi.UInt32(back.astype(np.uint32)), owner)
-        number = dr.arange(mi.UInt32, dr.width(owner)) + back
+        return owner, dr.arange(mi.UInt32, dr.width(owner)) + back
+
+    def _own_set(self, owner: Any) -> tuple[Any, Any]:
+        """Cell of a set, and its number among those of all cells of the grid."""
+        mi = mitsuba()
         place = dr.gather(mi.UInt32, mi.UInt32(self.cells.astype(np.uint32)), owner // self.sets)
-        shift = dr.opaque(mi.UInt32, self.shift)
-        across, up = mi.sample_tea_32(place * self.sets + owner % self.sets, shift)
-        return place, mi.radical_inverse_2(number, across), mi.sobol_2(number, up)
+        return place, place * self.sets + owner % self.sets
 
 
 Rays = RowRays | CellRays

@@ -146,8 +146,12 @@ class Tracer:
 
     def _rays(self, rays: Rays, *key: int) -> tuple[Any, Any, Any, Any]:
         """Generator of random numbers, rays, their weights, and whether they belong to a cell."""
-        rng = random_numbers(rays.count(self.start.columns), self.seed, *key, *rays.key)
-        return rng, *sample_rays(self.start, rays, rng, self.weighting)
+        count, streams = rays.count(self.start.columns), rays.streams()
+        rng = random_numbers(count, self.seed, *key, *rays.key, streams=streams)
+        ray, weight, active = sample_rays(self.start, rays, rng, self.weighting)
+        if (instants := rays.instants()) is not None:
+            ray.time = instants
+        return rng, ray, weight, active
 
     @cached_property
     def _steps(self) -> PathSteps:

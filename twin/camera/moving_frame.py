@@ -1,0 +1,445 @@
+"""Light of a frame in which things move: every exposure sees the world at its own time."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.accuracy import Decision
+from twin.camera.chain import Chain
+from twin.camera.equal_paths import sun_shape
+from twin.camera.exposures import Exposures
+from twin.camera.illumination import mean_signal
+from twin.camera.light import render_light
+from twin.camera.light_within import INDIRECT, SUN_INDIRECT, SUNLIT
+from twin.camera.motion import Seen, WorldInMotion
+from twin.camera.mounting import light_problem, with_near_pupil
+from twin.camera.permitted_error import PermittedError
+from twin.camera.rendered import RenderedLight
+from twin.camera.truth import Truth, depths
+from twin.fidelity import Fidelity
+from twin.optics.adaptive import LEFT_OUT
+from twin.optics.direct_sunlight import direct_sunlight
+from twin.optics.light_over_time import Effort, Part, light_over_time
+from twin.optics.paths import SunLight
+from twin.optics.problem import LightProblem
+from twin.scene import Pose, Scene
+from twin.system import System
+from twin.warned import CaptureWarning
+
+Array = NDArray[np.float64]
+
+#: Instants whose signals are computed at once.
+_AT_ONCE = 32
+#: Shortest interval between instants, over an exposure's integration.
+_FINEST = 1 / 8
+#: Instants at most at which all light is rendered.
+_MOST_RENDERS = 512
+#: First instants that one is enough of for indirect light, which has no edges.
+_SMOOTH = 4
+#: Of a count, what its noise is at least: a full well of 1e8 electrons.
+_EXACT = 1e-4
+#: Error of paths over what is permitted above which a warning is given; it is an estimate.
+_FEW_PATHS = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class FrameLight:
+    """Mean powers on the detectors in every exposure of a frame, W, (n_exposures, n_shutters,
+    n_detectors): of the patterns, and of the sun while a shutter is open. ``decision``: at how many
+    instants light was rendered, and what interpolation may be off by. ``pose``: the rig's at the
+    start.
+    """
+
+    signal_w: Array
+    sun_w: Array
+    pose: Pose
+    decision: Decision
+    warnings: tuple[CaptureWarning, ...] = ()
+
+
+def world_in_motion(scene: Scene, system: System, fidelity: Fidelity) -> WorldInMotion | None:
+    """The world during a frame that begins with a scene; None where nothing moves in it, or is to.
+
+    Raises InputError for a trajectory that ends before the frame does.
+    """
+    if fidelity.motion_tolerance is None or (scene.at_rest and not scene.rig.moves):
+        return None
+    world = WorldInMotion(scene, Exposures.of(system).duration_s)
+    return None if world.is_at_rest else world
+
+
+def frame_light(
+    world: WorldInMotion,
+    chain: Chain,
+    rendered: RenderedLight,
+    fidelity: Fidelity,
+    seeds: Sequence[np.random.SeedSequence],
+) -> FrameLight:
+    """Light of all exposures of a frame.
+
+    ``rendered``: light in the middle of the frame. To its noise the tolerances refer, and of it are
+    the angles at which light meets the filter.
+    """
+    start, scene, system = time.perf_counter(), world.scene, chain.system
+    problem = light_problem(scene, system, world)
+    noise_w = exposure_noise_w(chain, rendered)
+    exposures = Exposures.of(system)
+    one_bucket = system.n_detectors == 1 and not system.time_of_flight
+    if one_bucket and problem.air is None and not system.optics.is_scanned:
+        light = _by_cell(world, chain, problem, rendered, fidelity, seeds, noise_w)
+    else:
+        light = _by_render(world, chain, fidelity, seeds, noise_w)
+    signal_w, sun_w = light.exposed(chain, exposures)
+    tolerance = fidelity.motion_tolerance or 0.0
+    off = light.motion_error * tolerance
+    decision = Decision(
+        "camera",
+        f"motion within a frame, {light.n_instants} instants",
+        off,
+        tolerance,
+        "of an exposure's noise",
+        True,
+        time.perf_counter() - start,
+    )
+    return FrameLight(signal_w, sun_w, scene.rig.pose, decision, _warnings(light, tolerance))
+
+
+def _warnings(light: "_Light", tolerance: float) -> tuple[CaptureWarning, ...]:
+    found = []
+    if light.path_error > _FEW_PATHS:
+        text = (
+            f"paths of light of some instants err by {light.path_error:.2g} times what is "
+            "permitted: fidelity.light_tolerance"
+        )
+        found.append(CaptureWarning("model", text))
+    if light.motion_error <= 1:
+        return tuple(found)
+    return (
+        *found,
+        CaptureWarning(
+            "model",
+            f"light between instants is off by up to {light.motion_error * tolerance:.2g} of an "
+            f"exposure's noise, {tolerance:g} permitted: what moves is too fast for as many "
+            "instants as are rendered: fidelity.motion_tolerance",
+        ),
+    )
+
+
+def exposure_noise_w(chain: Chain, rendered: RenderedLight) -> float:
+    """Noise of an exposure in the middle of the frame, of the detector that has the least."""
+    power = chain.powers(rendered)
+    budgets = chain.noise_by_detector(chain.mean_signal(power), power.sun_w)
+    return min(b.total_noise_e for b in budgets) / chain.front_end.electrons_per_watt
+
+
+@dataclass(frozen=True, eq=False)
+class _Light:
+    """Powers of cells at instants, (n, n_shutters, n_detectors, n_cells), and of the sun at its own
+    ones, (m, n_detectors), of a scanner (m, n_patterns, 1, n_detectors), W.
+    """
+
+    times_s: Array
+    cells_w: Array
+    sun_times_s: Array
+    sun_w: Array
+    motion_error: float
+    path_error: float = 0.0
+
+    @property
+    def n_instants(self) -> int:
+        """At which light was rendered."""
+        return len(self.times_s)
+
+    def exposed(self, chain: Chain, exposures: Exposures) -> tuple[Array, Array]:
+        """Mean signal and sunlight of every exposure, (n_exposures, n_shutters, n_detectors)."""
+        n_shutters, n_detectors = len(chain.shutters), chain.system.n_detectors
+        shape = (-1, n_shutters, n_detectors)
+        weights = exposures.means(self.times_s).tocsc()
+        signal = np.zeros((len(exposures.starts_s), n_detectors))
+        for first in range(0, len(self.times_s), _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            # Instants beside each other, like detectors.
+            cells = np.moveaxis(self.cells_w[some], 0, 1).reshape(
+                n_shutters, -1, self.cells_w.shape[-1]
+            )
+            each = mean_signal(chain.system, cells).reshape(len(signal), -1, n_detectors)
+            part = weights[:, some].tocoo()
+            np.add.at(signal, part.row, part.data[:, None] * each[part.row, part.col])
+        means = exposures.means(self.sun_times_s)
+        if self.sun_w.ndim == 2:
+            sun = means @ self.sun_w
+        else:
+            each = np.broadcast_to(self.sun_w, (len(self.sun_w), *signal.reshape(shape).shape))
+            sun = np.einsum("km,mkd->kd", means.toarray(), each.reshape(len(each), *signal.shape))
+        return signal.reshape(shape), sun.reshape(shape)
+
+
+def _by_cell(
+    world: WorldInMotion,
+    chain: Chain,
+    problem: LightProblem,
+    rendered: RenderedLight,
+    fidelity: Fidelity,
+    seeds: Sequence[np.random.SeedSequence],
+    noise_w: float,
+) -> _Light:
+    """Of one detector: each cell at as many instants as its light needs."""
+    system, (first, second) = chain.system, (int(s.generate_state(1)[0]) for s in seeds)
+    shape = system.image_shape
+    seen = world.seen(problem.emitter, shape)
+    times = world.first_instants(seen, problem.emitter, shape[0])
+    problem = with_near_pupil(problem, system, np.array([seen.nearest_m]))
+    ones = np.ones_like(rendered.light.cells)
+    lit = replace(rendered.light, cells=ones, error=ones)
+    watt = chain.powers(replace(rendered, light=lit)).error_w[0]
+    # As errors of the lit cells add up in a count, of all cells alike.
+    with np.errstate(divide="ignore"):
+        noise = noise_w / math.sqrt(max(_lit_share(chain), 1e-12) * watt.size) / watt
+    parts = _traced(world, chain, _limit(fidelity, noise, rendered), rendered, fidelity)
+    tracer = problem.from_emitter(shape, fidelity.quality, first)
+    changes = world.changes(times, problem.emitter, problem.detector, shape)
+    found = light_over_time(
+        lambda at: replace(tracer, scene=world.scene_at(at)),
+        parts,
+        times,
+        changes if len(parts) == 1 else np.ones_like(changes),
+        Effort(
+            _limit(fidelity, noise, rendered) if fidelity.has_light_tolerance else fidelity.samples,
+            (fidelity.motion_tolerance or 0.0) / math.sqrt(2) * noise,
+            _finest(chain),
+            system.acquisition.integration_time_s.value,
+            lambda light: _noise_growth(chain, light @ watt, rendered, noise_w),
+        ),
+    )
+    sun = _sun(world, seen, chain, problem, rendered, fidelity, second, noise_w)
+    cells_w = (watt * found.light)[:, None, None]
+    error = math.hypot(found.motion_error, sun[2]) / math.sqrt(2)
+    return _Light(found.times_s, cells_w, *sun[:2], error, found.path_error)
+
+
+def _noise_growth(chain: Chain, light_w: Array, rendered: RenderedLight, noise_w: float) -> Array:
+    """Square of an exposure's noise over that in the middle of the frame, where all cells together
+    give this light, W (n,): more light has more shot noise. No chain tells `_EXACT` of a count.
+    """
+    share = _lit_share(chain)
+    middle_w = float(chain.powers(rendered).cells_w.sum())
+    shot = np.maximum(light_w - middle_w, 0) * share / chain.front_end.electrons_per_watt
+    return np.asarray(1 + (shot + (_EXACT * share * light_w) ** 2) / noise_w**2)
+
+
+def _limit(fidelity: Fidelity, noise: Array, rendered: RenderedLight) -> Array:
+    """Error of each cell that finitely many paths may leave."""
+    light, relative = rendered.light.cells[0], fidelity.light_tolerance_relative
+    limit = np.full(light.shape, np.inf)
+    if fidelity.light_tolerance is not None:
+        limit = fidelity.light_tolerance * noise
+    if relative is not None:
+        limit = np.minimum(limit, relative * np.maximum(light, light.mean()))
+    return limit
+
+
+def _lit_share(chain: Chain) -> float:
+    """Of the cells in an exposure that are lit, the mean over the exposures: as many errors of
+    cells add up in a count.
+    """
+    patterns = chain.patterns
+    return float(patterns.signal(np.ones(patterns.n_cells)).mean()) / patterns.n_cells
+
+
+def _traced(
+    world: WorldInMotion, chain: Chain, limit: Array, rendered: RenderedLight, fidelity: Fidelity
+) -> list[Part]:
+    """Parts of the emitter's light that are traced: direct light, and indirect light where it may
+    matter at the frame's start, middle or end.
+    """
+    if not fidelity.has_light_tolerance:
+        return _parts(fidelity.max_depth > 1, by_chance=False)
+    over = 0.0
+    for seconds in (0.0, world.duration_s):
+        if _taken(rendered, INDIRECT):
+            break
+        problem = light_problem(world.scene.after(seconds), chain.system, world)
+        tracer = problem.from_emitter(chain.system.image_shape, fidelity.quality, 0)
+        bound = problem.largest_indirect(tracer)
+        over = max(over, bound * math.sqrt(float(np.mean(1 / np.maximum(limit, 1e-150) ** 2))))
+    return _parts(_taken(rendered, INDIRECT) or over > LEFT_OUT)
+
+
+def _taken(rendered: RenderedLight, effect: str) -> bool:
+    """Whether a render to a tolerance holds an effect."""
+    return any(each.taken for each in rendered.decisions if each.effect == effect)
+
+
+def _parts(indirect: bool, *, by_chance: bool = True) -> list[Part]:
+    """Direct light, and indirect light whose paths end ``by_chance`` or after some bounces."""
+    parts = [Part(lambda tracer, rays: tracer.direct(rays).value, 1.7)]
+    if indirect and by_chance:
+        parts.append(Part(lambda tracer, rays: tracer.all_indirect(rays), 1.0, True, _SMOOTH))
+    elif indirect:
+        parts.append(Part(lambda tracer, rays: tracer.indirect(rays), 1.0, True, _SMOOTH))
+    return parts
+
+
+def _sun(
+    world: WorldInMotion,
+    seen: Seen,
+    chain: Chain,
+    problem: LightProblem,
+    rendered: RenderedLight,
+    fidelity: Fidelity,
+    seed: int,
+    noise_w: float,
+) -> tuple[Array, Array, float]:
+    """Instants, the sun's power at each, (n, 1), and its error between them over what is permitted.
+
+    The sum of all parts of the field counts, so that they are followed together. To a tolerance
+    what its paths err by, which is the same at neighbouring instants, may be what it is in a still
+    frame: differences of exposures do not hold it.
+    """
+    shape, weight = sun_shape(chain.system), chain.sun_weight(rendered).ravel()
+    if not weight.any():
+        return np.array([0.0, world.duration_s]), np.zeros((2, 1)), 0.0
+    with np.errstate(divide="ignore"):
+        noise = noise_w / math.sqrt(weight.size) / weight
+    tracer = problem.from_sun(shape, fidelity.quality, seed)
+    limit: Array | int = fidelity.samples
+    if fidelity.has_light_tolerance:
+        largest = SUNLIT * tracer.largest_weight
+        error = PermittedError(chain, rendered, fidelity).sun_error(rendered.sun, largest)
+        limit = np.full(weight.size, float(error.min()) / math.sqrt(weight.size))
+        parts = _parts(_taken(rendered, SUN_INDIRECT))
+    else:
+        parts = _parts(fidelity.max_depth > 1, by_chance=False)
+    times = world.first_instants(seen, problem.detector, shape[0])
+    found = light_over_time(
+        lambda at: replace(
+            tracer, scene=world.scene_at(at), light=SunLight(world.sun_directions(at))
+        ),
+        parts,
+        times,
+        np.ones((len(times) - 1, weight.size), dtype=bool),
+        Effort(
+            limit,
+            (fidelity.motion_tolerance or 0.0) / math.sqrt(2) * noise,
+            _finest(chain),
+            chain.system.acquisition.integration_time_s.value,
+            together=True,
+        ),
+    )
+    light = found.light + _straight(world, problem, found.times_s, shape)
+    return found.times_s, (light @ weight)[:, None], found.motion_error
+
+
+def _finest(chain: Chain) -> float:
+    """Shortest interval between instants."""
+    return _FINEST * chain.system.acquisition.integration_time_s.value
+
+
+def _straight(
+    world: WorldInMotion, problem: LightProblem, times: Array, shape: tuple[int, int]
+) -> Array:
+    """Sunlight that comes straight from the sun, at instants, by part of the field (n, n_parts)."""
+    scene, directions = world.scene_at(times), world.sun_directions(times)
+    return np.array(
+        [
+            direct_sunlight(
+                replace(problem, scene=scene.at(i), sun_direction=towards), shape
+            ).ravel()
+            for i, towards in enumerate(directions)
+        ]
+    )
+
+
+def _by_render(
+    world: WorldInMotion,
+    chain: Chain,
+    fidelity: Fidelity,
+    seeds: Sequence[np.random.SeedSequence],
+    noise_w: float,
+) -> _Light:
+    """Of line sensors, time of flight and air: all light at every instant, until the middles of
+    intervals are what interpolation says.
+    """
+    system = chain.system
+    whole = light_problem(world.scene, system, world)
+    seen = world.seen(whole.emitter, system.image_shape)
+    times = world.first_instants(seen, whole.emitter, system.image_shape[0]).tolist()
+    found = [_rendered_at(world, chain, whole, fidelity, seeds, t) for t in times]
+    share, worst = _lit_share(chain) / noise_w**2, 0.0
+    permitted = (fidelity.motion_tolerance or 0.0) ** 2
+    finest = _finest(chain)
+    opened = [(i, i + 1) for i in range(len(times) - 1)]
+    while opened:
+        first, last = opened.pop()
+        middle = (times[first] + times[last]) / 2
+        here = _rendered_at(world, chain, whole, fidelity, seeds, middle)
+        times.append(middle)
+        found.append(here)
+        off = here.off(found[first], found[last], share, 1 / noise_w**2)
+        if off > permitted and middle - times[first] > finest and len(times) < _MOST_RENDERS:
+            opened += [(first, len(times) - 1), (len(times) - 1, last)]
+        else:
+            worst = max(worst, off)
+    order = np.argsort(times)
+    at = np.array(times)[order]
+    cells_w, sun_w = (
+        np.array([getattr(found[i], name) for i in order]) for name in ("cells_w", "sun_w")
+    )
+    error = math.sqrt(worst / permitted) if permitted else 0.0
+    return _Light(at, cells_w, at, sun_w, error)
+
+
+@dataclass(frozen=True, eq=False)
+class _Render:
+    """All light at an instant, as in `Powers`."""
+
+    cells_w: Array
+    error_w: Array
+    sun_w: Array
+    sun_error_w: Array
+
+    def off(self, one: "_Render", other: "_Render", share: float, sun_share: float) -> float:
+        """Squared error that is left beside this middle of two renders, in exposures: half of what
+        it differs by from their mean, less what paths differ by.
+        """
+        further = self.cells_w - (one.cells_w + other.cells_w) / 2
+        light = np.maximum(further**2 - 1.5 * self.error_w**2, 0).sum(axis=-1).max()
+        further = self.sun_w - (one.sun_w + other.sun_w) / 2
+        sun = np.maximum(further**2 - 1.5 * self.sun_error_w**2, 0).max()
+        return float(share * light + sun_share * sun) / 4
+
+
+def _rendered_at(
+    world: WorldInMotion,
+    chain: Chain,
+    whole: LightProblem,
+    fidelity: Fidelity,
+    seeds: Sequence[np.random.SeedSequence],
+    seconds: float,
+) -> _Render:
+    times = np.array([seconds])
+    # Corners and bodies, of which bounds are made, stand where they are if the rig does not turn.
+    later = (
+        whole
+        if world.turns
+        else light_problem(world.scene.after(seconds), chain.system, whole.scene)
+    )
+    problem = replace(
+        later,
+        scene=world.scene_at(times).at(0),
+        emitter=whole.emitter,
+        detector=whole.detector,
+        sun_direction=world.sun_directions(times)[0],
+        corners=None if world.turns else later.corners,
+        bodies=None if world.turns else later.bodies,
+    )
+    shape = chain.system.image_shape
+    depth = depths(problem.scene, problem.emitter, shape)
+    rendered = render_light(problem, chain, Truth(np.zeros(shape), depth), fidelity, seeds)
+    power = chain.powers(rendered)
+    sun_w = power.sun_by_exposure(chain.patterns)
+    return _Render(power.cells_w, power.error_w, sun_w, power.sun_error_w)

@@ -1,0 +1,395 @@
+"""Light of the cells of a grid while the world moves: rendered at few instants, linear in between.
+
+All cells that may change are rendered at some first instants. The middle of each interval is then
+rendered where light may have a kink there, and compared with what interpolation says: the cells
+that differ the most are followed into both halves, until what the others are off by is little
+enough. A path has the same random numbers at all instants, so that light differs between instants
+by what moved.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
+
+from twin.engine import mitsuba
+from twin.optics.ray_sets import CellRays, Rays
+from twin.optics.tracer import RAYS_AT_ONCE, Tracer
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+#: Independent sets of paths in a cell; paths of a set to begin with, and at most.
+_SETS, _FIRST, _MOST = 2, 8, 2**11
+#: Share of a cell's own scatter in its variance, which two sets alone hardly know.
+_OWN = 0.25
+#: Variance of the difference between a middle and the mean of both ends, over that of each.
+_OF_MIDDLES = 1.5
+#: Of the squared error left to an interval, what cells that are not followed further may take.
+_LEFT_BEHIND = 0.5
+#: Keys of draws, apart from those of still light.
+_DRAWS = 2**17
+#: Instants at which cells are rendered at most; paths after which no interval is halved, and paths
+#: that instants are rendered with at once, at most.
+_MOST_INSTANTS, _MOST_PATHS, _MOST_TOGETHER = 2**15, 2**25, 2**24
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the light.
+
+    Parameters
+    ----------
+    trace
+        What of a set of rays it is.
+    falls
+        Power of the number of paths with which its variance falls.
+    is_smooth
+        It has no edges and rare bright paths: as many paths are drawn in all cells, since more of
+        them where the first ones happened to be bright would make it darker.
+    step
+        Of how many first instants one is enough for it.
+    """
+
+    trace: Callable[[Tracer, Rays], Any]
+    falls: float
+    is_smooth: bool = False
+    step: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Effort:
+    """How closely light is followed.
+
+    Parameters
+    ----------
+    limit : (n_cells,) array
+        Error of each cell that finitely many paths may leave, root mean square over the cells; or
+        ``paths``, of every cell.
+    motion_limit : (n_cells,) array
+        The same, of interpolation in time.
+    finest_s
+        Shortest interval between instants.
+    exposure_s
+        Over which light counts: what is off for a shorter time counts less.
+    noise_growth
+        Of light at instants, (n, n_cells): the square of what is permitted there, over that of the
+        limits, (n,); None: the same at all.
+    together
+        Only the sum of all cells counts: their errors in between, which may be of either sign, are
+        taken together.
+    """
+
+    limit: Array | int
+    motion_limit: Array
+    finest_s: float
+    exposure_s: float
+    noise_growth: Callable[[Array], Array] | None = None
+    together: bool = False
+
+    def grown(self, light: Array) -> Array:
+        """`noise_growth` of light, (n,)."""
+        return np.ones(len(light)) if self.noise_growth is None else self.noise_growth(light)
+
+    def of_one(self, parts: int) -> "Effort":
+        """Of each of as many parts, whose errors are independent."""
+        scale = 1 / math.sqrt(parts)
+        limit = self.limit if isinstance(self.limit, int) else scale * self.limit
+        return replace(self, limit=limit, motion_limit=scale * self.motion_limit)
+
+
+@dataclass(frozen=True, eq=False)
+class LightOverTime:
+    """Light of cells at instants, ascending, (n, n_cells), linear in between.
+
+    ``path_error`` and ``motion_error``: over what is permitted, root mean square over the cells, at
+    the worst instant; ``looks``: cells rendered, at how many instants each, summed; ``paths``: of
+    them all.
+    """
+
+    times_s: Array
+    light: Array
+    path_error: float
+    motion_error: float
+    looks: int
+    paths: int
+
+
+def light_over_time(
+    tracer_at: Callable[[Array], Tracer],
+    traces: Sequence[Part],
+    times_s: Array,
+    changes: Flags,
+    effort: Effort,
+) -> LightOverTime:
+    """Light of a tracer's cells from the first to the last of some instants.
+
+    Parameters
+    ----------
+    tracer_at
+        Gives a tracer in a world with these instants, (n,), numbered.
+    traces
+        Parts of the light, apart from each other.
+    times_s : (n,) array
+        First instants, ascending, so close that no edge passes more than a cell in between.
+    changes : (n - 1, n_cells) array
+        Cells whose light may change from each instant to the next; others are not rendered again.
+    effort
+        How closely.
+    """
+    parts = [
+        _over_time(
+            _Drawing(tracer_at, part, number),
+            *_thinned(times_s, changes, part.step),
+            effort.of_one(len(traces)),
+        )
+        for number, part in enumerate(traces)
+    ]
+    times = np.unique(np.concatenate([part.times_s for part in parts]))
+    return LightOverTime(
+        times,
+        np.sum([_at(part, times) for part in parts], axis=0),
+        float(np.linalg.norm([part.path_error for part in parts])) / math.sqrt(len(parts)),
+        float(np.linalg.norm([part.motion_error for part in parts])) / math.sqrt(len(parts)),
+        sum(part.looks for part in parts),
+        sum(part.paths for part in parts),
+    )
+
+
+def _thinned(times: Array, changes: Flags, step: int) -> tuple[Array, Flags]:
+    """One of ``step`` instants, the last one too, and what changes between them."""
+    kept = np.unique(np.append(np.arange(0, len(times) - 1, step), len(times) - 1))
+    return times[kept], np.logical_or.reduceat(changes, kept[:-1], axis=0)
+
+
+def _at(part: LightOverTime, times: Array) -> Array:
+    """Light at other instants."""
+    if len(times) == len(part.times_s):
+        return part.light
+    after = np.clip(np.searchsorted(part.times_s, times), 1, len(part.times_s) - 1)
+    before = after - 1
+    share = (times - part.times_s[before]) / (part.times_s[after] - part.times_s[before])
+    return part.light[before] + share[:, None] * (part.light[after] - part.light[before])
+
+
+def _over_time(drawing: "_Drawing", times: Array, changes: Flags, effort: Effort) -> LightOverTime:
+    n_cells = drawing.grid.size
+    weight = 1 / np.maximum(effort.motion_limit, 1e-150) ** 2 / n_cells
+    wanted = np.zeros((len(times), n_cells), dtype=bool)
+    wanted[:-1] |= changes
+    wanted[1:] |= changes
+    wanted[0] |= ~wanted.any(axis=0)
+    first = drawing.render(times, wanted, np.zeros(wanted.shape), effort, None)
+    light, variance = (_spread(values, wanted) for values in first)
+    rows, at = [*zip(light, variance, strict=True)], [float(t) for t in times]
+    opened = [_Interval(i, i + 1, cells, 1.0) for i, cells in enumerate(changes) if cells.any()]
+    worst = 0.0
+    while opened:
+        fine = [x for x in opened if (at[x.last] - at[x.first]) / 2 >= effort.finest_s]
+        if not fine or len(at) + len(fine) > _MOST_INSTANTS or drawing.paths > _MOST_PATHS:
+            worst = max(worst, *(1 - x.budget + x.left for x in opened))
+            break
+        worst = max([worst, *(1 - x.budget + x.left for x in opened if x not in fine)])
+        ends = [(rows[x.first], rows[x.last]) for x in fine]
+        middles = np.array([(at[x.first] + at[x.last]) / 2 for x in fine])
+        cells = np.array([x.cells for x in fine])
+        said = np.array([(a[0] + b[0]) / 2 for a, b in ends])
+        around = np.array([(a[1] + b[1]) / 2 for a, b in ends])
+        light, variance = drawing.render(middles, cells, said, effort, around)
+        grown = effort.grown(light)
+        opened = []
+        for i, interval in enumerate(fine):
+            noise = _OF_MIDDLES * variance[i]
+            further, length = light[i] - said[i], at[interval.last] - at[interval.first]
+            # Errors of several times within an exposure are averaged.
+            scale = min(length / effort.exposure_s, 1.0) / 4 / grown[i]
+            rows.append((light[i], variance[i]))
+            at.append(float(middles[i]))
+            if effort.together:
+                total = float((further @ np.sqrt(weight)) ** 2 - noise @ weight)
+                rest = interval.whole(max(scale * total, 0.0), len(at) - 1)
+            else:
+                off = scale * np.maximum(further**2 - noise, 0) * weight
+                off[~interval.cells] = 0
+                rest = interval.after(off, len(at) - 1)
+            worst = max([worst, *(1 - x.budget for x in rest)])
+            opened += [x for x in rest if x.cells.any()]
+    order = np.argsort(at)
+    path_error = 0.0
+    if not isinstance(effort.limit, int):
+        share = 1 / np.maximum(effort.limit, 1e-150) ** 2 / n_cells
+        light, variance = (np.array(x) for x in zip(*rows, strict=True))
+        path_error = float(np.max(variance @ share / effort.grown(light))) ** 0.5
+    return LightOverTime(
+        np.array(at)[order],
+        np.array([rows[i][0] for i in order]),
+        path_error,
+        worst**0.5,
+        drawing.looks,
+        drawing.paths,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Interval:
+    """Between two instants, by number: cells that are followed further, the squared error that they
+    may be off by, and what they seem to be off by.
+    """
+
+    first: int
+    last: int
+    cells: Flags
+    budget: float
+    left: float = 0.0
+
+    def after(self, off: Array, middle: int) -> list["_Interval"]:
+        """Both halves, with the cells that are to be followed into them; ``off``: squared errors of
+        cells with the middle known.
+        """
+        order = np.argsort(off, kind="stable")
+        summed = np.cumsum(off[order])
+        share = 1.0 if summed[-1] <= self.budget else _LEFT_BEHIND
+        n_left = int(np.searchsorted(summed, share * self.budget, side="right"))
+        cells = np.zeros_like(self.cells)
+        cells[order[n_left:]] = True
+        taken = float(summed[n_left - 1]) if n_left else 0.0
+        return self._halves(middle, cells, self.budget - taken, float(summed[-1]) - taken)
+
+    def whole(self, off: float, middle: int) -> list["_Interval"]:
+        """The same with all cells together."""
+        if off <= self.budget:
+            return self._halves(middle, np.zeros_like(self.cells), self.budget - off, 0.0)
+        return self._halves(middle, self.cells, self.budget, off)
+
+    def _halves(self, middle: int, cells: Flags, budget: float, left: float) -> list["_Interval"]:
+        ends = ((self.first, middle), (middle, self.last))
+        return [_Interval(*pair, cells, budget, left) for pair in ends]
+
+
+def _spread(values: Array, known: Flags) -> Array:
+    """Values of each cell at all instants from those that are known: where nothing changed in
+    between they are the same, so the last known one holds, or the first one before it.
+    """
+    number = np.where(known, np.arange(len(known))[:, None], -1)
+    last = np.maximum.accumulate(number, axis=0)
+    last = np.where(last < 0, known.argmax(axis=0), last)
+    return np.take_along_axis(values, last, axis=0)
+
+
+class _Drawing:
+    """Paths of one part of the light, at any instants."""
+
+    def __init__(self, tracer_at: Callable[[Array], Tracer], part: Part, number: int) -> None:
+        self._part, self._tracer_at = part, tracer_at
+        tracer = tracer_at(np.zeros(1))
+        self.grid = tracer.start
+        seed = np.random.SeedSequence([tracer.seed, _DRAWS, number])
+        self._shift = int(seed.generate_state(1)[0])
+        self._least = 0
+        self.looks = self.paths = 0
+
+    def render(
+        self, times: Array, wanted: Flags, said: Array, effort: Effort, around: Array | None
+    ) -> tuple[Array, Array]:
+        """Light and its variance, (n, n_cells), where ``wanted``; elsewhere ``said`` and
+        ``around``, which is also what the variance may be in all wanted cells together.
+        """
+        tracer, limit = self._tracer_at(times), effort.limit
+        instant, cells = np.nonzero(wanted)
+        self.looks += len(cells)
+        light, variance = said.copy(), np.zeros(said.shape) if around is None else around.copy()
+        first = _FIRST if isinstance(limit, np.ndarray) else max(limit // _SETS, 1)
+        samples = np.full(len(cells), max(first, self._least))
+        sums = self._draw(tracer, cells, instant, np.zeros_like(samples), samples)
+        for up in (False, True):
+            light[instant, cells] = sums.mean(axis=1) / samples
+            found = self._variance(light, cells, instant, samples, sums)
+            if isinstance(limit, int):
+                break
+            weight = 1 / np.maximum(limit, 1e-150) ** 2 / wanted.shape[1]
+            allowed = wanted.mean(axis=1) * effort.grown(light)
+            if around is not None:
+                allowed = np.maximum(allowed, (wanted * weight * around).sum(axis=1))
+            further = self._wanted(found * weight[cells], instant, samples, allowed, up)
+            more = np.flatnonzero(further > samples)
+            if not len(more):
+                break
+            sums[more] += self._draw(
+                tracer, cells[more], instant[more], samples[more], further[more] - samples[more]
+            )
+            samples[more] = further[more]
+        else:
+            light[instant, cells] = sums.mean(axis=1) / samples
+            found = self._variance(light, cells, instant, samples, sums)
+        variance[instant, cells] = found
+        return light, variance
+
+    def _draw(
+        self, tracer: Tracer, cells: Ints, instant: Ints, before: Ints, further: Ints
+    ) -> Array:
+        """Sums of the light of further paths of each set, (n, sets)."""
+        found = np.zeros((len(cells), _SETS))
+        self.paths += int(further.sum()) * _SETS
+        portion = np.cumsum(further * _SETS) // RAYS_AT_ONCE
+        for number in np.unique(portion):
+            some = np.flatnonzero(portion == number)
+            rays = CellRays(
+                cells[some], before[some], further[some], _SETS, self._shift, (), instant[some]
+            )
+            value = np.array(mitsuba().Float64(self._part.trace(tracer, rays)))
+            found[some] = np.add.reduceat(value, rays.set_starts).reshape(-1, _SETS)
+        return found
+
+    def _variance(
+        self, light: Array, cells: Ints, instant: Ints, samples: Ints, sums: Array
+    ) -> Array:
+        """Of the mean of each cell, from the scatter of its sets and of those around it; with what
+        all paths may have missed of the contrast to the cells around.
+        """
+        shape = (len(light), self.grid.rows, self.grid.columns)
+        means = sums / samples[:, None]
+        own = np.square(means[:, 0] - means[:, 1]) / 4
+        per_path = samples.astype(float) ** self._part.falls
+        total, count = np.zeros((2, *light.shape))
+        total[instant, cells], count[instant, cells] = own * per_path, 1
+        total, count = (
+            uniform_filter(x.reshape(shape), (1, 3, 3), mode="constant").reshape(light.shape)
+            for x in (total, count)
+        )
+        around = np.maximum(total[instant, cells] / count[instant, cells], 0) / per_path
+        if self._part.is_smooth:
+            return np.asarray(_OWN * own + (1 - _OWN) * around)
+        image = light.reshape(shape)
+        contrast = maximum_filter(image, (1, 3, 3)) - minimum_filter(
+            image, (1, 3, 3), mode="constant"
+        )
+        missed = contrast.reshape(light.shape)[instant, cells] / (_SETS * samples)
+        return np.asarray(_OWN * own + (1 - _OWN) * around + missed**2 / 3)
+
+    def _wanted(
+        self, weighted: Array, instant: Ints, samples: Ints, allowed: Array, up: bool
+    ) -> Ints:
+        """Paths of a set that bring the sum of the weighted variances of each instant to what is
+        allowed, with as few paths as possible: by a Lagrange multiplier.
+        """
+        falls = self._part.falls
+        if self._part.is_smooth:
+            over = np.bincount(instant, weighted, len(allowed)) / np.maximum(allowed, 1e-150)
+            doubled = math.ceil(math.log2(max(float(over.max()), 1.0)) / falls - 0.25)
+            self._least = int(min(int(samples.max()) * 2**doubled, _MOST))
+            return np.maximum(samples, self._least)
+        at_one = weighted * samples.astype(float) ** falls
+        root = at_one ** (1 / (falls + 1))
+        total = np.bincount(instant, root, len(allowed))
+        scale = (total / np.maximum(allowed, 1e-150)) ** (1 / falls)
+        steps = np.log2(np.maximum(scale[instant] * root / samples, 1))
+        steps = np.ceil(steps - 0.25) if up else np.rint(steps)
+        wanted = np.minimum(samples * 2 ** steps.astype(np.int64), _MOST)
+        while wanted.sum() * _SETS > _MOST_TOGETHER and wanted.max() > _FIRST:
+            wanted = np.minimum(wanted, wanted.max() // 2)
+        return np.asarray(np.maximum(samples, wanted))
