@@ -12,7 +12,7 @@ from reference_api import api_page
 from reference_commands import commands_page
 from reference_files import catalogue_page, file_page
 from reference_formats import formats_page
-from reference_metrics import knobs_page, metrics_page
+from reference_metrics import assumptions_page, knobs_page, metrics_page
 
 ROOT = Path(__file__).parents[2]
 
@@ -32,6 +32,7 @@ def pages() -> dict[str, str]:
         "metrics": metrics_page(),
         "knobs": knobs_page(),
         "formats": formats_page(),
+        "assumptions": assumptions_page(),
         "api-twin": api_page("twin", ROOT / "twin" / "__init__.pyi"),
         "api-hardware": api_page("hardware", ROOT / "hardware" / "__init__.pyi"),
     }

@@ -11,10 +11,11 @@ import numpy as np
 from tables import table
 
 from hardware.recording import ros
-from hardware.recording.kinds import KINDS, RecordKind
+from hardware.recording.kinds import KINDS
 from hardware.records import radar, spi
 from hardware.records.container import Layout
 from hardware.units import unit_of
+from twin.drive.truth import CLOCK, STATES
 from twin.schemas import documented
 
 _TITLES = {"ugv-spi-record": "`record.h5`", "ugv-radar-record": "`radar.h5`"}
@@ -182,33 +183,37 @@ def _written_columns() -> tuple[list[str], list[str], list[str]]:
 
 def _log() -> str:
     topics = [
-        ("`/SENSOR/record`", KINDS[0].definition.name, "a camera's record, in the rig's frame"),
-        ("`/SENSOR/record`", KINDS[1].definition.name, "a radar's record, in its own frame"),
-        ("`/SENSOR/image`", ros.IMAGE.name, "`ugv process`: the image, `32FC1`, e- or reflectance"),
+        ("`/spi/record`", KINDS[0].definition.name, "a camera's record, in the rig's frame"),
+        ("`/radar/record`", KINDS[1].definition.name, "a radar's record, in its own frame"),
+        ("`/spi/image`", ros.IMAGE.name, "`ugv process`: the image, `32FC1`, e- or reflectance"),
         (
-            "`/SENSOR/detections`",
+            "`/radar/detections`",
             ros.POINTS.name,
             "`ugv process`: a point for each detection: `x`, `y`, `z` in the antenna's frame (m), "
             "then the numbers of a detection under their own names",
         ),
         (
-            "`/SENSOR/tracks`",
+            "`/radar/tracks`",
             ros.POINTS.name,
             "`ugv process --tracks`: a point for each confirmed track, in the world's frame",
         ),
-        ("`/tf`", ros.TRANSFORMS.name, "where the rig and the sensors are in the world"),
+        ("`/tf`, `/tf_static`", ros.TRANSFORMS.name, "where the rig and the sensors are"),
+        ("`/truth/objects`", STATES.name, "`twin drive`: all objects, targets and the rig"),
+        ("`/truth/camera/albedo`", ros.IMAGE.name, "`twin drive`: reflectance of each cell"),
+        ("`/truth/camera/depth`", ros.IMAGE.name, "`twin drive`: m along the boresight"),
+        ("`/truth/clock`", CLOCK.name, "`twin drive`: what is complete, and the devices' clocks"),
     ]
     text = (
         "\n## The log\n\n[MCAP](https://mcap.dev) with ROS 2 messages in CDR, each with its "
-        "definition, so that `ros2 bag`, Foxglove and `rosbags` read it. `SENSOR` is `spi` or "
-        "`radar`; further sources of one log stand under names of their own.\n\n"
+        "definition, so that `ros2 bag`, Foxglove and `rosbags` read it. Topics of further "
+        "sources of one log begin with `/source2`, `/source3`, ...\n\n"
     )
     text += table(("topic", "message", "what it is"), topics)
-    for kind in KINDS:
-        text += _message(kind)
+    for definition in (*(kind.definition for kind in KINDS), STATES, CLOCK):
+        text += _message(definition)
     return text
 
 
-def _message(kind: RecordKind) -> str:
-    body = kind.definition.text.split("=" * 80)[0].strip()
-    return f"\n### `{kind.definition.name}`\n\n```text\n{body}\n```\n"
+def _message(definition: ros.Definition) -> str:
+    body = definition.text.split("=" * 80)[0].strip()
+    return f"\n### `{definition.name}`\n\n```text\n{body}\n```\n"

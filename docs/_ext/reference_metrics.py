@@ -1,4 +1,4 @@
-"""Pages of metrics and of knobs."""
+"""Pages of metrics, of knobs, and of what the models take for granted."""
 
 from dataclasses import fields
 
@@ -56,6 +56,26 @@ def knobs_page() -> str:
         heads = ("knob", "unit", "value alone", *(f"`{name}`" for name in PRESETS), "meaning")
         text += f"\n## {title}\n\n" + table(heads, rows)
     return text
+
+
+def assumptions_page() -> str:
+    """What the models say of themselves, whatever the scene and the design."""
+    from twin.camera.acquisition import MODEL_ASSUMPTIONS
+    from twin.radar.diagnostics import MODEL_ASSUMPTIONS as OF_THE_RADAR
+    from twin.radar.propagation.solvers import SOLVERS
+
+    rows = [
+        ("camera", MODEL_ASSUMPTIONS),
+        ("radar", OF_THE_RADAR),
+        *((f"radar, `{name}`", solver.assumptions) for name, solver in SOLVERS.items()),
+    ]
+    return (
+        "# What each result says\n\nAssumptions that the models print with every result, before "
+        "those of the scene and of the design.\n\n"
+        + table(
+            ("model", "takes for granted"), ((who, said) for who, all_ in rows for said in all_)
+        )
+    )
 
 
 def _value(value: object) -> str:

@@ -22,6 +22,14 @@ def test_the_site_is_built_with_the_versions_that_the_project_has() -> None:
     assert {name: ours[name] for name in shared} == {name: site[name] for name in shared}
 
 
+def test_every_topic_of_a_log_is_in_the_reference() -> None:
+    said = (ROOT / "docs" / "_ext" / "reference_formats.py").read_text()
+    code = [p.read_text() for name in ("twin", "hardware") for p in (ROOT / name).rglob("*.py")]
+    topics = set(re.findall(r'"(/(?:tf|spi|radar|truth)(?:_static)?(?:/\w+)*)"', "".join(code)))
+    assert len(topics) >= 6
+    assert {topic for topic in topics if f"`{topic}`" not in said} == set()
+
+
 def packages() -> set[str]:
     found = (p.parent for name in ("twin", "hardware") for p in (ROOT / name).rglob("__init__.py"))
     return {".".join(folder.relative_to(ROOT).parts) for folder in found}

@@ -31,7 +31,7 @@ _COARSE = 0.05  # of an echo, 0.4 dB: error by coarse facets from which it is wa
 _NOISY_RAD = 0.3  # phase noise of an echo from which its square matters
 
 #: Holds for every capture.
-_ALWAYS = (
+MODEL_ASSUMPTIONS = (
     "velocities are constant within a burst, positions those of its middle, delays of second order "
     f"in time (what is beyond by {_BENT_RAD} rad is warned of) and to first order in v / c",
 )
@@ -50,7 +50,7 @@ def assumptions(
     ]
     return (
         *solver.assumptions,
-        *_ALWAYS,
+        *MODEL_ASSUMPTIONS,
         _antennas(radar),
         *_steps(radar),
         *_front_end(radar),
