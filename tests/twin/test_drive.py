@@ -21,6 +21,8 @@ from hardware.files import hold
 from hardware.processing import process
 from hardware.recording import Log, read_messages, read_records
 from hardware.records import RadarRecord, SpiRecord
+from twin.camera.mounting import devices
+from twin.camera.truth import render_truth
 from twin.cli import app
 from twin.drive import DeviceClock, Drive, drive
 from twin.drive.log import MARKS
@@ -30,6 +32,7 @@ from twin.fidelity import Fidelity
 from twin.motion.trajectory import through
 from twin.radar import load_radar
 from twin.scene import Scene, load_scene
+from twin.scene.mitsuba import mitsuba_scene
 from twin.system import load_system
 
 #: Frames of 12.8 ms and bursts of 0.6 ms, rendered and traced in a moment.
@@ -231,10 +234,10 @@ def test_exposures_and_slots_stand_on_one_clock(whole: Path) -> None:
 def test_frame_k_depends_on_seed_and_k_alone(whole: Path) -> None:
     third = [r.record for r in read_records(whole) if isinstance(r.record, SpiRecord)][2]
     event = [e for e in plan().events() if e.kind == "camera"][2]
-    alone = CameraFrames(plan())(2, event.begin_ns).record
+    alone = CameraFrames(plan())(2, event.begin_ns)
     np.testing.assert_array_equal(alone.counts, third.counts)
     np.testing.assert_array_equal(alone.device_time_ns, third.device_time_ns)
-    other = CameraFrames(plan(seed=4))(2, event.begin_ns).record
+    other = CameraFrames(plan(seed=4))(2, event.begin_ns)
     assert (other.counts != third.counts).any()
 
 
@@ -242,12 +245,14 @@ def test_truth_beside_the_records(whole: Path) -> None:
     """Poses, twists and boxes of all things against the scene and each other; the pose in a record
     is the rig's at the frame's beginning.
     """
-    scene, states, stamps = driven_scene(), {}, []
+    scene, states, stamps, depths = driven_scene(), {}, [], {}
     for logged in read_messages(whole):
         if logged.topic == "/truth/objects":
             states[logged.message.publish_time] = ObjectStates.unpack(logged.message.data)
         if logged.topic.startswith("/truth/camera/"):
             stamps.append(logged.message.publish_time)
+        if logged.topic == "/truth/camera/depth":
+            depths[logged.message.publish_time] = logged.message.data
     first = states[0]
     assert first.names[: 1 + len(scene.objects)] == ("rig", *(o.name for o in scene.objects))
     for row, item in enumerate(scene.objects, 1):
@@ -267,6 +272,12 @@ def test_truth_beside_the_records(whole: Path) -> None:
     assert record.pose.position_m == pytest.approx(scene.rig.position_m)
     assert len(stamps) == 6
     assert set(stamps) <= set(states)  # states at the time of every truth image
+    for stamp_ns, message in depths.items():
+        here = scene.after(1e-9 * stamp_ns)
+        emitter, _, _ = devices(here, CAMERA)
+        expected = render_truth(mitsuba_scene(here), emitter, CAMERA.image_shape).depth_m
+        seen = np.frombuffer(message[-4 * 64 :], "<f4").reshape(8, 8)
+        np.testing.assert_allclose(seen, expected, rtol=1e-5)
 
 
 def test_the_vehicle_processes_the_log_and_reads_no_truth(whole: Path, tmp_path: Path) -> None:
@@ -281,9 +292,9 @@ def test_the_vehicle_processes_the_log_and_reads_no_truth(whole: Path, tmp_path:
 def test_a_world_at_rest_is_rendered_once_and_its_noise_is_new(tmp_path: Path) -> None:
     still = plan(scene=load_scene("table1"), radar=None)
     frames = CameraFrames(still)
-    first, second = (frames(k, 0).record for k in (0, 1))
+    first, second = (frames(k, 0) for k in (0, 1))
     assert (first.counts != second.counts).any()
-    np.testing.assert_array_equal(CameraFrames(still)(1, 0).record.counts, second.counts)
+    np.testing.assert_array_equal(CameraFrames(still)(1, 0).counts, second.counts)
     assert drive(still, tmp_path / "still.mcap").complete
 
 

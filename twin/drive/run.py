@@ -113,11 +113,11 @@ def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
         log.message("/truth/objects", STATES, message, log_ns, at_ns)
 
     def frame(log: Log, event: Event) -> None:
-        taken = camera(event.number, event.begin_ns)
+        record = camera(event.number, event.begin_ns)
         model = plan.camera_clock.model
-        log.record("/spi/record", taken.record, host_ns=event.end_ns, clock=model)
+        log.record("/spi/record", record, host_ns=event.end_ns, clock=model)
         middle_ns = (event.begin_ns + event.end_ns) // 2
-        for topic, (definition, message) in images_of(taken.truth, middle_ns).items():
+        for topic, (definition, message) in images_of(camera.truth(middle_ns), middle_ns).items():
             log.message(topic, definition, message, event.end_ns, middle_ns)
         for at_ns in (event.begin_ns, middle_ns):
             states(log, at_ns, event.end_ns)

@@ -5,13 +5,16 @@ from functools import cached_property
 
 import numpy as np
 
-from hardware.records import RadarRecord
-from twin.camera.acquisition import Capture, capture, measure
+from hardware.records import RadarRecord, SpiRecord
+from twin.camera.acquisition import capture, measure
 from twin.camera.light import render
+from twin.camera.mounting import devices
 from twin.camera.rendered import RenderedLight
 from twin.camera.stream import numbered
+from twin.camera.truth import Truth, render_truth
 from twin.drive.plan import Drive
 from twin.radar import RadarEcho, radar_echo
+from twin.scene.mitsuba import mitsuba_scene
 
 
 def seed_of(seed: int, sensor: int, number: int) -> int:
@@ -26,8 +29,8 @@ class CameraFrames:
 
     drive: Drive
 
-    def __call__(self, number: int, begin_ns: int) -> Capture:
-        """Frame ``number``, which begins at a time of the reference, its record in device time."""
+    def __call__(self, number: int, begin_ns: int) -> SpiRecord:
+        """Frame ``number``, which begins at a time of the reference, in device time."""
         drive, system = self.drive, self.drive.system
         assert system is not None
         seed = seed_of(drive.seed, 0, number)
@@ -39,7 +42,17 @@ class CameraFrames:
             noise = drive.fidelity.noise
             taken = measure(drive.scene, system, self._still, rng=rng, noise=noise)
         begin_ns = drive.camera_clock.after_start(0)
-        return replace(taken, record=numbered(taken.record, system, number, begin_ns))
+        return numbered(taken.record, system, number, begin_ns)
+
+    def truth(self, at_ns: int) -> Truth:
+        """Albedo and depth of the virtual image at a time of the reference."""
+        drive, system = self.drive, self.drive.system
+        assert system is not None
+        if not drive.moves:
+            return self._still.truth
+        world = drive.scene.after(1e-9 * at_ns)
+        emitter, _, _ = devices(world, system)
+        return render_truth(mitsuba_scene(world), emitter, system.image_shape)
 
     @cached_property
     def _still(self) -> RenderedLight:
