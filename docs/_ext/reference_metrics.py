@@ -60,12 +60,18 @@ def knobs_page() -> str:
 
 def assumptions_page() -> str:
     """What the models say of themselves, whatever the scene and the design."""
-    from twin.camera.acquisition import MODEL_ASSUMPTIONS
+    from twin.camera.acquisition import (
+        MODEL_ASSUMPTIONS,
+        MOVING_ASSUMPTION,
+        STILL_ASSUMPTION,
+    )
     from twin.radar.diagnostics import MODEL_ASSUMPTIONS as OF_THE_RADAR
     from twin.radar.propagation.solvers import SOLVERS
 
     rows = [
         ("camera", MODEL_ASSUMPTIONS),
+        ("camera, at rest", (STILL_ASSUMPTION,)),
+        ("camera, where things move", (MOVING_ASSUMPTION,)),
         ("radar", OF_THE_RADAR),
         *((f"radar, `{name}`", solver.assumptions) for name, solver in SOLVERS.items()),
     ]
