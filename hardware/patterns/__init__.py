@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.patterns.interface import MOST_CELLS, Mode, Patterns
-from hardware.patterns.orders import ORDERS, ordered_indices
+from hardware.patterns.orders import ORDERS, ordered_indices, shown_indices
 from hardware.patterns.own import OwnPatterns, own_patterns
 from hardware.patterns.raster import RasterScan
 from hardware.patterns.transform import fwht, fwht_in_place, hadamard_rows
@@ -48,6 +48,7 @@ Order = Literal[
     "russian-dolls",
     "total-variation",
     "prior-variance",
+    "interleaved",
     "custom",
 ]
 
@@ -68,7 +69,8 @@ class PatternSet(Patterns):
         One of `ORDERS`, of which the first ``count`` rows are shown, or ``custom``: ``subset``.
         ``sequency``: ascending sum of the sign changes along rows and along columns, ties by
         index, so that the first patterns carry most of a natural image. ``natural``: Sylvester's
-        own order.
+        own order. ``interleaved``: the first ``count`` rows of sequency, low and high in turn, for
+        scenes that move.
     mode
         How a row of +1 and -1 becomes light.
         ``differential``: each pattern is followed by its complement, and their difference is the
@@ -157,7 +159,7 @@ class PatternSet(Patterns):
             index = np.array(self.subset, dtype=np.intp)
             index.flags.writeable = False
             return index
-        return ordered_indices(self.rows, self.columns, self.order)[: self.count]
+        return shown_indices(self.rows, self.columns, self.order, self.count)
 
     def take(self, places: NDArray[np.bool_]) -> "PatternSet":
         """The patterns at these places, ``(count,)``, in the order shown."""

@@ -5,6 +5,7 @@ follow from the sign changes of a pattern down its rows and along its columns (i
 a pattern is the outer product of two Walsh functions. Ties keep Sylvester's own order.
 """
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -89,6 +90,11 @@ def prior_variance(rows: int, columns: int) -> Integers:
     return _ascending(-np.round(variance / variance[1:].max(initial=1e-300), 12))
 
 
+def interleaved(rows: int, columns: int) -> Integers:
+    """The sequency order, of which `interleaved_places` then says when each row is shown."""
+    return sequency(rows, columns)
+
+
 ORDERS: dict[str, Callable[[int, int], Integers]] = {
     "natural": natural,
     "sequency": sequency,
@@ -99,6 +105,7 @@ ORDERS: dict[str, Callable[[int, int], Integers]] = {
     "russian-dolls": russian_dolls,
     "total-variation": total_variation,
     "prior-variance": prior_variance,
+    "interleaved": interleaved,
 }
 
 
@@ -108,6 +115,31 @@ def ordered_indices(rows: int, columns: int, order: str) -> Integers:
     index = ORDERS[order](rows, columns)
     index.flags.writeable = False
     return index
+
+
+def shown_indices(rows: int, columns: int, order: str, count: int) -> Integers:
+    """The rows that the first ``count`` of an order are, in the order shown, ``(count,)``."""
+    index = ordered_indices(rows, columns, order)[:count]
+    if order != "interleaved":
+        return index
+    index = index[interleaved_places(count)]
+    index.flags.writeable = False
+    return index
+
+
+@lru_cache(maxsize=32)
+def interleaved_places(count: int) -> Integers:
+    """Which of ``count`` rows by rising sequency is shown at each time: low and high in turn.
+
+    Row k m mod count, with m the smallest number from 0.618 count (rounded) on that has no divisor
+    in common with count. In any stretch of the frame the rows shown then lie nearly evenly in the
+    order of sequency, as multiples of the golden ratio do modulo 1 (three-gap theorem: Sos, Ann.
+    Univ. Sci. Budapest. Eotvos Sect. Math. 1, 1958), so that each holds a coarse image.
+    """
+    step = max((618 * count + 500) // 1000, 1)
+    while math.gcd(step, count) > 1:
+        step += 1
+    return np.arange(count) * step % count
 
 
 def sign_changes(n: int) -> NDArray[np.int64]:

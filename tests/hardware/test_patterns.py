@@ -169,6 +169,21 @@ def test_russian_dolls_hold_complete_smaller_sets(rows: int, columns: int) -> No
     np.testing.assert_array_equal(coarse @ coarse.T, n // 4 * np.eye(n // 4))
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 64, 100, 1000, 1024])
+def test_interleaved_shows_the_first_of_sequency_low_and_high_in_turn(count: int) -> None:
+    """The same rows, in another order; any eighth of the frame holds an eighth of each quarter of
+    the ranks, to two rows.
+    """
+    sorted_rows = PatternSet(32, 32, count).indices
+    shown = PatternSet(32, 32, count, "interleaved").indices
+    assert shown[0] == 0
+    np.testing.assert_array_equal(np.sort(shown), np.sort(sorted_rows))
+    rank = np.argsort(sorted_rows)[np.searchsorted(np.sort(sorted_rows), shown)]
+    for part in np.array_split(rank, 8):
+        quarters = np.bincount(4 * part // count, minlength=4)
+        assert np.abs(quarters - len(part) / 4).max() <= 4
+
+
 @pytest.mark.parametrize(("rows", "columns"), [(8, 8), (16, 4)])
 def test_prior_variance_falls(rows: int, columns: int) -> None:
     """Against the covariance written out, from its Fourier eigenvectors."""

@@ -210,8 +210,9 @@ def check(record: SpiRecord, wanted: SpiSettings) -> None:
         {"order": "cake-cutting", "mode": "plain"},
         {"order": "zigzag", "mode": "reference", "count": 256},
         {"order": "prior-variance", "mode": "s-matrix", "count": 1},
+        {"order": "interleaved", "count": 100},
     ],
-    ids=["as-set-up", "few", "plain", "reference", "one"],
+    ids=["as-set-up", "few", "plain", "reference", "one", "interleaved"],
 )
 def test_a_record_is_what_was_asked_for(source: Source, changes: dict[str, object]) -> None:
     if changes:

@@ -368,7 +368,7 @@ class VirtualCamera:
         with suppress(InputError):  # cells that are no power of two have no named order
             for code, name in enumerate(ORDER_CODES):
                 patterns = PatternSet(asked.rows, asked.columns, asked.count, name, mode)
-                first = replace(patterns, count=min(asked.count, _ENOUGH_PATTERNS))
+                first = patterns.take(np.arange(asked.count) < _ENOUGH_PATTERNS)
                 if table.startswith(table_bytes(first)) and table == table_bytes(patterns):
                     return self._system_for(replace(asked, order=code))
         try:

@@ -18,7 +18,7 @@ static uint32_t sign_changes(uint32_t i, uint32_t n)
 
 static uint32_t key(const struct patterns *p, uint32_t i)
 {
-    if (p->order == ORDER_SEQUENCY)
+    if (p->order == ORDER_SEQUENCY || p->order == ORDER_INTERLEAVED)
         return sign_changes(i / p->columns, p->rows) + sign_changes(i % p->columns, p->columns);
     if (p->order == ORDER_WALSH)
         return sign_changes(i, p->rows * p->columns);
@@ -41,6 +41,27 @@ static void sort_rows(struct patterns *p)
     }
     for (uint32_t i = 0; i < cells; i++)
         p->index[start[key(p, i)]++] = i;
+}
+
+/* Low and high sequency in turn: at place k the row of rank k times a step, modulo the count. */
+static void interleave(struct patterns *p)
+{
+    static uint32_t ranked[MOST_CELLS];
+    uint32_t step = (618 * p->count + 500) / 1000;
+    for (step = step ? step : 1;; step++) {
+        uint32_t a = step, b = p->count;
+        while (b) {
+            uint32_t rest = a % b;
+            a = b;
+            b = rest;
+        }
+        if (a == 1)
+            break;
+    }
+    for (uint32_t k = 0; k < p->count; k++)
+        ranked[k] = p->index[k];
+    for (uint32_t k = 0, rank = 0; k < p->count; k++, rank = (rank + step) % p->count)
+        p->index[k] = ranked[rank];
 }
 
 const char *patterns_set(struct patterns *p, uint32_t rows, uint32_t columns, uint32_t count,
@@ -72,6 +93,8 @@ const char *patterns_set(struct patterns *p, uint32_t rows, uint32_t columns, ui
     p->loaded = order == ORDER_UPLOADED && !p->kept ? 0 : p->size;
     if (order != ORDER_UPLOADED)
         sort_rows(p);
+    if (order == ORDER_INTERLEAVED)
+        interleave(p);
     return 0;
 }
 

@@ -12,7 +12,13 @@
 #define MOST_TABLE_BYTES (1u << 20)
 #endif
 
-enum { ORDER_NATURAL = 0, ORDER_SEQUENCY = 1, ORDER_WALSH = 3, ORDER_UPLOADED = 255 };
+enum {
+    ORDER_NATURAL = 0,
+    ORDER_SEQUENCY = 1,
+    ORDER_WALSH = 3,
+    ORDER_INTERLEAVED = 9,
+    ORDER_UPLOADED = 255
+};
 enum {
     MODE_DIFFERENTIAL = 0,
     MODE_PLAIN = 1,
@@ -21,7 +27,8 @@ enum {
     MODE_COMPLEMENTARY = 4,
     MODES = 5
 };
-#define KNOWN_ORDERS (1u << ORDER_NATURAL | 1u << ORDER_SEQUENCY | 1u << ORDER_WALSH)
+#define KNOWN_ORDERS \
+    (1u << ORDER_NATURAL | 1u << ORDER_SEQUENCY | 1u << ORDER_WALSH | 1u << ORDER_INTERLEAVED)
 
 struct patterns {
     uint32_t rows, columns, count; /* of the virtual image; Hadamard rows shown */
