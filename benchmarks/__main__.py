@@ -15,6 +15,7 @@ from benchmarks.timing import Timing, fft_workload
 
 _ROOMS = (
     "reconstruction",
+    "moving_reconstruction",
     "optical",
     "weather",
     "radar",

@@ -29,6 +29,8 @@ from hardware.reconstruction.motion import CellMotion as CellMotion
 from hardware.reconstruction.motion import Compensation as Compensation
 from hardware.reconstruction.motion import Homography as Homography
 from hardware.reconstruction.motion import Motion as Motion
+from hardware.reconstruction.motion import RigMotion as RigMotion
+from hardware.reconstruction.motion import Search as Search
 from hardware.reconstruction.motion import Shift as Shift
 from hardware.reconstruction.motion import ShiftTrack as ShiftTrack
 from hardware.recording import Log as Log

@@ -36,6 +36,14 @@ def reconstruct(
         Path | None,
         typer.Option(help="NumPy file (n_emitters, rows, columns): light of each emitter."),
     ] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="How the image moves within the frame: `estimate`, DOWN,RIGHT in cells/s, or a "
+            "file: CSV of time_s, down_cells, right_cells; NumPy: velocities (rows, columns, 2) "
+            "in cells/s, or a homography's rate (3, 3)."
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="NumPy archive to write; default RECORD-METHOD.npz.")
     ] = None,
@@ -47,14 +55,18 @@ def reconstruct(
 
     from hardware import read_record
     from hardware import reconstruct as to_image
+    from hardware.commands.motions import motion_of, told
     from hardware.reconstruction import method_of, range_image
     from hardware.records.state import ALWAYS_OPEN
 
     solve, loaded = method_of(method), read_record(record)
+    moved = motion_of(motion) if motion else None
     start = time.perf_counter()
     say.step(f"read {record}")
     calibrated = _mixing(mixing) if mixing else None
-    reconstruction = to_image(loaded, solve, mixing=calibrated)
+    reconstruction = to_image(loaded, solve, mixing=calibrated, motion=moved)
+    if moved and any(shutter != ALWAYS_OPEN for shutter in loaded.shutters):
+        raise InputError(f"{record}: distances of what moves are not reconstructed: leave --motion")
     timed = any(shutter != ALWAYS_OPEN for shutter in loaded.shutters)
     ranges = range_image(loaded, solve, mixing=calibrated) if timed else None
     elapsed = time.perf_counter() - start
@@ -74,6 +86,8 @@ def reconstruct(
     figures.append(
         ("noise of one measurement, median", "e-", _median(reconstruction.noise_electrons))
     )
+    if motion:
+        say.line(f"motion within the frame: {told(reconstruction.motion)}")
     arrays = {"image": reconstruction.image, "noise_electrons": reconstruction.noise_electrons}
     if reconstruction.standard_error is not None:
         typical = _median(reconstruction.standard_error)

@@ -12,8 +12,10 @@ from hardware.reconstruction.motion.compensated import (
     ERRORS_IN_95,
     MovingScene,
     check_known,
+    motion_found,
     moving_scene,
 )
+from hardware.reconstruction.motion.estimation import Search
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
 from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.own_method import method_of
@@ -85,7 +87,7 @@ def reconstruct(
     method: str | Method | Solve = "lmmse",
     *,
     mixing: Mixing | None = None,
-    motion: Motion | None = None,
+    motion: Motion | Search | None = None,
     compensation: Compensation = STANDARD,
     reference_ns: int | None = None,
 ) -> Reconstruction:
@@ -103,8 +105,9 @@ def reconstruct(
         Calibrated map from image cells to emitter elements, where these are no clean grid.
     motion
         How the image moved while it was measured; None: it is taken as at rest. The image is then
-        that of the reference time. ``lmmse`` and ``tv`` solve for the moving image itself; other
-        methods take the measurements as they would be at rest
+        that of the reference time. A `Search`: the shift that the measurements themselves tell,
+        none where they tell no more than rest does. ``lmmse`` and ``tv`` solve for the moving image
+        itself; other methods take the measurements as they would be at rest
         (`hardware.reconstruction.motion.compensated`).
     compensation
         Knobs of motion compensation.
@@ -123,7 +126,7 @@ def reconstruct(
 
     Raises InputError for an unknown method, a mixing that does not fit, patterns whose matrices
     would not fit into memory, a record in which too much is lost, or a motion that does not fit the
-    image, or moves it too far.
+    image or moves it too far.
 
     A camera of 1 electron a count before one bright cell, in background:
 
@@ -157,6 +160,9 @@ def reconstruct(
     if motion is not None:
         check_known(record.patterns, mixing)
         arrived = record.received
+        if isinstance(motion, Search):
+            motion = motion_found(record, arrived, variance, motion, reference_ns)
+    if motion is not None:
         moving = moving_scene(record, arrived, variance, motion, compensation, reference_ns)
     told_of_motion: tuple[str, ...] = ()
     if moving:

@@ -16,11 +16,15 @@ from hardware import (
     InputError,
     Motion,
     PatternSet,
+    QuaternionPose,
+    RigMotion,
+    Search,
     Shift,
     ShiftTrack,
     reconstruct,
 )
 from hardware.patterns import hadamard_rows
+from hardware.reconstruction.motion import twist_between
 from hardware.reconstruction.motion.knobs import STANDARD
 from hardware.reconstruction.motion.operators import moving_patterns
 from hardware.reconstruction.motion.timing import timed_rows
@@ -272,3 +276,60 @@ def test_walsh_rows_of_products() -> None:
     np.testing.assert_array_equal(
         rows, [np.outer(parts[0][i // 8], parts[1][i % 8]) for i in range(32)]
     )
+
+
+def test_a_rig_that_drives_and_turns() -> None:
+    """Points before a wall at 10 m, seen again after 2 m ahead and a turn to the left of 0.02 rad:
+    by the pinhole equations written out. Sources give back where they came from.
+    """
+    depth = np.full((N, N), 10.0)
+    field = (np.deg2rad(20.0), np.deg2rad(20.0))
+    rig = RigMotion(depth, np.array([5.0, 0, 0]), np.array([0, 0, 0.05]), field)
+    middle, scale = (N - 1) / 2, N / 2 / np.tan(field[0] / 2)
+    for row, column in ((16.0, 20.0), (3.0, 28.0), (10.0, 10.0)):
+        y, z = -10 * (column - middle) / scale, -10 * (row - middle) / scale
+        ahead, left = 10.0 - 2.0, y
+        turned = (
+            ahead * np.cos(0.02) + left * np.sin(0.02),
+            left * np.cos(0.02) - ahead * np.sin(0.02),
+        )
+        seen = middle - scale * np.array([z, turned[1]]) / turned[0]
+        source = rig.sources(0.4, seen[None], (N, N))[0]
+        np.testing.assert_allclose(source, (row, column), atol=1e-4)
+
+
+def test_velocities_between_poses() -> None:
+    """A quarter turn to the left within 2 s, while the rig goes 3 m along the world's y, which it
+    looked along: forward, and pi/4 rad/s about z.
+    """
+    looks_along_y = QuaternionPose(1.0, 2.0, 0.0, np.sqrt(0.5), 0, 0, np.sqrt(0.5))
+    then = QuaternionPose(1.0, 5.0, 0.0, 0.0, 0, 0, 1.0)
+    velocity, turn = twist_between(looks_along_y, then, 2.0)
+    np.testing.assert_allclose(velocity, [1.5, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(turn, [0, 0, np.pi / 4], atol=1e-12)
+    with pytest.raises(InputError, match="elapsed_s: 0 "):
+        twist_between(looks_along_y, then, 0)
+
+
+@pytest.mark.parametrize("mode", ["differential", "reference"])
+def test_motion_is_found_in_the_measurements(mode: str) -> None:
+    """Low and high sequency in turn: to a cell a frame, far more likely than rest."""
+    patterns = PatternSet(N, N, 256, "interleaved", mode)
+    record = moving_record(moving, patterns, noise=0.03)
+    found = reconstruct(record, motion=Search(most_cells=12))
+    assert isinstance(found.motion, Shift)
+    assert found.motion.down_cells_per_s == pytest.approx(DOWN, abs=1)
+    assert found.motion.right_cells_per_s == pytest.approx(RIGHT, abs=1)
+
+
+@pytest.mark.parametrize("order", ["interleaved", "sequency"])
+def test_a_scene_at_rest_keeps_its_bits(order: str) -> None:
+    record = moving_record(resting, PatternSet(N, N, 256, order), noise=0.03)
+    found, without = (reconstruct(record, motion=m) for m in (Search(most_cells=8), None))
+    assert found.motion is None
+    np.testing.assert_array_equal(found.image, without.image)
+
+
+def test_a_dark_scene_does_not_move() -> None:
+    record = moving_record(lambda _: np.zeros(N * N), PatternSet(N, N, 64), background=0.0)
+    assert reconstruct(record, motion=Search(most_cells=4)).motion is None

@@ -1,5 +1,6 @@
 """Images of what moves while it is measured: motion given, or found in the measurements."""
 
+from hardware.reconstruction.motion.estimation import EstimatedShift, Search, estimated_shift
 from hardware.reconstruction.motion.knobs import Compensation
 from hardware.reconstruction.motion.model import (
     CellMotion,
@@ -8,5 +9,18 @@ from hardware.reconstruction.motion.model import (
     Shift,
     ShiftTrack,
 )
+from hardware.reconstruction.motion.odometry import RigMotion, twist_between
 
-__all__ = ["CellMotion", "Compensation", "Homography", "Motion", "Shift", "ShiftTrack"]
+__all__ = [
+    "CellMotion",
+    "Compensation",
+    "EstimatedShift",
+    "Homography",
+    "Motion",
+    "RigMotion",
+    "Search",
+    "Shift",
+    "ShiftTrack",
+    "estimated_shift",
+    "twist_between",
+]

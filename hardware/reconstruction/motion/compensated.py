@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.patterns import Patterns, PatternSet, fwht
 from hardware.reconstruction.motion import solvers
+from hardware.reconstruction.motion.estimation import Search, estimated_shift
 from hardware.reconstruction.motion.knobs import Compensation
 from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.motion.operators import (
@@ -173,6 +174,21 @@ def check_known(patterns: Patterns, mixing: Mixing | None) -> PatternSet:
             "motion: needs rows of the Hadamard matrix, these patterns are a user's own"
         )
     return patterns
+
+
+def motion_found(
+    record: SpiRecord,
+    received: SpiRecord,
+    noise_variance: Array,
+    search: Search,
+    reference_ns: int | None = None,
+) -> Motion | None:
+    """The shift that the measurements tell; None where they tell none. See `estimated_shift`."""
+    patterns = check_known(received.patterns, None)
+    time_s = exposure_times_s(received, middle_ns(record) if reference_ns is None else reference_ns)
+    timed = timed_rows(patterns, received.electrons, time_s, pairs_apart=False)
+    estimate = estimated_shift(patterns, timed, noise_variance, search)
+    return estimate.shift if estimate.is_significant else None
 
 
 def moving_scene(

@@ -1,0 +1,101 @@
+"""The option ``--motion``: an estimate, a velocity, or a file of displacements."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hardware.errors import InputError
+
+if TYPE_CHECKING:
+    from hardware.reconstruction.motion import Motion, Search
+
+_EXPECTED = (
+    "expected `estimate`, DOWN,RIGHT in cells/s, a CSV file of time_s, down_cells, right_cells, or "
+    "a NumPy file (rows, columns, 2) or (3, 3)"
+)
+
+
+def motion_of(given: str) -> "Motion | Search":
+    """What ``--motion`` says. Raises InputError naming the value, or the file and its line."""
+    from hardware.reconstruction.motion import Search, Shift
+
+    if given == "estimate":
+        return Search()
+    path = Path(given)
+    if path.suffix == ".csv":
+        return _track(path)
+    if path.suffix == ".npy":
+        return _field(path)
+    try:
+        down, right = (float(part) for part in given.split(","))
+    except ValueError:
+        raise InputError(f"--motion: {given!r:.60}: {_EXPECTED}") from None
+    return Shift(down, right)
+
+
+def told(motion: "Motion | None") -> str:
+    """A motion in a few words."""
+    from hardware.reconstruction.motion import Shift
+
+    if motion is None:
+        return "none"
+    if isinstance(motion, Shift):
+        down, right = motion.down_cells_per_s, motion.right_cells_per_s
+        return f"{down:.4g} cells/s down, {right:.4g} cells/s to the right"
+    return f"as given ({type(motion).__name__})"
+
+
+def _track(path: Path) -> "Motion":
+    import csv
+
+    import numpy as np
+
+    from hardware.reconstruction.motion import ShiftTrack
+
+    columns = ["time_s", "down_cells", "right_cells"]
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file of displacements")
+    rows: list[list[float]] = []
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        lines = csv.reader(file)
+        if (head := next(lines, [])) != columns:
+            raise InputError(f"{path}: line 1: {head}, expected {','.join(columns)}")
+        for line in lines:
+            try:
+                numbers = [float(part) for part in line]
+                if len(numbers) != len(columns) or not np.isfinite(numbers).all():
+                    raise ValueError
+            except ValueError:
+                raise InputError(
+                    f"{path}: line {lines.line_num}: {line}, expected three numbers"
+                ) from None
+            if rows and numbers[0] <= rows[-1][0]:
+                raise InputError(
+                    f"{path}: line {lines.line_num}: time_s: {numbers[0]:g} does not follow "
+                    f"{rows[-1][0]:g}"
+                )
+            rows.append(numbers)
+    table = np.array(rows).reshape(-1, 3)
+    try:
+        return ShiftTrack(table[:, 0], table[:, 1:])
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _field(path: Path) -> "Motion":
+    import numpy as np
+
+    from hardware.reconstruction.motion import CellMotion, Homography
+
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file of displacements")
+    try:
+        array = np.load(path, mmap_mode="r")
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"{path}: {error}") from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+        raise InputError(f"{path}: {_EXPECTED}")
+    values = np.asarray(array, np.float64)
+    try:
+        return Homography(values) if values.shape == (3, 3) else CellMotion(values)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error

@@ -1,0 +1,279 @@
+"""The shift of an image while it was measured, from the measurements alone.
+
+Measurements y of an image under the 1/f^2 prior, moved with velocity v, are normal of covariance
+s (A_v C A_v^T + r I). The velocity of greatest likelihood, with the scale s that fits it best, is
+looked for with the coarsest patterns first: 64 of them tell it to a few cells in a millisecond,
+512 to a fraction of a cell. Registration of sub-images of short parts of the frame uses the same
+knowledge, but only between parts that show the same rows, which a set does not.
+
+It is taken only where it explains the measurements so much better than rest that chance does not.
+Patterns of low and high sequency in turn (order ``interleaved``) tell motion; where each row is
+shown once in the order of sequency hardly anything does.
+"""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.errors import InputError
+from hardware.patterns import PatternSet
+from hardware.reconstruction.cosine import dct_matrix
+from hardware.reconstruction.motion.model import Shift
+from hardware.reconstruction.motion.operators import shifted_rows
+from hardware.reconstruction.motion.timing import TimedRows
+from hardware.reconstruction.prior import walsh_variance
+
+Array = NDArray[np.float64]
+
+#: Rows of largest prior variance that each stage takes, and the cosine functions along a side.
+_STAGES = ((64, 24), (256, 40), (512, 56))
+#: Steps of the first stage's grid, cells within the frame; what those of few patterns resolve.
+_STEP_CELLS = 2.0
+#: Candidates that go on to the second stage and to the third.
+_CANDIDATES = (8, 2)
+#: Calls of a simplex search in each of them.
+_CALLS = (30, 60)
+#: Noise of a cell over the image's spread that the likelihood is not trusted below: edges and what
+#: lies between cells are not as the prior has it.
+_LEAST_NOISE = 0.3
+
+
+@dataclass(frozen=True)
+class Search:
+    """Where motion is looked for, and when it is believed.
+
+    Parameters
+    ----------
+    most_cells
+        Largest displacement from the first exposure to the last, down and to the right, cells.
+    evidence
+        Least gain of the log-likelihood over rest. `python -m benchmarks
+        moving_reconstruction` prints how many static frames pass it: none of 132. Motion too small
+        to pass it is left in the image.
+    starts
+        Velocities to begin with beside those of the search: of odometry, of a radar's tracks.
+    """
+
+    most_cells: float = 32.0
+    evidence: float = 20.0
+    starts: tuple[Shift, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name in ("most_cells", "evidence"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name}: {value} is not a positive number")
+
+
+@dataclass(frozen=True)
+class EstimatedShift:
+    """What was found: the best velocity, its gain of log-likelihood over rest, and whether that is
+    enough to believe it. ``error_cells_per_s`` is the standard error by the likelihood's curvature,
+    down and to the right.
+    """
+
+    shift: Shift
+    evidence: float
+    is_significant: bool
+    error_cells_per_s: tuple[float, float]
+
+
+def estimated_shift(
+    patterns: PatternSet, timed: TimedRows, noise_variance: Array, search: Search | None = None
+) -> EstimatedShift:
+    """The velocity of greatest likelihood.
+
+    Parameters
+    ----------
+    timed
+        Measurements ``(count, n_images)`` with their rows and times; images share one velocity.
+    noise_variance : (n_images,)
+        Of one measurement.
+    """
+    search = search or Search()
+    span_s = float(np.ptp(timed.time_s))
+    nothing = EstimatedShift(Shift(0.0, 0.0), 0.0, False, (np.inf, np.inf))
+    if span_s == 0 or timed.count < 8:
+        return nothing
+    most = search.most_cells
+    stages = [_Likelihood.of(patterns, timed, noise_variance, n, k, most) for n, k in _STAGES]
+    if not stages[0].values.any():
+        return nothing
+    steps = np.arange(-np.floor(most / _STEP_CELLS), np.floor(most / _STEP_CELLS) + 1)
+    grid = np.array([(a, b) for a in steps for b in steps]) * _STEP_CELLS
+    costs = np.array([stages[0].cost(place) for place in grid])
+    places = [tuple(grid[k]) for k in _lowest(costs.reshape(len(steps), -1), _CANDIDATES[0])]
+    places += [(s.down_cells_per_s * span_s, s.right_cells_per_s * span_s) for s in search.starts]
+    for stage, calls, keep in zip(stages[1:], _CALLS, (_CANDIDATES[1], 1), strict=True):
+        found = sorted(_refined(stage, place, calls) for place in places)
+        places = [place for _, place in found[:keep]]
+    best, last = places[0], stages[-1]
+    evidence = last.cost((0.0, 0.0)) - found[0][0]
+    errors = [e / span_s for e in _errors(last, best)]
+    return EstimatedShift(
+        Shift(best[0] / span_s, best[1] / span_s),
+        float(evidence),
+        bool(evidence > search.evidence),
+        (errors[0], errors[1]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Likelihood:
+    """Of the coarsest measurements: displacements are cells within the frame.
+
+    ``down``, ``along``, ``share``, ``weight`` (n_terms, m): Walsh functions, time over the frame's
+    length; ``values`` (m, n_images).
+    """
+
+    shape: tuple[int, int]
+    margin: int
+    functions: int
+    down: NDArray[np.intp]
+    along: NDArray[np.intp]
+    share: Array
+    weight: Array
+    values: Array
+    noise: Array
+    centred: bool
+
+    @classmethod
+    def of(
+        cls,
+        patterns: PatternSet,
+        timed: TimedRows,
+        noise_variance: Array,
+        n_rows: int,
+        functions: int,
+        most_cells: float,
+    ) -> "_Likelihood":
+        """Of the ``n_rows`` rows of largest prior variance, but that of the level."""
+        shape = (patterns.rows, patterns.columns)
+        variance = walsh_variance(*shape)[timed.rows[0]]
+        variance = np.where(timed.rows[0] == 0, -1.0, variance)
+        some = np.sort(np.argsort(-variance, kind="stable")[:n_rows])
+        some = some[timed.rows[0][some] != 0]
+        down, along = divmod(timed.rows[:, some], patterns.columns)
+        values = timed.values[some]
+        if timed.centred:
+            values = values - values.mean(axis=0)
+        energy = np.maximum((values**2).sum(axis=0), 1e-300)
+        cell = variance[some].sum() / (patterns.n_cells * _mean_cell_variance(shape))
+        least = energy / cell * _LEAST_NOISE**2 if some.size else energy
+        noise = np.maximum(noise_variance, least)
+        return cls(
+            shape,
+            int(np.ceil(most_cells / 2)) + 1,
+            functions,
+            down,
+            along,
+            timed.time_s[:, some] / np.ptp(timed.time_s),
+            timed.weight[:, some],
+            values,
+            noise,
+            timed.centred,
+        )
+
+    def cost(self, place: tuple[float, float] | Array) -> float:
+        """Minus the log-likelihood at a displacement, for the scale that fits best."""
+        from scipy.linalg import LinAlgError, cho_factor, cho_solve  # takes 0.1 s to import
+
+        m = self.values.shape[0]
+        gram = self._covariance(place)
+        total = 0.0
+        for y, noise in zip(self.values.T, self.noise, strict=True):
+            scale = max(float(y @ y) - m * noise, 0.1 * m * noise) / np.trace(gram)
+            system = gram.copy()
+            np.fill_diagonal(system, gram.diagonal() + noise / scale)
+            try:
+                factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
+            except LinAlgError:
+                return np.inf
+            misfit = float(y @ cho_solve(factor, y, check_finite=False))
+            total += m / 2 * np.log(max(misfit, 1e-300) / m)
+            total += float(np.log(factor[0].diagonal()).sum())
+        return float(total)
+
+    def _covariance(self, place: tuple[float, float] | Array) -> Array:
+        """A C A^T of unit scale at a displacement, ``(m, m)``."""
+        sides = [
+            _cosines(
+                shifted_rows(
+                    rows.ravel(),
+                    float(moved) * self.share.ravel(),
+                    n,
+                    -self.margin,
+                    n + 2 * self.margin,
+                    1,
+                ),
+                self.functions,
+            )
+            for rows, moved, n in zip((self.down, self.along), place, self.shape, strict=True)
+        ]
+        parts = np.einsum("ki,kj->kij", sides[0] * self.weight.reshape(-1, 1), sides[1])
+        parts *= _deviations(self.shape, self.margin, parts.shape[1:])
+        rows = parts.reshape(*self.share.shape, -1).sum(axis=0)
+        if self.centred:
+            rows = rows - rows.mean(axis=0)
+        return np.asarray(rows @ rows.T)
+
+
+def _refined(
+    stage: _Likelihood, place: tuple[float, float], calls: int
+) -> tuple[float, tuple[float, float]]:
+    from scipy.optimize import minimize  # takes 0.1 s to import
+
+    simplex = np.array(place) + np.array([[0.0, 0.0], [1.0, 0.3], [-0.3, 1.0]])
+    options = {"maxfev": calls, "xatol": 0.01, "fatol": 1e-2, "initial_simplex": simplex}
+    found = minimize(stage.cost, place, method="Nelder-Mead", options=options)
+    return float(found.fun), (float(found.x[0]), float(found.x[1]))
+
+
+def _errors(stage: _Likelihood, best: tuple[float, float], step: float = 0.25) -> list[float]:
+    """Standard errors by the curvature of the likelihood along each axis; infinite where none."""
+    found = []
+    middle = stage.cost(best)
+    for axis in np.eye(2):
+        sides = [stage.cost(np.array(best) + sign * step * axis) for sign in (-1, 1)]
+        curvature = (sides[0] + sides[1] - 2 * middle) / step**2
+        found.append(float(1 / np.sqrt(curvature)) if curvature > 0 else float("inf"))
+    return found
+
+
+def _lowest(costs: Array, n: int) -> NDArray[np.intp]:
+    """Flat places of the n lowest local minima of a grid."""
+    from scipy.ndimage import minimum_filter  # takes 0.1 s to import
+
+    local = costs == minimum_filter(costs, 3, mode="nearest")
+    order = np.argsort(np.where(local, costs, np.inf), axis=None, kind="stable")
+    return np.asarray(order[: min(n, int(np.count_nonzero(local)))])
+
+
+def _cosines(rows: Array, functions: int) -> Array:
+    return rows @ _first_cosines(rows.shape[1], functions)
+
+
+@lru_cache(maxsize=16)
+def _first_cosines(n: int, functions: int) -> Array:
+    return np.ascontiguousarray(dct_matrix(n)[:functions].T)
+
+
+@lru_cache(maxsize=16)
+def _deviations(shape: tuple[int, int], margin: int, functions: tuple[int, int]) -> Array:
+    """Square roots of the prior's eigenvalues on the widened grid."""
+    f2 = [
+        (np.arange(k) * n / (n + 2 * margin) / 2) ** 2
+        for k, n in zip(functions, shape, strict=True)
+    ]
+    total = f2[0][:, None] + f2[1]
+    total[0, 0] = np.inf
+    return np.asarray(1 / np.sqrt(total))
+
+
+@lru_cache(maxsize=16)
+def _mean_cell_variance(shape: tuple[int, int]) -> float:
+    from hardware.reconstruction.prior import cell_variance
+
+    return float(cell_variance(*shape).mean())
