@@ -114,7 +114,7 @@ def record_of(
         else:
             light[some] = lit @ at_rest
     deviation = noise * np.sqrt(patterns.n_cells / 2)
-    counts = ELECTRONS * (light + deviation * np.random.default_rng(seed).normal(size=n)) + 1e6
+    counts = ELECTRONS * (light + deviation * np.random.default_rng(seed).normal(size=n)) + 1e7
     return SpiRecord(
         counts=np.rint(counts).astype(np.int32)[:, None],
         device_time_ns=time_ns,

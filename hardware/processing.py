@@ -12,6 +12,7 @@ from hardware.formatting import number, si
 from hardware.radar import Detection
 from hardware.radar.process import Frame, Processing, frames
 from hardware.reconstruction import Method, reconstruct
+from hardware.reconstruction.motion import Motion, Search
 from hardware.reconstruction.registry import Solve
 from hardware.recording import Log, Received, ros
 from hardware.records import RadarRecord, SpiRecord
@@ -38,6 +39,7 @@ def process(
     radar: RadarCalibration | None = None,
     tracks: RadarTracks | None = None,
     sliding: SlidingImages | None = None,
+    motion: Motion | Search | None = None,
 ) -> RecordSummary:
     """Append the image of a camera's record, or each burst's detections of a radar's.
 
@@ -47,7 +49,8 @@ def process(
 
     With ``tracks`` the confirmed tracks of each burst follow, in the world's frame
     (`hardware.tracks.cloud`); with ``sliding`` the images are those of its window instead of
-    ``method``'s.
+    ``method``'s. ``motion`` is what images of whole sets are compensated for
+    (`hardware.reconstruct`).
 
     Raises InputError for a calibration of another device.
     """
@@ -55,7 +58,7 @@ def process(
     if isinstance(received.record, SpiRecord):
         if sliding:
             return _images(received, received.record, log, sensor, sliding, camera)
-        return _image(received, received.record, log, sensor, method, camera)
+        return _image(received, received.record, log, sensor, method, camera, motion)
     return _detections(received, received.record, log, sensor, how, radar, tracks)
 
 
@@ -66,8 +69,9 @@ def _image(
     sensor: str,
     method: str | Method | Solve,
     calibration: CameraCalibration | None,
+    motion: Motion | Search | None,
 ) -> RecordSummary:
-    image = reconstruct(record, method)
+    image = reconstruct(record, method, motion=motion)
     cells, unit = image.image, "e-"
     if calibration:
         cells = calibration.reflectance(cells, record, calibration.target.distance_m)

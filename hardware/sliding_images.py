@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction import measurements
+from hardware.reconstruction.motion import Motion
 from hardware.reconstruction.stream import SlidingWindow
 from hardware.records import SpiRecord
 
@@ -21,14 +22,16 @@ class SlidingImages:
     ----------
     every
         Patterns from one image to the next.
+    motion
+        How the image moves, where it is known: the windows' prediction.
 
     Raises InputError for a number below 1.
     """
 
-    def __init__(self, every: int) -> None:
+    def __init__(self, every: int, motion: Motion | None = None) -> None:
         if every < 1:
             raise InputError(f"every: {every}, expected at least 1 pattern")
-        self.every = every
+        self.every, self.motion = every, motion
         self._cameras: dict[str, tuple[int, list[SlidingWindow]]] = {}  # with the last time, ns
 
     def update(self, sensor: str, record: SpiRecord) -> Iterator[tuple[int, Array]]:
@@ -49,7 +52,9 @@ class SlidingImages:
         times_ns = _ends_ns(received)
         last_ns, windows = self._cameras.get(sensor, (times_ns[0], []))
         if not windows or windows[0].patterns != patterns or times_ns[0] < last_ns:
-            windows = [SlidingWindow(patterns, float(s)) for s in measured.noise_variance]
+            windows = [
+                SlidingWindow(patterns, float(s), self.motion) for s in measured.noise_variance
+            ]
         self._cameras[sensor] = int(times_ns[-1]), windows
         for window, variance in zip(windows, measured.noise_variance, strict=True):
             window.noise_variance = float(variance)

@@ -149,20 +149,28 @@ def process(
             min=0, help="An image after so many patterns, from a sliding window; 0: a set."
         ),
     ] = 0,
+    motion: Annotated[
+        str | None, typer.Option(help="How images move within a set, as of `ugv reconstruct`.")
+    ] = None,
     detection: DetectionOption = None,
 ) -> None:
     """Process records to images and detections; those of a radar as with `ugv detect`."""
     from hardware.calibration import CameraCalibration, RadarCalibration
+    from hardware.commands.motions import motion_of
     from hardware.interruption import asked_to_end
     from hardware.processing import process as run
     from hardware.reconstruction import method_of
+    from hardware.reconstruction.motion import Search
     from hardware.recording import Log
     from hardware.recording.reading import Ending
     from hardware.sliding_images import SlidingImages
     from hardware.tracks import RadarTracks
 
     radar_tracks = RadarTracks() if tracks else None
-    sliding = SlidingImages(image_every) if image_every else None
+    moved = motion_of(motion) if motion else None
+    if image_every and isinstance(moved, Search):
+        raise InputError("--motion: estimate: needs whole sets, expected no --image-every")
+    sliding = SlidingImages(image_every, moved) if image_every else None  # type: ignore[arg-type]
     calibrations = [_calibration(path, max_age) for path in calibration]
     camera = next((one for one in calibrations if isinstance(one, CameraCalibration)), None)
     radar = next((one for one in calibrations if isinstance(one, RadarCalibration)), None)
@@ -187,6 +195,7 @@ def process(
                     radar=radar,
                     tracks=radar_tracks,
                     sliding=sliding,
+                    motion=moved,
                 )
             except InputError as error:
                 if not received.record.flags.any():

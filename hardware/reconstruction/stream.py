@@ -5,7 +5,12 @@ less as it grows old: in a moving scene its noise variance grows by ``motion`` x
 variance (a random walk). How fast is read off the scene itself, from how much values have changed
 when their row comes again. In a static scene nothing ages and the image is the LMMSE estimate of
 the whole set; in a fast one the newest patterns rule and the older ones keep what they still know.
+
+Where the motion is given, each value is instead taken at its own time of an image that is predicted
+by it: nothing ages, and the image is the linear estimate of all values as of now.
 """
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +18,11 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction.cosine import filtered
+from hardware.reconstruction.motion.compensated import MovingScene
+from hardware.reconstruction.motion.knobs import STANDARD, Compensation
+from hardware.reconstruction.motion.model import Motion
+from hardware.reconstruction.motion.operators import farthest_cells, moving_patterns
+from hardware.reconstruction.motion.timing import TimedRows
 from hardware.reconstruction.prior import prior_scale, prior_spectrum, walsh_variance
 from hardware.reconstruction.sensing import Sensing
 from hardware.reconstruction.walsh_blocks import WalshBlocks
@@ -32,12 +42,24 @@ class SlidingWindow:
         The set that comes round.
     noise_variance
         Of one Hadamard measurement, electrons squared.
+    motion
+        How the image moves, as its prediction from one time to the next; its time 0 is now. None:
+        unknown, values age.
+    compensation
+        Knobs of motion compensation.
     """
 
-    def __init__(self, patterns: PatternSet, noise_variance: float) -> None:
+    def __init__(
+        self,
+        patterns: PatternSet,
+        noise_variance: float,
+        motion: Motion | None = None,
+        compensation: Compensation = STANDARD,
+    ) -> None:
         if not (np.isfinite(noise_variance) and noise_variance >= 0):
             raise InputError(f"noise_variance: {noise_variance} is not a number from 0 on")
         self.patterns, self.noise_variance = patterns, float(noise_variance)
+        self.motion, self.compensation = motion, replace(compensation, error_samples=0)
         self._sensing = Sensing(patterns)
         self._blocks = WalshBlocks.of((patterns.rows, patterns.columns), patterns.indices)
         self._prior = walsh_variance(patterns.rows, patterns.columns)[patterns.indices]
@@ -77,10 +99,30 @@ class SlidingWindow:
             raise InputError(f"places: outside 0 to {self.patterns.count - 1}")
         if time_s < self._time_s.max():
             raise InputError(f"time_s: {time_s} lies before {self._time_s.max()}")
-        self._learn_motion(places, values, time_s)
+        if self.motion is None:
+            self._learn_motion(places, values, time_s)
         self._values[places] = values
         self._time_s[places] = time_s
+        if self.motion is not None and (moved := self._predicted(time_s, self.motion)) is not None:
+            return moved
         return self._image(time_s)
+
+    def _predicted(self, time_s: float, motion: Motion) -> Array | None:
+        """The image as of now, of all values at their own times; None where nothing has moved."""
+        seen = np.isfinite(self._time_s)
+        shape = (self.patterns.rows, self.patterns.columns)
+        age = (self._time_s[seen] - time_s)[None]
+        if not age.size or farthest_cells(motion, age, shape) <= self.compensation.still_cells:
+            return None
+        rows = self.patterns.indices[seen][None]
+        values = self._values[seen][:, None]
+        timed = TimedRows(rows, age, np.ones(rows.shape), values, False)
+        operator = moving_patterns(timed, motion, shape, self.compensation)
+        noise = np.array([self.noise_variance])
+        scene = MovingScene(
+            motion, self.patterns.take(seen), timed, operator, noise, self.compensation
+        )
+        return scene.linear(noise)[0][:, 0]
 
     def _learn_motion(self, places: NDArray[np.integer], values: Array, time_s: float) -> None:
         again = places[np.isfinite(self._time_s[places]) & (self._prior[places] > 0)]

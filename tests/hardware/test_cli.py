@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from moving_scenes import AnalyticScene, moving_record
 from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord, reconstruct, write_record
@@ -125,3 +126,57 @@ def test_quiet_verbose_and_a_document(record: tuple[Path, SpiRecord], tmp_path: 
 def test_methods_as_a_document() -> None:
     named = {method["name"] for method in json.loads(ugv("methods", "--json").stdout)["methods"]}
     assert named == set(METHODS)
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scene = AnalyticScene.of(3, 32, 12.0)
+    record = moving_record(
+        lambda t: scene.cells(32, 4 * t, 10 * t).ravel(),
+        PatternSet(32, 32, 128, "interleaved"),
+        noise=0.03,
+    )
+    path = tmp_path_factory.mktemp("moved") / "frame.h5"
+    write_record(record, path)
+    return path
+
+
+def test_motion_is_a_velocity_or_a_file(moved: Path, tmp_path: Path) -> None:
+    """Three ways to say the same motion give the same image."""
+    track, field = tmp_path / "track.csv", tmp_path / "field.npy"
+    track.write_text("time_s,down_cells,right_cells\n-1,-4,-10\n1,4,10\n")
+    np.save(field, np.zeros((32, 32, 2)) + (4.0, 10.0))
+    images = []
+    for given in ("4,10", str(track), str(field)):
+        done = ugv("reconstruct", str(moved), "--motion", given, "--out", str(tmp_path / "a.npz"))
+        assert done.returncode == 0, done.stderr
+        with np.load(tmp_path / "a.npz") as stored:
+            images.append(stored["image"])
+    np.testing.assert_allclose(images[1], images[0], rtol=1e-4)
+    assert np.abs(images[2] - images[0]).max() < 0.05 * np.ptp(images[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("nan,1", None, "down_cells_per_s: holds what is not a number"),
+        ("forward", None, "--motion: 'forward': expected"),
+        ("gone.csv", None, "gone.csv: no such file"),
+        ("a.csv", "t,x\n", "a.csv: line 1: ['t', 'x'], expected"),
+        ("b.csv", "time_s,down_cells,right_cells\n0,0\n", "b.csv: line 2: ['0', '0'], expected"),
+        ("c.csv", "time_s,down_cells,right_cells\n0,0,0\n0,1,1\n", "c.csv: line 3: time_s: 0 does"),
+        ("d.npy", "no array", "d.npy: "),
+    ],
+)
+def test_wrong_motion_is_told(
+    moved: Path, tmp_path: Path, name: str, text: str | None, told: str
+) -> None:
+    given = name
+    if "." in name:
+        given = str(tmp_path / name)
+        if text is not None:
+            Path(given).write_text(text)
+    done = ugv("reconstruct", str(moved), "--motion", given)
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from moving_scenes import AnalyticScene, psnr
 
-from hardware import PatternSet
+from hardware import PatternSet, Shift
 from hardware.patterns import fwht
 from hardware.reconstruction import METHODS
 from hardware.reconstruction.stream import SlidingWindow
@@ -79,6 +80,31 @@ def test_a_moving_scene_is_followed(speed: float, share: float) -> None:
     by_window, by_set, motion = run(speed, noise=300.0)
     assert motion > 0
     assert by_window.mean() < share * by_set.mean()
+
+
+def test_a_known_motion_is_the_prediction() -> None:
+    """The window told how the scene moves, against the one that lets values age: 10 cells a round,
+    after two rounds.
+    """
+    scene = AnalyticScene.of(3, SIDE, 40.0)
+    patterns = PatternSet(SIDE, SIDE, COUNT, "interleaved")
+    windows = [SlidingWindow(patterns, 1e-6, motion) for motion in (Shift(0.0, 10.0), None)]
+    per_round = COUNT // CHUNK
+    for step in range(2 * per_round):
+        now = scene.cells(SIDE, 0.0, 10 * step / per_round)
+        places = np.arange(CHUNK) + CHUNK * (step % per_round)
+        new = fwht(now.ravel())[patterns.indices[places]]
+        images = [window.push(places, new, step / per_round) for window in windows]
+    predicted, aged = (psnr(image.reshape(SIDE, SIDE), now) for image in images)
+    assert predicted > aged + 4
+
+
+def test_a_motion_of_zero_is_none() -> None:
+    picture = texture(1).ravel()
+    values = fwht(picture)[PATTERNS.indices]
+    windows = [SlidingWindow(PATTERNS, 25.0, motion) for motion in (Shift(0.0, 0.0), None)]
+    images = [window.push(np.arange(COUNT), values, 0.0) for window in windows]
+    np.testing.assert_array_equal(images[0], images[1])
 
 
 def test_first_values_already_make_an_image() -> None:
