@@ -55,8 +55,8 @@ class MovingScene:
         ``most_noise`` (n_images,) is the noise variance that standard errors are stated for.
 
         Standard errors are those of the 1/f^2 prior: they hold noise, and detail that the patterns
-        do not tell apart where it moves. Pictures are less normal than their prior: on those of
-        the benchmark 93 to 97 % of all cells lie within `ERRORS_IN_95` of them.
+        do not tell apart where it moves. Scenes are less normal than their prior: on those of the
+        tests more than 93 % of all cells lie within `ERRORS_IN_95` of them.
         """
         cells, errors, worst = [], [], 0.0
         for image in range(self.timed.values.shape[1]):

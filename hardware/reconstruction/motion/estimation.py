@@ -49,9 +49,12 @@ class Search:
     most_cells
         Largest displacement from the first exposure to the last, down and to the right, cells.
     evidence
-        Least gain of the log-likelihood over rest. `python -m benchmarks
-        moving_reconstruction` prints how many static frames pass it: none of 132. Motion too small
-        to pass it is left in the image.
+        Least gain of the log-likelihood over rest. Frames at rest (three pictures, noise of 0.1 and
+        0.01 of their range) gained at most 5.3 with the order ``interleaved`` and 11.5 with a full
+        set in that of sequency: none of 24 is taken for moving. Frames that moved by 21 cells
+        gained 23 to 250 interleaved, their velocity found to a cell a frame; a full set in the
+        order of sequency is told less, and may pass with a velocity that is off by 6. Motion too
+        small to pass is left in the image.
     starts
         Velocities to begin with beside those of the search: of odometry, of a radar's tracks.
     """
