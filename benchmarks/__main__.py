@@ -33,6 +33,7 @@ _ROOMS = (
     "sweep",
     "vehicle",
     "stream",
+    "motion",
     "driving",
     "commands",
     "stated_errors",

@@ -50,8 +50,9 @@ class Part:
     falls
         Power of the number of paths with which its variance falls.
     is_smooth
-        It has no edges and rare bright paths: as many paths are drawn in all cells, since more of
-        them where the first ones happened to be bright would make it darker.
+        It has no edges and rare bright paths: how many paths a cell has follows from the cells
+        around it alone, since more of them where its own first ones happened to be bright would
+        make it darker.
     step
         Of how many first instants one is enough for it.
     """
@@ -290,7 +291,6 @@ class _Drawing:
         self.grid = tracer.start
         seed = np.random.SeedSequence([tracer.seed, _DRAWS, number])
         self._shift = int(seed.generate_state(1)[0])
-        self._least = 0
         self.looks = self.paths = 0
 
     def render(
@@ -304,7 +304,7 @@ class _Drawing:
         self.looks += len(cells)
         light, variance = said.copy(), np.zeros(said.shape) if around is None else around.copy()
         first = _FIRST if isinstance(limit, np.ndarray) else max(limit // _SETS, 1)
-        samples = np.full(len(cells), max(first, self._least))
+        samples = np.full(len(cells), first)
         sums = self._draw(tracer, cells, instant, np.zeros_like(samples), samples)
         for up in (False, True):
             light[instant, cells] = sums.mean(axis=1) / samples
@@ -357,13 +357,17 @@ class _Drawing:
         per_path = samples.astype(float) ** self._part.falls
         total, count = np.zeros((2, *light.shape))
         total[instant, cells], count[instant, cells] = own * per_path, 1
+        side = 5 if self._part.is_smooth else 3
         total, count = (
-            uniform_filter(x.reshape(shape), (1, 3, 3), mode="constant").reshape(light.shape)
+            side**2
+            * uniform_filter(x.reshape(shape), (1, side, side), mode="constant").reshape(x.shape)
             for x in (total, count)
         )
-        around = np.maximum(total[instant, cells] / count[instant, cells], 0) / per_path
+        total, count = total[instant, cells], count[instant, cells]
         if self._part.is_smooth:
-            return np.asarray(_OWN * own + (1 - _OWN) * around)
+            others = np.maximum(total - own * per_path, 0) / np.maximum(count - 1, 1)
+            return np.asarray(np.where(count > 1.5, others / per_path, own))
+        around = np.maximum(total / count, 0) / per_path
         image = light.reshape(shape)
         contrast = maximum_filter(image, (1, 3, 3)) - minimum_filter(
             image, (1, 3, 3), mode="constant"
@@ -378,11 +382,6 @@ class _Drawing:
         allowed, with as few paths as possible: by a Lagrange multiplier.
         """
         falls = self._part.falls
-        if self._part.is_smooth:
-            over = np.bincount(instant, weighted, len(allowed)) / np.maximum(allowed, 1e-150)
-            doubled = math.ceil(math.log2(max(float(over.max()), 1.0)) / falls - 0.25)
-            self._least = int(min(int(samples.max()) * 2**doubled, _MOST))
-            return np.maximum(samples, self._least)
         at_one = weighted * samples.astype(float) ** falls
         root = at_one ** (1 / (falls + 1))
         total = np.bincount(instant, root, len(allowed))
