@@ -282,7 +282,7 @@ def test_what_appears_for_a_part_of_the_frame_is_seen(system: System) -> None:
     # Both exposures to a pattern and its complement have it.
     total = frame.signal_w[0::2, 0, 0] + frame.signal_w[1::2, 0, 0]
     seen = np.abs(total - total[0]) > 20 * noise
-    assert set(np.flatnonzero(seen).tolist()) <= set(range(112, 129))
+    assert set(np.flatnonzero(seen).tolist()) <= set(range(105, 136))
     assert seen[118:122].all()
 
 
@@ -293,7 +293,8 @@ def test_what_passes_through_the_rig_leaves_finite_light(system: System) -> None
     got = capture(scene, system, fidelity=Fidelity(light_tolerance=0.2, motion_tolerance=0.1))
     assert np.isfinite(got.signal_w).all()
     assert got.signal_w.min() >= 0
-    assert got.signal_w[150:200].max() == 0  # inside it
+    before, inside = got.signal_w[:100].max(), got.signal_w[160:240].max()
+    assert inside > 10 * before  # surfaces are two-sided: from inside it is bright and near
 
 
 # -- rest, and next to it -------------------------------------------------------------------------
