@@ -443,7 +443,7 @@ def other_systems(tmp_path: Path) -> Callable[[str], System]:
 
 def test_means_over_exposures_are_integrals_of_what_is_linear_between_instants() -> None:
     rng = np.random.default_rng(2)
-    exposures = Exposures(np.arange(20) * 1e-3 + 2e-4, 8e-4, 1e-3)
+    exposures = Exposures(np.arange(20) * 1e-3 + 2e-4, 8e-4, 1e-3, 20)
     times = np.unique(np.concatenate([[0.0, 0.02], rng.uniform(0, 0.02, 60)]))
     values = rng.normal(size=len(times))
     fine = exposures.starts_s[:, None] + exposures.integration_s * (np.arange(20000) + 0.5) / 20000

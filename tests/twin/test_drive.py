@@ -231,6 +231,23 @@ def test_exposures_and_slots_stand_on_one_clock(whole: Path) -> None:
     assert last.device_ns["camera"] == last.end_ns + 2_000_000 + round(50e-6 * last.end_ns)
 
 
+def test_the_world_moves_within_a_frame_where_that_is_asked_for() -> None:
+    """Of a rig at 5 m/s the first exposures are those of a frame that stands where it began, the
+    last ones those of a frame that stands where it ended.
+    """
+    fidelity = replace(FAST, noise="none", samples=64)
+    slow = CAMERA.with_({"acquisition.pattern_period_s": 1e-2})
+    moving, still = (
+        CameraFrames(plan(fidelity=knobs, system=slow, duration_s=2.0, radar=None))
+        for knobs in (replace(fidelity, motion_tolerance=0.1), fidelity)
+    )
+    moved = moving(0, 0).counts[:, 0]
+    early, late = (still(0, at_ns).counts[:, 0] for at_ns in (0, 1_275_000_000))
+    apart = np.abs(early - late).mean()
+    assert np.abs(moved[:2] - early[:2]).mean() < 0.1 * apart
+    assert np.abs(moved[-2:] - late[-2:]).mean() < 0.1 * apart
+
+
 def test_frame_k_depends_on_seed_and_k_alone(whole: Path) -> None:
     third = [r.record for r in read_records(whole) if isinstance(r.record, SpiRecord)][2]
     event = [e for e in plan().events() if e.kind == "camera"][2]
@@ -338,6 +355,8 @@ def test_the_command_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "complete already, 11 events were there" in capsys.readouterr().out
     with pytest.raises(InputError, match=r"log of another drive \(duration_s: 0.9, not 15.0\)"):
         app(command(path)[3:], standalone_mode=False)
+    with pytest.raises(InputError, match="--motion-tolerance: 'little'"):
+        app([*short, "--motion-tolerance", "little"], standalone_mode=False)
     with pytest.raises(InputError, match="nothing ends the motion of table1"):
         app(["drive", "table1", "--out", str(path)], standalone_mode=False)
 

@@ -18,26 +18,29 @@ class Exposures:
 
     ``starts_s``: of their integration, (n,), from the start of the frame, after the dead time that
     each pattern's period begins with; ``integration_s`` long each. ``period_s``: from one to the
-    next.
+    next, of which there are ``n_periods``: all gates of a waveform share one.
     """
 
     starts_s: Array
     integration_s: float
     period_s: float
+    n_periods: int
 
     @classmethod
     def of(cls, system: System) -> "Exposures":
         """Of a system."""
         acquisition = system.acquisition
         period, time = acquisition.pattern_period_s.value, acquisition.integration_time_s.value
-        number = np.arange(system.n_exposures, dtype=np.float64)
+        gates = system.n_exposures // system.patterns.n_exposures if system.gates_at_once else 1
+        n_periods = system.n_exposures // gates
+        number = np.repeat(np.arange(n_periods, dtype=np.float64), gates)
         starts: Array = number * period + (period - time)
-        return cls(starts, time, period)
+        return cls(starts, time, period, n_periods)
 
     @property
     def duration_s(self) -> float:
         """Of the frame."""
-        return len(self.starts_s) * self.period_s
+        return self.n_periods * self.period_s
 
     @property
     def middles_s(self) -> Array:

@@ -49,6 +49,33 @@ WithinOption = Annotated[
 ]
 
 
+MotionOption = Annotated[
+    str,
+    typer.Option(
+        help="Error between instants within a camera's frame, over an exposure's noise; `none`: "
+        "nothing moves during a frame."
+    ),
+]
+
+
+def with_motion(knobs: "Fidelity", tolerance: str) -> "Fidelity":
+    """The knobs with a tolerance of motion within a frame, where they have none of their own.
+
+    Raises InputError for text that is none.
+    """
+    from dataclasses import replace
+
+    from hardware.units import quantity
+    from twin.errors import InputError
+
+    if tolerance == "none" or knobs.motion_tolerance is not None:
+        return knobs
+    try:
+        return replace(knobs, motion_tolerance=quantity(tolerance, None, bare=True))
+    except InputError as error:
+        raise InputError(f"--motion-tolerance: {tolerance!r}: {error}") from None
+
+
 def knobs_asked(
     say: Output,
     load: "Callable[[], Scene]",

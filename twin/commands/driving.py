@@ -9,10 +9,12 @@ from hardware.commands.output import Output
 from hardware.commands.quantities import quantity_of
 from twin.commands.arguments import (
     FidelityOption,
+    MotionOption,
     SceneArgument,
     ToleranceOption,
     WithinOption,
     knobs_asked,
+    with_motion,
 )
 
 
@@ -53,6 +55,7 @@ def drive(
     tolerance: ToleranceOption = None,
     fidelity: FidelityOption = None,
     within: WithinOption = None,
+    motion_tolerance: MotionOption = "0.1",
 ) -> None:
     """Drive a scene: records of both sensors and the truth in one log (MCAP), as `ugv process`
     reads it. The same command goes on with a drive that was cut short, to the same bytes.
@@ -86,9 +89,10 @@ def drive(
             raise InputError(f"clock of the {device}: {error}") from None
     if not out.parent.is_dir():
         raise InputError(f"--out: {out.parent} is no folder")
-    knobs = knobs_asked(
+    asked = knobs_asked(
         say, lambda: world, camera, design, fidelity=fidelity, tolerance=tolerance, within=within
     )
+    knobs = with_motion(asked, motion_tolerance)
     plan = Drive(
         scene=world,
         system=camera,

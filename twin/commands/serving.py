@@ -8,11 +8,13 @@ import typer
 from hardware.commands.output import Output
 from twin.commands.arguments import (
     FidelityOption,
+    MotionOption,
     PoseOption,
     SceneArgument,
     ToleranceOption,
     WithinOption,
     knobs_asked,
+    with_motion,
 )
 
 
@@ -51,6 +53,7 @@ def serve(
     fidelity: FidelityOption = None,
     tolerance: ToleranceOption = None,
     within: WithinOption = None,
+    motion_tolerance: MotionOption = "none",
     spi_settings: Annotated[
         Path | None, typer.Option(help="TOML to write: patterns and times for a driver.")
     ] = None,
@@ -91,7 +94,7 @@ def serve(
             say.warn(f"{address.host}: whoever reaches it can use it")
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
     sweeper = load_radar(radar) if radio_address is not None else None
-    knobs = knobs_asked(
+    asked = knobs_asked(
         say,
         lambda: loaded,
         system if spi_at is not None else None,
@@ -100,6 +103,7 @@ def serve(
         tolerance=tolerance,
         within=within,
     )
+    knobs = with_motion(asked, motion_tolerance)
     devices = []
     if spi_at is not None:
         devices.append(
