@@ -212,7 +212,7 @@ def test_a_plate_that_flashes() -> None:
     assert off(found / found[20], closed) < 0.05
 
 
-def test_parts_of_one_rigid_body_are_one_body_and_a_wheel_is_its_own() -> None:
+def test_parts_of_one_rigid_body_are_one_body_and_a_wheel_is_of_the_car_that_carries_it() -> None:
     course = Product((Straight((3.0, 0, 0)), Turning((0, 0, 1), (5.0, 1.0, 0), 0.7)))
     hull, door = (ball(name, (10.0, y, 0), 0.2, 1) for name, y in (("hull", 0.0), ("door", 0.35)))
     wheel = ball("wheel", (10.0, 0.0, -0.3), 0.15, 1)
@@ -220,6 +220,10 @@ def test_parts_of_one_rigid_body_are_one_body_and_a_wheel_is_its_own() -> None:
     items = [hull.following(course), door.following(course), wheel.following(shifted)]
     assert bodies_of(items).tolist() == [0, 0, 1]
     assert bodies_of([item.after(0.3) for item in items]).tolist() == [0, 0, 1]
+    carried_wheel = wheel.following(shifted, "hull")
+    assert bodies_of([*items[:2], carried_wheel]).tolist() == [0, 0, 0]
+    rim = ball("rim", (10.0, 0.0, -0.3), 0.1, 1).following(shifted, "wheel")
+    assert bodies_of([*items[:2], carried_wheel, rim]).tolist() == [0, 0, 0, 0]
 
 
 def test_rotation_of_zero_has_the_bits_of_none() -> None:

@@ -1,7 +1,7 @@
-"""Which objects are one body: those that touch, by their boxes, and move alike as one rigid body.
+"""Which objects are one body: those that touch, by their boxes, and move alike or as parts of one.
 
-A wheel that turns on a car is a body of its own: its echo changes unlike the car's. Rays between
-both are traced all the same.
+Parts that the same object carries are one body whether they turn or not, a car with its wheels, a
+person with arms and legs: what errors are relative to does not change when they begin to move.
 
 Boxes of like size are looked up in one tree of their middles, so what is compared grows with the
 number of neighbours, not with that of all pairs.
@@ -50,8 +50,9 @@ def touching(items: Sequence[SceneObject]) -> Indices:
 
 
 def _move_alike(items: Sequence[SceneObject], pairs: Indices, middle_m: Array) -> Mask:
-    """Whether both of a pair (n, 2) would move alike as one rigid body, (n,): exactly so where none
-    has a motion of its own, else but for the rounding of motions that lead to the same.
+    """Whether both of a pair (n, 2) move alike as one rigid body, (n,), exactly where none has a
+    motion of its own, else but for the rounding of motions that lead to the same; or have one
+    carrier.
     """
     motions = RigidMotions.of(items, np.zeros(3))
     first, second = pairs.T
@@ -67,7 +68,21 @@ def _move_alike(items: Sequence[SceneObject], pairs: Indices, middle_m: Array) -
     alike = np.ones(len(pairs), dtype=bool)
     for one, other in zip(*states, strict=True):
         alike &= (np.abs(one - other) <= _ROUNDING * (1 + np.abs(one))).all(axis=1)
+    carrier = _carriers(items)
+    alike |= carrier[first] == carrier[second]
     return alike
+
+
+def _carriers(items: Sequence[SceneObject]) -> NDArray[np.str_]:
+    """Name of the object that carries each directly or by way of others, its own for none."""
+    parents = {item.name: item.parent for item in items}
+    names = []
+    for item in items:
+        name = item.name
+        while parent := parents.get(name):
+            name = parent
+        names.append(name)
+    return np.array(names)
 
 
 def near_pairs(boxes: Array) -> tuple[Indices, int]:
