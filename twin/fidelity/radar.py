@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 
 from hardware.own_functions import OwnFunction, OwnFunctionError, own_function
 from twin.errors import InputError
-from twin.fidelity.knobs import Knobs, Rule, depth, tolerance, whole
+from twin.fidelity.knobs import Knobs, Rule, depth, optional_tolerance, tolerance, whole
 
 RadarModel = Literal["targets", "paths", "optics", "rough"]
 
@@ -80,6 +80,12 @@ class RadarFidelity(Knobs):
         (80 000 more rays than there are facets, where these are larger than half a wavelength);
         what facets, which are flat, leave of a curved mirror. Of plates at half their size from
         the radar the echo is off by 1 to 3 times the tolerance, and is warned of.
+    radar_motion_tolerance
+        Change of a body's echo within an interval, relative to it, that delays of second order in
+        time do not hold: what is lit changes as it turns (1.5 times its angle, of dihedrals, boxes
+        and balls), and delays have higher orders. Up to there the scene is traced once, in the
+        interval's middle; beyond, at up to 132 instants, each as dear as the first, and the echo
+        between two of them is compared with one traced half way. None: as `radar_tolerance`.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
         trihedral needs 3. None: of every body as many, up to 6, as may add more than a tenth of
@@ -116,6 +122,9 @@ class RadarFidelity(Knobs):
     radar: RadarModel | str | Callable[..., Any] = field(default="optics", metadata=_solver())
     nufft_tolerance: float = field(default=1e-6, metadata=tolerance(1e-14, _BELOW_1))
     radar_tolerance: float = field(default=0.1, metadata=tolerance(1e-3, 1.0))
+    radar_motion_tolerance: float | None = field(
+        default=None, metadata=optional_tolerance(1e-3, 1.0)
+    )
     radar_bounces: int | None = field(default=3, metadata=whole(1, optional=True))
     radar_images: int | None = field(default=1, metadata=whole(0, optional=True))
     radar_edges: int | None = field(default=0, metadata=whole(0, optional=True))

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,14 @@ from twin.accuracy import Decision
 from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.files import InputError
 from twin.progress import OpenStage
-from twin.radar.device.burst import burst_channel
+from twin.radar.device.burst import blended_channel, burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
 from twin.radar.diagnostics import assumptions, warnings
+from twin.radar.propagation.instants import traced_interval, weights
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
-from twin.radar.propagation.solvers import solver_of, trace
+from twin.radar.propagation.solvers import solver_of
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
 from twin.scene import Scene
@@ -145,16 +147,10 @@ def radar_echo(
         rays = int(ray_seed.generate_state(1)[0]) >> 1
         bursts = []
         for world in worlds:
-            own = trace(
-                world,
-                radar,
-                fidelity=knobs,
-                seed=rays,
-                earlier=earlier,
-                keep=keep and earlier is None,
-            )
+            first = keep and earlier is None
+            own = traced_interval(world, radar, knobs, rays, earlier, keep=first)
             bursts.append(own)
-            earlier = own if keep and earlier is None else earlier
+            earlier = own if first else earlier
     interval_s = interval_s or _interval(scene, radar)
     return RadarEcho(tuple(worlds), radar, tuple(bursts), air, interval_s, noise_seed, knobs)
 
@@ -259,7 +255,13 @@ def channel(
     propagation: Propagation, radar: RadarDesign, air: Atmosphere, tolerance: float = 1e-6
 ) -> Complex:
     """Received over sent wave of one burst, (n_steps, n_slots, n_receivers, n_subcarriers)."""
-    return burst_channel(contributions(propagation, radar, air), radar.burst, tolerance)
+    if not propagation.instants:
+        return burst_channel(contributions(propagation, radar, air), radar.burst, tolerance)
+    parts = [_stepped(instant.contributions, radar, air) for instant in propagation.instants]
+    times = [instant.time_s for instant in propagation.instants]
+    echoes = blended_channel(parts, times, partial(weights, times), radar.burst, tolerance)
+    leakage = _of_leakage(radar)
+    return echoes + burst_channel(leakage, radar.burst, tolerance) if len(leakage) else echoes
 
 
 def _seeds(seed: int) -> tuple[np.random.SeedSequence, np.random.SeedSequence]:

@@ -5,6 +5,7 @@ time change about an echo's delay goes into the delay, so into the carrier's pha
 alike. Wavefronts are plane over the antennas.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,4 +99,45 @@ def burst_channel(echoes: Contributions, burst: Burst, tolerance: float = 1e-6) 
             for receiver in range(shape[2]):
                 seen = burst.seen(echoes, step, transmitter, receiver)
                 synthesize(seen, sent, tolerance, out=channel[step, there, receiver].T)
+    return channel
+
+
+def blended_channel(
+    parts: Sequence[Contributions],
+    instants_s: Sequence[float],
+    weight_of: Callable[[Array], Array],
+    burst: Burst,
+    tolerance: float = 1e-6,
+) -> Complex:
+    """Channel of echoes that were traced at several instants of the burst, as of `burst_channel`.
+
+    Parameters
+    ----------
+    parts, instants_s
+        Echoes, amplitudes (n_steps, n), and from when on their delays count.
+    weight_of
+        Weights of all instants at times (n_times,), (n_instants, n_times).
+    """
+    wave, senders = burst.waveform, len(burst.transmitters_m)
+    shape = (len(burst.carriers_hz), wave.n_slots, len(burst.receivers_m), wave.n_subcarriers)
+    channel = np.zeros(shape, dtype=np.complex128)
+    for step, start_s in enumerate(burst.step_times_s.tolist()):
+        times_s = start_s + wave.slot_times_s
+        for echoes, instant_s, weight in zip(parts, instants_s, weight_of(times_s), strict=True):
+            heard = np.flatnonzero(weight)
+            if not len(heard) or not len(echoes):
+                continue
+            # From a turn of the first transmitter on, to the end of one of the last.
+            first, last = heard[0] // senders * senders, -(-(heard[-1] + 1) // senders) * senders
+            slots = slice(int(first), min(int(last), wave.n_slots))
+            short = replace(
+                burst,
+                waveform=replace(wave, n_slots=slots.stop - slots.start),
+                carriers_hz=burst.carriers_hz[step : step + 1],
+                step_times_s=np.zeros(1),
+            )
+            here = replace(echoes, amplitude=echoes.amplitude[step : step + 1])
+            here = here.counted_from(float(times_s[slots].mean()) - instant_s)
+            part = burst_channel(here, short, tolerance)[0]
+            channel[step, slots] += weight[slots, None, None] * part
     return channel

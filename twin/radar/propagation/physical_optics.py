@@ -68,12 +68,14 @@ def scattered(
     *,
     has_more_images: NDArray[np.bool_] | None = None,
     keep: bool = False,
+    followed_s: float | None = None,
 ) -> Scattered:
     """Echoes of bodies to within ``fidelity.radar_tolerance``.
 
     ``has_more_images`` (n_objects,): whether there are paths to an object by more reflections than
     those of any image; None where that is not known. Valid paths of an ``earlier`` frame are
     reused. ``keep``: whether later frames may reuse this one, which is then traced in full.
+    ``followed_s``: as of `solvers.trace`.
     """
     body = _bodies(prepared)
     if not (prepared.worth & (body >= 0)).any():
@@ -81,7 +83,8 @@ def scattered(
         return Scattered(
             Contributions.none(), body, np.zeros(body.max(initial=-1) + 1), None, traced
         )
-    bodies = scatterers(prepared, radar.antenna, body, radar.burst_s / 2)
+    half_s = radar.burst_s / 2 if followed_s is None else followed_s
+    bodies = scatterers(prepared, radar.antenna, body, half_s)
     parameters = fidelity.radar_tolerance, fidelity.radar_bounces
     by_images = fidelity.radar_images is None
     setting, valid = None, None

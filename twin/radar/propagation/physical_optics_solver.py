@@ -63,9 +63,10 @@ def echoes(
     earlier: TracedFrame | None = None,
     *,
     keep: bool = False,
+    followed_s: float | None = None,
 ) -> Propagation:
     """Mirror images, declared points and scattering meshes, by the same one-way paths;
-    ``earlier`` and ``keep`` as of `physical_optics.scattered`.
+    ``earlier``, ``keep`` and ``followed_s`` as of `physical_optics.scattered`.
 
     Raises InputError where a material has no data at the carrier.
     """
@@ -73,7 +74,13 @@ def echoes(
     roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True)
     prepared, has_more_images = _prepared(scene, radar, roles, fidelity, is_rough)
     of_bodies = scattered(
-        prepared, radar, fidelity, earlier, has_more_images=has_more_images, keep=keep
+        prepared,
+        radar,
+        fidelity,
+        earlier,
+        has_more_images=has_more_images,
+        keep=keep,
+        followed_s=followed_s,
     )
     traced = Contributions.concatenate([of_bodies.contributions, behind(prepared, fidelity)])
     surfaces = at_antenna(traced, prepared, radar)

@@ -52,6 +52,14 @@ class Heard:
     power: float
 
 
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """Contributions traced at a time after an interval's middle, from which their delays count."""
+
+    time_s: float
+    contributions: Contributions
+
+
 @dataclass(frozen=True)
 class Propagation:
     """All contributions, and how the scene was understood.
@@ -60,6 +68,8 @@ class Propagation:
     up the others per object. ``objects`` names what ``object`` of the contributions numbers, but of
     paths. ``bodies``: those that scatter, the strongest first, with the errors estimated of their
     surfaces' echoes. ``decisions``: what was taken or left out, with the bounds that decided.
+    ``instants``: where an interval was traced at several, those of all in order, between which its
+    echoes go over; all else is told of its middle.
     ``traced``: what later frames may keep of this one, if that was asked for;
     ``reused_share``: share of the contributions of surfaces that is an earlier frame's.
     """
@@ -75,6 +85,7 @@ class Propagation:
     decisions: tuple[Decision, ...] = ()
     traced: TracedFrame | None = None
     reused_share: float = 0.0
+    instants: tuple[Instant, ...] = ()
 
     @cached_property
     def paths(self) -> tuple[Path, ...]:

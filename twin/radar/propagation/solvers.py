@@ -130,6 +130,7 @@ def trace(
     seed: int = 0,
     earlier: Propagation | None = None,
     keep: bool = False,
+    followed_s: float | None = None,
 ) -> Propagation:
     """Find the echoes of a scene.
 
@@ -148,6 +149,10 @@ def trace(
         nothing has changed since. `facets.validity` says after which changes all are. That frame
         alone decides with the other parameters what is found, not what was traced in between.
 
+    followed_s
+        For how long before and after its own instant the frame is followed: triangles are divided
+        until they move as points for so long. Default: half a burst.
+
     Raises InputError where a material that answers has no data at the carrier, where a user's own
     model gives no echoes, and where ``earlier`` is no such frame.
     """
@@ -155,7 +160,7 @@ def trace(
     solver = solver_of(knobs)
     traced = _traced(earlier, radar, knobs, solver)
     if solver.reusing is not None:
-        return solver.reusing(scene, radar, knobs, seed, traced, keep=keep)
+        return solver.reusing(scene, radar, knobs, seed, traced, keep=keep, followed_s=followed_s)
     result = solver.model(scene, radar, knobs, seed)
     if isinstance(result, Contributions):
         said = f"echoes by {solver.label}, a propagation model of the user"

@@ -112,6 +112,17 @@ class Contributions:
         moved += self.delay_s
         return moved
 
+    def counted_from(self, time_s: float) -> "Contributions":
+        """The same echoes with time counted from this one on."""
+        faster = self.delay_acceleration_per_s * time_s
+        return replace(
+            self,
+            delay_s=self.delays_at(time_s),
+            delay_rate=self.delay_rate + faster,
+            departure=self.departure + self.departure_per_s * time_s,
+            arrival=self.arrival + self.arrival_per_s * time_s,
+        )
+
     def in_proportion_to_wavelength(self) -> "Contributions":
         """The same echoes, with amplitudes in proportion to the wavelength of each carrier step."""
         return replace(self, wavelength_power=np.ones(len(self)))
