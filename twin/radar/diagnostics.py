@@ -13,7 +13,7 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
 from twin.radar.device.phase_noise import residual_rad
 from twin.radar.propagation.facets.convergence import BodyEcho, unconverged
-from twin.radar.propagation.one_way.motion import lengthening
+from twin.radar.propagation.one_way.motion import lengthening, relative_motion
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
@@ -26,14 +26,15 @@ from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
+_FAINT_DB = -40.0  # bodies below the strongest whose rates are not warned of
 _BENT_RAD = 0.02  # phase that a model of path or wavefront leaves out from which it is warned of
 _COARSE = 0.05  # of an echo, 0.4 dB: error by coarse facets from which it is warned of
 _NOISY_RAD = 0.3  # phase noise of an echo from which its square matters
 
 #: Holds for every capture.
 MODEL_ASSUMPTIONS = (
-    "velocities are constant within a burst, positions those of its middle, delays of second order "
-    f"in time (what is beyond by {_BENT_RAD} rad is warned of) and to first order in v / c",
+    "places, velocities and accelerations are those of a burst's middle, or of each instant at "
+    "which it is traced; delays of second order in time about it, and to first order in v / c",
 )
 
 
@@ -72,6 +73,7 @@ def warnings(
     """What contradicts itself; the scene is that of the first burst."""
     farthest = max((t.range_m for t in truth), default=0.0)
     fastest = max((abs(t.range_rate_m_per_s) for t in truth), default=0.0)
+    fastest = max(fastest, _fastest(bursts[0]))
     messages = radar.warnings(farthest, fastest)
     place = scene.rig.position_m + scene.rig.device("radar")[0]
     inside = [item.name for item in scene.objects if encloses(item, place)]
@@ -95,7 +97,8 @@ def warnings(
     messages += [CaptureWarning("rendering", text) for text in _unconverged(bursts)]
     messages += [CaptureWarning("tolerance", text) for text in _not_followed(bursts)]
     messages += _coarse(scene, radar, bursts[0])
-    messages += [bend for t in scene.targets if (bend := _bend(t, place, radar))]
+    if not bursts[0].instants:
+        messages += _bends(scene, radar)
     messages += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
     messages += _noise(radar, farthest)
     if not any(len(burst.contributions) for burst in bursts):
@@ -225,22 +228,48 @@ def _too_large(item: SceneObject, place: Array) -> bool:
     return bool(are_too_large(item.vertices_m - place, item.geometry.faces).any())
 
 
-def _bend(target: Target, place: Array, radar: RadarDesign) -> CaptureWarning | None:
-    """Warning where a target passes so near and fast that its range is no parabola in time."""
-    towards = np.asarray(target.position_m) - place
-    velocity = np.asarray(target.velocity_m_per_s)
-    distance = float(np.linalg.norm(towards))
-    rate, acceleration = lengthening(velocity, towards / distance, distance)
-    ends = np.array([-1.0, 1.0]) * radar.burst_s / 2
-    exact = np.linalg.norm(towards + ends[:, None] * velocity, axis=1)
-    off = exact - (distance + rate * ends + acceleration / 2 * ends**2)
-    bend = float(np.abs(off).max())
-    phase = 4 * np.pi * bend / radar.ofdm.wavelength_m
+def _fastest(propagation: Propagation) -> float:
+    """Largest range rate within any body that is not far fainter than the strongest, m/s."""
+    rates = [
+        abs(rate)
+        for body in propagation.bodies
+        if body.level_db > _FAINT_DB
+        for rate in body.range_rates_m_per_s
+    ]
+    return max((rate for rate in rates if np.isfinite(rate)), default=0.0)
+
+
+def _bends(scene: Scene, radar: RadarDesign) -> list[CaptureWarning]:
+    """Warnings of targets whose range is no parabola in time: they pass near and fast, or turn."""
+    if scene.at_rest and not scene.rig.moves:
+        return []
+    ends = np.clip(np.array([-1.0, 1.0]) * radar.burst_s / 2, *scene.span_s)
+    then = [scene.after(float(time)) for time in ends]
+    off = np.zeros((2, len(scene.targets)))
+    for k, target in enumerate(scene.targets):
+        towards = _towards(scene, target)
+        distance = float(np.linalg.norm(towards))
+        velocity, faster = relative_motion(scene, target)
+        rate, acceleration = lengthening(velocity, towards / distance, distance, faster)
+        exact = [np.linalg.norm(_towards(world, world.targets[k])) for world in then]
+        off[:, k] = exact - (distance + (rate + acceleration / 2 * ends) * ends)
+    bends = np.abs(off).max(axis=0, initial=0.0).tolist()
+    found = [_bend(*pair, radar) for pair in zip(scene.targets, bends, strict=True)]
+    return [bend for bend in found if bend]
+
+
+def _towards(scene: Scene, target: Target) -> Array:
+    place: Array = scene.rig.position_m + scene.rig.device("radar")[0]
+    return np.asarray(target.position_m) - place
+
+
+def _bend(target: Target, bend_m: float, radar: RadarDesign) -> CaptureWarning | None:
+    phase = 4 * np.pi * bend_m / radar.ofdm.wavelength_m
     if phase < _BENT_RAD:
         return None
     return CaptureWarning(
         "model",
-        f"{target.name} passes so near and fast that its range is off a parabola by {bend:.2g} m "
+        f"{target.name} passes so near and fast that its range is off a parabola by {bend_m:.2g} m "
         "at the interval's ends, which is left out: its echo is off by up to "
         f"{100 * min(phase, 2.0):.3g} % of itself",
     )
