@@ -252,7 +252,8 @@ def test_edges_add_no_more_than_their_bound(objects: tuple[SceneObject, ...]) ->
     roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
     prepared = prepare_scene(scene, RADAR, roles, 1)
     echoes = at_antenna(diffracted(prepared, EDGES_BY_BOUNDS)[0], prepared, RADAR)
-    (bound,) = edge_bounds(prepared, RADAR) * loss_of(RADAR)
+    (of_edges,) = edge_bounds(prepared, RADAR).values()
+    bound = of_edges.sum * loss_of(RADAR)
     owner = np.zeros(len(echoes), dtype=int)
     band = summed_by(owner, 1, echoes, CARRIER_HZ, FREQUENCIES)
     assert 0 < np.abs(band).max() < bound

@@ -25,11 +25,14 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
+from twin.fidelity import DEFAULT, Fidelity
 from twin.geometry import shape
 from twin.radar.propagation import prepared_scene
+from twin.radar.propagation.diffraction import fringes
 from twin.radar.propagation.facets import adaptive_subdivision, body_scattering, front_facets
 from twin.radar.propagation.meshes import grouping
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
+from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene import culling, image_search
 from twin.radar.propagation.scene.culling import (
     Beam,
@@ -325,6 +328,63 @@ def test_launches_do_not_grow_with_the_patches() -> None:
             launches.append(len(dr.kernel_history()))
         assert len(set_up.flats) >= 2 * houses
     assert launches[1] <= launches[0] + 8
+
+
+# What bounds cost.
+
+
+def town(count: int) -> Scene:
+    """Boxes at random between the houses of a street, whose walls mirror the radar."""
+    rng = np.random.default_rng(6)
+    low, high = (4, -4.5, -0.7), (190, 4.5, 1.5)
+    boxes = [
+        block(f"b{i}", rng.uniform(low, high), rng.uniform(0.05, 0.3, 3), radar="optics")
+        for i in range(count)
+    ]
+    houses = street(rng, 24)
+    return replace(houses, objects=(*houses.objects, *boxes))
+
+
+def work_of(scene: Scene, fidelity: Fidelity, monkeypatch) -> tuple[Propagation, dict[str, int]]:
+    """Rays that look for images, triangles that rays are sent to, and pieces of edges, one for each
+    image that a path leads there from.
+    """
+    work = dict.fromkeys(("rays", "triangles", "pieces"), 0)
+    with monkeypatch.context() as patched:
+
+        def count(module, name: str, what: str, size) -> None:
+            compute = getattr(module, name)
+
+            def counting(*given):
+                work[what] += size(given)
+                return compute(*given)
+
+            patched.setattr(module, name, counting)
+
+        count(image_search, "_first_hits", "rays", lambda given: dr.width(given[3]))
+        count(adaptive_subdivision, "visible_samples", "triangles", lambda given: len(given[1]))
+        count(body_scattering, "visible_samples", "triangles", lambda given: len(given[1]))
+        count(fringes, "paths_to_points", "pieces", lambda given: len(given[2]))
+        return trace(scene, RADAR, fidelity=fidelity), work
+
+
+def test_bounds_do_not_cost_a_town_more_than_fixed_knobs(monkeypatch) -> None:
+    """Boxes among walls, with more images of one reflection than those of two are looked for
+    beside: what is not followed is told with its bound, and what is looked at stays of the order of
+    what fixed knobs look at.
+    """
+    scene = town(60)
+    _, fixed = work_of(scene, Fidelity(), monkeypatch)
+    found, by_bounds = work_of(scene, DEFAULT, monkeypatch)
+    assert by_bounds["rays"] <= fixed["rays"]
+    assert by_bounds["triangles"] < 2.5 * fixed["triangles"]
+    assert 0 < by_bounds["pieces"] < 2 * fixed["triangles"]
+    assert any("none of more than one reflection is looked for" in a for a in found.assumptions)
+    beyond = [d for d in found.decisions if "large surfaces beyond 1" in d.effect and not d.taken]
+    assert any(decision.bound > decision.permitted for decision in beyond)
+    once, twice = (len(staged(scene, order).all_images) for order in (1, 2))
+    assert once > image_search.MANY_IMAGES
+    assert twice > 2 * once
 
 
 # Portions.

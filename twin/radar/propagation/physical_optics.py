@@ -1,6 +1,6 @@
 """Echoes of a scene by physical optics: surfaces, their sharp edges, and rough ground."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.diffraction.behind_obstacles import echoes_behind
-from twin.radar.propagation.diffraction.edge_bounds import edge_bound
+from twin.radar.propagation.diffraction.edge_bounds import EdgeBound, edge_bound
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
@@ -154,16 +154,21 @@ def _extent_m(prepared: PreparedScene, body: NDArray[np.int32]) -> float:
 
 
 def diffracted(
-    prepared: PreparedScene, fidelity: Fidelity, wanted: NDArray[np.bool_] | None = None
+    prepared: PreparedScene,
+    fidelity: Fidelity,
+    pairs: Mapping[int, NDArray[np.bool_]] | None = None,
 ) -> tuple[Contributions, list[str]]:
-    """Contributions of the sharp edges of bodies, all or those that are ``wanted`` (n_bodies,), and
-    remarks on what is assumed or left out.
+    """Contributions of the sharp edges of bodies, over all pairs of images with paths to them, and
+    remarks on what is assumed or left out. ``pairs``: by number only some bodies, and over which
+    pairs each, as `edge_bounds` counts them.
     """
     if fidelity.radar_edges == 0 or ScatteringModel.OPTICS not in prepared.roles:
         return Contributions.none(), []
-    sharp = _sharp(prepared, _bodies(prepared))
-    if wanted is not None:
-        sharp = [body for body, is_wanted in zip(sharp, wanted, strict=True) if is_wanted]
+    of_bodies = _sharp(prepared, _bodies(prepared))
+    if pairs is None:
+        sharp = list(of_bodies.values())
+    else:
+        sharp = [of_bodies[body].over(some) for body, some in pairs.items()]
     most = _MOST_PIECES if fidelity.radar_edges is None else fidelity.radar_edges
     pieces = _FINEST_PIECES if fidelity.radar_edges is not None else _pieces(fidelity)
     echoes, longer = edge_echoes(prepared.context, sharp, prepared.wavelength_m, most, pieces)
@@ -180,24 +185,20 @@ def _pieces(fidelity: Fidelity) -> float:
     return float(np.clip(_ONE_PER_WAVELENGTH / fidelity.radar_tolerance, 1.0, _FINEST_PIECES))
 
 
-def edge_bounds(prepared: PreparedScene, radar: RadarDesign) -> Array:
-    """Bounds of the amplitude of the sharp edges of every body, (n_bodies,), before losses; 0 of
+def edge_bounds(prepared: PreparedScene, radar: RadarDesign) -> dict[int, EdgeBound]:
+    """Bounds of the amplitude of the sharp edges of every body, by number, before losses; none of
     bodies to which no path is traced, since their whole echo is below the noise.
     """
     body, beam = _bodies(prepared), beam_of(radar.antenna)
     antennas = image_antennas_of(prepared.images, prepared.flats, prepared.axes[0], beam)
     boxes = boxes_of(prepared.originals) - prepared.anchor_m
-    bounds = []
-    is_traced = np.asarray(prepared.worth.any(axis=0))
-    for number, sharp in enumerate(_sharp(prepared, body)):
+    bounds = {}
+    for number, sharp in _sharp(prepared, body).items():
         members = np.flatnonzero(body == number)
-        if not is_traced[members].any():
-            bounds.append(0.0)
-            continue
         box = np.array([[boxes[members, 0].min(axis=0), boxes[members, 1].max(axis=0)]])
         gain = most_gain(beam, antennas.place, antennas.axis, box)[:, 0]
-        bounds.append(edge_bound(sharp, antennas, gain, prepared.wavelength_m))
-    return np.array(bounds)
+        bounds[number] = edge_bound(sharp, antennas, sharp.images, gain, prepared.wavelength_m)
+    return bounds
 
 
 def behind(prepared: PreparedScene, fidelity: Fidelity) -> Contributions:
@@ -211,18 +212,25 @@ def behind(prepared: PreparedScene, fidelity: Fidelity) -> Contributions:
     return echoes_behind(obstacles, prepared.surface_of_object, fidelity.radar_shadowed)
 
 
-def _sharp(prepared: PreparedScene, body: NDArray[np.int32]) -> list[Sharp]:
-    """The sharp edges of every body."""
+def _sharp(prepared: PreparedScene, body: NDArray[np.int32]) -> dict[int, Sharp]:
+    """The sharp edges of every body to which paths are traced, by its number, over all images from
+    which they are.
+    """
     rows = np.array(prepared.context.table).reshape(-1, TABLE_STEPS + 1, 4)
     # At normal incidence; a conductor's TE is -1.
     reflection = -(rows[:, -1, 0] + 1j * rows[:, -1, 1])[prepared.surface_of_object]
-    edges_of_bodies = []
-    for number in range(body.max() + 1):
+    edges_of_bodies = {}
+    is_traced = prepared.worth.any(axis=0) & (body >= 0)
+    for number in np.unique(body[is_traced]).tolist():
         members = np.flatnonzero(body == number)
+        images = np.flatnonzero(prepared.worth[:, members].any(axis=1))
+        every_pair = np.ones((len(images), len(images)), dtype=bool)
         items = tuple(prepared.originals[i] for i in members)
         edges, owner = edges_of(items, tuple(prepared.anchor_m.tolist()))
         whose: NDArray[np.uint32] = members[owner].astype(np.uint32)
-        edges_of_bodies.append(Sharp(edges, whose, reflection[whose], prepared.motions))
+        edges_of_bodies[number] = Sharp(
+            edges, whose, reflection[whose], prepared.motions, images, every_pair
+        )
     return edges_of_bodies
 
 

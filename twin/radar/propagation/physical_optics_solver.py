@@ -38,6 +38,7 @@ from twin.radar.propagation.physical_optics import (
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
+from twin.radar.propagation.scene.image_search import MANY_IMAGES
 from twin.radar.propagation.scene.scattering_models import (
     Assignment,
     assign_scattering_models,
@@ -49,10 +50,6 @@ from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
 
 Array = NDArray[np.float64]
-
-#: From the radar and so many images on, those of one reflection are followed alone: paths between
-#: all pairs of them take minutes, as in a city. The bound of the others is told.
-_MANY_IMAGES = 32
 
 
 def echoes(
@@ -138,9 +135,11 @@ def _prepared(
     if fidelity.radar_images is not None:
         images = fidelity.radar_images
         return prepare_scene(scene, radar, roles, images, is_rough=is_rough), None
-    prepared = prepare_scene(scene, radar, roles, MOST_IMAGES + 1, is_rough=is_rough)
-    followed, has_further = prepared.up_to(MOST_IMAGES)
-    return prepared.up_to(1) if len(followed.images) > _MANY_IMAGES else (followed, has_further)
+    # One more reflection, to know whether there is any beyond those that are followed.
+    prepared = prepare_scene(
+        scene, radar, roles, MOST_IMAGES + 1, is_rough=is_rough, many=MANY_IMAGES
+    )
+    return prepared.up_to(MOST_IMAGES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,11 +262,17 @@ def _edges(
     if fidelity.radar_edges is not None or not levels.names:
         return _Edges(*diffracted(prepared, fidelity), ((), nothing))
     began_s = perf_counter()
-    bound = edge_bounds(prepared, radar) * loss_of(radar) / levels.reference
-    is_taken = bound > levels.permitted
-    echoes, remarks = diffracted(prepared, fidelity, is_taken)
+    # What counts as an error, in amplitude before losses.
+    limit = levels.permitted * levels.reference / loss_of(radar)
+    bound, left_out, pairs = nothing.copy(), nothing.copy(), {}
+    for body, of_body in edge_bounds(prepared, radar).items():
+        bound[body], left_out[body] = of_body.sum, of_body.sum
+        if of_body.sum > limit[body]:
+            pairs[body], left_out[body] = of_body.worth_tracing(limit[body])
+    echoes, remarks = diffracted(prepared, fidelity, pairs)
     cost_s = perf_counter() - began_s
-    has_edges = bound > 0
+    bound, left_out = (part / limit * levels.permitted for part in (bound, left_out))
+    is_taken, has_edges = bound > levels.permitted, bound > 0
     decisions = on_edges(
         [name for name, has in zip(levels.names, has_edges, strict=True) if has],
         bound[has_edges],
@@ -275,7 +280,7 @@ def _edges(
         levels.permitted,
         cost_s,
     )
-    return _Edges(echoes, remarks, (decisions, np.where(is_taken, 0.0, bound)))
+    return _Edges(echoes, remarks, (decisions, left_out))
 
 
 def _mirrors(

@@ -50,7 +50,8 @@ class PreparedScene:
 
     Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
     the objects as the scene has them, their large triangles undivided. ``images`` are those of
-    ``all_images`` over which there is any echo; ``worth`` (n_images, n_objects): whether paths
+    ``all_images`` over which there is any echo; ``has_more_images``: whether there are others of
+    more reflections, too many to look for; ``worth`` (n_images, n_objects): whether paths
     between an image and an object that scatters are traced; ``motions`` are those of objects, by
     number; ``untraced`` (n_objects,): bound
     of the echo of each by all those that are not, in amplitude before losses.
@@ -67,6 +68,7 @@ class PreparedScene:
     flats: Flats
     all_images: tuple[Image, ...]
     images: tuple[Image, ...]
+    has_more_images: bool
     motions: RigidMotions
     radar_motion: PointMotion
     worth: NDArray[np.bool_]
@@ -93,7 +95,7 @@ class PreparedScene:
         orders = np.array([len(image.patches) for image in self.images])
         some = np.flatnonzero(orders <= order)
         if len(some) == len(orders):
-            return self, np.zeros(len(self.items), dtype=bool)
+            return self, np.full(len(self.items), self.has_more_images)
         fewer = replace(
             self.with_images([self.images[k] for k in some]),
             all_images=tuple(i for i in self.all_images if len(i.patches) <= order),
@@ -129,11 +131,13 @@ def prepare_scene(
     order: int,
     *,
     is_rough: bool = False,
+    many: float = np.inf,
 ) -> PreparedScene:
     """Prepare a scene for a radar at its pose.
 
-    ``order``: reflections at large surfaces on a path, at most; ``is_rough``: they lose what
-    roughness scatters, and scatter. Raises InputError where a material has no data at the carrier.
+    ``order``: reflections at large surfaces on a path, at most, one where there are more than
+    ``many`` images; ``is_rough``: they lose what roughness scatters, and scatter. Raises InputError
+    where a material has no data at the carrier.
     """
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
     axes, anchor = scene.rig.device("radar")[1], anchor_of(place_m)
@@ -162,7 +166,12 @@ def prepare_scene(
     sight = Sight(mi, world, mi.UInt32(patch_of_face), through)
     limit, beam = _limit(radar), beam_of(radar.antenna)
     # Half of what may be left out is for images, half for paths to objects.
-    candidate_images, faint = images(sight, mirrors, place, axes[0], beam, order, limit / 2)
+    found = images(sight, mirrors, place, axes[0], beam, order, limit / 2, many)
+    if found.is_cut_short:
+        assumed += (
+            f"more than {many:g} images of the radar in large surfaces: none of more than one "
+            "reflection is looked for (fidelity.radar_images = 2 does)",
+        )
     prepared = PreparedScene(
         anchor_m=anchor,
         axes=axes,
@@ -173,8 +182,9 @@ def prepare_scene(
         roles=tuple(role_of[item.name] for item in items),
         world=world,
         flats=mirrors,
-        all_images=tuple(candidate_images),
+        all_images=tuple(found.images),
         images=(),
+        has_more_images=found.is_cut_short,
         motions=RigidMotions.of(items, anchor),
         radar_motion=radar_motion(scene),
         worth=np.zeros((0, len(items)), dtype=bool),
@@ -193,7 +203,7 @@ def prepare_scene(
         surface_of_object=surface_of_object,
         assumptions=assumed,
     )
-    return _culled(prepared, declared_alone(scene, roles), beam, is_rough, faint, limit)
+    return _culled(prepared, declared_alone(scene, roles), beam, is_rough, found.left_out, limit)
 
 
 def _limit(radar: RadarDesign) -> float:

@@ -1,6 +1,8 @@
 """The sharp edges of a mesh: open ones and wedges, with the faces that meet there."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,28 @@ class Edges:
     non_manifold: int
     sagitta_m: float
 
+    @staticmethod
+    def concatenate(parts: "Sequence[Edges]") -> "Edges":
+        """Of several meshes, one after the other; ``face`` as each mesh numbers its own."""
+
+        def all_of(name: str) -> Any:
+            return np.concatenate([getattr(part, name) for part in parts])
+
+        first = np.cumsum([0, *(len(part.patches.border) for part in parts)])
+        return Edges(
+            start_m=all_of("start_m"),
+            along=all_of("along"),
+            length_m=all_of("length_m"),
+            wedge=all_of("wedge"),
+            inwards=all_of("inwards"),
+            upwards=all_of("upwards"),
+            patch=np.concatenate([p.patch + n for p, n in zip(parts, first[:-1], strict=True)]),
+            face=all_of("face"),
+            patches=Patches.concatenate([part.patches for part in parts]),
+            non_manifold=sum(part.non_manifold for part in parts),
+            sagitta_m=max(part.sagitta_m for part in parts),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Patches:
@@ -51,6 +75,16 @@ class Patches:
     low: Array
     high: Array
     border: list[Array]
+
+    @staticmethod
+    def concatenate(parts: "Sequence[Patches]") -> "Patches":
+        """One after the other."""
+        return Patches(
+            np.concatenate([part.normal for part in parts]),
+            np.concatenate([part.low for part in parts]),
+            np.concatenate([part.high for part in parts]),
+            [border for part in parts for border in part.border],
+        )
 
     def reach(self, patch: Indices, origin_m: Array, direction: Array) -> Array:
         """Distance (n,) along a surface, from points on its border inwards, to its other border.

@@ -20,6 +20,9 @@ Indices = NDArray[np.int64]
 _SAMPLES = 256  # points of a patch that rays are sent to
 _FIRST = 16  # every so many of them first: most patches that are seen at all are seen there
 _RAYS_AT_ONCE = 2**18  # some 100 MB
+#: From the radar and so many images on, no images of more than one reflection are looked for where
+#: bounds decide: paths between all pairs of these take minutes, as in a city.
+MANY_IMAGES = 32
 _ASIDE = 1e-3  # of the path's length: how far beside a mirror the return path may pass
 
 
@@ -70,18 +73,39 @@ def _first_hits(
     return np.array(label).astype(np.int64), np.array(distance)
 
 
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The radar and its ``images``; ``left_out``: bound of the amplitude of all echoes over those
+    that receive too little power, relative to the sent wave before losses; ``is_cut_short``:
+    whether there were too many to look for those of more than one reflection.
+    """
+
+    images: list[Image]
+    left_out: float
+    is_cut_short: bool
+
+
 def images(
-    sight: Sight, flats: Flats, radar: Array, axis: Array, beam: Beam, order: int, limit: float
-) -> tuple[list[Image], float]:
+    sight: Sight,
+    flats: Flats,
+    radar: Array,
+    axis: Array,
+    beam: Beam,
+    order: int,
+    limit: float,
+    many: float = np.inf,
+) -> Found:
     """The radar, and its images in all sequences of up to ``order`` patches that some ray meets.
 
     Patches that receive least power are left out while the amplitude of all echoes over them,
-    relative to the sent wave before losses, stays below ``limit``. The second value is the bound of
-    what is left out.
+    relative to the sent wave before losses, stays below ``limit``. Where there are more than
+    ``many`` images of up to two reflections, only those of one are found.
     """
     images_so_far = [Image((), radar[None])]
     newest, left_out = images_so_far, 0.0
-    for _ in range(order):
+    for done in range(order):
+        if done == 1 and len(images_so_far) > many:
+            return Found(images_so_far, left_out, True)
         if not newest or not len(flats):
             break
         share = shares(image_antennas_of(newest, flats, axis, beam), flats.box, flats, beam)
@@ -92,15 +116,18 @@ def images(
         for row, image in enumerate(newest):
             share[row, image.patches[-1:]] = 0
         worth = worth_tracing(share, limit / order)
-        left_out += worth.left_out
+        faint = worth.left_out
         rows, numbers = np.nonzero(worth.is_traced)
         reached = _reached(sight, flats, newest, rows, numbers)
         newest = [
             _reflected(newest[row], number, flats)
             for row, number in zip(rows[reached].tolist(), numbers[reached].tolist(), strict=True)
         ]
+        if done == 1 and len(images_so_far) + len(newest) > many:
+            return Found(images_so_far, left_out, True)
+        left_out += faint
         images_so_far = images_so_far + newest
-    return images_so_far, left_out
+    return Found(images_so_far, left_out, False)
 
 
 def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
