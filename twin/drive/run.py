@@ -69,7 +69,7 @@ def drive(
     start = time.monotonic()
     with DriveLog(path, about) as log:
         resumed = log.events
-        begun_s = covered_s = _end_of(plan, resumed)
+        begun_s = covered_s = plan.duration_s if log.complete else _end_of(plan, resumed)
         tell(begun_s)
         if not log.complete:
             write = _writer(plan)
@@ -81,6 +81,7 @@ def drive(
                 tell(covered_s)
             else:
                 log.finish()
+                covered_s = plan.duration_s
         return Driven(
             path=path,
             events=log.events,
