@@ -5,6 +5,7 @@ from hardware.radar.cfar_rule import Cfar, MapNoise, cfar_factor
 from hardware.radar.demodulation import channel
 from hardware.radar.detection import Detection, detect
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
+from hardware.radar.spectrogram import Spectrogram, spectrogram
 from hardware.radar.stitching import stitch
 from hardware.waveform import OfdmWaveform
 
@@ -14,10 +15,12 @@ __all__ = [
     "MapNoise",
     "OfdmWaveform",
     "RangeDopplerMap",
+    "Spectrogram",
     "cfar_factor",
     "cfar_threshold",
     "channel",
     "detect",
     "range_doppler",
+    "spectrogram",
     "stitch",
 ]
