@@ -1,4 +1,4 @@
-"""The commands ``ugv detect`` and ``ugv image``: detections and images from a radar's record."""
+"""The commands ``ugv detect``, ``image`` and ``spectrogram``: what a radar's record shows."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +31,7 @@ MovingOnly = Annotated[bool, typer.Option(help="Leave out static targets.")]
 
 def register(app: typer.Typer) -> None:
     """Add the radar's commands."""
-    for command in (detect, image):
+    for command in (detect, image, spectrogram):
         app.command()(with_output(command, f"ugv {command.__name__}"))
 
 
@@ -195,6 +195,64 @@ def image(
         # As seen from above: far on top, left on the left.
         write_png(png, power[::-1, ::-1], span_db=25.0)
         say.written(png)
+
+
+def spectrogram(
+    say: Output,
+    record: Record,
+    *,
+    at: Annotated[
+        float, typer.Option("--at", help="Range that is looked at, m.", parser=quantity_of("m"))
+    ],
+    burst: Annotated[int, typer.Option(min=0, help="Burst of the record.")] = 0,
+    window_slots: Annotated[
+        int | None, typer.Option(help="Slots in a window; default: an eighth of the interval.")
+    ] = None,
+    moving_only: MovingOnly = False,
+    out: Annotated[
+        Path | None, typer.Option(help="CSV to write; default RECORD-spectrogram.csv.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(help="PNG to write.")] = None,
+) -> None:
+    """Micro-Doppler at one range: how range rates change within a burst, by the first antenna."""
+    import numpy as np
+
+    from hardware.radar import spectrogram as spectrogram_of
+    from hardware.radar.burst import demodulate
+    from hardware.radar.clutter import without_static
+    from hardware.radar.output import write_png, write_spectrogram
+    from hardware.records import read_radar_record
+
+    loaded = read_radar_record(record)
+    if burst >= len(loaded.iq):
+        raise InputError(f"{record}: --burst {burst}: it holds {len(loaded.iq)}, the first is 0")
+    say.step(f"read {record}")
+    interval = demodulate(loaded, burst)
+    _warn(say, record, interval.warnings)
+    channel = without_static(interval.channel) if moving_only else interval.channel
+    seen = spectrogram_of(channel[0], interval.waveform, at, window_slots)
+    ridge = seen.range_rate_m_per_s[seen.power_w.argmax(axis=0)]
+    peak_dbm = 10 * np.log10(1e3 * seen.power_w.max()) if seen.power_w.any() else -np.inf
+    say.verdict(
+        f"{record}: burst {burst}: at {si(at, 'm')} the strongest range rate goes from "
+        f"{ridge.min():+.3f} to {ridge.max():+.3f} m/s; peak {peak_dbm:.1f} dBm"
+    )
+    say.add(
+        record=record,
+        burst=burst,
+        figures=[
+            {"name": "range", "unit": "m", "value": at},
+            {"name": "strongest range rate, least", "unit": "m/s", "value": ridge.min()},
+            {"name": "strongest range rate, most", "unit": "m/s", "value": ridge.max()},
+            {"name": "peak", "unit": "dBm", "value": peak_dbm},
+        ],
+    )
+    target = out or record.with_name(f"{record.stem}-spectrogram.csv")
+    write_spectrogram(target, seen)
+    say.written(target)
+    if png:
+        write_png(png, seen.power_w[::-1])
+        say.written(png, " (time to the right, receding on top)")
 
 
 def _warn(say: Output, record: Path, warnings: tuple[str, ...]) -> None:

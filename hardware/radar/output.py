@@ -13,6 +13,7 @@ from hardware.errors import InputError
 from hardware.formatting import number, with_error
 from hardware.radar.detection import Detection
 from hardware.radar.imaging import RadarImage
+from hardware.radar.spectrogram import Spectrogram
 
 
 def write_png(path: Path, power: NDArray[np.floating[Any]], span_db: float = 50.0) -> None:
@@ -55,6 +56,17 @@ def write_image(path: Path, image: RadarImage) -> None:
         writer.writerow(["down_range_m", *map("{:.6g}".format, image.cross_range_m)])
         for down, row in zip(image.down_range_m, level, strict=True):
             writer.writerow([f"{down:.6g}", *map("{:.2f}".format, row)])
+
+
+def write_spectrogram(path: Path, seen: Spectrogram) -> None:
+    """Power in dBm: times along the first row, the range rate first in each."""
+    with np.errstate(divide="ignore"):
+        level = 10 * np.log10(1e3 * seen.power_w)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["range_rate_m_per_s", *map("{:.9g}".format, seen.time_s)])
+        for rate, row in zip(seen.range_rate_m_per_s, level, strict=True):
+            writer.writerow([f"{rate:.6g}", *map("{:.2f}".format, row)])
 
 
 _HEAD = ("range", "range rate", "azimuth", "SNR", "cross-section", "")

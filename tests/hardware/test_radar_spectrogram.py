@@ -1,14 +1,20 @@
 """Spectrograms of one range against rates that are known at every time."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
+from radar_cubes import WIDE, Echo, cube
+from ugv_command import ugv
 
 from hardware.errors import InputError
 from hardware.radar import spectrogram
-from hardware.waveform import C_M_PER_S
-from twin.radar import load_radar
+from hardware.records import write_radar_record
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 
-WAVE = load_radar("hybrid-79").ofdm
+#: Of 79 GHz and 4 GHz of bandwidth, in 256 slots of 39 us.
+WAVE = OfdmWaveform(79e9, 4096, 976562.5, 256, 39.0625e-6, 37, 1.024e-6)
 
 
 def echo(range_of) -> np.ndarray:
@@ -66,3 +72,25 @@ def test_what_cannot_be_is_an_error(change, said: str) -> None:
     asked = {"channel": echo(np.full(WAVE.n_slots, 9.0)), "waveform": WAVE, "range_m": 9.0} | change
     with pytest.raises(InputError, match=said):
         spectrogram(**asked)
+
+
+def test_the_command_tells_the_rates_of_a_range(tmp_path: Path) -> None:
+    """Two points at one range that recede at +4 and -7 m/s, the second ten times as strong; and
+    nothing at another range. The CSV holds what the function gives.
+    """
+    points = [Echo((9.0, 0, 0), 1e-10, (4.0, 0, 0)), Echo((9.0, 0, 0), 1e-9, (-7.0, 0, 0))]
+    file = tmp_path / "radar.h5"
+    write_radar_record(cube(WIDE, points, noise_w=1e-14), file)
+    said = ugv("spectrogram", file, "--at", "900 cm", "--png", tmp_path / "seen.png", "--json")
+    assert not said.returncode, said.stderr
+    rates = [f["value"] for f in json.loads(said.stdout)["figures"] if "rate" in f["name"]]
+    cell = WIDE.wavelength_m / (2 * 8 * WIDE.slot_period_s)
+    assert np.allclose(rates, -7.0, atol=cell / 2)
+    table = np.genfromtxt(tmp_path / "radar-spectrogram.csv", delimiter=",", skip_header=1)
+    power = table[:, 1:].mean(axis=1)
+    near = [power[abs(table[:, 0] - rate) < cell / 2].max() for rate in (4.0, -7.0)]
+    assert abs(near[1] - near[0] - 10.0) < 1.5
+    assert (tmp_path / "seen.png").stat().st_size > 0
+    wrong = ugv("spectrogram", file, "--at", "9 m", "--burst", "3")
+    assert wrong.returncode == 2
+    assert "--burst 3: it holds 1" in wrong.stderr
