@@ -64,6 +64,7 @@ def run(
     sigmf: bool = False,
     method: str | Method | Solve | None = None,
     detection: str | Detect | None = None,
+    command: str | None = None,
 ) -> Result:
     """Run both chains on a scene and write everything to a folder.
 
@@ -129,6 +130,7 @@ def run(
             knobs,
             method=solve.name if solve else None,
             detection=how.detection.name if isinstance(how.detection, OwnDetection) else None,
+            command=command,
         )
         folder = default_folder(settings) if out is None else Path(out)
         with run_folder(folder, settings) as partial:
@@ -145,7 +147,7 @@ def run(
                 echoes = _radar(world, design, weather, seed, knobs, stages, how)
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
             write_summary(evaluations, echoes, partial)
-            write_report(world, view, evaluations, echoes, seed, stages, partial)
+            write_report(world, view, evaluations, echoes, settings, stages, partial)
     return Result(world, view, evaluations, echoes, folder, stages.seconds)
 
 

@@ -2,9 +2,11 @@
 
 import json
 import os
+import platform
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +53,11 @@ def settings_of(
     *,
     method: str | None = None,
     detection: str | None = None,
+    command: str | None = None,
 ) -> dict[str, Any]:
     """What a run is made of, ready for JSON; pose and track where they are not the scene's own, a
-    reconstruction beside the bundled ones and a user's own detection by name and digest.
+    reconstruction beside the bundled ones and a user's own detection by name and digest. With them
+    the command as it was typed, None from Python, and the versions of what computes.
     """
     return {
         "scene": scene,
@@ -66,6 +70,18 @@ def settings_of(
         "fidelity": fidelity.said(),
         "method": method,
         "detection": detection,
+        "command": command,
+        "versions": versions(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of this software and of the libraries that compute."""
+    names = ("mitsuba", "drjit", "sionna-rt", "finufft", "numpy", "scipy")
+    return {
+        "ugv-twin": __version__,
+        **{name: version(name) for name in names},
+        "Python": platform.python_version(),
     }
 
 

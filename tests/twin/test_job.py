@@ -70,11 +70,47 @@ def test_a_run_writes_everything_and_nothing_else(finished: Path) -> None:
 
 
 def test_the_report_is_self_contained(finished: Path) -> None:
-    """No link, script or style that a browser would fetch; every picture is inside."""
+    """No link, script or style that a browser would fetch; all is inside, within 5 MB.
+
+    Scripts are left out of the search: that they fetch nothing is tested in a browser.
+    """
     page = (finished / "report.html").read_text()
-    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
-    assert "url(" not in page
-    assert page.count("data:image/png;base64,") == 8
+    assert len(page.encode()) < 5e6
+    markup = re.sub(r"(?s)<script>.*?</script>", "", page)
+    assert not re.search(r"""(src|href)=["'](?!data:|#)""", markup)
+    assert "url(" not in markup
+    parts = set(re.findall(r'href="#([a-z]+)"', markup))
+    assert len(parts) > 8
+    assert parts <= set(re.findall(r'id="([a-z]+)"', markup))
+
+
+def test_every_chart_of_the_report_has_data_and_words(finished: Path) -> None:
+    """Each canvas says what it shows, and each line of a legend what its marks are."""
+    page = (finished / "report.html").read_text()
+    data = json.loads(re.search(r'id="page-data">(.*?)</script>', page, re.S)[1])
+    assert set(re.findall(r'data-chart="([^"]+)"', page)) == set(data["charts"])
+    assert page.count("<canvas") == page.count("<canvas tabindex") + 1  # of the scene
+    for chart in data["charts"].values():
+        assert chart["title"]
+        assert all(layer["name"] for layer in chart["layers"])
+    names = {item["name"] for item in data["scene"]["objects"]}
+    assert {"car", "person", "wall"} <= names
+    assert {t["name"] for t in data["scene"]["targets"]} >= {"trihedral", "car"}
+    run = json.loads((finished / "run.json").read_text())
+    assert run["command"] == f"twin run yard --seed 7 --out {finished}"
+    assert run["command"] in page
+    assert run["versions"]["ugv-twin"]
+
+
+def test_the_summary_says_what_the_verdicts_say(finished: Path) -> None:
+    from html import unescape
+
+    page = unescape((finished / "report.html").read_text())
+    found = json.loads((finished / "summary.json").read_text())["findings"]
+    assert [f["sensor"] for f in found] == ["workable", "paper", "hybrid-79"]
+    for finding in found:
+        assert finding["result"] in page
+        assert all(answer in page for answer in finding["answers"].values())
 
 
 def test_the_report_names_every_setting_and_assumption(finished: Path) -> None:

@@ -1,5 +1,7 @@
 """`twin run`, `check`, `import`: a scene, and everything the sensors make of it."""
 
+import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -101,6 +103,7 @@ def run(
         sigmf=sigmf,
         method=method,
         detection=detection,
+        command=shlex.join(["twin", *sys.argv[1:]]),
     )
     _tell_verdicts(say, result)
     if result.radar:

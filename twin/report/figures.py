@@ -14,7 +14,7 @@ from hardware.patterns import OwnPatterns, RasterScan
 from twin.camera.evaluation import Evaluation
 from twin.camera.verdict import ImageVerdict
 from twin.camera.view import View
-from twin.report.style import BLUE, GREY, ORANGE, new_figure
+from twin.report.style import BLUE, GREY, ORANGE, new_figure, wrapped
 
 Array = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def snr_maps(evaluations: Sequence[Evaluation]) -> Figure:
         axis.imshow(np.maximum(snr, 1e-3), cmap="cividis", norm=norm, aspect=_aspect(snr))
         if min(snr.shape) > 1 and snr.min() < 1 < snr.max():
             axis.contour(snr, levels=[1.0], colors="white", linewidths=0.7)
-        axis.set_title(f"{evaluation.system.name}: {_above(evaluation.verdict)}")
+        axis.set_title(wrapped(f"{evaluation.system.name}: {_above(evaluation.verdict)}"))
     scale = ScalarMappable(norm, "cividis")
     figure.colorbar(scale, ax=axes, shrink=0.85, label="signal / noise per pixel (line: 1)")
     return figure
@@ -139,7 +139,7 @@ def _image(axis: Any, image: Array, title: str) -> None:
     shown = np.sqrt(np.clip(image / top, 0, 1)) if top > 0 else np.zeros_like(image)
     aspect = _aspect(image)
     axis.imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="nearest", aspect=aspect)
-    axis.set_title(title)
+    axis.set_title(wrapped(title))
 
 
 def _aspect(image: Array) -> float:

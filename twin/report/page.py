@@ -3,9 +3,8 @@
 import base64
 import io
 import math
-import platform
-from collections.abc import Sequence
-from importlib.metadata import version
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hardware.formatting import number, quantity_text, setting_text, si
-from twin import __version__
+from hardware.formatting import json_text, number, quantity_text, setting_text, si
 from twin.accuracy import Interval
 from twin.camera.evaluation import Evaluation
 from twin.camera.view import View
@@ -22,8 +20,19 @@ from twin.errors import InputError
 from twin.optics.hazards import least_margins
 from twin.progress import Stages
 from twin.radar.evaluation import RadarEvaluation
-from twin.report import decisions, figures, radar_figures
+from twin.report import (
+    camera_charts,
+    charts,
+    decisions,
+    figures,
+    overview,
+    radar_charts,
+    radar_figures,
+)
+from twin.report.findings import camera_finding
+from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import radar_summary
+from twin.report.scene_model import scene_model
 from twin.scene import Scene
 from twin.system import System
 
@@ -35,13 +44,14 @@ def write_report(
     view: View | None,
     evaluations: Sequence[Evaluation],
     radar: RadarEvaluation | None,
-    seed: int,
+    asked: Mapping[str, Any],
     stages: Stages,
     folder: Path,
 ) -> None:
     """Write ``report.html`` and its figures as PNG files to ``folder``.
 
-    Without a view and evaluations it is the report of a radar alone.
+    Without a view and evaluations it is the report of a radar alone. ``asked``: what stands in
+    ``run.json``, its seed, command and versions among them.
     """
     import jinja2
 
@@ -52,6 +62,7 @@ def write_report(
         if radar:
             drawn |= _drawn_by_radar(radar)
         images = {name: _png(figure) for name, figure in drawn.items()}
+        plots = _charts(scene, view, evaluations, radar)
     for name, data in images.items():
         (folder / f"{name}.png").write_bytes(data)
     environment = jinja2.Environment(
@@ -61,21 +72,71 @@ def write_report(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+    content = {
+        "charts": {name: chart for group in plots.values() for name, chart in group.items()},
+        "scene": scene_model(scene, evaluations, radar),
+        "heat": charts.heat_stops(),
+    }
     page = environment.get_template("report.html.j2").render(
         scene=scene,
-        seed=seed,
+        asked=asked,
+        written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        findings=[*map(camera_finding, evaluations), *([radar_finding(radar)] if radar else [])],
         evaluations=evaluations,
         columns=_columns(evaluations),
-        images={name: base64.b64encode(data).decode() for name, data in images.items()},
+        noises=[(e.system.name, _noises(e)) for e in evaluations],
+        plots=plots,
+        content=_script_safe(json_text(content)),
+        picture=base64.b64encode(images["radar_image"]).decode() if "radar_image" in images else "",
         settings=[(d, _settings(d)) for d in _designs(evaluations, radar)],
         assumptions=evaluations[0].capture.assumptions if evaluations else (),
         radar=radar_summary(radar) if radar else None,
         warnings=(*scene.warnings, *_warnings(evaluations, radar)),
         decisions=decisions.rows(decisions.decisions_of(evaluations, radar)),
         seconds=stages.seconds,
-        versions=_versions(),
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
+
+
+def _charts(
+    scene: Scene,
+    view: View | None,
+    evaluations: Sequence[Evaluation],
+    radar: RadarEvaluation | None,
+) -> dict[str, dict[str, charts.Chart]]:
+    """Charts by the section of the page, each with a name of its own."""
+    groups: dict[str, list[charts.Chart]] = {
+        "plan": [overview.plan_chart(scene, evaluations, radar)]
+    }
+    if view:
+        groups["image"] = overview.image_charts(scene, view, evaluations, radar)
+        groups["truth"] = list(camera_charts.truth_charts(evaluations[0]))
+        groups["pictures"] = [
+            c for e in evaluations for c in camera_charts.reconstruction_charts(e)
+        ]
+        groups["snr"] = [camera_charts.snr_chart(e) for e in evaluations]
+        groups["counts"] = [camera_charts.counts_chart(e) for e in evaluations]
+        groups["light"] = list(camera_charts.light_charts(view))
+    if radar:
+        groups["map"] = [radar_charts.map_chart(radar)]
+        groups["cuts"] = radar_charts.cut_charts(radar)
+    return {
+        group: {f"{group}-{i}": chart for i, chart in enumerate(found)}
+        for group, found in groups.items()
+    }
+
+
+def _noises(evaluation: Evaluation) -> list[tuple[str, str, float]]:
+    """Name, electrons and share of the variance of each noise, the largest first."""
+    noise = evaluation.capture.noise
+    total = noise.total_noise_e or 1.0
+    ordered = sorted(noise.noise_e.items(), key=lambda item: -item[1])
+    return [(name, f"{number(value)} e-", (value / total) ** 2) for name, value in ordered]
+
+
+def _script_safe(text: str) -> str:
+    """JSON that no end of a script's tag can stand in."""
+    return text.replace("<", "\\u003c")
 
 
 def _drawn_by_light(view: View, evaluations: Sequence[Evaluation]) -> dict[str, Figure]:
@@ -204,12 +265,3 @@ def _si(value: float, statistical: float, systematic: float = 0.0) -> str:
 def _per_value(evaluation: Evaluation) -> float:
     """Noise of a Hadamard measurement over that of one exposure."""
     return 2**0.5 if evaluation.system.patterns.mode == "differential" else 2.0
-
-
-def _versions() -> dict[str, Any]:
-    names = ("mitsuba", "drjit", "sionna-rt", "finufft", "numpy")
-    return {
-        "ugv-twin": __version__,
-        **{name: version(name) for name in names},
-        "Python": platform.python_version(),
-    }

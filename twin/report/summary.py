@@ -1,7 +1,7 @@
 """``summary.json``: every figure of a run with its unit and interval, and what was left out."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,12 @@ from hardware.formatting import json_text
 from twin.accuracy import Decision, Figure, Interval, propagated
 from twin.camera.evaluation import Evaluation
 from twin.camera.verdict import lit_cells
+from twin.errors import InputError
+from twin.optics.hazards import least_margins
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.intervals import body_level
+from twin.report.findings import Finding, camera_finding
+from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import budget_figures
 
 SUMMARY = "summary.json"
@@ -33,19 +37,46 @@ def summary(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) ->
 
     Its ``figures`` have ``of`` (system or radar, then object or method), ``name``, ``unit``,
     ``value``, ``standard_error`` and ``systematic``, null where nothing bounds them; its
-    ``decisions`` are effects that were modelled or left out, with the bounds that decided.
+    ``decisions`` are effects that were modelled or left out, with the bounds that decided; its
+    ``findings`` are the verdicts on the sensors in words.
     """
     figures = [figure for evaluation in evaluations for figure in camera_figures(evaluation)]
+    figures += _at_equal_time(evaluations)
     decisions: list[Decision] = [d for e in evaluations for d in e.capture.decisions]
+    findings = [camera_finding(evaluation) for evaluation in evaluations]
     if radar:
         figures += radar_figures(radar)
         decisions += radar.capture.decisions
+        findings.append(radar_finding(radar))
+    figures += [figure for finding in findings for figure in finding.figures]
     return {
         "format": _FORMAT,
         "version": _VERSION,
         "figures": [figure.entry() for figure in figures],
         "decisions": [asdict(decision) for decision in decisions],
+        "findings": [_said(finding) for finding in findings],
     }
+
+
+def _said(finding: Finding) -> dict[str, Any]:
+    return {
+        "sensor": finding.sensor,
+        "state": finding.state,
+        "result": finding.result,
+        "answers": dict(finding.answers),
+    }
+
+
+def _at_equal_time(evaluations: Sequence[Evaluation]) -> Iterator[Figure]:
+    """Median SNR of all frames within the longest frame time."""
+    longest_s = max((e.system.frame_time_s for e in evaluations), default=0.0)
+    for evaluation in evaluations:
+        if evaluation.verdict.void:
+            continue
+        frames = longest_s / evaluation.system.frame_time_s
+        of, name = (evaluation.system.name,), "SNR per pixel, median, averaged over equal time"
+        snr = propagated(lambda s, n=frames: s * n**0.5, evaluation.intervals.snr_median)
+        yield Figure(of, name, "", snr)
 
 
 def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
@@ -81,11 +112,26 @@ def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
     )
     for name, unit, value in exact:
         yield Figure(of, name, unit, Interval(value))
+    for name, noise_e in noise.noise_e.items():
+        yield Figure((*of, name), "noise per exposure, rms", "e-", Interval(noise_e))
+    yield from _eye_safety(evaluation)
     yield from _cell_errors(evaluation)
     yield from _range_errors(evaluation)
     for image, score in zip(evaluation.reconstructions, evaluation.score_intervals, strict=True):
         yield Figure((*of, image.method), "PSNR", "dB", score.psnr_db)
         yield Figure((*of, image.method), "SSIM", "", score.ssim)
+
+
+def _eye_safety(evaluation: Evaluation) -> Iterator[Figure]:
+    """Least margins to the limits of exposure, where they are known."""
+    try:
+        margins = least_margins(evaluation.system)
+    except InputError:
+        return
+    for margin in margins:
+        if margin is not None:
+            of = (evaluation.system.name, margin.name)
+            yield Figure(of, "margin to the exposure limit", "", Interval(float(margin.margin)))
 
 
 def _range_errors(evaluation: Evaluation) -> Iterator[Figure]:
@@ -148,11 +194,17 @@ def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
     for body in capture.propagation.bodies:
         level = body_level(body)
         yield Figure((*of, "body", body.name), "level over the strongest body", "dB", level)
+    for role in capture.propagation.roles:
+        ratio = Interval(float(role.over_fresnel_zone))
+        yield Figure(
+            (*of, "object", role.name), "largest flat side over the Fresnel zone", "", ratio
+        )
     yield from _detected(evaluation)
     for seen in evaluation.picture.seen if evaluation.picture else ():
         for name, value, unit in (
             ("down-range in the image", seen.down_range_m, "m"),
             ("cross-range in the image", seen.cross_range_m, "m"),
+            ("distance from its place in the image", seen.off_m, "m"),
             ("cross-section in the image", seen.rcs_m2, "m²"),
         ):
             # Of a sum over many bursts nothing tells the error.
@@ -177,6 +229,19 @@ def _detected(evaluation: RadarEvaluation) -> Iterator[Figure]:
         level = model.level_dbm
         snr = Interval(detection.snr_db, level.standard_error, level.systematic)
         yield Figure(of, "SNR", "dB", snr)
+        if target:
+            true = 10 * np.log10(max(target.received_w, 1e-300) * 1e3)
+            for name, found, value, unit in (
+                ("range less the true one", model.range_m, target.wrapped_range_m, "m"),
+                (
+                    "range rate less the true one",
+                    model.range_rate_m_per_s,
+                    target.range_rate_m_per_s,
+                    "m/s",
+                ),
+                ("level less the radar equation's", model.level_dbm, true, "dB"),
+            ):
+                yield Figure(of, name, unit, replace(found, value=found.value - value))
         for name, angle in (("azimuth", model.azimuth_rad), ("elevation", model.elevation_rad)):
             if not np.isnan(angle.value):
                 yield Figure(of, name, "rad", angle)

@@ -16,7 +16,7 @@ from rich.table import Table
 from hardware.formatting import json_text, number, si
 from twin import __version__
 from twin.fidelity import Fidelity
-from twin.report.style import BLUE, GREY, ORANGE, new_figure
+from twin.report.style import BLUE, GREY, ORANGE, new_figure, wrapped
 from twin.trade.measurement import LevelMeasurement, Model, front
 from twin.trade.result import Trade
 
@@ -27,6 +27,7 @@ _MODELS: dict[Model, str] = {
 }
 _DEPTH_COLORS = {1: GREY, 2: ORANGE, 4: BLUE}
 _SMALLEST = 1e-9  # what a logarithmic axis shows of an error of 0
+_TITLE = 55  # letters of a line above a panel
 
 
 def write_trade(trade: Trade, folder: Path) -> None:
@@ -246,7 +247,8 @@ def _title(trade: Trade, model: Model) -> str:
     end = "enough" if choice.within else "not enough, and the most accurate"
     time = si(measurement.cost.seconds, "s")
     error = number(measurement.over_noise, 2)
-    return f"{model}: {measurement.name}: {end}\n{error} of the noise in {time}"
+    first = wrapped(f"{model}: {measurement.name}: {end}", _TITLE)
+    return f"{first}\n{error} of the noise in {time}"
 
 
 def _table_levels(trade: Trade, model: Model) -> list[LevelMeasurement]:

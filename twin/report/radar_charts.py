@@ -1,0 +1,141 @@
+"""Charts of a radar: its range-Doppler map and cuts through it, in dB over the map's noise."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.formatting import number
+from twin.accuracy.interval import TWO_SIDED_95
+from twin.radar.evaluation import RadarEvaluation
+from twin.report import charts
+from twin.report.extent import folded, mover_row, shown_ranges, shown_rates, top_range_m
+
+Array = NDArray[np.float64]
+
+_MOST_CELLS = 400_000  # of the map on the page; of a larger one the strongest of neighbours
+_BELOW_DB = -3.0  # below the noise, from which the colours begin
+
+
+def map_chart(evaluation: RadarEvaluation) -> charts.Chart:
+    """Power by range and range rate, with detections on true targets."""
+    image, shown = evaluation.image, shown_ranges(evaluation)
+    levels = _over_noise(evaluation, image.power_w[shown])
+    rates = image.range_rate_m_per_s
+    pooled = _pooled(levels)
+    cells = _borders(image.range_m[shown]), _borders(rates)
+    rate_low, rate_high = shown_rates(evaluation)
+    truth, found = evaluation.capture.truth, evaluation.detections
+    names = [target.name for target in truth]
+    hit = len(truth) - len(evaluation.missed)
+    labels = [match.name if match else "" for match in evaluation.matches]
+    return {
+        "title": f"{evaluation.radar.name}: {hit} of {len(truth)} targets detected",
+        "equal": False,
+        "axes": True,
+        "x": charts.axis("range rate (m/s), receding is positive", rate_low, rate_high),
+        "y": charts.axis("range (m)", 0.0, top_range_m(evaluation)),
+        "image": charts.raster(
+            pooled, cells[1], cells[0], _BELOW_DB, float(levels.max()), "dB over the noise"
+        ),
+        "layers": [
+            charts.layer(
+                "true target",
+                folded(evaluation, [t.range_rate_m_per_s for t in truth]),
+                [t.wrapped_range_m for t in truth],
+                mark="plus",
+                colour="orange",
+                labels=names,
+                texts=[f"{t.name}: {number(t.range_m, 5)} m" for t in truth],
+            ),
+            charts.layer(
+                "detection",
+                folded(evaluation, [d.range_rate_m_per_s for d in found]),
+                np.nan_to_num([d.range_m for d in found]),
+                mark="ring",
+                colour="white",
+                texts=[
+                    f"{label or 'detection'}: {number(d.range_m, 5)} m, "
+                    f"{number(d.range_rate_m_per_s, 4)} m/s, SNR {number(d.snr_db)} dB"
+                    for label, d in zip(labels, found, strict=True)
+                ],
+                errors=(
+                    [TWO_SIDED_95 * d.range_rate_error_m_per_s for d in found],
+                    [TWO_SIDED_95 * d.range_error_m for d in found],
+                ),
+            ),
+        ],
+    }
+
+
+def cut_charts(evaluation: RadarEvaluation) -> list[charts.Chart]:
+    """Strongest cell of each range; and rates at the range of the strongest mover."""
+    image, shown = evaluation.image, shown_ranges(evaluation)
+    levels = _over_noise(evaluation, image.power_w[shown])
+    truth = evaluation.capture.truth
+    names = [t.name for t in truth]
+    top = float(levels.max()) + 6
+    expected = _over_noise(evaluation, np.array([t.received_w for t in truth]))
+    profile: charts.Chart = {
+        "title": "range cut: the strongest rate of each range",
+        "equal": False,
+        "axes": True,
+        "x": charts.axis("range (m)", 0, top_range_m(evaluation)),
+        "y": charts.axis("dB over the noise per cell", -6, top),
+        "layers": [
+            charts.layer("measured", image.range_m[shown], levels.max(axis=1)),
+            charts.layer(
+                "radar equation at the true target",
+                [t.wrapped_range_m for t in truth],
+                expected,
+                mark="plus",
+                colour="orange",
+                labels=names,
+                texts=names,
+            ),
+            _noise(0, float(image.range_m[shown][-1])),
+        ],
+    }
+    row, rates = mover_row(evaluation), image.range_rate_m_per_s
+    rate_low, rate_high = shown_rates(evaluation)
+    spectrum = _over_noise(evaluation, image.power_w[row])
+    return [
+        profile,
+        {
+            "title": f"rate cut at {image.range_m[row]:.2f} m",
+            "equal": False,
+            "axes": True,
+            "x": charts.axis("range rate (m/s)", rate_low, rate_high),
+            "y": charts.axis("dB over the noise per cell", -6, float(spectrum.max()) + 6),
+            "layers": [
+                charts.layer("measured", rates, spectrum),
+                _noise(float(rates[0]), float(rates[-1])),
+            ],
+        },
+    ]
+
+
+def _noise(low: float, high: float) -> dict[str, Any]:
+    return charts.layer("noise", [low, high], [0, 0], colour="soft", dashed=True)
+
+
+def _over_noise(evaluation: RadarEvaluation, power_w: NDArray[np.floating[Any]]) -> Array:
+    noise_w = max(evaluation.image.noise_w, 1e-300)
+    return np.asarray(10 * np.log10(np.maximum(power_w, 1e-30 * noise_w) / noise_w))
+
+
+def _borders(middles: Sequence[float] | Array) -> tuple[float, float]:
+    """Outer borders of cells with these middles."""
+    half = (middles[1] - middles[0]) / 2 if len(middles) > 1 else 0.5
+    return float(middles[0] - half), float(middles[-1] + half)
+
+
+def _pooled(levels: Array) -> Array:
+    """The strongest of neighbouring ranges, where the map has too many cells for the page."""
+    step = -(-levels.size // _MOST_CELLS)
+    if step == 1:
+        return levels
+    padding = -len(levels) % step
+    padded = np.pad(levels, ((0, padding), (0, 0)), constant_values=-np.inf)
+    return np.asarray(padded.reshape(-1, step, levels.shape[1]).max(axis=1))
