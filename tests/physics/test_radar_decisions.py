@@ -17,7 +17,7 @@ from tests.physics.radar_worlds import (
     trihedral,
     world,
 )
-from twin.fidelity import DEFAULT, Fidelity, Tolerance
+from twin.fidelity import DEFAULT, PRESETS, Fidelity, Tolerance
 from twin.radar import radar_capture
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.intervals import body_level
@@ -218,6 +218,18 @@ def test_a_wedge_of_mirrors_takes_more_than_three() -> None:
     """Rays are thrown to and fro until they leave: three, the default, are too few."""
     found = trace(facing_plates(), RADAR, fidelity=BY_BOUNDS)
     assert decided(found, "reflections at bodies", "left")[0] > 3
+
+
+def test_the_reference_follows_as_many_as_it_takes() -> None:
+    """Three reflections return a ninth of the echo of mirrors that throw rays to and fro."""
+    scene, finest = facing_plates(), EVERYTHING.with_(radar_tolerance=0.01)
+    truth = trace(scene, RADAR, fidelity=finest)
+    smooth = PRESETS["reference"].with_(radar="optics", radar_edges=0, radar_shadowed=0)
+    found = trace(scene, RADAR, fidelity=smooth)
+    three = trace(scene, RADAR, fidelity=smooth.with_(radar_bounces=3, radar_images=1))
+    for body, over_estimate in errors(found, truth).items():
+        assert over_estimate < 1, body
+    assert max(errors(three, truth).values()) > 10
 
 
 def test_a_later_frame_tells_what_the_first_one_left_out() -> None:

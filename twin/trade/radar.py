@@ -26,16 +26,18 @@ from twin.trade.meter import measure_cost
 
 Complex = NDArray[np.complex128]
 
+#: Reflections at bodies and at large surfaces as many as bounds of what they add ask for.
+_BY_BOUNDS = Fidelity(radar_bounces=None, radar_images=None)
 #: Solver, and tolerances of the synthesis.
 _LEVELS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
     (Fidelity(radar="targets"), (1e-6,)),
     (Fidelity(radar="paths"), (1e-6,)),
     (Fidelity(radar_tolerance=PRESETS["draft"].radar_tolerance), (1e-3,)),
     (Fidelity(), (1e-3, 1e-6, 1e-10)),
-    (Fidelity(radar_tolerance=PRESETS["reference"].radar_tolerance), (1e-6,)),
+    (_BY_BOUNDS.with_(radar_tolerance=PRESETS["reference"].radar_tolerance), (1e-6,)),
 )
 _REFERENCE = "reference channel"
-_FINEST = Fidelity(radar="optics", radar_tolerance=0.01)
+_FINEST = _BY_BOUNDS.with_(radar_tolerance=0.01)
 _ROWS, _COLUMNS = 64, 32  # of the bins compared: edges of band and interval, the rest at random
 _MOST_TERMS = 2e8  # of the direct sum, some seconds: of many echoes fewer bins are compared
 
@@ -156,7 +158,8 @@ def _name(level: Fidelity) -> str:
 def _solver_name(level: Fidelity) -> str:
     if not solver_of(level).has_tolerance:
         return str(level.radar)
-    return f"{level.radar}, tolerance {level.radar_tolerance:g}"
+    by_bounds = ", reflections by bounds" if level.radar_bounces is None else ""
+    return f"{level.radar}, tolerance {level.radar_tolerance:g}{by_bounds}"
 
 
 def _echoes(propagation: Propagation, radar: RadarDesign) -> Contributions:
