@@ -2,6 +2,7 @@
 the scene as it stands at its own time.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -344,6 +345,47 @@ def test_a_trajectory_that_ends_before_the_frame_does_is_an_error(system: System
     scene = world(plate("wall", (-9, 9), (-9, 9), 6.0), rig=Rig(Pose((0.0,) * 3)).following(way))
     with pytest.raises(InputError, match=r"0\.02"):
         capture(scene, system, fidelity=Fidelity(light_tolerance=0.2, motion_tolerance=0.1))
+
+
+# -- a frame taken as still -----------------------------------------------------------------------
+
+
+def frozen(scene: Scene, system: System) -> list[str]:
+    told = capture(scene, system, seed=2, fidelity=Fidelity(64, 1)).warnings
+    return [str(text) for text in told if "taken as still" in text]
+
+
+def test_a_frame_taken_as_still_says_how_far_things_move_and_what_that_does(system: System) -> None:
+    """A plate that crosses 4 cells of 0.36 m; what counts are off by is that of exposures at their
+    own time, and no more than the warning says, which takes all cells passed as changed at once.
+    """
+    width = 2 * 5.0 * np.tan(np.radians(system.emitter.field_of_view_deg.value / 2)) / SIDE
+    speed = 4 * width / Exposures.of(system).duration_s
+    scene = world(going(plate("plate", (-0.4, 0.1), (-0.3, 0.3)), 0.0, speed, 0.0))
+    (told,) = frozen(scene, system)
+    said = re.search(r"up to ([\d.]+) cells .* some ([\d.e+]+) times", told)
+    assert said is not None
+    cells, over = map(float, said.groups())
+    assert cells == pytest.approx(4.0, rel=0.03)
+    frame, noise = exposed(scene, system)
+    chain = Chain.of(system, scene.sun)
+    (power,) = anew(scene, system, np.array([0.0]))
+    off_by = (frame.signal_w - chain.mean_signal(power)) / noise
+    true = float(np.sqrt(np.mean(off_by**2)))
+    assert over / 8 < true < over
+
+
+def test_a_frame_whose_noise_hides_the_motion_says_nothing(system: System) -> None:
+    wall, slow = plate("wall", (-9, 9), (-9, 9), 6.0), plate("plate", (0.0, 1.0), (-1, 1))
+    assert frozen(world(wall, slow), system) == []
+    assert frozen(world(wall, going(slow, 0.0, 1e-6, 0.0)), system) == []
+
+
+def test_a_frame_taken_as_still_may_outlast_its_trajectory(system: System) -> None:
+    way = through([0.0, 0.02], [[0, 0, 0], [0.0, 1.0, 0]], Rotation.identity(2))
+    rig = Rig(Pose((0.0,) * 3)).following(way)
+    items = plate("wall", (-9, 9), (-9, 9), 6.0), plate("plate", (0.0, 1.0), (-1, 1))
+    assert len(frozen(world(*items, rig=rig), system)) == 1
 
 
 # -- light that does not change -------------------------------------------------------------------

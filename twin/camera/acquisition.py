@@ -13,6 +13,7 @@ from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_r
 from twin.camera.cell_noise import cells_noise_e as noise_of_cells
 from twin.camera.chain import Chain
 from twin.camera.distortion import distortions
+from twin.camera.frozen import frozen_warnings
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
 from twin.camera.light import render
 from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_side
@@ -263,7 +264,7 @@ def measure(
         *_diffraction(system, chain.lens),
         *(range_error.warnings if range_error else ()),
         *rendered.warnings,
-        *(frame.warnings if frame else ()),
+        *(frame.warnings if frame else frozen_warnings(scene, chain, rendered)),
     )
     return Capture(
         record=record,

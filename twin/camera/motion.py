@@ -6,7 +6,7 @@ world moves around it.
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -39,13 +39,18 @@ _TURN_RAD = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """Objects that move as one: their scene in its own coordinates, which are those of the frame's
-    start, the corners of a box around them, (8, 3), and the number of the first of them.
+    """Objects that move as one: a scene of them alone in its own coordinates, which are those of
+    the frame's start, the corners of a box around them, (8, 3), and the number of the first.
     """
 
-    scene: Any
+    alone: Scene
     corners_m: Array
     first: int
+
+    @cached_property
+    def scene(self) -> Any:
+        """Of Mitsuba."""
+        return mitsuba_scene(self.alone)
 
     @property
     def center_m(self) -> Array:
@@ -69,7 +74,8 @@ class WorldInMotion:
 
     def __init__(self, scene: Scene, duration_s: float) -> None:
         self.scene, self.duration_s = scene, duration_s
-        self._looks = self.moves(np.linspace(0, duration_s, _LOOKS))
+        self.looks_s = np.linspace(0, duration_s, _LOOKS)
+        self._looks = self.moves(self.looks_s)
 
     @property
     def is_at_rest(self) -> bool:
@@ -134,8 +140,8 @@ class WorldInMotion:
         box = np.array([item.box_m for item in objects]) - self.scene.rig.position_m
         low, high = box[:, 0].min(axis=0), box[:, 1].max(axis=0)
         pick = np.indices((2, 2, 2)).reshape(3, -1).T
-        scene = mitsuba_scene(replace(self.scene, objects=objects))
-        return _Body(scene, np.where(pick, high, low), numbers[0])
+        alone = replace(self.scene, objects=objects)
+        return _Body(alone, np.where(pick, high, low), numbers[0])
 
     def seen(self, camera: Device, shape: tuple[int, int]) -> "Seen":
         """What a camera of that many cells sees of it at some times."""
@@ -168,6 +174,17 @@ class WorldInMotion:
             fastest = max(fastest, float(speed.max(initial=0.0)))
         depth = float((distance * np.array(cos)).min())
         return Seen(depth, max(fastest, self._fastest_middle(camera, shape)))
+
+    def starts(
+        self, camera: Device, shape: tuple[int, int]
+    ) -> Iterator[tuple[Array, Array, Flags]]:
+        """Of each body that moves: its motion at ``looks_s``, (n, 4, 4), its middle at the start,
+        and the cells of a camera in which it may be seen there.
+        """
+        for body in self.bodies:
+            moves = self._looks[body.first]
+            if (moves != np.eye(4)).any():
+                yield moves, body.center_m, covers(body.corners_m, 0.0, camera, camera, shape)
 
     def _fastest_middle(self, camera: Device, shape: tuple[int, int]) -> float:
         """Speed in the image of the middles of bodies that come into the field between looks."""

@@ -198,7 +198,7 @@ def _by_cell(
     watt = chain.powers(replace(rendered, light=lit)).error_w[0]
     # As errors of the lit cells add up in a count, of all cells alike.
     with np.errstate(divide="ignore"):
-        noise = noise_w / math.sqrt(max(_lit_share(chain), 1e-12) * watt.size) / watt
+        noise = noise_w / math.sqrt(max(lit_share(chain), 1e-12) * watt.size) / watt
     parts = _traced(world, chain, _limit(fidelity, noise, rendered), rendered, fidelity)
     tracer = problem.from_emitter(shape, fidelity.quality, first)
     changes = world.changes(times, problem.emitter, problem.detector, shape)
@@ -225,7 +225,7 @@ def _noise_growth(chain: Chain, light_w: Array, rendered: RenderedLight, noise_w
     """Square of an exposure's noise over that in the middle of the frame, where all cells together
     give this light, W (n,): more light has more shot noise. No chain tells `_EXACT` of a count.
     """
-    share = _lit_share(chain)
+    share = lit_share(chain)
     middle_w = float(chain.powers(rendered).cells_w.sum())
     shot = np.maximum(light_w - middle_w, 0) * share / chain.front_end.electrons_per_watt
     return np.asarray(1 + (shot + (_EXACT * share * light_w) ** 2) / noise_w**2)
@@ -242,7 +242,7 @@ def _limit(fidelity: Fidelity, noise: Array, rendered: RenderedLight) -> Array:
     return limit
 
 
-def _lit_share(chain: Chain) -> float:
+def lit_share(chain: Chain) -> float:
     """Of the cells in an exposure that are lit, the mean over the exposures: as many errors of
     cells add up in a count.
     """
@@ -369,7 +369,7 @@ def _by_render(
     seen = world.seen(whole.emitter, system.image_shape)
     times = world.first_instants(seen, whole.emitter, system.image_shape[0]).tolist()
     found = [_rendered_at(world, chain, whole, fidelity, seeds, t) for t in times]
-    share, worst = _lit_share(chain) / noise_w**2, 0.0
+    share, worst = lit_share(chain) / noise_w**2, 0.0
     permitted = (fidelity.motion_tolerance or 0.0) ** 2
     finest = _finest(chain)
     opened = [(i, i + 1) for i in range(len(times) - 1)]
