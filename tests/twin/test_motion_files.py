@@ -67,7 +67,9 @@ def test_a_trajectory_has_the_objects_own_frame(tmp_path: Path) -> None:
 def test_units_and_columns_are_those_of_the_header(tmp_path: Path, text: str) -> None:
     text = text.replace("\nx,note", "\nnote") if text.startswith("\ufeff") else text
     expected = scene(tmp_path).after(1.7)
-    assert digest(scene(tmp_path, car=text).after(1.7)) == digest(expected)
+    found = scene(tmp_path, car=text)
+    assert digest(found.after(1.7).objects) == digest(expected.objects)
+    assert any("car.csv: not read: note" in w for w in found.warnings) == ("note" in text)
 
 
 def test_quaternions_say_the_same_as_angles(tmp_path: Path) -> None:
@@ -234,6 +236,9 @@ def rows(*lines: str) -> str:
         (rows("0,6,0,1,0", "1,7,0,one,0"), r"line 3: z = 'one': expected a number"),
         (rows("0,6,0,1,0", "1,7,0,inf,0"), r"line 3: z = 'inf': expected a number"),
         (rows("0,6,0,1,0", "1,7,0"), r"line 3: 3 columns, expected a number for 'z'"),
+        (rows("0,6,0,1,0", "1,7_0,0,1,0"), r"line 3: x = '7_0': expected a number"),
+        (rows("0,6,0,1,0", "1,7,0,1,0,3"), r"line 3: 6 columns, expected 5 as in the header"),
+        (rows("0,6,0,1,0", "1e-300,7,0,1,0"), r"line 3: 1e-300 s after the pose before"),
         (rows("0,6,0,1,0", "1,7,0,1,180"), r"line 3: turned by 180\.00 deg .* a pose in between"),
         (rows("0,6,0,1,0"), r"car\.csv: 1 poses: expected at least two"),
         ("", r"car\.csv: empty: expected time_s"),
@@ -299,6 +304,14 @@ def test_a_wrong_file_is_refused_by_its_line(tmp_path: Path, text: str, message:
             "[objects.car.motion.turning]\naxis = [0.0, 0.0, 0.0]\ncentre_m = [0.0, 0.0, 0.0]\n"
             "rate_deg_per_s = 1.0\n",
             "expected a direction",
+        ),
+        *(
+            (
+                f"[objects.car.motion.turning]\naxis = [0.0, 0.0, {length}]\n"
+                "centre_m = [0.0, 0.0, 0.0]\nrate_deg_per_s = 1.0\n",
+                "expected a direction",
+            )
+            for length in (1e-300, 1e300)
         ),
         (
             "[objects.car.motion.turning]\ncentre_m = [6.0, 0.0, 1.0]\nrate_deg_per_s = 1e9\n",

@@ -65,6 +65,12 @@ def test_times_add_up() -> None:
     )
 
 
+@pytest.mark.parametrize("time", [float("inf"), float("nan"), 1e30, None, "3"])
+def test_a_time_that_is_none_is_refused(time: object) -> None:
+    with pytest.raises(InputError, match=r"scene\.after = .*: expected -1e\+09 to 1e\+09"):
+        driving().after(time)  # type: ignore[arg-type]
+
+
 def test_the_rig_follows_its_way_and_stands_without_one() -> None:
     scene = driving()
     assert scene.after(3.0).rig is scene.rig

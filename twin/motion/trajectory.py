@@ -22,6 +22,8 @@ Outside = Literal["error", "hold", "continue", "repeat"]
 HALF_TURN_MARGIN_RAD = np.radians(0.1)
 #: Quaternions are taken for a fault if their norm is off 1 by more.
 NORM_TOLERANCE = 1e-3
+#: Poses that are nearer in time are taken for a fault.
+NEAREST_S = 1e-9
 #: A way that is repeated ends where it began within these.
 CLOSED_M, CLOSED_RAD = 1e-6, 1e-6
 Label = Callable[[int], str]
@@ -187,6 +189,12 @@ def _check_numbers(times: Array, places: Array, quaternions: Array, label: Label
             f"{label(number + 1)}: time {times[number + 1]:.9g} s "
             f"{'repeats' if times[number + 1] == times[number] else 'runs backwards'}: "
             f"expected more than {times[number]:.9g} s"
+        )
+    for number in np.flatnonzero(np.diff(times) < NEAREST_S).tolist():
+        step_s = times[number + 1] - times[number]
+        raise InputError(
+            f"{label(number + 1)}: {step_s:.2g} s after the pose before: expected at least "
+            f"{NEAREST_S:g} s"
         )
     norms = np.linalg.norm(quaternions, axis=1)
     for number in np.flatnonzero(np.abs(norms - 1) > NORM_TOLERANCE).tolist():

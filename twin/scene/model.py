@@ -35,6 +35,8 @@ FARTHEST_M = 1e5
 FARTHEST_ORIGIN_M = 1e9
 #: An angle beyond it is taken for a fault: float64 has steps of 1e-7 deg there.
 MOST_TURN_DEG = 1e9
+#: Thirty years: a time beyond it is taken for a fault.
+LATEST_S = 1e9
 #: A geometry's own frame is the world's.
 IN_PLACE = RigidTransform.identity()
 
@@ -482,6 +484,7 @@ class Scene:
         A rig without one stands where it stood. Raises InputError for a time that a trajectory does
         not cover.
         """
+        _check("after", seconds, -LATEST_S, LATEST_S)
         if seconds == 0:
             return self
         first, last = self.span_s

@@ -16,8 +16,12 @@ Vector = tuple[Finite, Finite, Finite]
 GAP_STEPS = 10.0
 
 
-def _nonzero(name: str, vector: Vector) -> None:
-    if not any(vector):
+#: Lengths of a direction: their squares are numbers.
+_SHORTEST, _LONGEST = 1e-100, 1e100
+
+
+def _check_direction(name: str, vector: Vector) -> None:
+    if not _SHORTEST <= max(map(abs, vector)) <= _LONGEST:
         raise InputError(f"{name} = {vector}: expected a direction")
 
 
@@ -69,7 +73,7 @@ class TrajectorySettings(Strict):
             return self._given(place), []
         path = folder / self.file
         if path.suffix.lower() == ".csv":
-            return read_pose_csv(path), []
+            return read_pose_csv(path)
         if path.suffix.lower() == ".mcap":
             return read_pose_log(path, self.topic, self.child)
         raise InputError(f"{place}.file = {self.file!r}: expected a .csv or .mcap file")
@@ -139,7 +143,7 @@ class TurningSettings(Strict):
 
     @model_validator(mode="after")
     def _check(self) -> "TurningSettings":
-        _nonzero("axis", self.axis)
+        _check_direction("axis", self.axis)
         return self
 
     def make(self) -> Turning:
@@ -165,7 +169,7 @@ class SwingingSettings(Strict):
 
     @model_validator(mode="after")
     def _check(self) -> "SwingingSettings":
-        _nonzero("axis", self.axis)
+        _check_direction("axis", self.axis)
         return self
 
     def make(self) -> Swinging:
@@ -190,6 +194,8 @@ class RollingSettings(Strict):
 
     @model_validator(mode="after")
     def _check(self) -> "RollingSettings":
+        _check_direction("axis", self.axis)
+        _check_direction("up", self.up)
         if not np.cross(self.axis, self.up).any():
             raise InputError(f"axis = {self.axis}, up = {self.up}: expected two directions")
         return self

@@ -41,13 +41,13 @@ class PoseTable:
     labels: tuple[str, ...]
 
 
-def read_pose_csv(path: Path) -> PoseTable:
-    """Poses from a CSV file whose header names each column with its unit.
+def read_pose_csv(path: Path) -> tuple[PoseTable, list[str]]:
+    """Poses from a CSV file whose header names each column with its unit, and warnings about it.
 
     Columns: ``time_s``, ``x_m``, ``y_m``, ``z_m``, and ``qw, qx, qy, qz`` or any of ``yaw_deg,
     pitch_deg, roll_deg`` (REP 103); in any order, in any unit (``time_ns``, ``x_mm``,
-    ``yaw [rad]``); others, and lines that begin with #, are left out. Raises InputError naming file
-    and line.
+    ``yaw [rad]``); others are left out with a warning, lines that begin with # without. Raises
+    InputError naming file and line.
     """
     try:
         text = TextIOWrapper(BytesIO(read_regular(path)), encoding="utf-8-sig", newline="")
@@ -68,7 +68,8 @@ def read_pose_csv(path: Path) -> PoseTable:
         raise InputError(f"{path}: {len(rows) - 1} poses: expected at least two")
     labels = tuple(f"{path}: line {number}" for number, _ in rows[1:])
     numbers = [
-        _numbers(label, row, columns) for label, (_, row) in zip(labels, rows[1:], strict=True)
+        _numbers(label, row, columns, len(rows[0][1]))
+        for label, (_, row) in zip(labels, rows[1:], strict=True)
     ]
     factor = columns["time"][1]
     first = numbers[0]["time"]
@@ -79,13 +80,16 @@ def read_pose_csv(path: Path) -> PoseTable:
         for name in columns
         if name != "time"
     }
-    return PoseTable(
+    table = PoseTable(
         first_s=float(first) * factor,
         times_s=times,
         positions_m=np.stack([held[axis] for axis in "xyz"], axis=1),
         quaternions=_quaternions(held, len(rows) - 1),
         labels=labels,
     )
+    read = {place for place, _ in columns.values()}
+    unread = [cell.strip() for place, cell in enumerate(rows[0][1]) if place not in read]
+    return table, [f"{path}: not read: {', '.join(unread)}"] if any(unread) else []
 
 
 def read_pose_log(path: Path, topic: str, child: str) -> tuple[PoseTable, list[str]]:
@@ -140,9 +144,11 @@ def _factor(place: str, name: str, unit: str | None) -> float:
 
 
 def _numbers(
-    label: str, row: list[str], columns: dict[str, tuple[int, float]]
+    label: str, row: list[str], columns: dict[str, tuple[int, float]], width: int
 ) -> dict[str, Decimal]:
     found = {}
+    if any(cell.strip() for cell in row[width:]):
+        raise InputError(f"{label}: {len(row)} columns, expected {width} as in the header")
     for name, (place, _) in columns.items():
         if place >= len(row):
             raise InputError(f"{label}: {len(row)} columns, expected a number for {name!r}")
@@ -150,7 +156,8 @@ def _numbers(
             found[name] = Decimal(row[place].strip())
         except InvalidOperation:
             found[name] = Decimal("nan")
-        if not found[name].is_finite():
+        # Python reads 8_0 as 80.
+        if not found[name].is_finite() or "_" in row[place]:
             raise InputError(f"{label}: {name} = {row[place]!r:.60}: expected a number")
     return found
 
