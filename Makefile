@@ -5,18 +5,19 @@ BIN := $(VENV)/bin
 VEHICLE := .venv-vehicle
 PEERS := .venv-peers
 DOCS := .venv-docs
+BROWSER := .venv-browser
 PIP_FLAGS := -q --disable-pip-version-check
 # Files of tests side by side: fixtures that a file shares are made once.
 TOGETHER := -n 2 --dist loadfile
 
-.PHONY: demo test test-vehicle test-slow test-peers lint docs docs-links notebooks bench extremes install clean
+.PHONY: demo test test-vehicle test-slow test-peers test-browser lint docs docs-links notebooks bench extremes install clean
 
 demo: install
 	$(BIN)/twin run scenes/yard
 
 # What the vehicle's environment has run is not run again.
 test: install lint test-vehicle
-	$(BIN)/pytest $(TOGETHER) -m 'not slow and not peers and not vehicle'
+	$(BIN)/pytest $(TOGETHER) -m 'not slow and not peers and not browser and not vehicle'
 
 # The vehicle's part, as a package, where the simulator is not installed.
 test-vehicle: $(VEHICLE)/.installed
@@ -30,6 +31,14 @@ test-slow: install
 # The same results as other people's libraries, in an environment of their own: several gigabytes.
 test-peers: $(PEERS)/.installed
 	$(PEERS)/bin/python -m pytest -m peers --timeout 1200 tests/hardware
+
+# The report of the demo in Chromium: that of the system, or the one that UGV_BROWSER names.
+test-browser: $(BROWSER)/.installed runs/yard-workable/report.html
+	UGV_BROWSER="$${UGV_BROWSER:-$$(command -v chromium || command -v chromium-browser || command -v google-chrome)}" \
+	    $(BROWSER)/bin/python -m pytest --noconftest -q -m browser tests/browser
+
+runs/yard-workable/report.html:
+	$(MAKE) demo
 
 lint: install
 	$(BIN)/ruff check .
@@ -79,6 +88,11 @@ $(PEERS)/.installed: pyproject.toml
 	$(PEERS)/bin/pip install $(PIP_FLAGS) pytest pytest-timeout hypothesis -e .[accelerated,peers]
 	@touch $@
 
+$(BROWSER)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(BROWSER)
+	$(BROWSER)/bin/pip install $(PIP_FLAGS) 'playwright>=1.50' 'pytest>=8.3' 'pytest-timeout>=2.3'
+	@touch $@
+
 # Sphinx by itself; the project and what it needs are those of $(VENV).
 $(DOCS)/.installed: requirements-docs.lock $(VENV)/.installed
 	$(PYTHON) -m venv $(DOCS)
@@ -88,4 +102,4 @@ $(DOCS)/.installed: requirements-docs.lock $(VENV)/.installed
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(VEHICLE) $(PEERS) $(DOCS) build runs bench.json
+	rm -rf $(VENV) $(VEHICLE) $(PEERS) $(DOCS) $(BROWSER) build runs bench.json

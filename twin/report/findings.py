@@ -186,7 +186,7 @@ def _remedy(evaluation: Evaluation, kinds: set[str], reasons: str) -> tuple[str,
     if "black" in kinds:
         step_v = system.readout.adc_full_scale_v.value / 2**end.adc_bits
         at_least = quantity_text(4 * step_v, "V")
-        return f"black: {reasons}", f"readout.adc_offset_v of {at_least} (four steps) or more"
+        return f"black: {reasons}", f"a readout.adc_offset_v of {at_least} (four steps) or more"
     if "underexposed" in kinds:
         swing_e = float(np.ptp(capture.signal_w)) * end.electrons_per_watt
         step_e = end.electrons_per_count
@@ -212,14 +212,14 @@ def _less_gain(system: System, over: float) -> str:
     resistance = system.readout.transimpedance_ohm
     if resistance is not None:
         most = quantity_text(resistance.value / over, "ohm")
-        return f"readout.transimpedance_ohm of at most {most}, {number(over)} times less"
+        return f"a readout.transimpedance_ohm of at most {most}, {number(over)} times less"
     capacitance = system.readout.feedback_capacitance_f
     if capacitance is None:
         return f"{number(over)} times less gain"
     least = quantity_text(capacitance.value * over, "F")
-    return f"readout.feedback_capacitance_f of at least {least}, {number(over)} times more"
+    return f"a readout.feedback_capacitance_f of at least {least}, {number(over)} times more"
 
 
 def _shorter(system: System, over: float, because: str) -> str:
     most = quantity_text(system.acquisition.integration_time_s.value / over, "s")
-    return f"acquisition.integration_time_s of at most {most}: {because} allows no more light"
+    return f"an acquisition.integration_time_s of at most {most}: {because} allows no more light"

@@ -29,7 +29,9 @@ def radar_finding(evaluation: RadarEvaluation) -> Finding:
         radar.name,
         radar.description,
         "good" if state == "good" else "limited",
-        f"{len(truth) - len(missed)} of {len(truth)} targets",
+        f"{len(truth) - len(missed)} of {len(truth)} targets"
+        if truth
+        else f"{len(evaluation.detections)} detections",
         (
             ("What is seen", _seen(evaluation)),
             ("To what distance", _how_far(evaluation, reach_m)),
@@ -199,7 +201,7 @@ def _void(evaluation: RadarEvaluation) -> Finding:
             ("What limits it", reasons),
             (
                 "What would help most",
-                f"front_end.noise_counts below {counts}, which lowers the gain until no slot clips",
+                f"a front_end.noise_counts below {counts}, a lower gain, until no slot clips",
             ),
         ),
     )
