@@ -70,13 +70,16 @@ def test_a_library_s_value_error_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> 
     assert not isinstance(caught.value, TwinError)
 
 
-def test_to_the_vehicle_an_engine_that_fails_is_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("scene", "camera"), [("table1", "still_light"), ("yard", "MovingFrames")])
+def test_to_the_vehicle_an_engine_that_fails_is_a_device(
+    monkeypatch: pytest.MonkeyPatch, scene: str, camera: str
+) -> None:
     def fails(*_: object, **__: object) -> None:
         raise EngineError("no libLLVM")
 
-    monkeypatch.setattr("twin.serve.source.still_light", fails)
-    with pytest.raises(DeviceError, match=r"^twin:yard: no libLLVM$"):
-        records("twin:yard")
+    monkeypatch.setattr(f"twin.serve.source.{camera}", fails)
+    with pytest.raises(DeviceError, match=rf"^twin:{scene}: no libLLVM$"):
+        records(f"twin:{scene}")
 
 
 def test_every_error_that_is_raised_with_words_is_of_a_kind() -> None:

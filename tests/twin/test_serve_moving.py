@@ -63,6 +63,7 @@ class Host:
 
     def __init__(self, takes_s: float, last: int = 100, sets: int = 5) -> None:
         self.made: list[ComputedSlowly] = []
+        self._takes_s = takes_s
         self._sent, self._deframer = bytearray(), Deframer()
 
         def records(asked: System) -> Iterator[SpiRecord]:
@@ -99,7 +100,7 @@ class Host:
             begun_s = time.monotonic()
             left_s = self.camera.poll()
             if self.made[0].ready() is False:
-                assert time.monotonic() - begun_s < 0.05  # it goes on answering
+                assert time.monotonic() - begun_s < self._takes_s / 2  # it goes on answering
             found += self.answers()
             if left_s is None:
                 break
@@ -123,10 +124,10 @@ def test_frames_are_those_of_the_world_at_their_own_instants() -> None:
 def test_a_device_that_computes_slowly_sends_late_and_says_so(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """100 ms for a frame of 1.6 ms: no frame is lost, times in them are those of the device's own
+    """800 ms for a frame of 1.6 ms: no frame is lost, times in them are those of the device's own
     clock, and one warning tells how late they are.
     """
-    host = Host(takes_s=0.1)
+    host = Host(takes_s=0.8)
     with caplog.at_level(logging.WARNING):
         sent = host.served(30.0)
     frames = [message for message in sent if isinstance(message, Measurement)]

@@ -83,7 +83,7 @@ def designs_on_front(
     front = pareto_front(np.stack([gain(name, v) for name, v in zip(names, values, strict=True)]))
     front = front[np.argsort(values[0][front], kind="stable")]
     shape = columns[0].shape
-    parameters = tuple(str(name) for name in data.coords)
+    parameters = tuple(sorted(str(name) for name in data.coords))
     # Of two metrics one may vary along fewer dimensions than the points do.
     settings = {
         name: np.broadcast_to(

@@ -15,9 +15,10 @@ from twin.radar.synthesis.nonuniform_fft import phasor, transforms
 from twin.radar.synthesis.threads import map_in_threads
 from twin.radar.synthesis.times import interpolation
 
-#: Times and slots in one matrix product with a block: so few multiplications that BLAS does not
-#: share them out among threads of its own, which would change their last bits.
-_TIMES, _SLOTS = 128, 32
+#: Times and slots in one matrix product with a block: so few multiplications, 32 768, that no build
+#: of OpenBLAS shares them out among threads of its own, which would change their last bits; from
+#: 65 536 on its kernels for some processors do.
+_TIMES, _SLOTS = 32, 16
 
 
 def synthesize(
