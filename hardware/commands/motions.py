@@ -62,12 +62,10 @@ def _track(path: Path) -> "Motion":
         for line in lines:
             try:
                 numbers = [float(part) for part in line]
-                if len(numbers) != len(columns) or not np.isfinite(numbers).all():
-                    raise ValueError
             except ValueError:
-                raise InputError(
-                    f"{path}: line {lines.line_num}: {line}, expected three numbers"
-                ) from None
+                numbers = []
+            if len(numbers) != len(columns) or not np.isfinite(numbers).all():
+                raise InputError(f"{path}: line {lines.line_num}: {line}, expected three numbers")
             if rows and numbers[0] <= rows[-1][0]:
                 raise InputError(
                     f"{path}: line {lines.line_num}: time_s: {numbers[0]:g} does not follow "

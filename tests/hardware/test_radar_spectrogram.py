@@ -81,7 +81,7 @@ def test_the_command_tells_the_rates_of_a_range(tmp_path: Path) -> None:
     points = [Echo((9.0, 0, 0), 1e-10, (4.0, 0, 0)), Echo((9.0, 0, 0), 1e-9, (-7.0, 0, 0))]
     file = tmp_path / "radar.h5"
     write_radar_record(cube(WIDE, points, noise_w=1e-14), file)
-    said = ugv("spectrogram", file, "--at", "900 cm", "--png", tmp_path / "seen.png", "--json")
+    said = ugv("spectrogram", file, "--at", "900 cm", "--json")
     assert not said.returncode, said.stderr
     rates = [f["value"] for f in json.loads(said.stdout)["figures"] if "rate" in f["name"]]
     cell = WIDE.wavelength_m / (2 * 8 * WIDE.slot_period_s)
@@ -90,7 +90,19 @@ def test_the_command_tells_the_rates_of_a_range(tmp_path: Path) -> None:
     power = table[:, 1:].mean(axis=1)
     near = [power[abs(table[:, 0] - rate) < cell / 2].max() for rate in (4.0, -7.0)]
     assert abs(near[1] - near[0] - 10.0) < 1.5
-    assert (tmp_path / "seen.png").stat().st_size > 0
     wrong = ugv("spectrogram", file, "--at", "9 m", "--burst", "3")
     assert wrong.returncode == 2
     assert "--burst 3: it holds 1" in wrong.stderr
+
+
+@pytest.mark.library("PIL")
+def test_the_command_draws_them(tmp_path: Path) -> None:
+    """Brightest in the row of the rate, receding on top."""
+    from PIL import Image
+
+    file, png = tmp_path / "radar.h5", tmp_path / "seen.png"
+    write_radar_record(cube(WIDE, [Echo((9.0, 0, 0), 1e-9, (7.0, 0, 0))], noise_w=1e-14), file)
+    said = ugv("spectrogram", file, "--at", "9 m", "--png", png)
+    assert not said.returncode, said.stderr
+    picture = np.asarray(Image.open(png))
+    assert picture.sum(axis=1).argmax() < len(picture) / 2

@@ -272,8 +272,8 @@ def test_shutters_that_tell_no_distance_are_refused(
 @pytest.mark.parametrize(
     ("record", "line"),
     [
-        (lock_in(TWO, 4), "8 phases at 10, 13 MHz, distances up to 149.9 m: 21 to "),
-        (gated(np.arange(15) * 2e-8, 2e-8, 2e-8), "15 gates, distances up to 44.97 m: 21 to "),
+        (lock_in(TWO, 4), "8 phases at 10 MHz, 13 MHz, distances up to 149.9 m: 21.00 m to "),
+        (gated(np.arange(15) * 2e-8, 2e-8, 2e-8), "15 gates, distances up to 44.97 m: 21.00 m to "),
     ],
 )
 def test_the_command_shows_and_stores_distances(
