@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns.interface import MOST_CELLS, Mode, Patterns
+from hardware.patterns.interface import Mode, Patterns, check_grid
 from hardware.patterns.orders import ORDERS, ordered_indices, shown_indices
 from hardware.patterns.own import OwnPatterns, own_patterns
 from hardware.patterns.raster import RasterScan
@@ -94,14 +94,7 @@ class PatternSet(Patterns):
     subset: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns"):
-            size = getattr(self, name)
-            if size < 1 or size & (size - 1):
-                raise InputError(f"{name}: {size} is not a power of two")
-        if self.n_cells > MOST_CELLS:
-            raise InputError(
-                f"rows, columns: {self.rows} x {self.columns} cells, at most {MOST_CELLS} are known"
-            )
+        check_grid(self.rows, self.columns)
         if not 1 <= self.count <= self.n_cells:
             raise InputError(f"count: {self.count} is not between 1 and {self.n_cells}")
         if self.order not in get_args(Order):

@@ -6,10 +6,21 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
+
 Mode = Literal["differential", "plain", "reference", "s-matrix", "complementary"]
 
 #: Of a virtual image: a file or a device that claims more is not believed.
 MOST_CELLS = 2**26
+
+
+def check_grid(rows: int, columns: int) -> None:
+    """Raise InputError unless both are powers of two, of no more cells than are believed."""
+    for name, size in (("rows", rows), ("columns", columns)):
+        if size < 1 or size & (size - 1):
+            raise InputError(f"{name}: {size} is not a power of two")
+    if rows * columns > MOST_CELLS:
+        raise InputError(f"rows, columns: {rows} x {columns} cells, at most {MOST_CELLS} are known")
 
 
 class Patterns(ABC):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.patterns.interface import MOST_CELLS, Mode, Patterns
+from hardware.patterns.interface import Mode, Patterns, check_grid
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,7 @@ class RasterScan(Patterns):
     subset: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns"):
-            size = getattr(self, name)
-            if size < 1 or size & (size - 1):
-                raise InputError(f"{name}: {size} is not a power of two")
-        if self.n_cells > MOST_CELLS:
-            raise InputError(
-                f"rows, columns: {self.rows} x {self.columns} cells, at most {MOST_CELLS} are known"
-            )
+        check_grid(self.rows, self.columns)
         if self.mode not in ("plain", "differential"):
             raise InputError(f"mode: {self.mode!r}: a raster scan is plain or differential")
         if self.subset is None:
