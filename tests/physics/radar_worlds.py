@@ -16,7 +16,7 @@ from twin.radar.propagation.result import Propagation
 from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target
 from twin.scene.materials import load_materials
-from twin.scene.model import IN_PLACE
+from twin.scene.objects import IN_PLACE
 
 MATERIALS = load_materials(Path(__file__).parents[2] / "scenes" / "materials.toml")
 AT_ORIGIN = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))

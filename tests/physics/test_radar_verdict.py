@@ -16,7 +16,7 @@ from twin.radar.evaluation import evaluate_radar, further_echoes, match_detectio
 from twin.radar.truth import TrueTarget, _nearest
 from twin.report.radar_summary import radar_summary
 from twin.scene import Pose, Rig, Scene, Sun, Target
-from twin.scene.model import SceneObject
+from twin.scene.objects import SceneObject
 
 WAVE = OfdmWaveform(79e9, 4096, 976562.5, 256, 39.0625e-6, 37, 1.024e-6)  # cells of 37 mm, 0.19 m/s
 BALL = TrueTarget("ball", 10.0, 0.0, 0.0, 0.3, 1e-12, True, 10.0, nearer_m=0.3, farther_m=0.3)

@@ -25,7 +25,7 @@ from twin.radar.propagation.solvers import solver_of
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
 from twin.scene import Scene
-from twin.scene.model import Pose
+from twin.scene.rig import Pose
 from twin.system import Weather
 from twin.warned import CaptureWarning, is_void
 

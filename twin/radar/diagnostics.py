@@ -21,7 +21,7 @@ from twin.radar.propagation.solvers import Solver
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene, SceneObject
 from twin.scene.enclosure import encloses
-from twin.scene.model import Target
+from twin.scene.objects import Target
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]

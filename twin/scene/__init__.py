@@ -6,17 +6,9 @@ renderer crashes, and on other faults it silently returns wrong light.
 """
 
 from twin.scene.load import load_scene
-from twin.scene.model import (
-    Pose,
-    Rig,
-    Scene,
-    SceneObject,
-    Sun,
-    Target,
-    Track,
-    parse_pose,
-    parse_track,
-)
+from twin.scene.model import Scene, Sun
+from twin.scene.objects import SceneObject, Target
+from twin.scene.rig import Pose, Rig, Track, parse_pose, parse_track
 
 __all__ = [
     "Pose",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin.geometry import shapes_of
-from twin.scene.model import Array, SceneObject
+from twin.scene.objects import Array, SceneObject
 
 
 def boxes_of(items: Sequence[SceneObject]) -> Array:

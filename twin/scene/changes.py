@@ -10,11 +10,13 @@ import numpy as np
 
 from hardware.units import quantity, unit_of
 from twin.files import InputError
-from twin.scene.model import FARTHEST_M, FARTHEST_ORIGIN_M
+from twin.scene.limits import FARTHEST_M, FARTHEST_ORIGIN_M
 from twin.toml import changed_name, check_changes, no_such_field
 
 if TYPE_CHECKING:
-    from twin.scene.model import Pose, Rig, Scene, SceneObject, Target
+    from twin.scene.model import Scene
+    from twin.scene.objects import SceneObject, Target
+    from twin.scene.rig import Pose, Rig
 
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 _OBJECT = (

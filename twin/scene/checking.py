@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hardware.formatting import number
-from twin.scene.model import Scene, SceneObject
+from twin.scene.model import Scene
+from twin.scene.objects import SceneObject
 from twin.scene.texture import Texture
 
 

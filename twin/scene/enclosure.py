@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.scene.model import Array, SceneObject
+from twin.scene.objects import Array, SceneObject
 
 #: A float64 step of a rig 1e9 m from the origin: nearer to a surface no side of it is in front.
 _TOUCH_M = 1e-7

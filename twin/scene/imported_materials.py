@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from twin.scene.materials import Material, row_of
-from twin.scene.model import Array
+from twin.scene.objects import Array
 
 _WHITE = (1.0, 1.0, 1.0)
 

@@ -14,7 +14,7 @@ from twin.scene.beside import missing_files
 from twin.scene.imported_materials import ImportedBsdfs, imported_material, texture_coordinates
 from twin.scene.materials import materials_of
 from twin.scene.meshes import load_quietly
-from twin.scene.model import Array
+from twin.scene.objects import Array
 
 _LARGEST_M = 1e5  # what a scene may measure, see `load_scene`
 #: glTF fixes its up axis; other formats leave it open.

@@ -12,19 +12,13 @@ from twin.geometry import Geometry
 from twin.scene import xml
 from twin.scene.defaults import default_pose, default_sun
 from twin.scene.enclosure import encloses
+from twin.scene.limits import FARTHEST_M, FARTHEST_ORIGIN_M
 from twin.scene.materials import Material, materials_of, row_of
 from twin.scene.meshes import primitive, read_mesh
-from twin.scene.model import (
-    FARTHEST_M,
-    FARTHEST_ORIGIN_M,
-    IN_PLACE,
-    Array,
-    Pose,
-    Rig,
-    Scene,
-    SceneObject,
-)
+from twin.scene.model import Scene
 from twin.scene.motion_tree import MotionTree
+from twin.scene.objects import IN_PLACE, Array, SceneObject
+from twin.scene.rig import Pose, Rig
 from twin.scene.settings import SceneSettings, load_settings
 from twin.scene.texture import Reflectance, Texture
 

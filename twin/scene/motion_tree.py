@@ -7,9 +7,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from twin.files import InputError
 from twin.motion import Motion, Product, Still, Straight
-from twin.scene.model import FASTEST_M_PER_S, Rig, SceneObject, Target
+from twin.scene.limits import FASTEST_M_PER_S
 from twin.scene.motion_settings import MotionSettings, TrajectorySettings, Vector
 from twin.scene.moving import carrier_of, moving
+from twin.scene.objects import SceneObject, Target
+from twin.scene.rig import Rig
 from twin.scene.settings import SceneSettings
 
 IDENTITY = Still(RigidTransform.identity())

@@ -9,7 +9,7 @@ from dataclasses import replace
 from scipy.spatial.transform import RigidTransform
 
 from twin.motion import Motion, Parent, Product, Still
-from twin.scene.model import SceneObject
+from twin.scene.objects import SceneObject
 
 
 def carrier_of(parent: SceneObject, drawn: RigidTransform | None = None) -> Product:

@@ -8,17 +8,11 @@ from typing import Annotated
 from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
-from twin.scene.model import (
-    BRIGHTEST_LX,
-    FASTEST_M_PER_S,
-    Pose,
-    RadarRole,
-    Rig,
-    Sun,
-    Target,
-    Track,
-)
+from twin.scene.limits import BRIGHTEST_LX, FASTEST_M_PER_S
+from twin.scene.model import Sun
 from twin.scene.motion_settings import MotionSettings
+from twin.scene.objects import RadarRole, Target
+from twin.scene.rig import Pose, Rig, Track
 from twin.toml import Count, Finite, NonNegative, Positive, Strict, describe, read_toml
 
 Vector = tuple[Finite, Finite, Finite]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from twin.engine import mitsuba
 from twin.geometry import Geometry, divided, mitsuba_mesh, planes
 from twin.scene import SceneObject
-from twin.scene.model import IN_PLACE
+from twin.scene.objects import IN_PLACE
 
 Array = NDArray[np.float64]
 
