@@ -12,7 +12,14 @@ from hardware.errors import InputError
 from hardware.formatting import si
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hardware.radar.process import Processing
+    from hardware.records import RadarRecord
+    from hardware.waveform import OfdmWaveform
 
 Record = Annotated[Path, typer.Argument(help="Record of a radar (HDF5).")]
 FalseAlarm = Annotated[float | None, typer.Option(help="Probability per cell; default 1e-8.")]
@@ -199,14 +206,30 @@ def image(
 
 def spectrogram(
     say: Output,
-    record: Record,
+    record: Annotated[Path, typer.Argument(help="Record of a radar (HDF5), or a log (MCAP).")],
     *,
     at: Annotated[
         float, typer.Option("--at", help="Range that is looked at, m.", parser=quantity_of("m"))
     ],
-    burst: Annotated[int, typer.Option(min=0, help="Burst of the record.")] = 0,
+    span: Annotated[
+        float,
+        typer.Option(
+            help="Of ranges about it, of which the strongest counts.", parser=quantity_of("m")
+        ),
+    ] = 0.0,
+    receding: Annotated[
+        float,
+        typer.Option(
+            help="By how much that range grows, over several bursts.", parser=quantity_of("m/s")
+        ),
+    ] = 0.0,
+    burst: Annotated[
+        int | None,
+        typer.Option(min=0, help="Within one burst; default the first, of a log over all."),
+    ] = None,
     window_slots: Annotated[
-        int | None, typer.Option(help="Slots in a window; default: an eighth of the interval.")
+        int | None,
+        typer.Option(help="Slots in a window within a burst; default: an eighth of it."),
     ] = None,
     moving_only: MovingOnly = False,
     out: Annotated[
@@ -214,32 +237,38 @@ def spectrogram(
     ] = None,
     png: Annotated[Path | None, typer.Option(help="PNG to write.")] = None,
 ) -> None:
-    """Micro-Doppler at one range: how range rates change within a burst, by the first antenna."""
+    """Micro-Doppler at one range: how range rates change within a burst, or over the bursts of a
+    log, by the first antenna.
+    """
     import numpy as np
 
     from hardware.radar import spectrogram as spectrogram_of
-    from hardware.radar.burst import demodulate
-    from hardware.radar.clutter import without_static
+    from hardware.radar import spectrogram_of_intervals
     from hardware.radar.output import write_png, write_spectrogram
-    from hardware.records import read_radar_record
 
-    loaded = read_radar_record(record)
-    if burst >= len(loaded.iq):
-        raise InputError(f"{record}: --burst {burst}: it holds {len(loaded.iq)}, the first is 0")
-    say.step(f"read {record}")
-    interval = demodulate(loaded, burst)
-    _warn(say, record, interval.warnings)
-    channel = without_static(interval.channel) if moving_only else interval.channel
-    seen = spectrogram_of(channel[0], interval.waveform, at, window_slots)
+    over_all = record.suffix == ".mcap" and burst is None
+    if over_all and window_slots is not None:
+        raise InputError("--window-slots: of a log each burst is one window: expected a --burst")
+    if receding and not over_all:
+        raise InputError("--receding: within one burst the range stays: expected a log, no --burst")
+    wanted = None if over_all else burst or 0
+    intervals = _intervals(say, record, wanted, moving_only)
+    if over_all:
+        seen = spectrogram_of_intervals(intervals, at, range_rate_m_per_s=receding, span_m=span)
+        which = f"{len(seen.time_s)} bursts in {si(float(seen.time_s[-1]), 's')}"
+    else:
+        _, channel, waveform = next(intervals)
+        seen = spectrogram_of(channel, waveform, at, window_slots, span_m=span)
+        which = f"burst {wanted}"
     ridge = seen.range_rate_m_per_s[seen.power_w.argmax(axis=0)]
     peak_dbm = 10 * np.log10(1e3 * seen.power_w.max()) if seen.power_w.any() else -np.inf
     say.verdict(
-        f"{record}: burst {burst}: at {si(at, 'm')} the strongest range rate goes from "
+        f"{record}: {which}: at {si(at, 'm')} the strongest range rate goes from "
         f"{ridge.min():+.3f} to {ridge.max():+.3f} m/s; peak {peak_dbm:.1f} dBm"
     )
     say.add(
         record=record,
-        burst=burst,
+        burst=wanted,
         figures=[
             {"name": "range", "unit": "m", "value": at},
             {"name": "strongest range rate, least", "unit": "m/s", "value": ridge.min()},
@@ -253,6 +282,48 @@ def spectrogram(
     if png:
         write_png(png, seen.power_w[::-1])
         say.written(png, " (time to the right, receding on top)")
+
+
+def _intervals(
+    say: Output, path: Path, burst: int | None, moving_only: bool
+) -> "Iterator[tuple[float, NDArray[np.complexfloating], OfdmWaveform]]":
+    """Time of its middle, channel of the first antenna and waveform of a burst, or of all whole
+    ones (None).
+    """
+    from hardware.radar.burst import demodulate
+    from hardware.radar.clutter import without_static
+
+    number = 0
+    for record in _radar_records(path):
+        for own in range(len(record.iq)):
+            if burst in (None, number):
+                interval = demodulate(record, own)
+                _warn(say, path, interval.warnings)
+                channel = without_static(interval.channel) if moving_only else interval.channel
+                if interval.whole or burst is not None:
+                    middle_s = 1e-9 * float(record.device_time_ns[own].mean())
+                    yield middle_s, channel[0], interval.waveform
+                else:
+                    say.warn(f"{path}: burst {number}: left out, it is not whole")
+                say.step(f"read burst {number} of {path}")
+            number += 1
+    if not number:
+        raise InputError(f"{path}: no record of a radar in it")
+    if burst is not None and burst >= number:
+        raise InputError(f"{path}: --burst {burst}: it holds {number}, the first is 0")
+
+
+def _radar_records(path: Path) -> "Iterator[RadarRecord]":
+    """Of a file, or of all of a log."""
+    from hardware.recording import read_records
+    from hardware.records import RadarRecord, read_radar_record
+
+    if path.suffix != ".mcap":
+        yield read_radar_record(path)
+        return
+    for received in read_records(path):
+        if isinstance(received.record, RadarRecord):
+            yield received.record
 
 
 def _warn(say: Output, record: Path, warnings: tuple[str, ...]) -> None:

@@ -5,7 +5,7 @@ from hardware.radar.cfar_rule import Cfar, MapNoise, cfar_factor
 from hardware.radar.demodulation import channel
 from hardware.radar.detection import Detection, detect
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
-from hardware.radar.spectrogram import Spectrogram, spectrogram
+from hardware.radar.spectrogram import Spectrogram, spectrogram, spectrogram_of_intervals
 from hardware.radar.stitching import stitch
 from hardware.waveform import OfdmWaveform
 
@@ -22,5 +22,6 @@ __all__ = [
     "detect",
     "range_doppler",
     "spectrogram",
+    "spectrogram_of_intervals",
     "stitch",
 ]

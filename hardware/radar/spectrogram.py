@@ -1,10 +1,13 @@
-"""Micro-Doppler: how the spectrum of range rates at one range changes within an interval.
+"""Micro-Doppler: how the spectrum of range rates at one range changes, within an interval or over
+several.
 
 The short-time Fourier transform over slots of one range's channel (Chen, The Micro-Doppler Effect
 in Radar, 2nd ed., 2019, ch. 2).
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +30,7 @@ class Spectrogram:
     ``power_w`` (n_rates, n_times): a single target of that rate has the power that one antenna
     received from it. ``range_rate_m_per_s`` (n_rates,) ascends, positive when the target recedes,
     within what slots can tell apart. ``time_s`` (n_times,): middles of windows, from the interval's
-    middle on. ``range_m`` is that at which it was taken.
+    middle on, or from the first interval's. ``range_m`` is that at which it was taken, first.
     """
 
     power_w: Array
@@ -37,7 +40,12 @@ class Spectrogram:
 
 
 def spectrogram(
-    channel: Complex, waveform: OfdmWaveform, range_m: float, window_slots: int | None = None
+    channel: Complex,
+    waveform: OfdmWaveform,
+    range_m: float,
+    window_slots: int | None = None,
+    *,
+    span_m: float = 0.0,
 ) -> Spectrogram:
     """Spectrogram of a channel at one range.
 
@@ -52,9 +60,12 @@ def spectrogram(
     window_slots
         Slots in a window, 2 or more; default: an eighth of the interval. Longer ones tell rates
         apart more finely, by lambda / (2 window), and times less.
+    span_m
+        Of ranges about that one, for bodies whose parts differ in it: power is that of the
+        strongest of them.
 
     Raises InputError for a window that does not fit in the interval, a range beyond what
-    subcarriers can tell, or a channel of another shape.
+    subcarriers can tell, a span that is no length, or a channel of another shape.
     """
     from scipy.signal import ShortTimeFFT
 
@@ -68,10 +79,14 @@ def spectrogram(
     length = max(2, slots // _PER_INTERVAL) if window_slots is None else window_slots
     if not 2 <= length <= slots:
         raise InputError(f"spectrogram: window_slots = {length}, expected 2 to {slots}")
+    if not 0 <= span_m <= waveform.max_range_m:
+        raise InputError(
+            f"spectrogram: span_m = {span_m:g}, expected 0 to {waveform.max_range_m:g}"
+        )
     taper = normalised_window("hann", n)
-    delay = 2 * range_m / C_M_PER_S
+    delay = 2 * _ranges(range_m, span_m, waveform)[:, None] / C_M_PER_S
     steering = taper * np.exp(2j * np.pi * (waveform.frequency_offsets_hz * delay % 1.0))
-    at_range = steering @ channel / n
+    at_ranges = steering @ channel / n
     window = normalised_window("hann" if length > 3 else "boxcar", length)
     transform = ShortTimeFFT(
         window,
@@ -81,10 +96,59 @@ def spectrogram(
         mfft=_FINER * length,
     )
     first, last = length // 2, slots - (length - 1) // 2  # windows that lie within the interval
-    spectra = transform.stft(at_range, p0=first, p1=last) / length
+    strongest = np.max([abs(transform.stft(one, p0=first, p1=last)) for one in at_ranges], axis=0)
     doppler_hz = np.fft.fftshift(np.fft.fftfreq(_FINER * length, waveform.slot_period_s))
     rate = -doppler_hz * waveform.wavelength_m / 2
-    power = np.abs(np.fft.fftshift(spectra, axes=0)) ** 2
+    power = (np.fft.fftshift(strongest, axes=0) / length) ** 2
     middle: Array = np.arange(first, last, dtype=np.float64) + (length - 1) / 2 - length // 2
     time_s: Array = (middle - (slots - 1) / 2) * waveform.slot_period_s
     return Spectrogram(power[::-1], rate[::-1], time_s, range_m)
+
+
+def _ranges(range_m: float, span_m: float, waveform: OfdmWaveform) -> Array:
+    """Of a span, half a range cell or less apart, none below 0."""
+    many = 1 + int(np.ceil(2 * span_m / waveform.range_cell_m))
+    return np.maximum(np.linspace(range_m - span_m / 2, range_m + span_m / 2, many), 0.0)
+
+
+def spectrogram_of_intervals(
+    intervals: Iterable[tuple[float, Complex, OfdmWaveform]],
+    range_m: float,
+    *,
+    range_rate_m_per_s: float = 0.0,
+    span_m: float = 0.0,
+) -> Spectrogram:
+    """Spectrogram over several intervals, one spectrum of each: for what changes more slowly than
+    an interval lasts, such as a walk.
+
+    Parameters
+    ----------
+    intervals
+        Time of its middle, s, channel (n_subcarriers, n_slots) and waveform of each; in order.
+    range_m, range_rate_m_per_s
+        At the first interval, and by how much it recedes: where the body is that is looked at.
+    span_m
+        As of `spectrogram`.
+
+    Raises InputError as `spectrogram`, for times that do not ascend, for waveforms that differ, and
+    for no interval.
+    """
+    times: list[float] = []
+    spectra: list[Spectrogram] = []
+    first: OfdmWaveform | None = None
+    for time_s, channel, waveform in intervals:
+        first = first or waveform
+        if waveform != first:
+            raise InputError(
+                f"spectrogram: interval {len(times)} has another waveform than the first"
+            )
+        times.append(time_s)
+        at = range_m + range_rate_m_per_s * (time_s - times[0])
+        spectra.append(spectrogram(channel, waveform, at, waveform.n_slots, span_m=span_m))
+    if not times:
+        raise InputError("spectrogram: no interval")
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise InputError("spectrogram: times of intervals do not ascend")
+    power: Array = np.concatenate([seen.power_w for seen in spectra], axis=1)
+    since_first: Array = np.array(times) - times[0]
+    return Spectrogram(power, spectra[0].range_rate_m_per_s, since_first, range_m)

@@ -1,6 +1,7 @@
 """Spectrograms of one range against rates that are known at every time."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ from radar_cubes import WIDE, Echo, cube
 from ugv_command import ugv
 
 from hardware.errors import InputError
-from hardware.radar import spectrogram
+from hardware.radar import spectrogram, spectrogram_of_intervals
+from hardware.recording import Log
 from hardware.records import write_radar_record
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
@@ -106,3 +108,83 @@ def test_the_command_draws_them(tmp_path: Path) -> None:
     assert not said.returncode, said.stderr
     picture = np.asarray(Image.open(png))
     assert picture.sum(axis=1).argmax() < len(picture) / 2
+
+
+def test_a_span_of_ranges_hears_parts_at_all_of_them() -> None:
+    """Two points 0.6 m apart that recede at +4 and -7 m/s, of equal power: one range hears one of
+    them, a span both, each with its power to 1.5 dB.
+    """
+    both = echo(9.0 + 4.0 * WAVE.slot_times_s) + echo(9.6 - 7.0 * WAVE.slot_times_s)
+    one, span = spectrogram(both, WAVE, 9.0, 64), spectrogram(both, WAVE, 9.3, 64, span_m=0.7)
+    middle, cell = span.power_w.shape[1] // 2, WAVE.wavelength_m / (2 * 64 * WAVE.slot_period_s)
+    for rate, heard_by_one in ((4.0, True), (-7.0, False)):
+        near = abs(span.range_rate_m_per_s - rate) < cell
+        assert abs(10 * np.log10(span.power_w[near, middle].max())) < 1.5
+        assert (one.power_w[near, middle].max() > 0.5) == heard_by_one
+    with pytest.raises(InputError, match="span_m = -1"):
+        spectrogram(both, WAVE, 9.0, span_m=-1.0)
+
+
+def swinging(time_s):
+    """Range of a point that swings by 0.1 m once in 1.1 s, on what recedes at -3 m/s."""
+    return 9.0 - 3.0 * time_s + 0.1 * np.sin(2 * np.pi * time_s / 1.1)
+
+
+def test_several_intervals_show_a_swing() -> None:
+    """Over 1.1 s in 23 intervals of 10 ms: within a cell of the rate of each, 0.57 m/s to and fro
+    about -3 m/s, as the range is followed within its span.
+    """
+    times = 0.05 * np.arange(23)
+    intervals = [(70.0 + t, echo(swinging(t + WAVE.slot_times_s)), WAVE) for t in times]
+    seen = spectrogram_of_intervals(intervals, 9.0, range_rate_m_per_s=-3.0, span_m=0.5)
+    np.testing.assert_allclose(seen.time_s, times, atol=1e-9)
+    rate = -3.0 + 0.1 * 2 * np.pi / 1.1 * np.cos(2 * np.pi * times / 1.1)
+    ridge = seen.range_rate_m_per_s[seen.power_w.argmax(axis=0)]
+    assert np.ptp(rate) > 1.0
+    cell = WAVE.wavelength_m / (2 * WAVE.n_slots * WAVE.slot_period_s)
+    assert abs(ridge - rate).max() < cell
+    assert abs(10 * np.log10(seen.power_w.max(axis=0))).max() < 3.0
+
+
+def test_intervals_that_do_not_belong_together_are_an_error() -> None:
+    still = echo(np.full(WAVE.n_slots, 9.0))
+    short = replace(WAVE, n_slots=128)
+    for intervals, said in (
+        ([], "no interval"),
+        ([(0.0, still, WAVE), (0.0, still, WAVE)], "do not ascend"),
+        ([(1.0, still, WAVE), (0.5, still, WAVE)], "do not ascend"),
+        ([(0.0, still, WAVE), (0.1, still[:, :128], short)], "interval 1 has another waveform"),
+        ([(0.0, still, WAVE), (90.0, still, WAVE)], "range_m = -81"),
+    ):
+        with pytest.raises(InputError, match=said):
+            spectrogram_of_intervals(intervals, 9.0, range_rate_m_per_s=-1.0)
+
+
+def test_the_command_reads_a_log(tmp_path: Path) -> None:
+    """Bursts of a drive one after another: a point that slows down from -7 to +4 m/s at one range;
+    a burst by itself on request.
+    """
+    file = tmp_path / "drive.mcap"
+    with Log(file) as log:
+        for number, rate in enumerate((-7.0, -2.0, 4.0)):
+            record = cube(WIDE, [Echo((9.0, 0, 0), 1e-9, (rate, 0, 0))], noise_w=1e-14)
+            begun = replace(record, device_time_ns=record.device_time_ns + number * 10**8)
+            log.record("/radar/record", begun, host_ns=number * 10**8)
+    said = ugv("spectrogram", file, "--at", "9 m", "--span", "40 cm", "--json")
+    assert not said.returncode, said.stderr
+    rates = [f["value"] for f in json.loads(said.stdout)["figures"] if "rate" in f["name"]]
+    np.testing.assert_allclose(rates, [-7.0, 4.0], atol=0.2)
+    table = np.genfromtxt(tmp_path / "drive-spectrogram.csv", delimiter=",")
+    np.testing.assert_allclose(table[0, 1:], [0.0, 0.1, 0.2], atol=1e-6)
+    one = ugv("spectrogram", file, "--at", "9 m", "--burst", "1", "--json")
+    rates = [f["value"] for f in json.loads(one.stdout)["figures"] if "rate" in f["name"]]
+    cell = WIDE.wavelength_m / (2 * (WIDE.n_slots // 8) * WIDE.slot_period_s)
+    np.testing.assert_allclose(rates, -2.0, atol=cell / 2)
+    for more, said_of in (
+        (("--burst", "3"), "it holds 3"),
+        (("--window-slots", "16"), "expected a --burst"),
+        (("--burst", "0", "--receding", "1 m/s"), "expected a log"),
+    ):
+        wrong = ugv("spectrogram", file, "--at", "9 m", *more)
+        assert wrong.returncode == 2
+        assert said_of in wrong.stderr

@@ -17,6 +17,7 @@ from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture
 from twin.radar.device.design import RadarDesign
 from twin.radar.intervals import DetectionIntervals, detection_intervals
+from twin.radar.micro_doppler import MicroDoppler, micro_doppler
 from twin.radar.picture import TrackPicture, track_picture
 from twin.radar.propagation.result import Path as RadioPath
 from twin.radar.truth import TrueTarget
@@ -28,7 +29,7 @@ _CELLS = 2.0  # by which a detection may lie beside a target, in range and rate
 @dataclass(frozen=True, eq=False)
 class RadarEvaluation:
     """One radar's capture, what the vehicle makes of its first burst, which true target each
-    detection is (or None), and what a track sees over all bursts.
+    detection is (or None), what a track sees over all bursts, and what turns or swings.
 
     Printed, it says what was achieved.
     """
@@ -39,6 +40,7 @@ class RadarEvaluation:
     matches: tuple[TrueTarget | None, ...]
     how: Processing
     picture: TrackPicture | None
+    micro_doppler: tuple[MicroDoppler, ...] = ()
 
     @property
     def waveform(self) -> OfdmWaveform:
@@ -114,8 +116,8 @@ def evaluate_radar(
     """Process a record as the vehicle does, and match detections with the truth.
 
     Carrier steps without leakage cannot be joined: then the first one stands for all. ``scene``, as
-    it is at the first burst, is what the picture of a track is compared with; without it there is
-    none.
+    it is at the first burst, is what the picture of a track and micro-Doppler are compared with;
+    without it there is none of either.
     """
     how, record = how or Processing(), _joinable(capture.record)
     frame = process(record, 0, how)
@@ -126,6 +128,7 @@ def evaluate_radar(
         matches=match_detections(frame.detections, capture.truth, frame.waveform),
         how=how,
         picture=track_picture(scene, radar, record) if scene else None,
+        micro_doppler=micro_doppler(scene, radar, record, capture.truth) if scene else (),
     )
 
 

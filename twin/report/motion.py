@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from hardware.formatting import number
 from twin.motion import Motion
 from twin.radar import RadarDesign
+from twin.radar.micro_doppler import ranges_and_rates
 from twin.scene import Pose, Scene, SceneObject
 from twin.system import System
 
@@ -130,7 +131,8 @@ def _seen(
     if radar is None:
         return found
     wave = radar.channel_waveform
-    ranges, rates = _ranges(item.course, points, scene, radar.burst_s)
+    times = _instants(scene, radar.burst_s)
+    ranges, rates = ranges_and_rates(item.course, points, scene, times)
     return replace(
         found,
         range_rates_m_per_s=(float(rates.min()), float(rates.max())),
@@ -169,15 +171,3 @@ def _from_mount(scene: Scene, mount: Pose, times_s: Array, places_m: Array) -> A
     origin = rig.apply(np.asarray(mount.position_m))
     offset: Array = (places_m - origin[:, None]) @ axes
     return offset
-
-
-def _ranges(course: Motion, points_m: Array, scene: Scene, seconds: float) -> tuple[Array, Array]:
-    """Ranges and range rates of points from the radar over an interval, (n, k) each."""
-    times = _instants(scene, seconds)
-    place, velocity, _ = course.at(times).of_points(points_m)
-    mount = np.reshape(scene.rig.radar.position_m, (1, 3))
-    radar, moving, _ = scene.rig.course.at(times).of_points(mount)
-    offset = place - radar
-    ranges = np.linalg.norm(offset, axis=-1)
-    rates = np.sum((velocity - moving) * offset, axis=-1) / np.maximum(ranges, 1e-12)
-    return ranges, rates

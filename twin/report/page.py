@@ -120,6 +120,7 @@ def _charts(
     if radar:
         groups["map"] = [radar_charts.map_chart(radar)]
         groups["cuts"] = radar_charts.cut_charts(radar)
+        groups["micro"] = radar_charts.micro_doppler_charts(radar)
     return {
         group: {f"{group}-{i}": chart for i, chart in enumerate(found)}
         for group, found in groups.items()
@@ -156,6 +157,8 @@ def _drawn_by_radar(radar: RadarEvaluation) -> dict[str, Figure]:
         "range_doppler": radar_figures.radar_map(radar),
         "radar_cuts": radar_figures.radar_cuts(radar),
     }
+    if radar.micro_doppler:
+        drawn["micro_doppler"] = radar_figures.micro_doppler(radar)
     if radar.picture:
         drawn["radar_image"] = radar_figures.track_image(radar.picture)
     return drawn

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from hardware.formatting import number
 from twin.accuracy.interval import TWO_SIDED_95
 from twin.radar.evaluation import RadarEvaluation
+from twin.radar.micro_doppler import MicroDoppler
 from twin.report import charts
 from twin.report.extent import folded, mover_row, shown_ranges, shown_rates, top_range_m
 
@@ -114,6 +115,75 @@ def cut_charts(evaluation: RadarEvaluation) -> list[charts.Chart]:
             ],
         },
     ]
+
+
+def micro_doppler_charts(evaluation: RadarEvaluation) -> list[charts.Chart]:
+    """Of each body of which parts turn or swing: power by time and range rate, and true rates."""
+    return [_micro_doppler(evaluation, body) for body in evaluation.micro_doppler]
+
+
+def _micro_doppler(evaluation: RadarEvaluation, body: MicroDoppler) -> charts.Chart:
+    seen, parts = body.seen, body.parts
+    shown = slice(*np.searchsorted(seen.range_rate_m_per_s, micro_doppler_rates(body)))
+    levels = 10 * np.log10(np.maximum(seen.power_w[shown], 1e-30))
+    top, times_ms = float(levels.max()), 1e3 * seen.time_s
+    rates = seen.range_rate_m_per_s[shown]
+    left, right = _borders(times_ms)
+    low, high = _borders(rates)
+    middles = [(part.least_m_per_s + part.greatest_m_per_s) / 2 for part in parts]
+    halves = [(part.greatest_m_per_s - part.least_m_per_s) / 2 for part in parts]
+    return {
+        "title": micro_doppler_title(evaluation, body),
+        "equal": False,
+        "axes": True,
+        "x": charts.axis("time within the interval (ms)", left, right),
+        "y": charts.axis("range rate (m/s), receding is positive", low, high),
+        "image": charts.raster(
+            levels - top, (left, right), (low, high), -40.0, 0.0, "dB below the strongest"
+        ),
+        "layers": [
+            charts.layer(
+                "true rates of its parts, side by side",
+                part_places(body, left, right),
+                middles,
+                mark="plus",
+                colour="orange",
+                labels=[part.name for part in parts],
+                texts=[
+                    f"{part.name}: {number(part.least_m_per_s, 3)} to "
+                    f"{number(part.greatest_m_per_s, 3)} m/s"
+                    for part in parts
+                ],
+                errors=([0.0] * len(parts), halves),
+            )
+        ],
+    }
+
+
+def micro_doppler_title(evaluation: RadarEvaluation, body: MicroDoppler) -> str:
+    """What the spectrogram of a body shows, in words."""
+    low, high = body.heard_m_per_s
+    return (
+        f"micro-Doppler of {body.name} at {number(body.seen.range_m, 3)} m: rates from "
+        f"{low:.2f} to {high:.2f} m/s heard within 40 dB, its parts have "
+        f"{body.least_m_per_s:.2f} to {body.greatest_m_per_s:.2f} m/s"
+    )
+
+
+def micro_doppler_rates(body: MicroDoppler) -> tuple[float, float]:
+    """Range rates that are shown: a third beyond those of the parts, within what is unambiguous."""
+    rates, cell = body.seen.range_rate_m_per_s, np.diff(body.seen.range_rate_m_per_s[:2])[0]
+    margin = max((body.greatest_m_per_s - body.least_m_per_s) / 3, 8 * float(cell))
+    low, high = body.least_m_per_s - margin, body.greatest_m_per_s + margin
+    if low < rates[0] or high > rates[-1]:  # folded: all of them
+        return float(rates[0]), np.inf
+    return low, high
+
+
+def part_places(body: MicroDoppler, left: float, right: float) -> Array:
+    """Where the rates of parts stand along the axis of time, side by side."""
+    n = len(body.parts)
+    return left + (right - left) * (np.arange(n, dtype=np.float64) + 0.5) / n
 
 
 def _noise(low: float, high: float) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.picture import TrackPicture
 from twin.report.extent import folded, mover_row, shown_ranges, shown_rates, top_range_m
-from twin.report.style import BLUE, GREY, ORANGE, new_figure
+from twin.report.radar_charts import micro_doppler_rates, micro_doppler_title, part_places
+from twin.report.style import BLUE, GREY, ORANGE, new_figure, wrapped
 
 _DEPTH_DB = 20.0  # shown of a track's image
 _LINE = 0.045  # height of a line of text over that of the map
@@ -94,6 +95,45 @@ def track_image(track: TrackPicture) -> Figure:
     axis.set_ylabel("down-range (m)")
     down, cross = 100 * image.down_resolution_m, 100 * image.cross_resolution_m
     axis.set_title(f"resolution {down:.0f} cm down-range, {cross:.1f} cm across")
+    return figure
+
+
+def micro_doppler(evaluation: RadarEvaluation) -> Figure:
+    """Spectrogram of each body of which parts turn or swing, with the true rates of its parts."""
+    bodies = evaluation.micro_doppler
+    figure = new_figure((5.6 * len(bodies), 4.6))
+    for axis, body in zip(figure.subplots(1, len(bodies), squeeze=False)[0], bodies, strict=True):
+        seen = body.seen
+        shown = slice(*np.searchsorted(seen.range_rate_m_per_s, micro_doppler_rates(body)))
+        level = _dbm(seen.power_w[shown])
+        drawn = axis.pcolormesh(
+            1e3 * seen.time_s,
+            seen.range_rate_m_per_s[shown],
+            level - level.max(),
+            cmap="cividis",
+            vmin=-40.0,
+            vmax=0.0,
+            shading="nearest",
+            rasterized=True,
+        )
+        figure.colorbar(drawn, ax=axis, label="dB below the strongest")
+        places = part_places(body, *(1e3 * seen.time_s[[0, -1]]))
+        for place, part in zip(places, body.parts, strict=True):
+            axis.vlines(place, part.least_m_per_s, part.greatest_m_per_s, color=ORANGE, lw=1.6)
+            axis.text(
+                place,
+                part.greatest_m_per_s,
+                f" {part.name}",
+                rotation=90,
+                ha="center",
+                va="bottom",
+                color="white",
+                fontsize=6.5,
+                clip_on=True,
+            )
+        axis.set_title(wrapped(micro_doppler_title(evaluation, body), 62))
+        axis.set_xlabel("time within the interval (ms); lines: true rates of parts, side by side")
+        axis.set_ylabel("range rate (m/s)")
     return figure
 
 

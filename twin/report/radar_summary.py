@@ -10,6 +10,7 @@ from hardware.radar import Detection
 from twin.accuracy import Interval
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.intervals import body_level
+from twin.radar.micro_doppler import WINDOWS
 from twin.radar.propagation.facets.convergence import percent
 
 _CFAR = {"ca": "cell-averaging", "go": "greatest-of", "os": "ordered-statistic"}
@@ -21,6 +22,8 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "name": evaluation.radar.name,
         "description": evaluation.radar.description,
         "waveform": _waveform(evaluation),
+        "window_cell": si(WINDOWS * evaluation.waveform.velocity_cell_m_per_s, "m/s"),
+        "interval": si(evaluation.radar.burst_s, "s"),
         "budget": [(n, f"{number(v, 4)} {unit}") for n, v, unit in budget_figures(evaluation)],
         "targets": _targets(evaluation),
         "headlines": str(evaluation).splitlines(),

@@ -200,6 +200,15 @@ def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
             (*of, "object", role.name), "largest flat side over the Fresnel zone", "", ratio
         )
     yield from _detected(evaluation)
+    for moving in evaluation.micro_doppler:
+        heard = moving.heard_m_per_s
+        for name, value in (
+            ("least range rate of its parts", moving.least_m_per_s),
+            ("greatest range rate of its parts", moving.greatest_m_per_s),
+            ("least range rate heard within 40 dB", heard[0]),
+            ("greatest range rate heard within 40 dB", heard[1]),
+        ):
+            yield Figure((*of, "micro-Doppler", moving.name), name, "m/s", Interval(value))
     for seen in evaluation.picture.seen if evaluation.picture else ():
         for name, value, unit in (
             ("down-range in the image", seen.down_range_m, "m"),
