@@ -46,7 +46,7 @@ class SlidingWindow:
         How the image moves, as its prediction from one time to the next; its time 0 is now. None:
         unknown, values age.
     compensation
-        Knobs of motion compensation.
+        Knobs of motion compensation; the prior stays 1/f^2, and there are no standard errors.
     """
 
     def __init__(
@@ -59,7 +59,10 @@ class SlidingWindow:
         if not (np.isfinite(noise_variance) and noise_variance >= 0):
             raise InputError(f"noise_variance: {noise_variance} is not a number from 0 on")
         self.patterns, self.noise_variance = patterns, float(noise_variance)
-        self.motion, self.compensation = motion, replace(compensation, error_samples=0)
+        self.motion, self.compensation = (
+            motion,
+            replace(compensation, error_samples=0, prior_rows=0),
+        )
         self._sensing = Sensing(patterns)
         self._blocks = WalshBlocks.of((patterns.rows, patterns.columns), patterns.indices)
         self._prior = walsh_variance(patterns.rows, patterns.columns)[patterns.indices]

@@ -1,6 +1,6 @@
 """From measurements of a moving scene to its image at the reference time."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from hardware.errors import InputError
 from hardware.patterns import Patterns, PatternSet, fwht
 from hardware.reconstruction.motion import solvers
 from hardware.reconstruction.motion.estimation import Search, estimated_shift
+from hardware.reconstruction.motion.fitting import fitted_prior
 from hardware.reconstruction.motion.knobs import Compensation
 from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.motion.operators import (
@@ -31,12 +32,25 @@ Array = NDArray[np.float64]
 
 #: Side of the blocks over which squared draws of the posterior are averaged, cells.
 _BLOCK = 8
-#: Measurements from which on noise is told by cross-validation.
-_FEWEST_VALIDATED = 64
 #: Share of the solver's residual where each value holds the light of all cells.
 _BESIDE_ALL_LIGHT = 0.02
+#: Measurements from which on they tell their own prior.
+_FEWEST_FITTED = 64
 #: Standard errors that hold 95 % of all cells, see `MovingScene.linear`.
 ERRORS_IN_95 = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimate:
+    """What differs from a flat image of a level, by a prior and its scale, and whether the
+    measurements told the prior's steepness (`fitted_prior`).
+    """
+
+    solved: solvers.Solved
+    level: float
+    scale: float
+    prior: solvers.Prior
+    is_fitted: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,35 +70,39 @@ class MovingScene:
     def linear(self, most_noise: Array) -> tuple[Array, Array | None, tuple[str, ...]]:
         """Cells and standard errors, ``(n_cells, n_images)``, of the linear estimate; warnings.
 
-        ``most_noise`` (n_images,) is the noise variance that standard errors are stated for.
+        ``most_noise`` (n_images,) is the noise variance that standard errors are stated for. Where
+        each value holds light that enters and leaves, which no scatter tells from noise, it is the
+        noise of the fitted prior.
 
-        Standard errors are those of the 1/f^2 prior: they hold noise, and detail that the patterns
-        do not tell apart where it moves. Scenes are less normal than their prior: on those of the
-        tests more than 93 % of all cells lie within `ERRORS_IN_95` of them.
+        Standard errors are those of the prior: they hold noise, and detail that the patterns do not
+        tell apart where it moves. Scenes are less normal than their prior: on those of the tests
+        more than 93 % of all cells lie within `ERRORS_IN_95` of them.
         """
         cells, errors, worst = [], [], 0.0
         for image in range(self.timed.values.shape[1]):
-            solved, level, scale = self._solved(image)
-            worst = max(worst, solved.residual)
-            cells.append(self.operator.grid.image(solved.unknowns).ravel() + level)
-            if scale == 0 or not np.isfinite(most_noise[image]):
+            found = self._estimate(image)
+            worst = max(worst, found.solved.residual)
+            cells.append(self.operator.grid.image(found.solved.unknowns).ravel() + found.level)
+            if found.scale == 0 or not np.isfinite(most_noise[image]):
                 errors.append(np.zeros(self.patterns.n_cells))
             elif self.knobs.error_samples:
-                ratio = max(self._ratio(image, scale), float(most_noise[image]) / scale)
-                errors.append(np.sqrt(scale * self._error_variance(ratio)))
-        found = np.stack(cells, axis=1)
-        return found, np.stack(errors, axis=1) if errors else None, tuple(self._told(worst))
+                noise = 0.0 if self.timed.centred and found.is_fitted else float(most_noise[image])
+                prior = replace(found.prior, ratio=max(found.prior.ratio, noise / found.scale))
+                errors.append(np.sqrt(found.scale * self._error_variance(prior)))
+        image_cells = np.stack(cells, axis=1)
+        told = tuple(self._told(worst))
+        return image_cells, np.stack(errors, axis=1) if errors else None, told
 
     def edges(self) -> tuple[Array, tuple[str, ...]]:
         """Cells of least total variation within the noise, ``(n_cells, n_images)``; warnings."""
         cells, worst = [], 0.0
         for image in range(self.timed.values.shape[1]):
-            solved, level, _ = self._solved(image)
-            worst = max(worst, solved.residual)
-            values = self._without(level, image)
-            noise = float(self.noise_variance[image])
-            unknowns = solvers.total_variation(self.operator, values, noise, solved.unknowns)
-            cells.append(self.operator.grid.image(unknowns).ravel() + level)
+            found = self._estimate(image)
+            worst = max(worst, found.solved.residual)
+            values = self._without(found.level, image)
+            noise, start = float(self.noise_variance[image]), found.solved.unknowns
+            unknowns = solvers.total_variation(self.operator, values, noise, start)
+            cells.append(self.operator.grid.image(unknowns).ravel() + found.level)
         return np.stack(cells, axis=1), tuple(self._told(worst))
 
     def at_rest(self, indices: NDArray[np.intp]) -> tuple[Array, tuple[str, ...]]:
@@ -100,15 +118,18 @@ class MovingScene:
             own = np.concatenate([own[: len(indices) - self.patterns.count], own[2:]])
         worst = 0.0
         for image in range(n_images):
-            solved, level, _ = self._solved(image)
-            worst = max(worst, solved.residual)
-            left = self._without(level, image) - self.operator.forward(solved.unknowns)
-            cells = self.operator.grid.image(solved.unknowns).ravel() + level
+            estimate = self._estimate(image)
+            unknowns, level = estimate.solved.unknowns, estimate.level
+            worst = max(worst, estimate.solved.residual)
+            left = self._without(level, image) - self.operator.forward(unknowns)
+            cells = self.operator.grid.image(unknowns).ravel() + level
             found[:, image] = fwht(cells)[indices] + left[own]
         return found, tuple(self._told(worst))
 
-    def _solved(self, image: int) -> tuple[solvers.Solved, float, float]:
-        """The linear estimate of what differs from a flat image, that image's level, the scale."""
+    def _estimate(self, image: int) -> "_Estimate":
+        """The linear estimate, with the prior of power 1/f^2 and the scale that its moments tell,
+        or with the prior that some of the measurements tell (`fitted_prior`).
+        """
         level = self._level(image)
         values = self._without(level, image)
         noise = float(self.noise_variance[image])
@@ -122,25 +143,33 @@ class MovingScene:
         scale = prior_scale(energy, int(np.count_nonzero(detail)), noise, expected)
         if scale == 0:
             empty = np.zeros(self.operator.grid.shape)
-            return solvers.Solved(empty, 0.0, 0), level, scale
-        ratio = self._ratio(image, scale)
-        count, knobs = self.timed.count, self.knobs
-        if self.timed.centred and count >= _FEWEST_VALIDATED:
-            # Light that enters and leaves is in every value: it is no measure of noise or scale.
-            knobs = replace(knobs, residual=knobs.residual * _BESIDE_ALL_LIGHT)
-            ratio = solvers.cross_validated(self.operator, values, ratio, count, knobs)
-            solved = solvers.lmmse(self.operator, values, ratio, count, knobs)
+            unsolved = solvers.Solved(empty, 0.0, 0)
+            return _Estimate(unsolved, level, scale, solvers.Prior(1.0), is_fitted=False)
+        least = self._least_ratio
+        prior = solvers.Prior(max(noise / scale, least))
+        fits = self.knobs.prior_rows > 0 and self.timed.count >= _FEWEST_FITTED
+        if fits:
+            prior = fitted_prior(
+                self.operator,
+                self.timed,
+                values,
+                noise_variance=None if self.timed.centred else noise,
+                first=prior,
+                least_ratio=least,
+                most_rows=self.knobs.prior_rows,
+            )
+        solved = self._solver(prior)(values)
+        if fits:  # chi-square per measurement of 1
             left = values - self.operator.forward(solved.unknowns)
-            return solved, level, max(float(values @ left) / (ratio * count), 0.0)
-        return solvers.lmmse(self.operator, values, ratio, count, knobs), level, scale
+            scale = max(float(values @ left) / (prior.ratio * self.timed.count), 0.0)
+        return _Estimate(solved, level, scale, prior, fits)
 
-    def _ratio(self, image: int, scale: float) -> float:
-        """Noise over the prior's scale, at least what the solver is asked to tell apart."""
+    @property
+    def _least_ratio(self) -> float:
+        """Least ratio of noise to the prior's scale that the solver is asked to tell apart."""
         rows, columns = self.patterns.rows, self.patterns.columns
         spread = float(cell_variance(rows, columns).mean())
-        least = rows * columns * self.knobs.least_noise**2 * spread
-        noise = float(self.noise_variance[image])
-        return max(noise / scale, least) if scale else 1.0
+        return rows * columns * self.knobs.least_noise**2 * spread
 
     def _level(self, image: int) -> float:
         """Mean light of a cell, from the pattern that lights all; 0 without it."""
@@ -156,13 +185,20 @@ class MovingScene:
         flat = self.operator.forward(np.full(self.operator.grid.shape, level))
         return np.asarray(self.timed.values[:, image] - flat)
 
-    def _error_variance(self, ratio: float) -> Array:
+    def _solver(self, prior: solvers.Prior) -> Callable[[Array], solvers.Solved]:
+        knobs = self.knobs
+        if self.timed.centred:
+            # Light that enters and leaves is in every value, and rules the residual's norm.
+            knobs = replace(knobs, residual=knobs.residual * _BESIDE_ALL_LIGHT)
+        return solvers.linear_solver(self.operator, prior, self.timed.count, knobs)
+
+    def _error_variance(self, prior: solvers.Prior) -> Array:
         """Mean square of the posterior's draws, smoothed, ``(n_cells,)``, for scale 1."""
         from scipy.ndimage import uniform_filter  # takes 0.1 s to import
 
-        rng = np.random.default_rng(self.knobs.seed)
+        rng, solver = np.random.default_rng(self.knobs.seed), self._solver(prior)
         draws = [
-            solvers.posterior_draw(self.operator, ratio, self.timed.count, self.knobs, rng)
+            solvers.posterior_draw(self.operator, prior, solver, self.timed.count, rng)
             for _ in range(self.knobs.error_samples)
         ]
         squares = np.mean(np.square(draws), axis=0)

@@ -47,12 +47,11 @@ class Grid:
             n * (self.columns + self.left + self.right),
         )
 
-    @property
-    def spectrum(self) -> Array:
-        """The 1/f^2 prior's eigenvalues, of the scale of `prior_spectrum` on the image; 0 for the
-        mean. Read only.
+    def spectrum(self, exponent: float = 1.0) -> Array:
+        """Eigenvalues of a prior of power spectrum 1/f^(2 exponent), that of `prior_spectrum` for
+        exponent 1, the same for all at `_PIVOT`; 0 for the mean. Read only.
         """
-        return _spectrum(self)
+        return _spectrum(self, exponent)
 
     def image(self, unknowns: Array) -> Array:
         """Cells (rows, columns) of the image at the reference time."""
@@ -69,13 +68,20 @@ class Grid:
         return wide.repeat(self.oversampling, 0).repeat(self.oversampling, 1)
 
 
-@lru_cache(maxsize=8)
-def _spectrum(grid: Grid) -> Array:
+#: Cycles per image at which priors of all exponents are alike.
+_PIVOT = 8.0
+
+
+@lru_cache(maxsize=16)
+def _spectrum(grid: Grid, exponent: float) -> Array:
     down, along = grid.shape
     n = grid.oversampling
     f2 = (np.arange(down)[:, None] * (n * grid.rows / down)) ** 2 / 4
     f2 = f2 + (np.arange(along) * (n * grid.columns / along)) ** 2 / 4
     f2[0, 0] = np.inf
     spectrum = np.asarray(n**2 / f2)
+    if exponent != 1:
+        f2[0, 0] = 1.0
+        spectrum *= (_PIVOT**2 / f2) ** (exponent - 1)
     spectrum.flags.writeable = False
     return spectrum

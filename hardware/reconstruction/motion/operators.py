@@ -6,6 +6,7 @@ a shifted one: measurement k is u_k^T X v_k. Other warps are sparse matrices at 
 images between them interpolated in time, and the fast transform behind them.
 """
 
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,6 +35,9 @@ class MovingPatterns(Protocol):
 
     def adjoint(self, values: Array) -> Array:
         """Transpose of `forward`."""
+
+    def rows(self, some: NDArray[np.intp]) -> Array:
+        """Some rows of the matrix, ``(len(some), *grid.shape)``."""
 
 
 def moving_patterns(
@@ -75,6 +79,19 @@ class ShiftedPatterns:
         y = values - values.mean() if self._centred else values
         each = np.broadcast_to(y, self._terms).reshape(-1, 1)
         return np.asarray(self._u.T @ (each * self._v))
+
+    def rows(self, some: NDArray[np.intp]) -> Array:
+        """See `MovingPatterns`."""
+        found = np.zeros((len(some), *self.grid.shape))
+        for term in range(self._terms[0]):
+            k = term * self._terms[1] + some
+            found += self._u[k][:, :, None] * self._v[k][:, None, :]
+        return found - self._mean if self._centred else found
+
+    @cached_property
+    def _mean(self) -> Array:
+        """Of all rows."""
+        return np.asarray(self._u.T @ self._v / self._terms[1])
 
 
 def shifted_rows(
@@ -139,6 +156,29 @@ class WarpedPatterns:
         np.add.at(spectra, (rows, self._after), self._weights[1] * y)
         fields = fwht_in_place(spectra)
         return np.asarray((self._back @ fields.T.ravel()).reshape(self.grid.shape))
+
+    def rows(self, some: NDArray[np.intp]) -> Array:
+        """See `MovingPatterns`."""
+        found = np.zeros((len(some), self.grid.shape[0] * self.grid.shape[1]))
+        n_cells = self._shape[1]
+        for k, row in enumerate(some):
+            for term, pattern in enumerate(self._timed.rows[:, row]):
+                walsh = hadamard_rows(np.array([pattern]), n_cells)[0].astype(np.float64)
+                for at, weight in zip((self._before, self._after), self._weights, strict=True):
+                    first = int(at[term, row]) * n_cells
+                    part = self._warp[first : first + n_cells]
+                    found[k] += weight[term, row] * (walsh @ part)
+        if self._timed.centred:
+            found -= self._mean
+        return found.reshape(-1, *self.grid.shape)
+
+    @cached_property
+    def _mean(self) -> Array:
+        """Of all rows, ``(n_unknowns,)``."""
+        spectra, rows = np.zeros(self._shape[::-1]), self._timed.rows
+        np.add.at(spectra, (rows, self._before), self._weights[0] / self._timed.count)
+        np.add.at(spectra, (rows, self._after), self._weights[1] / self._timed.count)
+        return np.asarray(self._back @ fwht_in_place(spectra).T.ravel())
 
 
 def subcell_places(shape: tuple[int, int], n: int) -> Array:

@@ -1,8 +1,10 @@
 """The image of a moving scene from its measurements: linear, and of least total variation.
 
-Linear (LMMSE under the 1/f^2 prior of covariance C): (A^T A + r C^-1) x = A^T y, r the noise over
-the prior's scale, by conjugate gradients. The preconditioner is diagonal in the cosine transform: a
-full set at rest has A^T A = M I behind the averaging over each cell.
+Linear (LMMSE under a prior of power spectrum 1/f^(2 e) and covariance C): (A^T A + r C^-1) x =
+A^T y, r the noise over the prior's scale, by conjugate gradients. The preconditioner is diagonal in
+the cosine transform: a full set at rest has A^T A = M I behind the averaging over each cell. Few
+measurements, or small images, are solved by their own covariance instead, x = C A^T w with
+(A C A^T + r I) w = y, to roundoff.
 
 Total variation: least sum of |grad x| whose misfit is a share of the noise's, by the alternating
 direction method of multipliers (split Bregman: Goldstein and Osher, SIAM J. Imaging Sci. 2, 2009),
@@ -10,7 +12,7 @@ the weight of the misfit adapted until it has that size.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +30,20 @@ _ALTERNATIONS, _INNER_STEPS = 60, 2
 MISFIT = 0.8
 #: First weight of total variation over the noise variance and the mean gradient of the LMMSE.
 _FIRST_WEIGHT = 0.1
+#: Products up to which a covariance of measurements is formed: a second.
+_MOST_PRODUCTS = 2.0**33
 #: Share of the image's spread that no noise is below: what the grid itself leaves open.
 _LEAST_NOISE = 1e-3
-#: Of the ratios that are tried, the first per squared rows of the image.
-_FIRST_RATIO, _RATIO_STEP, _PROBE_RESIDUAL = 1 / 16, 4.0, 0.03
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A prior of power spectrum 1/f^(2 exponent); ``ratio`` is the noise variance of a measurement
+    over its scale.
+    """
+
+    ratio: float
+    exponent: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +55,21 @@ class Solved:
     iterations: int
 
 
-def lmmse(
-    patterns: MovingPatterns, values: Array, ratio: float, count: int, knobs: Compensation
-) -> Solved:
-    """The linear estimate from values ``(count,)``; ``ratio`` is noise over the prior's scale."""
-    spectrum = patterns.grid.spectrum
-    penalty = np.divide(ratio, spectrum, out=np.zeros_like(spectrum), where=spectrum > 0)
+def linear_solver(
+    patterns: MovingPatterns, prior: Prior, count: int, knobs: Compensation
+) -> Callable[[Array], Solved]:
+    """The linear estimate as a function of values ``(count,)``."""
+    unknowns = patterns.grid.shape[0] * patterns.grid.shape[1]
+    if count * count * unknowns <= _MOST_PRODUCTS:
+        return _by_covariance(patterns, prior, count)
+    spectrum = patterns.grid.spectrum(prior.exponent)
+    penalty = np.divide(prior.ratio, spectrum, out=np.zeros_like(spectrum), where=spectrum > 0)
     weight = 1 / (count * averaging(patterns.grid) + penalty)
 
     def apply(x: Array) -> Array:
         return patterns.adjoint(patterns.forward(x)) + _filtered(x, penalty)
 
-    return conjugate_gradients(
+    return lambda values: conjugate_gradients(
         apply,
         patterns.adjoint(values),
         lambda residual: _filtered(residual, weight),
@@ -63,47 +78,58 @@ def lmmse(
     )
 
 
-def cross_validated(
-    patterns: MovingPatterns, values: Array, least: float, count: int, knobs: Compensation
-) -> float:
-    """The ratio of noise to the prior's scale that predicts measurements left out best.
-
-    Generalised cross-validation, |y - A x|^2 / tr(I - H)^2, the trace from one random probe
-    (Girard, Numer. Math. 56, 1989), by factors of `_RATIO_STEP` down from a ratio that leaves
-    little detail, to ``least``, until it rises.
+def _by_covariance(patterns: MovingPatterns, prior: Prior, count: int) -> Callable[[Array], Solved]:
+    """By the measurements' covariance; the mean of the unknowns, which the prior leaves free, is
+    that of generalised least squares.
     """
-    probe = np.random.default_rng(knobs.seed).choice([-1.0, 1.0], size=count)
-    coarse = replace(knobs, residual=_PROBE_RESIDUAL)
-    best, score, ratio = least, np.inf, max(_FIRST_RATIO * patterns.grid.rows**2, least)
-    while True:
-        left = values - patterns.forward(lmmse(patterns, values, ratio, count, knobs).unknowns)
-        gone = patterns.forward(lmmse(patterns, probe, ratio, count, coarse).unknowns)
-        free = max(1 - float(probe @ gone) / count, 1e-6)
-        now = float(left @ left) / free**2
-        if now >= score:
-            return best
-        best, score = ratio, now
-        if ratio <= least:
-            return best
-        ratio = max(ratio / _RATIO_STEP, least)
+    from scipy.linalg import cho_factor, cho_solve  # takes 0.1 s to import
+
+    spectrum = patterns.grid.spectrum(prior.exponent)
+    covariance = covariance_of(in_cosines(patterns.rows(np.arange(count))), spectrum)
+    np.fill_diagonal(covariance, covariance.diagonal() + prior.ratio)
+    factor = cho_factor(covariance, lower=True, overwrite_a=True, check_finite=False)
+    level = patterns.forward(np.ones(patterns.grid.shape))
+    of_level = cho_solve(factor, level, check_finite=False)
+    power = float(level @ of_level)
+
+    def solve(values: Array) -> Solved:
+        weights = cho_solve(factor, values, check_finite=False)
+        mean = float(level @ weights) / power if power > 1e-12 else 0.0
+        weights = weights - mean * of_level
+        return Solved(_filtered(patterns.adjoint(weights), spectrum) + mean, 0.0, 1)
+
+    return solve
+
+
+def in_cosines(rows: Array) -> Array:
+    """Cosine coefficients of rows ``(n, *grid.shape)``."""
+    from scipy import fft  # takes 0.1 s to import
+
+    return np.asarray(fft.dctn(rows, axes=(1, 2), norm="ortho"))
+
+
+def covariance_of(parts: Array, spectrum: Array) -> Array:
+    """A C A^T of rows in cosine coefficients ``(n, *grid.shape)``, for a prior's eigenvalues."""
+    weighted = (parts * np.sqrt(spectrum)).reshape(len(parts), -1)
+    return np.asarray(weighted @ weighted.T)
 
 
 def posterior_draw(
     patterns: MovingPatterns,
-    ratio: float,
+    prior: Prior,
+    solver: Callable[[Array], Solved],
     count: int,
-    knobs: Compensation,
     rng: np.random.Generator,
 ) -> Array:
     """The error of one draw from prior and noise, cells (rows, columns), for a prior of scale 1.
 
-    An image drawn from the prior, its measurements with noise of variance ``ratio``, and the linear
+    An image drawn from the prior, its measurements with noise of its ratio, and the linear
     estimate from them: its error has the posterior's covariance (Papandreou and Yuille, NIPS 2010).
     """
     grid = patterns.grid
-    truth = _filtered(rng.normal(size=grid.shape), np.sqrt(grid.spectrum))
-    values = patterns.forward(truth) + np.sqrt(ratio) * rng.normal(size=count)
-    return grid.image(lmmse(patterns, values, ratio, count, knobs).unknowns - truth)
+    truth = _filtered(rng.normal(size=grid.shape), np.sqrt(grid.spectrum(prior.exponent)))
+    values = patterns.forward(truth) + np.sqrt(prior.ratio) * rng.normal(size=count)
+    return grid.image(solver(values).unknowns - truth)
 
 
 def total_variation(
