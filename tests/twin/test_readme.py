@@ -1,84 +1,123 @@
-"""What the README shows runs as it stands there."""
+"""What the README and the pages whose blocks build on each other show runs as it stands there."""
 
 import re
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hardware.recording import Log, ros
-from hardware.records.state import QuaternionPose
-from twin.scene import load_scene
 from twin.sweep import load_study
 from twin.sweep.evaluate import evaluate_chunk
 from twin.system import load_system
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+def blocks(page: str, language: str) -> list[str]:
+    text = (ROOT / page).read_text()
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 
 
+def block(page: str, name: str) -> str:
+    """The text of the file of that name."""
+    text = (ROOT / page).read_text()
+    (body,) = re.findall(rf"```{{code-block}} \w+\n:caption: {name}\n\n(.*?)```", text, re.DOTALL)
+    return body
+
+
+@pytest.mark.parametrize(
+    ("page", "told"),
+    [
+        ("README.md", ["lmmse: PSNR", "Detection(range_m=5.63"]),
+        ("docs/howto/accuracy.md", ["above their noise"]),
+        ("docs/howto/micro_doppler.md", ["m/s"]),
+        ("docs/howto/moving_images.md", ["True"]),
+        ("docs/howto/own_parts.md", ["(64, 64)", "within 8 m", "range_m=20.0", "range_m=5.63"]),
+        ("docs/howto/python.md", ["runs/yard_(changed)-workable_(changed)-alone-hybrid-79_(ch"]),
+    ],
+)
 def test_python_examples_run(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: str,
+    told: list[str],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for block in blocks("python"):
-        exec(block, names)
+    for code in blocks(page, "python"):
+        exec(code, names)
     printed = capsys.readouterr().out
-    assert "lmmse: PSNR" in printed
-    assert "Detection(range_m=5.63" in printed
-    (folder,) = (tmp_path / "runs").glob("yard*")
-    assert folder.name == "yard_(changed)-workable_(changed)-alone-hybrid-79_(changed)"
+    for words in told:
+        assert words in printed
 
 
-def test_the_system_file_loads(tmp_path: Path) -> None:
-    _, text, *_ = blocks("toml")
-    assert tomllib.loads(text)["base"] == "paper"
-    (tmp_path / "mine.toml").write_text(text)
-    (tmp_path / "filter.csv").write_text("nm,T\n1530,0\n1550,0.5\n1570,0\n")
-    assert load_system(tmp_path / "mine.toml").optics.f_number.value == 0.8
+def test_the_readme_is_one_screen() -> None:
+    assert len(README) < 6000
+    assert len(README.splitlines()) < 100
 
 
-def test_the_scenes_motion_loads(tmp_path: Path) -> None:
-    shapes = "".join(
-        f'<shape type="sphere" id="{name}"><float name="radius" value="0.3"/>'
-        f'<point name="center" x="{x}" y="0.6" z="0.3"/><bsdf type="diffuse" id="{row}"/></shape>'
-        for name, row, x in (("car", "car_paint", 6), ("wheel", "rubber", 5), ("arm", "skin", 7))
-    )
-    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{shapes}</scene>')
-    sun = "[sun]\nazimuth_deg = 0.0\nelevation_deg = 38.0\nilluminance_lx = 1e5\n"
-    (tmp_path / "scene.toml").write_text(blocks("toml")[2] + sun)
-    with Log(tmp_path / "drive.mcap") as log:
-        for stamp in (10**18, 10**18 + 10**9):
-            pose = QuaternionPose(x_m=(stamp - 10**18) * 1e-9)
-            message = ros.transform(pose, stamp, "world", "rig")
-            log.message("/tf", ros.TRANSFORMS, message, stamp, stamp)
-    scene = load_scene(tmp_path).after(0.5)
-    car, wheel, arm = scene.objects
-    assert scene.rig.pose.position_m == pytest.approx((0.5, 0.0, 0.0))
-    assert car.middle_m[0] == pytest.approx(6.7)
-    assert wheel.middle_m[0] == pytest.approx(5.7)
-    assert wheel.state.angular_velocity_rad_per_s[1] == pytest.approx(1.4 / 0.3)
-    assert arm.state.angular_velocity_rad_per_s.any()
+def test_figures_of_the_readme_are_those_of_the_validation() -> None:
+    """One figure, one value: a row stands there as it stands here, less the command."""
+    rows = re.findall(r"^(\| .* \| .*) \| `python -m benchmarks (\w+)` \|$", README, re.MULTILINE)
+    assert len(rows) == 4
+    validation = (ROOT / "docs" / "validation.md").read_text()
+    for row, room in rows:
+        assert f"{row} |\n" in validation
+        assert (ROOT / "benchmarks" / f"{room}.py").is_file()
 
 
-def test_a_system_of_own_parts_loads(tmp_path: Path) -> None:
-    text = "".join(blocks("toml")[3:])
-    (tmp_path / "mine.toml").write_text(f'base = "workable"\n{text}')
-    np.save(tmp_path / "masks.npy", np.zeros((512, 64, 64), np.uint8))
-    assert load_system(tmp_path / "mine.toml").patterns.count == 512
-    assert load_system(tmp_path / "mine.toml").weather is not None
+@pytest.mark.parametrize(
+    "page",
+    [
+        "README.md",
+        *(
+            str(p.relative_to(ROOT))
+            for p in (ROOT / "docs").rglob("*.md")
+            if "generated" not in p.parts
+        ),
+    ],
+)
+def test_links_are_of_a_form_that_can_be_followed(page: str) -> None:
+    """Within the repository to what is there; elsewhere by https, without blanks or odd ends.
+
+    Whether what is elsewhere still is there `make docs-links` asks, which needs the network.
+    """
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", (ROOT / page).read_text(), flags=re.DOTALL)
+    folder = (ROOT / page).parent
+    for target in re.findall(r"\]\(([^)\s]*)\)", text):
+        if ":" in target:
+            assert re.fullmatch(r"https://[\w-]+(\.[\w-]+)+(/[\w./~%#?=&:+-]*)?", target), target
+            continue
+        path, _, anchor = target.partition("#")
+        there = (folder / path).resolve()
+        if "generated" in there.parts:
+            continue  # made by `make docs`, which checks them
+        assert there.exists(), f"{page}: {target}"
+        assert not anchor or path.endswith(".md") or not path
+    for target in re.findall(r"(?<![(\"'<\w])https?://\S+", text):
+        assert target.startswith("https://"), target
 
 
 def test_the_study_runs(tmp_path: Path) -> None:
-    text, *_ = blocks("toml")
-    (tmp_path / "study.toml").write_text(text)
+    (tmp_path / "study.toml").write_text(block("docs/howto/studies.md", "walls.toml"))
     study = load_study(tmp_path / "study.toml")
     chunk = evaluate_chunk(study, 0, 2)
     assert study.n_points == 36
     assert not chunk.errors
     assert np.isfinite(chunk.values["psnr_db"]).all()
+
+
+def test_the_system_file_loads(tmp_path: Path) -> None:
+    for name in ("mine.toml", "filter.csv"):
+        (tmp_path / name).write_text(block("docs/howto/systems.md", name))
+    assert load_system(tmp_path / "mine.toml").optics.f_number.value == 0.8
+
+
+def test_a_system_of_own_parts_loads(tmp_path: Path) -> None:
+    text = "".join(blocks("docs/howto/own_parts.md", "toml"))
+    (tmp_path / "mine.toml").write_text(f'base = "workable"\n{text}')
+    np.save(tmp_path / "masks.npy", np.zeros((512, 64, 64), np.uint8))
+    assert load_system(tmp_path / "mine.toml").patterns.count == 512
+    assert load_system(tmp_path / "mine.toml").weather is not None

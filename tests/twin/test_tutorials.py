@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-QUICK = ("tutorials/*_*", "howto/fits", "howto/materials", "howto/camera_settings")
-LONG = ("quickstart", "howto/weather", "howto/own_parts", "howto/studies")
+HOWTO = ("fits", "materials", "camera_settings", "motion", "systems")
+QUICK = ("tutorials/*_*", *(f"howto/{name}" for name in HOWTO))
+LONG = ("quickstart", "howto/weather", "howto/drive", "howto/studies")
 PAGES = [
     *(page for name in QUICK for page in sorted((ROOT / "docs").glob(f"{name}.md"))),
     *(pytest.param(ROOT / "docs" / f"{name}.md", marks=pytest.mark.slow) for name in LONG),
