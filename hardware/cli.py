@@ -6,7 +6,7 @@ import sys
 import typer
 
 from hardware.commands import images, log, radar
-from hardware.commands.output import version_option
+from hardware.commands.output import CLOSED_PIPE, reader_left, version_option
 from hardware.errors import HardwareError
 from hardware.files import one_line, said
 
@@ -36,13 +36,18 @@ def main() -> None:
     """Entry point: run a command, turn expected errors into one line and exit code 2."""
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        sys.stdout.flush()
     except HardwareError as error:
         message = str(error)
     except SystemExit as error:  # commands return; a user's own code, and completion, do not
         if "_UGV_COMPLETE" in os.environ:
             raise
+        if reader_left(error):
+            sys.exit(CLOSED_PIPE)
         message = f"code of one's own called sys.exit({error})"
     except OSError as error:
+        if reader_left(error):
+            sys.exit(CLOSED_PIPE)
         message = said(error)
     except MemoryError as error:
         message = f"out of memory ({error})" if str(error) else "out of memory"

@@ -48,6 +48,15 @@ def si(value: float, unit: str, digits: int = 3) -> str:
     return f"{rounded / 10.0**power:.{decimals}f} {_PREFIXES[power]}{unit}"
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things, the noun in its singular.
+
+    >>> counted(1, "point"), counted(2, "point")
+    ('1 point', '2 points')
+    """
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def with_error(value: float, error: float, unit: str = "", *, sign: bool = False) -> str:
     """A figure and its error, to two significant digits of the error.
 

@@ -7,7 +7,12 @@ import sys
 
 import typer
 
-from hardware.commands.output import version_option, with_output
+from hardware.commands.output import (
+    CLOSED_PIPE,
+    reader_left,
+    version_option,
+    with_output,
+)
 from twin import __version__
 from twin.commands import catalogue, driving, figures, scenes, serving, studies, with_stages
 from twin.progress import interrupts
@@ -54,11 +59,14 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        sys.stdout.flush()
     except TwinError as error:
         message = str(error)
     except SystemExit as error:  # commands return; a user's own code, and completion, do not
         if "_TWIN_COMPLETE" in os.environ:
             raise
+        if reader_left(error):
+            sys.exit(CLOSED_PIPE)
         message = f"code of one's own called sys.exit({error})"
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] in ("twin", "hardware"):
@@ -67,6 +75,8 @@ def main() -> None:
     except OSError as error:
         from hardware.files import said
 
+        if reader_left(error):
+            sys.exit(CLOSED_PIPE)
         message = said(error)
     except MemoryError as error:
         message = f"out of memory ({error})" if str(error) else "out of memory"

@@ -7,7 +7,7 @@ import typer
 
 from hardware.commands.output import Output, with_output
 from hardware.errors import InputError
-from hardware.formatting import number, quantity_text, si
+from hardware.formatting import counted, number, quantity_text, si
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,6 +47,10 @@ def reconstruct(
     out: Annotated[
         Path | None, typer.Option(help="NumPy archive to write; default RECORD-METHOD.npz.")
     ] = None,
+    png: Annotated[
+        Path | None,
+        typer.Option(help="PNG to write: images side by side, square root of the light."),
+    ] = None,
 ) -> None:
     """Reconstruct the image of a record, and distances where it has phase shutters or gates."""
     import time
@@ -56,6 +60,7 @@ def reconstruct(
     from hardware import read_record
     from hardware import reconstruct as to_image
     from hardware.commands.motions import motion_of, told
+    from hardware.png import write_picture
     from hardware.reconstruction import method_of, range_image
     from hardware.records.state import ALWAYS_OPEN
 
@@ -77,7 +82,7 @@ def reconstruct(
     patterns, low, high = loaded.patterns, *_extremes(reconstruction.image)
     say.line(
         f"{record}: {loaded.received.patterns.count} of {patterns.n_cells} patterns "
-        f"({patterns.order}, {patterns.mode}), {detectors} image{'s' if detectors > 1 else ''} of "
+        f"({patterns.order}, {patterns.mode}), {counted(detectors, 'image')} of "
         f"{rows} x {columns}"
     )
     say.verdict(f"{solve.name}: {si(elapsed, 's')}; cells {number(low)} to {number(high)} e-")
@@ -118,6 +123,9 @@ def reconstruct(
     with target.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
     say.written(target)
+    if png:
+        write_picture(png, reconstruction.picture)
+        say.written(png)
 
 
 def _extremes(image: "Array") -> tuple[float, float]:

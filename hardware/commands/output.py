@@ -1,6 +1,7 @@
 """What a command tells and where: ``--quiet``, ``--verbose``, ``--json``, the same for all."""
 
 import inspect
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +21,22 @@ _VERBOSE = Annotated[
 _JSON = Annotated[
     bool, typer.Option("--json", help="One JSON document on stdout; all else goes to stderr.")
 ]
+
+
+#: What a shell gives for a program that ended by SIGPIPE, as usual tools do.
+CLOSED_PIPE = 141
+
+
+def reader_left(error: BaseException) -> bool:
+    """Whether a command ended because nobody reads its output any more (`| head`).
+
+    Then what is still to be written goes nowhere, without a word. Typer and Rich exit with 1 at it.
+    """
+    if not any(isinstance(each, BrokenPipeError) for each in (error, error.__context__)):
+        return False
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    return True
 
 
 class Output:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
 from hardware.formatting import number, with_error
+from hardware.png import write_grey
 from hardware.radar.detection import Detection
 from hardware.radar.imaging import RadarImage
 from hardware.radar.spectrogram import Spectrogram
@@ -21,14 +21,9 @@ def write_png(path: Path, power: NDArray[np.floating[Any]], span_db: float = 50.
 
     Raises InputError where Pillow (the extra ``png``) is not installed.
     """
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise InputError(f"{path}: PNG needs Pillow: pip install 'ugv-twin[png]'") from error
     peak = float(power.max(initial=0.0)) or 1.0
     with np.errstate(divide="ignore"):
-        level = 1 + 10 * np.log10(power / peak) / span_db
-    Image.fromarray((255 * np.clip(level, 0, 1)).round().astype(np.uint8)).save(path)
+        write_grey(path, 1 + 10 * np.log10(power / peak) / span_db)
 
 
 def write_detections(path: Path, detections: Iterable[tuple[int, Detection]]) -> None:

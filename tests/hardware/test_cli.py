@@ -40,6 +40,33 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SpiRecord]:
     return path, made
 
 
+def test_it_draws_the_image(record: tuple[Path, SpiRecord], tmp_path: Path) -> None:
+    """Each cell is a square of grey, white from the 99.5th percentile on; both images in a row."""
+    image = pytest.importorskip("PIL.Image")
+    path, made = record
+    arguments = (
+        "reconstruct",
+        str(path),
+        "--method",
+        "zero-fill",
+        "--out",
+        str(tmp_path / "a.npz"),
+    )
+    done = ugv(*arguments, "--png", str(tmp_path / "a.png"))
+    assert done.returncode == 0, done.stderr
+    drawn = np.asarray(image.open(tmp_path / "a.png"))
+    light = reconstruct(made, "zero-fill").picture
+    side = drawn.shape[0] // light.shape[0]
+    assert drawn.shape == (side * light.shape[0], side * light.shape[1])
+    assert min(drawn.shape) >= 512
+    level = np.sqrt(np.clip(light / np.percentile(light, 99.5), 0, 1))
+    np.testing.assert_array_equal(
+        drawn[side // 2 :: side, side // 2 :: side], (255 * level).round()
+    )
+    done = ugv(*arguments, "--png", str(tmp_path / "a.jpeg"))
+    assert (done.returncode, "expected a name that ends in .png" in done.stderr) == (2, True)
+
+
 @pytest.mark.parametrize("method", ["lmmse", "tv"])
 def test_it_writes_what_the_library_gives(record: tuple[Path, SpiRecord], method: str) -> None:
     path, made = record

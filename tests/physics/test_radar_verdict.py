@@ -84,7 +84,7 @@ def test_missed_targets_are_listed_with_what_was_to_be_expected(evaluation, tmp_
     """The same words in Python, on the terminal and in the report."""
     assert [target.name for target in evaluation.missed] == ["fly"]
     first, second = str(evaluation).splitlines()
-    assert first.startswith("hybrid-79: 1 of 2 targets among 1 detections")
+    assert first.startswith("hybrid-79: 1 of 2 targets among 1 detection")
     assert second.startswith("hybrid-79: missed: fly (-")
     assert "dB over the map's noise" in second
     assert radar_summary(evaluation)["headlines"] == [first, second]

@@ -57,6 +57,23 @@ def test_version_and_help(twin) -> None:
     assert twin("safety", "-h") == twin("safety", "--help")
 
 
+@pytest.mark.parametrize("command", ["twin schema system", "twin --help", "hardware methods"])
+def test_a_reader_that_leaves_is_no_fault(command: str) -> None:
+    """Long output, and a short one that is flushed at the end: silent, as ended by SIGPIPE."""
+    package, *arguments = command.split()
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", package, *arguments],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=write,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
 def test_help_loads_no_library_of_size() -> None:
     """What keeps `twin --help` below a tenth of a second."""
     heavy = "numpy", "scipy", "pydantic", "rich", "matplotlib", "mitsuba", "xarray", "trimesh"

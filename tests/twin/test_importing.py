@@ -48,6 +48,15 @@ def test_gltf_is_y_up_by_itself_and_parts_keep_their_names(robot, tmp_path: Path
     assert any("y taken as up, 0.01 m per unit" in note for note in notes)
 
 
+def test_a_model_in_millimetres_is_told(robot, tmp_path: Path) -> None:
+    robot.apply_scale(1000.0)
+    robot.export(tmp_path / "robot.glb")
+    wide = import_model(tmp_path / "robot.glb", tmp_path / "wide")
+    assert "a model in millimetres needs --scale 0.001" in wide
+    right = import_model(tmp_path / "robot.glb", tmp_path / "scene", scale=0.001)
+    assert not any("millimetres" in note for note in right)
+
+
 def test_the_rig_sees_the_model(robot, tmp_path: Path) -> None:
     from twin.camera.acquisition import capture
     from twin.system import load_system

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hardware.commands.output import Output
-from hardware.formatting import number
+from hardware.formatting import counted, number
 from twin.commands import console_of, loading
 from twin.commands.arguments import (
     FidelityOption,
@@ -194,7 +194,8 @@ def check(
     for warning in loaded.warnings:
         say.warn(warning)
     odd = sum(bool(row.remarks) for row in rows)
-    verdict = f"{len(rows)} objects, {odd} with remarks, {len(loaded.warnings)} warnings"
+    warnings = counted(len(loaded.warnings), "warning")
+    verdict = f"{counted(len(rows), 'object')}, {odd} with remarks, {warnings}"
     say.verdict(f"{loaded.name}: {verdict}")
     say.add(
         scene=loaded.name,

@@ -8,6 +8,7 @@ import typer
 
 from hardware.commands.output import Output
 from hardware.commands.quantities import quantity_of
+from hardware.formatting import counted
 from twin.commands import console_of
 from twin.commands.arguments import (
     FidelityOption,
@@ -57,7 +58,8 @@ def sweep(
     failed = f", {done.n_failed} failed" if done.n_failed else ""
     void = f", {done.n_void} void" if done.n_void else ""
     results = done.out / "results.zarr"
-    say.verdict(f"{done.n_points} points{failed}{void}, {done.renders} renders: {results}")
+    points, renders = counted(done.n_points, "point"), counted(done.renders, "render")
+    say.verdict(f"{points}{failed}{void}, {renders}: {results}")
     say.add(
         points=done.n_points,
         failed=done.n_failed,
@@ -68,11 +70,11 @@ def sweep(
         reasons=[{"reason": reason, "points": n} for reason, n in done.reasons],
     )
     for kind, n in done.warned:
-        say.warn(f"{kind}: {n} points")
+        say.warn(f"{kind}: {counted(n, 'point')}")
     if done.without_effect:
         say.warn(f"no metric changes with {', '.join(done.without_effect)}")
     for reason, n in done.reasons[:_REASONS]:
-        print(f"failed: {n} points: {reason}", file=sys.stderr)
+        print(f"failed: {counted(n, 'point')}: {reason}", file=sys.stderr)
     if len(done.reasons) > _REASONS:
         print(f"failed: {len(done.reasons) - _REASONS} more reasons: error", file=sys.stderr)
     if done.n_failed:

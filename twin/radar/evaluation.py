@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hardware.formatting import counted
 from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
 from hardware.radar.output import cell
 from hardware.radar.process import Frame, Processing, process
@@ -100,7 +101,10 @@ class RadarEvaluation:
         """How many targets the map of the first burst shows."""
         hit = len(self.capture.truth) - len(self.missed)
         parts = sum(target is not None for target in self.further)
-        text = f"{hit} of {len(self.capture.truth)} targets among {len(self.detections)} detections"
+        found = counted(len(self.detections), "detection")
+        text = f"{hit} of {counted(len(self.capture.truth), 'target')} among {found}"
+        if not self.capture.truth:
+            text = f"{found}; the scene names no targets"
         if parts:
             text += f", {parts} of them further echoes of the same objects"
         return f"map of the first burst: {text}" if self.picture else text

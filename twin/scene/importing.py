@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hardware.formatting import number
 from twin.files import InputError, whole_folder
 from twin.geometry import Geometry
 from twin.scene.beside import missing_files
@@ -16,6 +17,7 @@ from twin.scene.materials import materials_of
 from twin.scene.meshes import load_quietly
 from twin.scene.objects import Array
 
+_LIKELY_M = 100.0  # what is larger is drawn in millimetres, more often than not
 _LARGEST_M = 1e5  # what a scene may measure, see `load_scene`
 #: glTF fixes its up axis; other formats leave it open.
 _UP = {".glb": "y", ".gltf": "y"}
@@ -87,8 +89,10 @@ def import_model(
         bsdf_of = {name: bsdf for name, (_, bsdf) in parts.items()}
         (partial / "scene.xml").write_text(_xml(bsdf_of, materials.xml(), origin))
         (partial / "scene.toml").write_text(_toml(model, low, high))
-    size = ", ".join(f"{s:.3g}" for s in high - low)
+    size = " x ".join(number(s) for s in high - low)
     notes.append(f"{axis} taken as up, {scale:g} m per unit: the scene measures {size} m")
+    if scale == 1 and (high - low).max() > _LIKELY_M:
+        notes.append("a model in millimetres needs --scale 0.001")
     notes += [*materials.notes(), *missing_files(model)]
     notes.append("rig placed in front of the model, looking at it: see scene.toml")
     return notes
@@ -163,10 +167,12 @@ def _toml(model: Path, low: Array, high: Array) -> str:
     size = float(max(high[1] - low[1], high[2] - low[2]))
     distance = max(1.3 * size / (2 * np.tan(np.radians(10))), 0.1)
     y, z = (low[1:] + high[1:]) / 2
+    digits = max(0, 2 - int(np.floor(np.log10(distance))))
+    x, y, z = (round(float(v), digits) for v in (high[0] + distance, y, z))
     return (
         f"description = {json.dumps(f'imported from {model.name}')}\n\n"
         "[rig]\n"
-        f"position_m = [{high[0] + distance:.12g}, {y:.12g}, {z:.12g}]\n"
+        f"position_m = [{x:.12g}, {y:.12g}, {z:.12g}]\n"
         "yaw_deg = 180.0\n"
         "[rig.emitter]\n"
         "offset_m = [0.0, 0.0, 0.0]\n"

@@ -177,20 +177,23 @@ def create_or_resume(
 def _check(out: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
     """Raise InputError where a folder's points are of something else."""
     if differs := other_accuracy(old["study"], new["study"]):
-        raise InputError(f"{out}: holds results of {differs}; expected the same, or a new folder")
+        raise InputError(
+            f"{out}: holds results of {differs}; expected the same, or another folder (--out)"
+        )
     if different := _differences("", old["study"], new["study"]):
         shown = "; ".join(different[:_MOST_DIFFERENCES])
         if len(different) > _MOST_DIFFERENCES:
             shown += f" and {len(different) - _MOST_DIFFERENCES} more"
         raise InputError(
-            f"{out}: holds results of another study: {shown}; expected the same, or a new folder"
+            f"{out}: holds results of another study: {shown}; "
+            "expected the same, or another folder (--out)"
         )
     for kind, what in (("versions", "other versions of"), ("inputs", "other content of")):
         names = old[kind].keys() | new[kind].keys()
         if other := sorted(n for n in names if old[kind].get(n) != new[kind].get(n)):
             raise InputError(
-                f"{out}: holds results of {what} {', '.join(other)}; expected the same, or a new "
-                "folder"
+                f"{out}: holds results of {what} {', '.join(other)}; expected the same, or "
+                "another folder (--out)"
             )
 
 
