@@ -28,7 +28,9 @@ from hardware.reconstruction import reconstruct as reconstruct
 from hardware.reconstruction.motion import CellMotion as CellMotion
 from hardware.reconstruction.motion import Compensation as Compensation
 from hardware.reconstruction.motion import Homography as Homography
+from hardware.reconstruction.motion import Layers as Layers
 from hardware.reconstruction.motion import Motion as Motion
+from hardware.reconstruction.motion import MovingBox as MovingBox
 from hardware.reconstruction.motion import RigMotion as RigMotion
 from hardware.reconstruction.motion import Search as Search
 from hardware.reconstruction.motion import Shift as Shift

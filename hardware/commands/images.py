@@ -40,8 +40,9 @@ def reconstruct(
         str | None,
         typer.Option(
             help="How the image moves within the frame: `estimate`, DOWN,RIGHT in cells/s, or a "
-            "file: CSV of time_s, down_cells, right_cells; NumPy: velocities (rows, columns, 2) "
-            "in cells/s, or a homography's rate (3, 3)."
+            "file: CSV of time_s, down_cells, right_cells; TOML: background_cells_per_s and "
+            "[[object]] tables of box_cells (top, left, bottom, right) and cells_per_s; NumPy: "
+            "velocities (rows, columns, 2) in cells/s, or a homography's rate (3, 3)."
         ),
     ] = None,
     out: Annotated[

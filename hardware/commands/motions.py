@@ -1,7 +1,7 @@
-"""The option ``--motion``: an estimate, a velocity, or a file of displacements."""
+"""The option ``--motion``: an estimate, a velocity, or a file of displacements or of objects."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hardware.errors import InputError
 
@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from hardware.reconstruction.motion import Motion, Search
 
 _EXPECTED = (
-    "expected `estimate`, DOWN,RIGHT in cells/s, a CSV file of time_s, down_cells, right_cells, or "
-    "a NumPy file (rows, columns, 2) or (3, 3)"
+    "expected `estimate`, DOWN,RIGHT in cells/s, a CSV file of time_s, down_cells, right_cells, a "
+    "TOML file of a background and objects, or a NumPy file (rows, columns, 2) or (3, 3)"
 )
 
 
@@ -25,6 +25,8 @@ def motion_of(given: str) -> "Motion | Search":
         return _track(path)
     if path.suffix == ".npy":
         return _field(path)
+    if path.suffix == ".toml":
+        return _layers(path)
     try:
         down, right = (float(part) for part in given.split(","))
     except ValueError:
@@ -34,13 +36,17 @@ def motion_of(given: str) -> "Motion | Search":
 
 def told(motion: "Motion | None") -> str:
     """A motion in a few words."""
-    from hardware.reconstruction.motion import Shift
+    from hardware.reconstruction.motion import Layers, Shift
 
     if motion is None:
         return "none"
     if isinstance(motion, Shift):
         down, right = motion.down_cells_per_s, motion.right_cells_per_s
         return f"{down:.4g} cells/s down, {right:.4g} cells/s to the right"
+    if isinstance(motion, Layers):
+        n = len(motion.objects)
+        objects = f"{n} object{'s' if n != 1 else ''} in front of it"
+        return f"background {told(motion.background)}; {objects}"
     return f"as given ({type(motion).__name__})"
 
 
@@ -77,6 +83,62 @@ def _track(path: Path) -> "Motion":
         return ShiftTrack(table[:, 0], table[:, 1:])
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _layers(path: Path) -> "Motion":
+    """A background and objects in front of it, the nearest first.
+
+    ``background_cells_per_s = [down, right]``, and for each object a table ``[[object]]`` of
+    ``box_cells = [top, left, bottom, right]`` at the reference time and ``cells_per_s = [down,
+    right]``.
+    """
+    import tomllib
+
+    from hardware.reconstruction.motion import Layers, MovingBox, Shift
+
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file of moving objects")
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {error}") from error
+    _only(path, "", given, {"background_cells_per_s", "object"})
+    tables = given.get("object", [])
+    if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
+        raise InputError(f"{path}: object: expected tables, each under [[object]]")
+    boxes = []
+    for k, table in enumerate(tables):
+        where = f"object[{k}]."
+        _only(path, where, table, {"box_cells", "cells_per_s"})
+        moving = Shift(*_numbers(path, where, table, "cells_per_s", 2))
+        top, left, bottom, right = _numbers(path, where, table, "box_cells", 4)
+        try:
+            boxes.append(MovingBox(top, left, bottom, right, moving))
+        except InputError as error:
+            raise InputError(f"{path}: object[{k}]: {error}") from error
+    still = {"background_cells_per_s": [0.0, 0.0]}
+    background = Shift(*_numbers(path, "", still | given, "background_cells_per_s", 2))
+    return Layers(background, tuple(boxes))
+
+
+def _only(path: Path, where: str, table: dict[str, Any], known: set[str]) -> None:
+    if unknown := sorted(set(table) - known):
+        raise InputError(
+            f"{path}: {where}{unknown[0]}: no such key, expected some of {', '.join(sorted(known))}"
+        )
+
+
+def _numbers(path: Path, where: str, table: dict[str, Any], key: str, n: int) -> list[float]:
+    import math
+
+    values = table.get(key)
+    fits = isinstance(values, list) and len(values) == n
+    if not fits or not all(
+        isinstance(one, int | float) and not isinstance(one, bool) and math.isfinite(one)
+        for one in values  # type: ignore[union-attr]
+    ):
+        raise InputError(f"{path}: {where}{key}: {values!r:.60}, expected {n} finite numbers")
+    return [float(one) for one in values]  # type: ignore[union-attr]
 
 
 def _field(path: Path) -> "Motion":

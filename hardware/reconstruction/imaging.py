@@ -156,12 +156,12 @@ def reconstruct(
     sensing = Sensing(received.patterns, mixing)
     measured = measurements(received)
     variance, most = measured.noise_variance, measured.most_noise_variance
-    moving = None
+    moving, told_of_search = None, tuple[str, ...]()
     if motion is not None:
         check_known(record.patterns, mixing)
         arrived = record.received
         if isinstance(motion, Search):
-            motion = motion_found(record, arrived, variance, motion, reference_ns)
+            motion, told_of_search = motion_found(record, arrived, variance, motion, reference_ns)
     if motion is not None:
         moving = moving_scene(record, arrived, variance, motion, compensation, reference_ns)
     told_of_motion: tuple[str, ...] = ()
@@ -191,6 +191,7 @@ def reconstruct(
             *_unmeasured(sensing),
             *_with_background(received),
             *_without_scatter(received, most),
+            *told_of_search,
             *(told_of_motion if moving else _smoothed(cells, measured, sensing)),
         ),
         motion=moving.motion if moving else None,

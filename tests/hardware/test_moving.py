@@ -411,6 +411,14 @@ def test_a_scene_at_rest_keeps_its_bits(order: str) -> None:
     found, without = (reconstruct(record, motion=m) for m in (Search(most_cells=8), None))
     assert found.motion is None
     np.testing.assert_array_equal(found.image, without.image)
+    in_order = [told for told in found.warnings if "`interleaved`" in told]
+    assert len(in_order) == (order == "sequency")
+
+
+def test_too_few_patterns_to_look_for_motion_are_told() -> None:
+    record = moving_record(moving, PatternSet(N, N, 5, "interleaved"), noise=0.03)
+    found = reconstruct(record, motion=Search())
+    assert any("5 patterns do not tell it" in told for told in found.warnings)
 
 
 def test_a_dark_scene_does_not_move() -> None:

@@ -2,6 +2,7 @@
 
 from hardware.reconstruction.motion.estimation import EstimatedShift, Search, estimated_shift
 from hardware.reconstruction.motion.knobs import Compensation
+from hardware.reconstruction.motion.layers import Layers, MovingBox
 from hardware.reconstruction.motion.model import (
     CellMotion,
     Homography,
@@ -16,7 +17,9 @@ __all__ = [
     "Compensation",
     "EstimatedShift",
     "Homography",
+    "Layers",
     "Motion",
+    "MovingBox",
     "RigMotion",
     "Search",
     "Shift",

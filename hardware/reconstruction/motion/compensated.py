@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.patterns import Patterns, PatternSet, fwht
 from hardware.reconstruction.motion import solvers
-from hardware.reconstruction.motion.estimation import Search, estimated_shift
+from hardware.reconstruction.motion.estimation import FEWEST_SEARCHED, Search, estimated_shift
 from hardware.reconstruction.motion.fitting import fitted_prior
 from hardware.reconstruction.motion.knobs import Compensation
 from hardware.reconstruction.motion.model import Motion
@@ -36,6 +36,8 @@ _BLOCK = 8
 _BESIDE_ALL_LIGHT = 0.02
 #: Measurements from which on they tell their own prior.
 _FEWEST_FITTED = 64
+#: Rank correlation of a row's prior variance with its time from which on motion is hardly told.
+_IN_ORDER = 0.9
 #: Standard errors that hold 95 % of all cells, see `MovingScene.linear`.
 ERRORS_IN_95 = 2.5
 
@@ -82,7 +84,7 @@ class MovingScene:
         for image in range(self.timed.values.shape[1]):
             found = self._estimate(image)
             worst = max(worst, found.solved.residual)
-            cells.append(self.operator.grid.image(found.solved.unknowns).ravel() + found.level)
+            cells.append(self.operator.image(found.solved.unknowns).ravel() + found.level)
             if found.scale == 0 or not np.isfinite(most_noise[image]):
                 errors.append(np.zeros(self.patterns.n_cells))
             elif self.knobs.error_samples:
@@ -102,7 +104,7 @@ class MovingScene:
             values = self._without(found.level, image)
             noise, start = float(self.noise_variance[image]), found.solved.unknowns
             unknowns = solvers.total_variation(self.operator, values, noise, start)
-            cells.append(self.operator.grid.image(unknowns).ravel() + found.level)
+            cells.append(self.operator.image(unknowns).ravel() + found.level)
         return np.stack(cells, axis=1), tuple(self._told(worst))
 
     def at_rest(self, indices: NDArray[np.intp]) -> tuple[Array, tuple[str, ...]]:
@@ -122,7 +124,7 @@ class MovingScene:
             unknowns, level = estimate.solved.unknowns, estimate.level
             worst = max(worst, estimate.solved.residual)
             left = self._without(level, image) - self.operator.forward(unknowns)
-            cells = self.operator.grid.image(unknowns).ravel() + level
+            cells = self.operator.image(unknowns).ravel() + level
             found[:, image] = fwht(cells)[indices] + left[own]
         return found, tuple(self._told(worst))
 
@@ -229,13 +231,38 @@ def motion_found(
     noise_variance: Array,
     search: Search,
     reference_ns: int | None = None,
-) -> Motion | None:
-    """The shift that the measurements tell; None where they tell none. See `estimated_shift`."""
+) -> tuple[Motion | None, tuple[str, ...]]:
+    """The shift that the measurements tell, None where they tell none (see `estimated_shift`), and
+    why they may not, where their order is to blame.
+    """
     patterns = check_known(received.patterns, None)
     time_s = exposure_times_s(received, middle_ns(record) if reference_ns is None else reference_ns)
     timed = timed_rows(patterns, received.electrons, time_s, pairs_apart=False)
     estimate = estimated_shift(patterns, timed, noise_variance, search)
-    return estimate.shift if estimate.is_significant else None
+    if estimate.is_significant:
+        return estimate.shift, ()
+    return None, tuple(_hardly_told(patterns, timed))
+
+
+def _hardly_told(patterns: PatternSet, timed: TimedRows) -> Iterator[str]:
+    """Where patterns of one sequency are all shown at about one time."""
+    from scipy.stats import spearmanr  # takes 0.3 s to import
+
+    detail = timed.rows[0] != 0
+    if np.count_nonzero(detail) < FEWEST_SEARCHED or np.ptp(timed.time_s) == 0:
+        yield (
+            f"motion: not looked for: {timed.count} patterns do not tell it, at least "
+            f"{FEWEST_SEARCHED + 1} shown at different times are needed"
+        )
+        return
+    variance = walsh_variance(patterns.rows, patterns.columns)[timed.rows[0][detail]]
+    in_turn = spearmanr(variance, timed.time_s[0][detail]).statistic
+    if abs(float(in_turn)) > _IN_ORDER:
+        yield (
+            "motion: none is taken out, and if there is any this record hardly tells it: its "
+            "patterns were shown from coarse to fine; show them in the order `interleaved`, or "
+            "give the motion"
+        )
 
 
 def moving_scene(

@@ -27,6 +27,8 @@ from hardware.reconstruction.prior import walsh_variance
 
 Array = NDArray[np.float64]
 
+#: Measurements without which motion is not looked for.
+FEWEST_SEARCHED = 8
 #: Rows of largest prior variance that each stage takes, and the cosine functions along a side.
 _STAGES = ((64, 24), (256, 40), (512, 56))
 #: Steps of the first stage's grid, cells within the frame; what those of few patterns resolve.
@@ -105,7 +107,7 @@ def estimated_shift(
     search = search or Search()
     span_s = float(np.ptp(timed.time_s))
     nothing = EstimatedShift(Shift(0.0, 0.0), 0.0, False, (np.inf, np.inf))
-    if span_s == 0 or timed.count < 8:
+    if span_s == 0 or timed.count < FEWEST_SEARCHED:
         return nothing
     most = search.most_cells
     stages = [_Likelihood.of(patterns, timed, noise_variance, n, k, most) for n, k in _STAGES]

@@ -27,6 +27,11 @@ class Motion(ABC):
         ``shape`` is the image's, rows and columns. Raises InputError where it does not fit.
         """
 
+    @property
+    def parts(self) -> "tuple[Motion, ...]":
+        """What moves without jumps from place to place: all of it, or each layer."""
+        return (self,)
+
 
 class Translation(Motion):
     """All of the image moves alike: its patterns stay products of a row's and a column's part."""

@@ -16,6 +16,7 @@ from hardware.errors import InputError
 from hardware.patterns import fwht_in_place, hadamard_rows
 from hardware.reconstruction.motion.grid import Grid
 from hardware.reconstruction.motion.knobs import Compensation
+from hardware.reconstruction.motion.layers import Layers
 from hardware.reconstruction.motion.model import Motion, Translation
 from hardware.reconstruction.motion.timing import TimedRows
 
@@ -29,6 +30,9 @@ class MovingPatterns(Protocol):
     """Measurements of the unknowns of a grid, and the transpose."""
 
     grid: Grid
+
+    def image(self, unknowns: Array) -> Array:
+        """Cells (rows, columns) of the image at the reference time."""
 
     def forward(self, unknowns: Array) -> Array:
         """Measurements ``(count,)`` of unknowns ``grid.shape``."""
@@ -67,6 +71,10 @@ class ShiftedPatterns:
         self._u = u * timed.weight.reshape(-1, 1)
         self._v = shifted_rows(along, moved[:, 1], shape[1], -g.left, g.shape[1], n)
         self._terms, self._centred = timed.rows.shape, timed.centred
+
+    def image(self, unknowns: Array) -> Array:
+        """See `MovingPatterns`."""
+        return self.grid.image(unknowns)
 
     def forward(self, unknowns: Array) -> Array:
         """See `MovingPatterns`."""
@@ -122,7 +130,10 @@ class WarpedPatterns:
         n, n_cells = knobs.oversampling, shape[0] * shape[1]
         places = subcell_places(shape, n)
         instants = _instants(timed.time_s, motion, places, shape, knobs.step_cells)
-        sources = [motion.sources(float(t), places, shape) for t in instants]
+        if layered := isinstance(motion, Layers):
+            sources = motion.on_grid(instants, places, shape)
+        else:
+            sources = [motion.sources(float(t), places, shape) for t in instants]
         low = np.min([s.min(axis=0) for s in sources], axis=0)
         high = np.max([s.max(axis=0) for s in sources], axis=0)
         far = float(np.abs(np.array([s - places for s in sources])).max())
@@ -130,6 +141,7 @@ class WarpedPatterns:
         check_size(n * n * float(np.prod(high - low + 2)), far)
         self.grid = Grid.around(shape, low - 0.5, high + 0.5, n)
         parts = [_gathering(s, n_cells, self.grid) for s in sources]
+        self._reference: Any = parts.pop() if layered else None
         self._warp: Any = sparse.vstack(parts, format="csr")
         self._back: Any = self._warp.T.tocsr()
         self._shape = (len(instants), n_cells)
@@ -139,6 +151,13 @@ class WarpedPatterns:
         late = at - self._before
         self._weights = timed.weight * (1 - late), timed.weight * late
         self._timed = timed
+
+    def image(self, unknowns: Array) -> Array:
+        """See `MovingPatterns`."""
+        if self._reference is None:
+            return self.grid.image(unknowns)
+        cells = self._reference @ unknowns.ravel()
+        return np.asarray(cells.reshape(self.grid.rows, self.grid.columns))
 
     def forward(self, unknowns: Array) -> Array:
         """See `MovingPatterns`."""
@@ -192,6 +211,10 @@ def subcell_places(shape: tuple[int, int], n: int) -> Array:
 
 def farthest_cells(motion: Motion, time_s: Array, shape: tuple[int, int]) -> float:
     """The most that any place of the image moves from its place at time 0, at the times given."""
+    return max(_farthest(one, time_s, shape) for one in motion.parts)
+
+
+def _farthest(motion: Motion, time_s: Array, shape: tuple[int, int]) -> float:
     if isinstance(motion, Translation):
         return float(np.abs(motion.displacement(time_s.ravel())).max(initial=0.0))
     places = subcell_places(shape, 1)
@@ -207,11 +230,15 @@ def _instants(
     if last <= first:
         return np.array([first])
     found = [first]
-    here = motion.sources(first, places, shape)
+
+    def at(time_s: float) -> Array:
+        return np.concatenate([one.sources(time_s, places, shape) for one in motion.parts])
+
+    here = at(first)
     share = 1.0
     while found[-1] < last:
         ahead = min(found[-1] + share * (last - first), last)
-        there = motion.sources(ahead, places, shape)
+        there = at(ahead)
         moved = float(np.abs(there - here).max())
         if not np.isfinite(moved):
             raise InputError("motion: leads to what is not a number")

@@ -129,7 +129,7 @@ def posterior_draw(
     grid = patterns.grid
     truth = _filtered(rng.normal(size=grid.shape), np.sqrt(grid.spectrum(prior.exponent)))
     values = patterns.forward(truth) + np.sqrt(prior.ratio) * rng.normal(size=count)
-    return grid.image(solver(values).unknowns - truth)
+    return patterns.image(solver(values).unknowns - truth)
 
 
 def total_variation(

@@ -1,0 +1,166 @@
+"""Objects with motions of their own before a background: what is covered and uncovered, in a scene
+drawn cell by cell without the code under test.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from moving_scenes import AnalyticScene, moving_record, psnr
+
+from hardware import (
+    Compensation,
+    InputError,
+    Layers,
+    MovingBox,
+    PatternSet,
+    Shift,
+    SpiRecord,
+    reconstruct,
+)
+from hardware.commands.motions import motion_of, told
+from hardware.patterns import hadamard_rows
+from hardware.reconstruction.motion.knobs import STANDARD
+from hardware.reconstruction.motion.operators import moving_patterns
+from hardware.reconstruction.motion.timing import timed_rows
+
+N = 32
+WALL, CAR = AnalyticScene.of(11, N, 16.0), AnalyticScene.of(12, N, 16.0)
+BACKGROUND, OBJECT = Shift(1.0, 3.0), Shift(-2.0, -9.0)
+#: Edges of the object at the reference time: top, left, bottom, right.
+EDGES = (9.5, 11.5, 21.5, 23.5)
+QUICK = Compensation(error_samples=0, prior_rows=160)
+
+
+def share_of_the_object(time_s: float) -> np.ndarray:
+    """Of each cell, by overlaps of its edges."""
+    edges = np.arange(N + 1) - 0.5
+    parts = (
+        np.diff(np.clip(edges, low + speed * time_s, high + speed * time_s))
+        for low, high, speed in ((EDGES[0], EDGES[2], -2.0), (EDGES[1], EDGES[3], -9.0))
+    )
+    return np.outer(*parts).ravel()
+
+
+def seen(time_s: float) -> np.ndarray:
+    """The wall, and the car's texture within its edges in front of it, by shares of each cell."""
+    wall = WALL.cells(N, *(time_s * v for v in (1.0, 3.0)))
+    car = CAR.cells(N, *(time_s * v for v in (-2.0, -9.0))) + 1.0
+    share = share_of_the_object(time_s)
+    return wall.ravel() * (1 - share) + car.ravel() * share
+
+
+TRUTH = seen(0.0).reshape(N, N)
+LAYERS = Layers(BACKGROUND, (MovingBox(*EDGES, OBJECT),))
+
+
+def record(count: int, mode: str = "differential") -> SpiRecord:
+    return moving_record(seen, PatternSet(N, N, count, "interleaved", mode), noise=0.03)
+
+
+@pytest.mark.parametrize("count", [256, N * N])
+def test_an_object_of_its_own_motion(count: int) -> None:
+    """Against the background's motion alone, the object's alone, and none."""
+    moving = record(count)
+    motions = (LAYERS, BACKGROUND, OBJECT, None)
+    found, *others = (
+        psnr(reconstruct(moving, motion=m, compensation=QUICK).image[0] / 1e5, TRUTH)
+        for m in motions
+    )
+    assert found > max(others) + 3
+
+
+def test_a_bright_object_is_measured_where_it_is() -> None:
+    """Light of 1 on the object and none elsewhere: each measurement is its overlap with a pattern,
+    to the quarters of a cell that edges are rounded to.
+    """
+    patterns = PatternSet(N, N, 200, "interleaved")
+    time_s = np.linspace(-0.5, 0.5, patterns.n_exposures)
+    timed = timed_rows(patterns, np.zeros((len(time_s), 1)), time_s, pairs_apart=False)
+    operator = moving_patterns(timed, LAYERS, (N, N), Compensation(oversampling=4))
+    on_grid = np.arange(operator.grid.shape[0]) // 4 - operator.grid.above
+    light = np.where(on_grid[:, None] > N + 2, 1.0, 0.0) * np.ones(operator.grid.shape)
+    shares = np.array([share_of_the_object(t) for t in timed.time_s[0]])
+    expected = np.einsum("ki,ki->k", hadamard_rows(timed.rows[0], N * N), shares)
+    error = operator.forward(light) - expected
+    assert np.sqrt(np.mean(error**2)) < 0.03 * np.sqrt(np.mean(expected**2))
+    np.testing.assert_allclose(
+        operator.image(light).ravel(), share_of_the_object(0.0), atol=1e-9
+    )  # its edges at the reference time are those of cells
+
+
+@pytest.mark.parametrize("mode", ["differential", "plain"])
+def test_the_adjoint_and_the_rows_are_those_of_the_operator(mode: str) -> None:
+    patterns = PatternSet(16, 16, 60, "interleaved", mode)
+    time_s = np.linspace(-0.5, 0.5, patterns.n_exposures)
+    timed = timed_rows(patterns, np.zeros((patterns.n_exposures, 1)), time_s, pairs_apart=False)
+    boxes = (MovingBox(3.0, 2.0, 9.0, 8.0, OBJECT), MovingBox(5.0, 5.0, 14.0, 11.0, Shift(3.0, 0)))
+    operator = moving_patterns(timed, Layers(BACKGROUND, boxes), (16, 16), STANDARD)
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=operator.grid.shape), rng.normal(size=timed.count)
+    ahead, back = float(operator.forward(x) @ y), float(np.vdot(x, operator.adjoint(y)))
+    assert ahead == pytest.approx(back, rel=1e-10)
+    some = np.array([0, 5, 59 if mode == "plain" else 30])
+    by_rows = np.tensordot(operator.rows(some), x, axes=2)
+    np.testing.assert_allclose(by_rows, operator.forward(x)[some], atol=1e-9)
+
+
+def test_no_object_is_the_background_alone() -> None:
+    moving = record(128)
+    knobs = Compensation(error_samples=0, prior_rows=0)
+    alone = reconstruct(moving, motion=BACKGROUND, compensation=knobs).image
+    none, outside = (
+        reconstruct(moving, motion=Layers(BACKGROUND, boxes), compensation=knobs).image
+        for boxes in ((), (MovingBox(90.0, 90.0, 95.0, 95.0, OBJECT),))
+    )
+    for found in (none, outside):  # warps are linear between unknowns, shifts exact
+        np.testing.assert_allclose(found, alone, atol=0.05 * np.ptp(alone))
+
+
+def test_boxes_that_hide_each_other() -> None:
+    """The first is in front."""
+    near, far = MovingBox(0, 0, 4, 4, Shift(0, 2)), MovingBox(0, 0, 8, 8, Shift(0, -2))
+    sources = Layers(Shift(0, 0), (near, far)).sources(
+        1.0, np.array([[1.0, 3.0], [1.0, 1.0], [6.0, 1.0], [9.0, 9.0]]), (N, N)
+    )
+    np.testing.assert_allclose(sources, [[1.0, 1.0], [1.0, 3.0], [6.0, 3.0], [9.0, 9.0]])
+
+
+def test_a_box_without_a_size_is_told() -> None:
+    with pytest.raises(InputError, match=r"^motion: box: top, left, bottom, right"):
+        MovingBox(4.0, 0.0, 4.0, 3.0, OBJECT)
+
+
+def test_objects_in_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "objects.toml"
+    path.write_text(
+        "background_cells_per_s = [1, 3.0]\n"
+        "[[object]]\nbox_cells = [9.5, 11.5, 21.5, 23.5]\ncells_per_s = [-2, -9]\n"
+    )
+    assert motion_of(str(path)) == LAYERS
+    assert told(LAYERS) == (
+        "background 1 cells/s down, 3 cells/s to the right; 1 object in front of it"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("backgroud = 1", "backgroud: no such key"),
+        ("background_cells_per_s = [0.0, nan]", "background_cells_per_s: [0.0, nan], expected 2"),
+        ("object = 3", "object: expected tables"),
+        ("[[object]]\nbox_cells = [0, 0, 1, 1]", "object[0].cells_per_s: None, expected 2"),
+        (
+            "[[object]]\nbox_cells = [4, 0, 1, 1]\ncells_per_s = [0, 0]",
+            "object[0]: motion: box: top, left, bottom, right (4.0, 0.0, 1.0, 1.0)",
+        ),
+        ("[[object", "objects.toml: "),
+    ],
+)
+def test_wrong_objects_are_told(tmp_path: Path, text: str, expected: str) -> None:
+    path = tmp_path / "objects.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as raised:
+        motion_of(str(path))
+    assert f"{path}: " in str(raised.value)
+    assert expected in str(raised.value)
