@@ -18,8 +18,9 @@ from tests.physics.radar_worlds import (
     plate,
     world,
 )
+from tests.physics.retraced import errors_by_body
 from tests.physics.test_radar_rotation import ROWS, STILL, carried, dihedral, off
-from twin.motion import Straight, Swinging, Trajectory, Turning
+from twin.motion import Product, Straight, Swinging, Trajectory, Turning
 from twin.radar.acquisition import channel, radar_capture
 from twin.radar.device.burst import blended_channel, burst_channel
 from twin.radar.propagation.instants import traced_interval, weights
@@ -199,3 +200,63 @@ def test_an_empty_scene() -> None:
     found = traced_interval(world(), RADAR, OPTICS, 1)
     assert not found.instants
     assert not on_interval(found)
+
+
+def crowd(seed: int) -> Scene:
+    """A body at rest and two that fly straight or turn before and behind it, some faster than
+    their own size per interval.
+    """
+    rng, items = np.random.default_rng(seed), []
+    for number in range(3):
+        place = np.array([rng.uniform(5, 10), rng.uniform(-0.4, 0.4), rng.uniform(-0.2, 0.2)])
+        name, is_ball = f"b{number}", rng.random() < 0.5
+        item = (
+            ball(name, place, rng.uniform(0.05, 0.2), 3)
+            if is_ball
+            else plate(name, place, rng.uniform(0.1, 0.4))
+        )
+        course = Straight(tuple((rng.normal(size=3) * 10 ** rng.uniform(-1, 1)).tolist()))
+        if rng.random() < 0.5:
+            axis, beside = rng.normal(size=3), place + 0.1 * rng.normal(size=3)
+            turn = Turning(
+                tuple(axis.tolist()), tuple(beside.tolist()), 10 ** rng.uniform(-0.5, 0.5)
+            )
+            course = Product((course, turn))
+        items.append(item.following(course) if number else item)
+    return world(*items)
+
+
+@pytest.mark.parametrize(
+    "seed", [2, 4, *(pytest.param(n, marks=pytest.mark.slow) for n in range(5, 25))]
+)
+def test_what_one_instant_leaves_out_is_warned_of(seed: int) -> None:
+    """Shadows that pass, mirrors that come into sight: where a body's echo is off by more than is
+    permitted at slots traced anew, a warning names it.
+    """
+    scene = crowd(seed)
+    found = traced_interval(scene, RADAR, OPTICS, 1)
+    times = np.array([-4.7e-3, -2.1e-3, 0.6e-3, 4.9e-3])
+    errors = errors_by_body(scene, RADAR, found, OPTICS, times)
+    limit = OPTICS.radar_tolerance
+    warned = [line for line in found.warnings if "motion within an interval" in line]
+    for name, error in errors.items():
+        assert error <= limit or any(f"echo of {name} " in line for line in warned), (name, error)
+
+
+@pytest.mark.slow
+def test_asked_for_shadows_that_pass_are_traced() -> None:
+    """A plate flies past a ball at 20 m/s: left out of one instant with a warning, and with
+    ``radar_motion_tolerance`` at slots traced anew within 1.5 times what is asked for, of which up
+    to five times within the interval are samples.
+    """
+    fly = plate("plate", (6.0, 0.1, 0.0), 0.2).following(Straight((0.0, -20.0, 0.0)))
+    scene = world(ball("ball", (9.0, 0.0, 0.0), 0.2, 4), fly)
+    times = np.array([-4.7e-3, -2.6e-3, -0.7e-3, 1.1e-3, 2.9e-3, 4.4e-3])
+    once = traced_interval(scene, RADAR, OPTICS, 1)
+    assert any("direct echo of ball" in line for line in once.warnings)
+    assert errors_by_body(scene, RADAR, once, OPTICS, times)["ball"] > 0.3
+    knobs = OPTICS.with_(radar_motion_tolerance=0.2)
+    found = traced_interval(scene, RADAR, knobs, 1)
+    assert len(found.instants) > 4
+    assert not found.warnings
+    assert errors_by_body(scene, RADAR, found, knobs, times)["ball"] < 1.5 * 0.2

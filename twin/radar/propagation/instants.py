@@ -8,10 +8,16 @@ instants, and in between echoes go over from one to the next, each with the phas
 H(t) = sum_k w_k(t) sum_i a_i,k exp(-j 2 pi f tau_i,k(t)), w_k falling linearly to 0 at the instants
 before and after t_k. Amplitudes change to first order about each instant, so that half of the
 change from either side cancels: what is left is of second order.
+
+Bounds know how far bodies turn and how their ways bend, but neither shadows that pass nor surfaces
+that come into sight. Where one instant is taken, direct echoes are traced at both ends of the
+interval too, as a check: what they change by, and what is reflected between parts that turn, is
+warned of where it is more than is permitted.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
@@ -20,7 +26,13 @@ from numpy.typing import NDArray
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.facets.convergence import band_of, percent, reference_levels, summed_by
+from twin.radar.propagation.facets.convergence import (
+    BodyEcho,
+    band_of,
+    percent,
+    reference_levels,
+    summed_by,
+)
 from twin.radar.propagation.one_way.motion import RigidMotions, lengthening, radar_motion
 from twin.radar.propagation.result import Instant, Propagation
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
@@ -36,24 +48,29 @@ _OVER_ANGLE = 1.5
 _SAMPLES = 9  # times within the interval at which motions are looked at
 #: Spans between instants, at first and at most: 2^7 of 1.4 deg each are half a turn.
 _MOST_SPANS = 2**7
-#: Of spans, between whose ends the echo is compared with one traced in the middle.
-_COMPARED = 3
+#: Of spans, at most, between whose ends the echo is compared with one traced in the middle.
+_COMPARED = 5
+#: Solvers of which direct echoes are traced at the ends of an interval, as a check.
+_CHECKED = ("optics", "rough")
+_HOW = "fidelity.radar_motion_tolerance has it traced at several instants"
 
 
 @dataclass(frozen=True)
 class _Change:
     """What leaving motion within an interval to one instant does to the echo of an object, relative
-    to it: by the phase beyond second order, and by the angle it turns.
+    to it: by the phase beyond second order, and by the angle it turns; and what its direct echo
+    was found to change by.
     """
 
     name: str
     bend_rad: float
     turned_rad: float
+    changed: float = 0.0
 
     @property
     def error(self) -> float:
-        """Both together."""
-        return self.bend_rad + _OVER_ANGLE * self.turned_rad
+        """Phase and angle together, or what direct echoes were found to change by."""
+        return max(self.bend_rad + _OVER_ANGLE * self.turned_rad, self.changed)
 
 
 def traced_interval(
@@ -76,10 +93,15 @@ def traced_interval(
     if worst is None:
         return trace(scene, radar, fidelity=fidelity, seed=seed, earlier=earlier, keep=keep)
     permitted = fidelity.radar_motion_tolerance or fidelity.radar_tolerance
+    began_s = perf_counter()
     if worst.error <= permitted:
         found = trace(scene, radar, fidelity=fidelity, seed=seed, earlier=earlier, keep=keep)
-        return replace(found, decisions=(*found.decisions, _decision(worst, permitted, False)))
-    began_s = perf_counter()
+        if fidelity.radar in _CHECKED and _moved_m(scene, half_s) > radar.ofdm.wavelength_m / 4:
+            worst, remarks = _checked(scene, radar, fidelity, found, worst, permitted)
+            found = replace(found, warnings=found.warnings + remarks)
+        if worst.error <= permitted or fidelity.radar_motion_tolerance is None:
+            decision = _decision(worst, permitted, False)
+            return replace(found, decisions=(*found.decisions, decision))
     spans = _spans(scene, radar, half_s, permitted)
     step_s = 2 * half_s / spans
     search = _Search(scene, radar, fidelity, seed, step_s, earlier, keep)
@@ -101,6 +123,105 @@ def traced_interval(
         decisions=(*middle.decisions, _decision(worst, permitted, True, cost_s)),
         warnings=remarks,
     )
+
+
+def _moved_m(scene: Scene, half_s: float) -> float:
+    """Farthest that anything moves against the radar from the middle of an interval to its ends."""
+    first, last = (float(time) for time in np.clip([-half_s, half_s], *scene.span_s))
+    mount = np.asarray(scene.rig.radar.position_m, float)
+    rig = scene.rig.course.path_bound_m(mount, 0.0, first, last)
+    bounds = []
+    for item in scene.objects:
+        if not item.moves or not len(item.geometry.faces):
+            continue
+        low, high = item.geometry.vertices_m.min(axis=0), item.geometry.vertices_m.max(axis=0)
+        radius = float(np.linalg.norm(high - low)) / 2
+        bounds.append(item.course.path_bound_m((low + high) / 2, radius, first, last))
+    return rig + max(bounds, default=0.0)
+
+
+def _checked(
+    scene: Scene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    found: Propagation,
+    worst: _Change,
+    permitted: float,
+) -> tuple[_Change, tuple[str, ...]]:
+    """The largest change, direct echoes at the interval's ends considered, and what to warn of.
+
+    Of each body the direct echoes of both ends are followed to the middle, where they and its own
+    would be the same if nothing changed: the largest of their differences is told.
+    """
+    direct = fidelity.with_(
+        radar="optics", radar_bounces=1, radar_images=0, radar_edges=0, radar_shadowed=0
+    )
+    half_s, bodies = radar.burst_s / 2, found.bodies
+    times = [float(time) for time in np.clip([-half_s, half_s], *scene.span_s)]
+    sums = [_by_body(radar, bodies, found, found.contributions)]
+    for time in (0.0, *times):
+        there = trace(scene.after(time), radar, fidelity=direct, followed_s=half_s)
+        echoes = there.contributions
+        followed = replace(echoes, delay_s=echoes.delays_at(-time))
+        sums.append(_by_body(radar, bodies, there, followed))
+    whole, middle, begin, end = (one[:-1] for one in sums)
+    level = reference_levels(whole, fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar))
+    pairs = ((begin, end), (begin, middle), (middle, end))
+    changes = np.max([_over(one - other, level) for one, other in pairs], axis=0)
+    reflected = _over(whole - middle, level)
+    remarks = []
+    for number, body in enumerate(bodies):
+        if changes[number] > worst.error:
+            worst = replace(worst, name=body.name, changed=float(changes[number]))
+        if changes[number] > permitted:
+            remarks.append(
+                f"motion within an interval: the direct echo of {body.name} changes by "
+                f"{percent(changes[number])} % of its echo beyond its delays, which is left out; "
+                f"{percent(permitted)} % permitted: {_HOW}"
+            )
+        if reflected[number] > permitted and _parts_turn(scene, radar, body.objects):
+            remarks.append(
+                f"motion within an interval: {percent(reflected[number])} % of the echo of "
+                f"{body.name} are reflections between parts that turn, of which only delays "
+                f"change: {_HOW}"
+            )
+    return worst, tuple(remarks)
+
+
+def _over(echo: NDArray[np.complex128], level: Array) -> Array:
+    """Root mean square of echoes (n_bodies, n_frequencies) over levels (n_bodies,)."""
+    return np.asarray(np.sqrt(np.mean(np.abs(echo) ** 2, axis=1)) / np.maximum(level, 1e-300))
+
+
+def _parts_turn(scene: Scene, radar: RadarDesign, names: Sequence[str]) -> bool:
+    """Whether a body has parts that turn against each other by so much that a reflection between
+    them goes past the radar: a quarter of a wavelength over their size.
+    """
+    parts = [item for item in scene.objects if item.name in names]
+    spins = [
+        item.state.angular_velocity_rad_per_s * item.geometry.shape.size_m
+        for item in parts
+        if len(item.geometry.faces)
+    ]
+    if len(spins) < 2:
+        return False
+    against = np.ptp(np.array(spins), axis=0).max() * radar.burst_s / 2
+    return bool(against > radar.ofdm.wavelength_m / 4)
+
+
+def _by_body(
+    radar: RadarDesign, bodies: Sequence[BodyEcho], found: Propagation, echoes: Contributions
+) -> NDArray[np.complex128]:
+    """Echoes summed by body in the order of ``bodies``, single paths and all others the last."""
+    body_of = {name: number for number, body in enumerate(bodies) for name in body.objects}
+    count = len(bodies) + 1
+    of_object = np.array([body_of.get(name, -1) for name in found.objects], dtype=np.int64)
+    owner = np.full(len(echoes), count - 1)
+    dense = slice(len(found.names), None)
+    if len(of_object):
+        owner[dense] = of_object[echoes.object[dense]]
+    wave = radar.ofdm
+    return summed_by(owner, count, echoes, wave.carrier_hz, band_of(wave))
 
 
 def _within(scene: Scene, times_s: NDArray[np.floating]) -> Array:
@@ -209,21 +330,26 @@ class _Search:
     def refine(self, permitted: float) -> float:
         """Halve spans until the echo in between is within what is permitted; returns its error.
 
-        Compared in the middle of the first, the middle and the last span. An instant halves the
-        error of amplitudes to a quarter: what is left is a quarter of what was found.
+        Compared in the middle of up to `_COMPARED` spans, where the scene is traced, root mean
+        square over them; these instants are kept.
         """
         while True:
-            times = np.array(sorted(self._traced))
-            middles = (times[1:] + times[:-1]) / 2
-            chosen = np.unique(np.linspace(0, len(middles) - 1, _COMPARED).round().astype(int))
-            error = max(self._error(times[k], times[k + 1]) for k in chosen)
-            if error <= permitted or 2 * len(middles) > _MOST_SPANS:
+            spans = list(pairwise(sorted(self._traced)))
+            some = np.linspace(0, len(spans) - 1, _COMPARED).round().astype(int)
+            found = [self._compared(*spans[k]) for k in np.unique(some)]
+            off, exact = (np.concatenate(parts, axis=1) for parts in zip(*found, strict=True))
+            floor = OF_NOISE * noise_amplitude(self._radar)
+            level = reference_levels(exact, self._fidelity.radar_tolerance, floor)
+            error = float(_over(off, level).max(initial=0.0))
+            if error <= permitted or 2 * len(spans) > _MOST_SPANS:
                 return error
-            for middle in middles.tolist():
-                self.at(middle)
+            for start, end in spans:
+                self.at((start + end) / 2)
 
-    def _error(self, start_s: float, end_s: float) -> float:
-        """Of the echo half way, over the band, relative to that of each body."""
+    def _compared(
+        self, start_s: float, end_s: float
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Of each body over the band, half way: the echo in between less that traced, and that."""
         middle_s = (start_s + end_s) / 2
         ends = [self._traced[start_s], self._traced[end_s]]
         moved = [
@@ -235,25 +361,11 @@ class _Search:
         ) * np.complex128(0.5)
         there = self.at(middle_s)
         exact = self._by_body(there, there.contributions)
-        floor = OF_NOISE * noise_amplitude(self._radar)
-        level = reference_levels(exact, self._fidelity.radar_tolerance, floor)
-        off = np.sqrt(np.mean(np.abs(between - exact) ** 2, axis=1)) / np.maximum(level, 1e-300)
-        return float(off.max(initial=0.0))
+        return between - exact, exact
 
     def _by_body(self, found: Propagation, echoes: Contributions) -> NDArray[np.complex128]:
-        """Echoes summed by body in the order of the middle's, single paths together the last."""
-        middle = self._traced[0.0]
-        body_of = {
-            name: number for number, body in enumerate(middle.bodies) for name in body.objects
-        }
-        count = len(middle.bodies) + 1
-        of_object = np.array([body_of.get(name, -1) for name in found.objects], dtype=np.int64)
-        owner = np.full(len(echoes), count - 1)
-        dense = slice(len(found.names), None)
-        if len(of_object):
-            owner[dense] = of_object[echoes.object[dense]]
-        wave = self._radar.ofdm
-        return summed_by(owner, count, echoes, wave.carrier_hz, band_of(wave))
+        """As of the middle's bodies."""
+        return _by_body(self._radar, self._traced[0.0].bodies, found, echoes)
 
 
 def weights(instants_s: Sequence[float], times_s: Array) -> Array:
