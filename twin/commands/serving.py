@@ -71,6 +71,7 @@ def serve(
     from twin.scene import load_scene, parse_pose
     from twin.serve.clock import Pace
     from twin.serve.serving import parse_address, run, serve_camera, serve_radar
+    from twin.serve.world import SharedWorld
 
     if pace not in get_args(Pace):
         raise InputError(f"pace: {pace!r}, expected {' or '.join(get_args(Pace))}")
@@ -104,6 +105,8 @@ def serve(
         within=within,
     )
     knobs = with_motion(asked, motion_tolerance)
+    both = spi_at is not None and radio_address is not None
+    world = SharedWorld(how) if both else None
     devices = []
     if spi_at is not None:
         devices.append(
@@ -116,6 +119,7 @@ def serve(
                 seed=seed,
                 fidelity=knobs,
                 settings=spi_settings,
+                world=world,
             )
         )
     if radio_address is not None and sweeper is not None:
@@ -130,6 +134,7 @@ def serve(
                 fidelity=knobs,
                 setup=radar_setup,
                 reuse=radar_reuse,
+                world=world,
             )
         )
     for device in devices:

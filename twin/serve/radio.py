@@ -24,6 +24,7 @@ from twin.radar import RadarDesign
 from twin.serve.clock import DeviceClock
 from twin.serve.faults import RadioFaults
 from twin.serve.sweeps import RadarSweep
+from twin.serve.world import SharedWorld
 
 _log = logging.getLogger(__name__)
 
@@ -56,6 +57,9 @@ class VirtualRadio(RadioDriver):
         Device time.
     faults, seed
         Injected faults, and the seed of their random numbers.
+    world, later
+        The world that other devices show too, and sweeps from a time of it on: those of a radio
+        that is first tuned after another device began.
     """
 
     def __init__(
@@ -66,8 +70,12 @@ class VirtualRadio(RadioDriver):
         clock: DeviceClock,
         faults: RadioFaults | None = None,
         seed: int = 0,
+        world: SharedWorld | None = None,
+        later: Callable[[float], Callable[[int], RadarSweep]] | None = None,
     ) -> None:
         self.radar, self.clock = radar, clock
+        self._world, self._later = world, later
+        self._begins_s: float | None = None  # of the world
         self.waveform = radar.ofdm
         self.level = highest_level(self.waveform)
         self.grid = SlotGrid.of(self.waveform)
@@ -118,6 +126,7 @@ class VirtualRadio(RadioDriver):
                 f"carriers, {self.carriers_hz.min():.0f} to {self.carriers_hz.max():.0f} Hz"
             )
         self._step = int(steps[0])
+        self._join_world()
         if self._step in self._played:
             self._await_sweep()
         return Tuned(float(self.carriers_hz[self._step]), self.clock.now_ns())
@@ -144,6 +153,37 @@ class VirtualRadio(RadioDriver):
 
     def close(self) -> None:
         """Nothing to release."""
+
+    def _join_world(self) -> None:
+        """Begin with the world, once, with sweeps of what it is like then."""
+        if self._world is None or self._begins_s is not None:
+            return
+        self._begins_s = self._world.begin()
+        if self._later is not None:
+            try:
+                self._sweeps = self._later(self._begins_s)
+            except InputError as error:
+                self._begins_s = None
+                raise RadioError(f"{self.device}: {error}") from error
+            self._sweep = -1
+            self._await_sweep()
+            self._begin_sweep()
+
+    def _tell_behind(self) -> None:
+        """Tell once where the world that is shown is more than a sweep older than the others'."""
+        if self._world is None or self._begins_s is None:
+            return
+        lasts_s = self.schedule.sweep_s
+        behind_s = self._world.reached(self._begins_s + self._sweep * lasts_s)
+        if self.clock.pace == "real" and behind_s > lasts_s and not self._behind_told:
+            self._behind_told = True
+            _log.warning(
+                "%s: sweep %d shows the world of %.3g s ago: the devices of this world share one "
+                "instant only as far as sweeps are computed and asked for in time",
+                *(self.device, self._sweep, behind_s),
+            )
+
+    _behind_told = False
 
     def _begin_sweep(self) -> None:
         """Begin the next sweep."""
@@ -185,6 +225,7 @@ class VirtualRadio(RadioDriver):
         if self._step in self._played:
             self._await_sweep()
             self._begin_sweep()
+            self._tell_behind()
         self._played.add(self._step)
         n_slots, grid = self.waveform.n_slots, self.grid
         repeats = samples.reshape(n_slots, grid.slot)[:, grid.useful]

@@ -24,7 +24,8 @@ from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.prefetcher import Prefetcher
 from twin.serve.radio import VirtualRadio
 from twin.serve.serial import CameraServer
-from twin.serve.sweeps import RadarSweeps
+from twin.serve.sweeps import RadarSweep, RadarSweeps
+from twin.serve.world import SharedWorld
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
 
@@ -78,6 +79,7 @@ def serve_radar(
     fidelity: Accuracy | None = None,
     setup: Path | None = None,
     reuse: int = 1,
+    world: SharedWorld | None = None,
 ) -> ServedDevice:
     """The radar behind its radio.
 
@@ -95,12 +97,32 @@ def serve_radar(
         Setup file of the driver to write.
     reuse
         As in `RadarSweeps`.
+    world
+        The one that `serve_camera` shows too: where something moves, the radar begins in it when it
+        is first tuned, and tells how far its sweeps are behind it.
 
     Raises InputError.
     """
     fault_chances, design = parse_faults(faults, RadioFaults), load_radar(radar)
-    sweeps = Prefetcher(RadarSweeps(scene, design, seed, fidelity, reuse))
-    virtual = VirtualRadio(design, sweeps, clock=DeviceClock(pace), faults=fault_chances, seed=seed)
+    world = world if moves(scene) else None
+    first = RadarSweeps(scene, design, seed, fidelity, reuse)
+    sweeps = Prefetcher(first)
+
+    def later(begins_s: float) -> Prefetcher[RadarSweep]:
+        sweeps.close()
+        now = scene.after(begins_s)
+        period_s = virtual.schedule.sweep_s
+        return Prefetcher(RadarSweeps(now, design, seed, fidelity, reuse, period_s))
+
+    virtual = VirtualRadio(
+        design,
+        sweeps,
+        clock=DeviceClock(pace),
+        faults=fault_chances,
+        seed=seed,
+        world=world,
+        later=later,
+    )
     server = RadioServer(
         virtual,
         address.host,
@@ -125,13 +147,15 @@ def serve_camera(
     seed: int = 0,
     fidelity: Accuracy | None = None,
     settings: Path | None = None,
+    world: SharedWorld | None = None,
 ) -> ServedDevice:
     """The single-pixel camera behind its protocol, at an address or on a pseudo-terminal (None).
 
     Each run gives the records of `stills` with ``seed``, from the first on, or of `MovingFrames`
     where something moves: then it begins at the scene's own instant, and frames that take longer to
-    compute than to measure are sent late, of which a warning tells. ``settings`` is the settings
-    file of the driver to write; the rest as `serve_radar`. Raises InputError.
+    compute than to measure are sent late, of which a warning tells; with a ``world`` it begins at
+    what that is like at the start of the run. ``settings`` is the settings file of the driver to
+    write; the rest as `serve_radar`. Raises InputError.
     """
     fault_chances, design = parse_faults(faults, CameraFaults), load_system(system)
     if settings is not None:
@@ -140,7 +164,8 @@ def serve_camera(
         MovingFrames(scene, design, seed, fidelity)(0)  # errors are told now
 
         def records(asked: System) -> Iterator[SpiRecord]:
-            frames = MovingFrames(scene, asked, seed, fidelity)
+            now = scene.after(world.begin()) if world else scene
+            frames = MovingFrames(now, asked, seed, fidelity)
             return map(frames, count()) if pace == "fast" else FramesAhead(frames)
     else:
         light = still_light(scene, design, seed=seed, fidelity=fidelity)

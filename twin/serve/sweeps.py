@@ -21,7 +21,7 @@ class RadarSweep:
 class RadarSweeps:
     """Sweep k of a radar, with ``seed`` plus k.
 
-    From one sweep to the next all objects move on by the time of a burst, and the rig to the next
+    From one sweep to the next all objects move on by ``period_s``, and the rig to the next
     stop of the scene's track, where it has one. A scene at rest is not traced again, if that gives
     the same bits.
 
@@ -35,6 +35,8 @@ class RadarSweeps:
         mirrors moves (``earlier`` of `radar_capture`). So a sweep depends on its number alone,
         whichever are asked for before. At 1 each is that of a capture, bit for bit; at more it
         differs within the errors that it tells.
+    period_s
+        By which the world goes on from sweep to sweep; default: a burst.
     """
 
     def __init__(
@@ -44,11 +46,13 @@ class RadarSweeps:
         seed: int,
         fidelity: Accuracy | None = None,
         reuse: int = 1,
+        period_s: float | None = None,
     ) -> None:
         if reuse < 1:
             raise InputError(f"reuse: {reuse} sweeps traced together, expected at least 1")
         self._scene, self._radar = scene, radar
         self._seed, self._fidelity = seed, fidelity
+        self._period_s = radar.burst_s if period_s is None else period_s
         self._stops = scene.track.poses(scene.rig.pose) if scene.track else ()
         self._last: tuple[int, RadarEcho] | None = None  # stop and echo
         self._reuse = reuse
@@ -89,7 +93,7 @@ class RadarSweeps:
         self, number: int, earlier: Propagation | None = None, *, keep: bool = False
     ) -> RadarEcho:
         return radar_echo(
-            self._scene.after(number * self._radar.burst_s),
+            self._scene.after(number * self._period_s),
             self._radar,
             seed=self._seed + number,
             fidelity=self._fidelity,
