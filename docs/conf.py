@@ -21,14 +21,12 @@ extensions = [
     "docstrings",
     "equations",
     "generated_reference",
-    "plain_diagrams",
 ]
 exclude_patterns = ["_ext", "notebooks/.ipynb_checkpoints"]
 source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb"}
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "fieldlist"]
 myst_heading_anchors = 4
-myst_fence_as_directive = ["mermaid"]
 # The notebooks are executed by the tests and stored with what they print.
 nb_execution_mode = "off"
 nb_merge_streams = True

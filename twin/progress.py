@@ -22,6 +22,12 @@ def silently(name: str) -> AbstractContextManager[None]:
     return nullcontext()
 
 
+def tell(stage: str, took_s: float) -> None:
+    """Tell all listeners of a stage that has ended."""
+    for listener in listeners:
+        listener(stage, took_s)
+
+
 class Stages:
     """Times named stages and shows them as one progress bar on a terminal.
 
@@ -64,6 +70,5 @@ class Stages:
         finally:
             took_s = time.perf_counter() - start
             self.seconds[name] = self.seconds.get(name, 0.0) + took_s
-            for listener in listeners:
-                listener(name, took_s)
+            tell(name, took_s)
             self._progress.advance(self._task)

@@ -152,6 +152,19 @@ def test_quiet_leaves_the_verdict(twin) -> None:
     assert "expected one of them" in twin("safety", "-q", "-v")[2]
 
 
+def test_a_verbose_sweep_tells_its_points_and_their_times(
+    twin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("study.toml").write_text(
+        'scene = "table1"\nmodel = "closed-form"\nmetrics = ["snr"]\n'
+        '[grid]\n"link.distance_m" = [2, 5, 10]\n'
+    )
+    status, _, told = twin("sweep", "study.toml", "--workers", "0", "-v")
+    assert status == 0
+    assert "3 of 3 points: " in told
+
+
 def test_verbose_tells_stages_and_times(twin, plate: Path) -> None:
     words = ("rcs", plate, "--carrier-hz", "10e9", "--azimuth", "0:4:1")
     _, printed, told = twin(*words)

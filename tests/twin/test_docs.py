@@ -30,6 +30,22 @@ def test_every_topic_of_a_log_is_in_the_reference() -> None:
     assert {topic for topic in topics if f"`{topic}`" not in said} == set()
 
 
+def test_the_drawing_of_the_rooms_is_that_of_its_source() -> None:
+    """`dot` draws it, which no build needs: every arrow and room of the source is in the drawing,
+    and every room is a package or a folder.
+    """
+    source = (ROOT / "docs" / "rooms.dot").read_text()
+    drawn = (ROOT / "docs" / "rooms.svg").read_text()
+    arrows = re.findall(r"(\w+) -> (\w+)", source)
+    assert len(arrows) >= 15
+    assert sorted(re.findall(r"<title>(\w+)&#45;&gt;(\w+)</title>", drawn)) == sorted(arrows)
+    rooms = re.findall(r'(?<!-> )\b\w+ \[label="([^"]*)"', source)
+    assert len(rooms) >= 15
+    for room in "\\n".join(rooms).split("\\n"):
+        assert f">{room}</text>" in drawn
+        assert (ROOT / room.replace(".", "/")).is_dir(), room
+
+
 def packages() -> set[str]:
     found = (p.parent for name in ("twin", "hardware") for p in (ROOT / name).rglob("__init__.py"))
     return {".".join(folder.relative_to(ROOT).parts) for folder in found}

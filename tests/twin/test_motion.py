@@ -2,7 +2,9 @@
 
 import math
 import pickle
+import time
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation, RotationSpline, Slerp
@@ -92,6 +94,20 @@ def test_a_rolling_wheels_rim_draws_a_cycloid() -> None:
     np.testing.assert_allclose(motion.at(turn).of_points([[0, 0, -radius]])[1], 0, atol=1e-11)
     on_top = motion.at(turn / 2).of_points([[0, 0, -radius]])[1][0]
     np.testing.assert_allclose(on_top, [2 * speed, 0, 0], atol=1e-11)
+
+
+def test_a_wheel_that_rolls_straight_on_for_years_is_right_and_takes_no_time() -> None:
+    """Angle 1.4 m/s x 1e8 s / 0.3 m; the remainder of the whole turns by mpmath with 40 digits."""
+    motion = wheel_on(Straight((1.4, 0.0, 0.0)), 0.3)
+    begun_s = time.process_time()
+    turned = motion.at(1e8).pose.rotation.as_matrix()
+    assert time.process_time() - begun_s < 1.0
+    with mpmath.workdps(40):
+        angle = mpmath.mpf(1.4) * 10**8 / mpmath.mpf(0.3)
+        sine, cosine = float(mpmath.sin(angle)), float(mpmath.cos(angle))
+    np.testing.assert_allclose(
+        turned, [[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]], atol=3e-7
+    )  # of 4.7e8 rad in double precision
 
 
 @pytest.mark.parametrize("speed", [0.0, 1e-9, 1e3])

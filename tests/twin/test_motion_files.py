@@ -318,6 +318,14 @@ def test_a_wrong_file_is_refused_by_its_line(tmp_path: Path, text: str, message:
             r"a point of it moves at .* m/s, expected at most 100000 m/s",
         ),
         (
+            "[objects.car.motion.trajectory]\nfile = 'car.csv'\nas_drawn = \"yes\"\n",
+            "as_drawn = 'yes': expected true or false",
+        ),
+        (
+            "[objects.car]\nspeed = 3\n",
+            "objects.car.speed = 3: no such field",
+        ),
+        (
             "[track]\nstep_m = [0.0, 0.1, 0.0]\ncount = 2\n",
             "track: the rig moves by itself",
         ),
@@ -339,5 +347,5 @@ def test_a_rig_needs_one_place(tmp_path: Path) -> None:
 def test_a_rig_beyond_all_speeds_is_refused(tmp_path: Path) -> None:
     fast = rows("0,0,0,1,0", "1,1e5,0,1,0", "2,4e5,0,1,0")
     rig = "[rig.motion.trajectory]\nfile = 'car.csv'\n"
-    with pytest.raises(InputError, match=r"rig\.motion: a point of it moves at .*100000 m/s"):
+    with pytest.raises(InputError, match=r"car\.csv: rig\.motion: a point .*100000 m/s"):
         scene(tmp_path, "", rig=rig, car=fast)

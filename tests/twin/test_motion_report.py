@@ -117,3 +117,6 @@ def test_check_prints_what_moves() -> None:
     assert "fastest" not in CliRunner().invoke(app, ["check", "table1"]).output
     told = CliRunner().invoke(app, ["check", "yard", "--system", "none", "--radar", "none"])
     assert "a frame of" not in told.output
+    told = CliRunner().invoke(app, ["check", "yard", "--radar", "nope"])
+    assert "'nope' is neither" in str(told.exception)
+    assert told.output == ""  # before anything is listed

@@ -73,7 +73,7 @@ def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
     [
         ("[optics]\nf_number = -1", r"optics\.f_number\.value = -1: .*than or equal to 0.5"),
         ("[optics]\nf_number = nan", r"optics\.f_number"),
-        ("[optics]\nf_numbr = 1", r"optics\.f_numbr = 1: Extra inputs"),
+        ("[optics]\nf_numbr = 1", r"optics\.f_numbr = 1: no such field"),
         ("[emitter]\nrows = 60", r"rows: 60 is not a power of two"),
         (
             "[acquisition]\nn_patterns = 5000",

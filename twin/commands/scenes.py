@@ -21,8 +21,10 @@ from twin.commands.arguments import (
 
 if TYPE_CHECKING:
     from twin.job import Result
+    from twin.radar import RadarDesign
     from twin.radar.evaluation import RadarEvaluation
     from twin.scene import Scene
+    from twin.system import System
 
 
 def run(
@@ -173,9 +175,13 @@ def check(
     """Validate a scene, list what it holds, and what moves how fast."""
     from rich.table import Table
 
+    from twin.radar import load_radar
     from twin.scene import load_scene, parse_pose
     from twin.scene.checking import check_scene
+    from twin.system import load_system
 
+    camera = None if system == "none" else load_system(system)
+    design = None if radar == "none" else load_radar(radar)
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
     columns = ("object", "triangles", "size (m)", "nearest (m)", "material", "reflectance", "")
     table = Table(*columns, title=f"{loaded.name}: {loaded.triangles} triangles", box=None)
@@ -188,7 +194,7 @@ def check(
     say.line(f"rig: {loaded.rig.pose}")
     say.line(f"sun: {loaded.sun}")
     if loaded.rig.moves or not loaded.at_rest:
-        _print_motion(say, loaded, system, radar)
+        _print_motion(say, loaded, camera, design)
     for note in loaded.notes:
         say.line(f"note: {note}")
     for warning in loaded.warnings:
@@ -208,16 +214,14 @@ def check(
     )
 
 
-def _print_motion(say: Output, scene: "Scene", system: str, radar: str) -> None:
+def _print_motion(
+    say: Output, scene: "Scene", camera: "System | None", design: "RadarDesign | None"
+) -> None:
     """What moves, as a table."""
     from rich.table import Table
 
-    from twin.radar import load_radar
     from twin.report.motion import HEAD, headline, motion_reports
-    from twin.system import load_system
 
-    camera = None if system == "none" else load_system(system)
-    design = None if radar == "none" else load_radar(radar)
     table = Table(*HEAD, title=headline(scene, camera, design), box=None)
     reports = motion_reports(scene, camera, design)
     for report in reports:

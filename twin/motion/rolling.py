@@ -7,7 +7,16 @@ from functools import cached_property
 import numpy as np
 
 from twin.motion.kinematics import Array, Kinematics, cross
-from twin.motion.motion import Motion, cut, gauss_nodes
+from twin.motion.motion import (
+    Later,
+    Motion,
+    Parent,
+    Product,
+    Still,
+    Straight,
+    cut,
+    gauss_nodes,
+)
 from twin.motion.turning import Vector, about_axis
 
 _CHUNK_S = 64.0  # the angle is summed up over chunks of time of this length
@@ -81,6 +90,8 @@ class Rolling(Motion):
         """Integral of the rate from time 0 to each time, (n,), in rad."""
         first, last = self.span_s
         start = min(max(0.0, first), last)
+        if _is_steady(self.carrier):
+            return self._rate(np.zeros(1))[0] * (times_s - start)
         period = self.carrier.repeats_after_s
         if period is not None:
             rounds = np.floor((times_s - start) / period)
@@ -122,3 +133,12 @@ class Rolling(Motion):
     @cached_property
     def _tables(self) -> dict[tuple[int, int], tuple[Array, Array]]:
         return {}
+
+
+def _is_steady(motion: Motion) -> bool:
+    """Whether a frame moves straight on, so that what rolls on it turns at one rate."""
+    if isinstance(motion, Product):
+        return all(_is_steady(part) for part in motion.parts)
+    if isinstance(motion, Parent | Later):
+        return _is_steady(motion.motion)
+    return isinstance(motion, Still | Straight)

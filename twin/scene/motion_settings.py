@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import StrictBool, model_validator
 from scipy.spatial.transform import Rotation
 
 from twin.files import InputError
@@ -52,7 +52,7 @@ class TrajectorySettings(Strict):
     """Time of the first pose; default: as the poses say, of a log 0."""
     longest_gap_s: Positive | None = None
     """Longest time from one pose to the next; default: 10 times the median."""
-    as_drawn: bool = False
+    as_drawn: StrictBool = False
     """False: the poses are those of the object's own frame, the one of its mesh file. True: of a
     frame that carries the object, which at time 0 is where it is drawn."""
 

@@ -44,7 +44,7 @@ class MotionTree:
             found = rig.following(Product((*parts, own, Still(pose))))
         except InputError as error:
             raise InputError(f"{self.path}: rig: {error}") from None
-        self._check_speed("rig", found.course.fastest((0.0, 0.0, 0.0), 0.0))
+        self._check_speed("rig", given.motion, found.course.fastest((0.0, 0.0, 0.0), 0.0))
         return found
 
     def targets(self, targets: Sequence[Target]) -> tuple[Target, ...]:
@@ -77,13 +77,16 @@ class MotionTree:
             found = moving(item, own, carrier)
         except InputError as error:
             raise InputError(f"{self.path}: {place}: {error}") from None
-        self._check_speed(place, found.course.fastest(*item.geometry.sphere))
+        self._check_speed(place, given.motion, found.course.fastest(*item.geometry.sphere))
         return found
 
-    def _check_speed(self, place: str, speed_m_per_s: float) -> None:
+    def _check_speed(self, place: str, given: MotionSettings | None, speed_m_per_s: float) -> None:
+        """Raise InputError naming the file of the poses, if there is one."""
         if speed_m_per_s > FASTEST_M_PER_S:
+            file = given.trajectory.file if given and given.trajectory else None
+            path = self.path if file is None else self.path.parent / file
             raise InputError(
-                f"{self.path}: {place}.motion: a point of it moves at {speed_m_per_s:.3g} m/s, "
+                f"{path}: {place}.motion: a point of it moves at {speed_m_per_s:.3g} m/s, "
                 f"expected at most {FASTEST_M_PER_S:g} m/s"
             )
 

@@ -4,6 +4,7 @@ A sweep that was interrupted resumes from its folder: `store.create_or_resume`, 
 """
 
 import sys
+import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ from typing import Any
 
 from twin.fidelity import Accuracy
 from twin.files import InputError, locked
-from twin.progress import interrupts
+from twin.progress import interrupts, tell
 from twin.sweep.accuracy import with_accuracy
 from twin.sweep.dataset import labels
 from twin.sweep.effects import check_points, without_effect
@@ -110,9 +111,14 @@ def run_sweep(
             local = scheduler is None and (workers == 0 or (closed and workers is None))
             pool = here() if local else dask(scheduler, workers)
             with _bar(study, store) as advance, pool as submit:
+                before_s = time.perf_counter()
                 for result in _in_flight(submit, study, store, inputs):
                     store.add(result)
                     advance(result.stop - result.start)
+                    now_s = time.perf_counter()
+                    done = f"{store.progress.points_done} of {study.n_points} points"
+                    tell(done, now_s - before_s)
+                    before_s = now_s
         store.finish()
         return _summary(store)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, StrictBool, ValidationError, model_validator
 
 from twin.files import InputError
 from twin.sweep.accuracy import check_accuracy
@@ -30,7 +30,7 @@ class Range(Strict):
     """Lower end, a number or text with a unit."""
     high: Finite | str
     """Upper end, a number or text with a unit."""
-    log: bool = False
+    log: StrictBool = False
     """Draw uniformly in the logarithm."""
 
 

@@ -28,6 +28,10 @@ def _fault(fault: Any) -> str:
         return message
     if fault["type"] == "missing":
         return f"{field}: missing"
+    if fault["type"] == "extra_forbidden":
+        message = "no such field"
+    if fault["type"] == "bool_type":
+        message = "expected true or false"
     value = fault["input"]
     if fault["type"] == "value_error" and isinstance(value, dict) and "value" in value:
         value = value["value"]  # of a value with its source
