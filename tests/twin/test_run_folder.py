@@ -172,3 +172,21 @@ def test_a_run_that_fails_leaves_the_one_before(tmp_path: Path) -> None:
         failing()
     assert {p.name for p in out.iterdir()} == {"old", "run.json"}
     assert json.loads((out / "run.json").read_text())["seed"] == 1
+
+
+def test_notes_on_materials_stand_apart_from_assumptions(tmp_path: Path) -> None:
+    folder = tmp_path / "wall"
+    folder.mkdir()
+    (folder / "scene.xml").write_text(
+        '<scene version="3.0.0"><shape type="rectangle" id="wall"><transform name="to_world">'
+        '<rotate y="1" angle="-90"/><translate x="3" z="1.2"/></transform>'
+        '<bsdf type="diffuse" id="brick"/></shape></scene>'
+    )
+    (folder / "materials.toml").write_text(
+        '[brick.optical]\nreflectance = { value = 0.125, source = "made up" }\n'
+    )
+    run(folder, radar=None, compare=None, fidelity=FAST, out=tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    _, _, notes = page.partition("of the scene's materials</h3>")
+    assert page.count("takes the place of the rows brick") == 1
+    assert "takes the place of the rows brick" in notes

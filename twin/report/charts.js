@@ -11,6 +11,9 @@
     return stops[i].map((low, k) => Math.round(low + t * (stops[i + 1][k] - low)));
   };
   const rgb = (c) => `rgb(${c[0]},${c[1]},${c[2]})`;
+  // Of marks and lines on the page's own ground: without the levels that are as dark, or as bright.
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const onGround = (level) => rgb(heat(dark.matches ? 0.3 + 0.7 * level : 0.88 * level));
   page.colourOf = (level) => rgb(heat(level));
 
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -99,9 +102,14 @@
         const bar = document.createElement("div");
         bar.className = "scale";
         const said = (v) => digits(scale[3] ? 10 ** v : v);
-        const gradient = Array.from({ length: 9 }, (_, i) => rgb(heat(i / 8))).join(",");
         const strip = document.createElement("i");
-        strip.style.background = `linear-gradient(90deg,${gradient})`;
+        const paint = () => {
+          const colour = scaled ? (level) => rgb(heat(level)) : onGround;
+          const gradient = Array.from({ length: 9 }, (_, i) => colour(i / 8)).join(",");
+          strip.style.background = `linear-gradient(90deg,${gradient})`;
+        };
+        paint();
+        dark.addEventListener("change", paint);
         const first = document.createElement("span"), last = document.createElement("span");
         first.textContent = said(scale[0]);
         last.textContent = `${said(scale[1])} ${scale[2]}${scale[3] ? " (logarithmic)" : ""}`;
@@ -130,7 +138,9 @@
     colour(layer, i) {
       // Over a picture the colours of the dark scheme stand out in both.
       if (this.spec.image && !layer.levels.length && layer.colour === "orange") return "#ff9a52";
-      if (layer.levels.length && layer.levels[i] !== null) return rgb(heat(layer.levels[i]));
+      if (layer.levels.length && layer.levels[i] !== null) {
+        return this.spec.image ? rgb(heat(layer.levels[i])) : onGround(layer.levels[i]);
+      }
       if (layer.colour === "white") return "#fff";
       return style(layer.colour) || layer.colour;
     }
@@ -277,7 +287,8 @@
       c.setTransform(2, 0, 0, 2, 0, 0);
       c.clearRect(0, 0, 18, 18);
       if (layer.mark === "heat") { c.fillStyle = rgb(heat(0.7)); c.fillRect(2, 3, 14, 12); return; }
-      const level = layer.levels && layer.levels.length ? rgb(heat(0.7)) : null;
+      const shown = this.spec.image ? rgb(heat(0.7)) : onGround(0.7);
+      const level = layer.levels && layer.levels.length ? shown : null;
       const colour = level || this.colour({ ...layer, levels: [] }, 0);
       c.strokeStyle = c.fillStyle = colour;
       if (layer.mark === "area") {

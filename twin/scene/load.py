@@ -105,7 +105,7 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
         targets=tree.targets(tree.settings.make_targets()) if tree else (),
         track=settings.make_track() if settings else None,
         materials={o.material: materials.table[o.material] for o in objects},
-        assumptions=(*materials.assumptions(), *notes),
+        assumptions=tuple(materials.assumptions()),
         notes=notes,
         warnings=(*warnings, *materials.warnings()),
     )
