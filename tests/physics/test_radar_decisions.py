@@ -21,6 +21,8 @@ from twin.fidelity import DEFAULT, PRESETS, Fidelity, Tolerance
 from twin.radar import radar_capture
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.intervals import body_level
+from twin.radar.propagation.facets import body_scattering
+from twin.radar.propagation.facets.adaptive_subdivision import Budget
 from twin.radar.propagation.facets.convergence import band_of, summed_by
 from twin.radar.propagation.physical_optics import (
     at_antenna,
@@ -218,6 +220,67 @@ def test_a_wedge_of_mirrors_takes_more_than_three() -> None:
     """Rays are thrown to and fro until they leave: three, the default, are too few."""
     found = trace(facing_plates(), RADAR, fidelity=BY_BOUNDS)
     assert decided(found, "reflections at bodies", "left")[0] > 3
+
+
+def behind_bars() -> Scene:
+    """A plate behind bars that throw rays to and fro between each other and the plate."""
+    bars = [
+        quad(f"bar {k}", [[7, y, -0.6], [7.1, y, -0.6], [7.1, y + 0.05, 0.6], [7, y + 0.05, 0.6]])
+        for k, y in enumerate(np.arange(-0.6, 0.6, 0.15))
+    ]
+    return world(plate("plate", (7.6, 0, 0), side=0.8), *bars)
+
+
+def test_deep_tubes_without_room_are_told(monkeypatch) -> None:
+    """Where the tubes of few roots alone may be followed beyond the third reflection, what coarse
+    ones leave uncertain is a decision, warned of where it may be more than is permitted; errors
+    against twelve reflections of a finer trace are within what is told.
+    """
+    scene, effect = between_posts(), "finer ray tubes for more than 3 reflections at bodies, "
+    finely = BY_BOUNDS.with_(radar_tolerance=0.03)
+    whole = trace(scene, RADAR, fidelity=finely)
+    assert not any(d.effect.startswith(effect) for d in whole.decisions)
+    monkeypatch.setattr(body_scattering, "MOST_DEEP_ROOTS", 4)
+    taken = radar_capture(scene, RADAR, fidelity=finely)
+    rows = [d for d in taken.propagation.decisions if d.effect.startswith(effect)]
+    assert rows
+    for decision in rows:
+        assert decision.bound > 0
+        assert not decision.taken
+        warned = any(
+            w.kind == "tolerance" and w.startswith(decision.effect) for w in taken.warnings
+        )
+        assert warned == (decision.bound > decision.permitted)
+    truth = trace(scene, RADAR, fidelity=EVERYTHING.with_(radar_tolerance=0.01))
+    for name, over_estimate in errors(taken.propagation, truth).items():
+        assert over_estimate < 1, name
+    known = {body.name: body.estimated_error for body in whole.bodies}
+    assert any(b.estimated_error > known[b.name] for b in taken.propagation.bodies)
+
+
+def test_a_pass_is_repeated_for_bodies_that_need_it(monkeypatch) -> None:
+    """The coarse pass takes bars for stronger than they are: two of nine bodies are done again, all
+    others keep what the first pass found. One has no echo after that alone; all are as right as
+    they say.
+    """
+    scene, again_of, repeated = behind_bars(), Budget.again_of, []
+
+    def spied(budget: Budget, bodies: np.ndarray) -> Budget:
+        again = again_of(budget, bodies)
+        np.testing.assert_array_equal(again.accepted[~bodies], budget.accepted[~bodies])
+        assert not again.accepted[bodies].any()
+        repeated.append(bodies)
+        return again
+
+    monkeypatch.setattr(Budget, "again_of", spied)
+    found = trace(scene, RADAR, fidelity=BY_BOUNDS)
+    assert repeated
+    assert all(0 < bodies.sum() < len(bodies) / 2 for bodies in repeated)
+    monkeypatch.setattr(body_scattering, "_MOST_PASSES", 0)
+    once = trace(scene, RADAR, fidelity=BY_BOUNDS)
+    truth = trace(scene, RADAR, fidelity=EVERYTHING)
+    assert max(errors(found, truth).values()) < 1
+    assert {body.name for body in once.bodies} < {body.name for body in found.bodies}
 
 
 def test_the_reference_follows_as_many_as_it_takes() -> None:

@@ -106,4 +106,25 @@ def on_reflections(
                 effect = f"further {what}, {len(some) - _NAMED} fainter bodies"
                 most_of = float(bound[some[_NAMED:]].max())
                 decisions.append(Decision("radar", effect, most_of, permitted, _UNIT, is_taken))
-    return tuple(decisions)
+    return (*decisions, *_on_coarse_tubes(choice.undivided / level, objects, permitted))
+
+
+def _on_coarse_tubes(
+    bound: Array, objects: Sequence[tuple[str, ...]], permitted: float
+) -> list[Decision]:
+    """On paths of many reflections that only coarse ray tubes follow, since there are too many; the
+    largest bounds first.
+    """
+    effect = "finer ray tubes for more than 3 reflections at bodies"
+    some = np.argsort(-bound, kind="stable")[: np.count_nonzero(bound)]
+    decisions = [
+        Decision(
+            "radar", f"{effect}, {label_of(objects[k])}", float(bound[k]), permitted, _UNIT, False
+        )
+        for k in some[:_NAMED]
+    ]
+    if len(some) > _NAMED:
+        what = f"{effect}, {len(some) - _NAMED} further bodies"
+        at_most = float(bound[some[_NAMED]])
+        decisions.append(Decision("radar", what, at_most, permitted, _UNIT, False))
+    return decisions

@@ -41,6 +41,7 @@ from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.scene.image_search import MANY_IMAGES
 from twin.radar.propagation.scene.scattering_models import (
     Assignment,
+    ScatteringModel,
     assign_scattering_models,
     declared_alone,
 )
@@ -50,6 +51,11 @@ from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
 
 Array = NDArray[np.float64]
+
+#: Where there are more than `MANY_IMAGES`: paths of facets' echoes by pairs of images, up to which
+#: two reflections are followed; some 8 us each, one after the other.
+MOST_ECHO_PATHS = 2**20
+_MORE_BY_TWO = 8  # times as many by up to two reflections as by one, or more
 
 
 def echoes(
@@ -139,7 +145,21 @@ def _prepared(
     prepared = prepare_scene(
         scene, radar, roles, MOST_IMAGES + 1, is_rough=is_rough, many=MANY_IMAGES
     )
+    if prepared.has_more_images and _echo_paths(prepared) <= MOST_ECHO_PATHS / _MORE_BY_TWO:
+        further = prepare_scene(scene, radar, roles, MOST_IMAGES, is_rough=is_rough)
+        if _echo_paths(further) <= MOST_ECHO_PATHS:
+            prepared = replace(further, has_more_images=True)
     return prepared.up_to(MOST_IMAGES)
+
+
+def _echo_paths(prepared: PreparedScene) -> int:
+    """Pairs of images over which the facets of bodies are lit and seen, those of all facets
+    together, as if none faced away.
+    """
+    images = prepared.worth.sum(axis=0)
+    faces = np.array([len(item.geometry.faces) for item in prepared.items], dtype=np.int64)
+    is_body = np.array([role is ScatteringModel.OPTICS for role in prepared.roles], dtype=bool)
+    return int((faces * images * (images + 1) // 2)[is_body].sum())
 
 
 @dataclass(frozen=True, eq=False)

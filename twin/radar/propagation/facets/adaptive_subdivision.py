@@ -135,6 +135,7 @@ class Budget:
         self.earlier_spacing_m: float | None = None
         self.spacing_m = 0.0
         self._accepted = np.zeros(n_bodies)  # errors squared
+        self._undivided = np.zeros(n_bodies)  # likewise, part of these
         self.level = np.zeros(n_bodies)
         self.direct = np.zeros_like(self._echo_sums)
         #: Echoes still to come: of further bounces, as the coarse pass found them.
@@ -145,17 +146,19 @@ class Budget:
         self._highest = np.zeros(n_bodies)  # level that errors were accepted for
         self._most: Array | float = np.inf  # level, as a pass as fine as this one found it
 
-    def renewed(self) -> "Budget | None":
-        """A new budget for another pass, if this one accepted too large errors since the level of
-        bodies was overestimated; else None.
+    def overestimated(self) -> NDArray[np.bool_]:
+        """Bodies to be done again, (n_bodies,): too large errors were accepted of them, since their
+        level was overestimated.
         """
         fallen = self._highest > _FALLEN * self.level
-        if not (fallen & (self.accepted > _FALLEN * self.tolerance * self.level)).any():
-            return None
-        return self.another()
+        exceeds = self.accepted > _FALLEN * self.tolerance * self.level
+        again: NDArray[np.bool_] = fallen & exceeds
+        return again
 
-    def another(self) -> "Budget":
-        """A new budget for another pass, which begins with the levels of this one."""
+    def again_of(self, bodies: NDArray[np.bool_]) -> "Budget":
+        """A budget for another pass over some bodies (n_bodies,), which begins with the levels of
+        this one. Echoes and errors of all others stay.
+        """
         again = Budget(
             len(self.level),
             self.tolerance,
@@ -164,10 +167,14 @@ class Budget:
             self,
             self._weakest,
             self._earlier_echoes,
-            self.tally and self.tally.fine(),
+            self.tally and self.tally.fine(~bodies),
         )
+        again._echo_sums[~bodies] = self._echo_sums[~bodies]
+        again.pending[~bodies] = 0
+        again._accepted[~bodies] = self._accepted[~bodies]
+        again._undivided[~bodies] = self._undivided[~bodies]
         again._most = self.level
-        again.earlier_spacing_m = self.earlier_spacing_m
+        again.earlier_spacing_m = self.earlier_spacing_m or self.spacing_m or None
         return again
 
     def initial_levels(self, body: NDArray[np.intp], strength: Array) -> None:
@@ -211,6 +218,15 @@ class Budget:
         self._accepted += np.bincount(lit.body[which], error[which] ** 2, len(self._accepted))
         if self.tally is not None:
             self.tally.add_errors(lit, np.where(which, error, 0.0))
+
+    def add_undivided(self, lit: Triangles, error: Array) -> None:
+        """Accepted errors of what is divided no further, for there is no room."""
+        self._undivided += np.bincount(lit.body, error**2, len(self._undivided))
+
+    @property
+    def undivided(self) -> Array:
+        """Of each body's accepted error what was for want of room, (n_bodies,)."""
+        return np.sqrt(self._undivided)
 
     @property
     def accepted(self) -> Array:
@@ -264,8 +280,12 @@ class Budget:
         is_negligible: NDArray[np.bool_] = octave >= first_negligible[body]
         return is_negligible
 
-    def affordable(self, body: NDArray[np.intp], error: Array, share: float) -> NDArray[np.bool_]:
-        """The smallest errors of every body that together stay within a share of its tolerance."""
+    def affordable(
+        self, body: NDArray[np.intp], error: Array, share: float | Array
+    ) -> NDArray[np.bool_]:
+        """The smallest errors of every body that together stay within a share of its squared
+        tolerance; ``share``: of all, or of each body, (n_bodies,).
+        """
         order = np.lexsort((error, body))
         total = np.cumsum(error[order] ** 2)
         first = np.searchsorted(body[order], np.arange(len(self.level)))

@@ -38,15 +38,17 @@ class Limits:
     bounces: Counts
     images: Counts
 
-    def __or__(self, other: "Limits") -> "Limits":
-        """The more of each."""
+    def raised(self, other: "Limits", bodies: NDArray[np.bool_]) -> "Limits":
+        """The more of each, of some bodies (n_bodies,)."""
         return Limits(
-            np.maximum(self.bounces, other.bounces), np.maximum(self.images, other.images)
+            np.where(bodies, np.maximum(self.bounces, other.bounces), self.bounces),
+            np.where(bodies, np.maximum(self.images, other.images), self.images),
         )
 
-    def __le__(self, other: "Limits") -> bool:
-        """Whether no body asks for more."""
-        return bool((self.bounces <= other.bounces).all() and (self.images <= other.images).all())
+    def exceed(self, other: "Limits") -> NDArray[np.bool_]:
+        """Of which bodies these ask for more, (n_bodies,)."""
+        more: NDArray[np.bool_] = (self.bounces > other.bounces) | (self.images > other.images)
+        return more
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +80,14 @@ class Bounds:
 @dataclass(frozen=True, eq=False)
 class ReflectionChoice:
     """Reflections that are computed, and the bounds of what is ``left_out`` beyond these, and of
-    what would be ``without`` the last of them as well.
+    what would be ``without`` the last of them as well; ``undivided`` (n_bodies,): bound of the
+    errors of many reflections that are computed by coarse tubes alone, since there are too many.
     """
 
     limits: Limits
     left_out: Bounds
     without: Bounds
+    undivided: Array
 
 
 class Tally:
@@ -148,8 +152,10 @@ class Tally:
             images[self._beyond(range(bounces), range(order, orders)) > permitted] = order
         return Limits(kept, images)
 
-    def fine(self) -> "Tally":
-        """An empty one for a fine pass, which leaves out as much as without it."""
+    def fine(self, kept: NDArray[np.bool_] | None = None) -> "Tally":
+        """An empty one for a fine pass, which leaves out as much as without it; with what this one
+        has of the bodies that are ``kept``, (n_bodies,).
+        """
         fine = Tally(
             self._shape[0],
             self._wave_numbers,
@@ -160,11 +166,15 @@ class Tally:
             has_more_images=self._has_more_images,
         )
         fine.faintest = np.inf
+        if kept is not None:
+            rows = np.repeat(kept, self._shape[1] * self._shape[2])
+            fine._echo[rows], fine._square[rows] = self._echo[rows], self._square[rows]
         return fine
 
-    def choice(self, limits: Limits, fine: "Tally") -> ReflectionChoice:
+    def choice(self, limits: Limits, fine: "Tally", undivided: Array) -> ReflectionChoice:
         """What limits leave out. Of more reflections than were followed that is the bound of the
         last ones, as a ``fine`` pass found it; nothing where no path has more of them.
+        ``undivided``: accepted errors of what coarse tubes alone follow, (n_bodies,).
         """
         fewer = Limits(limits.bounces - 1, limits.images - 1)
         beyond = fine.left_out(Limits(*(n - 1 for n in (limits.bounces, limits.images))))
@@ -181,6 +191,7 @@ class Tally:
                 ),
             ),
             self.left_out(fewer),
+            _SURE * undivided,
         )
 
     def left_out(self, limits: Limits) -> Bounds:

@@ -155,6 +155,19 @@ class Triangles:
         """Only some of them, by index."""
         return self.gather(which).evaluate()
 
+    def with_own_waves(self) -> "Triangles":
+        """The same with the waves that light them alone, where most of the waves light others."""
+        if self.waves is None:
+            return self
+        used, number = np.unique(np.array(self.wave), return_inverse=True)
+        if 2 * len(used) > dr.width(self.waves.plane_deviation):
+            return self
+        index = type(self.face)
+        waves = self.waves.at(index(aligned(used)))
+        dr.eval(waves.columns())
+        wave = index(aligned(number.reshape(-1).astype(np.uint32)))
+        return replace(self, wave=wave, waves=waves)
+
     def repeat(self, times: int) -> "Triangles":
         """Each of them several times in a row."""
         index = dr.arange(type(self.face), times * len(self)) // times

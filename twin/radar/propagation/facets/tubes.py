@@ -363,11 +363,12 @@ def with_receivers(
     face = np.array(lit.face).astype(np.intp)
     (origin,) = host([origin_of(context, lit)], len(lit))
     point, normal = context.world.plane_table[face, :3], context.world.plane_table[face, 3:]
-    side = np.einsum("ij,ij->i", origin - point, normal)
+    plane = np.einsum("ij,ij->i", point, normal)
+    side = np.einsum("ij,ij->i", origin, normal) - plane
     rows, receivers = [], []
     for number, image in enumerate(images):
-        same = np.einsum("ij,ij->i", image.place - point, normal) * side > 0
-        some = np.flatnonzero(same & scatterers.reachable[number, face])
+        some = np.flatnonzero(scatterers.reachable[number][face])
+        some = some[(normal[some] @ image.place - plane[some]) * side[some] > 0]
         rows.append(some)
         receivers.append(np.full(len(some), number))
     row, receiver = np.concatenate(rows), np.concatenate(receivers)
