@@ -334,6 +334,23 @@ def test_edges_add_no_more_than_their_bound(objects: tuple[SceneObject, ...]) ->
     assert 0 < np.abs(band).max() < bound
 
 
+def test_what_answers_by_its_edges_alone_is_a_body() -> None:
+    """A plate in a plane with the radar shows no face: only its edges answer, and the body is told
+    with their level and place.
+    """
+    edge_on = quad("plate", [[8, 0, -0.3], [8.6, 0, -0.3], [8.6, 0, 0.3], [8, 0, 0.3]])
+    found = trace(world(edge_on), RADAR, fidelity=DEFAULT)
+    assert len(found.surfaces) == 0
+    (body,) = found.bodies
+    assert body.name == "plate"
+    edges = found.echoes
+    sum_of_edges = summed_by(np.zeros(len(edges), int), 1, edges, CARRIER_HZ, FREQUENCIES)[0]
+    assert body.amplitude == pytest.approx(np.sqrt(np.mean(np.abs(sum_of_edges) ** 2)), rel=1e-6)
+    assert 7.9 < body.ranges_m[0] < 8.1
+    assert body.ranges_m[1] < 8.7
+    assert trace(world(edge_on), RADAR, fidelity=Fidelity()).bodies == ()
+
+
 def test_edges_of_a_faint_plate_are_left_out() -> None:
     """9 km away it is fainter than the noise, and its edges than a hundredth of that; nearer by
     they are taken. A ball has none.

@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.waveform import OfdmWaveform
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
@@ -99,7 +100,8 @@ def echoes(
     clutter, on_clutter = Contributions.none(), list[str]()
     if is_rough:
         clutter, on_clutter = surface_clutter(scene, prepared, fidelity, seed)
-    diffuse = at_antenna(Contributions.concatenate([edges.echoes, clutter]), prepared, radar)
+    of_edges = at_antenna(edges.echoes, prepared, radar)
+    diffuse = Contributions.concatenate([of_edges, at_antenna(clutter, prepared, radar)])
     diffuse = diffuse.in_proportion_to_wavelength()
     mirrors = _mirrors(prepared, radar, fidelity)
     points = _points(scene, prepared, radar, declared_alone(scene, roles), fidelity)
@@ -107,6 +109,7 @@ def echoes(
         [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
     )
     unbounded = _unbounded(fidelity, prepared)
+    levels = levels.with_edges(of_edges, radar.ofdm)
     bodies = levels.bodies(of_bodies.error * loss_of(radar), left_out, is_bounded=not unbounded)
     return Propagation(
         Contributions.concatenate([paths, diffuse, surfaces]),
@@ -188,6 +191,16 @@ class _Levels:
         return body_echoes(
             self.names, self.echo, error, *limits, left_out, self.spans, is_bounded=is_bounded
         )
+
+    def with_edges(self, edges: Contributions, wave: OfdmWaveform) -> "_Levels":
+        """The same with the echoes of ``edges`` for bodies whose surfaces return nothing."""
+        silent: NDArray[np.bool_] = ~np.asarray(self.echo.any(axis=1))
+        owner = self.of_object[edges.object]
+        owner = np.where((owner >= 0) & silent[owner], owner, -1)
+        count = len(self.names)
+        echo = summed_by(owner, count, edges, wave.carrier_hz, band_of(wave))
+        spans = np.where(silent[:, None, None], spans_by(owner, count, edges), self.spans)
+        return replace(self, echo=self.echo + echo, spans=spans)
 
 
 #: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
