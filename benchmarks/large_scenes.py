@@ -4,8 +4,9 @@ The set-up: roles, meshes, bodies, images, those in which the radar sees itself,
 tracing. Both the first time, and when one object has moved; from rays to echoes and to detections
 of one thread, each scene in a process of its own that ends after a quarter of an hour. In cities of
 Sionna RT, one of them with a car, a made one, and a terrain.
-`python -m benchmarks.large_scenes munich` measures one scene: a city, `munich-car`, `boxes`, or the
-number of points along a side of the terrain.
+`python -m benchmarks.large_scenes munich` measures one scene by default, and with `standard` behind
+it under that preset: a city, `munich-car`, `boxes`, or the number of points along a side of the
+terrain.
 """
 
 import importlib.util
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from benchmarks.timing import Figure, timed
 from hardware.radar.process import process
 from twin.engine import mitsuba, sionna
+from twin.fidelity import DEFAULT, PRESETS
 from twin.files import scenes_folder
 from twin.geometry import Geometry
 from twin.radar import load_radar, radar_echo
@@ -52,10 +54,10 @@ def figures() -> Iterator[Figure]:
     mitsuba()
     for name in _CITIES:
         yield from _of(name, load_scene(_bundled(name)))
-        yield from _apart(name, name)
-    yield from _apart("munich with a car", "munich-car")
+        yield from _levels(name, name)
+    yield from _levels("munich with a car", "munich-car")
     yield from _of("10 000 boxes", _boxes(10_000))
-    yield from _apart("10 000 boxes", "boxes")
+    yield from _levels("10 000 boxes", "boxes")
     for side in _TERRAIN:
         yield from _apart(f"{2 * (side - 1) ** 2:.2g} triangles", str(side))
 
@@ -158,9 +160,15 @@ def _terrain(side: int) -> Scene:
     return _scene([hills, _thing("box", _BOX + [20, 0, 0], _SIDES)])
 
 
-def _apart(name: str, scene: str) -> Iterator[Figure]:
+def _levels(name: str, scene: str) -> Iterator[Figure]:
+    """By default, and under the preset `standard`, which bounds nothing."""
+    yield from _apart(name, scene)
+    yield from _apart(f"{name}, standard", scene, "standard")
+
+
+def _apart(name: str, scene: str, level: str = "default") -> Iterator[Figure]:
     """A scene in a process of its own, for its memory."""
-    command = [sys.executable, "-m", "benchmarks.large_scenes", scene]
+    command = [sys.executable, "-m", "benchmarks.large_scenes", scene, level]
     # Libraries of linear algebra wait for their other threads in CPU time.
     one = {**os.environ, "OMP_NUM_THREADS": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=one) as running:
@@ -177,8 +185,8 @@ def _apart(name: str, scene: str) -> Iterator[Figure]:
         yield f"{name}: failed, exit status", float(running.returncode), ""
 
 
-def _measured(name: str) -> Iterator[Figure]:
-    """Echoes and detections of a scene by one thread."""
+def _measured(name: str, level: str = "default") -> Iterator[Figure]:
+    """Echoes and detections of a scene by one thread; ``level``: a preset, or the default."""
     import resource
 
     import drjit as dr
@@ -193,11 +201,12 @@ def _measured(name: str) -> Iterator[Figure]:
     else:
         scene = _boxes(10_000) if name == "boxes" else _terrain(int(name))
     radar = load_radar("hybrid-79")
+    fidelity = {"default": DEFAULT, **PRESETS}[level]
     earlier = None
     for when in ("the first time", "one object moved", "moved on, with what holds of the last"):
         keep = when == "one object moved"
         cpu, wall = time.process_time(), time.perf_counter()
-        echo = radar_echo(scene, radar, earlier=earlier, keep=keep)
+        echo = radar_echo(scene, radar, fidelity=fidelity, earlier=earlier, keep=keep)
         yield f"rays to echoes, {when}, CPU time", time.process_time() - cpu, "s"
         (found,) = echo.bursts
         detections = process(echo.record()).detections
@@ -215,5 +224,5 @@ def _measured(name: str) -> Iterator[Figure]:
 
 
 if __name__ == "__main__":
-    for figure in _measured(sys.argv[1]):
+    for figure in _measured(*sys.argv[1:]):
         print(json.dumps(figure), flush=True)

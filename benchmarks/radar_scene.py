@@ -6,6 +6,7 @@ for that. They know neither edges nor ways round obstacles, so errors are measur
 times are those of whole levels.
 """
 
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
@@ -70,9 +71,13 @@ def _times(
     moved()  # warm
     finding = timed(lambda: trace(scene, radar, fidelity=fidelity), runs, warm_up=0)
     yield f"{what}: echoes", finding, ""
+    began_s = time.process_time()
+    trace(scene, radar, fidelity=fidelity)
+    yield f"{what}: echoes, CPU time", time.process_time() - began_s, "s"
     bins = f"{wave.n_subcarriers} x {wave.n_slots}"
     yield f"{what}: echoes and channel of {bins}", timed(synthesis, runs, warm_up=0), ""
-    yield f"{what}: whole frame", timed(lambda: frame(scene), runs, warm_up=0), ""
+    still = timed(lambda: frame(scene), runs, warm_up=0)
+    yield f"{what}: whole frame", still, ""
     first = trace(scene, radar, fidelity=fidelity, keep=True)
 
     def kept() -> float:
@@ -85,8 +90,10 @@ def _times(
     yield f"{what}: contributions that hold then", 100 * kept(), "%"
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        yield f"{what}: whole frame, car moved", timed(moved, runs, warm_up=0), ""
+        driven = timed(moved, runs, warm_up=0)
+        yield f"{what}: whole frame, car moved", driven, ""
         kernels = [entry for entry in dr.kernel_history() if "cache_hit" in entry]
+    yield f"{what}: whole frame, car moved over still", driven.median_s / still.median_s, ""
     compiled = sum(not entry["cache_hit"] for entry in kernels)
     yield f"{what}: kernels that these compile anew", float(compiled), ""
 
