@@ -34,6 +34,7 @@ _ROOMS = (
     "vehicle",
     "stream",
     "motion",
+    "moving_radar",
     "driving",
     "commands",
     "stated_errors",

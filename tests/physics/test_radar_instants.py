@@ -260,3 +260,21 @@ def test_asked_for_shadows_that_pass_are_traced() -> None:
     assert len(found.instants) > 4
     assert not found.warnings
     assert errors_by_body(scene, RADAR, found, knobs, times)["ball"] < 1.5 * 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("through", ["the radar", "another body"])
+def test_what_passes_through_has_finite_echoes_at_instants_of_its_own(through: str) -> None:
+    """A ball at 60 m/s, which is round the radar in the interval's middle, or within another ball
+    for a part of it: beyond what slots can tell apart, too.
+    """
+    fly = ball("fly", (0.3, 0.05, 0.0), 0.2, 3).following(Straight((-60.0, 0.0, 0.0)))
+    if through == "another body":
+        fly = ball("fly", (6.0, 0.0, 0.0), 0.1, 3).following(Straight((0.0, 60.0, 0.0)))
+    scene = world(ball("ball", (6.0, 0.0, 0.0), 0.2, 3), fly)
+    taken = radar_capture(scene, RADAR, seed=1, fidelity=OPTICS)
+    assert len(taken.propagation.instants) > 2
+    for instant in taken.propagation.instants:
+        assert np.isfinite(instant.contributions.amplitude).all()
+        assert np.isfinite(instant.contributions.delay_s).all()
+    assert taken.record.iq.any()
