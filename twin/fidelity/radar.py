@@ -85,7 +85,10 @@ class RadarFidelity(Knobs):
         time do not hold: what is lit changes as it turns (1.5 times its angle, of dihedrals, boxes
         and balls), and delays have higher orders. Up to there the scene is traced once, in the
         interval's middle; beyond, at up to 132 instants, each as dear as the first, and the echo
-        between two of them is compared with one traced half way. None: as `radar_tolerance`.
+        between two of them is compared with one traced half way, in up to 5 places. Where one
+        instant is taken, direct echoes traced at its ends (a third of a frame's time) check it:
+        what shadows that pass change is warned of, and traced where a number is asked for. None:
+        as `radar_tolerance`, and never traced for shadows alone.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
         trihedral needs 3. None: of every body as many, up to 6, as may add more than a tenth of
