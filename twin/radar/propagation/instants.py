@@ -158,31 +158,33 @@ def _checked(
     )
     half_s, bodies = radar.burst_s / 2, found.bodies
     times = [float(time) for time in np.clip([-half_s, half_s], *scene.span_s)]
-    sums = [_by_body(radar, bodies, found, found.contributions)]
+    sums = [_by_body(radar, bodies, found, found.contributions, paths=False)]
     for time in (0.0, *times):
         there = trace(scene.after(time), radar, fidelity=direct, followed_s=half_s)
         echoes = there.contributions
         followed = replace(echoes, delay_s=echoes.delays_at(-time))
-        sums.append(_by_body(radar, bodies, there, followed))
-    whole, middle, begin, end = (one[:-1] for one in sums)
+        sums.append(_by_body(radar, bodies, there, followed, paths=False))
+    whole, middle, begin, end = sums
     level = reference_levels(whole, fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar))
     pairs = ((begin, end), (begin, middle), (middle, end))
     changes = np.max([_over(one - other, level) for one, other in pairs], axis=0)
     reflected = _over(whole - middle, level)
     remarks = []
-    for number, body in enumerate(bodies):
+    names = [*(body.name for body in bodies), "what the middle does not hear"]
+    for number, name in enumerate(names):
         if changes[number] > worst.error:
-            worst = replace(worst, name=body.name, changed=float(changes[number]))
+            worst = replace(worst, name=name, changed=float(changes[number]))
         if changes[number] > permitted:
             remarks.append(
-                f"motion within an interval: the direct echo of {body.name} changes by "
+                f"motion within an interval: the direct echo of {name} changes by "
                 f"{percent(changes[number])} % of its echo beyond its delays, which is left out; "
                 f"{percent(permitted)} % permitted: {_HOW}"
             )
-        if reflected[number] > permitted and _parts_turn(scene, radar, body.objects):
+        objects = bodies[number].objects if number < len(bodies) else ()
+        if reflected[number] > permitted and _parts_turn(scene, radar, objects):
             remarks.append(
                 f"motion within an interval: {percent(reflected[number])} % of the echo of "
-                f"{body.name} are reflections between parts that turn, of which only delays "
+                f"{name} are reflections between parts that turn, of which only delays "
                 f"change: {_HOW}"
             )
     return worst, tuple(remarks)
@@ -210,14 +212,23 @@ def _parts_turn(scene: Scene, radar: RadarDesign, names: Sequence[str]) -> bool:
 
 
 def _by_body(
-    radar: RadarDesign, bodies: Sequence[BodyEcho], found: Propagation, echoes: Contributions
+    radar: RadarDesign,
+    bodies: Sequence[BodyEcho],
+    found: Propagation,
+    echoes: Contributions,
+    *,
+    paths: bool = True,
 ) -> NDArray[np.complex128]:
-    """Echoes summed by body in the order of ``bodies``, single paths and all others the last."""
+    """Echoes summed by body in the order of ``bodies``, all others the last; so are single paths,
+    or they count for none.
+    """
     body_of = {name: number for number, body in enumerate(bodies) for name in body.objects}
     count = len(bodies) + 1
-    of_object = np.array([body_of.get(name, -1) for name in found.objects], dtype=np.int64)
+    of_object = np.array([body_of.get(name, count - 1) for name in found.objects], dtype=np.int64)
     owner = np.full(len(echoes), count - 1)
     dense = slice(len(found.names), None)
+    if not paths:
+        owner[: len(found.names)] = -1
     if len(of_object):
         owner[dense] = of_object[echoes.object[dense]]
     wave = radar.ofdm
