@@ -46,6 +46,28 @@ class FineScene:
         return np.diff(np.diff(corners, axis=0), axis=1) / SAMPLES**2
 
 
+@dataclass(frozen=True, eq=False)
+class BoxedScene:
+    """A box of one scene in front of another, which goes twice as far the other way.
+
+    ``edges`` of the box at rest: top, left, bottom, right, cells, the first from -0.5 to 0.5.
+    """
+
+    behind: FineScene
+    box: FineScene
+    edges: tuple[float, float, float, float]
+
+    def cells(self, down: float, right: float) -> Array:
+        """Mean light of each cell when what is behind has moved by so many cells."""
+        top, left, bottom, end = self.edges
+        borders = np.arange(SIDE + 1) - 0.5
+        rows = np.diff(np.clip(borders, top - 2 * down, bottom - 2 * down))
+        columns = np.diff(np.clip(borders, left - 2 * right, end - 2 * right))
+        share = np.outer(rows, columns)
+        near = self.box.cells(-2 * down, -2 * right)
+        return self.behind.cells(down, right) * (1 - share) + near * share
+
+
 def _between(table: Array, at: Array) -> Array:
     place = np.clip(at, 0, len(table) - 1)
     before = np.minimum(place.astype(int), len(table) - 2)
@@ -88,7 +110,7 @@ def dead_leaves(seed: int) -> FineScene:
 
 
 def record_of(
-    scene: FineScene,
+    scene: FineScene | BoxedScene,
     patterns: PatternSet,
     moved_cells: tuple[float, float],
     noise: float,

@@ -1,3 +1,5 @@
+from hardware.boxes_of_tracks import box_in_view as box_in_view
+from hardware.boxes_of_tracks import tracked_boxes as tracked_boxes
 from hardware.errors import DeviceError as DeviceError
 from hardware.errors import HardwareError as HardwareError
 from hardware.errors import InputError as InputError

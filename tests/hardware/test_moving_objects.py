@@ -3,6 +3,7 @@ drawn cell by cell without the code under test.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,16 @@ from hardware import (
     Layers,
     MovingBox,
     PatternSet,
+    QuaternionPose,
     Shift,
     SpiRecord,
+    box_in_view,
     reconstruct,
+    tracked_boxes,
 )
 from hardware.commands.motions import motion_of, told
 from hardware.patterns import hadamard_rows
+from hardware.radar.tracking import TargetTrack
 from hardware.reconstruction.motion.knobs import STANDARD
 from hardware.reconstruction.motion.operators import moving_patterns
 from hardware.reconstruction.motion.timing import timed_rows
@@ -129,6 +134,92 @@ def test_boxes_that_hide_each_other() -> None:
 def test_a_box_without_a_size_is_told() -> None:
     with pytest.raises(InputError, match=r"^motion: box: top, left, bottom, right"):
         MovingBox(4.0, 0.0, 4.0, 3.0, OBJECT)
+
+
+FIELD = (np.deg2rad(20.0), np.deg2rad(24.0))
+
+
+def pinhole(point: np.ndarray) -> np.ndarray:
+    """Row and column in an image of N cells on a side."""
+    focal = N / 2 / np.tan(np.array(FIELD) / 2)
+    return (N - 1) / 2 - focal * np.array([point[2], point[1]]) / point[0]
+
+
+def test_a_box_is_where_its_cuboid_is_seen() -> None:
+    """Corners by the pinhole's equation; velocity by the difference of two places of the middle."""
+    middle, velocity, size = (
+        np.array([12.0, 1.5, -0.4]),
+        np.array([-3.0, 2.0, 0.5]),
+        (2.0, 1.0, 1.4),
+    )
+    box = box_in_view(middle, velocity, size, FIELD, (N, N))
+    assert box is not None
+    near = middle - [1.0, 0.0, 0.0]
+    far = middle + [1.0, 0.0, 0.0]
+    assert box.top == pytest.approx(pinhole(near + [0, 0, 0.7])[0])
+    assert box.bottom == pytest.approx(pinhole(near - [0, 0, 0.7])[0])
+    assert box.left == pytest.approx(pinhole(near + [0, 0.5, 0])[1])
+    assert box.right == pytest.approx(pinhole(far - [0, 0.5, 0])[1])
+    step = 1e-5
+    moved = (pinhole(middle + step * velocity) - pinhole(middle - step * velocity)) / (2 * step)
+    assert isinstance(box.motion, Shift)
+    found = box.motion.down_cells_per_s, box.motion.right_cells_per_s
+    np.testing.assert_allclose(found, moved, rtol=1e-6)
+    assert box_in_view([0.9, 0, 0], velocity, size, FIELD, (N, N)) is None
+
+
+def test_boxes_of_tracks() -> None:
+    """A rig at (5, 0) that looks along the world's y and drives at 2 m/s: a target 10 m ahead that
+    crosses to the world's x goes to the right; one behind, one beside and one without an azimuth
+    have no box; the nearer of two comes first.
+    """
+    camera = QuaternionPose(5.0, 0.0, 1.0, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
+
+    def track(*state: float) -> TargetTrack:
+        return TargetTrack(1, np.array(state), np.eye(len(state)), 3, 0)
+
+    found = tracked_boxes(
+        [
+            track(5.0, 20.0, 0.0, 2.0),
+            track(5.0, 10.0, 3.0, 2.0),
+            track(5.0, -10.0, 0.0, 0.0),
+            track(40.0, 10.0, 0.0, 0.0),
+            track(10.0, 1.0),
+        ],
+        camera,
+        (0.0, 2.0, 0.0),
+        height_m=1.0,
+        size_m=(1.0, 1.0, 1.0),
+        field_rad=FIELD,
+        shape=(N, N),
+    )
+    assert len(found) == 2
+    focal = N / 2 / np.tan(FIELD[1] / 2)
+    assert isinstance(found[0].motion, Shift)
+    assert found[0].motion.right_cells_per_s == pytest.approx(focal * 3.0 / 10.0)
+    assert found[0].motion.down_cells_per_s == pytest.approx(0.0, abs=1e-9)
+    assert found[0].right - found[0].left > found[1].right - found[1].left
+    assert (found[0].left + found[0].right) / 2 == pytest.approx((N - 1) / 2)
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"position_m": (1.0, np.nan, 0.0)}, "motion: position_m"),
+        ({"size_m": (1.0, 0.0, 1.0)}, "motion: size_m"),
+        ({"field_rad": (0.1, 4.0)}, "motion: field_rad"),
+    ],
+)
+def test_wrong_cuboids_are_told(changed: dict[str, Any], expected: str) -> None:
+    good: dict[str, Any] = {
+        "position_m": (9.0, 0.0, 0.0),
+        "velocity_m_per_s": (0.0, 1.0, 0.0),
+        "size_m": (1.0, 1.0, 1.0),
+        "field_rad": FIELD,
+        "shape": (N, N),
+    }
+    with pytest.raises(InputError, match=expected):
+        box_in_view(**(good | changed))
 
 
 def test_objects_in_a_file(tmp_path: Path) -> None:
