@@ -1,11 +1,16 @@
-"""Whole commands, as a user waits for them."""
+"""Whole commands, as a user waits for them, and where their time goes."""
 
+import json
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.timing import Figure, timed_command
+
+#: Parts of a run of which processor time is told.
+_PARTS = ("imports", "light", "radar", "report", "files and the rest", "all")
 
 
 def figures() -> Iterator[Figure]:
@@ -20,3 +25,15 @@ def figures() -> Iterator[Figure]:
             timed_command(command, runs=3),
             "",
         )
+        yield from run_figures(Path(folder))
+
+
+def run_figures(folder: Path) -> Iterator[Figure]:
+    """Where the processor time of `twin run scenes/yard` goes, once kernels are compiled."""
+    command = [sys.executable, "-m", "benchmarks.run_costs", "yard", str(folder / "costs")]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    spent = json.loads(done.stdout.splitlines()[-1])
+    for name in _PARTS:
+        yield f"twin run scenes/yard, processor time: {name}", spent[name], "s"
+    share = 100 * spent["choosing"] / (spent["light"] + spent["radar"])
+    yield "twin run scenes/yard: choosing, of light and radar", share, "%"

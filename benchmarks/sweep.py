@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from benchmarks.timing import Figure
 from twin.camera import capture
 from twin.fidelity import Fidelity
-from twin.sweep import Study, load_study, run_sweep
+from twin.sweep import Study, load_study, open_sweep, run_sweep
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
+from twin.sweep.front import designs_on_front
 from twin.sweep.inputs import inputs_of
 
 _CLOSED = """
@@ -35,6 +36,7 @@ _FEW_PATHS = '"fidelity.samples" = 16\n"fidelity.max_depth" = 1'
 _RENDERED = """
 scene = "table1"
 metrics = ["snr_median", "psnr_db", "ssim"]
+{front}
 [set]
 {fidelity}
 "system.acquisition.n_patterns" = 1024
@@ -49,6 +51,7 @@ metrics = ["snr_median", "psnr_db", "ssim"]
 _PLACES = """
 scene = "yard"
 metrics = ["snr_median", "psnr_db", "ssim"]
+{front}
 [set]
 {fidelity}
 "system.acquisition.n_patterns" = 1024
@@ -64,6 +67,7 @@ _ACCURACIES = {
     "tolerance 0.2": '"fidelity.tolerance" = 0.2',
     "tolerance 1": '"fidelity.tolerance" = 1.0',
 }
+_FRONT = ("snr_median", "psnr_db")
 #: 16 times the paths of `reference`, whose own error is not far below a tolerance of 0.2.
 _REFERENCE = Fidelity(samples=2**14, max_depth=8)
 _EACH_RENDERS = """
@@ -81,7 +85,7 @@ def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
     for n in (100_000, 1_000_000):
         yield f"sweep, closed form, {n} points", _run(_CLOSED.format(n=n))[0], "s"
-    seconds, renders = _run(_RENDERED.replace("{fidelity}", _FEW_PATHS))
+    seconds, renders = _run(_filled(_RENDERED, _FEW_PATHS))
     yield "sweep, 900 rendered points, two workers", seconds, "s"
     yield "sweep, 900 rendered points: renders", float(renders), ""
     yield from accuracy_figures()
@@ -96,18 +100,52 @@ def figures() -> Iterator[Figure]:
 
 
 def accuracy_figures() -> Iterator[Figure]:
-    """Time of 900 rendered points at `standard` and at a tolerance, and errors at both."""
+    """Time of 900 rendered points at `standard` and at a tolerance, with and without a front, and
+    errors of their light; those on the front have the errors of the tolerance, others those of
+    `tolerance 1`.
+    """
     kinds = {
         "table1, 30 renders": _RENDERED,
         "yard, 30 renders": _PLACES.replace("{places}", str(_places(30))),
     }
     for kind, text in kinds.items():
-        for name, accuracy in _ACCURACIES.items():
-            seconds = _cpu(text.replace("{fidelity}", accuracy))
-            yield f"sweep, 900 rendered points, {kind}, {name}: processor time", seconds, "s"
+        yield from _times(f"sweep, 900 rendered points, {kind}", text)
     for name, accuracy in _ACCURACIES.items():
-        text = _PLACES.replace("{places}", str(_places(3))).replace("{fidelity}", accuracy)
+        text = _filled(_PLACES.replace("{places}", str(_places(3))), accuracy)
         yield from _errors(name, _study(text))
+
+
+def _times(kind: str, text: str) -> Iterator[Figure]:
+    """Processor and wall time in one process, of the whole command's work; whether the front is
+    that of all points as asked for.
+    """
+    fronts = {}
+    runs = [(name, accuracy, False) for name, accuracy in _ACCURACIES.items()]
+    for name, accuracy, front in (*runs, ("tolerance 0.2", _ACCURACIES["tolerance 0.2"], True)):
+        called = f"{kind}, {name}{', two passes for a front' if front else ''}"
+        study = _study(_filled(text, accuracy, front=_FRONT if front else None))
+        with tempfile.TemporaryDirectory() as folder:
+            evaluate_chunk(study.with_set({**study.set, "seed": 1}), 0, 1)  # kernels are compiled
+            processor, wall = time.process_time(), time.perf_counter()
+            done = run_sweep(study, out=Path(folder) / "out", workers=0)
+            if done.n_failed:
+                raise RuntimeError(f"{done.n_failed} points failed")
+            yield f"{called}: processor time", time.process_time() - processor, "s"
+            yield f"{called}: wall time", time.perf_counter() - wall, "s"
+            fronts[called] = designs_on_front(open_sweep(done.out), *_FRONT).rows
+            if done.n_coarse is not None:
+                yield f"{called}: renders", float(done.renders), ""
+                yield f"{called}: points left coarse", float(done.n_coarse), ""
+                full = fronts[f"{kind}, {name}"]
+                yield f"{called}: designs on the front", float(len(fronts[called])), ""
+                same = sum(row in full for row in fronts[called])
+                yield f"{called}: of them on that of all points to 0.2", float(same), ""
+
+
+def _filled(text: str, accuracy: str, front: tuple[str, str] | None = None) -> str:
+    """A study of this accuracy, which names a front or none."""
+    named = f"front = {list(front)}" if front else ""
+    return text.replace("{fidelity}", accuracy).replace("{front}", named)
 
 
 def _places(n: int) -> list[float]:
@@ -119,18 +157,6 @@ def _study(text: str) -> Study:
         path = Path(folder) / "study.toml"
         path.write_text(text)
         return load_study(path)
-
-
-def _cpu(text: str) -> float:
-    """Processor time of all points in this process, once kernels are compiled."""
-    study = _study(text)
-    inputs = inputs_of(study)
-    evaluate_chunk(study.with_set({**study.set, "seed": 1}), 0, 1, inputs)
-    start = time.process_time()
-    chunk = evaluate_chunk(study, 0, study.n_points, inputs)
-    if chunk.errors:
-        raise RuntimeError(f"{len(chunk.errors)} points failed")
-    return time.process_time() - start
 
 
 def _errors(name: str, study: Study) -> Iterator[Figure]:

@@ -57,13 +57,15 @@ def sweep(
     )
     failed = f", {done.n_failed} failed" if done.n_failed else ""
     void = f", {done.n_void} void" if done.n_void else ""
+    coarse = "" if done.n_coarse is None else f", {done.n_coarse} of them coarse: off the front"
     results = done.out / "results.zarr"
     points, renders = counted(done.n_points, "point"), counted(done.renders, "render")
-    say.verdict(f"{points}{failed}{void}, {renders}: {results}")
+    say.verdict(f"{points}{coarse}{failed}{void}, {renders}: {results}")
     say.add(
         points=done.n_points,
         failed=done.n_failed,
         void=done.n_void,
+        coarse=done.n_coarse,
         renders=done.renders,
         results=results,
         without_effect=done.without_effect,

@@ -27,6 +27,11 @@ def check_accuracy(parameters: Iterable[str]) -> None:
             raise InputError(f"{name}: has no effect beside {TOLERANCE}, by which paths are added")
 
 
+def names_accuracy(parameters: Iterable[str]) -> bool:
+    """Whether any parameter is a tolerance, a preset or a knob."""
+    return any(name.startswith(_ROOT) for name in parameters)
+
+
 def with_accuracy(study: "Study", accuracy: Accuracy) -> "Study":
     """The same study at a tolerance, a preset, or knobs, in place of the preset or tolerance that
     it sets; knobs that it sets or varies stay.

@@ -1,6 +1,6 @@
 """Results of a sweep, labelled: metrics over the study's dimensions, with what was said of them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from hardware.units import unit_of
 from twin.accuracy.interval import TWO_SIDED_95
 from twin.files import InputError
+from twin.sweep.accuracy import TOLERANCE
 from twin.sweep.names import CLOSED_FORM, ERRORS, RENDERED, error_of, is_own
+from twin.sweep.refinement import coarse_study
 from twin.sweep.study import Study
 
 if TYPE_CHECKING:
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 
 #: Of the columns that say what points are worth nothing.
 VOID = {"camera": "void", "radar": "radar_void"}
+#: Of a study with a front: points that were computed to a coarse tolerance alone.
+COARSE = "coarse"
 
 
 @dataclass
@@ -26,6 +30,7 @@ class Progress:
 
     ``errors``: why points failed. ``warned``: by kind, points that a warning was given of, and in
     ``words`` the first of them. ``void``: by ``camera`` and ``radar``, points whose record is void.
+    ``refined``: points that were computed anew as finely as asked, after a first coarse pass.
     """
 
     points_done: int = 0
@@ -34,26 +39,44 @@ class Progress:
     warned: dict[str, list[int]] = field(default_factory=dict)
     words: dict[str, str] = field(default_factory=dict)
     void: dict[str, list[int]] = field(default_factory=dict)
+    refined: set[int] = field(default_factory=set)
+
+    def forget(self, points: Iterable[int]) -> None:
+        """What was said of points that are computed anew."""
+        gone = set(points)
+        self.errors = {i: text for i, text in self.errors.items() if i not in gone}
+        for notes in (self.warned, self.void):
+            for kind, marked in list(notes.items()):
+                notes[kind] = [i for i in marked if i not in gone]
 
 
-def labels(study: Study, own: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Unit and meaning of each metric; ``own``: a user's own functions by name, which say theirs by
-    an attribute ``unit`` and the first line of their docstring.
+#: Unit and meaning of a metric, and whether more or less of it is better.
+Label = tuple[str, str, str]
+
+
+def labels(study: Study, own: Mapping[str, Any]) -> dict[str, Label]:
+    """Labels of each metric; ``own``: a user's own functions by name, which say theirs by
+    attributes ``unit`` and ``better`` ("more" or "less") and the first line of their docstring.
     """
     known = CLOSED_FORM if study.model == "closed-form" else RENDERED
     found = {
-        name: (known[name].unit, known[name].meaning) for name in study.metrics if name in known
+        name: (known[name].unit, known[name].meaning, str(known[name].better))
+        for name in study.metrics
+        if name in known
     }
     for name, function in own.items():
         meaning = (function.__doc__ or name).strip().splitlines()[0]
-        found[name] = getattr(function, "unit", "1"), meaning
+        better = getattr(function, "better", "more")
+        if better not in ("more", "less"):
+            raise InputError(f"metrics: {name}: better = {better!r}, expected 'more' or 'less'")
+        found[name] = getattr(function, "unit", "1"), meaning, better
     return found
 
 
 def dataset(
     study: Study,
     arrays: Mapping[str, NDArray[np.float64]],
-    labels: Mapping[str, tuple[str, str]],
+    labels: Mapping[str, Label],
     progress: Progress,
     attributes: Mapping[str, str],
 ) -> "xarray.Dataset":
@@ -61,7 +84,8 @@ def dataset(
 
     ``METRIC.standard_error`` and ``METRIC.systematic``: what the model may be off by; a closed form
     has none. ``void`` and ``radar_void`` mark points whose record holds nothing that the metric
-    could be of, ``warned.KIND`` those that a warning of that kind was given of.
+    could be of, ``warned.KIND`` those that a warning of that kind was given of. Where the study's
+    points are computed to a coarse tolerance first, ``coarse`` marks those that were left at it.
     """
     import xarray
 
@@ -75,10 +99,12 @@ def dataset(
     data: dict[str, Any] = {}
     for name, array in arrays.items():
         metric, kind = error_of(name) or (name, "")
-        unit, meaning = labels[metric]
+        unit, meaning, *better = labels[metric]  # older sweeps do not say what is better
         long_name = f"{ERRORS[kind]}: {meaning}" if kind else meaning
         where_void = " ".join(_void_columns(study, metric))
         marks = {"units": unit, "long_name": long_name, "void": where_void}
+        if better and not kind:
+            marks["better"] = better[0]
         data[name] = (names, array.reshape(shape), marks)
     length = max((len(text) for text in progress.errors.values()), default=1)
     error = np.full(study.n_points, "", dtype=f"<U{length}")
@@ -89,7 +115,15 @@ def dataset(
         for side, name in VOID.items():
             marks = {"long_name": f"the {side}'s record is void"}
             data[name] = (names, marked(progress.void.get(side, [])), marks)
+    if (coarse := coarse_study(study)) is not None:
+        left = np.ones(study.n_points, np.bool_)
+        left[list(progress.refined)] = False
+        front, said = " and ".join(study.front or ()), coarse.set[TOLERANCE]
+        marks = {"long_name": f"to a tolerance of {said}: cannot be on the front of {front}"}
+        data[COARSE] = (names, left.reshape(shape), marks)
     for kind, points in sorted(progress.warned.items()):
+        if not points:
+            continue
         marks = {"long_name": f"warned: {kind}", "first": progress.words[kind]}
         data[f"warned.{kind}"] = (names, marked(points), marks)
     coords = {}
@@ -106,6 +140,8 @@ def dataset(
         "points_void": len({i for points in progress.void.values() for i in points}),
         "renders": progress.renders,
     }
+    if COARSE in data:
+        counts["points_coarse"] = progress.points_done - len(progress.refined)
     return xarray.Dataset(data, coords, attrs={**attributes, **counts})
 
 
@@ -120,7 +156,7 @@ def _void_columns(study: Study, metric: str) -> list[str]:
 
 def metrics_of(data: "xarray.Dataset") -> list[str]:
     """Names of what was measured."""
-    beside = ("error", *VOID.values())
+    beside = ("error", COARSE, *VOID.values())
     return [
         name
         for name in map(str, data.data_vars)
@@ -150,3 +186,11 @@ def column(data: "xarray.Dataset", metric: str, *, void: bool = False) -> "xarra
     for mark in () if void else values.attrs.get("void", "").split():
         values = values.where(~data[mark])
     return values.assign_attrs(data[metric].attrs)
+
+
+def gain(values: "xarray.DataArray") -> "xarray.DataArray":
+    """A metric, as a sweep's dataset holds it, so that more is better."""
+    name = str(values.name)
+    known = RENDERED.get(name, CLOSED_FORM.get(name))  # datasets of older versions do not say
+    better = values.attrs.get("better", known.better if known else "more")
+    return -values if better == "less" else values

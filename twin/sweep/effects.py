@@ -7,7 +7,7 @@ import numpy as np
 
 from twin.files import InputError
 from twin.sweep.closed_form import closed_form
-from twin.sweep.dataset import metrics_of
+from twin.sweep.dataset import COARSE, metrics_of
 from twin.sweep.inputs import ChangedError, Inputs
 from twin.sweep.setup import setup
 from twin.sweep.study import Study
@@ -57,15 +57,29 @@ def _try(study: Study, index: int, inputs: Inputs) -> None:
 def without_effect(data: "xarray.Dataset") -> Iterator[str]:
     """Parameters along whose dimension no metric changes, bit for bit, in any point."""
     metrics = metrics_of(data)
+    coarse = data.get(COARSE)
     for name in data.coords:
         (dimension,) = data[name].dims
         if data.sizes[dimension] > 1 and not any(
-            _changes(data[metric], dimension) for metric in metrics
+            _changes(data[metric], dimension, coarse) for metric in metrics
         ):
             yield str(name)
 
 
-def _changes(values: "xarray.DataArray", dimension: Hashable) -> bool:
+def _changes(
+    values: "xarray.DataArray", dimension: Hashable, coarse: "xarray.DataArray | None"
+) -> bool:
+    """Of points to a coarse tolerance and others, which differ anyhow, each by themselves."""
     along = np.moveaxis(values.to_numpy(), values.dims.index(dimension), 0)
-    same = (along == along[0]) | (np.isnan(along) & np.isnan(along[0]))
-    return not same.all()
+    if coarse is None:
+        same = (along == along[0]) | (np.isnan(along) & np.isnan(along[0]))
+        return not same.all()
+    flags = np.moveaxis(coarse.to_numpy(), coarse.dims.index(dimension), 0)
+    for own in (flags, ~flags):
+        low, high = (
+            pick(np.where(own & ~np.isnan(along), along, none), axis=0)
+            for pick, none in ((np.min, np.inf), (np.max, -np.inf))
+        )
+        if (low < high).any():
+            return True
+    return False

@@ -26,15 +26,14 @@ Array = NDArray[np.float64]
 
 @dataclass(eq=False)
 class Chunk:
-    """Results of points ``start`` to ``stop``: by column (`columns_of`), what failed, how often was
+    """Results of some points, by column (`columns_of`) in their order; what failed, how often was
     rendered.
 
     ``warnings``: by kind and point, what was said; ``void``: points without a result that means
     anything, by ``camera`` and ``radar``.
     """
 
-    start: int
-    stop: int
+    points: NDArray[np.intp]
     values: dict[str, Array]
     errors: dict[int, str] = field(default_factory=dict)
     warnings: dict[str, dict[int, str]] = field(default_factory=dict)
@@ -43,63 +42,71 @@ class Chunk:
 
 
 def joined(chunks: Sequence[Chunk]) -> Chunk:
-    """Runs of points that follow each other as one."""
-    first, last = chunks[0], chunks[-1]
-    whole = Chunk(first.start, last.stop, {}, renders=sum(chunk.renders for chunk in chunks))
-    for name in first.values:
+    """Results of points as one."""
+    points = np.concatenate([chunk.points for chunk in chunks])
+    whole = Chunk(points, {}, renders=sum(chunk.renders for chunk in chunks))
+    for name in chunks[0].values:
         whole.values[name] = np.concatenate([chunk.values[name] for chunk in chunks])
     for chunk in chunks:
-        whole.errors |= chunk.errors
+        whole.errors.update(chunk.errors)
         for kind, said in chunk.warnings.items():
             whole.warnings.setdefault(kind, {}).update(said)
-        for side, points in chunk.void.items():
-            whole.void.setdefault(side, []).extend(points)
+        for side, marked in chunk.void.items():
+            whole.void.setdefault(side, []).extend(marked)
     return whole
 
 
 def failed(study: Study, index: int, why: str) -> Chunk:
     """A point that failed."""
     nothing = {name: np.array([np.nan]) for name in columns_of(study.metrics, study.model)}
-    return Chunk(index, index + 1, nothing, {index: why})
+    return Chunk(np.array([index]), nothing, {index: why})
 
 
 _CAPTURES, _RADAR = Held(32), Held(32)  # per process, by content
 
 
 def evaluate_chunk(study: Study, start: int, stop: int, inputs: Inputs | None = None) -> Chunk:
-    """Evaluate points ``start`` to ``stop``; a point that fails is a row with its error.
+    """Evaluate points ``start`` to ``stop``, see `evaluate_points`."""
+    return evaluate_points(study, np.arange(start, stop), inputs)
+
+
+def evaluate_points(study: Study, points: NDArray[np.intp], inputs: Inputs | None = None) -> Chunk:
+    """Evaluate points; one that fails is a row with its error. The closed form takes points that
+    follow each other.
 
     ``inputs``: as the sweep found them when it began; default: as they are now. Raises InputError
     where they have changed since.
     """
     inputs = inputs or inputs_of(study)
-    work = _closed_form if study.model == "closed-form" else _rendered_points
-    chunk = work(study, start, stop, inputs)
+    if study.model == "closed-form":
+        chunk = _closed_form(study, int(points[0]), int(points[-1]) + 1, inputs)
+    else:
+        chunk = _rendered_points(study, points, inputs)
     inputs.check()
     return chunk
 
 
-def _rendered_points(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
+def _rendered_points(study: Study, points: NDArray[np.intp], inputs: Inputs) -> Chunk:
     before = renders()
     names = columns_of(study.metrics, study.model)
-    chunk = Chunk(start, stop, {name: np.full(stop - start, np.nan) for name in names})
+    chunk = Chunk(points, {name: np.full(len(points), np.nan) for name in names})
     measures = {name: metric(name, inputs) for name in study.metrics}
-    for index in range(start, stop):
+    for place, index in enumerate(points.tolist()):
         try:
             outcome = outcome_of(study, index, inputs)
             for name, measure_of in measures.items():
                 measured = measure_of(outcome)
-                chunk.values[name][index - start] = measured.value
+                chunk.values[name][place] = measured.value
                 for kind in ERRORS:
                     error = getattr(measured, kind)
-                    chunk.values[f"{name}.{kind}"][index - start] = error
+                    chunk.values[f"{name}.{kind}"][place] = error
             _note(chunk, index, outcome)
         except ChangedError:
             raise
         except (Exception, SystemExit) as error:  # any user's function may fail in any way
             chunk.errors[index] = f"{type(error).__name__}: {error}"
             for values in chunk.values.values():
-                values[index - start] = np.nan
+                values[place] = np.nan
     chunk.renders = renders() - before
     return chunk
 
@@ -128,7 +135,8 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
     try:
         with np.errstate(all="ignore"):  # told of by point
             values = closed_form(study, study.columns(start, stop), inputs)
-        chunk = Chunk(start, stop, {n: np.asarray(v, np.float64) for n, v in values.items()})
+        columns = {n: np.asarray(v, np.float64) for n, v in values.items()}
+        chunk = Chunk(np.arange(start, stop), columns)
         for name, column in chunk.values.items():
             for i in np.flatnonzero(np.isnan(column)):
                 why = f"InputError: {name} is not a number: values beyond what float64 holds"

@@ -9,8 +9,8 @@ import numpy as np
 
 from hardware.files import whole_file
 from hardware.formatting import setting_text, with_error
-from twin.sweep.dataset import column, half_width
-from twin.sweep.show import gain, pareto_front
+from twin.sweep.dataset import COARSE, column, gain, half_width
+from twin.sweep.show import pareto_front
 
 if TYPE_CHECKING:
     import xarray
@@ -31,6 +31,8 @@ class FrontDesigns:
         Of the metrics.
     n_points
         Points with a number of both metrics.
+    n_coarse
+        Designs that were computed to a coarse tolerance alone: the study names another front.
     """
 
     metrics: tuple[str, str]
@@ -38,11 +40,17 @@ class FrontDesigns:
     rows: list[dict[str, Any]]
     units: dict[str, str]
     n_points: int
+    n_coarse: int = 0
 
     @property
     def verdict(self) -> str:
         """How many there are."""
-        return f"{len(self.rows)} of {self.n_points} points are beaten by none"
+        coarse = ""
+        if self.n_coarse:
+            coarse = (
+                f"; {self.n_coarse} of them to a coarse tolerance: name this front in the study"
+            )
+        return f"{len(self.rows)} of {self.n_points} points are beaten by none{coarse}"
 
     @property
     def title(self) -> str:
@@ -80,7 +88,7 @@ def designs_on_front(
     names = (first, second)
     columns = [column(data, name, void=void) for name in names]
     values = [each.to_numpy().ravel() for each in columns]
-    front = pareto_front(np.stack([gain(name, v) for name, v in zip(names, values, strict=True)]))
+    front = pareto_front(np.stack([gain(each).to_numpy().ravel() for each in columns]))
     front = front[np.argsort(values[0][front], kind="stable")]
     shape = columns[0].shape
     parameters = tuple(sorted(str(name) for name in data.coords))
@@ -107,7 +115,9 @@ def designs_on_front(
         for point in front
     ]
     units = {name: _unit(data[name]) for name in names}
-    return FrontDesigns(names, parameters, rows, units, int(np.isfinite(sum(values)).sum()))
+    n_points = int(np.isfinite(sum(values)).sum())
+    n_coarse = int(data[COARSE].to_numpy().ravel()[front].sum()) if COARSE in data else 0
+    return FrontDesigns(names, parameters, rows, units, n_points, n_coarse)
 
 
 def write_designs(designs: FrontDesigns, path: Path) -> None:

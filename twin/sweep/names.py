@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 from twin.errors import InputError
 
@@ -10,13 +11,14 @@ from twin.errors import InputError
 @dataclass(frozen=True)
 class Named:
     """A number's unit and what it is; ``of_radar``: the radar must run for it, ``of_image``: an
-    image must be reconstructed.
+    image must be reconstructed; ``better``: more of it, or less.
     """
 
     unit: str
     meaning: str
     of_radar: bool = False
     of_image: bool = False
+    better: Literal["more", "less"] = "more"
 
 
 #: Said with what is solved for: at the time or distance found, either may be another.
@@ -25,23 +27,27 @@ RENDERED = {
     "snr_median": Named("1", "signal over noise per pixel, median of those that are lit"),
     "snr_above_1": Named("1", "share of lit pixels above their noise"),
     "signal_e": Named("e", "signal of one average exposure"),
-    "background_e": Named("e", "sun in one exposure"),
-    "noise_e": Named("e", "noise of one exposure"),
-    "saturated": Named("1", "share of exposures marked saturated"),
+    "background_e": Named("e", "sun in one exposure", better="less"),
+    "noise_e": Named("e", "noise of one exposure", better="less"),
+    "saturated": Named("1", "share of exposures marked saturated", better="less"),
     "in_band": Named("1", "share of the emitter's line inside the filter"),
     "psnr_db": Named("dB", "peak signal-to-noise ratio of the image", of_image=True),
     "ssim": Named("1", "structural similarity of the image", of_image=True),
-    "minimum_time_s": Named("s", f"integration for SNR 1 in the median lit pixel, {_NOISE_ALONE}"),
+    "minimum_time_s": Named(
+        "s", f"integration for SNR 1 in the median lit pixel, {_NOISE_ALONE}", better="less"
+    ),
     "maximum_distance_m": Named("m", f"distance for SNR 1 in the median lit pixel, {_NOISE_ALONE}"),
     "frame_rate_hz": Named("Hz", "frames per second, acquisition alone"),
-    "range_error_m": Named("m", "largest range error of a detected target", of_radar=True),
+    "range_error_m": Named(
+        "m", "largest range error of a detected target", of_radar=True, better="less"
+    ),
     "detections": Named("1", "true targets that are detected", of_radar=True),
 }
 CLOSED_FORM = {
     "signal_e_per_s": Named("e/s", "photo-electrons of the emitter, all cells lit"),
     "background_e_per_s": Named("e/s", "photo-electrons of the sun, and dark current"),
     "snr": Named("1", f"signal over noise of one exposure with all cells lit, {_NOISE_ALONE}"),
-    "minimum_time_s": Named("s", f"integration for SNR 1, {_NOISE_ALONE}"),
+    "minimum_time_s": Named("s", f"integration for SNR 1, {_NOISE_ALONE}", better="less"),
     "maximum_distance_m": Named("m", f"distance for SNR 1, {_NOISE_ALONE}"),
 }
 
@@ -102,3 +108,14 @@ def check_metrics(metrics: tuple[str, ...], model: str) -> None:
         raise InputError(f"metrics: {name!r} is unknown{hint}")
     if len(set(metrics)) != len(metrics):
         raise InputError("metrics: a name stands twice")
+
+
+def check_front(front: tuple[str, str] | None, metrics: tuple[str, ...]) -> None:
+    """Raise InputError for a front that is not of two of the metrics."""
+    if front is None:
+        return
+    for name in front:
+        if name not in metrics:
+            raise InputError(f"front: {name!r} is none of the metrics {', '.join(metrics)}")
+    if front[0] == front[1]:
+        raise InputError(f"front: {front[0]!r} stands twice, expected two metrics")

@@ -45,8 +45,9 @@ def named(content: Mapping[str, Any]) -> dict[str, Any]:
     for root in _ROOTS:
         if root in content:
             changed[root] = names.of(root, content[root])
-    if isinstance(content.get("metrics"), list | tuple):
-        changed["metrics"] = tuple(names.of("metric", item) for item in content["metrics"])
+    for field in ("metrics", "front"):
+        if isinstance(content.get(field), list | tuple):
+            changed[field] = tuple(names.of("metric", item) for item in content[field])
     if isinstance(content.get("set"), Mapping):
         changed["set"] = {n: names.of(_kind(n), value) for n, value in content["set"].items()}
     if isinstance(content.get("grid"), Mapping):

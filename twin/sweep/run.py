@@ -6,11 +6,14 @@ A sweep that was interrupted resumes from its folder: `store.create_or_resume`, 
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from twin.fidelity import Accuracy
 from twin.files import InputError, locked
@@ -18,10 +21,11 @@ from twin.progress import interrupts, tell
 from twin.sweep.accuracy import with_accuracy
 from twin.sweep.dataset import labels
 from twin.sweep.effects import check_points, without_effect
-from twin.sweep.evaluate import Chunk, evaluate_chunk, failed, joined
+from twin.sweep.evaluate import Chunk, evaluate_points, failed, joined
 from twin.sweep.inputs import Inputs, inputs_of
 from twin.sweep.names import is_own
-from twin.sweep.store import Store, create_or_resume
+from twin.sweep.refinement import coarse_study
+from twin.sweep.store import Points, Store, create_or_resume
 from twin.sweep.study import Study, load_study
 from twin.sweep.workers import Submit, WorkerDiedError, dask, here
 
@@ -36,6 +40,8 @@ class Summary:
 
     ``reasons``: why points failed, with how many each, most first. ``warned``: by kind, how many
     points a warning was given of. ``without_effect``: parameters along which no metric changed.
+    ``n_coarse``: points that cannot be on the study's front, left at a coarse tolerance; None where
+    all are computed as asked.
     """
 
     out: Path
@@ -46,6 +52,7 @@ class Summary:
     reasons: tuple[tuple[str, int], ...] = ()
     warned: tuple[tuple[str, int], ...] = ()
     without_effect: tuple[str, ...] = ()
+    n_coarse: int | None = None
 
 
 def run_sweep(
@@ -107,16 +114,18 @@ def run_sweep(
     chunk = _CLOSED_CHUNK if closed else _RENDERED_CHUNK
     with locked(out, "sweep"):
         store = create_or_resume(study, out, chunk, inputs, labels(study, own))
-        if any(True for _ in store.todo()):
+        if any(True for _ in chain(store.todo(), store.to_refine())):
             local = scheduler is None and (workers == 0 or (closed and workers is None))
             pool = here() if local else dask(scheduler, workers)
-            with _bar(study, store) as advance, pool as submit:
+            with _bar(study, store) as (advance, more), pool as submit:
                 before_s = time.perf_counter()
-                for result in _in_flight(submit, study, store, inputs):
-                    store.add(result)
-                    advance(result.stop - result.start)
-                    now_s = time.perf_counter()
-                    done = f"{store.progress.points_done} of {study.n_points} points"
+                for refined, result in _of_all_passes(submit, study, store, inputs, more):
+                    store.add(result, refined=refined)
+                    advance(len(result.points))
+                    now_s, progress = time.perf_counter(), store.progress
+                    done = f"{progress.points_done} of {study.n_points} points"
+                    if refined:
+                        done += f", {len(progress.refined)} of them as finely as asked"
                     tell(done, now_s - before_s)
                     before_s = now_s
         store.finish()
@@ -139,14 +148,32 @@ def _summary(store: Store) -> Summary:
         reasons=tuple(Counter(progress.errors.values()).most_common()),
         warned=tuple((kind, len(points)) for kind, points in sorted(progress.warned.items())),
         without_effect=tuple(without_effect(found)),
+        n_coarse=found.attrs.get("points_coarse"),
     )
 
 
-def _in_flight(submit: Submit, study: Study, store: Store, inputs: Inputs) -> Iterator[Chunk]:
+def _of_all_passes(
+    submit: Submit, study: Study, store: Store, inputs: Inputs, more: Callable[[int], None]
+) -> Iterator[tuple[bool, Chunk]]:
+    """Results as they come, each to be stored before the next; whether they are of points that are
+    computed anew. ``more``: told how many.
+    """
+    first = coarse_study(study) or study
+    for result in _in_flight(submit, first, store.todo(), inputs):
+        yield False, result
+    while again := list(store.to_refine()):
+        more(sum(map(len, again)))
+        for result in _in_flight(submit, study, again, inputs):
+            yield True, result
+
+
+def _in_flight(
+    submit: Submit, study: Study, todo: Iterable[Points], inputs: Inputs
+) -> Iterator[Chunk]:
     """Results as they come, never more than a few runs ahead of the slowest worker."""
-    waiting: deque[tuple[int, int, Any]] = deque()
-    for start, stop in store.todo():
-        waiting.append((start, stop, submit(evaluate_chunk, study, start, stop, inputs)))
+    waiting: deque[tuple[Points, Any]] = deque()
+    for points in todo:
+        waiting.append((points, submit(evaluate_points, study, points, inputs)))
         if len(waiting) >= submit.ahead:
             yield _result(submit, study, inputs, *waiting.popleft())
     while waiting:
@@ -155,18 +182,16 @@ def _in_flight(submit: Submit, study: Study, store: Store, inputs: Inputs) -> It
         raise KeyboardInterrupt
 
 
-def _result(
-    submit: Submit, study: Study, inputs: Inputs, start: int, stop: int, handle: Any
-) -> Chunk:
+def _result(submit: Submit, study: Study, inputs: Inputs, points: Points, handle: Any) -> Chunk:
     """Result of a run of points; where workers died of it, of each point by itself."""
     try:
         found: Chunk = submit.result(handle)
     except WorkerDiedError as error:
-        if stop - start == 1:
-            return failed(study, start, f"{type(error).__name__}: {error}")
-        each = [submit(evaluate_chunk, study, i, i + 1, inputs) for i in range(start, stop)]
-        alone = [_result(submit, study, inputs, i, i + 1, h) for i, h in enumerate(each, start)]
-        return joined(alone)
+        if len(points) == 1:
+            return failed(study, int(points[0]), f"{type(error).__name__}: {error}")
+        one_each = np.split(points, len(points))
+        each = [(one, submit(evaluate_points, study, one, inputs)) for one in one_each]
+        return joined([_result(submit, study, inputs, *alone) for alone in each])
     return found
 
 
@@ -188,4 +213,8 @@ def _bar(study: Study, store: Store) -> Iterator[Any]:
         task = progress.add_task(
             study.name, total=study.n_points, completed=store.progress.points_done
         )
-        yield lambda n: progress.advance(task, n)
+
+        def more(n: int) -> None:
+            progress.update(task, total=(progress.tasks[0].total or 0) + n)
+
+        yield lambda n: progress.advance(task, n), more

@@ -14,16 +14,13 @@ from numpy.typing import NDArray
 from hardware.formatting import number
 from twin.files import InputError
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
-from twin.sweep.dataset import column, half_width
+from twin.sweep.dataset import column, gain, half_width
 from twin.sweep.sensitivity import Share
 
 if TYPE_CHECKING:
     import xarray
 
 Array = NDArray[np.float64]
-
-#: Metrics of which less is better.
-_COSTS = ("minimum_time_s", "noise_e", "background_e", "saturated", "range_error_m")
 
 
 def plot_plane(
@@ -77,7 +74,7 @@ def plot_front(data: "xarray.Dataset", first: str, second: str, *, void: bool = 
     """All points in the plane of two metrics, and those that no other point beats in both."""
     columns = [column(data, name, void=void) for name in (first, second)]
     one, two = (values.to_numpy().ravel() for values in columns)
-    front = pareto_front(np.stack([gain(first, one), gain(second, two)]))
+    front = pareto_front(np.stack([gain(each).to_numpy().ravel() for each in columns]))
     figure = new_figure((6.0, 4.2))
     axis = figure.subplots()
     axis.plot(one, two, ".", color=GREY, markersize=4, label="points")
@@ -132,11 +129,6 @@ def pareto_front(gains: Array) -> NDArray[np.intp]:
     order = known[np.lexsort((-gains[1, known], -gains[0, known]))]
     best = np.maximum.accumulate(np.concatenate([[-np.inf], gains[1, order[:-1]]]))
     return np.asarray(order[gains[1, order] > best])
-
-
-def gain(name: str, values: Array) -> Array:
-    """A metric so that more is better."""
-    return -values if name in _COSTS else values
 
 
 def _axis(data: "xarray.Dataset", name: str) -> "xarray.DataArray":

@@ -1,7 +1,8 @@
 """Results on disk: finished points survive a kill at any moment, and the sweep resumes after them.
 
 While a sweep runs, ``points/COLUMN.npy`` (metrics and their errors) hold one number per point and
-``journal.jsonl`` one line per finished run of points, appended after its numbers are written.
+``journal.jsonl`` one line per finished run of points, appended after its numbers are written; and,
+before points are computed anew, to a finer tolerance, a line that says which.
 Finished, ``results.zarr`` is the labelled dataset. ``study.json`` says what the points are of: the
 study, versions of the libraries, digests of all inputs.
 """
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.format import open_memmap
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hardware.files import place_beside, read_json
@@ -24,15 +26,18 @@ from twin.digest import versions
 from twin.fidelity import Fidelity, Tolerance
 from twin.files import InputError, new_folder
 from twin.sweep.accuracy import TOLERANCE, accuracy_of, other_accuracy
-from twin.sweep.dataset import Progress, dataset
+from twin.sweep.dataset import Label, Progress, column, dataset, gain
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs
-from twin.sweep.names import columns_of
+from twin.sweep.names import ERRORS, columns_of
+from twin.sweep.refinement import coarse_study, largest_errors, may_be_on_front
 from twin.sweep.study import Study
 from twin.toml import describe
 
 if TYPE_CHECKING:
     import xarray
+
+Points = NDArray[np.intp]
 
 _TEXT_LENGTH = 300
 #: Of two studies, that are told.
@@ -60,6 +65,7 @@ class Store:
         except (OSError, ValueError) as error:
             raise InputError(f"{out}: is no whole sweep ({error})") from error
         self.done: set[int] = set()
+        self._to_refine: set[int] = set()
         self.progress = Progress()
         self._read_journal()
 
@@ -72,10 +78,17 @@ class Store:
                 self._note(json.loads(line))
 
     def _note(self, entry: dict[str, Any]) -> None:
-        if entry["start"] in self.done:
+        if "refine" in entry:
+            self._to_refine |= set(entry["refine"])
             return
-        self.done.add(entry["start"])
-        self.progress.points_done += entry["stop"] - entry["start"]
+        if "refined" in entry:
+            self.progress.forget(entry["refined"])
+            self.progress.refined |= set(entry["refined"])
+        elif entry["start"] in self.done:
+            return
+        else:
+            self.done.add(entry["start"])
+            self.progress.points_done += entry["stop"] - entry["start"]
         self.progress.renders += entry["renders"]
         self.progress.errors |= {int(index): text for index, text in entry["errors"].items()}
         for kind, found in entry["warnings"].items():
@@ -84,22 +97,55 @@ class Store:
         for side, points in entry["void"].items():
             self.progress.void.setdefault(side, []).extend(points)
 
-    def todo(self) -> Iterator[tuple[int, int]]:
+    def todo(self) -> Iterator[Points]:
         """Runs of points that are not done."""
         for start in range(0, self.study.n_points, self.chunk):
             if start not in self.done:
-                yield start, min(start + self.chunk, self.study.n_points)
+                yield np.arange(start, min(start + self.chunk, self.study.n_points))
 
-    def add(self, chunk: Chunk) -> None:
+    def to_refine(self) -> Iterator[Points]:
+        """Runs of points that are to be computed anew, as finely as asked, and are not yet.
+
+        Which they are is decided when all points before are done, and written down before the first
+        of them is computed, so it does not depend on when a sweep was interrupted.
+        """
+        if coarse_study(self.study) is None or any(True for _ in self.todo()):
+            return
+        left = self._to_refine - self.progress.refined
+        if not left and (left := self._may_be_on_front()):
+            self._append({"refine": sorted(left)})
+        ordered = np.array(sorted(left), np.intp)
+        for start in range(0, len(ordered), self.chunk):
+            yield ordered[start : start + self.chunk]
+
+    def _may_be_on_front(self) -> set[int]:
+        """Points at coarse accuracy that may be on the study's front."""
+        assert self.study.front is not None
+        data, names = self.dataset(), self.study.front
+        gains = np.stack([gain(data[name]).to_numpy().ravel() for name in names])
+        errors = np.stack(
+            [
+                largest_errors(*(data[f"{name}.{kind}"].to_numpy().ravel() for kind in ERRORS))
+                for name in names
+            ]
+        )
+        # Not of a void record: it means nothing that another point is worse than such a one.
+        sound = np.stack([np.isfinite(column(data, name).to_numpy().ravel()) for name in names])
+        found = np.flatnonzero(may_be_on_front(gains, errors, np.logical_and(*sound)))
+        return set(found.tolist()) - self.progress.refined
+
+    def add(self, chunk: Chunk, *, refined: bool = False) -> None:
         """Keep a run's results: numbers first, then the line that says they are there.
 
-        Raises InputError when the disk is full; everything so far stays readable.
+        ``refined``: computed anew. Raises InputError when the disk is full; everything so far stays
+        readable.
         """
         for name, array in self.arrays.items():
-            array[chunk.start : chunk.stop] = chunk.values[name]
+            array[chunk.points] = chunk.values[name]
+        points: list[int] = chunk.points.tolist()
+        which = {"refined": points} if refined else {"start": points[0], "stop": points[-1] + 1}
         entry = {
-            "start": chunk.start,
-            "stop": chunk.stop,
+            **which,
             "renders": chunk.renders,
             "errors": {str(k): v[:_TEXT_LENGTH] for k, v in chunk.errors.items()},
             "warnings": {
@@ -108,6 +154,9 @@ class Store:
             },
             "void": chunk.void,
         }
+        self._append(entry)
+
+    def _append(self, entry: dict[str, Any]) -> None:
         try:
             with (self.out / "journal.jsonl").open("a") as journal:
                 # After a kill the last line may lack its end.
@@ -145,11 +194,11 @@ class Store:
 
 
 def create_or_resume(
-    study: Study, out: Path, chunk: int, inputs: Inputs, labels: dict[str, Any]
+    study: Study, out: Path, chunk: int, inputs: Inputs, labels: dict[str, Label]
 ) -> Store:
     """A sweep's folder: what is there of the same study and the same inputs, or a new one.
 
-    ``labels``: unit and meaning of each metric. Raises InputError where the folder holds another
+    ``labels``: of each metric. Raises InputError where the folder holds another
     study's results, those of other inputs, or something else, or where there is no room for them.
     """
     plan: dict[str, Any] = {

@@ -14,7 +14,7 @@ from pydantic import Field, StrictBool, ValidationError, model_validator
 from twin.files import InputError
 from twin.sweep.accuracy import check_accuracy
 from twin.sweep.methods import check_functions, check_methods
-from twin.sweep.names import check_metrics
+from twin.sweep.names import check_front, check_metrics
 from twin.sweep.objects import named
 from twin.sweep.parameters import check_value, is_optical
 from twin.sweep.relevance import check_effects
@@ -89,6 +89,9 @@ class Study(Strict):
     """Of noise and of light paths."""
     metrics: Annotated[tuple[str, ...], Field(min_length=1)]
     """What is measured of each point, by name; or a function of one's own, `file.py:function`."""
+    front: tuple[str, str] | None = None
+    """Two of the metrics, by whose trade designs are chosen: points that cannot be on their Pareto
+    front are computed to a coarse tolerance alone."""
     set: dict[str, Value] = {}
     """Parameters, by dotted name, that differ from scene and system in every point."""
     grid: dict[str, Annotated[list[Value], Field(min_length=1)]] = {}
@@ -133,6 +136,7 @@ class Study(Strict):
             if len(set(lengths.values())) != 1:
                 raise InputError(f"zip.{index}: lists of different lengths: {lengths}")
         check_metrics(self.metrics, self.model)
+        check_front(self.front, self.metrics)
         for name, value in self.set.items():
             check_value(name, value)
         _ = self.axes
