@@ -206,6 +206,8 @@ def _safety(system: System) -> str:
         normal, fault = least_margins(system)
     except InputError as error:
         return str(error)
+    if math.isinf(normal.margin):
+        return "no light is sent out"
     told = f"margin {number(normal.margin)} ({normal.name}; {normal.clause})"
     return told if fault is None else f"{told}; {number(fault.margin)} ({fault.name})"
 
