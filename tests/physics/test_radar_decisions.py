@@ -89,6 +89,7 @@ def test_named_knobs_decide_by_themselves() -> None:
 def test_what_is_decided_by_default_is_a_fifth_of_the_noise() -> None:
     assert Tolerance(0.2).knobs() == DEFAULT
     assert None is DEFAULT.radar_bounces is DEFAULT.radar_images is DEFAULT.radar_edges
+    assert DEFAULT.radar_shadowed is None
 
 
 def test_detections_under_fixed_knobs_are_not_bounded() -> None:

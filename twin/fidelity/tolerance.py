@@ -116,6 +116,7 @@ class Tolerance:
             radar_bounces=None,
             radar_images=None,
             radar_edges=None,
+            radar_shadowed=None,
         )
 
     def _of_echoes(self, bandwidth_hz: float | None) -> float:

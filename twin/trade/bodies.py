@@ -67,7 +67,8 @@ def reference_bodies(
             members = [numbers[name] for name in names[i]]
             sampled[i] = level[i] > 0 and points_of(prepared, members) <= _MOST_POINTS
     if sampled.any():
-        alone = replace(fidelity, radar_bounces=1, radar_images=0)
+        # What comes round obstacles stays in the reference.
+        alone = replace(fidelity, radar_bounces=1, radar_images=0, radar_shadowed=0)
         direct = trace(scene, radar, fidelity=alone, seed=seed)
         own = echoes_by_body(direct, names, radar, frequencies)
         for i in np.flatnonzero(sampled):

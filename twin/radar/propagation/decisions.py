@@ -128,3 +128,35 @@ def _on_coarse_tubes(
         at_most = float(bound[some[_NAMED]])
         decisions.append(Decision("radar", what, at_most, permitted, _UNIT, False))
     return decisions
+
+
+def on_round_obstacles(
+    objects: Sequence[tuple[str, ...]],
+    bound: Array,
+    left_out: Array,
+    permitted: float,
+    cost_s: float,
+) -> tuple[Decision, ...]:
+    """Decisions on what comes round obstacles to bodies, the largest bounds first.
+
+    ``bound`` and ``left_out`` (n_bodies,), relative to what errors of their echoes are relative to,
+    without and with what was computed.
+    """
+    is_taken = bound > permitted
+    decisions, cost_of_each_s = [], cost_s / max(int(is_taken.sum()), 1)
+    for taken, values in ((True, bound), (False, left_out)):
+        rows = np.argsort(-values, kind="stable")
+        order = [k for k in rows if (is_taken[k] if taken else values[k] > 0)]
+        which = "waves round obstacles" if taken else "further waves round obstacles"
+        for k in order[:_NAMED]:
+            effect = f"{which}, {label_of(objects[k])}"
+            cost = cost_of_each_s if taken else math.nan
+            decisions.append(
+                Decision("radar", effect, float(values[k]), permitted, _UNIT, taken, cost)
+            )
+        if len(order) > _NAMED:
+            effect = f"{which}, {len(order) - _NAMED} further bodies"
+            at_most = float(values[order[_NAMED:]].max())
+            cost = cost_of_each_s * (len(order) - _NAMED) if taken else math.nan
+            decisions.append(Decision("radar", effect, at_most, permitted, _UNIT, taken, cost))
+    return tuple(decisions)

@@ -10,7 +10,11 @@ from scipy.constants import speed_of_light
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.diffraction.around_edges import screens
-from twin.radar.propagation.diffraction.behind_obstacles import echoes_behind
+from twin.radar.propagation.diffraction.behind_obstacles import (
+    Accepted,
+    RoundObstacles,
+    echoes_behind,
+)
 from twin.radar.propagation.diffraction.edge_bounds import EdgeBound, edge_bound
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
 from twin.radar.propagation.facets.body_scattering import scattered_by
@@ -36,8 +40,8 @@ from twin.scene.boxes import boxes_of, distances_m
 
 Array = NDArray[np.float64]
 
-#: Of shadows on bodies: both paths diffracted, each 30 dB below the direct one: -60 dB in an echo.
-_DEEPEST_DB = 30.0
+#: Of shadows on bodies, one way, at least and at most.
+_DEEPEST_DB = 20.0, 40.0
 _ONE_PER_WAVELENGTH = 0.1  # radar_tolerance from which on pieces of edges are a wavelength long
 _FINEST_PIECES = 8.0  # of edges, per wavelength
 _MOST_PIECES = 2_000_000  # of edges that are taken by bounds
@@ -201,15 +205,30 @@ def edge_bounds(prepared: PreparedScene, radar: RadarDesign) -> dict[int, EdgeBo
     return bounds
 
 
-def behind(prepared: PreparedScene, fidelity: Fidelity) -> Contributions:
-    """Contributions of such objects by diffracted paths around others."""
-    if not fidelity.radar_shadowed or ScatteringModel.OPTICS not in prepared.roles:
-        return Contributions.none()
-    depth = min(fidelity.radar_shadow_db, _DEEPEST_DB)
-    obstacles = screens(prepared, depth, _bodies(prepared))
-    if obstacles is None:
-        return Contributions.none()
-    return echoes_behind(obstacles, prepared.surface_of_object, fidelity.radar_shadowed)
+def behind(
+    prepared: PreparedScene, radar: RadarDesign, fidelity: Fidelity, accepted: Accepted
+) -> RoundObstacles:
+    """Echoes of bodies by diffracted paths around others."""
+    body = _bodies(prepared)
+    bodies = np.unique(body[prepared.worth.any(axis=0) & (body >= 0)]).astype(np.int64)
+    depth_db = min(fidelity.radar_shadow_db, _deepest_db(fidelity))
+    obstacles = screens(prepared, depth_db, body)
+    if obstacles is None or not len(bodies):
+        none = np.zeros(len(accepted.limit))
+        return RoundObstacles(Contributions.none(), none, none)
+
+    def gain(directions: Array) -> Array:
+        both: Array = radar.antenna.gain(directions @ prepared.axes.T)
+        return both
+
+    return echoes_behind(obstacles, prepared.surface_of_object, bodies, gain, accepted)
+
+
+def _deepest_db(fidelity: Fidelity) -> float:
+    """Of shadows on bodies, one way: what is fainter, beside the straight wave, changes less than a
+    third of the tolerance of the echo of a body's brightest part in the light.
+    """
+    return float(np.clip(-20 * np.log10(fidelity.radar_tolerance / 3), *_DEEPEST_DB))
 
 
 def _sharp(prepared: PreparedScene, body: NDArray[np.int32]) -> dict[int, Sharp]:

@@ -11,8 +11,14 @@ from hardware.waveform import OfdmWaveform
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.decisions import on_edges, on_faint_bodies, on_reflections
+from twin.radar.propagation.decisions import (
+    on_edges,
+    on_faint_bodies,
+    on_reflections,
+    on_round_obstacles,
+)
 from twin.radar.propagation.diffraction.around_edges import screens
+from twin.radar.propagation.diffraction.behind_obstacles import Accepted
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.convergence import (
     BodyEcho,
@@ -86,14 +92,19 @@ def echoes(
         keep=keep,
         followed_s=followed_s,
     )
-    traced = Contributions.concatenate([of_bodies.contributions, behind(prepared, fidelity)])
-    surfaces = at_antenna(traced, prepared, radar)
+    lit = at_antenna(of_bodies.contributions, prepared, radar)
+    round_obstacles = _round_obstacles(
+        prepared, radar, fidelity, _levels(prepared, radar, fidelity, of_bodies, lit), lit
+    )
+    shadowed = at_antenna(round_obstacles.echoes, prepared, radar)
+    surfaces = Contributions.concatenate([lit, shadowed])
     levels = _levels(prepared, radar, fidelity, of_bodies, surfaces)
     decisions = [*_on_faint_bodies(prepared, radar, levels)]
     left_out = np.zeros(len(levels.names))
     for decided, missing in (
         _reflections(levels, fidelity, of_bodies.choice, radar),
         (edges := _edges(prepared, radar, fidelity, levels)).decided,
+        round_obstacles.decided_by(levels),
     ):
         decisions += decided
         left_out += missing
@@ -120,7 +131,7 @@ def echoes(
             *edges.remarks,
             *on_clutter,
             *unbounded,
-            *_round_obstacles(fidelity, levels),
+            *round_obstacles.remarks,
             *unconverged(bodies),
         ),
         heard=_heard(Contributions.concatenate([surfaces, diffuse]), prepared, radar),
@@ -203,6 +214,11 @@ class _Levels:
         return replace(self, echo=self.echo + echo, spans=spans)
 
 
+#: Cells of bodies that answer round obstacles' edges, at most.
+MOST_SHADOWED = 1000
+
+_NOTHING = 1e-6  # of what is permitted: a number of cells is computed however faint
+
 #: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
 _Decided = tuple[tuple[Decision, ...], Array]
 
@@ -215,21 +231,12 @@ def _unbounded(fidelity: Fidelity, prepared: PreparedScene) -> tuple[str, ...]:
             fidelity.radar_images if len(prepared.flats) else None
         ),
         "sharp edges": None if fidelity.radar_edges else fidelity.radar_edges,
+        "waves round obstacles": fidelity.radar_shadowed,
     }
     told = [effect for effect, fixed in left_out.items() if fixed is not None]
     if not told:
         return ()
     return (f"stated errors do not hold what {', '.join(told)} add: a tolerance bounds it",)
-
-
-def _round_obstacles(fidelity: Fidelity, levels: _Levels) -> tuple[str, ...]:
-    """On ways to bodies round others, which no bound decides on."""
-    if fidelity.radar_shadowed or len(levels.names) < 2:
-        return ()
-    return (
-        "what comes round obstacles' edges to bodies is left out, and in no stated error "
-        "(fidelity.radar_shadowed)",
-    )
 
 
 def _levels(
@@ -248,6 +255,77 @@ def _levels(
     reference = reference_levels(echo, tolerance, floor)
     spans = spans_by(owner, count, surfaces)
     return _Levels(names, body, echo, reference, tolerance, floor, spans)
+
+
+@dataclass(frozen=True, eq=False)
+class _RoundObstacles:
+    """Echoes of bodies round others, without gains; bounds of these and of what is left out of
+    them, in amplitude (n_bodies,), and the time that they took.
+    """
+
+    echoes: Contributions
+    bound: Array
+    left_out: Array
+    cost_s: float
+    is_decided: bool
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is assumed of them."""
+        if not len(self.echoes):
+            return ()
+        return (
+            "waves round obstacles' edges are reflected once at bodies, and at no large surface",
+        )
+
+    def decided_by(self, levels: _Levels) -> _Decided:
+        """What was decided, relative to the levels that errors are relative to."""
+        if not self.is_decided:
+            return (), np.zeros(len(levels.names))
+        bound, left_out = (part / levels.reference for part in (self.bound, self.left_out))
+        decisions = on_round_obstacles(levels.names, bound, left_out, levels.permitted, self.cost_s)
+        return decisions, left_out
+
+
+def _round_obstacles(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: _Levels,
+    lit: Contributions,
+) -> _RoundObstacles:
+    """Of all bodies, or by bounds of those whose echo they may change too much."""
+    nothing = np.zeros(len(levels.names))
+    most = fidelity.radar_shadowed
+    if most == 0 or len(prepared.world.face_ranges) < 2 or not len(nothing):
+        return _RoundObstacles(Contributions.none(), nothing, nothing, 0.0, most is None)
+    began_s, loss = perf_counter(), loss_of(radar)
+    accepted = Accepted(
+        limit=(1.0 if most is None else _NOTHING) * levels.permitted * levels.reference / loss,
+        most=MOST_SHADOWED if most is None else most,
+        fineness=float(np.sqrt(fidelity.radar_tolerance / 0.1)),
+    )
+    found = behind(prepared, radar, fidelity, accepted)
+
+    def level(echoes: Contributions) -> Array:
+        owner, band = levels.of_object[echoes.object], band_of(radar.ofdm)
+        echo = summed_by(owner, len(nothing), echoes, radar.ofdm.carrier_hz, band)
+        rms: Array = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
+        return rms
+
+    # Echoes over mirrors, which are not followed round obstacles, may change by as much as others.
+    is_direct = (lit.source == 0) & (lit.receiver == 0)
+    changed = level(at_antenna(found.contributions, prepared, radar))
+    straight = np.maximum(level(lit.take(np.flatnonzero(is_direct))), 1e-300)
+    over_mirrors = level(lit.take(np.flatnonzero(~is_direct)))
+    mirrored = np.minimum(changed / straight, 1.0) * over_mirrors
+    return _RoundObstacles(
+        found.contributions,
+        found.bound * loss,
+        found.left_out * loss + mirrored,
+        perf_counter() - began_s,
+        most is None,
+    )
 
 
 def _on_faint_bodies(

@@ -36,7 +36,7 @@ from twin.radar.propagation.scene.images import Image, mirrored
 from twin.radar.propagation.scene.mesh_scene import Flat
 from twin.scene import SceneObject
 from twin.scene.boxes import boxes_of
-from twin.transfer import aligned, vector
+from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -311,6 +311,21 @@ def _is_open(prepared: PreparedScene, chain: Array, off: Array) -> NDArray[np.bo
         ray = mi.Ray3f(ray.o, ray.d, mi.Float(aligned(reach)), 0.0, [])
         is_open[rows] = ~np.array(scene.ray_test(ray, active=mi.Bool(aligned(reach > 0))))
     return is_open
+
+
+def first_hit(prepared: PreparedScene, places: Array, off: Array, source: Array) -> Indices:
+    """Number of the object that rays from points (n, 3) to a source first meet, (n,); -1: none."""
+    mi = prepared.context.mi
+    begin = places + off
+    length = np.linalg.norm(source - begin, axis=1, keepdims=True)
+    direction = (source - begin) / np.maximum(length, 1e-300)
+    reach = (length[:, 0] * (1 - _NEXT_TO)).astype(np.float32)
+    ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, direction, "Vector3f"))
+    ray = mi.Ray3f(ray.o, ray.d, mi.Float(aligned(reach)), 0.0, [])
+    hit = prepared.world.scene.ray_intersect_preliminary(ray)
+    is_met, face = host([hit.is_valid(), hit.prim_index], len(places))
+    objects = prepared.world.object_of_face.astype(np.int64)
+    return np.where(is_met, objects[np.where(is_met, face, 0)], -1)
 
 
 def _clear_near_edges(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:

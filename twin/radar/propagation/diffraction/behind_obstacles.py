@@ -1,201 +1,238 @@
 """Echoes of bodies by diffracted paths around obstacles: a pedestrian behind a parked car.
 
 Echoes whose forward and return paths are both direct are found elsewhere
-(`twin.radar.propagation.physical_optics`). Here at least one of the two is diffracted over the
-edges of obstacles. A body's facets, small against the changes of the incident field, carry the
-currents of physical optics and reflect once. Left out are diffracted paths over mirrors. Each
-triangle has one delay: at oblique incidence, where it is 2 cm deep, its phase is off by up to 0.8
-rad at the ends of a band of 4 GHz. A triangle crossed by a shadow's border is lit or not as its
-centroid is.
+(`twin.radar.propagation.physical_optics`), with hard shadows. Here is what is missing there: with T
+the field over the straight wave, direct and over the edges of obstacles, and D = 1 in the light and
+0 in the shadow, the share T^2 - D^2 of every facet's echo.
+
+A body is divided into cells, across which waves over edges have a constant amplitude and a phase
+that is linear beside the straight wave's (`cell_echoes`). Which cells count, an estimate decides
+that needs no rays (`shadow_bounds`): the echo of all facets of a cell without obstacles, times what
+the edges near it may change. What is left out is told of every body: the root of the sum of squares
+of other cells' estimates, which are 5 to 20 times too large on the yard; edges so far from the
+straight path that their waves are below the faintest that are followed; and what cells of their
+size are off by. Paths over mirrors are not followed round obstacles.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.around_edges import (
-    Screens,
-    all_paths_to_points,
-    is_near_edges,
-)
-from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
+from twin.radar.propagation.diffraction.around_edges import Screens, first_hit
+from twin.radar.propagation.diffraction.cell_echoes import cell_echoes
+from twin.radar.propagation.diffraction.rims import farthest
+from twin.radar.propagation.diffraction.shadow_bounds import Cells, cells_of, knife_edge_bound
+from twin.radar.propagation.diffraction.shadowed_facets import Facets, front_facets, in_voxels
 from twin.radar.propagation.one_way.path import offset_m
-from twin.radar.propagation.one_way.points import PointPaths, between
-from twin.radar.scattering.arrays import ComplexVector3
-from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.synthesis import Contributions
-from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-_FINE_M = 0.02  # edges of triangles, at most
-_FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
+_SURE = 3.0  # over the root of the sum of squares, before any ray is sent
+#: Error of cells that are computed, of what they change, root of the sum of squares.
+_OF_CELLS = 0.15
+_COARSE_M = 0.1  # facets that an estimate is made for before they are divided as finely as needed
+_FINEST_M = 0.01  # cells
+#: Change of the root of the phase q across a cell, near a shadow's border and away from it, at a
+#: tolerance of 0.1.
+_NEAR_BORDER, _AWAY = 0.4, 1.0
+_BORDER = 1.0  # root of q that is near, at that tolerance
+_OF_A_CELL = 3  # facets next to each other in one that a border may divide
 
 
 @dataclass(frozen=True, eq=False)
-class _Facets:
-    """Triangles (n, 3, 3) of a body relative to the anchor and their objects' numbers (n,)."""
+class RoundObstacles:
+    """Contributions of bodies by diffracted paths, without gains; and of every body, (n_bodies,) in
+    amplitude, the ``bound`` of these, and of what is ``left_out``.
+    """
 
-    corners: Array
-    object: Indices
+    contributions: Contributions
+    bound: Array
+    left_out: Array
 
-    @property
-    def middle(self) -> Array:
-        """Centroids (n, 3)."""
-        middle: Array = self.corners.mean(axis=1)
-        return middle
 
-    @property
-    def across(self) -> Array:
-        """Normals (n, 3) as long as the area."""
-        a, b, c = self.corners.swapaxes(0, 1)
-        across: Array = np.cross(b - a, c - a) / 2
-        return across
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """What is left out: amplitudes ``limit`` (n_bodies,) of bodies' echoes that do not count;
+    ``most`` cells are computed; ``fineness``: size of these over that at a tolerance of 0.1.
+    """
 
-    def phase(self, slope: Array) -> Array:
-        """Phase at the corners (n, 3), less that at the centroid, for a gradient (n, 3) in
-        rad/m.
-        """
-        phase: Array = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
-        return phase
+    limit: Array
+    most: int
+    fineness: float
 
-    def take(self, which: Any) -> "_Facets":
-        """Only some of them, by index."""
-        return _Facets(self.corners[which], self.object[which])
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Facets of a body in cells, and what waves over edges change in each cell, (n_cells,)."""
+
+    body: int
+    facets: Facets
+    change: Array
+    cells: Cells
 
 
 def echoes_behind(
-    obstacles: Screens, surface_of_object: NDArray[np.uint32], most: int
-) -> Contributions:
-    """Contributions of bodies by diffracted paths, without gains, from ``most`` facets in all:
-    those that would be brightest without obstacles.
-    """
-    image, bodies = obstacles.prepared.images[0], []
-    for body in np.unique(obstacles.body[obstacles.body >= 0]):
-        members = np.flatnonzero(obstacles.body == body)
-        items = [obstacles.items[i] for i in members]
-        corners = [item.vertices_m[item.geometry.faces] for item in items]
-        low, high = (
-            side([side(c, axis=(0, 1)) for c in corners], axis=0) for side in (np.min, np.max)
-        )
-        place, radius = (
-            (low + high) / 2 - obstacles.prepared.anchor_m,
-            np.linalg.norm(high - low) / 2,
-        )
-        if is_near_edges(obstacles, image, place, float(radius), int(body)):
-            bodies.append((int(body), members))
-    contributions = []
-    for body, members in bodies:
-        facets = _facets(obstacles, members)
-        bright = np.argsort(-_brightness(obstacles, facets), kind="stable")
-        some = np.sort(bright[: max(most // len(bodies), 1)])
-        contributions.append(_answers(obstacles, facets.take(some), body, surface_of_object))
-    return Contributions.concatenate(contributions)
-
-
-def _brightness(obstacles: Screens, facets: _Facets) -> Array:
-    """Echo amplitude of facets (n,) without obstacles, as of a conductor at normal incidence."""
-    towards = obstacles.prepared.images[0].place - facets.middle
-    length = np.linalg.norm(towards, axis=1, keepdims=True)
-    slope = 4 * np.pi / obstacles.prepared.wavelength_m * towards / length
-    echo = np.sum(facets.across * slope, axis=1) / length[:, 0] ** 2
-    bright: Array = np.abs(echo * _mean(facets.phase(slope)))
-    return bright
-
-
-def _facets(obstacles: Screens, members: Indices) -> _Facets:
-    """All triangles of a body, divided until they are fine."""
-    from trimesh.remesh import subdivide_to_size
-
-    corners, number = [], []
-    for i in members:
-        item = obstacles.items[i]
-        vertices, faces = subdivide_to_size(
-            item.vertices_m, item.geometry.faces, _FINE_M, max_iter=16
-        )
-        corners.append(vertices[faces] - obstacles.prepared.anchor_m)
-        number.append(np.full(len(faces), i))
-    facets = _Facets(np.concatenate(corners), np.concatenate(number))
-    return facets.take(np.flatnonzero((facets.across != 0).any(axis=1)))
-
-
-def _answers(
-    obstacles: Screens, facets: _Facets, body: int, surface_of_object: NDArray[np.uint32]
-) -> Contributions:
-    """Contributions of facets whose forward path, return path or both are diffracted."""
-    middle, across = facets.middle, facets.across
-    side = np.sign(np.sum((obstacles.prepared.images[0].place - middle) * across, axis=1))
-    normal = side[:, None] * across / np.linalg.norm(across, axis=1, keepdims=True)
-    off = offset_m(middle) * normal
-    own = np.full(len(middle), body)
-    paths, at = all_paths_to_points(obstacles.prepared.context, obstacles, 0, middle, off, own)
-    faces = np.sum(paths.back * normal[at], axis=1) > 0
-    paths, at = paths.take(faces), at[faces]
-    there, back = matching_pairs(at, at)
-    # All of a body's facets against the brightest one.
-    strong = is_strong(paths.level[there] * paths.level[back], 0 * there, obstacles.faintest)
-    strong &= (paths.over[there] >= 0) | (paths.over[back] >= 0)
-    forward_path, return_path, rows = (
-        paths.take(there[strong]),
-        paths.take(back[strong]),
-        at[there[strong]],
-    )
-    if not len(rows):
-        return Contributions.none()
-    objects = facets.object[rows]
-    motion = obstacles.prepared.motions.at(objects, middle[rows])
-    amplitude = _radiated(
-        obstacles, facets.take(rows), forward_path, return_path, surface_of_object
-    )
-    return between(forward_path, return_path, amplitude, motion, objects)
-
-
-def _radiated(
     obstacles: Screens,
-    facets: _Facets,
-    forward_path: PointPaths,
-    return_path: PointPaths,
     surface_of_object: NDArray[np.uint32],
-) -> Complex:
-    """Amplitude of each facet without spreading: of its currents, times the mean of their
-    phasors.
+    bodies: Indices,
+    gain: Callable[[Array], Array],
+    accepted: Accepted,
+) -> RoundObstacles:
+    """Echoes of some ``bodies`` whose forward path, return path or both are diffracted.
+
+    ``gain`` of directions (n, 3) in the world, of both antennas, in amplitude.
     """
-    context, n = obstacles.prepared.context, len(facets.object)
-    mi = context.mi
-    across = facets.across
-    area = np.linalg.norm(across, axis=1)
-    facing = (
-        np.sign(np.sum(across * forward_path.back, axis=1, keepdims=True)) * across / area[:, None]
-    )
-    travel, normal, back = (
-        vector(mi, v, "Vector3d") for v in (-forward_path.back, facing, return_path.back)
-    )
-    cosine = -(travel.x * normal.x + travel.y * normal.y + travel.z * normal.z)
-    surface = mi.UInt32(aligned(surface_of_object[facets.object].astype(np.uint32)))
-    row = coefficients_at(mi, context.table, surface, cosine, mi.Bool(True))
-    parts = (forward_path.field.real, forward_path.field.imag)
-    field = ComplexVector3(*(vector(mi, np.ascontiguousarray(v), "Vector3d") for v in parts))
-    off = travel + 2 * cosine * normal
-    current = radiating(field, reflected(field, travel, normal, row), travel, off, normal, back)
-    current_re, current_im = host([current.re, current.im], n)
-    received = np.sum(return_path.field * (current_re + 1j * current_im), axis=1)
-    slope = 2 * np.pi / obstacles.prepared.wavelength_m * (forward_path.back + return_path.back)
-    amplitude: Complex = -1j / (8 * np.pi) * area * received * _mean(facets.phase(slope))
-    return amplitude
+    bound, left_out = np.zeros(len(accepted.limit)), np.zeros(len(accepted.limit))
+    candidates = []
+    for body in bodies.tolist():
+        facets = front_facets(obstacles, body)
+        if not len(facets):
+            continue
+        limit = accepted.limit[body]
+        facets = facets.divided(np.full(len(facets), _COARSE_M))
+        facets, is_lit = _seen(obstacles, in_voxels(facets, np.full(1, _COARSE_M)), body)
+        if not len(facets):
+            continue
+        cells = cells_of(obstacles, facets, body)
+        estimate = _estimate(obstacles, facets, cells, gain, is_lit)
+        bound[body] = _SURE * np.linalg.norm(estimate.change)
+        left_out[body] = estimate.far
+        if bound[body] <= limit:
+            left_out[body] += bound[body]
+            continue
+        for part in (_AWAY, _NEAR_BORDER):
+            is_taken = _taken(estimate.change, limit / 4, accepted.most)
+            left_out[body] += np.linalg.norm(estimate.change[~is_taken])
+            facets = facets.of_cells(is_taken)
+            facets = _in_finer_cells(facets, cells.take(is_taken), part, accepted.fineness)
+            facets, is_lit = _seen(obstacles, facets, body)
+            if not len(facets):
+                break
+            cells = cells_of(obstacles, facets, body)
+            estimate = _estimate(obstacles, facets, cells, gain, is_lit)
+        else:
+            candidates.append(_Candidates(body, facets, estimate.change, cells))
+    echoes = _contributions(obstacles, surface_of_object, candidates, accepted, left_out)
+    return RoundObstacles(echoes, bound, left_out)
 
 
-def _mean(phase: Array) -> Complex:
-    """Mean of exp(j phase) over triangles, the phase linear and at the corners (n, 3) of sum 0."""
-    a, b, c = np.sort(phase, axis=1).T
+def _contributions(
+    obstacles: Screens,
+    surface_of_object: NDArray[np.uint32],
+    candidates: list[_Candidates],
+    accepted: Accepted,
+    left_out: Array,
+) -> Contributions:
+    """Of those cells that count the most; the rest is added to ``left_out``."""
+    if not candidates:
+        return Contributions.none()
+    over = np.concatenate([c.change / accepted.limit[c.body] for c in candidates])
+    most = accepted.most
+    least = -np.partition(-over, most)[most] if most < len(over) else 0.0
+    parts = []
+    for one in candidates:
+        limit = accepted.limit[one.body]
+        is_taken = _taken(one.change, limit / 4, most) & (one.change > least * limit)
+        left_out[one.body] += np.linalg.norm(one.change[~is_taken])
+        left_out[one.body] += _OF_CELLS * accepted.fineness * np.linalg.norm(one.change[is_taken])
+        if is_taken.any():
+            some = _cut_at_borders(one.facets.of_cells(is_taken), one.cells.take(is_taken))
+            parts.append(cell_echoes(obstacles, some, one.body, surface_of_object))
+    return Contributions.concatenate(parts)
 
-    def along(x: Array, y: Array) -> Complex:
-        value: Complex = np.exp(0.5j * (x + y)) * np.sinc((y - x) / (2 * np.pi))
-        return value
 
-    span = np.where(c - a > _FLAT_RAD, c - a, 1.0)
-    mean: Complex = 2 * (along(b, c) - along(a, b)) / (1j * span)
-    return np.where(c - a > _FLAT_RAD, mean, 1 - np.sum(phase**2, axis=1) / 24)
+def _taken(change: Array, limit: float, most: int) -> NDArray[np.bool_]:
+    """Which cells are taken: all but the faintest, which together stay within a limit, and at
+    ``most`` so many.
+    """
+    order = np.argsort(change, kind="stable")
+    below = np.sqrt(np.cumsum(change[order] ** 2))
+    count = max(int(np.searchsorted(below, limit, side="right")), len(change) - most)
+    is_taken = np.ones(len(change), dtype=bool)
+    is_taken[order[:count]] = False
+    return is_taken
+
+
+def _in_finer_cells(facets: Facets, cells: Cells, part: float, fineness: float) -> Facets:
+    """In cells as small as edges near them ask for: a ``part`` of what changes the root of q by 1;
+    away from shadows' borders `_AWAY` is enough.
+    """
+    share = np.where(cells.nearest < _BORDER / fineness, part, _AWAY)
+    size = fineness * share / np.maximum(cells.steepest, 1e-9)
+    size = np.clip(size, _FINEST_M, _COARSE_M)
+    return in_voxels(facets.divided(size[facets.cell]), size)
+
+
+def _seen(obstacles: Screens, facets: Facets, body: int) -> tuple[Facets, NDArray[np.bool_]]:
+    """Facets that the body itself does not hide, and which of their cells are in part in the light,
+    (n_cells,).
+    """
+    source = obstacles.prepared.images[0].place
+    off = offset_m(facets.middle) * facets.normal(source)
+    hit = first_hit(obstacles.prepared, facets.middle, off, source)
+    is_seen = (hit < 0) | (obstacles.body[np.maximum(hit, 0)] != body)
+    facets = facets.take(is_seen)
+    _, cell = np.unique(facets.cell, return_inverse=True)
+    facets = replace(facets, cell=cell.reshape(-1))
+    is_lit = np.zeros(int(facets.cell.max(initial=-1)) + 1, dtype=bool)
+    is_lit[facets.cell[hit[is_seen] < 0]] = True
+    return facets, is_lit
+
+
+def _cut_at_borders(facets: Facets, cells: Cells) -> Facets:
+    """Facets so finely divided that borders within cells are followed."""
+    size = np.clip(_NEAR_BORDER / _OF_A_CELL / np.maximum(cells.steepest, 1e-9), _FINEST_M, None)
+    return facets.divided(np.where(cells.nearest == 0, size, np.inf)[facets.cell])
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimate:
+    """What waves over edges add to the echo of each cell, ``change`` (n_cells,), and edges ``far``
+    from the straight path to that of all.
+    """
+
+    change: Array
+    far: float
+
+
+def _estimate(
+    obstacles: Screens,
+    facets: Facets,
+    cells: Cells,
+    gain: Callable[[Array], Array],
+    is_lit: NDArray[np.bool_],
+) -> _Estimate:
+    k, cell, count = obstacles.wavenumber, facets.cell, len(cells.level)
+    towards = obstacles.prepared.images[0].place - facets.middle
+    length = np.linalg.norm(towards, axis=1)
+    back, across = towards / length[:, None], facets.across
+    projected = np.abs(np.sum(across * back, axis=1))
+    strength = projected / (4 * np.pi * length**2) * gain(-back)
+    wave = strength * facets.mean(2 * k * back) * np.exp(-2j * (k * length % (2 * np.pi)))
+    echo = np.abs(np.bincount(cell, wave.real, count) + 1j * np.bincount(cell, wave.imag, count))
+    # In the shadow both ways lead over edges.
+    share = 2 * cells.level * is_lit + cells.level**2
+    turned = strength * _turned(obstacles, facets, cells, back)
+    turned_of_cell = np.sqrt(np.bincount(cell, turned**2, count))
+    change = echo * share + turned_of_cell * np.where(is_lit, 2, np.minimum(cells.level, 1))
+    far = 2 * cells.far * np.where(is_lit, 1, np.minimum(cells.level, 1)) + cells.far**2
+    return _Estimate(change, float(np.linalg.norm(far * echo)))
+
+
+def _turned(obstacles: Screens, facets: Facets, cells: Cells, back: Array) -> Array:
+    """Facets askew reflect waves that come over edges, from aside, by half the angle between the
+    two ways: of each its share of an echo at right angles, (n,).
+    """
+    k, cell, across = obstacles.wavenumber, facets.cell, facets.across
+    normal = across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
+    slope = 2 * k * (back - np.sum(back * normal, axis=1)[:, None] * normal)
+    aside = np.sum(slope * cells.across[cell], axis=1)
+    root_q = np.abs(aside) / k / np.sqrt(np.maximum(cells.aside[cell], 1e-300))
+    is_there = root_q > cells.nearest[cell]
+    is_there &= root_q**2 <= farthest(obstacles.faintest)
+    in_phase = np.abs(facets.mean(slope - aside[:, None] * cells.across[cell]))
+    return np.where(is_there, knife_edge_bound(root_q) * in_phase, 0.0)

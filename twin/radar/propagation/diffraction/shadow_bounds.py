@@ -1,0 +1,145 @@
+"""How much of a facet's echo diffraction round obstacles may change, without rays.
+
+Over an edge that makes a path longer by the phase q, a wave of amplitude |erfc(sqrt(j q))| / 2
+arrives, 1 / (2 sqrt(pi q)) at most (`knife_edge`). A facet in the light answers to it once on the
+way out and once on the way home, one in the shadow to both at once alone. The wave comes from
+another direction than the straight one, so that facets may reflect it which are not at right angles
+to the line of sight.
+
+Bodies are divided into cells, for which the edges are looked for; within a cell q changes by the
+cell's size.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.around_edges import Screens
+from twin.radar.propagation.diffraction.rims import farthest
+from twin.radar.propagation.diffraction.shadowed_facets import Facets
+from twin.radar.propagation.meshes.silhouettes import Outline
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Parts of a body, and what edges of other objects do to the waves there, (n_cells,).
+
+    ``level``: of the waves over edges that are followed, over the straight one, at most;
+    ``nearest``: root of the least phase q of a path over one of them; ``steepest``: growth of that
+    root across the line of sight, 1/m; ``aside``: square of the angle between both waves over q;
+    ``across`` (n_cells, 3): unit vector from the straight path to the nearest edge; ``far``: level
+    of the waves over all other edges.
+    """
+
+    level: Array
+    nearest: Array
+    steepest: Array
+    aside: Array
+    across: Array
+    far: Array
+
+    def take(self, which: NDArray[np.bool_]) -> "Cells":
+        """Only some of them."""
+        return Cells(*(getattr(self, f.name)[which] for f in fields(Cells)))
+
+
+def knife_edge_bound(root_q: Array) -> Array:
+    """Of the knife-edge factor, by the root of q."""
+    level: Array = 1 / np.maximum(2 * np.sqrt(np.pi) * root_q, 2.0)
+    return level
+
+
+def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
+    """The cells that a body's facets are in."""
+    middle, cell = facets.middle, facets.cell
+    size = np.bincount(cell)
+    count = len(size)
+    center = np.stack([np.bincount(cell, row) / size for row in middle.T], axis=1)
+    radius = np.zeros(count)
+    reach = np.linalg.norm(facets.corners - center[cell][:, None], axis=2).max(axis=1)
+    np.maximum.at(radius, cell, reach)
+    direct = center - obstacles.prepared.images[0].place
+    level, far_power = np.zeros(count), np.zeros(count)
+    nearest, steepest, aside = np.full(count, np.inf), np.zeros(count), np.zeros(count)
+    across = np.zeros((count, 3))
+    others = np.flatnonzero(obstacles.body != body)
+    deepest = np.sqrt(farthest(obstacles.faintest))
+    gaps = _gaps(obstacles, others, direct, radius)
+    is_far = gaps > deepest
+    far_power += np.sum(np.where(is_far, 2 * knife_edge_bound(gaps), 0.0) ** 2, axis=1)
+    for column in np.flatnonzero(~is_far.all(axis=0)):
+        rim = obstacles.outline(int(others[column]), obstacles.prepared.images[0].place)
+        rows = np.flatnonzero(~is_far[:, column])
+        step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
+        for first in range(0, len(rows) if len(rim.ends) else 0, step):
+            some = rows[first : first + step]
+            found = _beside(rim, direct[some], radius[some], obstacles.wavenumber)
+            near = found[1] <= deepest
+            far_power[some] += np.where(near, obstacles.faintest, found[0]) ** 2
+            level[some] += np.where(near, found[0], 0.0)
+            is_nearer = near & (found[1] < nearest[some])
+            across[some[is_nearer]] = rim.lit[found[4][is_nearer]]
+            nearest[some] = np.minimum(nearest[some], np.where(near, found[1], np.inf))
+            steepest[some] = np.maximum(steepest[some], np.where(near, found[2], 0.0))
+            aside[some] = np.maximum(aside[some], np.where(near, found[3], 0.0))
+    return Cells(level, nearest, steepest, aside, across, np.sqrt(far_power))
+
+
+def _gaps(obstacles: Screens, others: Indices, direct: Array, radius: Array) -> Array:
+    """Root of q of a path round the bounding sphere of each obstacle, at least, (n_cells, n)."""
+    towards = obstacles.centers[others] - obstacles.prepared.images[0].place
+    length = np.linalg.norm(direct, axis=1)[:, None]
+    forward = direct @ towards.T / length
+    along = np.clip(forward, 0, length)
+    square = np.sum(towards**2, axis=1) - 2 * along * forward + along**2
+    share = np.clip(along / length, 1e-6, 1.0)
+    gap = np.sqrt(np.maximum(square, 0)) - obstacles.radii[others] - radius[:, None] * share
+    bend = obstacles.wavenumber / (2 * length * share * np.maximum(1 - share, 1e-6))
+    root_q: Array = np.sqrt(bend) * np.maximum(gap, 0)
+    return root_q
+
+
+def _beside(
+    rim: Outline, direct: Array, radius: Array, wavenumber: float
+) -> tuple[Array, Array, Array, Array, Indices]:
+    """Of one obstacle and cells at the ends of vectors (n, 3): ``level``, ``nearest``, ``steepest``
+    and ``aside`` of `Cells`, and the row of the nearest edge.
+    """
+    first, side = rim.ends[:, 0], rim.ends[:, 1] - rim.ends[:, 0]
+    length = np.linalg.norm(side, axis=1)
+    along = side / length[:, None]
+    straight = np.linalg.norm(direct, axis=1)
+    # The shortest path over an edge's line is straight once both planes are turned into one.
+    at_source = -np.sum(first * along, axis=1)
+    foot = first + at_source[:, None] * along
+    off_source = np.linalg.norm(foot, axis=1)
+    forward = direct @ along.T
+    square = straight[:, None] ** 2 - forward**2 - 2 * direct @ foot.T + off_source**2
+    off_place = np.sqrt(np.maximum(square, 0))
+    both = np.maximum(off_source + off_place, 1e-300)
+    at = np.clip(at_source + forward * off_source / both, 0, length)
+    a = np.hypot(off_source, at - at_source)
+    b = np.maximum(np.hypot(off_place, at - at_source - forward), 1e-9)
+    depth = (direct @ first.T + at * forward) / straight[:, None] ** 2
+    grows = np.sqrt(wavenumber * a / (2 * b * (a + b)))
+    root_q = np.sqrt(np.maximum(wavenumber * (a + b - straight[:, None]), 0))
+    root_q = np.maximum(root_q - radius[:, None] * grows, 0)
+    slack = (radius / straight)[:, None]
+    root_q[(depth < -slack) | (depth > 1 + slack)] = np.inf
+    closest, row = root_q.argmin(axis=1), np.arange(len(direct))
+    nearest = root_q[row, closest]
+    # A narrow obstacle lets waves come round both of its sides.
+    is_opposite = rim.lit @ rim.lit.T < 0
+    other = np.where(is_opposite[closest], root_q, np.inf).min(axis=1)
+    level = knife_edge_bound(nearest) + knife_edge_bound(other)
+    is_near = np.isfinite(nearest)
+    level[~is_near] = 0
+    steepest = np.where(is_near, grows[row, closest], 0)
+    aside = np.where(is_near, (2 * a / (wavenumber * b * (a + b)))[row, closest], 0)
+    return level, nearest, steepest, aside, closest

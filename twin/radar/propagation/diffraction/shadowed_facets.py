@@ -1,0 +1,127 @@
+"""Facets of a body that faces the radar, in cells."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.around_edges import Screens
+from twin.radar.propagation.facets.uniform_subdivision import longest_edges
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Indices = NDArray[np.int64]
+
+_FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
+
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """Triangles (n, 3, 3) relative to the anchor, the numbers of their objects and of their cells,
+    (n,) each.
+    """
+
+    corners: Array
+    object: Indices
+    cell: Indices
+
+    def __len__(self) -> int:
+        return len(self.object)
+
+    @property
+    def middle(self) -> Array:
+        """Centroids (n, 3)."""
+        middle: Array = self.corners.mean(axis=1)
+        return middle
+
+    @property
+    def across(self) -> Array:
+        """Normals (n, 3) as long as the area."""
+        a, b, c = self.corners.swapaxes(0, 1)
+        across: Array = np.cross(b - a, c - a) / 2
+        return across
+
+    @property
+    def sizes(self) -> Array:
+        """Longest edges (n,)."""
+        return longest_edges(*self.corners.swapaxes(0, 1))
+
+    def normal(self, place: Array) -> Array:
+        """Unit normals (n, 3) on the side of a place."""
+        across = self.across
+        side = np.sign(np.sum((place - self.middle) * across, axis=1, keepdims=True))
+        normal: Array = side * across / np.linalg.norm(across, axis=1, keepdims=True)
+        return normal
+
+    def mean(self, slope: Array) -> Complex:
+        """Means (n,) of phasors whose phases are 0 at the centroids and have gradients (n, 3) in
+        rad/m.
+        """
+        phase = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
+        a, b, c = np.sort(phase, axis=1).T
+        span = np.where(c - a > _FLAT_RAD, c - a, 1.0)
+        mean: Complex = 2 * (_along(b, c) - _along(a, b)) / (1j * span)
+        return np.where(c - a > _FLAT_RAD, mean, 1 - np.sum(phase**2, axis=1) / 24)
+
+    def take(self, which: Any) -> "Facets":
+        """Only some of them, by index or mask."""
+        return Facets(self.corners[which], self.object[which], self.cell[which])
+
+    def of_cells(self, which: NDArray[np.bool_]) -> "Facets":
+        """Only those of some cells, (n_cells,), which are numbered anew."""
+        number = np.cumsum(which) - 1
+        some = self.take(which[self.cell])
+        return replace(some, cell=number[some.cell])
+
+    def divided(self, size_m: Array) -> "Facets":
+        """In parts of at most these sizes, (n,)."""
+        parts, rest, limit = [], self, size_m
+        while len(rest):
+            is_wide = rest.sizes > limit
+            parts.append(rest.take(~is_wide))
+            a, b, c = rest.corners[is_wide].swapaxes(0, 1)
+            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+            four = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
+            corners = four.transpose(2, 0, 1, 3).reshape(-1, 3, 3)
+            wide, limit = rest.take(is_wide), np.repeat(limit[is_wide], 4)
+            rest = Facets(corners, np.repeat(wide.object, 4), np.repeat(wide.cell, 4))
+        return Facets.concatenate([*parts, rest])
+
+    @staticmethod
+    def concatenate(parts: "list[Facets]") -> "Facets":
+        """One after the other."""
+        columns = zip(*((p.corners, p.object, p.cell) for p in parts), strict=True)
+        return Facets(*(np.concatenate(column) for column in columns))
+
+
+def _along(x: Array, y: Array) -> Complex:
+    """Mean of exp(j phase) along edges from phase x to phase y."""
+    value: Complex = np.exp(0.5j * (x + y)) * np.sinc((y - x) / (2 * np.pi))
+    return value
+
+
+def front_facets(obstacles: Screens, body: int) -> Facets:
+    """Facets of a body that the radar faces, of closed meshes on the outside, in one cell."""
+    place, corners, number = obstacles.prepared.images[0].place, [], []
+    for i in np.flatnonzero(obstacles.body == body).tolist():
+        geometry = obstacles.items[i].geometry
+        at = obstacles.items[i].vertices_m[geometry.faces] - obstacles.prepared.anchor_m
+        a, b, c = at.swapaxes(0, 1)
+        side = np.sign(np.sum((place - a) * np.cross(b - a, c - a), axis=1))
+        shape = geometry.shape
+        is_within = (at.min(axis=(0, 1)) <= place).all() and (place <= at.max(axis=(0, 1))).all()
+        outward = np.zeros(len(at)) if is_within else shape.outward
+        rows = np.flatnonzero(~shape.is_double & (side != 0) & (outward * side >= 0))
+        corners.append(at[rows])
+        number.append(np.full(len(rows), i))
+    objects = np.concatenate(number)
+    return Facets(np.concatenate(corners), objects, np.zeros(len(objects), dtype=np.int64))
+
+
+def in_voxels(facets: Facets, size_m: Array) -> Facets:
+    """With each cell divided into smaller ones of a size, (n_cells,)."""
+    voxel = np.floor(facets.middle / size_m[facets.cell][:, None]).astype(np.int64)
+    keys = np.column_stack([facets.cell, voxel])
+    _, cell = np.unique(keys, axis=0, return_inverse=True)
+    return replace(facets, cell=cell.reshape(-1))
