@@ -9,10 +9,11 @@ import numpy as np
 from benchmarks.timing import Figure, timed
 from twin.camera import capture
 from twin.camera.chain import Chain
+from twin.camera.exposure_noise import exposure_noise_w
 from twin.camera.exposures import Exposures
 from twin.camera.light import render, render_light
 from twin.camera.mounting import light_problem
-from twin.camera.moving_frame import exposure_noise_w, frame_light, world_in_motion
+from twin.camera.moving_frame import frame_light, world_in_motion
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Fidelity
 from twin.scene import load_scene

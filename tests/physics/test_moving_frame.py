@@ -18,11 +18,12 @@ from tests.physics.radar_worlds import ball
 from twin.camera import capture
 from twin.camera.acquisition import MOVING_ASSUMPTION, STILL_ASSUMPTION
 from twin.camera.chain import Chain
+from twin.camera.exposure_noise import exposure_noise_w
 from twin.camera.exposures import Exposures
 from twin.camera.light import render, render_light
 from twin.camera.motion import WorldInMotion
 from twin.camera.mounting import light_problem
-from twin.camera.moving_frame import FrameLight, exposure_noise_w, frame_light, world_in_motion
+from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
 from twin.camera.truth import Truth, depths
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
@@ -312,14 +313,13 @@ def test_at_rest_the_bits_are_those_of_a_still_frame(system: System) -> None:
 
 
 def test_next_to_no_motion_is_next_to_no_difference(system: System) -> None:
-    """Of a cell of light 1e-9 m/s move 1e-11; what is left is what paths err by."""
+    """Of a cell of light 1e-9 m/s move 1e-11: the light of the middle is that of all exposures."""
     slow = going(plate("plate", (0.0, 1.0), (-1, 1)), 0.0, 1e-9, 0.0)
     scene = world(plate("wall", (-9, 9), (-9, 9), 6.0), slow)
-    frame, noise = exposed(scene, system)
-    (power,) = anew(scene, system, np.array([0.0]))
-    error = frame.signal_w - Chain.of(system, scene.sun).mean_signal(power)
-    assert np.sqrt(np.mean((error / noise) ** 2)) < 0.12
-    assert "2 instants" in frame.decision.effect or "3 instants" in frame.decision.effect
+    frame, _ = exposed(scene, system)
+    assert frame.signal_w is None
+    assert not frame.decision.taken
+    assert 0 < frame.decision.bound < 1e-6
 
 
 def test_a_capture_says_what_it_took_and_has_the_truth_of_the_middle(system: System) -> None:

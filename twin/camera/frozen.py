@@ -1,35 +1,129 @@
-"""What a frame that is rendered once leaves out where things move during it."""
+"""What motion changes counts by: whether a frame needs more than one instant, and how many."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from twin.camera.chain import Chain
+from twin.camera.exposure_noise import exposure_noise_w, lit_share
 from twin.camera.exposures import Exposures
 from twin.camera.model_error import side_by_side
-from twin.camera.motion import WorldInMotion
-from twin.camera.mounting import devices, field_points
-from twin.camera.moving_frame import exposure_noise_w, lit_share
+from twin.camera.motion import Seen, WorldInMotion
+from twin.camera.mounting import devices
 from twin.camera.rendered import RenderedLight
-from twin.camera.swept import image_points
-from twin.optics.devices import Device
 from twin.scene import Scene
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
+
+#: Cells that what is seen passes at most from one first instant to the next, where it matters.
+_STEP_CELLS = 2.0
+_MOST_FIRST = 512
+
+
+@dataclass(frozen=True, eq=False)
+class CountChange:
+    """What motion changes counts by, an estimate from above.
+
+    A cell that something passes changes by the contrast of the cells as far around it as things
+    move, or by the share of a cell that they move; such changes add up over the lit cells of an
+    exposure as independent ones, and so do those of the parts of the sun's light. What comes nearer
+    grows brighter in all cells at once.
+
+    Parameters
+    ----------
+    image, sun : (rows, columns) array
+        Light of the cells, and of the parts of the sun's light, at one instant of the frame, W.
+    changed : (rows, columns) array
+        Cells that may change.
+    unseen : (n_cells,) array
+        Light that cells may have of bodies that pass them between the times looked at, W.
+    seen
+        How fast.
+    cells_per_tangent
+        Cells over the plane at distance 1.
+    lit_share
+        Of cells that are lit in an exposure.
+    noise_w
+        Of an exposure.
+    """
+
+    image: Array
+    sun: Array
+    changed: NDArray[np.bool_]
+    unseen: Array
+    seen: Seen
+    cells_per_tangent: float
+    lit_share: float
+    noise_w: float
+
+    def within(self, seconds: float) -> float:
+        """Over as long a time, over an exposure's noise."""
+        return math.hypot(self.of_light(seconds), self.of_sun(seconds))
+
+    def of_light(self, seconds: float) -> float:
+        """The same of the emitter's light alone."""
+        cells = _contrast(self.image, self.cells_passed(seconds))[self.changed]
+        nearer = self.image.ravel() * np.minimum(self.seen.brightening_per_s * seconds, 1)
+        share = math.sqrt(self.lit_share)
+        independent = math.hypot(*(share * np.linalg.norm(x) for x in (cells, self.unseen)))
+        return math.hypot(independent, self.lit_share * float(nearer.sum())) / self.noise_w
+
+    def of_sun(self, seconds: float) -> float:
+        """The same of the sun's light alone."""
+        passed = self.cells_passed(seconds) * len(self.sun) / len(self.image)
+        return float(np.linalg.norm(_contrast(self.sun, passed))) / self.noise_w
+
+    def cells_passed(self, seconds: float) -> float:
+        """Cells that what is seen passes in a time, at most."""
+        return self.seen.fastest_per_s * seconds * self.cells_per_tangent
+
+    def first_instants(
+        self, duration_s: float, tolerance: float, change: Callable[[float], float]
+    ) -> Array:
+        """Instants, ascending, from the start to the end, so close that in between counts change by
+        less than a tolerance, or what is seen passes no more than some cells; ``change``: of a
+        time, one of the methods.
+        """
+        enough = math.ceil(min(self.cells_passed(duration_s) / _STEP_CELLS, _MOST_FIRST))
+        n = 1
+        while n < enough and change(duration_s / n) > tolerance:
+            n *= 2
+        return np.linspace(0, duration_s, max(min(n, enough), 1) + 1)
+
+
+def count_change(world: WorldInMotion, chain: Chain, rendered: RenderedLight) -> CountChange:
+    """What a world in motion changes counts by; ``rendered``: light at one instant of the frame."""
+    system = chain.system
+    emitter, detector, _ = devices(world.scene, system)
+    shape = system.image_shape
+    changes = world.changes(world.looks_s, emitter, detector, shape)
+    changed = np.asarray(np.logical_or.reduce(changes, axis=0)).reshape(shape)
+    seen = world.seen(emitter, shape)
+    ones = np.ones_like(rendered.light.cells)
+    unit = chain.powers(replace(rendered, light=replace(rendered.light, error=ones))).error_w
+    largest = (2 * emitter.tan_half_field) ** 2 / changed.size * float(unit.max())
+    return CountChange(
+        side_by_side(chain.powers(rendered).cells_w.sum(axis=0), system),
+        chain.sun_weight(rendered) * rendered.sun,
+        changed,
+        largest * seen.unseen_per_m2,
+        seen,
+        max(shape) / (2 * emitter.tan_half_field),
+        lit_share(chain),
+        exposure_noise_w(chain, rendered),
+    )
 
 
 def frozen_warnings(
     scene: Scene, chain: Chain, rendered: RenderedLight
 ) -> tuple[CaptureWarning, ...]:
     """Warning of motion during a frame that is taken as still, where it may change counts by more
-    than their noise.
-
-    A cell that something moving passes changes by the contrast of the cells as far around it as
-    things move, or by the share of a cell that they move; such changes add up over the lit cells of
-    an exposure as independent ones. Only to the end of trajectories that end before the frame.
+    than their noise. Only to the end of trajectories that end before the frame.
     """
     if scene.at_rest and not scene.rig.moves:
         return ()
@@ -37,47 +131,21 @@ def frozen_warnings(
     world = WorldInMotion(scene, duration)
     if duration <= 0 or world.is_at_rest:
         return ()
-    emitter, detector, _ = devices(scene, chain.system)
-    shape = chain.system.image_shape
-    changed = world.changes(world.looks_s, emitter, detector, shape).any(axis=0).reshape(shape)
-    passed = _cells_passed(world, emitter, rendered.truth.depth_m)
-    power = chain.powers(rendered)
-    image = side_by_side(power.cells_w.sum(axis=0), chain.system)
-    size = 2 * min(math.ceil(passed), max(shape)) + 1
-    contrast = maximum_filter(image, size) - minimum_filter(image, size)
-    change = min(passed, 1.0) * contrast[changed]
-    noise_w = exposure_noise_w(chain, rendered)
-    over = math.sqrt(lit_share(chain)) * float(np.linalg.norm(change)) / noise_w
+    change = count_change(world, chain, rendered)
+    over = change.within(duration)
     if not over > 1:
         return ()
     text = (
-        f"what moves passes up to {passed:.2g} cells during a frame, which is taken as still: "
-        f"counts may be off by up to some {over:.2g} times their noise: fidelity.motion_tolerance"
+        f"what moves passes up to {change.cells_passed(duration):.2g} cells during a frame, which "
+        f"is taken as still: counts may be off by up to some {over:.2g} times their noise: "
+        "fidelity.motion_tolerance"
     )
-    return (CaptureWarning("model", text),)
+    return (CaptureWarning("tolerance", text),)
 
 
-def _cells_passed(world: WorldInMotion, emitter: Device, depth_m: Array) -> float:
-    """The farthest that surfaces seen at the frame's start move in the image, in cells; of bodies
-    that come into the field later, their middles.
-    """
-    shape = depth_m.shape
-    left, up = field_points(shape, emitter.tan_half_field)
-    along = np.stack([np.ones_like(left), left, up], axis=-1) @ emitter.axes
-    deep = np.where(np.isfinite(depth_m), depth_m, 1.0)
-    places = emitter.origin_m + deep[..., None] * along
-    cells = max(shape) / (2 * emitter.tan_half_field)
-    farthest = 0.0
-    for moves, middle, covered in world.starts(emitter, shape):
-        seen = places[covered & np.isfinite(depth_m)]
-        points = np.concatenate([seen, middle[None]])
-        went = np.einsum("nij,kj->nki", moves[:, :3, :3], points) + moves[:, None, :3, 3]
-        image = np.array([image_points(each, emitter) for each in went])
-        inside = (np.abs(image) <= emitter.tan_half_field).all(axis=-1)
-        inside &= (went - emitter.origin_m) @ emitter.axes[0] > 0
-        if not inside.any():
-            continue
-        first = np.argmax(inside, axis=0)
-        off = np.linalg.norm(image - image[first, np.arange(len(points))], axis=-1)
-        farthest = max(farthest, float(np.where(inside, off, 0.0).max()))
-    return cells * farthest
+def _contrast(image: Array, passed: float) -> Array:
+    """Of each cell, what it may change by where things pass so many cells."""
+    size = 2 * min(math.ceil(passed), max(image.shape)) + 1
+    return np.asarray(
+        min(passed, 1.0) * (maximum_filter(image, size) - minimum_filter(image, size))
+    )

@@ -30,9 +30,10 @@ Flags = NDArray[np.bool_]
 _LOOKS = 17
 #: Of the time between looks: how much later it is looked where things go.
 _SOON = 1e-3
-#: Cells that what is seen passes at most from one first instant to the next.
-_STEP_CELLS = 2.0
-_MOST_FIRST = 512
+#: Of what a body is wide, the way from one instant to the next on which no cell misses it.
+_OWN_WIDTH = 0.5
+#: Over a cell's or a metre's, what a body is wide at least, so that nothing is infinitely thin.
+_THINNEST = 1e-3
 #: A rotation that is less is none.
 _TURN_RAD = 1e-9
 
@@ -145,9 +146,10 @@ class WorldInMotion:
 
     def seen(self, camera: Device, shape: tuple[int, int]) -> "Seen":
         """What a camera of that many cells sees of it at some times."""
+        n_cells = shape[0] * shape[1]
         if not self.bodies:
-            return Seen(math.inf, 0.0)
-        mi, n_cells = mitsuba(), shape[0] * shape[1]
+            return Seen(math.inf, 0.0, np.zeros(n_cells), np.zeros(n_cells))
+        mi = mitsuba()
         step = self.duration_s / (_LOOKS - 1)
         times = np.linspace(0, self.duration_s - _SOON * step, _LOOKS)
         ray, cos = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], 1))
@@ -162,57 +164,93 @@ class WorldInMotion:
         along = np.stack([*map(np.array, ray.d)], axis=1).astype(np.float64)
         moves = self.moves(np.concatenate([times, times + _SOON * step]))
         whose = np.array([b.first for b in self.bodies])
-        fastest = 0.0
+        fastest, brightening = 0.0, np.zeros(n_cells)
         for look in range(_LOOKS):
             hit = np.isfinite(distance[look])
-            place = along[hit] * distance[look, hit, None] + camera.origin_m
+            place = along[hit] * distance[look, hit, None]
             move = moves[:, look + _LOOKS] @ np.linalg.inv(moves[:, look])
             move = move[whose[body[look, hit].astype(int)]]
-            moved = np.einsum("nij,nj->ni", move[:, :3, :3], place) + move[:, :3, 3]
-            passed = image_points(moved, camera) - image_points(place, camera)
+            here = place + camera.origin_m
+            moved = np.einsum("nij,nj->ni", move[:, :3, :3], here) + move[:, :3, 3]
+            passed = image_points(moved, camera) - image_points(here, camera)
             speed = np.linalg.norm(passed, axis=1) / (_SOON * step)
             fastest = max(fastest, float(speed.max(initial=0.0)))
+            nearer = np.sum(place**2, axis=1) / np.sum((moved - camera.origin_m) ** 2, axis=1)
+            rate = np.abs(nearer - 1) / (_SOON * step)
+            brightening[hit] = np.maximum(brightening[hit], rate)
         depth = float((distance * np.array(cos)).min())
-        return Seen(depth, max(fastest, self._fastest_middle(camera, shape)))
+        rare = set(range(len(self.bodies))) - set(body[np.isfinite(distance)].tolist())
+        unseen, speed_of_unseen = self._between_looks(sorted(rare), camera, shape)
+        return Seen(depth, max(fastest, speed_of_unseen), brightening, unseen)
 
-    def starts(
-        self, camera: Device, shape: tuple[int, int]
-    ) -> Iterator[tuple[Array, Array, Flags]]:
-        """Of each body that moves: its motion at ``looks_s``, (n, 4, 4), its middle at the start,
-        and the cells of a camera in which it may be seen there.
+    def _between_looks(
+        self, numbers: Sequence[int], camera: Device, shape: tuple[int, int]
+    ) -> tuple[Array, float]:
+        """Of bodies that are seen at no look: the light that cells may have of them, over that of
+        the solid angle, 1/m^2, (n_cells,); and the largest speed of their middles in the image.
         """
-        for body in self.bodies:
-            moves = self._looks[body.first]
-            if (moves != np.eye(4)).any():
-                yield moves, body.center_m, covers(body.corners_m, 0.0, camera, camera, shape)
-
-    def _fastest_middle(self, camera: Device, shape: tuple[int, int]) -> float:
-        """Speed in the image of the middles of bodies that come into the field between looks."""
         times = np.linspace(0, self.duration_s, 4 * _LOOKS)
-        moves, fastest = self.moves(times), 0.0
-        for body in self.bodies:
+        moves, fastest, light = self.moves(times), 0.0, np.zeros(shape)
+        for body in (self.bodies[i] for i in numbers):
             if (moves[body.first] == moves[body.first, 0]).all():
                 continue
             for one, other in itertools.pairwise(body.placed(moves)):
                 middles = np.array([one.mean(axis=0), other.mean(axis=0)])
-                # Of one around the camera what is seen of it says how fast.
-                near = np.linalg.norm(middles - camera.origin_m, axis=1).min() < 2 * body.radius_m
-                if (
-                    near
-                    or not covers(np.concatenate([one, other]), 0.0, camera, camera, shape).any()
-                ):
+                covered = covers(np.concatenate([one, other]), 0.0, camera, camera, shape)
+                if not covered.any():
                     continue
-                passed = np.linalg.norm(np.diff(image_points(middles, camera), axis=0))
-                fastest = max(fastest, float(passed) / float(times[1]))
-        return fastest
+                near = float(np.linalg.norm(middles - camera.origin_m, axis=1).min())
+                near = max(near - body.radius_m, _THINNEST)
+                light[covered] = np.maximum(light[covered], 1 / (math.pi * near**2))
+                # Of one around or beside the camera what is seen of it says how fast.
+                ahead = (middles - camera.origin_m) @ camera.axes[0]
+                if ahead.min() > body.radius_m:
+                    passed = np.linalg.norm(np.diff(image_points(middles, camera), axis=0))
+                    fastest = max(fastest, float(passed) / float(times[1]))
+        return light.ravel(), fastest
 
-    def first_instants(self, seen: "Seen", camera: Device, rows: int) -> Array:
-        """Instants, ascending, from the start to the end, so close that what is seen passes no more
-        than some cells of a camera of so many rows in between.
+    def overlooked(
+        self,
+        first_s: Array,
+        last_s: Array,
+        emitter: Device,
+        detector: Device,
+        shape: tuple[int, int],
+    ) -> Flags:
+        """Cells of an emitter which a body may pass from one time to another, (n, n_cells), without
+        being in them at either: it goes farther than half of what it is wide.
         """
-        cells = seen.fastest_per_s * self.duration_s * rows / (2 * camera.tan_half_field)
-        n = math.ceil(min(cells / _STEP_CELLS, _MOST_FIRST))
-        return np.linspace(0, self.duration_s, max(n, 1) + 1)
+        found = np.zeros((len(first_s), *shape), dtype=bool)
+        for one, other in self._placed_outside(first_s, last_s, emitter):
+            flat = [image_points(x.reshape(-1, 3), emitter).reshape(-1, 8, 2) for x in (one, other)]
+            for i in np.flatnonzero(_is_far(*flat)).tolist():
+                around = np.concatenate([one[i], other[i]])
+                found[i] |= covers(around, 0.0, emitter, detector, shape)
+        return found.reshape(len(found), -1)
+
+    def shadows_overlooked(self, first_s: Array, last_s: Array, least_m: float) -> Flags:
+        """Whether a body of a radius of ``least_m`` and more goes farther from one time to another
+        than half of what it is wide, (n,), so that its shadow may pass in between.
+        """
+        found = np.zeros(len(first_s), dtype=bool)
+        for one, other in self._placed_outside(first_s, last_s, None, least_m):
+            found |= _is_far(one, other)
+        return found
+
+    def _placed_outside(
+        self, first_s: Array, last_s: Array, camera: Device | None, least_m: float = 0.0
+    ) -> Iterator[tuple[Array, Array]]:
+        """Corners of bodies that move, at two times each, (n, 8, 3); without those around a
+        camera, of which something is always seen.
+        """
+        moves = self.moves(np.concatenate([first_s, last_s]))
+        origin = np.zeros(3) if camera is None else camera.origin_m
+        for body in self.bodies:
+            around = np.linalg.norm(body.center_m - origin) <= body.radius_m
+            if around or body.radius_m < least_m or (moves[body.first] == np.eye(4)).all():
+                continue
+            placed = body.placed(moves)
+            yield placed[: len(first_s)], placed[len(first_s) :]
 
     def changes(
         self, times_s: Array, emitter: Device, detector: Device, shape: tuple[int, int]
@@ -234,13 +272,28 @@ class WorldInMotion:
         return found.reshape(len(found), -1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Seen:
     """What a camera sees of a world in motion.
 
     ``nearest_m``: distance along the boresight of the nearest surface. ``fastest_per_s``: largest
-    speed of anything, on the plane at distance 1.
+    speed of anything, on the plane at distance 1. ``brightening_per_s`` (n_cells,): by what share a
+    cell's light grows as its surface comes nearer. ``unseen_per_m2`` (n_cells,): light that cells
+    may have of bodies that are seen at none of the times looked at, over that of the solid angle.
     """
 
     nearest_m: float
     fastest_per_s: float
+    brightening_per_s: Array
+    unseen_per_m2: Array
+
+
+def _is_far(one: Array, other: Array) -> Flags:
+    """Whether bodies go farther than some of what they are wide along their way, (n,); ``one``,
+    ``other``: their corners before and after it, (n, 8, 2 or 3).
+    """
+    way = (other - one).mean(axis=1)
+    length = np.linalg.norm(way, axis=1)
+    along = way / np.maximum(length, 1e-300)[:, None]
+    width = np.ptp(np.einsum("nkj,nj->nk", one, along), axis=1)
+    return np.asarray(length > _OWN_WIDTH * np.maximum(width, _THINNEST))

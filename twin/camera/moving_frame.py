@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,13 @@ from numpy.typing import NDArray
 from twin.accuracy import Decision
 from twin.camera.chain import Chain
 from twin.camera.equal_paths import sun_shape
+from twin.camera.exposure_noise import lit_share
 from twin.camera.exposures import Exposures
+from twin.camera.frozen import CountChange, count_change
 from twin.camera.illumination import mean_signal
 from twin.camera.light import render_light
 from twin.camera.light_within import INDIRECT, SUN_INDIRECT, SUNLIT
-from twin.camera.motion import Seen, WorldInMotion
+from twin.camera.motion import WorldInMotion
 from twin.camera.mounting import light_problem, with_near_pupil
 from twin.camera.permitted_error import PermittedError
 from twin.camera.rendered import RenderedLight
@@ -31,13 +34,14 @@ from twin.system import System
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 #: Instants whose signals are computed at once.
 _AT_ONCE = 32
 #: Shortest interval between instants, over an exposure's integration.
 _FINEST = 1 / 8
 #: Instants at most at which all light is rendered.
-_MOST_RENDERS = 512
+_MOST_RENDERS = 32
 #: First instants that one is enough of for indirect light, which has no edges.
 _SMOOTH = 4
 #: Of a count, what its noise is at least: a full well of 1e8 electrons.
@@ -49,13 +53,14 @@ _FEW_PATHS = 1.5
 @dataclass(frozen=True, eq=False)
 class FrameLight:
     """Mean powers on the detectors in every exposure of a frame, W, (n_exposures, n_shutters,
-    n_detectors): of the patterns, and of the sun while a shutter is open. ``decision``: at how many
-    instants light was rendered, and what interpolation may be off by. ``pose``: the rig's at the
-    start.
+    n_detectors): of the patterns, and of the sun while a shutter is open; None where motion changes
+    counts by less than the tolerance, so that the light of the middle is that of all exposures.
+    ``decision``: at how many instants light was rendered, and what interpolation may be off by.
+    ``pose``: the rig's at the start.
     """
 
-    signal_w: Array
-    sun_w: Array
+    signal_w: Array | None
+    sun_w: Array | None
     pose: Pose
     decision: Decision
     warnings: tuple[CaptureWarning, ...] = ()
@@ -85,26 +90,27 @@ def frame_light(
     the angles at which light meets the filter.
     """
     start, scene, system = time.perf_counter(), world.scene, chain.system
+    tolerance, change = fidelity.motion_tolerance or 0.0, count_change(world, chain, rendered)
+
+    def decided(effect: str, off: float, *, taken: bool) -> Decision:
+        cost_s = time.perf_counter() - start if taken else math.nan
+        unit = "of an exposure's noise"
+        return Decision("camera", effect, off, tolerance, unit, taken, cost_s)
+
+    whole = change.within(world.duration_s)
+    if whole <= tolerance:
+        decision = decided("motion within a frame", whole, taken=False)
+        return FrameLight(None, None, scene.rig.pose, decision)
     problem = light_problem(scene, system, world)
-    noise_w = exposure_noise_w(chain, rendered)
     exposures = Exposures.of(system)
     one_bucket = system.n_detectors == 1 and not system.time_of_flight
     if one_bucket and problem.air is None and not system.optics.is_scanned:
-        light = _by_cell(world, chain, problem, rendered, fidelity, seeds, noise_w)
+        light = _by_cell(world, chain, problem, rendered, fidelity, seeds, change)
     else:
-        light = _by_render(world, chain, fidelity, seeds, noise_w)
+        light = _by_render(world, chain, fidelity, seeds, change)
     signal_w, sun_w = light.exposed(chain, exposures)
-    tolerance = fidelity.motion_tolerance or 0.0
-    off = light.motion_error * tolerance
-    decision = Decision(
-        "camera",
-        f"motion within a frame, {light.n_instants} instants",
-        off,
-        tolerance,
-        "of an exposure's noise",
-        True,
-        time.perf_counter() - start,
-    )
+    effect = f"motion within a frame, {light.n_instants} instants"
+    decision = decided(effect, light.motion_error * tolerance, taken=True)
     return FrameLight(signal_w, sun_w, scene.rig.pose, decision, _warnings(light, tolerance))
 
 
@@ -115,25 +121,18 @@ def _warnings(light: "_Light", tolerance: float) -> tuple[CaptureWarning, ...]:
             f"paths of light of some instants err by {light.path_error:.2g} times what is "
             "permitted: fidelity.light_tolerance"
         )
-        found.append(CaptureWarning("model", text))
+        found.append(CaptureWarning("tolerance", text))
     if light.motion_error <= 1:
         return tuple(found)
     return (
         *found,
         CaptureWarning(
-            "model",
+            "tolerance",
             f"light between instants is off by up to {light.motion_error * tolerance:.2g} of an "
             f"exposure's noise, {tolerance:g} permitted: what moves is too fast for as many "
             "instants as are rendered: fidelity.motion_tolerance",
         ),
     )
-
-
-def exposure_noise_w(chain: Chain, rendered: RenderedLight) -> float:
-    """Noise of an exposure in the middle of the frame, of the detector that has the least."""
-    power = chain.powers(rendered)
-    budgets = chain.noise_by_detector(chain.mean_signal(power), power.sun_w)
-    return min(b.total_noise_e for b in budgets) / chain.front_end.electrons_per_watt
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,14 +184,19 @@ def _by_cell(
     rendered: RenderedLight,
     fidelity: Fidelity,
     seeds: Sequence[np.random.SeedSequence],
-    noise_w: float,
+    change: CountChange,
 ) -> _Light:
     """Of one detector: each cell at as many instants as its light needs."""
     system, (first, second) = chain.system, (int(s.generate_state(1)[0]) for s in seeds)
-    shape = system.image_shape
-    seen = world.seen(problem.emitter, shape)
-    times = world.first_instants(seen, problem.emitter, shape[0])
-    problem = with_near_pupil(problem, system, np.array([seen.nearest_m]))
+    shape, noise_w, tolerance = system.image_shape, change.noise_w, fidelity.motion_tolerance or 0.0
+    small = change.of_light(world.duration_s) * math.sqrt(2) / tolerance
+    if small <= 1:
+        ends, cells_w = np.array([0.0, world.duration_s]), chain.powers(rendered).cells_w
+        still = np.repeat(cells_w[None], 2, axis=0)
+        sun = _sun(world, change, chain, problem, rendered, fidelity, second)
+        return _Light(ends, still, *sun[:2], math.hypot(small, sun[2]) / math.sqrt(2))
+    times = change.first_instants(world.duration_s, tolerance, change.of_light)
+    problem = with_near_pupil(problem, system, np.array([change.seen.nearest_m]))
     ones = np.ones_like(rendered.light.cells)
     lit = replace(rendered.light, cells=ones, error=ones)
     watt = chain.powers(replace(rendered, light=lit)).error_w[0]
@@ -209,13 +213,17 @@ def _by_cell(
         changes if len(parts) == 1 else np.ones_like(changes),
         Effort(
             _limit(fidelity, noise, rendered) if fidelity.has_light_tolerance else fidelity.samples,
-            (fidelity.motion_tolerance or 0.0) / math.sqrt(2) * noise,
+            tolerance / math.sqrt(2) * noise,
             _finest(chain),
             system.acquisition.integration_time_s.value,
             lambda light: _noise_growth(chain, light @ watt, rendered, noise_w),
+            lit_share=lit_share(chain),
+            overlooked=partial(
+                world.overlooked, emitter=problem.emitter, detector=problem.detector, shape=shape
+            ),
         ),
     )
-    sun = _sun(world, seen, chain, problem, rendered, fidelity, second, noise_w)
+    sun = _sun(world, change, chain, problem, rendered, fidelity, second)
     cells_w = (watt * found.light)[:, None, None]
     error = math.hypot(found.motion_error, sun[2]) / math.sqrt(2)
     return _Light(found.times_s, cells_w, *sun[:2], error, found.path_error)
@@ -240,14 +248,6 @@ def _limit(fidelity: Fidelity, noise: Array, rendered: RenderedLight) -> Array:
     if relative is not None:
         limit = np.minimum(limit, relative * np.maximum(light, light.mean()))
     return limit
-
-
-def lit_share(chain: Chain) -> float:
-    """Of the cells in an exposure that are lit, the mean over the exposures: as many errors of
-    cells add up in a count.
-    """
-    patterns = chain.patterns
-    return float(patterns.signal(np.ones(patterns.n_cells)).mean()) / patterns.n_cells
 
 
 def _traced(
@@ -286,13 +286,12 @@ def _parts(indirect: bool, *, by_chance: bool = True) -> list[Part]:
 
 def _sun(
     world: WorldInMotion,
-    seen: Seen,
+    change: CountChange,
     chain: Chain,
     problem: LightProblem,
     rendered: RenderedLight,
     fidelity: Fidelity,
     seed: int,
-    noise_w: float,
 ) -> tuple[Array, Array, float]:
     """Instants, the sun's power at each, (n, 1), and its error between them over what is permitted.
 
@@ -303,8 +302,9 @@ def _sun(
     shape, weight = sun_shape(chain.system), chain.sun_weight(rendered).ravel()
     if not weight.any():
         return np.array([0.0, world.duration_s]), np.zeros((2, 1)), 0.0
+    tolerance = (fidelity.motion_tolerance or 0.0) / math.sqrt(2)
     with np.errstate(divide="ignore"):
-        noise = noise_w / math.sqrt(weight.size) / weight
+        noise = change.noise_w / math.sqrt(weight.size) / weight
     tracer = problem.from_sun(shape, fidelity.quality, seed)
     limit: Array | int = fidelity.samples
     if fidelity.has_light_tolerance:
@@ -314,7 +314,18 @@ def _sun(
         parts = _parts(_taken(rendered, SUN_INDIRECT))
     else:
         parts = _parts(fidelity.max_depth > 1, by_chance=False)
-    times = world.first_instants(seen, problem.detector, shape[0])
+    small = change.of_sun(world.duration_s) / tolerance
+    if small <= 1:
+        still = np.full((2, 1), float(weight @ rendered.sun.ravel()))
+        return np.array([0.0, world.duration_s]), still, small
+    times = change.first_instants(world.duration_s, tolerance, change.of_sun)
+    # A shadow of as much area, where the nearest surface is, is worth what is permitted.
+    least_m = change.seen.nearest_m * math.sqrt(tolerance * change.noise_w / float(weight.max()))
+
+    def overlooked(first_s: Array, last_s: Array) -> Flags:
+        passed = world.shadows_overlooked(first_s, last_s, least_m)
+        return np.repeat(passed[:, None], weight.size, axis=1)
+
     found = light_over_time(
         lambda at: replace(
             tracer, scene=world.scene_at(at), light=SunLight(world.sun_directions(at))
@@ -324,10 +335,11 @@ def _sun(
         np.ones((len(times) - 1, weight.size), dtype=bool),
         Effort(
             limit,
-            (fidelity.motion_tolerance or 0.0) / math.sqrt(2) * noise,
+            tolerance * noise,
             _finest(chain),
             chain.system.acquisition.integration_time_s.value,
             together=True,
+            overlooked=overlooked,
         ),
     )
     light = found.light + _straight(world, problem, found.times_s, shape)
@@ -359,29 +371,34 @@ def _by_render(
     chain: Chain,
     fidelity: Fidelity,
     seeds: Sequence[np.random.SeedSequence],
-    noise_w: float,
+    change: CountChange,
 ) -> _Light:
     """Of line sensors, time of flight and air: all light at every instant, until the middles of
     intervals are what interpolation says.
     """
     system = chain.system
     whole = light_problem(world.scene, system, world)
-    seen = world.seen(whole.emitter, system.image_shape)
-    times = world.first_instants(seen, whole.emitter, system.image_shape[0]).tolist()
+    tolerance = fidelity.motion_tolerance or 0.0
+    first = change.first_instants(world.duration_s, tolerance, change.within)
+    # As many as leave room for the middles that say what is off.
+    n_first = min(len(first), _MOST_RENDERS // 2)
+    times: list[float] = np.linspace(0, world.duration_s, n_first).tolist()
+    noise_w = change.noise_w
     found = [_rendered_at(world, chain, whole, fidelity, seeds, t) for t in times]
     share, worst = lit_share(chain) / noise_w**2, 0.0
-    permitted = (fidelity.motion_tolerance or 0.0) ** 2
+    permitted = tolerance**2
     finest = _finest(chain)
     opened = [(i, i + 1) for i in range(len(times) - 1)]
     while opened:
-        first, last = opened.pop()
-        middle = (times[first] + times[last]) / 2
+        one, other = opened.pop()
+        middle = (times[one] + times[other]) / 2
         here = _rendered_at(world, chain, whole, fidelity, seeds, middle)
         times.append(middle)
         found.append(here)
-        off = here.off(found[first], found[last], share, 1 / noise_w**2)
-        if off > permitted and middle - times[first] > finest and len(times) < _MOST_RENDERS:
-            opened += [(first, len(times) - 1), (len(times) - 1, last)]
+        off = here.off(found[one], found[other], share, 1 / noise_w**2)
+        if off > permitted and middle - times[one] > finest and len(times) < _MOST_RENDERS:
+            # The longest ones first, so that none is left out when there are enough.
+            opened = [(one, len(times) - 1), (len(times) - 1, other), *opened]
         else:
             worst = max(worst, off)
     order = np.argsort(times)

@@ -4,7 +4,8 @@ All cells that may change are rendered at some first instants. The middle of eac
 rendered where light may have a kink there, and compared with what interpolation says: the cells
 that differ the most are followed into both halves, until what the others are off by is little
 enough. A path has the same random numbers at all instants, so that light differs between instants
-by what moved.
+by what moved. The square of a difference is taken as the product of those of two independent sets
+of paths, whose mean is the true one, without what paths err by.
 """
 
 import math
@@ -28,10 +29,12 @@ Ints = NDArray[np.int64]
 _SETS, _FIRST, _MOST = 2, 8, 2**11
 #: Share of a cell's own scatter in its variance, which two sets alone hardly know.
 _OWN = 0.25
-#: Variance of the difference between a middle and the mean of both ends, over that of each.
-_OF_MIDDLES = 1.5
 #: Of the squared error left to an interval, what cells that are not followed further may take.
 _LEFT_BEHIND = 0.5
+#: Variance of the difference between a middle and the mean of both ends, over that of each.
+_OF_MIDDLES = 1.5
+#: Cells, to a side, over which squared errors of smooth light are taken together.
+_SMOOTH_CELLS = 5
 #: Keys of draws, apart from those of still light.
 _DRAWS = 2**17
 #: Instants at which cells are rendered at most; paths after which no interval is halved, and paths
@@ -84,6 +87,12 @@ class Effort:
     together
         Only the sum of all cells counts: their errors in between, which may be of either sign, are
         taken together.
+    lit_share
+        Of the cells that are added up in a count: errors of as many cells as independent ones, and
+        of all cells those that are alike.
+    overlooked
+        Of intervals, from times (n,) to times (n,), the cells that something may pass unseen from
+        both, (n, n_cells): they are followed whatever is seen in the middle.
     """
 
     limit: Array | int
@@ -92,6 +101,8 @@ class Effort:
     exposure_s: float
     noise_growth: Callable[[Array], Array] | None = None
     together: bool = False
+    lit_share: float = 0.0
+    overlooked: Callable[[Array, Array], Flags] | None = None
 
     def grown(self, light: Array) -> Array:
         """`noise_growth` of light, (n,)."""
@@ -185,9 +196,10 @@ def _over_time(drawing: "_Drawing", times: Array, changes: Flags, effort: Effort
     wanted[:-1] |= changes
     wanted[1:] |= changes
     wanted[0] |= ~wanted.any(axis=0)
-    first = drawing.render(times, wanted, np.zeros(wanted.shape), effort, None)
-    light, variance = (_spread(values, wanted) for values in first)
-    rows, at = [*zip(light, variance, strict=True)], [float(t) for t in times]
+    nothing = np.zeros((_SETS, *wanted.shape))
+    sets, variance = drawing.render(times, wanted, nothing, effort, None)
+    sets, variance = np.array([_spread(x, wanted) for x in sets]), _spread(variance, wanted)
+    rows, at = [(sets[:, i], variance[i]) for i in range(len(times))], [float(t) for t in times]
     opened = [_Interval(i, i + 1, cells, 1.0) for i, cells in enumerate(changes) if cells.any()]
     worst = 0.0
     while opened:
@@ -199,36 +211,44 @@ def _over_time(drawing: "_Drawing", times: Array, changes: Flags, effort: Effort
         ends = [(rows[x.first], rows[x.last]) for x in fine]
         middles = np.array([(at[x.first] + at[x.last]) / 2 for x in fine])
         cells = np.array([x.cells for x in fine])
-        said = np.array([(a[0] + b[0]) / 2 for a, b in ends])
+        said = np.stack([(a[0] + b[0]) / 2 for a, b in ends], axis=1)
         around = np.array([(a[1] + b[1]) / 2 for a, b in ends])
-        light, variance = drawing.render(middles, cells, said, effort, around)
-        grown = effort.grown(light)
-        opened = []
+        sets, variance = drawing.render(middles, cells, said, effort, around)
+        grown, further = effort.grown(sets.mean(axis=0)), sets - said
+        halves: list[_Interval] = []
         for i, interval in enumerate(fine):
-            noise = _OF_MIDDLES * variance[i]
-            further, length = light[i] - said[i], at[interval.last] - at[interval.first]
             # Errors of several times within an exposure are averaged.
+            length = at[interval.last] - at[interval.first]
             scale = min(length / effort.exposure_s, 1.0) / 4 / grown[i]
-            rows.append((light[i], variance[i]))
+            rows.append((sets[:, i], variance[i]))
             at.append(float(middles[i]))
+            one, other = further[:, i] @ np.sqrt(weight)
+            # Of light that errs by chance the product scatters by as much as is subtracted.
+            alike = scale * float(one * other - _OF_MIDDLES * (weight @ variance[i]))
             if effort.together:
-                total = float((further @ np.sqrt(weight)) ** 2 - noise @ weight)
-                rest = interval.whole(max(scale * total, 0.0), len(at) - 1)
+                halves += interval.whole(max(alike, 0.0), len(at) - 1)
+                continue
+            alike = effort.lit_share * max(alike, 0.0)
+            off = (1 - effort.lit_share) * scale * weight * further[0, i] * further[1, i]
+            if (
+                alike + float(off.sum()) > interval.budget
+                and alike > _LEFT_BEHIND * interval.budget
+            ):
+                halves += interval.whole(alike + max(float(off.sum()), 0.0), len(at) - 1)
             else:
-                off = scale * np.maximum(further**2 - noise, 0) * weight
-                off[~interval.cells] = 0
-                rest = interval.after(off, len(at) - 1)
-            worst = max([worst, *(1 - x.budget for x in rest)])
-            opened += [x for x in rest if x.cells.any()]
+                likely = drawing.sorted_out(off)
+                halves += interval.after(likely, off, alike, len(at) - 1)
+        worst = max([worst, *(1 - x.budget for x in halves)])
+        opened = [x for x in _with_overlooked(halves, at, effort) if x.cells.any()]
     order = np.argsort(at)
     path_error = 0.0
     if not isinstance(effort.limit, int):
         share = 1 / np.maximum(effort.limit, 1e-150) ** 2 / n_cells
-        light, variance = (np.array(x) for x in zip(*rows, strict=True))
-        path_error = float(np.max(variance @ share / effort.grown(light))) ** 0.5
+        sets, variance = (np.array(x) for x in zip(*rows, strict=True))
+        path_error = float(np.max(variance @ share / effort.grown(sets.mean(axis=1)))) ** 0.5
     return LightOverTime(
         np.array(at)[order],
-        np.array([rows[i][0] for i in order]),
+        np.array([rows[i][0].mean(axis=0) for i in order]),
         path_error,
         worst**0.5,
         drawing.looks,
@@ -248,17 +268,20 @@ class _Interval:
     budget: float
     left: float = 0.0
 
-    def after(self, off: Array, middle: int) -> list["_Interval"]:
+    def after(self, likely: Array, off: Array, alike: float, middle: int) -> list["_Interval"]:
         """Both halves, with the cells that are to be followed into them; ``off``: squared errors of
-        cells with the middle known.
+        cells with the middle known, right in their sum, and ``likely``, none of them negative, by
+        which cells are chosen; ``alike``: of what is the same in all cells.
         """
-        order = np.argsort(off, kind="stable")
-        summed = np.cumsum(off[order])
-        share = 1.0 if summed[-1] <= self.budget else _LEFT_BEHIND
-        n_left = int(np.searchsorted(summed, share * self.budget, side="right"))
+        whole = float(off.sum()) + alike
+        if whole <= self.budget:
+            return self.whole(max(whole, 0.0), middle)
+        order = np.argsort(likely, kind="stable")
+        summed = alike + np.cumsum(likely[order])
+        n_left = int(np.searchsorted(summed, _LEFT_BEHIND * self.budget, side="right"))
         cells = np.zeros_like(self.cells)
         cells[order[n_left:]] = True
-        taken = float(summed[n_left - 1]) if n_left else 0.0
+        taken = float(summed[n_left - 1]) if n_left else min(alike, self.budget)
         return self._halves(middle, cells, self.budget - taken, float(summed[-1]) - taken)
 
     def whole(self, off: float, middle: int) -> list["_Interval"]:
@@ -270,6 +293,17 @@ class _Interval:
     def _halves(self, middle: int, cells: Flags, budget: float, left: float) -> list["_Interval"]:
         ends = ((self.first, middle), (middle, self.last))
         return [_Interval(*pair, cells, budget, left) for pair in ends]
+
+
+def _with_overlooked(
+    halves: Sequence[_Interval], at: Sequence[float], effort: Effort
+) -> list[_Interval]:
+    """The same with the cells that something may pass in between."""
+    if effort.overlooked is None or not halves:
+        return list(halves)
+    ends = np.array([(at[x.first], at[x.last]) for x in halves])
+    passed = effort.overlooked(*ends.T)
+    return [replace(x, cells=x.cells | more) for x, more in zip(halves, passed, strict=True)]
 
 
 def _spread(values: Array, known: Flags) -> Array:
@@ -293,26 +327,36 @@ class _Drawing:
         self._shift = int(seed.generate_state(1)[0])
         self.looks = self.paths = 0
 
+    def sorted_out(self, off: Array) -> Array:
+        """Squared errors that single cells are likely to have, of noisy ones whose sum is right."""
+        if self._part.is_smooth:
+            shape = (self.grid.rows, self.grid.columns)
+            off = uniform_filter(off.reshape(shape), _SMOOTH_CELLS, mode="nearest").ravel()
+        return np.maximum(off, 0)
+
     def render(
         self, times: Array, wanted: Flags, said: Array, effort: Effort, around: Array | None
     ) -> tuple[Array, Array]:
-        """Light and its variance, (n, n_cells), where ``wanted``; elsewhere ``said`` and
-        ``around``, which is also what the variance may be in all wanted cells together.
+        """Light by set of paths, (sets, n, n_cells), and the variance of their mean, (n, n_cells),
+        where ``wanted``; elsewhere ``said`` and ``around``, which is also what the variance may be
+        in all wanted cells together.
         """
         tracer, limit = self._tracer_at(times), effort.limit
         instant, cells = np.nonzero(wanted)
         self.looks += len(cells)
-        light, variance = said.copy(), np.zeros(said.shape) if around is None else around.copy()
+        light = said.copy()
+        variance = np.zeros(wanted.shape) if around is None else around.copy()
         first = _FIRST if isinstance(limit, np.ndarray) else max(limit // _SETS, 1)
         samples = np.full(len(cells), first)
         sums = self._draw(tracer, cells, instant, np.zeros_like(samples), samples)
-        for up in (False, True):
-            light[instant, cells] = sums.mean(axis=1) / samples
-            found = self._variance(light, cells, instant, samples, sums)
-            if isinstance(limit, int):
+        for up in (False, True, None):
+            light[:, instant, cells] = (sums / samples[:, None]).T
+            mean = light.mean(axis=0)
+            found = self._variance(mean, cells, instant, samples, sums)
+            if isinstance(limit, int) or up is None:
                 break
             weight = 1 / np.maximum(limit, 1e-150) ** 2 / wanted.shape[1]
-            allowed = wanted.mean(axis=1) * effort.grown(light)
+            allowed = wanted.mean(axis=1) * effort.grown(mean)
             if around is not None:
                 allowed = np.maximum(allowed, (wanted * weight * around).sum(axis=1))
             further = self._wanted(found * weight[cells], instant, samples, allowed, up)
@@ -323,9 +367,6 @@ class _Drawing:
                 tracer, cells[more], instant[more], samples[more], further[more] - samples[more]
             )
             samples[more] = further[more]
-        else:
-            light[instant, cells] = sums.mean(axis=1) / samples
-            found = self._variance(light, cells, instant, samples, sums)
         variance[instant, cells] = found
         return light, variance
 

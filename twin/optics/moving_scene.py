@@ -4,13 +4,14 @@ The acceleration structure of a body is built once, in the body's own coordinate
 taken there: nothing is built anew, and rays of many instants share one kernel.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from twin.engine import mitsuba
 from twin.transfer import aligned
@@ -19,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Of a body's radius: rays pass the sphere around it that miss it in float32 too.
 _MARGIN = 1e-3
+#: Rotation and shift where there is no body.
+_NOWHERE = np.eye(3)[None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +49,27 @@ class MovingScene:
     """Stands for a Mitsuba scene wherever rays are traced. A ray's ``time`` is the number of its
     instant, unless ``instant`` is given: then all rays are of that one.
 
+    Bodies that touch each other are a group. Rays that miss the sphere around a group pass it by,
+    and where all rays of a packet do, the group costs nothing.
+
     Not a dataclass: Dr.Jit would traverse its fields at every loop.
     """
 
     def __init__(self, bodies: Sequence[MovingBody], instant: int | None = None) -> None:
-        self._bodies = tuple(bodies)
-        self._placed = [_Placed(body) for body in bodies]
-        self._instant = instant
+        self._bodies, self._instant = tuple(bodies), instant
+        self._placed = [_Placed(body, number) for number, body in enumerate(bodies)]
+        self._n = len(bodies[0].shifts_m) if bodies else 1
+        self._groups = [
+            _Group(
+                [self._placed[i] for i in numbers], *_sphere_around([bodies[i] for i in numbers])
+            )
+            for numbers in _touching(bodies)
+        ]
+        rotations = np.concatenate([body.rotations for body in bodies]) if bodies else _NOWHERE
+        shifts = np.concatenate([body.shifts_m for body in bodies]) if bodies else _NOWHERE[0]
+        self._turns = not (rotations == np.eye(3)).all()
+        self._rotations = [_table(x) for x in rotations.reshape(-1, 9).T if self._turns]
+        self._shifts = [_table(column) for column in shifts.reshape(-1, 3).T]
 
     def at(self, instant: int) -> "MovingScene":
         """The same at one instant."""
@@ -60,14 +77,8 @@ class MovingScene:
 
     def body_met(self, ray: Any) -> tuple[Any, Any]:
         """Distance to the first surface along rays, infinite for none, and its body's number."""
-        mi, instant = mitsuba(), self._number(ray)
-        distance, body = mi.Float(dr.inf), mi.UInt32(0)
-        for number, placed in enumerate(self._placed):
-            local = placed.pose(instant).taken(ray)
-            met = placed.scene.ray_intersect_preliminary(local, coherent=True)
-            nearer = met.is_valid() & (met.t < distance)
-            distance, body = dr.select(nearer, met.t, distance), dr.select(nearer, number, body)
-        return distance, body
+        found, body = self._first_met(ray, coherent=True, active=True)
+        return found.t, body
 
     def shapes(self) -> list[Any]:
         """Of all bodies, one after another."""
@@ -77,32 +88,60 @@ class MovingScene:
         self, ray: Any, flags: Any = None, coherent: Any = False, active: Any = True
     ) -> Any:
         """The nearest surface along rays, as `mi.Scene.ray_intersect`."""
-        mi, instant = mitsuba(), self._number(ray)
+        mi = mitsuba()
         flags = mi.RayFlags.All if flags is None else flags
-        found, found_ray, found_pose = dr.zeros(mi.PreliminaryIntersection3f), mi.Ray3f(ray), _STILL
-        found.t = mi.Float(dr.inf)
-        for placed in self._placed:
-            pose = placed.pose(instant)
-            local = pose.taken(ray)
-            local.maxt = dr.minimum(local.maxt, found.t)
-            near = active & placed.is_near(local)
-            met = placed.scene.ray_intersect_preliminary(local, coherent=coherent, active=near)
-            nearer = met.is_valid() & (met.t < found.t)
-            found = dr.select(nearer, met, found)
-            found_ray = dr.select(nearer, local, found_ray)
-            found_pose = found_pose.where_not(nearer, pose)
-        hit = found.compute_surface_interaction(found_ray, flags, active)
-        return found_pose.returned(hit)
+        found, body = self._first_met(ray, coherent, active)
+        pose = self._pose(body, self._number(ray))
+        return pose.returned(found.compute_surface_interaction(pose.taken(ray), flags, active))
 
     def ray_test(self, ray: Any, coherent: Any = False, active: Any = True) -> Any:
         """Whether a surface is in the way of rays, as `mi.Scene.ray_test`."""
-        mi, instant = mitsuba(), self._number(ray)
-        blocked = mi.Bool(False)
-        for placed in self._placed:
-            local = placed.pose(instant).taken(ray)
-            near = active & ~blocked & placed.is_near(local)
-            blocked |= placed.scene.ray_test(local, coherent=coherent, active=near)
+        instant = self._number(ray)
+        blocked = mitsuba().Bool(False)
+        for group in self._groups:
+
+            def tested(blocked: Any, group: "_Group" = group) -> tuple[Any]:
+                for placed in group.placed:
+                    local = self._pose(placed.number, instant).taken(ray)
+                    near = active & ~blocked & placed.is_near(local)
+                    blocked |= placed.scene.ray_test(local, coherent=coherent, active=near)
+                return (blocked,)
+
+            (blocked,) = group.where_near(ray, instant, active & ~blocked, tested, (blocked,))
         return blocked
+
+    def _first_met(self, ray: Any, coherent: Any, active: Any) -> tuple[Any, Any]:
+        """The nearest surface along rays, in the coordinates of its body, and the body's number."""
+        mi, instant = mitsuba(), self._number(ray)
+        found, body = dr.zeros(mi.PreliminaryIntersection3f, dr.width(ray)), mi.UInt32(0)
+        found.t = mi.Float(dr.inf)
+        for group in self._groups:
+
+            def met(found: Any, body: Any, group: "_Group" = group) -> tuple[Any, Any]:
+                for placed in group.placed:
+                    local = self._pose(placed.number, instant).taken(ray)
+                    local.maxt = dr.minimum(local.maxt, found.t)
+                    near = active & placed.is_near(local)
+                    here = placed.scene.ray_intersect_preliminary(
+                        local, coherent=coherent, active=near
+                    )
+                    nearer = here.is_valid() & (here.t < found.t)
+                    found = dr.select(nearer, here, found)
+                    body = dr.select(nearer, mi.UInt32(placed.number), body)
+                return found, body
+
+            found, body = group.where_near(ray, instant, active, met, (found, body))
+        return found, body
+
+    def _pose(self, body: Any, instant: Any) -> "_Pose":
+        """Of bodies at instants."""
+        mi = mitsuba()
+        at = instant + mi.UInt32(body) * dr.opaque(mi.UInt32, self._n)
+        shift = mi.Vector3f(*(dr.gather(mi.Float, x, at) for x in self._shifts))
+        if not self._turns:
+            return _Pose(None, shift)
+        parts = [dr.gather(mi.Float, x, at) for x in self._rotations]
+        return _Pose([mi.Vector3f(*parts[3 * i : 3 * i + 3]) for i in range(3)], shift)
 
     def _number(self, ray: Any) -> Any:
         mi = mitsuba()
@@ -111,32 +150,78 @@ class MovingScene:
         return dr.opaque(mi.UInt32, self._instant)
 
 
+def _touching(bodies: Sequence[MovingBody]) -> list[list[int]]:
+    """Numbers of bodies, by group: those whose spheres touch at the first instant; one around the
+    origin, where rays begin, is one of its own.
+    """
+    if not bodies:
+        return []
+    place = np.array([body.center_m @ body.rotations[0].T + body.shifts_m[0] for body in bodies])
+    radius = np.array([body.radius_m for body in bodies])
+    apart = np.linalg.norm(place[:, None] - place, axis=-1) > radius[:, None] + radius
+    inside = np.linalg.norm(place, axis=1) <= radius
+    touch = ~(apart | inside[:, None] | inside)
+    _, label = connected_components(touch, directed=False)
+    return [np.flatnonzero(label == i).tolist() for i in np.unique(label)]
+
+
+def _sphere_around(bodies: Sequence[MovingBody]) -> tuple[Array, Array]:
+    """Middle (n, 3) and radius (n,) of a sphere around bodies at all instants."""
+    places = np.array([body.rotations @ body.center_m + body.shifts_m for body in bodies])
+    radii = np.array([body.radius_m for body in bodies])[:, None]
+    low, high = (places - radii[..., None]).min(axis=0), (places + radii[..., None]).max(axis=0)
+    middle = (low + high) / 2
+    reach = (np.linalg.norm(places - middle, axis=-1) + radii).max(axis=0)
+    return middle, reach * (1 + _MARGIN)
+
+
+class _Group:
+    """Bodies with a sphere around them at all instants."""
+
+    def __init__(self, placed: Sequence["_Placed"], middle_m: Array, radius_m: Array) -> None:
+        self.placed = placed
+        # Of a sphere around the origin most rays begin within it.
+        self._always = bool((np.linalg.norm(middle_m, axis=1) <= radius_m).any())
+        self._middle = [_table(column) for column in middle_m.T]
+        self._reach2 = _table(radius_m**2)
+
+    def where_near(
+        self,
+        ray: Any,
+        instant: Any,
+        active: Any,
+        work: Callable[..., tuple[Any, ...]],
+        state: tuple[Any, ...],
+    ) -> tuple[Any, ...]:
+        """``work`` on a state where rays pass the sphere, else the state."""
+        if self._always:
+            return work(*state)
+        mi = mitsuba()
+        middle = mi.Point3f(*(dr.gather(mi.Float, x, instant) for x in self._middle))
+        near = active & _passes(ray, middle, dr.gather(mi.Float, self._reach2, instant))
+        found: tuple[Any, ...] = dr.if_stmt(state, near, work, lambda *same: same)
+        return found
+
+
 class _Placed:
-    """A body with its poses on the engine's device."""
+    """A body's surfaces on the engine's device, in its own coordinates."""
 
-    def __init__(self, body: MovingBody) -> None:
-        self.scene = body.scene
+    def __init__(self, body: MovingBody, number: int) -> None:
+        self.scene, self.number = body.scene, number
         mi = mitsuba()
-        self._center = [dr.opaque(mi.Float, float(x)) for x in body.center_m]
+        self._center = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in body.center_m))
         self._reach2 = dr.opaque(mi.Float, float(body.radius_m * (1 + _MARGIN)) ** 2)
-        self._turns = not (body.rotations == np.eye(3)).all()
-        self._rotation = [_table(x) for x in body.rotations.reshape(-1, 9).T if self._turns]
-        self._shift = [_table(column) for column in body.shifts_m.T]
-
-    def pose(self, instant: Any) -> "_Pose":
-        """Of each ray, by its instant."""
-        mi = mitsuba()
-        shift = mi.Vector3f(*(dr.gather(mi.Float, x, instant) for x in self._shift))
-        if not self._turns:
-            return _Pose(None, shift)
-        parts = [dr.gather(mi.Float, x, instant) for x in self._rotation]
-        return _Pose([mi.Vector3f(*parts[3 * i : 3 * i + 3]) for i in range(3)], shift)
 
     def is_near(self, ray: Any) -> Any:
         """Whether rays pass the sphere around the body."""
-        to_center = mitsuba().Vector3f(*self._center) - ray.o
-        along = dr.dot(to_center, ray.d)
-        return dr.squared_norm(to_center) - dr.square(along) <= self._reach2
+        return _passes(ray, self._center, self._reach2)
+
+
+def _passes(ray: Any, middle: Any, reach2: Any) -> Any:
+    """Whether rays, of length 1, pass a sphere, and do not have it behind them."""
+    to_middle = middle - ray.o
+    along, distance2 = dr.dot(to_middle, ray.d), dr.squared_norm(to_middle)
+    return (distance2 - dr.square(along) <= reach2) & ((along > 0) | (distance2 <= reach2))
 
 
 class _Pose:
@@ -167,26 +252,11 @@ class _Pose:
         hit.p = mitsuba().Point3f(self._turned(hit.p) + self.shift)
         return hit
 
-    def where_not(self, is_other: Any, other: "_Pose") -> "_Pose":
-        """The same, and another one where that is the nearer body's."""
-        shift = dr.select(is_other, other.shift, self.shift)
-        if self.rows is None and other.rows is None:
-            return _Pose(None, shift)
-        pairs = zip(self._all_rows(), other._all_rows(), strict=True)
-        return _Pose([dr.select(is_other, b, a) for a, b in pairs], shift)
-
-    def _all_rows(self) -> list[Any]:
-        vector = mitsuba().Vector3f
-        return self.rows or [vector(1, 0, 0), vector(0, 1, 0), vector(0, 0, 1)]
-
     def _turned(self, value: Any) -> Any:
         if self.rows is None:
             return value
         vector = mitsuba().Vector3f(value)
         return type(value)(*(dr.dot(row, vector) for row in self.rows))
-
-
-_STILL = _Pose(None)
 
 
 def _table(column: Array) -> Any:
